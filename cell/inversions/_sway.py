@@ -59,20 +59,28 @@ is an edge. After one nothing is told for as long as the way is remembered"""
 HELD_FOR_EVER = 1e6
 """looks"""
 
-NAMES = (*way.NAMES, *together.NAMES, "sign_before", "last_r", "extreme_r", "unexplained_r", "held", "told", "may")
-"""names of the rows of the memory: those of :mod:`._way` and :mod:`._together`, then 1 where the load rose at the last
-look, -1 where it fell; r then, and the largest since the load turned, or the least; r less all by which it went beyond
-these; looks since an edge; the way that is told, and that which may be, less that of turns"""
-WAY = 44
-TOGETHER = WAY + way.ROWS
-_OWN = TOGETHER + together.ROWS
-SIGN_BEFORE, LAST_R, EXTREME_R, UNEXPLAINED_R, HELD, BALANCE, MOST = range(_OWN, WAY + len(NAMES))
+NAMES = (
+    *("looks", *way.SERIES, *together.SERIES),
+    *way.SQUARES,
+    *(f"{name}_beside" for name in way.SQUARES),
+    *together.LOADS,
+    *("sign_before", "last_r", "extreme_r", "unexplained_r", "held", "told", "may"),
+)
+"""names of the rows of the memory: looks; series and mean squares of :mod:`._way`, own ones and those of neighbours;
+what :mod:`._together` sums up. Then 1 where the load rose at the last look, -1 where it fell; r then, and the largest
+since the load turned, or the least; r less all by which it went beyond these; looks since an edge; the way that is
+told, and that which may be, less that of turns"""
+LOOKS = 46
+SERIES = LOOKS + 1
+SERIES_BESIDE = SERIES + way.ALL_SERIES
+SQUARES = SERIES + 3 * way.ALL_SERIES
+SQUARES_BESIDE = SQUARES + way.ALL_SQUARES
+LOADS = SQUARES + 2 * way.ALL_SQUARES
+SIGN_BEFORE, LAST_R, EXTREME_R, UNEXPLAINED_R, HELD, BALANCE, MOST = range(LOADS + 2, LOOKS + len(NAMES))
 """rows, behind those of :mod:`._onset`"""
-_TOGETHER = slice(TOGETHER, _OWN)
-_SQUARES = slice(WAY + way.SQUARES_FROM, WAY + way.ROWS)
-SQUARES, SQUARES_BESIDE = WAY + way.SQUARES_FROM, TOGETHER + together.SQUARES_FROM
-_SQUARES_BESIDE = slice(SQUARES_BESIDE, _OWN)
-_WAY = slice(WAY, WAY + way.ROWS)
+_SERIES, _SQUARES, _LOADS = slice(SERIES, SQUARES), slice(SQUARES, LOADS), slice(LOADS, LOADS + 2)
+_BY_NOISE = np.array([1.0, 0.0])[:, None, None]
+"""(2, 1, 1) what noise makes of own mean squares, and of mean products"""
 RISE_R, FALL_R, PER_E2, PER_E3, ETAU2_KPA, SETTLED_PER_KPA, OF_U, OF_2, OF_3, KEPT_KPA = range(10)
 OWED, LARGEST_R, LARGEST_KPA, LOAD_R = range(10, 14)
 """places of the numbers: r per kPa of a fast rise and of a fast fall; constants of the model; shares of the lags that
@@ -128,8 +136,7 @@ def constants(model: PaperModel, dt_s: float, full_scale_kpa: float) -> Constant
 
 def begin(memory: FloatArray, r: FloatArray) -> None:
     """Begin with cells whose reading has been ``r`` (m,) for ever; changes their ``memory`` (rows, m)."""
-    way.begin(memory[_WAY])
-    together.begin(memory[_TOGETHER])
+    memory[LOOKS : LOADS + 2] = 0.0
     memory[SIGN_BEFORE] = memory[SIGN]
     memory[[LAST_R, EXTREME_R]] = r
     memory[UNEXPLAINED_R : MOST + 1] = 0.0
@@ -171,21 +178,33 @@ def look(
     apart = np.maximum(np.abs(memory[PRESSURE] - recent[0]), np.abs(recent[0] - recent[2]))
     edges |= apart > noise * _EDGE * memory[GAIN] + numbers.each[LARGEST_KPA]
     np.copyto(held, _ZERO, where=edges)
-    ends = way.look(memory[_WAY], unexplained, noise, numbers.row[LARGEST_R], numbers.way, edges)
     shown = np.where(memory[RESTED] > _ZERO, _ZERO, np.maximum(memory[PRESSURE], _ZERO))
     load = shown * numbers.each[LOAD_R]
     tells = np.empty((together.TELLS, load.size))
     per_variance = load / (noise * noise)
+    known = load * per_variance
     per_variance *= held > _ONE
     np.multiply(per_variance, unseen, tells[together.WEIGHTED])
     np.multiply(per_variance, load, tells[together.KNOWN])
-    relative = largest / np.maximum(load, _LEAST_LOAD)
-    known = together.look(memory[_TOGETHER], tells, near, relative, ends, numbers.way.shares, edges)
-    own, beside = together.weights(load * load / (noise * noise), known)
-    squares = memory[_SQUARES] * own
-    squares += memory[_SQUARES_BESIDE] * beside
-    found = np.empty((2, load.size))
-    found[0], found[1] = way.tell(squares, own, beside, noise, numbers.way)
+    loads = memory[_LOADS]
+    knows = together.look(loads, tells, near)
+    newest, noises, most = np.empty((3, 3, load.size))
+    newest[0], newest[1:] = unexplained, loads
+    noises[0], noises[1:] = noise, _ONE / np.sqrt(knows)
+    most[0], most[1:] = largest, largest / np.maximum(load, _LEAST_LOAD)
+    looks = memory[LOOKS]
+    looks += _ONE
+    ends = way.ends_of_blocks(looks)
+    change = way.differences(memory[_SERIES].reshape(3, way.ALL_SERIES, -1), newest, noises, most, ends)
+    product = change[0::2] * change[:2]  # own ones squared, and those of both groups
+    side = change[:2]
+    side[1] += change[2]
+    squares = memory[_SQUARES].reshape(2, way.ALL_SQUARES, -1)
+    way.take(squares, product, _BY_NOISE, side, ends * numbers.way.shares, edges)
+    own, beside = together.weights(known, together.known(knows))
+    both = squares[0] * own
+    both += squares[1] * beside
+    found = way.tell(both, own, beside, noise, numbers.way)
     found *= (shown > _ZERO) & (held >= numbers.each[OWED])
     balance = memory[BALANCE : MOST + 1]
     balance += found
@@ -194,17 +213,32 @@ def look(
     np.minimum(np.maximum(balance, -most, out=balance), most, out=balance)
     unseen = np.maximum(balance, _ZERO)
     balance -= unseen
-    _take_back(memory, unseen, found[0], shown, numbers.each)
+    told, more = unseen
+    more -= told
+    np.maximum(more, _ZERO, out=more)
+    more *= numbers.each[KEPT_KPA]
+    if np.count_nonzero(told):
+        more += _take_back(memory, told, found[0], shown, numbers.each) * _UNSURE
+    doubt = memory[TURNED]
+    after = np.sqrt(doubt)
+    after += more
+    after *= after
+    np.minimum(after, np.maximum(doubt, shown * shown), out=after)
+    np.copyto(after, doubt, where=more <= _ZERO)  # the square of a root is not always what it was
+    variance = memory[VARIANCE]
+    variance += after - doubt
+    doubt[...] = after
 
 
 def _take_back(
-    memory: FloatArray, unseen: FloatArray, told: FloatArray, shown: FloatArray, numbers: tuple[FloatArray, ...]
-) -> None:
-    """Subtract from pressures ``shown`` (m,) what the way of r makes that is ``unseen`` (2, m), as it is told and as it
-    may be, of a way ``told`` (m,) in all.
+    memory: FloatArray, way: FloatArray, told: FloatArray, shown: FloatArray, numbers: tuple[FloatArray, ...]
+) -> FloatArray:
+    """Subtract from pressures ``shown`` (m,) what a ``way`` (m,) of r makes of them, of a way ``told`` (m,) in all.
+
+    Returns:
+        (m,) kPa that are subtracted.
     """
     rise, fall, per_e2, per_e3, etau2, settled_per_kpa, of_u, of_2, of_3, kept = numbers[: KEPT_KPA + 1]
-    way, most = unseen
     sign, pressure, r = memory[SIGN], memory[PRESSURE], memory[STATE_END - 1]
     rises = sign > _ZERO
     share = np.minimum(way / np.where(way > _ZERO, told, _ONE), _ONE)
@@ -228,14 +262,8 @@ def _take_back(
     for row in (EARLIER_LEAST_KPA, EARLIER_FROM_KPA):
         memory[row] -= ahead
     memory[LEFT] -= np.where(unconfirmed, ahead, _ZERO)
-    doubt = memory[TURNED]
-    after = np.sqrt(doubt)
-    more = np.maximum(most - way, _ZERO) * kept + kpa * _UNSURE
-    after += more
-    after = np.minimum(after * after, np.maximum(doubt, shown * shown))
-    after = np.where(more > _ZERO, after, doubt)  # the square of a root is not always what it was
-    memory[VARIANCE] += after - doubt
-    memory[TURNED] = after
+    taken: FloatArray = kpa
+    return taken
 
 
 @loop
@@ -249,11 +277,13 @@ def look_each(
     for i in range(means.size):
         noise, held, shown = noise_of(memory, i, noises[i], steps), memory[HELD, i], shown_of(memory, i)
         load = shown * numbers[LOAD_R]
-        relative, looks = full / max(load, LEAST_LOAD), memory[WAY, i]
-        known = told_beside_of(memory, TOGETHER, i, seen, near, relative, looks, way_numbers)
+        relative, looks = full / max(load, LEAST_LOAD), memory[LOOKS, i]
+        known = told_beside_of(
+            memory, SERIES_BESIDE, SQUARES_BESIDE, LOADS, i, seen, near, relative, looks, way_numbers
+        )
         told, may = 0.0, 0.0
         if shown > 0.0 and held >= owed:
-            own, beside = weights_of(load * load / (noise * noise), known)
+            own, beside = weights_of(load * (load / (noise * noise)), known)
             told, may = tell_of(memory, SQUARES, SQUARES_BESIDE, i, own, beside, noise, way_numbers)
         back = seen[BACK, i]
         way = min(max(memory[BALANCE, i] + told - back, -owed * told), owed * told)
@@ -297,7 +327,9 @@ def see_of(memory: Rows, i: int, mean: float, noise: float, numbers: Row, way_nu
         forget_of(memory, SQUARES, i)
         forget_of(memory, SQUARES_BESIDE, i)
     memory[HELD, i] = held
-    look_of(memory, WAY, i, memory[UNEXPLAINED_R, i], noise, numbers[LARGEST_R], way_numbers)
+    memory[LOOKS, i] += 1.0
+    looks, mean = memory[LOOKS, i], memory[UNEXPLAINED_R, i]
+    look_of(memory, SERIES, SQUARES, i, looks, mean, noise, numbers[LARGEST_R], way_numbers)
     load = shown_of(memory, i) * numbers[LOAD_R]
     per_variance = load / (noise * noise) if held > 1.0 else 0.0
     seen[WEIGHTED, i], seen[KNOWN, i], seen[BACK, i] = per_variance * unseen, per_variance * load, back

@@ -19,45 +19,26 @@ import math
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray
+from ...arrays import FloatArray, IntArray
 from ...compiled import PlaceRows, Rows, loop
 from ..estimation import ALIKE, RECENT
 from . import _way as way
-from ._way import (
-    CLEAR,
-    SCALES,
-    SHARE,
-    differences_of,
-    limited,
-    take_of,
-)
+from ._way import ALL_SERIES, SCALES, SHARE, differences_of, scaled, take_of
 
 LEAST = 1e-9
 """reciprocal variance of a relative change of the load below which a group knows nothing"""
 
-GROUPS = 2
-NAMES = (
-    *(f"{name}_{group}" for group in ("alike", "between") for name in ("load", *way.SERIES)),
-    *way.SQUARES,
-)
-"""names of the rows of the memory: of each group the relative load, summed up, and its series; then mean products"""
-ROWS = len(NAMES)
-SQUARES_FROM = GROUPS * (1 + len(way.SERIES))
-OF_GROUP = 1 + len(way.SERIES)
-_SQUARES_ROWS = slice(SQUARES_FROM, ROWS)
+GROUPS = "alike", "between"
+SERIES = tuple(f"{name}_{group}" for group in GROUPS for name in way.SERIES)
+LOADS = tuple(f"load_{group}" for group in GROUPS)
+"""names of rows of the memory: a series for each group, and its relative load, summed up. Mean products of both are as
+:data:`._way.SQUARES`"""
 WEIGHTED, KNOWN = range(2)
 """rows of what cells tell: change of r times the change of r with the relative load, over the variance by noise; and
 the square of the latter over this variance"""
 TELLS = 2
 _ZERO, _ONE, _HALF, _LEAST = (np.array(x) for x in (0.0, 1.0, 0.5, LEAST))
-_STD = np.sqrt(np.concatenate([2.0 / (RECENT * 2.0 ** np.arange(SCALES)), 6.0 / (RECENT * 2.0 ** np.arange(SCALES))]))[
-    :, None
-]
-
-
-def begin(rows: FloatArray) -> None:
-    """Begin with cells that bear nothing; writes their ``rows`` (as :data:`NAMES`, m)."""
-    rows[...] = 0.0
+# As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
 def weights(own: FloatArray, beside: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -77,49 +58,33 @@ def weights(own: FloatArray, beside: FloatArray) -> tuple[FloatArray, FloatArray
     return _ONE - share, share * ratio
 
 
-def look(
-    rows: FloatArray,
-    tells: FloatArray,
-    near: IntArray,
-    largest: FloatArray,
-    ends: BoolArray,
-    shares: FloatArray,
-    forgotten: BoolArray,
-) -> FloatArray:
-    """Take what the neighbours of m cells tell; changes their ``rows``.
+def look(loads: FloatArray, tells: FloatArray, near: IntArray) -> FloatArray:
+    """Sum up what neighbours tell of the relative load of m cells.
 
     Args:
-        rows: (as :data:`NAMES`, m) of the memory.
+        loads: (as :data:`LOADS`, m) of the memory, changed.
         tells: (TELLS, m) of each cell, none of those whose load has an edge just now.
         near: (k, m) neighbours, see :class:`..estimation._neighbours.Neighbours`.
-        largest: (m,) relative change of the load that may go without being noticed otherwise.
-        ends: (SCALES, m) where blocks end.
-        shares: (SCALES, 1) of a block in mean products.
-        forgotten: (m,) cells whose mean products begin anew.
 
     Returns:
-        (m,) reciprocal variance of the relative change of a load that mean products know; 0: nothing.
+        (2, m) reciprocal variances by noise of the relative change of the load that both groups read; none is 0.
     """
     beside = np.zeros((TELLS, tells.shape[1] + 1))
     beside[:, :-1] = tells
     of_all = beside.take(near, axis=1)
-    scaled, known = [], []
-    for group, members in enumerate((of_all[:, :ALIKE], of_all[:, ALIKE:])):
-        weighted, knows = members.sum(axis=1)
-        np.maximum(knows, _LEAST, out=knows)
-        of_group = rows[group * OF_GROUP : (group + 1) * OF_GROUP]
-        of_group[0] += weighted / knows
-        change = way.differences(of_group[1:], of_group[0], ends)
-        std = _STD / np.sqrt(knows)
-        change /= std
-        limit = largest / std + CLEAR
-        np.minimum(np.maximum(change, -limit, out=change), limit, out=change)
-        scaled.append(change)
-        known.append(knows)
-    alike, between = scaled
-    way.take(rows[_SQUARES_ROWS], alike * between, 0.0, alike + between, ends * shares, forgotten)
-    both: FloatArray = np.sqrt(known[0] * known[1])
-    both *= np.minimum(*known) > _LEAST
+    weighted: FloatArray
+    knows: FloatArray
+    weighted, knows = np.stack([of_all[:, :ALIKE].sum(axis=1), of_all[:, ALIKE:].sum(axis=1)], axis=1)
+    np.maximum(knows, _LEAST, out=knows)
+    weighted /= knows
+    loads += weighted
+    return knows
+
+
+def known(knows: FloatArray) -> FloatArray:
+    """(m,) reciprocal variance of the relative change that mean products know, for :func:`look`; 0: nothing."""
+    both: FloatArray = np.sqrt(knows[0] * knows[1])
+    both *= np.minimum(knows[0], knows[1]) > _LEAST
     return both
 
 
@@ -136,7 +101,9 @@ def weights_of(own: float, beside: float) -> tuple[float, float]:
 @loop
 def look_of(
     memory: Rows,
-    first: int,
+    series: int,
+    squares: int,
+    loads: int,
     i: int,
     tells: Rows,
     near: PlaceRows,
@@ -144,25 +111,29 @@ def look_of(
     looks: float,
     numbers: Rows,
 ) -> float:
-    """:func:`look` of cell ``i``, whose rows of ``memory`` (rows, m) begin with row ``first``, after so many looks."""
-    knows_alike, blocks_alike = load_of(memory, first, i, tells, near, 0, ALIKE)
-    knows_between, blocks_between = load_of(memory, first + OF_GROUP, i, tells, near, ALIKE, near.shape[0])
-    length, squares = 1.0, first + SQUARES_FROM
+    """Take what neighbours tell cell ``i``; returns :func:`known`.
+
+    Series, mean products and relative loads begin with these rows of ``memory`` (rows, m).
+    """
+    knows_alike = load_of(memory, loads, i, tells, near, 0, ALIKE)
+    knows_between = load_of(memory, loads + 1, i, tells, near, ALIKE, near.shape[0])
+    noise_alike, noise_between = 1.0 / math.sqrt(knows_alike), 1.0 / math.sqrt(knows_between)
+    block_alike, block_between, length = memory[loads, i], memory[loads + 1, i], 1.0
     for scale in range(SCALES):
         if looks % length != 0.0:
             break
-        row, per_reading = first + 1 + scale, RECENT * length
-        alike, bend_alike, blocks_alike = differences_of(memory, row, i, blocks_alike)
-        between, bend_between, blocks_between = differences_of(memory, row + OF_GROUP, i, blocks_between)
+        row, per_reading = series + scale, RECENT * length
+        alike, bend_alike, block_alike = differences_of(memory, row, i, block_alike)
+        between, bend_between, block_between = differences_of(memory, row + ALL_SERIES, i, block_between)
         by_noise = math.sqrt(2.0 / per_reading)
-        alike = scaled(alike, by_noise, knows_alike, largest)
-        between = scaled(between, by_noise, knows_between, largest)
+        alike = scaled(alike, noise_alike * by_noise, largest)
+        between = scaled(between, noise_between * by_noise, largest)
         by_noise = math.sqrt(6.0 / per_reading)
-        bend_alike = scaled(bend_alike, by_noise, knows_alike, largest)
-        bend_between = scaled(bend_between, by_noise, knows_between, largest)
+        bend_alike = scaled(bend_alike, noise_alike * by_noise, largest)
+        bend_between = scaled(bend_between, noise_between * by_noise, largest)
         moved, bent = alike * between, bend_alike * bend_between
-        share = numbers[SHARE, scale]
-        take_of(memory, squares + scale, i, moved, alike + between, bent, bend_alike + bend_between, 0.0, share)
+        side, bent_side = alike + between, bend_alike + bend_between
+        take_of(memory, squares + scale, i, moved, side, bent, bent_side, 0.0, numbers[SHARE, scale])
         length *= 2.0
     if min(knows_alike, knows_between) > LEAST:
         return math.sqrt(knows_alike * knows_between)
@@ -170,8 +141,8 @@ def look_of(
 
 
 @loop
-def load_of(memory: Rows, row: int, i: int, tells: Rows, near: PlaceRows, begin: int, end: int) -> tuple[float, float]:
-    """What neighbours from ``begin`` to ``end`` know of the relative load, and that load, which ``row`` sums up."""
+def load_of(memory: Rows, row: int, i: int, tells: Rows, near: PlaceRows, begin: int, end: int) -> float:
+    """What neighbours from ``begin`` to ``end`` know of the relative load of cell ``i``, which ``row`` sums up."""
     weighted, knows, cells = 0.0, 0.0, tells.shape[1]
     for k in range(begin, end):
         cell = near[k, i]
@@ -180,11 +151,4 @@ def load_of(memory: Rows, row: int, i: int, tells: Rows, near: PlaceRows, begin:
             knows += tells[KNOWN, cell]
     knows = max(knows, LEAST)
     memory[row, i] += weighted / knows
-    return knows, memory[row, i]
-
-
-@loop
-def scaled(change: float, by_noise: float, knows: float, largest: float) -> float:
-    """A difference over its standard deviation by noise, within limits."""
-    std = by_noise / math.sqrt(knows)
-    return limited(change / std, largest / std + CLEAR)
+    return knows

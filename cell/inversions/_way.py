@@ -72,13 +72,8 @@ SQUARES = tuple(
 )
 """names of the rows of mean squares, over the variances by noise and beyond what noise makes: of second differences, of
 differences upwards, of second differences upwards, and of both downwards"""
-NAMES = ("looks", *SERIES, *SQUARES)
-"""names of the rows of the memory: looks, the series and its mean squares"""
-ROWS = len(NAMES)
-ALL_SQUARES = len(SQUARES)
+ALL_SERIES, ALL_SQUARES = len(SERIES), len(SQUARES)
 _BENDS, _UP, _DOWN = 0, SCALES, 3 * SCALES
-SQUARES_FROM = 1 + len(SERIES)
-_SERIES_ROWS, _SQUARES_ROWS = slice(1, SQUARES_FROM), slice(SQUARES_FROM, ROWS)
 SHARE, HIDES = range(2)
 """rows of the numbers that depend on the time between frames"""
 _LOOKS_IN_BLOCK = 2.0 ** np.arange(SCALES)[:, None]
@@ -90,7 +85,9 @@ _STD = np.sqrt(_NOISE)
 _PER_LOOK = WAY / _LOOKS_IN_BLOCK
 _ROOM = np.repeat([1.0, 0.5], (SCALES, 4 * SCALES))[:, None] * GROWS + AT_ONCE
 """(rows of SQUARES, 1) by which one difference may raise a mean square that is that of noise"""
-_ZERO, _ONE = (np.array(x) for x in (0.0, 1.0))
+_ZERO, _HALF, _ONE, _TWO, _FOUR, _CLEAR, _MOST, _LEAST, _AT_ONCE = (
+    np.array(x) for x in (0.0, 0.5, 1.0, 2.0, 4.0, CLEAR, MOST, -MOST, AT_ONCE)
+)
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
@@ -103,6 +100,10 @@ class Constants(NamedTuple):
     """(SCALES, 1)"""
     hides: FloatArray
     """(SCALES, 1)"""
+    by_chance: FloatArray
+    """(SCALES, 1) variance of the difference of mean squares from noise"""
+    by_chance_and_noise: FloatArray
+    """(SCALES, 1) the same where noise is known by its measure only"""
 
 
 def constants(dt_s: float) -> Constants:
@@ -110,92 +111,89 @@ def constants(dt_s: float) -> Constants:
     block_s = _LOOKS_IN_BLOCK * (RECENT * dt_s)
     share = np.clip(block_s / MEMORY_S, *SHARES)
     hides = np.minimum(HIDDEN + HIDES_AT_FAST * (FAST_HZ * block_s) ** 2, MOST_HIDDEN)
-    return Constants(np.hstack([share, hides]).T.copy(), share, hides)
+    by_chance = share * OF_SIDES**2
+    return Constants(np.hstack([share, hides]).T.copy(), share, hides, by_chance, by_chance + NOISE_KNOWN**2)
 
 
-def begin(rows: FloatArray) -> None:
-    """Begin with cells whose reading has been none for ever; writes their ``rows`` (as :data:`NAMES`, m)."""
-    rows[...] = 0.0
-
-
-def look(
-    rows: FloatArray, mean: FloatArray, noise: FloatArray, largest: float, numbers: Constants, forgotten: BoolArray
-) -> BoolArray:
-    """Take the last :data:`..estimation._noise.RECENT` readings of m cells; changes their ``rows``.
-
-    Args:
-        rows: (as :data:`NAMES`, m) of the memory.
-        mean: (m,) of the readings.
-        noise: (m,) standard deviation of one of them.
-        largest: r that a load may go without being noticed otherwise.
-        numbers: :func:`constants`.
-        forgotten: (m,) cells whose mean squares begin anew.
-
-    Returns:
-        (SCALES, m) where a block ends.
-    """
-    rows[0] += _ONE
-    ends: BoolArray = rows[0].astype(np.intp) & _BEFORE_END == 0
-    std = noise * _STD
-    change = differences(rows[_SERIES_ROWS], mean, ends)
-    change /= std
-    limit = largest / std + CLEAR
-    np.minimum(np.maximum(change, -limit, out=change), limit, out=change)
-    take(rows[_SQUARES_ROWS], change * change, 1.0, change, ends * numbers.shares, forgotten)
+def ends_of_blocks(looks: FloatArray) -> BoolArray:
+    """(SCALES, m) where blocks end after so many ``looks`` (m,)."""
+    ends: BoolArray = looks.astype(np.intp) & _BEFORE_END == 0
     return ends
 
 
-def differences(series: FloatArray, newest: FloatArray, ends: BoolArray) -> FloatArray:
-    """Take the ``newest`` mean (m,) into a ``series`` (as :data:`SERIES`, m), where blocks end (SCALES, m).
+def differences(
+    series: FloatArray, newest: FloatArray, noise: FloatArray, largest: FloatArray, ends: BoolArray
+) -> FloatArray:
+    """Take the ``newest`` means (k, m) into k ``series`` (k, as :data:`SERIES`, m), changed.
+
+    Args:
+        series: of the memory.
+        newest: means of the last :data:`..estimation._noise.RECENT` readings.
+        noise: (k, m) standard deviation of one of them.
+        largest: (k, m) way that a load may go without being noticed otherwise.
+        ends: :func:`ends_of_blocks`.
 
     Returns:
-        (2 * SCALES, m) first differences of blocks of each length, and second ones.
+        (k, 2 * SCALES, m) first differences of blocks of each length, and second ones, over their deviation by noise.
     """
-    means, befores = series[:SCALES], series[SCALES:]
+    means, befores = series[:, :SCALES], series[:, SCALES:]
     blocks = np.empty_like(means)
-    blocks[0] = newest
+    blocks[:, 0] = newest
     for scale in range(1, SCALES):
-        np.add(blocks[scale - 1], means[scale - 1], blocks[scale])
-        blocks[scale] *= 0.5
-    change = np.empty((2 * SCALES, newest.size))
-    np.subtract(blocks, means, change[:SCALES])
-    np.subtract(befores, means, change[SCALES:])
-    change[SCALES:] += change[:SCALES]
+        block = blocks[:, scale]
+        np.add(blocks[:, scale - 1], means[:, scale - 1], block)
+        block *= _HALF
+    change = np.empty_like(series)
+    np.subtract(blocks, means, change[:, :SCALES])
+    np.subtract(befores, means, change[:, SCALES:])
+    change[:, SCALES:] += change[:, :SCALES]
     np.copyto(befores, means, where=ends)
     np.copyto(means, blocks, where=ends)
+    std = noise[:, None] * _STD
+    change /= std
+    limit = np.divide(largest[:, None], std, std)
+    limit += _CLEAR
+    np.minimum(change, limit, out=change)
+    np.negative(limit, out=limit)
+    np.maximum(change, limit, out=change)
     return change
 
 
 def take(
     squares: FloatArray,
     product: FloatArray,
-    by_noise: float,
+    by_noise: FloatArray,
     side: FloatArray,
     shares: FloatArray,
     forgotten: BoolArray,
 ) -> None:
-    """Take products of differences into mean ``squares`` (as :data:`SQUARES`, m), changed.
+    """Take products of differences into j sets of mean ``squares`` (j, as :data:`SQUARES`, m), changed.
 
     Args:
         squares: of the memory.
-        product: (2 * SCALES, m) of first and second differences, over their variance by noise.
-        by_noise: what noise makes of that in the mean.
-        side: (2 * SCALES, m) positive where they go up, negative where down.
+        product: (j, 2 * SCALES, m) of first and second differences.
+        by_noise: (j, 1, 1) what noise makes of that in the mean.
+        side: (j, 2 * SCALES, m) positive where they go up, negative where down.
         shares: (SCALES, m) of the products.
         forgotten: (m,) cells whose mean squares begin anew.
     """
     if np.count_nonzero(forgotten):
         np.copyto(squares, _ZERO, where=forgotten)
     beyond = np.empty_like(squares)
-    np.subtract(product[SCALES:], by_noise, beyond[:_UP])
-    bends = product[SCALES:]
-    np.minimum(np.maximum(bends, -MOST, out=bends), MOST, out=bends)
-    np.multiply(product, side > _ZERO, beyond[_UP:_DOWN])
-    np.multiply(product, side < _ZERO, beyond[_DOWN:])
-    beyond[_UP:] -= 0.5 * by_noise
+    bends = product[:, SCALES:]
+    np.subtract(bends, by_noise, beyond[:, :_UP])
+    np.minimum(bends, _MOST, out=bends)
+    np.maximum(bends, _LEAST, out=bends)
+    np.multiply(product, side > _ZERO, beyond[:, _UP:_DOWN])
+    np.multiply(product, side < _ZERO, beyond[:, _DOWN:])
+    beyond[:, _UP:] -= by_noise * _HALF
     beyond -= squares
-    beyond *= np.tile(shares, (5, 1))
-    np.minimum(beyond, np.maximum(squares * GROWS + _ROOM, AT_ONCE), out=beyond)
+    by_scale = beyond.reshape(len(squares), -1, *shares.shape)
+    by_scale *= shares
+    room = squares * GROWS
+    room += _ROOM
+    np.maximum(room, _AT_ONCE, out=room)
+    np.minimum(beyond, room, out=beyond)
     squares += beyond
 
 
@@ -205,7 +203,7 @@ def tell(
     beside: FloatArray,
     noise: FloatArray,
     numbers: Constants,
-) -> tuple[FloatArray, FloatArray]:
+) -> FloatArray:
     """How far loads go to and fro.
 
     Args:
@@ -216,65 +214,91 @@ def tell(
         numbers: :func:`constants`.
 
     Returns:
-        (m,) way since the last look as far as it is told from noise; and (m,) way that may be, no less.
+        (2, m) way since the last look as far as it is told from noise; and way that may be, no less.
     """
-    by_chance = numbers.shares * OF_SIDES**2
-    by_chance_beside = by_chance * (0.5 * beside * beside)
-    sure = np.sqrt((by_chance + NOISE_KNOWN**2) * (own * own) + by_chance_beside)
-    variance = noise * noise * _NOISE
+    by_chance = numbers.by_chance
+    by_chance_beside = by_chance * (beside * _HALF * beside)
+    sure = numbers.by_chance_and_noise * (own * own)
+    sure += by_chance_beside
+    np.sqrt(sure, out=sure)
     ups, downs = squares[_UP:_DOWN], squares[_DOWN:]
     lesser = np.minimum(ups, downs)
-    clear = lesser[SCALES:] * 2.0 / sure
-    moved = np.minimum(ups[:SCALES] + downs[:SCALES], lesser[:SCALES] * SIDE + (0.5 * SIDE - 1.0))
-    np.maximum(moved, _ZERO, out=moved)
-    bends = np.maximum(squares[:_UP], _ZERO)
+    clear = lesser[SCALES:] * _TWO / sure
+    # Of what is seen, and of the most that it may be.
+    moved, bends = np.empty((2, *clear.shape)), np.empty((2, *clear.shape))
+    sides = lesser[:SCALES] * SIDE
+    sides += 0.5 * SIDE - 1.0
+    np.minimum(ups[:SCALES] + downs[:SCALES], sides, out=sides)
+    np.maximum(sides, _ZERO, out=moved[0])
+    np.maximum(squares[:_UP], _ZERO, out=bends[0])
+    beyond = np.sqrt(by_chance_beside)
+    beyond *= MAY
+    np.add(moved[0], beyond, out=moved[1])
+    np.add(bends[0], beyond, out=bends[1])
+    variance = noise * noise * _NOISE
     ways = _ways(moved, bends, variance)
-    beyond = np.sqrt(by_chance_beside) * MAY
-    most_beside = (_ways(moved + beyond, bends + beyond, variance) * numbers.hides).min(axis=0)
-    most_ways = ways * numbers.hides
-    may = np.minimum(np.maximum(clear * (1.0 / TOLD), _ZERO), _ONE)
-    does = np.minimum(np.maximum((clear - TOLD) * (1.0 / (DOES - TOLD)), _ZERO), _ONE)
-    told, most = np.zeros((2, noise.size))
-    rest, rest_of_most = np.ones((2, noise.size))
-    for scale in range(SCALES):
-        told += rest * does[scale] * ways[scale]
-        rest *= _ONE - does[scale]
-        most += rest_of_most * may[scale] * most_ways[scale]
-        rest_of_most *= _ONE - may[scale]
-    untold = np.maximum(most - told, _ZERO) * own
-    untold += np.maximum(most_beside - told, _ZERO) * (_ONE - own) * OF_MOST
-    return told, told + untold
+    hides = numbers.hides
+    most_beside = (ways[1] * hides).min(axis=0)
+    np.multiply(ways[0], hides, out=ways[1])
+    gates = np.empty_like(ways)
+    np.multiply(clear - TOLD, 1.0 / (DOES - TOLD), out=gates[0])
+    np.multiply(clear, 1.0 / TOLD, out=gates[1])
+    np.minimum(np.maximum(gates, _ZERO, out=gates), _ONE, out=gates)
+    rest = np.ones_like(gates)
+    np.cumprod(_ONE - gates[:, :-1], axis=1, out=rest[:, 1:])
+    rest *= gates
+    rest *= ways
+    found: FloatArray = rest.sum(axis=1)
+    told, most = found
+    most -= told
+    np.maximum(most, _ZERO, out=most)
+    most *= own
+    most_beside -= told
+    np.maximum(most_beside, _ZERO, out=most_beside)
+    most_beside *= (_ONE - own) * OF_MOST
+    most += most_beside
+    most += told
+    return found
 
 
 def _ways(moved: FloatArray, bends: FloatArray, variance: FloatArray) -> FloatArray:
-    """(SCALES, m) way per look for mean squares of first and second differences over their ``variance`` by noise."""
-    moved = moved * variance[:SCALES]
-    bends = np.minimum(bends * variance[SCALES:], moved * 4.0)
+    """(..., SCALES, m) way per look for mean squares of first and second differences, over their ``variance`` by noise;
+    changes both.
+    """
+    moved *= variance[:SCALES]
+    bends *= variance[SCALES:]
+    np.minimum(bends, moved * _FOUR, out=bends)
     bends *= BEND
     moved += bends
-    ways: FloatArray = np.sqrt(moved)
-    ways *= _PER_LOOK
-    return ways
+    np.sqrt(moved, out=moved)
+    moved *= _PER_LOOK
+    return moved
 
 
 # -- machine code ----------------------------------------------------------------------------------------------------
 
 
 @loop
-def look_of(memory: Rows, first: int, i: int, mean: float, noise: float, largest: float, numbers: Rows) -> None:
-    """:func:`look` of cell ``i``, whose rows of ``memory`` (rows, m) begin with row ``first``."""
-    looks = memory[first, i] + 1.0
-    memory[first, i] = looks
-    block, length, squares = mean, 1.0, first + SQUARES_FROM
+def look_of(
+    memory: Rows,
+    series: int,
+    squares: int,
+    i: int,
+    looks: float,
+    mean: float,
+    noise: float,
+    largest: float,
+    numbers: Rows,
+) -> None:
+    """Take the ``mean`` of the last readings of cell ``i``, whose series and mean squares begin with these rows."""
+    block, length = mean, 1.0
     for scale in range(SCALES):
         if looks % length != 0.0:
             break
-        change, bend, block = differences_of(memory, first + 1 + scale, i, block)
+        change, bend, block = differences_of(memory, series + scale, i, block)
         per_reading = RECENT * length
-        std = noise * math.sqrt(2.0 / per_reading)
-        change = limited(change / std, largest / std + CLEAR)
-        std = noise * math.sqrt(6.0 / per_reading)
-        bend = limited(bend / std, largest / std + CLEAR)
+        change = scaled(change, noise * math.sqrt(2.0 / per_reading), largest)
+        bend = scaled(bend, noise * math.sqrt(6.0 / per_reading), largest)
         share = numbers[SHARE, scale]
         take_of(memory, squares + scale, i, change * change, change, bend * bend, bend, 1.0, share)
         length *= 2.0
@@ -288,9 +312,10 @@ def forget_of(memory: Rows, squares: int, i: int) -> None:
 
 
 @loop
-def limited(change: float, limit: float) -> float:
-    """``change`` within ``limit`` of none."""
-    return min(max(change, -limit), limit)
+def scaled(change: float, std: float, largest: float) -> float:
+    """A difference over its standard deviation by noise, within limits."""
+    limit = largest / std + CLEAR
+    return min(max(change / std, -limit), limit)
 
 
 @loop
