@@ -44,6 +44,7 @@ class OneCell:
         self.extreme = self.recent_extreme = self.peak = p
         self.left: float | None = None
         self.earlier, self.earlier_least, self.earlier_from = 0.0, 0.0, 0.0
+        self.forgotten = 0.0
         self.doubt = self.variance = 0.0
         self.rest_variance = self.drift = self.last_drift = 0.0
         self.rested, self.taken_off, self.released, self.taken_before = False, 0.0, 0.0, 0.0
@@ -95,6 +96,9 @@ class OneCell:
                 late = self._late(now, other, std * gains[self.rising])
             if self.left is None and self.rising:
                 earlier = third.MIDWAY * self._turned_earlier(0.0, std * gains[True])
+            if self.left is None:
+                earlier = max(earlier, self.forgotten)
+            self.forgotten = 0.0
             noticed = self.left is None and self.extreme < rows.REFUTED
             released = self.extreme if noticed and self.rising else 0.0
             now, other = other, now
@@ -170,7 +174,8 @@ class OneCell:
         if self.left is not None:
             share = 0.0
         begun = self._begun(now.pressure, r, now.x3)
-        self.earlier += share * direction * (now.pressure - other.pressure)
+        forgotten = share * direction * (now.pressure - other.pressure)
+        self.earlier += forgotten
         self.other = Hypothesis(
             *(old + share * (new - old) for old, new in zip(vars(other).values(), vars(begun).values(), strict=True))
         )
@@ -181,6 +186,10 @@ class OneCell:
         rate = (1 - 1 / (m.etau2_kpa / m.eu1_kpa + 1)) / m.tu_s if self.rising else (1 + m.e1_kpa / m.e2_kpa) / m.t2_s
         was_apart = self.variance - self.doubt - self.onset.may_bear**2
         fade = np.exp(-2 * dt * rate)
+        fallen = direction * (self.last - now.pressure) if self.left is None else 0.0
+        self.forgotten += min(forgotten, third.OF_FALL * fallen)
+        self.forgotten *= max(1 - third.LASTS * (1 - fade), 0.0) if fallen >= 0 else 0.0
+        self.forgotten = max(self.forgotten, 0.0)
         self.recent_extreme -= (1 - fade) * np.sqrt(self.doubt) + doubts.CREEP * self.full * dt
         self.recent_extreme = max(self.recent_extreme, ahead - turns.LESS * unsure)
         if held:

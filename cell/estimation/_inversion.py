@@ -156,8 +156,11 @@ class Inversion(ABC):
     def miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:  # noqa: B027 - without a memory nothing is missed
         """Count what cells may remember wrong where a rise (m,) may only have seemed to be one; changes ``memory``."""
 
-    def take_steps(self, std: float) -> None:  # noqa: B027 - without a memory no turn is looked for
-        """Take the standard deviation of r at rest by the steps of all readings that r follows from; 0: unknown."""
+    def take_steps(self, std: float, own: float) -> None:  # noqa: B027 - without a memory no turn is looked for
+        """Take the standard deviation of r at rest by the steps of all readings that r follows from; 0: unknown.
+
+        ``own`` is that by the steps of the cell's own reading.
+        """
 
     def within_frame(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
         """(m,) variance in kPa^2 by what the load may have done since the last frame.

@@ -70,7 +70,7 @@ NAMES = (
 what :mod:`._together` sums up. Then 1 where the load rose at the last look, -1 where it fell; r then, and the largest
 since the load turned, or the least; r less all by which it went beyond these; looks since an edge; the way that is
 told, and that which may be, less that of turns"""
-LOOKS = 44
+LOOKS = 46
 SERIES = LOOKS + 1
 SERIES_BESIDE = SERIES + way.ALL_SERIES
 SQUARES = SERIES + 3 * way.ALL_SERIES
