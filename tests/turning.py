@@ -125,7 +125,7 @@ class OneCell:
             self.recent_extreme = self.extreme
             before = self.variance
             if self.rested:
-                clear = self.released**2 > self.taken_before
+                clear = self.released**2 > recovery.TWICE * self.taken_before
                 self.taken_before = max(self.taken_off**2, 0.0 if clear else self.taken_before)
                 left_over = recovery.LIGHT * before + self.taken_before + may_bear**2
                 before = min(before, self.rest_variance + left_over)

@@ -61,6 +61,8 @@ LIGHT = 0.1
 """share of the variance of the memory that a rest leaves, beside the squares of what was subtracted and of a load that
 may have begun (:mod:`._onset`): the released cell may have borne a light load after all. What was subtracted stays in
 doubt, while it fades, until a larger load than that is released: the falls of a tremor are no new signs of rest"""
+TWICE = 4.0
+"""times the square of what was subtracted: that of a load which is larger for sure"""
 DRIFTS = 2.0
 """standard deviations of the memory's error that may seem to be a turn as the error fades"""
 OVERSHOOT = 3.0
@@ -162,7 +164,7 @@ def look(
 def _taken_off(memory: FloatArray) -> FloatArray:
     """(m,) kPa^2 of what rests have subtracted, the last one and those since the last clear release."""
     released, before = memory[RELEASED_KPA], memory[TAKEN_BEFORE_KPA2]
-    before = np.where(released * released > before, _ZERO, before)
+    before = np.where(released * released > TWICE * before, _ZERO, before)
     taken: FloatArray = np.maximum(memory[TAKEN_OFF_KPA] * memory[TAKEN_OFF_KPA], before)
     return taken
 
@@ -198,7 +200,7 @@ def begin(memory: FloatArray, by_noise: FloatArray, most_kpa2: FloatArray) -> No
 def taken_off_of(memory: Rows, i: int) -> float:
     """:func:`_taken_off` of cell ``i``."""
     released, before = memory[RELEASED_KPA, i], memory[TAKEN_BEFORE_KPA2, i]
-    if released * released > before:
+    if released * released > TWICE * before:
         before = 0.0
     return float(max(memory[TAKEN_OFF_KPA, i] * memory[TAKEN_OFF_KPA, i], before))
 
