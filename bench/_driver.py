@@ -272,13 +272,16 @@ def _old_objects_kept() -> Iterator[None]:
     """Keep Python's garbage collector from what is there already, as ``docs/latency.md`` advises.
 
     A look at all that Numba and SciPy have loaded takes as long as a thousand frames, and falls into one by chance.
+    A program that has kept objects from it before keeps them: they cannot be told from those that are kept here.
     """
+    kept_before = gc.get_freeze_count() > 0
     gc.collect()
     gc.freeze()
     try:
         yield
     finally:
-        gc.unfreeze()
+        if not kept_before:
+            gc.unfreeze()
 
 
 def _port(packets: list[bytes], board: Design) -> PacedPort:

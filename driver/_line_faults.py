@@ -312,8 +312,11 @@ class LineFaults:
 
 def _median(values: FloatArray) -> float:
     """Of those that are known; NaN where none is."""
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else math.nan
+    known = np.sort(values[np.isfinite(values)])
+    if not known.size:
+        return math.nan
+    # np.median takes five times as long.
+    return 0.5 * (known.item((known.size - 1) // 2) + known.item(known.size // 2))
 
 
 def _agree(changes: FloatArray, middle: float, std: FloatArray) -> bool:

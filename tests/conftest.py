@@ -37,8 +37,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def pytest_collection_finish() -> None:
     """Some million objects of modules and tests stay to the end: no collection of garbage is to look at them again."""
-    gc.collect()
-    gc.freeze()
+    _keep_what_is_there()
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -50,9 +49,15 @@ def _boards_of_this_process(tmp_path_factory: pytest.TempPathFactory) -> Iterato
     loops = compiled._offered
     odd = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")) % 2
     compiled.load(*(reversed(loops) if odd else loops))  # two workers meet in the middle: each compiles half
+    _keep_what_is_there()  # what the compiler made stays as well
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("OHMSKIN_RUNTIME_DIR", str(tmp_path_factory.mktemp("boards")))
         yield
+
+
+def _keep_what_is_there() -> None:
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)

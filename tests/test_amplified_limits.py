@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import inf
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,8 @@ from ohmskin import compiled
 from ohmskin.bench._live_streams import FAMILIES, draw_design
 from ohmskin.circuits.recovery._amplified import AmplifiedLive
 from ohmskin.circuits.recovery._amplified_limits import CellsAtLimits
+from ohmskin.circuits.recovery._amplified_prices import AmplifiedPrices
+from ohmskin.circuits.recovery._frame_account import Account
 from ohmskin.driver import CountReader
 
 BOARDS, FRAMES = 60, 6
@@ -26,9 +30,10 @@ def test_machine_code_says_of_cells_at_limits_what_array_operations_say(family: 
             continue
         parts = recover._board
         board = parts.board
-        by_loop = CellsAtLimits(parts)
+        prices = AmplifiedPrices(parts)
+        by_loop = CellsAtLimits(parts, prices)
         with compiled.switched_off():
-            by_arrays = CellsAtLimits(parts)
+            by_arrays = CellsAtLimits(parts, prices)
         assert by_loop.is_compiled
         assert not by_arrays.is_compiled
         low, high = board.supply
@@ -37,6 +42,6 @@ def test_machine_code_says_of_cells_at_limits_what_array_operations_say(family: 
             cells = 10.0 ** draw.uniform(-8.0, -2.0, parts.lines.row.shape)
             limited = draw.random(cells.shape) < draw.choice([0.05, 0.3, 1.0])
             volts = draw.choice([span[0], span[1], 0.9 * span[0] + 0.1 * span[1], 0.5 * sum(span)], cells.shape)
-            found = by_loop(cells, volts, limited, 1e-3, None)
-            np.testing.assert_allclose(found, by_arrays(cells, volts, limited, 1e-3, None), rtol=CLOSE)
+            found = by_loop(cells, volts, limited, 1e-3, None, Account(inf))
+            np.testing.assert_allclose(found, by_arrays(cells, volts, limited, 1e-3, None, Account(inf)), rtol=CLOSE)
         compared += 1

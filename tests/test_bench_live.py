@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 from math import inf
 
@@ -48,6 +49,13 @@ def test_the_errors_of_the_benchmark_are_those_of_a_skin() -> None:
             shown.append(skin.read(0.0).pressure)
     (row,) = [r for r in bench.live_estimators((4,), learned=False, frames=60) if r.is_default]
     assert row.worst_kpa == pytest.approx(float(np.abs(np.array(shown) - truth).max()), rel=1e-9)
+
+
+def test_what_a_program_keeps_from_the_garbage_collector_stays_kept() -> None:
+    gc.freeze()
+    kept = gc.get_freeze_count()
+    next(iter(bench.live_estimators((2,), learned=False, frames=20)))
+    assert gc.get_freeze_count() > kept // 2  # some are gone by now, as nobody refers to them
 
 
 def test_setting_up_a_skin_leaves_nothing_for_its_first_frames() -> None:

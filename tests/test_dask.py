@@ -61,6 +61,7 @@ def test_a_killed_worker_costs_nothing(cluster: Any) -> None:
 
 
 @pytest.mark.filterwarnings("ignore")
+@pytest.mark.usefixtures("quick_verification")
 def test_the_command_line_uses_an_existing_scheduler(cluster: Any, tmp_path: Path) -> None:
     deadline = time.monotonic() + 60
     while not cluster.scheduler_info["workers"] and time.monotonic() < deadline:

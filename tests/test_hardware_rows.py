@@ -91,6 +91,7 @@ def test_a_noisy_board_fails() -> None:
     assert outcomes["R2-board"] == "fail"
 
 
+@pytest.mark.usefixtures("quick_verification")
 def test_a_jig_is_taken_without_a_design_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     np.savetxt(tmp_path / "cells.csv", _rest(DESIGN), delimiter=",")
     asked = '[[requirement]]\nid = "R1"\nquantity = "reading_error"\nmax = 5.0\n'

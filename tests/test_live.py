@@ -151,7 +151,7 @@ def test_a_frame_has_a_bounded_number_of_evaluations(size: int, monkeypatch: pyt
         read(adc_codes(design, scan(design, 10 ** rng.uniform(1.5, 5, (size, size))).volts))
         if number:
             assert counted["attenuated"] <= _amplified.EVALUATIONS
-            assert counted["exact"] <= _amplified.EXACT_EVALUATIONS
+            assert counted["exact"] <= (_amplified.EVALUATIONS if size == 8 else 1)  # by price
     assert evaluated  # or nothing was counted
 
 

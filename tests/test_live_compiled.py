@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from math import inf
 from typing import Any, get_type_hints
 
 import numpy as np
@@ -18,6 +19,7 @@ from ohmskin.circuits.recovery._amplified import AmplifiedLive
 from ohmskin.circuits.recovery._amplified_loops import UsualFrames
 from ohmskin.circuits.recovery._coupled import CoupledLive
 from ohmskin.circuits.recovery._coupled_board import CoupledBoard
+from ohmskin.circuits.recovery._frame_account import Account
 from ohmskin.circuits.recovery._frame_budget import FIRST_EFFORT, Budget
 from ohmskin.circuits.recovery._heavy_leads import MOST_IN_DOUBLE
 from ohmskin.circuits.recovery._linearised import Linearised
@@ -194,7 +196,7 @@ def test_a_step_column_by_column_is_that_of_array_operations(far: float) -> None
     random = np.random.default_rng(0)
     log = np.log(random.uniform(1e-5, 1e-4, 49))
     log[random.integers(49, size=9)] = -40.0
-    assert linearised.begin(parts.at(log), Budget(FIRST_EFFORT))
+    assert linearised.begin(parts.at(log), Budget(FIRST_EFFORT, Account(inf)))
     base = linearised.base
     assert base.by_columns is not None
     volts, slope = far * 1e-3 * random.standard_normal(49), base.slope * random.uniform(0.1, 6.0, 49)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from ohmskin.bench import _live_streams
 from ohmskin.circuits import Design, adc_codes, scan
 from ohmskin.circuits.recovery._column_scales import ColumnScales
 from ohmskin.circuits.recovery._coupled_board import CoupledBoard
+from ohmskin.circuits.recovery._frame_account import Account
 from ohmskin.circuits.recovery._frame_budget import FIRST_EFFORT, Budget
 from ohmskin.circuits.recovery._linearised import Linearised
 from ohmskin.driver import CountReader, Reading
@@ -49,8 +51,9 @@ def disturbed(design: Design, cells: FloatArray) -> FloatArray:
     known = parts.at(-np.log(cells).ravel())
     frame = parts.frame(known.volts.reshape(parts.shape), np.abs(known.volts).reshape(parts.shape), 0.0, None)
     linear = Linearised(parts)
-    assert linear.begin(known, Budget(FIRST_EFFORT))
-    found = ColumnScales(parts).disturb(frame, known, linear.base, 0.5 * design.adc.step)
+    budget = Budget(FIRST_EFFORT, Account(inf))
+    assert linear.begin(known, budget)
+    found = ColumnScales(parts, linear.prices).disturb(frame, known, linear.base, 0.5 * design.adc.step, budget)
     return np.zeros(parts.shape) if found is None else found.reshape(parts.shape)
 
 
@@ -88,7 +91,7 @@ def test_readings_tell_how_far_all_lines_lie_below_the_drive() -> None:
     parts = CoupledBoard(design.board)
     known = parts.at(-np.log(cells).ravel())
     frame = parts.frame(known.volts.reshape(parts.shape), np.abs(known.volts).reshape(parts.shape), 0.0, None)
-    told = ColumnScales(parts)._told(frame, known, 0.0)
+    told = ColumnScales(parts, Linearised(parts).prices)._told(frame, known, 0.0)
     np.testing.assert_allclose(told.row_deficit, 1.0 - of_rows.sum(axis=0), rtol=1e-9)
     np.testing.assert_allclose(told.read, 1.0 - of_columns.sum(axis=0), rtol=1e-9)
     np.testing.assert_allclose(told.share, of_columns, rtol=1e-9)

@@ -44,6 +44,7 @@ class OneCell:
         self.extreme = self.recent_extreme = self.peak = p
         self.left: float | None = None
         self.earlier, self.earlier_least, self.earlier_from = 0.0, 0.0, 0.0
+        self.forgotten = 0.0
         self.doubt = self.variance = 0.0
         self.rest_variance = self.drift = self.last_drift = 0.0
         self.rested, self.taken_off = False, 0.0
@@ -95,6 +96,9 @@ class OneCell:
                 late = self._late(now, other, std * gains[self.rising])
             if self.left is None and self.rising:
                 earlier = third.MIDWAY * self._turned_earlier(0.0, std * gains[True])
+            if self.left is None:
+                earlier = max(earlier, self.forgotten)
+            self.forgotten = 0.0
             noticed = self.left is None and self.extreme < rows.REFUTED
             now, other = other, now
             self.rising = not self.rising
@@ -167,7 +171,8 @@ class OneCell:
         if self.left is not None:
             share = 0.0
         begun = self._begun(now.pressure, r, now.x3)
-        self.earlier += share * direction * (now.pressure - other.pressure)
+        forgotten = share * direction * (now.pressure - other.pressure)
+        self.earlier += forgotten
         self.other = Hypothesis(
             *(old + share * (new - old) for old, new in zip(vars(other).values(), vars(begun).values(), strict=True))
         )
@@ -178,6 +183,10 @@ class OneCell:
         rate = (1 - 1 / (m.etau2_kpa / m.eu1_kpa + 1)) / m.tu_s if self.rising else (1 + m.e1_kpa / m.e2_kpa) / m.t2_s
         was_apart = self.variance - self.doubt - self.onset.may_bear**2
         fade = np.exp(-2 * dt * rate)
+        fallen = direction * (self.last - now.pressure) if self.left is None else 0.0
+        self.forgotten += min(forgotten, third.OF_FALL * fallen)
+        self.forgotten *= max(1 - third.LASTS * (1 - fade), 0.0) if fallen >= 0 else 0.0
+        self.forgotten = max(self.forgotten, 0.0)
         self.recent_extreme -= (1 - fade) * np.sqrt(self.doubt) + doubts.CREEP * self.full * dt
         self.recent_extreme = max(self.recent_extreme, ahead - turns.LESS * unsure)
         if held:
@@ -200,9 +209,9 @@ class OneCell:
         self._rest(dt, mean, noise, count)
         self._compare(dt, mean, noise)
         self._begin(dt, mean, noise)
-        self._take_back(
-            dt, *self.sway.look(dt, mean, noise, self.rising, self._fast_r()[0] * self.full, self._leaps(dt, noise))
-        )
+        full_r, bears = self._fast_r()[0] * self.full, not self.rested and self.now.pressure > 0
+        unseen = self.sway.look(dt, mean, noise, self.rising, full_r, self._leaps(dt, noise), bears)
+        self._take_back(dt, *unseen)
 
     def _leaps(self, dt: float, noise: float) -> bool:
         """Whether the pressure has just gone further than unnoticed."""
@@ -512,7 +521,9 @@ class Sway:
         self.last, self.extreme, self.rising, self.held = r, r, True, 10**6
         self.unexplained, self.told, self.may, self.way = 0.0, 0.0, 0.0, Way()
 
-    def look(self, dt: float, mean: float, noise: float, rising: bool, full_r: float, leaps: bool) -> tuple[float, ...]:
+    def look(
+        self, dt: float, mean: float, noise: float, rising: bool, full_r: float, leaps: bool, bears: bool
+    ) -> tuple[float, ...]:
         """Take the ``mean`` of the last four readings: the way less that of turns, at most that, and all of it."""
         turned, explained = rising != self.rising, 0.0
         if turned or (mean > self.extreme if rising else mean < self.extreme):
@@ -523,15 +534,15 @@ class Sway:
         if leaps or abs(explained) > way.CLEAR * noise / np.sqrt(2) + sway.LARGEST * full_r:
             self.held = 0
             self.way.forget()
-        told, untold = self.way.look(dt, self.unexplained, noise, sway.LARGEST * full_r)
+        told, most = self.way.look(dt, self.unexplained, noise, sway.LARGEST * full_r)
         back = abs(explained) if turned else 0.0
         owed = way.MEMORY_S / (4 * dt)
-        if self.held < owed:
-            told = untold = 0.0
+        if not bears or self.held < owed:
+            told = most = 0.0
         of_told = float(np.clip(self.told + told - back, -owed * told, owed * told))
-        most = float(np.clip(self.may + told + untold - back, -owed * (told + untold), owed * (told + untold)))
-        self.told, self.may = min(of_told, 0.0), min(most, 0.0)
-        return max(of_told, 0.0), max(most, 0.0), told
+        of_most = float(np.clip(self.may + most - back, -owed * most, owed * most))
+        self.told, self.may = min(of_told, 0.0), min(of_most, 0.0)
+        return max(of_told, 0.0), max(of_most, 0.0), told
 
 
 class Way:
@@ -547,23 +558,30 @@ class Way:
         self.sides = {(length, side, order): 0.5 for length in (1, 2, 4, 8) for side in (1, -1) for order in (1, 2)}
 
     def look(self, dt: float, mean: float, noise: float, largest: float) -> tuple[float, float]:
-        """Take the ``mean`` of four readings, uncertain by ``noise`` each: way that is told, and what may be beside."""
+        """Take the ``mean`` of four readings, uncertain by ``noise`` each: way that is told, and the most of it."""
         self.seen.append(mean)
-        told, may, rest, rest_of_may = 0.0, 0.0, 1.0, 1.0
-        for length, hidden in zip((1, 2, 4, 8), way.HIDDEN, strict=True):
+        told, most, rest, rest_of_most = 0.0, 0.0, 1.0, 1.0
+        for length in (1, 2, 4, 8):
             share = float(np.clip(4 * dt * length / way.MEMORY_S, *way.SHARES))
             if len(self.seen) % length == 0:
                 self._compare(length, share, noise, largest)
             up, down, up_again, down_again = (self.sides[length, side, order] for order in (1, 2) for side in (1, -1))
-            clear = (2 * min(up_again, down_again) - 1) / (way.OF_SIDES * np.sqrt(share))
-            moved = max(min(up + down, way.SIDE * min(up, down)) - 1, 0.0) * noise**2 / (2 * length)
-            bent = min(max(self.bends[length] - 1, 0.0) * noise**2 * 3 / (2 * length), 4 * moved)
-            this = float(np.sqrt(moved + way.BEND * bent)) * way.WAY / length
-            sure = float(np.clip((clear - way.TOLD) / (way.DOES - way.TOLD), 0, 1))
-            perhaps = float(np.clip((clear - way.MAY) / (way.TOLD - way.MAY), 0, 1))
-            told, rest = told + rest * sure * this, rest * (1 - sure)
-            may, rest_of_may = may + rest_of_may * perhaps * this * hidden, rest_of_may * (1 - perhaps)
-        return told, max(may - told, 0.0)
+            sure = np.sqrt(share * way.OF_SIDES**2 + way.NOISE_KNOWN**2)
+            clear = (2 * min(up_again, down_again) - 1) / sure
+            moved = max(min(up + down, way.SIDE * min(up, down)) - 1, 0.0)
+            this = self._way(length, moved, max(self.bends[length] - 1, 0.0), noise)
+            does = float(np.clip((clear - way.TOLD) / (way.DOES - way.TOLD), 0, 1))
+            told, rest = told + rest * does * this, rest * (1 - does)
+            hides = min(way.HIDDEN + way.HIDES_AT_FAST * (way.FAST_HZ * 4 * dt * length) ** 2, way.MOST_HIDDEN)
+            may = float(np.clip(clear / way.TOLD, 0, 1))
+            most, rest_of_most = most + rest_of_most * may * this * hides, rest_of_most * (1 - may)
+        return told, max(most, told)
+
+    @staticmethod
+    def _way(length: int, moved: float, bends: float, noise: float) -> float:
+        of_change = moved * noise**2 / (2 * length)
+        of_bend = min(bends * noise**2 * 3 / (2 * length), 4 * of_change)
+        return float(np.sqrt(of_change + way.BEND * of_bend)) * way.WAY / length
 
     def _compare(self, length: int, share: float, noise: float, largest: float) -> None:
         ends = (len(self.seen), len(self.seen) - length, len(self.seen) - 2 * length)
@@ -582,4 +600,4 @@ class Way:
 
     @staticmethod
     def _counted(before: float, size: float, share: float) -> float:
-        return float(before + min((size - before) * share, way.GROWS * before + way.AT_ONCE))
+        return float(before + min((size - before) * share, way.GROWS * max(before, 0.0) + way.AT_ONCE))

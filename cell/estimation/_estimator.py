@@ -40,6 +40,7 @@ from ._following import Following
 from ._gaps import Gaps
 from ._held import Held
 from ._inversion import Inversion
+from ._neighbours import Neighbours
 from ._noise import NoiseMeter
 from ._remembered import Remembered
 from ._rows import GAIN, PRESSURE
@@ -83,7 +84,8 @@ class Estimator:
         self._sparks = Sparks(inversion, self._noise, self._gaps, shape)
         self._tremor = Tremor(cells)
         self._deviation = Deviation(inversion, conditions, cells)
-        self._following = Following(inversion, self._noise, self._sparks, self._deviation, self._tremor)
+        neighbours = Neighbours(shape)
+        self._following = Following(inversion, self._noise, self._sparks, self._deviation, self._tremor, neighbours)
         self._held = Held(cells, full_kpa, conditions.longest_load_s)
         self._pressure = np.full(cells, np.nan)
         self._reading = np.zeros(cells)
@@ -245,7 +247,7 @@ class Estimator:
                 of_all = 0.0  # as behind virtual grounds: the noise of own readings tells all
         self._noise.resolve(np.where(found, at_rest, np.median(at_rest[found])), of_all)
         self._shared_noise.suppose(float(np.median(at_rest[found])), of_all, scales_columns=scales_columns)
-        self.inversion.take_steps(of_all)
+        self.inversion.take_steps(of_all, self._noise.typical_resolution)
 
     def _at_rest(self, relative_std: ArrayLike, resistance_ohm: ArrayLike) -> tuple[FloatArray, BoolArray]:
         """(n,) standard deviation of r at rest for a relative one of conductances; (n,) where it is known."""
@@ -427,7 +429,7 @@ class Estimator:
         noise = self._noise, self._shared_noise
         for part in (*noise, self._remembered, self._deviation, self._gaps, self._held, self._tremor):
             part.restore(given)
-        self.inversion.take_steps(self._noise.resolution_by_all)
+        self.inversion.take_steps(self._noise.resolution_by_all, self._noise.typical_resolution)
         self._sparks.forget_all()
         self._begun = bool((self._readings >= (1 if self.inversion.exact else FIRST_READINGS)).all())
         self._watch_over()

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...arrays import FloatArray, IntArray
 from . import _loops as loops
 from . import _smoothing as smoothing
 from ._deviation import Deviation, total
 from ._inversion import Inversion
+from ._neighbours import Neighbours
 from ._noise import RECENT, WINDOW, NoiseMeter
 from ._remembered import Block
 from ._rows import NOISE, PRESSURE, READING
@@ -31,10 +32,16 @@ class Following:
     """Takes a block of cells from one frame to the next."""
 
     def __init__(
-        self, inversion: Inversion, noise: NoiseMeter, sparks: Sparks, deviation: Deviation, tremor: Tremor
+        self,
+        inversion: Inversion,
+        noise: NoiseMeter,
+        sparks: Sparks,
+        deviation: Deviation,
+        tremor: Tremor,
+        neighbours: Neighbours,
     ) -> None:
         self._inversion, self._noise, self._tremor = inversion, noise, tremor
-        self._sparks, self._deviation = sparks, deviation
+        self._sparks, self._deviation, self._neighbours = sparks, deviation, neighbours
         self._fall_kpa = float(inversion.steepness_kpa[1])
         """pressure per r of a fast fall; 0: fast falls are answered as all loads are"""
         self._smoothed_for = (-1.0, -1.0)
@@ -94,7 +101,8 @@ class Following:
         if frame % RECENT == 0:
             if self._inversion.recovers:
                 count = block.line_before[smoothing.COUNT]
-                self._inversion.recover(memory, dt, self._noise.mean_of_recent(cells), noise, count)
+                mean = self._noise.mean_of_recent(cells)
+                self._inversion.recover(memory, dt, mean, noise, count, self._near(block))
             self._look_for_tremor(block, noise, ends_window=frame % WINDOW == 0)
         added = None
         if self._tremor.suspicious:
@@ -128,7 +136,8 @@ class Following:
             self._accept_taps(block)
         if frame % RECENT == 0:
             if self._inversion.recovers:
-                self._inversion.recover_compiled(memory, taken, dt, line, *self._noise.window, cells)
+                window = *self._noise.window, cells
+                self._inversion.recover_compiled(memory, taken, dt, line, *window, self._near(block))
             self._look_for_tremor_compiled(block, ends_window=frame % WINDOW == 0)
         added = np.zeros(cells.size)
         if self._tremor.suspicious:
@@ -164,6 +173,12 @@ class Following:
             missed = self._tremor.end_window_compiled(cells, memory, block.taken, seeming, beside, before)
             if missed is not None:
                 self._inversion.miss(memory, missed)
+
+    def _near(self, block: Block) -> IntArray:
+        """(k, m) neighbours in the block."""
+        if block.near is None:
+            block.near = self._neighbours.among(block.cells)
+        return block.near
 
     def _gains(self, dt: float) -> smoothing.Gains:
         """Of the smoothing, which the noise and the time between frames ask for."""

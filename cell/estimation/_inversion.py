@@ -117,7 +117,13 @@ class Inversion(ABC):
         return np.ones(memory.shape[1], dtype=bool)
 
     def recover(  # noqa: B027 - without a memory nothing is remembered wrong
-        self, memory: FloatArray, dt_s: float, mean: FloatArray, noise: FloatArray, count: FloatArray
+        self,
+        memory: FloatArray,
+        dt_s: float,
+        mean: FloatArray,
+        noise: FloatArray,
+        count: FloatArray,
+        near: IntArray,
     ) -> None:
         """Correct what released cells remember by their readings of late; changes ``memory`` (rows, m).
 
@@ -127,6 +133,7 @@ class Inversion(ABC):
             mean: (m,) of the last :data:`._noise.RECENT` readings.
             noise: (m,) standard deviation of one of them.
             count: (m,) readings since the smoothing last noticed a change.
+            near: (k, m) places of the neighbours of each cell, see :meth:`._neighbours.Neighbours.among`.
         """
 
     def released(self, memory: FloatArray) -> BoolArray | None:
@@ -149,8 +156,11 @@ class Inversion(ABC):
     def miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:  # noqa: B027 - without a memory nothing is missed
         """Count what cells may remember wrong where a rise (m,) may only have seemed to be one; changes ``memory``."""
 
-    def take_steps(self, std: float) -> None:  # noqa: B027 - without a memory no turn is looked for
-        """Take the standard deviation of r at rest by the steps of all readings that r follows from; 0: unknown."""
+    def take_steps(self, std: float, own: float) -> None:  # noqa: B027 - without a memory no turn is looked for
+        """Take the standard deviation of r at rest by the steps of all readings that r follows from; 0: unknown.
+
+        ``own`` is that by the steps of the cell's own reading.
+        """
 
     def within_frame(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
         """(m,) variance in kPa^2 by what the load may have done since the last frame.
@@ -183,6 +193,7 @@ class Inversion(ABC):
         ring: FloatArray,
         newest: int,
         cells: IntArray,
+        near: IntArray,
     ) -> None:
         """:meth:`recover` by machine code, where an inversion has loops for that.
 
@@ -194,8 +205,9 @@ class Inversion(ABC):
             ring: (k, n) last readings of all cells.
             newest: row of the last of them.
             cells: (m,) indices.
+            near: (k, m) as for :meth:`recover`.
         """
-        self.recover(memory, dt_s, recent_means(ring, newest, cells), taken[NOISE], line[COUNT])
+        self.recover(memory, dt_s, recent_means(ring, newest, cells), taken[NOISE], line[COUNT], near)
 
     def loops_used(self) -> tuple[Loop[..., Any], ...]:
         """All loops that :meth:`advance_compiled` calls."""

@@ -161,7 +161,9 @@ def show(
             hides *= hides
             if doubted:
                 by_memory = (noise_kpa * noise_kpa + memory[TURNED, i]) * rests
-                hides = max(hides, min(by_memory, doubted_kpa2))
+                # The pressure before the rise, with its sign turned, against that of noise and of a light load.
+                loaded = memory[LEFT, i] < -(noise_kpa * math.sqrt(rests) + math.sqrt(light_kpa2))
+                hides = max(hides, min(by_memory, light_kpa2 if loaded else doubted_kpa2))
             elif released:
                 by_memory = (noise_kpa * noise_kpa + memory[REST_VARIANCE, i]) * rests
                 hides = by_memory if memory[RESTED, i] > 0.0 or shown < 0.0 else max(hides, min(by_memory, light_kpa2))

@@ -26,6 +26,8 @@ class Block:
         """the line after the last step; replaced, never changed. Machine code sets it when the next step begins"""
         self.scratch: smoothing.Scratch | None = None
         """of the array operations; None: not used yet"""
+        self.near: IntArray | None = None
+        """(k, m) neighbours, see :meth:`._neighbours.Neighbours.among`; None: not asked for yet"""
         self.taken = np.empty((4, cells.size))
         """readings of the step, for machine code; see :mod:`._rows`"""
         self.begun = np.empty(cells.size, dtype=np.bool_)

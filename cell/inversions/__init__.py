@@ -7,6 +7,7 @@
 :mod:`._still`        the same cell after a light touch: whether the load is again what it was
 :mod:`._onset`        the same cell under presses that rise slowly while it recovers: Page's test
 :mod:`._way`          how far loads go to and fro within the noise
+:mod:`._together`     the same, told by neighbours: tremors that cells of a contact share
 :mod:`._sway`         the same cell under such loads: what it keeps of them is taken back
 :mod:`._inverse`      ``asymmetric`` and ``m10`` cells, by Newton's method
 :mod:`._unseen_path`  ``m10`` cells under loads that tremble: chains that break unseen

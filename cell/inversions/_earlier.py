@@ -7,6 +7,11 @@ some kPa, which fade as errors of its model do (the slow branch neglected). No l
 where the pressure of this hypothesis rises by more than a turn and noise, it begins anew, too. A press that rises
 quickly therefore begins it at each frame. By how much the rising model's pressure grows counts from there, but for
 frames in which this hypothesis seems to rise. In recovery all this holds with rises and falls exchanged.
+
+Of a smooth turn the model in force notices nothing for some frames. The pressure goes back by too little, so that the
+other hypothesis begins anew once more, after the turn. What it forgets by that in frames in which the pressure goes
+back is told apart: when the turn is noticed, it was a part of the fall, and is given back. A load that is held falls by
+almost none, and what it forgot for long is no part of its release.
 """
 
 from __future__ import annotations
@@ -26,6 +31,8 @@ from ._turning_rows import (
     EARLIER_KPA,
     EARLIER_LEAST_KPA,
     EXTREME,
+    FADE,
+    FORGOTTEN_KPA,
     LAST,
     LEFT,
     PEAK,
@@ -50,12 +57,15 @@ an earlier turn to be as likely as none; and how much more a fall counts than gr
 that falls at just the rate that makes the rising model's pressure constant is not"""
 GROWN_RELEASED = 1.5
 """the third of these in recovery: errors of the memory are largest there, and fade"""
+OF_FALL, LASTS = 4.0, 6.0
+"""of what the model in force goes back by in a frame: no more is given back of what the other hypothesis forgot in it.
+And by how much sooner that is no part of a turn than an error of the memory fades: within about half a second"""
 
-GROWN_KPA, SURE_RISING, SURE_RECOVERY, TURN_RECOVERY = range(18, 22)
+GROWN_KPA, SURE_RISING, SURE_RECOVERY, TURN_RECOVERY = range(19, 23)
 """places of numbers, behind those of :mod:`._turns`: :data:`GROWN`; standard deviations of the model in force by which
 the pressure of this hypothesis rises for sure, where that model is the rising and the recovery model; and what a turn
 of the latter is in this hypothesis"""
-_ZERO, _ONE, _FAR = (np.array(x) for x in (0.0, 1.0, FAR))
+_ZERO, _ONE, _FAR, _OF_FALL, _LASTS = (np.array(x) for x in (0.0, 1.0, FAR, OF_FALL, LASTS))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
@@ -93,6 +103,7 @@ def follow(of: MemoryRows, numbers: tuple[FloatArray, ...], *, unconfirmed: bool
     forgotten = np.add(of.change[RISING], of.change[RECOVERY], of.spare)
     forgotten *= sign
     of.earlier += forgotten
+    _count_forgotten(of, forgotten, sign)
     other = np.where(rose, of.recovery_kpa, -of.rising_kpa)
     # no load falls below none, or rises beyond the usual
     np.minimum(of.earlier, other + np.where(rose, _ZERO, numbers[USUAL_KPA]), out=of.earlier)
@@ -110,6 +121,14 @@ def follow(of: MemoryRows, numbers: tuple[FloatArray, ...], *, unconfirmed: bool
     np.copyto(of.earlier, _ZERO, where=anew)
     np.copyto(of.earlier_least, other, where=anew)
     np.copyto(of.earlier_from, of.pressure * sign, where=anew)
+
+
+def _count_forgotten(of: MemoryRows, forgotten: FloatArray, sign: FloatArray) -> None:
+    """Count what was ``forgotten`` (m,) kPa in a frame in which the pressure goes back, which had ``sign`` (m,)."""
+    fallen = (of.last - of.pressure) * sign
+    of.forgotten += np.minimum(forgotten, fallen * _OF_FALL)
+    of.forgotten *= np.maximum(_ONE - (_ONE - of.fade) * _LASTS, _ZERO)
+    np.copyto(of.forgotten, _ZERO, where=(fallen < _ZERO) | (of.forgotten < _ZERO))
 
 
 def likely_kpa(
@@ -154,6 +173,9 @@ def follow_of(memory: Rows, i: int, forgotten_kpa: float, confirmed: bool, of: R
         least *= numbers[TURN_RECOVERY]
     earlier = min(memory[EARLIER_KPA, i] + forgotten_kpa * sign, most)
     ahead = other - earlier
+    fallen, lasts = (memory[LAST, i] - memory[PRESSURE, i]) * sign, max(1.0 - (1.0 - of[FADE, i]) * LASTS, 0.0)
+    kept = (memory[FORGOTTEN_KPA, i] + min(forgotten_kpa * sign, fallen * OF_FALL)) * lasts
+    memory[FORGOTTEN_KPA, i] = 0.0 if fallen < 0.0 else max(kept, 0.0)
     memory[EARLIER_KPA, i] = earlier
     memory[EARLIER_LEAST_KPA, i] = min(memory[EARLIER_LEAST_KPA, i], ahead)
     ahead -= memory[EARLIER_LEAST_KPA, i] + by_noise

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import Loop
 from ...errors import InputError
 from ..estimation import (
@@ -361,7 +361,15 @@ class AsymmetricInversion(Inversion):
         """Motion within the noise breaks chains, which seems to be a load that rises."""
         memory[MISSED] += rise_kpa / memory[GAIN]
 
-    def recover(self, memory: FloatArray, dt_s: float, mean: FloatArray, noise: FloatArray, count: FloatArray) -> None:
+    def recover(
+        self,
+        memory: FloatArray,
+        dt_s: float,
+        mean: FloatArray,
+        noise: FloatArray,
+        count: FloatArray,
+        near: IntArray,
+    ) -> None:
         """Count as standard deviation what chains loads may break that tremble (:mod:`._unseen_path`)."""
         m, load = self.model, memory[LOAD]
         kept = math.exp(-RECENT * dt_s / m.tau_s)

@@ -94,7 +94,7 @@ NAMES = (
     *("expected_x2", "expected_x3", "pull_kpa", "clear_kpa"),
 )
 """names of the rows of the memory, from :data:`._turning_rows.MAY_BEAR_KPA` on"""
-EARLIEST_KPA, BEGUN_KPA, EARLIEST_SETTLED, BEGUN_SETTLED, EXPECTED_X2, EXPECTED_X3, PULL_KPA, CLEAR_KPA = range(36, 44)
+EARLIEST_KPA, BEGUN_KPA, EARLIEST_SETTLED, BEGUN_SETTLED, EXPECTED_X2, EXPECTED_X3, PULL_KPA, CLEAR_KPA = range(38, 46)
 """rows: the rising model that began with the recovery, and the one that began at the moment; their second states; what
 the branches bear if nothing has risen since the moment; the pull, and what it was when it became clear, else none"""
 

@@ -20,12 +20,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import FloatArray
-from ...compiled import Row, Rows, loop
+from ...arrays import FloatArray, IntArray
+from ...compiled import PlaceRows, Row, Rows, loop
 from ..estimation import FAR, GAIN, PRESSURE, RECENT, RESTED, VARIANCE
 from ..materials import PaperModel
+from . import _together as together
 from . import _way as way
 from ._paper_steps import fast_r, numbered
+from ._together import KNOWN, WEIGHTED, weights_of
+from ._together import look_of as told_beside_of
 from ._turning_rows import (
     BEFORE_LAST,
     EARLIER_FROM_KPA,
@@ -46,7 +49,7 @@ from ._turning_rows import (
     TURNED,
     X2,
 )
-from ._way import forget_of, look_of
+from ._way import forget_of, look_of, tell_of
 
 UNSURE = 0.3
 """standard deviation over what is subtracted"""
@@ -56,22 +59,43 @@ is an edge. After one nothing is told for as long as the way is remembered"""
 HELD_FOR_EVER = 1e6
 """looks"""
 
-NAMES = (*way.NAMES, "sign_before", "last_r", "extreme_r", "unexplained_r", "held", "told", "may")
-"""names of the rows of the memory: those of :mod:`._way`, then 1 where the load rose at the last look, -1 where it
-fell; r then, and the largest since the load turned, or the least; r less all by which it went beyond these; looks
-since an edge; the way that is told, and that which may be, less that of turns"""
-WAY = 44
-SIGN_BEFORE, LAST_R, EXTREME_R, UNEXPLAINED_R, HELD, BALANCE, MOST = range(WAY + way.ROWS, WAY + len(NAMES))
+NAMES = (
+    *("looks", *way.SERIES, *together.SERIES),
+    *way.SQUARES,
+    *(f"{name}_beside" for name in way.SQUARES),
+    *together.LOADS,
+    *("sign_before", "last_r", "extreme_r", "unexplained_r", "held", "told", "may"),
+)
+"""names of the rows of the memory: looks; series and mean squares of :mod:`._way`, own ones and those of neighbours;
+what :mod:`._together` sums up. Then 1 where the load rose at the last look, -1 where it fell; r then, and the largest
+since the load turned, or the least; r less all by which it went beyond these; looks since an edge; the way that is
+told, and that which may be, less that of turns"""
+LOOKS = 46
+SERIES = LOOKS + 1
+SERIES_BESIDE = SERIES + way.ALL_SERIES
+SQUARES = SERIES + 3 * way.ALL_SERIES
+SQUARES_BESIDE = SQUARES + way.ALL_SQUARES
+LOADS = SQUARES + 2 * way.ALL_SQUARES
+SIGN_BEFORE, LAST_R, EXTREME_R, UNEXPLAINED_R, HELD, BALANCE, MOST = range(LOADS + 2, LOOKS + len(NAMES))
 """rows, behind those of :mod:`._onset`"""
-_WAY = slice(WAY, WAY + way.ROWS)
+_SERIES, _SQUARES, _LOADS = slice(SERIES, SQUARES), slice(SQUARES, LOADS), slice(LOADS, LOADS + 2)
+_BY_NOISE = np.array([1.0, 0.0])[:, None, None]
+"""(2, 1, 1) what noise makes of own mean squares, and of mean products"""
 RISE_R, FALL_R, PER_E2, PER_E3, ETAU2_KPA, SETTLED_PER_KPA, OF_U, OF_2, OF_3, KEPT_KPA = range(10)
-OWED, LARGEST_R, LARGEST_KPA = range(10, 13)
+OWED, LARGEST_R, LARGEST_KPA, LOAD_R = range(10, 14)
 """places of the numbers: r per kPa of a fast rise and of a fast fall; constants of the model; shares of the lags that
 pass from one look to the next; kPa kept per r of the way; looks that the way counts for, and how far a load may go
-unnoticed, in r and in kPa"""
+unnoticed, in r and in kPa; r per kPa of a load that goes to and fro"""
+BACK = together.TELLS
+SEEN = together.TELLS + 1
+"""rows of what a look at all cells sees before any of them is told: what they tell their neighbours, and way in r of
+turns that have just been noticed"""
 EDGE = way.CLEAR * math.sqrt(2.0 / RECENT)
 """standard deviations of a reading"""
 _EDGE = np.array(EDGE)
+LEAST_LOAD = 1e-3
+"""r: keeps a load of none from dividing"""
+_LEAST_LOAD = np.array(LEAST_LOAD)
 _ZERO, _HALF, _ONE, _UNSURE = (np.array(x) for x in (0.0, 0.5, 1.0, UNSURE))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
@@ -104,6 +128,7 @@ def constants(model: PaperModel, dt_s: float, full_scale_kpa: float) -> Constant
             OWED: way.MEMORY_S / between_s,
             LARGEST_R: LARGEST * full_scale_kpa * rise_r,
             LARGEST_KPA: LARGEST * full_scale_kpa,
+            LOAD_R: 0.5 * (rise_r + fall_r),
         }
     )
     return Constants(numbers.row, numbers.each, way.constants(dt_s))
@@ -111,14 +136,16 @@ def constants(model: PaperModel, dt_s: float, full_scale_kpa: float) -> Constant
 
 def begin(memory: FloatArray, r: FloatArray) -> None:
     """Begin with cells whose reading has been ``r`` (m,) for ever; changes their ``memory`` (rows, m)."""
-    way.begin(memory[_WAY])
+    memory[LOOKS : LOADS + 2] = 0.0
     memory[SIGN_BEFORE] = memory[SIGN]
     memory[[LAST_R, EXTREME_R]] = r
     memory[UNEXPLAINED_R : MOST + 1] = 0.0
     memory[HELD] = HELD_FOR_EVER
 
 
-def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, steps: float, numbers: Constants) -> None:
+def look(
+    memory: FloatArray, mean: FloatArray, noise: FloatArray, steps: float, near: IntArray, numbers: Constants
+) -> None:
     """Take the last readings of m cells; changes their ``memory`` (rows, m).
 
     To be called every :data:`..estimation._noise.RECENT` frames.
@@ -128,54 +155,90 @@ def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, steps: float, 
         mean: (m,) of as many readings.
         noise: (m,) standard deviation of one of them.
         steps: standard deviation of r at rest by steps of the ADC, of any reading that the resistance follows from.
+        near: (k, m) neighbours, see :class:`..estimation._neighbours.Neighbours`.
         numbers: :func:`constants`.
     """
-    if steps > 0.0:
-        scale = memory[STATE_END - 1] + _ONE
-        noise = np.maximum(noise, scale * scale * steps)
+    scale = memory[STATE_END - 1] + _ONE
+    noise = np.maximum(noise, scale * scale * steps)
     sign, extreme, unexplained = memory[SIGN], memory[EXTREME_R], memory[UNEXPLAINED_R]
-    balance = memory[BALANCE : MOST + 1]
     turned = sign != memory[SIGN_BEFORE]
     gone = mean - extreme
     ahead = gone * sign > _ZERO
     ahead |= turned
     gone *= ahead
     np.copyto(extreme, mean, where=ahead)
-    unexplained += mean - memory[LAST_R]
-    unexplained -= gone
+    unseen = mean - memory[LAST_R]
+    unseen -= gone
+    unexplained += unseen
     memory[LAST_R], memory[SIGN_BEFORE] = mean, sign
-    held, largest = memory[HELD], numbers.row[LARGEST_R]
+    held, largest = memory[HELD], numbers.each[LARGEST_R]
     held += _ONE
     edges = np.abs(gone) > noise * _EDGE + largest
     recent = memory[LAST : THIRD_LAST + 1]
     apart = np.maximum(np.abs(memory[PRESSURE] - recent[0]), np.abs(recent[0] - recent[2]))
     edges |= apart > noise * _EDGE * memory[GAIN] + numbers.each[LARGEST_KPA]
-    if np.count_nonzero(edges):
-        np.copyto(held, _ZERO, where=edges)
-        way.forget(memory[_WAY], edges)
-    found = way.look(memory[_WAY], unexplained, noise, largest, numbers.way)
-    if found is not None:
-        found *= held >= numbers.each[OWED]
-    if found is None:
-        balance[...] = _ZERO
-    else:
-        found[1] += found[0]
-        balance += found
-        if np.count_nonzero(turned):
-            balance -= np.abs(gone) * turned
-        most = found * numbers.each[OWED]
-        np.minimum(np.maximum(balance, -most, out=balance), most, out=balance)
-        unseen = np.maximum(balance, _ZERO)
-        balance -= unseen
-        _take_back(memory, unseen, found[0], numbers.each)
+    np.copyto(held, _ZERO, where=edges)
+    shown = np.where(memory[RESTED] > _ZERO, _ZERO, np.maximum(memory[PRESSURE], _ZERO))
+    load = shown * numbers.each[LOAD_R]
+    tells = np.empty((together.TELLS, load.size))
+    per_variance = load / (noise * noise)
+    known = load * per_variance
+    per_variance *= held > _ONE
+    np.multiply(per_variance, unseen, tells[together.WEIGHTED])
+    np.multiply(per_variance, load, tells[together.KNOWN])
+    loads = memory[_LOADS]
+    knows = together.look(loads, tells, near)
+    newest, noises, most = np.empty((3, 3, load.size))
+    newest[0], newest[1:] = unexplained, loads
+    noises[0], noises[1:] = noise, _ONE / np.sqrt(knows)
+    most[0], most[1:] = largest, largest / np.maximum(load, _LEAST_LOAD)
+    looks = memory[LOOKS]
+    looks += _ONE
+    ends = way.ends_of_blocks(looks)
+    change = way.differences(memory[_SERIES].reshape(3, way.ALL_SERIES, -1), newest, noises, most, ends)
+    product = change[0::2] * change[:2]  # own ones squared, and those of both groups
+    side = change[:2]
+    side[1] += change[2]
+    squares = memory[_SQUARES].reshape(2, way.ALL_SQUARES, -1)
+    way.take(squares, product, _BY_NOISE, side, ends * numbers.way.shares, edges)
+    own, beside = together.weights(known, together.known(knows))
+    both = squares[0] * own
+    both += squares[1] * beside
+    found = way.tell(both, own, beside, noise, numbers.way)
+    found *= (shown > _ZERO) & (held >= numbers.each[OWED])
+    balance = memory[BALANCE : MOST + 1]
+    balance += found
+    balance -= np.abs(gone) * turned
+    most = found * numbers.each[OWED]
+    np.minimum(np.maximum(balance, -most, out=balance), most, out=balance)
+    unseen = np.maximum(balance, _ZERO)
+    balance -= unseen
+    told, more = unseen
+    more -= told
+    np.maximum(more, _ZERO, out=more)
+    more *= numbers.each[KEPT_KPA]
+    if np.count_nonzero(told):
+        more += _take_back(memory, told, found[0], shown, numbers.each) * _UNSURE
+    doubt = memory[TURNED]
+    after = np.sqrt(doubt)
+    after += more
+    after *= after
+    np.minimum(after, np.maximum(doubt, shown * shown), out=after)
+    np.copyto(after, doubt, where=more <= _ZERO)  # the square of a root is not always what it was
+    variance = memory[VARIANCE]
+    variance += after - doubt
+    doubt[...] = after
 
 
-def _take_back(memory: FloatArray, unseen: FloatArray, told: FloatArray, numbers: tuple[FloatArray, ...]) -> None:
-    """Subtract what the way of r makes that is ``unseen`` (2, m), as it is told and as it may be, of a way ``told``
-    (m,) in all.
+def _take_back(
+    memory: FloatArray, way: FloatArray, told: FloatArray, shown: FloatArray, numbers: tuple[FloatArray, ...]
+) -> FloatArray:
+    """Subtract from pressures ``shown`` (m,) what a ``way`` (m,) of r makes of them, of a way ``told`` (m,) in all.
+
+    Returns:
+        (m,) kPa that are subtracted.
     """
     rise, fall, per_e2, per_e3, etau2, settled_per_kpa, of_u, of_2, of_3, kept = numbers[: KEPT_KPA + 1]
-    way, most = unseen
     sign, pressure, r = memory[SIGN], memory[PRESSURE], memory[STATE_END - 1]
     rises = sign > _ZERO
     share = np.minimum(way / np.where(way > _ZERO, told, _ONE), _ONE)
@@ -186,7 +249,6 @@ def _take_back(memory: FloatArray, unseen: FloatArray, told: FloatArray, numbers
     sinks = (settled - pressure) / etau2 * of_u
     drifts = np.where(rises, recovers / fall - sinks / rise, sinks / rise - recovers / fall)
     kpa = way * kept + drifts * share * _HALF
-    shown = np.where(memory[RESTED] > _ZERO, _ZERO, np.maximum(pressure, _ZERO))
     kpa = np.minimum(np.maximum(kpa, _ZERO), shown)
     for row in (PRESSURE, LAST, BEFORE_LAST, THIRD_LAST, RISING_KPA, RECOVERY_KPA):
         memory[row] -= kpa
@@ -200,50 +262,77 @@ def _take_back(memory: FloatArray, unseen: FloatArray, told: FloatArray, numbers
     for row in (EARLIER_LEAST_KPA, EARLIER_FROM_KPA):
         memory[row] -= ahead
     memory[LEFT] -= np.where(unconfirmed, ahead, _ZERO)
-    doubt = memory[TURNED]
-    after = np.sqrt(doubt)
-    more = np.maximum(most - way, _ZERO) * kept + kpa * _UNSURE
-    after += more
-    after = np.minimum(after * after, np.maximum(doubt, shown * shown))
-    after = np.where(more > _ZERO, after, doubt)  # the square of a root is not always what it was
-    memory[VARIANCE] += after - doubt
-    memory[TURNED] = after
+    taken: FloatArray = kpa
+    return taken
 
 
 @loop
-def look_each(memory: Rows, means: Row, noises: Row, steps: float, numbers: Row, way_numbers: Rows) -> None:
-    """:func:`look` as a loop over cells, ``way_numbers`` being those of :mod:`._way`."""
-    owed = numbers[OWED]
+def look_each(
+    memory: Rows, means: Row, noises: Row, steps: float, near: PlaceRows, numbers: Row, way_numbers: Rows, seen: Rows
+) -> None:
+    """:func:`look` as a loop over cells, ``way_numbers`` being those of :mod:`._way`, ``seen`` (SEEN, m) anything."""
     for i in range(means.size):
-        mean, sign, noise = means[i], memory[SIGN, i], noises[i]
-        if steps > 0.0:
-            scale = memory[STATE_END - 1, i] + 1.0
-            noise = max(noise, scale * scale * steps)
-        gone, back, turned = mean - memory[EXTREME_R, i], 0.0, sign != memory[SIGN_BEFORE, i]
-        unexplained = memory[UNEXPLAINED_R, i] + (mean - memory[LAST_R, i])
-        if turned or gone * sign > 0.0:
-            memory[EXTREME_R, i] = mean
-            unexplained -= gone
-            back = abs(gone) if turned else 0.0
-        else:
-            gone = 0.0
-        memory[LAST_R, i], memory[SIGN_BEFORE, i], memory[UNEXPLAINED_R, i] = mean, sign, unexplained
-        held = memory[HELD, i] + 1.0
-        apart = max(abs(memory[PRESSURE, i] - memory[LAST, i]), abs(memory[LAST, i] - memory[THIRD_LAST, i]))
-        edge = apart > noise * EDGE * memory[GAIN, i] + numbers[LARGEST_KPA]
-        if edge or abs(gone) > noise * EDGE + numbers[LARGEST_R]:
-            held = 0.0
-            forget_of(memory, WAY, i)
-        memory[HELD, i] = held
-        told, untold = look_of(memory, WAY, i, unexplained, noise, numbers[LARGEST_R], way_numbers)
-        if held < owed:
-            told, untold = 0.0, 0.0
-        may = told + untold
+        see_of(memory, i, means[i], noise_of(memory, i, noises[i], steps), numbers, way_numbers, seen)
+    owed, full = numbers[OWED], numbers[LARGEST_R]
+    for i in range(means.size):
+        noise, held, shown = noise_of(memory, i, noises[i], steps), memory[HELD, i], shown_of(memory, i)
+        load = shown * numbers[LOAD_R]
+        relative, looks = full / max(load, LEAST_LOAD), memory[LOOKS, i]
+        known = told_beside_of(
+            memory, SERIES_BESIDE, SQUARES_BESIDE, LOADS, i, seen, near, relative, looks, way_numbers
+        )
+        told, may = 0.0, 0.0
+        if shown > 0.0 and held >= owed:
+            own, beside = weights_of(load * (load / (noise * noise)), known)
+            told, may = tell_of(memory, SQUARES, SQUARES_BESIDE, i, own, beside, noise, way_numbers)
+        back = seen[BACK, i]
         way = min(max(memory[BALANCE, i] + told - back, -owed * told), owed * told)
         most = min(max(memory[MOST, i] + may - back, -owed * may), owed * may)
         memory[BALANCE, i], memory[MOST, i] = min(way, 0.0), min(most, 0.0)
         if max(way, most) > 0.0:
             take_back_of(memory, i, max(way, 0.0), max(most, 0.0), told, numbers)
+
+
+@loop
+def noise_of(memory: Rows, i: int, noise: float, steps: float) -> float:
+    """Standard deviation of a reading of cell ``i``, no less than by ``steps``."""
+    scale: float = memory[STATE_END - 1, i] + 1.0
+    return max(noise, scale * scale * steps)
+
+
+@loop
+def shown_of(memory: Rows, i: int) -> float:
+    """The load of cell ``i``, none where it is taken for one at rest."""
+    return 0.0 if memory[RESTED, i] > 0.0 else max(memory[PRESSURE, i], 0.0)
+
+
+@loop
+def see_of(memory: Rows, i: int, mean: float, noise: float, numbers: Row, way_numbers: Rows, seen: Rows) -> None:
+    """Take the last readings of cell ``i``, and write what it has ``seen`` (SEEN, m)."""
+    sign, gone, back = memory[SIGN, i], mean - memory[EXTREME_R, i], 0.0
+    turned, unseen = sign != memory[SIGN_BEFORE, i], mean - memory[LAST_R, i]
+    if turned or gone * sign > 0.0:
+        memory[EXTREME_R, i] = mean
+        back = abs(gone) if turned else 0.0
+    else:
+        gone = 0.0
+    unseen -= gone
+    memory[LAST_R, i], memory[SIGN_BEFORE, i] = mean, sign
+    memory[UNEXPLAINED_R, i] += unseen
+    held = memory[HELD, i] + 1.0
+    apart = max(abs(memory[PRESSURE, i] - memory[LAST, i]), abs(memory[LAST, i] - memory[THIRD_LAST, i]))
+    edge = apart > noise * EDGE * memory[GAIN, i] + numbers[LARGEST_KPA]
+    if edge or abs(gone) > noise * EDGE + numbers[LARGEST_R]:
+        held = 0.0
+        forget_of(memory, SQUARES, i)
+        forget_of(memory, SQUARES_BESIDE, i)
+    memory[HELD, i] = held
+    memory[LOOKS, i] += 1.0
+    looks, mean = memory[LOOKS, i], memory[UNEXPLAINED_R, i]
+    look_of(memory, SERIES, SQUARES, i, looks, mean, noise, numbers[LARGEST_R], way_numbers)
+    load = shown_of(memory, i) * numbers[LOAD_R]
+    per_variance = load / (noise * noise) if held > 1.0 else 0.0
+    seen[WEIGHTED, i], seen[KNOWN, i], seen[BACK, i] = per_variance * unseen, per_variance * load, back
 
 
 @loop
@@ -262,7 +351,7 @@ def take_back_of(memory: Rows, i: int, way: float, most: float, told: float, num
     sinks = (settled - pressure) / etau2 * numbers[OF_U]
     drifts = recovers / fall - sinks / rise if sign > 0.0 else sinks / rise - recovers / fall
     kpa = way * kept + drifts * share * 0.5
-    shown = 0.0 if memory[RESTED, i] > 0.0 else max(pressure, 0.0)
+    shown = shown_of(memory, i)
     kpa = min(max(kpa, 0.0), shown)
     more = max(most - way, 0.0) * kept + kpa * UNSURE
     if not more > 0.0:

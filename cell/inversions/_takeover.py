@@ -25,6 +25,7 @@ from ._turning_rows import (
     BEFORE_LAST,
     EARLIER_KPA,
     EXTREME,
+    FORGOTTEN_KPA,
     IN_FORCE,
     LAST,
     LEFT,
@@ -67,7 +68,7 @@ full scale by which the extreme must differ from none, where pressures that are 
 MAY_BEND = 0.5
 """standard deviation of what such a delay makes, over that: the load may have turned with a bend after all"""
 
-RISE_R, FALL_R, BEND, FAST_KPA, ROUND_KPA, SMOOTH_KPA, AWAY_KPA, MOST_RESTED_KPA2 = range(22, 30)
+RISE_R, FALL_R, BEND, FAST_KPA, ROUND_KPA, SMOOTH_KPA, AWAY_KPA, MOST_RESTED_KPA2 = range(23, 31)
 """places of numbers, behind those of :mod:`._earlier`: r per kPa of a fast rise, and of a fast fall; by how much the
 former exceeds the latter; what the constants above make of full scale; and the variance of :data:`._recovery.MOST`"""
 _ZERO, _ONE, _FAR, _SURE, _LESS, _HALF, _JUST_BEGUN = (
@@ -109,7 +110,10 @@ def take_over(
     noise = std.take(turned) if std.size > 1 else std
     late = _late(some, noise, numbers)
     earlier = likely_kpa(some, noise * some[GAIN], _ZERO, numbers) * MIDWAY
-    np.copyto(earlier, _ZERO, where=again | (sign < _ZERO))
+    np.copyto(earlier, _ZERO, where=sign < _ZERO)
+    np.maximum(earlier, some[FORGOTTEN_KPA], out=earlier)
+    np.copyto(earlier, _ZERO, where=again)
+    some[FORGOTTEN_KPA] = 0.0
     np.negative(sign, sign)
     some[IN_FORCE] = some[IN_FORCE][::-1].copy()
     gain = weights.by_model[0].dot(some[IN_FORCE])
@@ -197,8 +201,8 @@ def _take_delay_back(
 ) -> FloatArray:
     """Correct the ``pressure`` (m,) of the hypothesis taken over; changes its ``memory``.
 
-    It is corrected by ``late`` (m,) kPa, or by what an ``earlier`` (m,) turn makes likely, whichever is more. The
-    deviation counts the latter already.
+    It is corrected by ``late`` (m,) kPa, or by what an ``earlier`` (m,) turn makes likely or was forgotten of the fall,
+    whichever is more. The deviation counts the latter already.
 
     Returns:
         (m,) kPa.
@@ -254,8 +258,11 @@ def take_over_of(memory: Rows, i: int, noise: float, by_model: Rows, of: Rows, n
     left, extreme = memory[LEFT, i], memory[EXTREME, i]
     late = late_of(memory, i, noise, numbers) if left >= FAR else 0.0
     earlier = 0.0
-    if left >= FAR and memory[SIGN, i] > 0.0:
-        earlier = likely_kpa_of(memory, i, noise * memory[GAIN, i], 0.0, numbers) * MIDWAY
+    if left >= FAR:
+        if memory[SIGN, i] > 0.0:
+            earlier = likely_kpa_of(memory, i, noise * memory[GAIN, i], 0.0, numbers) * MIDWAY
+        earlier = max(earlier, memory[FORGOTTEN_KPA, i])
+    memory[FORGOTTEN_KPA, i] = 0.0
     sign = -memory[SIGN, i]
     rising, recovers = memory[RECOVERY_IN_FORCE, i], memory[RISING_IN_FORCE, i]
     memory[SIGN, i], memory[RISING_IN_FORCE, i], memory[RECOVERY_IN_FORCE, i] = sign, rising, recovers

@@ -57,6 +57,7 @@ from ._paper_steps import Constants, TurnWeights, fast_r, numbered, step_weights
 from ._turning_rows import (
     BEFORE_LAST,
     EXTREME,
+    FORGOTTEN_KPA,
     HYPOTHESES,
     IN_FORCE,
     LAST,
@@ -69,6 +70,7 @@ from ._turning_rows import (
     SURE,
     THIRD_LAST,
     TURNED,
+    UNDITHERED,
     Beside,
     MemoryRows,
     take_each,
@@ -101,7 +103,7 @@ class TurningInversion(Inversion):
         *("rest_variance", "rested", "drift", "drift_end", "taken_off"),
         *("earlier", "earlier_least", "earlier_from"),
         *still.NAMES,
-        "recent_extreme",
+        *("recent_extreme", "forgotten", "undithered"),
         *onset.NAMES,
         *sway.NAMES,
     )
@@ -117,7 +119,7 @@ class TurningInversion(Inversion):
         self._begin_gain = float(step_weights(model, 0.01).gain[0])
         self._of = MemoryRows(np.zeros((len(self.rows), 0)))
         self._beside = Beside(self._of.memory)
-        self._numbers = self._numbers_of(steps=0.0)
+        self._numbers = self._numbers_of(steps=0.0, own=0.0)
         # Constants as arrays: NumPy makes an array of a float in every call, which takes as long as a small operation.
         self._none, self._far, self._two, self._sure = (np.array(x) for x in (0.0, FAR, 2.0, SURE))
         bend = float(self._numbers.row[takeover.BEND])
@@ -127,24 +129,25 @@ class TurningInversion(Inversion):
         self.steepness_kpa = np.array([1 / rise_r, model.e1_kpa])
         self.rests = recovery.RESTED_SIGMAS**2
         self._rests, self._light_load_kpa2 = np.array(self.rests), np.array((LIGHT_LOAD * full_scale_kpa) ** 2)
+        self._light_load_kpa = np.array(LIGHT_LOAD * full_scale_kpa)
         self._doubted_load_kpa2 = np.array((DOUBTED_LOAD * full_scale_kpa) ** 2)
         self._recovery = ByStep(recovery.constants, model)
         self._still = ByStep(still.constants, model)
         self._onset = ByStep(onset.constants, model)
         self._sway = ByStep(partial(sway.constants, full_scale_kpa=full_scale_kpa), model)
 
-    def _numbers_of(self, steps: float) -> Constants:
-        """The numbers of all rooms; ``steps`` as :data:`._turns.STEPS`."""
+    def _numbers_of(self, steps: float, own: float) -> Constants:
+        """The numbers of all rooms; ``steps`` and ``own`` as :data:`._turns.STEPS` and :data:`._turns.OWN_STEPS`."""
         of = self.model, self.full_scale_kpa
         parts = (
-            *(limits.numbers_of(*of), turns.numbers_of(*of, exact=self.exact, steps=steps)),
+            *(limits.numbers_of(*of), turns.numbers_of(*of, exact=self.exact, steps=(steps, own))),
             *(earlier.numbers_of(*of), takeover.numbers_of(*of), doubts.numbers_of(self.full_scale_kpa)),
         )
         return numbered({place: number for part in parts for place, number in part.items()})
 
-    def take_steps(self, std: float) -> None:
+    def take_steps(self, std: float, own: float) -> None:
         """As :meth:`.Inversion.take_steps`: for falls of loads that are held, see :data:`._turns.STILL`."""
-        self._numbers = self._numbers_of(std)
+        self._numbers = self._numbers_of(std, own)
 
     def begin(self, r: FloatArray) -> FloatArray:
         m = self.model
@@ -152,7 +155,7 @@ class TurningInversion(Inversion):
         memory = np.zeros((len(self.rows), *r.shape))
         memory[PRESSURE], memory[GAIN], memory[SIGN], memory[LEFT] = p, self._begin_gain, 1.0, FAR
         memory[[EXTREME, PEAK, RECENT_EXTREME]] = memory[LAST : THIRD_LAST + 1] = p
-        memory[RISING_IN_FORCE] = 1.0
+        memory[RISING_IN_FORCE] = memory[UNDITHERED] = 1.0
         sway.begin(memory, r)
         still.begin(memory)
         memory[STATE] = [p, p, p, p / m.e2_kpa, p / m.e3_kpa, p / m.e3_kpa, r]
@@ -210,7 +213,8 @@ class TurningInversion(Inversion):
         return unconfirmed
 
     def loops_used(self) -> tuple[Loop[..., Any], ...]:
-        return *loops.ALL, recent_means_each, *recovery.LOOPS, *still.LOOPS, *onset.LOOPS, *sway.LOOPS
+        looks = recent_means_each, turns.look_at_steps_each
+        return *loops.ALL, *looks, *recovery.LOOPS, *still.LOOPS, *onset.LOOPS, *sway.LOOPS
 
     def advance_compiled(self, memory: FloatArray, taken: FloatArray, line: FloatArray, dt_s: float) -> FloatArray:
         w, of, numbers = self._weights.of(dt_s), self._beside, self._numbers.row
@@ -233,12 +237,21 @@ class TurningInversion(Inversion):
         doubts.begin_anew_each.code(memory, of.change, of.rows, of.flags, held_kpa, unconfirmed, numbers)
         return memory
 
-    def recover(self, memory: FloatArray, dt_s: float, mean: FloatArray, noise: FloatArray, count: FloatArray) -> None:
-        """See :func:`._recovery.look`, :func:`._still.look`, :func:`._onset.look` and :func:`._sway.look`."""
+    def recover(
+        self,
+        memory: FloatArray,
+        dt_s: float,
+        mean: FloatArray,
+        noise: FloatArray,
+        count: FloatArray,
+        near: IntArray,
+    ) -> None:
+        """See the functions that it calls."""
+        turns.look_at_steps(memory, noise, self._numbers.each)
         recovery.look(memory, mean, noise, count, self._recovery.of(dt_s).each)
         still.look(memory, mean, noise, self.full_scale_kpa, self._still.of(dt_s).each)
         onset.look(memory, mean, noise, self.full_scale_kpa, self._onset.of(dt_s).each)
-        sway.look(memory, mean, noise, self._numbers.row[turns.STEPS], self._sway.of(dt_s))
+        sway.look(memory, mean, noise, self._numbers.row[turns.STEPS], near, self._sway.of(dt_s))
 
     def recover_compiled(
         self,
@@ -249,15 +262,18 @@ class TurningInversion(Inversion):
         ring: FloatArray,
         newest: int,
         cells: IntArray,
+        near: IntArray,
     ) -> None:
         """:meth:`recover` by the loops of the same rooms."""
         mean, noise = np.empty(cells.size), taken[NOISE]
         recent_means_each.code(ring, newest, cells, mean)
+        turns.look_at_steps_each.code(memory, noise, self._numbers.row)
         recovery.look_each.code(memory, mean, noise, line[COUNT], self._recovery.of(dt_s).row)
         still.look_each.code(memory, mean, noise, self.full_scale_kpa, self._still.of(dt_s).row)
         onset.look_each.code(memory, mean, noise, self.full_scale_kpa, self._onset.of(dt_s).row)
         of = self._sway.of(dt_s)
-        sway.look_each.code(memory, mean, noise, self._numbers.row[turns.STEPS], of.row, of.way.rows)
+        seen = np.empty((sway.SEEN, cells.size))
+        sway.look_each.code(memory, mean, noise, self._numbers.row[turns.STEPS], near, of.row, of.way.rows, seen)
 
     def released(self, memory: FloatArray) -> BoolArray | None:
         released: BoolArray = memory[SIGN] < self._none
@@ -281,7 +297,9 @@ class TurningInversion(Inversion):
         if np.count_nonzero(doubted):
             noise_kpa2 += memory[TURNED]
             noise_kpa2 *= self._rests
-            np.minimum(noise_kpa2, self._doubted_load_kpa2, out=noise_kpa2)
+            # The rise is in doubt, and no load that was clearly shown before it.
+            loaded = memory[LEFT] < noise_kpa * -recovery.RESTED_SIGMAS - self._light_load_kpa
+            np.minimum(noise_kpa2, np.where(loaded, self._light_load_kpa2, self._doubted_load_kpa2), out=noise_kpa2)
             np.maximum(hides, noise_kpa2, out=hides, where=doubted)
         np.copyto(hides, light, where=released)
         released &= (memory[RESTED] > self._none) | (memory[PRESSURE] < self._none)
@@ -323,6 +341,7 @@ class TurningInversion(Inversion):
         share = np.where(apart, 0.0, held[IN_FORCE][::-1])
         state[:6] += (self._taken_over @ state) * np.tile(share, (3, 1))
         still.hold(held, 1.0 - gone[1], 1.0 - gone[2])
+        held[FORGOTTEN_KPA] = 0.0
         onset.begin_anew(held)
         sway.begin(held, state[6])
         return held

@@ -28,7 +28,12 @@ the load had turned earlier; its least since then by that account, and the press
 before that turn"""
 RECENT_EXTREME = 33
 """row behind those of :mod:`._still`: the extreme, which fades as fast as an error of the memory may"""
-MAY_BEAR_KPA, LOOKS_AT_REST = 34, 35
+FORGOTTEN_KPA = 34
+"""row of :mod:`._earlier`: by how much the other hypothesis would be further back if it had not begun anew in the last
+frames, in which the pressure went back"""
+UNDITHERED = 35
+"""row of :mod:`._turns`: share of the steps of readings that noise does not make random"""
+MAY_BEAR_KPA, LOOKS_AT_REST = 36, 37
 """first rows of :mod:`._onset`: standard deviation by a load that may have begun to rise while the cell recovers; looks
 since the recovering cell was taken for one at rest, negative where such a load was taken over"""
 
@@ -89,7 +94,7 @@ class MemoryRows:
         self.doubt, self.sign, self.extreme, self.peak, self.left = memory[TURNED : LEFT + 1]
         self.in_force, self.drift = memory[IN_FORCE], memory[DRIFT_KPA]
         self.earlier, self.earlier_least, self.earlier_from = memory[EARLIER_KPA : EARLIER_FROM_KPA + 1]
-        self.recent_extreme = memory[RECENT_EXTREME]
+        self.recent_extreme, self.forgotten, self.undithered = memory[RECENT_EXTREME : UNDITHERED + 1]
         self.may_bear = memory[MAY_BEAR_KPA]
         self.state = memory[STATE]
         self.hypotheses, self.pressures, self.r = self.state[:6], self.state[:2], self.state[6]

@@ -8,6 +8,8 @@ not share is no rise, and is refuted.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray
@@ -37,6 +39,7 @@ from ._turning_rows import (
     STATE_END,
     SURE,
     THIRD_LAST,
+    UNDITHERED,
     UNSURE,
     MemoryRows,
 )
@@ -53,6 +56,11 @@ large by about as many; with more, the end of a tap of few frames would be misse
 STILL = 1.5
 """standard deviations of the reading by which a load that seems to have fallen must be above none. Such a fall may be
 steps of the ADC, of any reading that the resistance follows from; most loads that fall are released"""
+DITHER = math.pi**2 / 24.0
+"""steps that noise makes random are noise, which the smoothing averages away. What they leave in a mean is less by
+exp(-2 pi^2 v / q^2), for noise of variance v and steps of q (Widrow, Kollar: Quantization Noise, 2008). A fourth of
+that exponent is this constant times v over the variance q^2 / 12 of the steps; (1 + x / 4)^-4 bounds exp(-x), and
+machine code rounds it as NumPy does. A passing finger so turns when its load does, at 8 bits, too"""
 SHARED, CLEAR_RISE = 0.2, 0.05
 """share of a rise by which the recovery model must have risen, too, or else the rise is refuted; and how large, of full
 scale, a rise must be to be refuted. Where a cell recovers under a light hold, the rising model takes the recovery for a
@@ -68,18 +76,20 @@ FALLING = 6.0
 falls, whatever the share: smooth loads of little noise turn so. By as many, and :data:`LIGHT_TURN`, a pressure must
 have gone back from a recent extreme for a turn"""
 
-TURN_KPA, LIGHT_KPA, LEAST_KPA, EXACT_KPA, CLEAR_RISE_KPA, CLEAR_FALL_KPA, FALL_SHARE, STEPS = range(10, 18)
+TURN_KPA, LIGHT_KPA, LEAST_KPA, EXACT_KPA, CLEAR_RISE_KPA, CLEAR_FALL_KPA, FALL_SHARE, STEPS, OWN_STEPS = range(10, 19)
 """places of numbers, behind those of :mod:`._limits`: what makes a turn, and a light one; the least pressure, below
 which nothing turns; rounding; rises and falls that are clear; :data:`SHARED_FALL` as the recovery model answers it; and
-the standard deviation of r at rest by the steps of all readings that it follows from, 0: unknown"""
+the standard deviations of r at rest by the steps of all readings that it follows from, and of its own, 0: unknown"""
 _ZERO, _FAR, _SURE, _LESS, _TURN_SHARE, _SHARED, _FALLING = (
     np.array(x) for x in (0.0, FAR, SURE, LESS, TURN_SHARE, SHARED, FALLING)
 )
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
-def numbers_of(model: PaperModel, full_scale_kpa: float, *, exact: bool, steps: float) -> dict[int, float]:
-    """Numbers of the places above; ``exact``: readings are taken as they are; ``steps`` as :data:`STEPS`."""
+def numbers_of(
+    model: PaperModel, full_scale_kpa: float, *, exact: bool, steps: tuple[float, float]
+) -> dict[int, float]:
+    """Numbers of the places above; ``exact``: readings are taken as they are; ``steps``: :data:`STEPS` and next."""
     rise_r, fall_r = fast_r(model)
     return {
         TURN_KPA: TURN * full_scale_kpa,
@@ -90,7 +100,8 @@ def numbers_of(model: PaperModel, full_scale_kpa: float, *, exact: bool, steps: 
         CLEAR_RISE_KPA: CLEAR_RISE * full_scale_kpa,
         CLEAR_FALL_KPA: CLEAR_FALL * full_scale_kpa,
         FALL_SHARE: SHARED_FALL * fall_r / rise_r,
-        STEPS: steps,
+        STEPS: steps[0],
+        OWN_STEPS: steps[1],
     }
 
 
@@ -118,6 +129,16 @@ def look(of: MemoryRows, std: FloatArray, numbers: tuple[FloatArray, ...]) -> No
     of.ahead *= of.sign
 
 
+def look_at_steps(memory: FloatArray, noise: FloatArray, numbers: tuple[FloatArray, ...]) -> None:
+    """Take the ``noise`` (m,) of a reading, steps and all: what it leaves of steps; changes ``memory`` (rows, m)."""
+    if numbers[OWN_STEPS].item() > 0.0:
+        scale = memory[STATE_END - 1] + 1.0
+        ratio = noise / (scale * scale * numbers[OWN_STEPS])
+        left = 1.0 / (1.0 + np.maximum(ratio * ratio - 1.0, _ZERO) * DITHER)
+        left *= left
+        memory[UNDITHERED] = left * left
+
+
 def _seeming(of: MemoryRows, numbers: tuple[FloatArray, ...]) -> FloatArray:
     """(m,) kPa by which pressures may seem to go back though the load has not turned.
 
@@ -139,7 +160,7 @@ def _doubt_falls(of: MemoryRows, std: FloatArray, steps: FloatArray) -> None:
     """Let a load that seems to fall, and not to none, fall by more than steps of the ADC; changes the threshold."""
     other = (of.pressures * of.not_in_force).sum(axis=0)
     scale = of.r + 1.0
-    by_steps = scale * scale * steps
+    by_steps = scale * scale * steps * of.undithered
     falls = (of.sign > 0.0) & (other > np.maximum(by_steps, std) * of.other_gain * STILL)
     of.threshold += np.where(falls, np.maximum(by_steps - std, 0.0) * of.gain * (SURE + LESS), 0.0)
 
@@ -221,6 +242,19 @@ def turn_from_of(extreme: float, numbers: Row) -> float:
 
 
 @loop
+def look_at_steps_each(memory: Rows, noise: Row, numbers: Row) -> None:
+    """:func:`look_at_steps` as a loop over cells."""
+    if not numbers[OWN_STEPS] > 0.0:
+        return
+    for i in range(noise.size):
+        scale = memory[STATE_END - 1, i] + 1.0
+        ratio = noise[i] / (scale * scale * numbers[OWN_STEPS])
+        left = 1.0 / (1.0 + max(ratio * ratio - 1.0, 0.0) * DITHER)
+        left *= left
+        memory[UNDITHERED, i] = left * left
+
+
+@loop
 def seeming_of(memory: Rows, i: int, unsure: float, numbers: Row) -> float:
     """By how much the pressure of cell ``i``, of noise ``unsure``, may seem to go back though it has not turned."""
     drift = memory[DRIFT_KPA, i]
@@ -248,7 +282,7 @@ def look_of(memory: Rows, i: int, std: float, of: Rows, numbers: Row) -> bool:
     seeming = seeming_of(memory, i, unsure, numbers)
     if numbers[STEPS] > 0.0 and sign > 0.0:
         scale = memory[STATE_END - 1, i] + 1.0
-        by_steps = scale * scale * numbers[STEPS]
+        by_steps = scale * scale * numbers[STEPS] * memory[UNDITHERED, i]
         if other > max(by_steps, std) * of[OTHER_GAIN, i] * STILL:
             seeming += max(by_steps - std, 0.0) * memory[GAIN, i] * (SURE + LESS)
     least = turn_from_of(memory[EXTREME, i], numbers) + unsure * SURE

@@ -14,6 +14,10 @@ how much.
 An edge of a load stands alone, while a tremor goes on. Whether a load trembles is therefore told by second differences
 of which none counts for much more than those of noise, and which must go up as well as down. How far it goes is told by
 mean squares that no single difference may raise by much.
+
+What a series of means tells are products of its differences. Two series that tremble together, with independent noise,
+tell the same by products of one's differences with the other's. Noise makes none of that in the mean
+(:mod:`._together`).
 """
 
 from __future__ import annotations
@@ -37,47 +41,53 @@ MOST = 8.0
 """times the variance of noise: no squared second difference counts for more where it is told whether a load trembles"""
 SIDE = 3.0
 """times the lesser of both sides: their sum counts for no more"""
-MAY, TOLD, DOES = 0.0, 1.8, 3.2
-"""standard deviations of what noise alone makes: mean square of second differences to either side, beyond the mean of
-what noise makes, from which a load may tremble; from which it seems to, and up to which it may do so unnoticed; and
-from which it does. Any excess may be a tremor: from 1 on, a fifth of the errors on noisy dividers was not covered"""
+TOLD, DOES = 1.8, 3.2
+"""standard deviations of what is known of the mean square of second differences to either side, beyond that of noise:
+from which a load seems to tremble, and from which it does"""
+MAY = 2.0
+"""such standard deviations beyond what is seen: as much the mean squares may be"""
+OF_MOST = 0.5
+"""standard deviation over the most that a way may be beyond what is told, where the neighbours tell it"""
 OF_SIDES = 1.6
-"""such a standard deviation, over the variance of noise and the root of the share of a block: of twice the mean square
-to one side, to which half of all differences go"""
+"""such a standard deviation by chance, over the variance of noise and the root of the share of a block: of twice the
+mean square to one side, to which half of all differences go"""
+NOISE_KNOWN = 0.15
+"""relative standard deviation of the variance of noise: steps of an ADC are not white, and go by the reading"""
 WAY, BEND = 0.84, 0.5
 """way of a load from one block to the next, over the square root of the mean square of differences and of this share of
 that of second differences: within a tenth for sines of up to a third of a period per block, and for random motion"""
 CLEAR = 3.0
 """standard deviations of a difference by noise, beside the largest motion that may go unnoticed: no more counts"""
-HIDDEN = 1.2, 2.0, 5.0, 6.0
-"""times the way that blocks of each length see: as long it may be, since it turns between them"""
+HIDDEN, MOST_HIDDEN, FAST_HZ = 1.2, 6.0, 4.0
+"""times the way that blocks see: as long it may be, by short and by long ones, since it turns between them; and
+frequency of the tremors that this is reckoned for"""
+HIDES_AT_FAST = 7.4
+"""way of a sine over that which blocks of its period see. Those of a share of its period hide the square of that share:
+the means see less of it, and it turns the more often between them"""
 
-NAMES = (
-    "looks",
-    *(
-        f"{name}_{RECENT << scale}"
-        for name in ("mean", "mean_before", "bends", "up", "bends_up", "down", "bends_down")
-        for scale in range(SCALES)
-    ),
+SERIES = tuple(f"{name}_{RECENT << scale}" for name in ("mean", "mean_before") for scale in range(SCALES))
+"""names of the rows of a series: for each length of block, mean of the last one, and of the one before"""
+SQUARES = tuple(
+    f"{name}_{RECENT << scale}" for name in ("bends", "up", "bends_up", "down", "bends_down") for scale in range(SCALES)
 )
-"""names of the rows of the memory: looks; then one for each length of block. Mean of the last one, and of the one
-before; mean squares of second differences, of differences upwards, of second differences upwards, and of both
-downwards, over the variances that noise gives them"""
-_BEFORE, _BENDS, _UP, _DOWN = 1 + SCALES, 1 + 2 * SCALES, 1 + 3 * SCALES, 1 + 5 * SCALES
-ROWS = len(NAMES)
-_MEANS, _BEFORES, _ALL_BENDS = slice(1, _BEFORE), slice(_BEFORE, _BENDS), slice(_BENDS, _UP)
-_UPS, _DOWNS = slice(_UP, _DOWN), slice(_DOWN, ROWS)
-SHARE, MAY_FROM, TOLD_FROM, DOES_FROM, HIDES = range(5)
+"""names of the rows of mean squares, over the variances by noise and beyond what noise makes: of second differences, of
+differences upwards, of second differences upwards, and of both downwards"""
+ALL_SERIES, ALL_SQUARES = len(SERIES), len(SQUARES)
+_BENDS, _UP, _DOWN = 0, SCALES, 3 * SCALES
+SHARE, HIDES = range(2)
 """rows of the numbers that depend on the time between frames"""
 _LOOKS_IN_BLOCK = 2.0 ** np.arange(SCALES)[:, None]
-_BEFORE_END = np.tile(_LOOKS_IN_BLOCK.astype(np.intp) - 1, (2, 1))
+_BEFORE_END = _LOOKS_IN_BLOCK.astype(np.intp) - 1
 """bits of the number of looks that are 0 at the end of a block"""
 _NOISE = np.concatenate([2.0 / (RECENT * _LOOKS_IN_BLOCK), 6.0 / (RECENT * _LOOKS_IN_BLOCK)])
 """(2 * SCALES, 1) variances of first and second differences, over that of a reading"""
+_STD = np.sqrt(_NOISE)
 _PER_LOOK = WAY / _LOOKS_IN_BLOCK
-_SEEN = np.stack([np.ones(SCALES), HIDDEN], axis=1)[:, :, None]
-"""(SCALES, 2, 1) of what is told, and of what may be"""
-_ZERO, _HALF, _ONE, _GROWS, _AT_ONCE, _MOST = (np.array(x) for x in (0.0, 0.5, 1.0, GROWS, AT_ONCE, MOST))
+_ROOM = np.repeat([1.0, 0.5], (SCALES, 4 * SCALES))[:, None] * GROWS + AT_ONCE
+"""(rows of SQUARES, 1) by which one difference may raise a mean square that is that of noise"""
+_ZERO, _HALF, _ONE, _TWO, _FOUR, _CLEAR, _MOST, _LEAST, _AT_ONCE = (
+    np.array(x) for x in (0.0, 0.5, 1.0, 2.0, 4.0, CLEAR, MOST, -MOST, AT_ONCE)
+)
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
@@ -85,165 +95,315 @@ class Constants(NamedTuple):
     """Numbers that depend on the time between frames."""
 
     rows: FloatArray
-    """(5, SCALES) for machine code: share of a block in the mean squares; mean squares of second differences to either
-    side, twice and beyond those of noise, from which a load may tremble, seems to, and does; and :data:`HIDDEN`"""
+    """(2, SCALES) for machine code: share of a block in the mean squares, and how much of the way blocks may hide"""
     shares: FloatArray
-    """(2 * SCALES, 1)"""
-    limits: FloatArray
-    """(SCALES, 2, 1)"""
-    per_limit: FloatArray
-    """(SCALES, 2, 1)"""
-    least: float
-    """mean square of second differences to either side up to which no load can tremble"""
+    """(SCALES, 1)"""
+    hides: FloatArray
+    """(SCALES, 1)"""
+    by_chance: FloatArray
+    """(SCALES, 1) variance of the difference of mean squares from noise"""
+    by_chance_and_noise: FloatArray
+    """(SCALES, 1) the same where noise is known by its measure only"""
 
 
 def constants(dt_s: float) -> Constants:
     """The numbers for frames that follow each other after ``dt_s``."""
-    share = np.clip(_LOOKS_IN_BLOCK[:, 0] * (RECENT * dt_s / MEMORY_S), *SHARES)
-    by_noise = OF_SIDES * np.sqrt(share)
-    rows = np.stack([share, MAY * by_noise, TOLD * by_noise, DOES * by_noise, HIDDEN])
-    limits = rows[[TOLD_FROM, MAY_FROM]].T[:, :, None]
-    per_limit = 1.0 / (rows[[DOES_FROM, TOLD_FROM]].T[:, :, None] - limits)
-    least = 0.5 * (1.0 + float(rows[MAY_FROM].min()))
-    return Constants(rows, np.tile(share, 2)[:, None], limits, per_limit, least)
+    block_s = _LOOKS_IN_BLOCK * (RECENT * dt_s)
+    share = np.clip(block_s / MEMORY_S, *SHARES)
+    hides = np.minimum(HIDDEN + HIDES_AT_FAST * (FAST_HZ * block_s) ** 2, MOST_HIDDEN)
+    by_chance = share * OF_SIDES**2
+    return Constants(np.hstack([share, hides]).T.copy(), share, hides, by_chance, by_chance + NOISE_KNOWN**2)
 
 
-def begin(rows: FloatArray) -> None:
-    """Begin with cells whose reading has been none for ever; writes their ``rows`` (as :data:`NAMES`, m)."""
-    rows[:_BENDS] = 0.0
-    rows[_ALL_BENDS] = 1.0  # what noise makes
-    rows[_UP:ROWS] = 0.5
+def ends_of_blocks(looks: FloatArray) -> BoolArray:
+    """(SCALES, m) where blocks end after so many ``looks`` (m,)."""
+    ends: BoolArray = looks.astype(np.intp) & _BEFORE_END == 0
+    return ends
 
 
-def forget(rows: FloatArray, cells: BoolArray) -> None:
-    """Forget how far the loads of some ``cells`` (m,) went; changes their ``rows``."""
-    np.copyto(rows[_ALL_BENDS], _ONE, where=cells)
-    np.copyto(rows[_UP:ROWS], _HALF, where=cells)
-
-
-@loop
-def forget_of(memory: Rows, first: int, i: int) -> None:
-    """:func:`forget` of cell ``i``, whose rows of ``memory`` (rows, m) begin with row ``first``."""
-    for row in range(first + _BENDS, first + _UP):
-        memory[row, i] = 1.0
-    for row in range(first + _UP, first + ROWS):
-        memory[row, i] = 0.5
-
-
-def look(
-    rows: FloatArray, mean: FloatArray, noise: FloatArray, largest: float, numbers: Constants
-) -> FloatArray | None:
-    """Take the last :data:`..estimation._noise.RECENT` readings of m cells; changes their ``rows``.
+def differences(
+    series: FloatArray, newest: FloatArray, noise: FloatArray, largest: FloatArray, ends: BoolArray
+) -> FloatArray:
+    """Take the ``newest`` means (k, m) into k ``series`` (k, as :data:`SERIES`, m), changed.
 
     Args:
-        rows: (as :data:`NAMES`, m) of the memory.
-        mean: (m,) of the readings.
-        noise: (m,) standard deviation of one of them.
-        largest: r that a load may go without being noticed otherwise.
+        series: of the memory.
+        newest: means of the last :data:`..estimation._noise.RECENT` readings.
+        noise: (k, m) standard deviation of one of them.
+        largest: (k, m) way that a load may go without being noticed otherwise.
+        ends: :func:`ends_of_blocks`.
+
+    Returns:
+        (k, 2 * SCALES, m) first differences of blocks of each length, and second ones, over their deviation by noise.
+    """
+    means, befores = series[:, :SCALES], series[:, SCALES:]
+    blocks = np.empty_like(means)
+    blocks[:, 0] = newest
+    for scale in range(1, SCALES):
+        block = blocks[:, scale]
+        np.add(blocks[:, scale - 1], means[:, scale - 1], block)
+        block *= _HALF
+    change = np.empty_like(series)
+    np.subtract(blocks, means, change[:, :SCALES])
+    np.subtract(befores, means, change[:, SCALES:])
+    change[:, SCALES:] += change[:, :SCALES]
+    np.copyto(befores, means, where=ends)
+    np.copyto(means, blocks, where=ends)
+    std = noise[:, None] * _STD
+    change /= std
+    limit = np.divide(largest[:, None], std, std)
+    limit += _CLEAR
+    np.minimum(change, limit, out=change)
+    np.negative(limit, out=limit)
+    np.maximum(change, limit, out=change)
+    return change
+
+
+def take(
+    squares: FloatArray,
+    product: FloatArray,
+    by_noise: FloatArray,
+    side: FloatArray,
+    shares: FloatArray,
+    forgotten: BoolArray,
+) -> None:
+    """Take products of differences into j sets of mean ``squares`` (j, as :data:`SQUARES`, m), changed.
+
+    Args:
+        squares: of the memory.
+        product: (j, 2 * SCALES, m) of first and second differences.
+        by_noise: (j, 1, 1) what noise makes of that in the mean.
+        side: (j, 2 * SCALES, m) positive where they go up, negative where down.
+        shares: (SCALES, m) of the products.
+        forgotten: (m,) cells whose mean squares begin anew.
+    """
+    if np.count_nonzero(forgotten):
+        np.copyto(squares, _ZERO, where=forgotten)
+    beyond = np.empty_like(squares)
+    bends = product[:, SCALES:]
+    np.subtract(bends, by_noise, beyond[:, :_UP])
+    np.minimum(bends, _MOST, out=bends)
+    np.maximum(bends, _LEAST, out=bends)
+    np.multiply(product, side > _ZERO, beyond[:, _UP:_DOWN])
+    np.multiply(product, side < _ZERO, beyond[:, _DOWN:])
+    beyond[:, _UP:] -= by_noise * _HALF
+    beyond -= squares
+    by_scale = beyond.reshape(len(squares), -1, *shares.shape)
+    by_scale *= shares
+    room = squares * GROWS
+    room += _ROOM
+    np.maximum(room, _AT_ONCE, out=room)
+    np.minimum(beyond, room, out=beyond)
+    squares += beyond
+
+
+def tell(
+    squares: FloatArray,
+    own: FloatArray,
+    beside: FloatArray,
+    noise: FloatArray,
+    numbers: Constants,
+) -> FloatArray:
+    """How far loads go to and fro.
+
+    Args:
+        squares: (as :data:`SQUARES`, m) mean squares, of own differences and of those beside in the shares below.
+        own: (m,) share of own ones.
+        beside: (m,) the same of those beside, which know the noise.
+        noise: (m,) standard deviation of a reading.
         numbers: :func:`constants`.
 
     Returns:
-        (2, m) way in r that loads have gone to and fro since the last look: as far as it is told from noise, and by how
-        much more it may be; None: of none.
-
+        (2, m) way since the last look as far as it is told from noise; and way that may be, no less.
     """
-    rows[0] += _ONE
-    ends = rows[0].astype(np.intp) & _BEFORE_END == 0
-    means, befores, bends = rows[_MEANS], rows[_BEFORES], rows[_ALL_BENDS]
-    blocks = np.empty_like(means)
-    blocks[0] = mean
-    for scale in range(1, SCALES):
-        np.add(blocks[scale - 1], means[scale - 1], blocks[scale])
-        blocks[scale] *= _HALF
-    change = np.empty((2 * SCALES, mean.size))
-    np.subtract(blocks, means, change[:SCALES])
-    np.subtract(befores, means, change[SCALES:])
-    change[SCALES:] += change[:SCALES]
-    np.copyto(befores, means, where=ends[:SCALES])
-    np.copyto(means, blocks, where=ends[:SCALES])
-    variance = noise * noise * _NOISE
-    size = np.abs(change)
-    size /= np.sqrt(variance)
-    np.minimum(size, largest / np.sqrt(variance) + CLEAR, out=size)
-    size *= size
-    shares = ends * numbers.shares
-    bends += np.minimum((size[SCALES:] - bends) * shares[SCALES:], bends * _GROWS + _AT_ONCE)
-    np.minimum(size[SCALES:], _MOST, out=size[SCALES:])
-    ups, downs = rows[_UPS], rows[_DOWNS]
-    for side, moved in ((ups, change > _ZERO), (downs, change < _ZERO)):
-        beyond = size * moved
-        beyond -= side
-        beyond *= shares
-        np.add(side, np.minimum(beyond, side * _GROWS + _AT_ONCE), out=side)
+    by_chance = numbers.by_chance
+    by_chance_beside = by_chance * (beside * _HALF * beside)
+    sure = numbers.by_chance_and_noise * (own * own)
+    sure += by_chance_beside
+    np.sqrt(sure, out=sure)
+    ups, downs = squares[_UP:_DOWN], squares[_DOWN:]
     lesser = np.minimum(ups, downs)
-    both = lesser[SCALES:]
-    if both.item(both.argmax()) <= numbers.least:
-        return None
-    sure = np.minimum(np.maximum((both[:, None] * 2.0 - _ONE - numbers.limits) * numbers.per_limit, _ZERO), _ONE)
-    moved = np.maximum(np.minimum(ups[:SCALES] + downs[:SCALES], lesser[:SCALES] * SIDE) - _ONE, _ZERO)
+    clear = lesser[SCALES:] * _TWO / sure
+    # Of what is seen, and of the most that it may be.
+    moved, bends = np.empty((2, *clear.shape)), np.empty((2, *clear.shape))
+    sides = lesser[:SCALES] * SIDE
+    sides += 0.5 * SIDE - 1.0
+    np.minimum(ups[:SCALES] + downs[:SCALES], sides, out=sides)
+    np.maximum(sides, _ZERO, out=moved[0])
+    np.maximum(squares[:_UP], _ZERO, out=bends[0])
+    beyond = np.sqrt(by_chance_beside)
+    beyond *= MAY
+    np.add(moved[0], beyond, out=moved[1])
+    np.add(bends[0], beyond, out=bends[1])
+    variance = noise * noise * _NOISE
+    ways = _ways(moved, bends, variance)
+    hides = numbers.hides
+    most_beside = (ways[1] * hides).min(axis=0)
+    np.multiply(ways[0], hides, out=ways[1])
+    gates = np.empty_like(ways)
+    np.multiply(clear - TOLD, 1.0 / (DOES - TOLD), out=gates[0])
+    np.multiply(clear, 1.0 / TOLD, out=gates[1])
+    np.minimum(np.maximum(gates, _ZERO, out=gates), _ONE, out=gates)
+    rest = np.ones_like(gates)
+    np.cumprod(_ONE - gates[:, :-1], axis=1, out=rest[:, 1:])
+    rest *= gates
+    rest *= ways
+    found: FloatArray = rest.sum(axis=1)
+    told, most = found
+    most -= told
+    np.maximum(most, _ZERO, out=most)
+    most *= own
+    most_beside -= told
+    np.maximum(most_beside, _ZERO, out=most_beside)
+    most_beside *= (_ONE - own) * OF_MOST
+    most += most_beside
+    most += told
+    return found
+
+
+def _ways(moved: FloatArray, bends: FloatArray, variance: FloatArray) -> FloatArray:
+    """(..., SCALES, m) way per look for mean squares of first and second differences, over their ``variance`` by noise;
+    changes both.
+    """
     moved *= variance[:SCALES]
-    bent = np.minimum(np.maximum(bends - _ONE, _ZERO) * variance[SCALES:], moved * 4.0)
-    ways = (np.sqrt(moved + bent * BEND) * _PER_LOOK)[:, None] * _SEEN
-    way: FloatArray = np.zeros(ways[0].shape)
-    rest = np.ones(way.shape)
-    for scale in range(SCALES):
-        way += rest * sure[scale] * ways[scale]
-        rest *= _ONE - sure[scale]
-    np.maximum(way[1] - way[0], _ZERO, out=way[1])
-    return way
+    bends *= variance[SCALES:]
+    np.minimum(bends, moved * _FOUR, out=bends)
+    bends *= BEND
+    moved += bends
+    np.sqrt(moved, out=moved)
+    moved *= _PER_LOOK
+    return moved
+
+
+# -- machine code ----------------------------------------------------------------------------------------------------
 
 
 @loop
 def look_of(
-    memory: Rows, first: int, i: int, mean: float, noise: float, largest: float, numbers: Rows
-) -> tuple[float, float]:
-    """:func:`look` of cell ``i``, whose rows of ``memory`` (rows, m) begin with row ``first``."""
-    looks = memory[first, i] + 1.0
-    memory[first, i] = looks
-    variance = noise * noise * (1.0 / RECENT)
-    block, length, ended = mean, 1.0, True
-    told, most, rest, rest_of_most = 0.0, 0.0, 1.0, 1.0
+    memory: Rows,
+    series: int,
+    squares: int,
+    i: int,
+    looks: float,
+    mean: float,
+    noise: float,
+    largest: float,
+    numbers: Rows,
+) -> None:
+    """Take the ``mean`` of the last readings of cell ``i``, whose series and mean squares begin with these rows."""
+    block, length = mean, 1.0
     for scale in range(SCALES):
-        row = first + 1 + scale
-        bends, up, down = first + _BENDS + scale, first + _UP + scale, first + _DOWN + scale
-        ended = ended and looks % length == 0.0
-        if ended:
-            last = memory[row, i]
-            change = block - last
-            bend = change - (last - memory[row + SCALES, i])
-            memory[row + SCALES, i], memory[row, i] = last, block
-            block = (block + last) * 0.5
-            share, std = numbers[SHARE, scale], math.sqrt(variance * 6.0)
-            size = min(abs(bend) / std, largest / std + CLEAR)
-            count_of(memory, bends, i, size * size, share)
-            size = min(size * size, MOST)
-            count_of(memory, up + SCALES, i, size if bend > 0.0 else 0.0, share)
-            count_of(memory, down + SCALES, i, size if bend < 0.0 else 0.0, share)
-            std = math.sqrt(variance * 2.0)
-            size = min(abs(change) / std, largest / std + CLEAR)
-            size *= size
-            count_of(memory, up, i, size if change > 0.0 else 0.0, share)
-            count_of(memory, down, i, size if change < 0.0 else 0.0, share)
-        clear = 2.0 * min(memory[up + SCALES, i], memory[down + SCALES, i]) - 1.0
-        may_from, told_from = numbers[MAY_FROM, scale], numbers[TOLD_FROM, scale]
-        if clear > may_from and rest > 0.0:
-            moved = min(memory[up, i] + memory[down, i], min(memory[up, i], memory[down, i]) * SIDE)
-            moved = max(moved - 1.0, 0.0) * (variance * 2.0)
-            bent = max(memory[bends, i] - 1.0, 0.0) * (variance * 6.0)
-            way = math.sqrt(moved + min(bent, moved * 4.0) * BEND) * (WAY / length)
-            may = min((clear - may_from) * (1.0 / (told_from - may_from)), 1.0)
-            most += rest_of_most * may * (way * numbers[HIDES, scale])
-            rest_of_most *= 1.0 - may
-            sure = min(max((clear - told_from) * (1.0 / (numbers[DOES_FROM, scale] - told_from)), 0.0), 1.0)
-            told += rest * sure * way
-            rest *= 1.0 - sure
-        variance *= 0.5
+        if looks % length != 0.0:
+            break
+        change, bend, block = differences_of(memory, series + scale, i, block)
+        per_reading = RECENT * length
+        change = scaled(change, noise * math.sqrt(2.0 / per_reading), largest)
+        bend = scaled(bend, noise * math.sqrt(6.0 / per_reading), largest)
+        share = numbers[SHARE, scale]
+        take_of(memory, squares + scale, i, change * change, change, bend * bend, bend, 1.0, share)
         length *= 2.0
-    return told, max(most - told, 0.0)
 
 
 @loop
-def count_of(memory: Rows, row: int, i: int, size: float, share: float) -> None:
-    """Count a square of a ``size``, over its variance by noise, in a ``row`` of cell ``i``."""
+def forget_of(memory: Rows, squares: int, i: int) -> None:
+    """Let the mean squares of cell ``i``, which begin with row ``squares`` of ``memory``, begin anew."""
+    for row in range(squares, squares + ALL_SQUARES):
+        memory[row, i] = 0.0
+
+
+@loop
+def scaled(change: float, std: float, largest: float) -> float:
+    """A difference over its standard deviation by noise, within limits."""
+    limit = largest / std + CLEAR
+    return min(max(change / std, -limit), limit)
+
+
+@loop
+def differences_of(memory: Rows, row: int, i: int, block: float) -> tuple[float, float, float]:
+    """:func:`differences` of cell ``i`` for blocks of one length, whose last mean is in ``row``, and the next block."""
+    last = memory[row, i]
+    change = block - last
+    bend = memory[row + SCALES, i] - last + change
+    memory[row + SCALES, i], memory[row, i] = last, block
+    return change, bend, (block + last) * 0.5
+
+
+@loop
+def take_of(
+    memory: Rows,
+    row: int,
+    i: int,
+    moved: float,
+    moved_side: float,
+    bent: float,
+    bent_side: float,
+    by_noise: float,
+    share: float,
+) -> None:
+    """:func:`take` of cell ``i`` for blocks of one length, whose first mean square is in ``row``."""
+    count_of(memory, row + _BENDS, i, bent - by_noise, 1.0, share)
+    bent, by_noise = min(max(bent, -MOST), MOST), 0.5 * by_noise
+    count_of(memory, row + _UP, i, (moved if moved_side > 0.0 else 0.0) - by_noise, 0.5, share)
+    count_of(memory, row + _UP + SCALES, i, (bent if bent_side > 0.0 else 0.0) - by_noise, 0.5, share)
+    count_of(memory, row + _DOWN, i, (moved if moved_side < 0.0 else 0.0) - by_noise, 0.5, share)
+    count_of(memory, row + _DOWN + SCALES, i, (bent if bent_side < 0.0 else 0.0) - by_noise, 0.5, share)
+
+
+@loop
+def count_of(memory: Rows, row: int, i: int, product: float, by_noise: float, share: float) -> None:
+    """Count a ``product`` in a ``row`` of cell ``i``, to which noise gives ``by_noise`` more than is written there."""
     before = memory[row, i]
-    memory[row, i] = before + min((size - before) * share, before * GROWS + AT_ONCE)
+    room = max(before * GROWS + (by_noise * GROWS + AT_ONCE), AT_ONCE)
+    memory[row, i] = before + min((product - before) * share, room)
+
+
+@loop
+def tell_of(
+    memory: Rows,
+    squares: int,
+    squares_beside: int,
+    i: int,
+    own: float,
+    beside: float,
+    noise: float,
+    numbers: Rows,
+) -> tuple[float, float]:
+    """:func:`tell` of cell ``i``; mean squares begin with rows ``squares`` and ``squares_beside`` of ``memory``."""
+    told, most, most_beside = 0.0, 0.0, math.inf
+    rest, rest_of_most, length = 1.0, 1.0, 1.0
+    for scale in range(SCALES):
+        row, other = squares + scale, squares_beside + scale
+        by_chance = numbers[SHARE, scale] * OF_SIDES**2
+        by_chance_beside = by_chance * (0.5 * beside * beside)
+        sure = math.sqrt((by_chance + NOISE_KNOWN**2) * (own * own) + by_chance_beside)
+        bends = max(own * memory[row, i] + beside * memory[other, i], 0.0)
+        up = own * memory[row + _UP, i] + beside * memory[other + _UP, i]
+        down = own * memory[row + _DOWN, i] + beside * memory[other + _DOWN, i]
+        row, other = row + SCALES, other + SCALES
+        bends_up = own * memory[row + _UP, i] + beside * memory[other + _UP, i]
+        bends_down = own * memory[row + _DOWN, i] + beside * memory[other + _DOWN, i]
+        clear = min(bends_up, bends_down) * 2.0 / sure
+        moved = max(min(up + down, min(up, down) * SIDE + (0.5 * SIDE - 1.0)), 0.0)
+        per_reading = RECENT * length
+        of_change, of_bend = noise * noise * (2.0 / per_reading), noise * noise * (6.0 / per_reading)
+        beyond, hides = math.sqrt(by_chance_beside) * MAY, numbers[HIDES, scale]
+        most_beside = min(most_beside, way_of(moved + beyond, bends + beyond, of_change, of_bend, length) * hides)
+        if clear > 0.0 and rest > 0.0:
+            way = way_of(moved, bends, of_change, of_bend, length)
+            may = min(clear * (1.0 / TOLD), 1.0)
+            does = min(max((clear - TOLD) * (1.0 / (DOES - TOLD)), 0.0), 1.0)
+            told += rest * does * way
+            rest *= 1.0 - does
+            most += rest_of_most * may * (way * hides)
+            rest_of_most *= 1.0 - may
+        length *= 2.0
+    untold = max(most - told, 0.0) * own
+    untold += max(most_beside - told, 0.0) * (1.0 - own) * OF_MOST
+    return told, told + untold
+
+
+@loop
+def way_of(moved: float, bends: float, of_change: float, of_bend: float, length: float) -> float:
+    """Way per look for mean squares over their variances by noise, of blocks of ``length`` looks."""
+    moved *= of_change
+    return math.sqrt(moved + min(bends * of_bend, moved * 4.0) * BEND) * (WAY / length)

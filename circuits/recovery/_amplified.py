@@ -10,8 +10,8 @@
 ==========================  ===================================================================================
 
 A base serves as long as the certificate stays below a share of an ADC step. Otherwise the present conductances become
-the new base, within the frame's budget (:data:`EVALUATIONS`, :data:`EXACT_EVALUATIONS`). Cells that the budget does not
-settle are not valid, and the next frame goes on from there.
+the new base, as far as the frame's account goes (:mod:`._frame_account`, :mod:`._amplified_prices`). Cells that this
+does not settle are not valid, and the next frame goes on from there.
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ from ._amplified_errors import Levels, ReadingErrors
 from ._amplified_leads import LeadBases
 from ._amplified_limits import CellsAtLimits
 from ._amplified_loops import UsualFrames
+from ._amplified_prices import AmplifiedPrices
+from ._frame_account import Account
 from ._live_reading import (
     DISTURBED,
     HIDDEN,
@@ -41,17 +43,10 @@ from ._live_reading import (
     ValidityRule,
 )
 
-# Evaluations of the models in one frame, at most. Eight usual frames of 8 x 8 cells take as long, and six of 64 x 64.
 EVALUATIONS = 2
-"""of line attenuation"""
-EXACT_EVALUATIONS = 1
-"""of the exact transfer conductances, which correct line attenuation"""
-LEAD_EVALUATIONS = 2
-"""of the same, where the leads are heavy: they check what Kirchhoff's laws say"""
-CHANGING_EVALUATIONS = 1
-"""of the same, in a frame which finds by line attenuation that the leads are heavy"""
-FIRST_EVALUATIONS = 8, 3
-"""of both in the first frame of all, before which nothing is known"""
+"""of line attenuation in one frame, at most"""
+FIRST_EVALUATIONS = 8
+"""of the same in the first frame of all, before which nothing is known"""
 
 
 class AmplifiedLive:
@@ -63,15 +58,17 @@ class AmplifiedLive:
         """For a board whose circuit has ends (:meth:`.ReadoutCircuit.ends`) and whose design has a converter."""
         self._rule = rule
         self._board = AmplifiedBoard(board)
+        self._prices = AmplifiedPrices(self._board)
         self._relinearised = Relinearisation(self._board)
-        self._by_attenuation = AttenuationBases(self._board)
-        self._by_leads = LeadBases(self._board)
+        self._by_attenuation = AttenuationBases(self._board, self._prices)
+        self._by_leads = LeadBases(self._board, self._prices)
         self._errors = ReadingErrors(self._board, rule)
-        self._at_limits = CellsAtLimits(self._board)
+        self._at_limits = CellsAtLimits(self._board, self._prices)
         self._faults = _Faults(board)
         self._loops = UsualFrames(self._board)
         self._base: Base | None = None
         self._heavy = False  # the leads take so much that cells are found by Kirchhoff's laws
+        self._usually_heavy = True  # all frames so far were like that
         self._turned, self._turn = board.turned, board.turn
         self._all = np.ones(board.shape, dtype=np.bool_)
         self._no_reason = np.zeros(board.shape, dtype=np.int8)
@@ -112,7 +109,8 @@ class AmplifiedLive:
         # The first frame of all is worked out nevertheless: it may take its time, later ones may not.
         if limited is not None and self._base is not None and (limited | self._faults.hidden).all():
             return self._without_any()
-        transfer, conductance, gain, off = self._cells(volts)
+        account = self._account_of_frame()
+        transfer, conductance, gain, off = self._cells(volts, noise, account)
         levels = self._errors(gain, noise, self._base)
         unknown = limited if faint is None else _with_faint(limited, faint, transfer, levels)
         if unknown is None and off is None and not self._faults.any:
@@ -127,7 +125,7 @@ class AmplifiedLive:
                 )
         disturbance = None
         if unknown is not None:
-            disturbance = self._at_limits(conductance, volts, unknown, levels.noise, self._base)
+            disturbance = self._at_limits(conductance, volts, unknown, levels.noise, self._base, account)
         return self._examined(transfer, conductance, levels, off, limited, disturbance)
 
     def _without_any(self) -> LiveReading:
@@ -157,12 +155,21 @@ class AmplifiedLive:
         resistance, uncertainties = found
         return LiveReading(resistance, self._all, self._no_reason, uncertainties, every=True)
 
-    def _cells(self, volts: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None]:
-        """What a frame's outputs (N, M) in V say of the cells, within the frame's budget.
+    def _account_of_frame(self) -> Account:
+        """The account of a new frame, which has paid for what every frame costs."""
+        is_first = self._base is None and not self._board.independent_columns
+        account = Account(self._prices.first if is_first else self._prices.most(heavy=self._usually_heavy))
+        account.pay(self._prices.reading)
+        return account
+
+    def _cells(
+        self, volts: FloatArray, noise: float, account: Account
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None]:
+        """What a frame's outputs (N, M) in V say of the cells, as far as the frame's account goes.
 
         Returns:
             S (N, M), the cells' own parts of the transfer conductances; S (N, M), conductances; gains, which broadcast
-            to (N, M); and the certificate as by :class:`.Relinearisation`, None where the budget sufficed.
+            to (N, M); and the certificate as by :class:`.Relinearisation`, None where the account sufficed.
 
         """
         board, base = self._board, self._base
@@ -171,70 +178,78 @@ class AmplifiedLive:
             conductance, gain = board.of_independent_columns(transfer)
             return transfer, conductance, gain, None
         if base is None:
-            base, transfer = self._begin(volts)
+            base, transfer = self._begin(volts, account)
         else:
-            self._by_attenuation.exact_left = EXACT_EVALUATIONS
             transfer = board.transfer(volts, base.between)
+            if not self._errors.holds(base.propagation, noise):
+                base = base._replace(propagation=None)  # to be made anew, with levels for the noise
         before = base
-        conductance, off, base = self._settle(before, volts, transfer)
+        conductance, off, base = self._settle(before, volts, transfer, account)
+        self._usually_heavy = self._usually_heavy and self._heavy
         if base.between is not before.between:
             transfer = board.transfer(volts, base.between)
         self._base = base
         return base.own_part(transfer), conductance, base.gain, off
 
-    def _begin(self, volts: FloatArray) -> tuple[Base, FloatArray]:
+    def _begin(self, volts: FloatArray, account: Account) -> tuple[Base, FloatArray]:
         """The first base, and the transfer conductances (N, M) in S that the outputs (N, M) in V give with it."""
-        self._by_attenuation.exact_left = FIRST_EVALUATIONS[1]
         conductance = self._board.transfer(volts, None)  # as if the lines had no resistance
-        for _ in range(FIRST_EVALUATIONS[0] - EVALUATIONS):
-            base = self._by_attenuation(conductance)
-            transfer = self._board.transfer(volts, base.between)
-            conductance, off = self._relinearised(base, transfer)
+        found: Base | None = None
+        for _ in range(FIRST_EVALUATIONS - EVALUATIONS):
+            made = self._by_attenuation(conductance, account)
+            if made is None:
+                break
+            found, transfer = made, self._board.transfer(volts, made.between)
+            conductance, off = self._relinearised(made, transfer)
             if off is None:
                 break
-        self._by_attenuation.exact_left = max(self._by_attenuation.exact_left, EXACT_EVALUATIONS)
-        return base, transfer
+        assert found is not None, "the first frame can pay for its first base"
+        return found, transfer
 
     def _settle(
-        self, base: Base, volts: FloatArray, transfer: FloatArray
+        self, base: Base, volts: FloatArray, transfer: FloatArray, account: Account
     ) -> tuple[FloatArray, FloatArray | None, Base]:
         """Conductances (N, M) in S, their certificate, and the base that gave them.
 
-        The base moves to the present conductances as long as the certificate asks for that and the budget allows it.
+        The base moves to the present conductances as long as the certificate asks for that and the account allows it.
 
         Args:
             base: of the last frame.
             volts: (N, M) V, outputs.
             transfer: (N, M) S, transfer conductances with the currents between columns of that base.
+            account: of the frame.
 
         """
         if self._heavy:
-            found = self._settle_by_leads(volts, base, LEAD_EVALUATIONS)
+            found = self._settle_by_leads(volts, base, account)
             if found is not None:
                 return found
         conductance, off = self._relinearised(base, transfer)
         for _ in range(EVALUATIONS):
             if off is None:
                 break
-            base = self._by_attenuation(conductance)
+            made = self._by_attenuation(conductance, account)
+            if made is None:
+                break
+            base = made
             if base.between is not None:
                 transfer = self._board.transfer(volts, base.between)
             conductance, off = self._relinearised(base, transfer)
             if self._board.asks_for_leads(base.loss):
                 break
         if base.loss > HEAVY:
-            return self._settle_on_heavy_lines(base, volts, conductance, off)
+            return self._settle_on_heavy_lines(base, volts, conductance, off, account)
         return conductance, off, base
 
     def _settle_on_heavy_lines(
-        self, base: Base, volts: FloatArray, conductance: FloatArray, off: FloatArray | None
+        self, base: Base, volts: FloatArray, conductance: FloatArray, off: FloatArray | None, account: Account
     ) -> tuple[FloatArray, FloatArray | None, Base]:
         """As :meth:`_settle`, after attenuation has given these conductances and this certificate.
 
         Kirchhoff's laws say more where the lines are hardly more than leads. Elsewhere the certificate is widened.
         """
         if self._board.lead_like:
-            found = self._settle_by_leads(volts, base, CHANGING_EVALUATIONS)
+            found = self._settle_by_leads(volts, base, account)
             if found is not None:
                 return found
             off = None if off is None else np.full_like(off, inf)  # a bound of first order says nothing
@@ -244,13 +259,13 @@ class AmplifiedLive:
         return conductance, off, base
 
     def _settle_by_leads(
-        self, volts: FloatArray, base: Base, checks: int
+        self, volts: FloatArray, base: Base, account: Account
     ) -> tuple[FloatArray, FloatArray | None, Base] | None:
-        """As :meth:`_settle`, by Kirchhoff's laws with so many exact evaluations; None where these have no solution.
+        """As :meth:`_settle`, by Kirchhoff's laws; None where these have no solution.
 
         Decides whether the next frame begins with them.
         """
-        found = self._by_leads(volts, base, checks)
+        found = self._by_leads(volts, base, account)
         self._heavy = found is not None and found.loss > 0.5 * HEAVY
         return None if found is None else (found.conductance, found.off, found)
 

@@ -25,6 +25,8 @@ from ...arrays import FloatArray, read_only
 from ...compiled import FixedRow, FixedRows, Rows, loop
 from ..solvers import AttenuatedFrame
 from ._amplified_board import FAR, LEAST_SHARE, ZERO, AmplifiedBoard, above_floor
+from ._amplified_prices import AmplifiedPrices
+from ._frame_account import Account
 from ._heavy_leads import Propagation
 
 T = TypeVar("T", float, FloatArray)
@@ -189,24 +191,29 @@ class Relinearisation:
 class AttenuationBases:
     """Makes bases by line attenuation, and by exact solutions as long as the frame's budget has some left."""
 
-    def __init__(self, board: AmplifiedBoard) -> None:
+    def __init__(self, board: AmplifiedBoard, prices: AmplifiedPrices) -> None:
         """For one board, before its first frame."""
-        self._board = board
+        self._board, self._prices = board, prices
         self._anchor: _Anchor | None = None
-        self.exact_left = 0
-        """exact evaluations that the present frame has left"""
 
-    def __call__(self, conductance: FloatArray) -> Base:
-        """The base at these conductances (N, M) in S, by one evaluation of line attenuation."""
+    def __call__(self, conductance: FloatArray, account: Account) -> Base | None:
+        """The base at these conductances (N, M) in S, by line attenuation; None where the frame cannot pay for that."""
+        if not account.pay(self._prices.attenuation):
+            return None
         board, conductance = self._board, above_floor(conductance)
         known = board.models.attenuated(conductance)
-        # Without attenuation the lines are so heavy that the drive underflows before their end.
-        own = board.models.exact(conductance) if known is None else known.transfer
+        if known is None:  # the lines are so heavy that the drive underflows before their end
+            if not account.pay(self._prices.exact):
+                return None
+            own = board.models.exact(conductance)
+        else:
+            own = known.transfer
         gain = conductance / np.maximum(own, LEAST_SHARE * conductance)
         between, model_error, loss = None, board.tolerance, loss_at(gain)
         missing, off = None, None
         if known is not None:
-            missing, off = self._missing(conductance, known, exactly=not board.asks_for_leads(loss))
+            exactly = None if board.asks_for_leads(loss) else account
+            missing, off = self._missing(conductance, known, exactly)
         if board.sources_differ:
             between, left = board.between_columns(own, loss)
             model_error = board.tolerance + left
@@ -222,12 +229,11 @@ class AttenuationBases:
         )
 
     def _missing(
-        self, conductance: FloatArray, known: AttenuatedFrame, *, exactly: bool
+        self, conductance: FloatArray, known: AttenuatedFrame, exactly: Account | None
     ) -> tuple[FloatArray | None, FloatArray | None]:
         """S (N, M) that attenuation misses, other cells' current; None where that is below the tolerance.
 
-        Without ``exactly``, or where the frame has no exact evaluation left, also the S (N, M) by which this may be
-        off.
+        Without an exact evaluation, which is paid from ``exactly``, also the S (N, M) by which this may be off.
         """
         bound, tolerance = known.error, self._board.tolerance
         if (bound <= tolerance).all():
@@ -235,9 +241,8 @@ class AttenuationBases:
         scaled, off = (None, bound) if self._anchor is None else self._anchor.scaled(bound)
         if (off <= tolerance).all():
             return scaled, None
-        if not exactly or self.exact_left == 0:
+        if exactly is None or not exactly.pay(self._prices.exact):
             return scaled, off
-        self.exact_left -= 1
         transfer = self._board.models.exact(conductance)
         self._anchor = _Anchor(transfer - known.transfer, bound)
         return self._anchor.missing, None

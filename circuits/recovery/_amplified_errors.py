@@ -69,17 +69,20 @@ class ReadingErrors:
             base: the base of these gains; None where they are known in closed form.
 
         """
-        kept = self.kept_for(noise)
-        propagation = None if base is None else base.propagation
-        if kept is not None:
-            if propagation is not None:
-                holds = kept.propagation is propagation
-            else:
-                holds = kept.gain is gain or (base is None and _similar_gains(kept.gain, gain))
-            if holds:
+        if base is not None and base.propagation is not None:
+            if self._kept is not None and self.holds(base.propagation, noise):
+                return self._kept
+        else:
+            kept = self.kept_for(noise)
+            if kept is not None and (kept.gain is gain or (base is None and _similar_gains(kept.gain, gain))):
                 return kept
         self._kept = self._worked_out(gain, _NOISE_MARGIN * noise, base)
         return self._kept
+
+    def holds(self, propagation: Propagation | None, noise: float) -> bool:
+        """Whether the last levels serve where errors come through heavy leads like that, for a noise in V."""
+        kept = self.kept_for(noise)
+        return kept is not None and kept.propagation is propagation
 
     def kept_for(self, noise: float) -> Levels | None:
         """The last levels, if they serve for a noise in V; for gains like theirs."""

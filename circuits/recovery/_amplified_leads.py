@@ -13,85 +13,124 @@ import numpy as np
 from ...arrays import FloatArray
 from ._amplified_base import Base, loss_at
 from ._amplified_board import FAR, MARGIN, AmplifiedBoard, above_floor, similar
+from ._amplified_prices import AmplifiedPrices
+from ._frame_account import Account
 from ._heavy_leads import ROUNDS, LeadFit, Propagation, invert_leads
 
 _FAR_OFF = 8.0  # half steps by which the readings of given cells may be off however small they are
+
+_Checked = tuple[FloatArray | None, FloatArray, FloatArray]
+"""what :meth:`LeadBases._checked` says"""
 
 
 class LeadBases:
     """Makes bases by :func:`.invert_leads`, checked by exact evaluations."""
 
-    def __init__(self, board: AmplifiedBoard) -> None:
+    def __init__(self, board: AmplifiedBoard, prices: AmplifiedPrices) -> None:
         """For one board, before its first frame."""
-        self._board = board
+        self._board, self._prices = board, prices
         self._by_segments = np.zeros(board.board.shape)  # S, of T, that segments add to what leads would give
         self._propagated_at: FloatArray | None = None  # S (N, M) of the base's propagation
 
-    def __call__(self, volts: FloatArray, before: Base, checks: int) -> Base | None:
+    def __call__(self, volts: FloatArray, before: Base, account: Account) -> Base | None:
         """The base at the cells of a frame, or None where no cells without segments give its readings.
+
+        What the frame cannot pay for leaves all cells open, and the next frame begins at these.
 
         Args:
             volts: (N, M) V, outputs.
             before: the last base, from which the search starts.
-            checks: exact evaluations that the frame has left, at least one; a second one serves the correction for
-                segments.
+            account: of the frame.
 
         """
-        board = self._board
+        board, prices = self._board, self._prices
+        if not account.can_pay(prices.leads + prices.round):
+            return before._replace(off=np.full_like(before.conductance, inf))
         current = volts * board.scale + board.constant  # A per volt of drive
-        fit = self._fit(current, before.conductance, ROUNDS)
+        fit = self._fit(current, before.conductance, ROUNDS, account)
         if fit is None:
             return None
-        between, transfer, off = self._checked(current, fit.conductance)
-        if board.has_segments and fit.settled and (np.abs(off) > board.tolerance).any():
-            self._by_segments = self._by_segments + off
-            rounds = ROUNDS - fit.rounds
-            corrected = self._fit(current, fit.conductance, rounds) if rounds > 0 and checks > 1 else None
-            if corrected is not None:
-                fit = corrected
-                between, transfer, off = self._checked(current, fit.conductance)
-        own = fit.conductance / fit.gain
+        propagation = self._kept_propagation(fit, before)
+        if propagation is None and not account.can_pay(prices.bounds + prices.exact):
+            # Not both in one frame. How errors come through serves for many frames, and therefore comes first.
+            propagation = self._propagation(fit, account)
+        owed = prices.bounds if propagation is None else 0.0
+        fit, checked = self._corrected(current, fit, account, owed)
+        if checked is None:
+            return self._unchecked(fit, propagation, before)
+        between, transfer, off = checked
         off = np.abs(off)
         settled = bool((off <= board.tolerance).all())
         # Of cells that give quite other readings, a bound of first order says nothing.
         astray = not settled and bool((off > np.maximum(FAR * np.abs(transfer), _FAR_OFF * board.half_step)).any())
-        propagation, left = self._propagation(fit, before), None
-        if astray:
+        if propagation is None:
+            propagation = self._propagation(fit, account)
+        left: FloatArray | None = None
+        if astray or propagation is None or not (settled or account.pay(prices.propagated)):
             left = np.full_like(off, inf)
         elif not settled:
             left = MARGIN * board.moved_by(off, propagation, before.conductance) / fit.gain
-        return Base(
-            conductance=above_floor(fit.conductance),
-            gain=fit.gain,
-            shift=(own - transfer) * fit.gain,
-            loss=loss_at(fit.gain),
-            missing=max(float((transfer - own).max()), 0.0),
-            off=left,
-            model_error=board.tolerance,
-            between=between,
-            propagation=propagation,
-        )
+        return _base(fit, board.tolerance, left, transfer, between, propagation)
 
-    def _fit(self, current: FloatArray, start: FloatArray, rounds: int) -> LeadFit | None:
+    def _corrected(
+        self, current: FloatArray, fit: LeadFit, account: Account, owed: float
+    ) -> tuple[LeadFit, _Checked | None]:
+        """A fit corrected for what segments add to the readings, as far as the frame can pay, and the check of it.
+
+        Args:
+            current: (N, M) A into the amplifiers per volt of drive.
+            fit: to the readings, without the correction.
+            account: of the frame.
+            owed: what the frame will have to pay after that.
+
+        """
+        board, prices = self._board, self._prices
+        checked = self._checked(current, fit.conductance, account)
+        if checked is None or not (board.has_segments and fit.settled):
+            return fit, checked
+        off = checked[-1]
+        if (np.abs(off) <= board.tolerance).all():
+            return fit, checked
+        self._by_segments = self._by_segments + off
+        rounds = ROUNDS - fit.rounds
+        if rounds > 0 and account.can_pay(prices.leads + prices.round + prices.exact + owed):
+            corrected = self._fit(current, fit.conductance, rounds, account)
+            again = None if corrected is None else self._checked(current, corrected.conductance, account)
+            if corrected is not None and again is not None:
+                return corrected, again
+        return fit, checked
+
+    def _unchecked(self, fit: LeadFit, propagation: Propagation | None, before: Base) -> Base:
+        """The base of cells that no exact evaluation has checked."""
+        left = np.full_like(fit.conductance, inf)
+        transfer = fit.conductance / fit.gain
+        return _base(fit, self._board.tolerance, left, transfer, before.between, propagation)
+
+    def _fit(self, current: FloatArray, start: FloatArray, most_rounds: int, account: Account) -> LeadFit | None:
         """Cells with these currents (N, M) into the amplifiers in A per volt, from ``start`` (N, M) in S on."""
         board, current = self._board, current + self._by_segments
         potential = current * board.column_lead + board.source_per_volt
-        return invert_leads(current, potential, board.row_lead, board.column_lead, start, rounds)
+        account.pay(self._prices.leads)
+        rounds = account.times(self._prices.round, most_rounds)
+        fit = invert_leads(current, potential, board.row_lead, board.column_lead, start, max(rounds, 1))
+        account.pay(self._prices.round * (rounds if fit is None else fit.rounds))
+        return fit
 
-    def _checked(
-        self, current: FloatArray, conductance: FloatArray
-    ) -> tuple[FloatArray | None, FloatArray, FloatArray]:
+    def _checked(self, current: FloatArray, conductance: FloatArray, account: Account) -> _Checked | None:
         """How far the readings are from the exact ones of given cells.
 
         Args:
             current: (N, M) A into the amplifiers per volt of drive.
             conductance: (N, M) S.
+            account: of the frame.
 
         Returns:
             S (M,) that currents between columns add to each transfer conductance of a column; transfer conductances
-            (N, M) in S by the readings; and these less the cells' exact ones.
+            (N, M) in S by the readings; and these less the cells' exact ones. None where the frame cannot pay.
 
         """
+        if not account.pay(self._prices.exact):
+            return None
         board, cells = self._board, above_floor(conductance)
         if not board.has_sources:
             exact = board.models.exact(cells)
@@ -103,10 +142,49 @@ class LeadBases:
         transfer = current - between + source * exact.sum(axis=0)
         return between, transfer, transfer - exact
 
-    def _propagation(self, fit: LeadFit, before: Base) -> Propagation:
-        """How errors of the readings come through; kept from frame to frame while no conductance has changed much."""
+    def _kept_propagation(self, fit: LeadFit, before: Base) -> Propagation | None:
+        """How errors of the readings come through, of an earlier frame while no conductance has changed much."""
         at, kept = self._propagated_at, before.propagation
-        if kept is not None and at is not None and similar(fit.conductance, at):
-            return kept
+        return kept if kept is not None and at is not None and similar(fit.conductance, at) else None
+
+    def _propagation(self, fit: LeadFit, account: Account) -> Propagation | None:
+        """The same, made anew: by all derivatives where the frame can pay for them, else by bounds, or None of them."""
+        prices = self._prices
+        exactly = account.can_pay(prices.derivatives)
+        if not account.pay(prices.derivatives if exactly else prices.bounds):
+            return None
         self._propagated_at = fit.conductance
-        return fit.propagation()
+        return fit.propagation(exactly=exactly)
+
+
+def _base(
+    fit: LeadFit,
+    tolerance: FloatArray,
+    left: FloatArray | None,
+    transfer: FloatArray,
+    between: FloatArray | None,
+    propagation: Propagation | None,
+) -> Base:
+    """The base of a fit.
+
+    Args:
+        fit: the cells.
+        tolerance: (M,) S by which a model may put a transfer conductance off.
+        left: (N, M) S by which transfer conductances may be off; None: by no more than that.
+        transfer: (N, M) S, transfer conductances by the readings.
+        between: (M,) S that currents between columns add to these.
+        propagation: of errors; None: not known, and then nothing is valid.
+
+    """
+    own = fit.conductance / fit.gain
+    return Base(
+        conductance=above_floor(fit.conductance),
+        gain=fit.gain,
+        shift=(own - transfer) * fit.gain,
+        loss=loss_at(fit.gain),
+        missing=max(float((transfer - own).max()), 0.0),
+        off=left,
+        model_error=tolerance,
+        between=between,
+        propagation=propagation,
+    )

@@ -16,7 +16,9 @@ from ...arrays import BoolArray, FloatArray, read_only
 from .._adc import adc_error
 from ._amplified_base import Base
 from ._amplified_board import BOUNDLESS, MARGIN, SIMILAR_MARGIN, AmplifiedBoard, floor_of, similar
+from ._amplified_prices import AmplifiedPrices
 from ._amplified_short_loops import by_shorts
+from ._frame_account import Account
 from ._joined_columns import currents_between_sources, shared_currents
 
 _GUARD = 6.0  # standard deviations of the noise within which an output may stand at a limit of its swing
@@ -25,11 +27,11 @@ _GUARD = 6.0  # standard deviations of the noise within which an output may stan
 class CellsAtLimits:
     """What cells at limits make of the others; kept from frame to frame while they hardly change."""
 
-    def __init__(self, board: AmplifiedBoard) -> None:
+    def __init__(self, board: AmplifiedBoard, prices: AmplifiedPrices) -> None:
         """For one board, before its first frame."""
         circuit_board, adc = board.board, board.board.adc
         assert adc is not None
-        self._board = board
+        self._board, self._prices = board, prices
         self._low, self._high = circuit_board.supply
         self._middle = sum(adc.range) / 2
         self._near = adc_error(circuit_board) + adc.step / 2  # V within which an output stands at a limit of its swing
@@ -51,7 +53,13 @@ class CellsAtLimits:
         return self._by_shorts is not None
 
     def __call__(
-        self, conductance: FloatArray, volts: FloatArray, limited: BoolArray, noise: float, base: Base | None
+        self,
+        conductance: FloatArray,
+        volts: FloatArray,
+        limited: BoolArray,
+        noise: float,
+        base: Base | None,
+        account: Account,
     ) -> FloatArray:
         """Relative change (N, M) of each cell while those at limits take any value they can have.
 
@@ -61,6 +69,7 @@ class CellsAtLimits:
             limited: (N, M) where a reading is at a limit.
             noise: V, standard deviation of the readings.
             base: the frame's base; None where gains are known in closed form.
+            account: of the frame; where it cannot pay, all changes are inf.
 
         """
         near = self._near + _GUARD * noise
@@ -69,6 +78,9 @@ class CellsAtLimits:
         more = limited & (upper == self._high_is_more)
         kept = self._kept
         if kept is None or not kept.holds(conductance, limited, more):
+            by_leads = base is not None and base.propagation is not None
+            if not account.pay(self._prices.shorts(more) + (self._prices.propagated if by_leads else 0.0)):
+                return np.full(more.shape, inf)
             kept = self._worked_out(conductance, limited, more, more & (at_high | at_low), base)
             self._kept = kept
         return kept.relative_change(conductance)

@@ -43,10 +43,10 @@ _NOISE = 5.0  # standard deviations of a logarithm up to which likewise: noise i
 class BrokenLines:
     """The lines of one board that have broken since it was first read. Arrays are (N, M) in line coordinates."""
 
-    def __init__(self, parts: CoupledBoard) -> None:
-        """For a board."""
+    def __init__(self, parts: CoupledBoard, price: float) -> None:
+        """For a board on which a comparison has this price."""
         board, circuit = parts.board, parts.board.circuit
-        self._parts = parts
+        self._parts, self._price = parts, price
         self._columns_tie = board.floating
         self._rows_tie = not circuit.has_amplifiers and circuit.columns_one_by_one(board)
         sound = parts.sheet is None and not board.faults and not circuit.drives_idle_lines
@@ -65,8 +65,10 @@ class BrokenLines:
         """Whether readings, in V from the reference voltage, are to be taken :meth:`without` what breaks do to them."""
         return self.beyond is not None or bool(np.count_nonzero(signal < self._before) >= _LEAST_CELLS)
 
-    def without(self, volts: FloatArray, last: FloatArray, std: FloatArray | float, budget: Budget) -> FloatArray:
-        """Readings in V as they would be if the cells beyond breaks were open.
+    def without(
+        self, volts: FloatArray, last: FloatArray, std: FloatArray | float, budget: Budget
+    ) -> FloatArray | None:
+        """Readings in V as they would be if the cells beyond breaks were open; None: the frame cannot pay for that.
 
         Args:
             volts: the readings of a frame.
@@ -76,10 +78,13 @@ class BrokenLines:
 
         """
         signal = volts - self._parts.board.level
-        self._look(signal, np.abs(signal) < self._before, last.reshape(self._parts.shape), budget)
+        if not self._look(signal, np.abs(signal) < self._before, last.reshape(self._parts.shape), budget):
+            return None
         if self.beyond is None:
             return volts
         if self._at is None or bool((np.abs(last - self._at) > np.maximum(_SERVES, _NOISE * std)).any()):
+            if not budget.compare(self._price):
+                return None
             self._take_ratio(last)
         corrected: FloatArray = self._parts.board.level + signal * self._ratio
         return corrected
@@ -100,22 +105,29 @@ class BrokenLines:
             changed: FloatArray = np.expm1(np.abs(base.step((signal * (1.0 - 1.0 / self._ratio)).ravel())))
         return changed
 
-    def _look(self, signal: FloatArray, low: BoolArray, last: FloatArray, budget: Budget) -> None:
-        """Find the lines that are broken now, given the readings and those that have fallen (``low``)."""
+    def _look(self, signal: FloatArray, low: BoolArray, last: FloatArray, budget: Budget) -> bool:
+        """Find the lines that are broken now, given the readings and those that have fallen (``low``).
+
+        False where the frame cannot pay for that.
+        """
         beyond = self._ends_of_lines(low)
         known = np.zeros_like(low) if self.beyond is None else self.beyond
         if np.array_equal(beyond, known):
-            return
-        held = np.where(known, self._held, last)
+            return True
+        held, self._at = np.where(known, self._held, last), None
         if (beyond & ~known).any():
-            budget.compare()
-            if not self._breaks(signal, beyond, low, held):
+            if not budget.compare(self._price):
+                return False
+            if self._breaks(signal, beyond, low, held):
+                self._at = last.ravel()  # of the ratio that this has told
+            else:
                 beyond &= known
                 self._before[low & ~known] = -inf  # these contacts have opened
-        self._held, self._at = held, None
+        self._held = held
         self.beyond = beyond if beyond.any() else None
         if self.beyond is not None:
             self._break(beyond)
+        return True
 
     def _ends_of_lines(self, low: BoolArray) -> BoolArray:
         """Cells from some place to the far end of their line, none of which is read."""
@@ -129,6 +141,8 @@ class BrokenLines:
 
     def _breaks(self, signal: FloatArray, beyond: BoolArray, low: BoolArray, cells: FloatArray) -> bool:
         """Whether other readings have become what they become by a break, rather than by open cells.
+
+        Then the ratio of what both make of them is taken.
 
         Args:
             signal: V of a frame.
@@ -145,7 +159,10 @@ class BrokenLines:
         if_open = self._if_open(cells, beyond)
         others = ~(beyond | low)
         by_break, by_opening = (float(np.abs(signal - volts)[others].sum()) for volts in (if_broken, if_open))
-        return by_break < _NEARER * by_opening
+        found = by_break < _NEARER * by_opening
+        if found:
+            self._ratio = _ratio(if_open, if_broken, ~beyond)
+        return found
 
     def _break(self, beyond: BoolArray) -> None:
         """Make the board whose lines are broken where cells ``beyond`` begin."""
@@ -172,9 +189,7 @@ class BrokenLines:
             through = self._through_breaks(cells)
         except SolverError:
             return
-        if_open = self._if_open(cells, self.beyond)
-        self._at, tells = last, (through != 0.0) & ~self.beyond
-        self._ratio = np.divide(if_open, through, out=np.ones_like(through), where=tells)
+        self._at, self._ratio = last, _ratio(self._if_open(cells, self.beyond), through, ~self.beyond)
 
     def _through_breaks(self, cells: FloatArray) -> FloatArray:
         """V of the broken board, for logarithms of conductances."""
@@ -186,6 +201,11 @@ class BrokenLines:
         log = np.where(open_cells, _OPEN, cells).ravel()
         volts: FloatArray = self._parts.at(log).volts.reshape(cells.shape) - self._parts.board.level
         return volts
+
+
+def _ratio(if_open: FloatArray, through: FloatArray, read: BoolArray) -> FloatArray:
+    """Of readings with open cells to those beyond a break, in V, where they are ``read``; else 1."""
+    return np.divide(if_open, through, out=np.ones_like(through), where=(through != 0.0) & read)
 
 
 def _several(low: BoolArray, axis: int) -> BoolArray:

@@ -37,6 +37,8 @@ import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ._coupled_board import CoupledBoard, Frame, Known
+from ._coupled_prices import CoupledPrices
+from ._frame_budget import Budget
 from ._linearised import Base
 
 _NEAR = 2.0  # margin of the condition for columns in question, so that it holds for all cells for which a base serves
@@ -59,8 +61,9 @@ _TO_OPEN = np.concatenate([_CLOSE, np.logspace(-0.32, -6.0, 20)])  # F
 class ColumnScales:
     """The scales of the columns of one board; dividers whose idle rows are driven."""
 
-    def __init__(self, parts: CoupledBoard) -> None:
+    def __init__(self, parts: CoupledBoard, prices: CoupledPrices) -> None:
         """For a board."""
+        self._prices = prices
         board, to_driver = parts.board, parts.lines.to_driver
         self._parts = parts
         behind = np.broadcast_to(board.reference + board.column_lead, parts.shape[1:])
@@ -82,7 +85,7 @@ class ColumnScales:
         )
         self._kept: tuple[Base | None, bool] = None, False  # whether columns may be in question while a base serves
 
-    def disturb(self, frame: Frame, known: Known, base: Base, covered: float) -> FloatArray | None:
+    def disturb(self, frame: Frame, known: Known, base: Base, covered: float, budget: Budget) -> FloatArray | None:
         """Largest relative change (n,) of the cells from those that have been found to others that give the readings.
 
         Args:
@@ -90,13 +93,15 @@ class ColumnScales:
             known: the cells that have been found for them.
             base: the linear model that served for this.
             covered: V, error of a reading that linear uncertainties cover.
+            budget: of the frame.
 
         Returns:
-            None where all scales are known well enough for linear uncertainties, as in nearly all frames.
+            None where all scales are known well enough for linear uncertainties, as in nearly all frames, or where the
+            frame cannot pay.
 
         """
         served, near = self._kept
-        if served is base and not near:
+        if (served is base and not near) or not budget.judge(self._prices.told):
             return None
         told = self._told(frame, known, covered)
         if served is not base:
@@ -111,6 +116,9 @@ class ColumnScales:
         if suspect.any():  # rows that may hang on such a column also change the shape of others that are not far below
             suspect = told.suspect(_BESIDE)
         columns = np.flatnonzero(in_question | suspect)
+        searched = _searched(int(np.count_nonzero(suspect))) if self.loaded else 0
+        if not budget.judge(self._prices.scales + searched * self._prices.narrow):
+            return None
         conductance = np.minimum(self._parts.board.cell_conductance(known.cells), _LARGEST_SIEMENS)
         with np.errstate(over="ignore"):  # what is boundless stays so
             found = _Scales(self.lead, self.load, conductance, told, columns, suspect[columns])
@@ -154,6 +162,11 @@ class ColumnScales:
             hang=(through / along / own).max(axis=0),
             counts=counts,
         )
+
+
+def _searched(suspects: int) -> int:
+    """How many searches that many columns take: what one column's search finds narrows the others'."""
+    return suspects * min(suspects, 2) if suspects <= _MOST_SEARCHED else 0
 
 
 class _Told(NamedTuple):
@@ -241,12 +254,9 @@ class _Scales:
 
     def search(self) -> None:
         """Narrow the scales of columns below which rows may lie, each with the others anywhere in their ranges."""
-        suspects = np.flatnonzero(self._suspect)
-        if suspects.size > _MOST_SEARCHED:
-            return
-        for _ in range(min(suspects.size, 2)):  # what one column's search finds narrows the others'
-            for each in suspects.tolist():
-                self._narrow(each)
+        suspects = np.flatnonzero(self._suspect).tolist()
+        for number in range(_searched(len(suspects))):
+            self._narrow(suspects[number % len(suspects)])
 
     def _narrow(self, each: int) -> None:
         """Search the whole range of scales of one column for those that the current law allows."""

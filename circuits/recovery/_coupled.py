@@ -35,6 +35,7 @@ from ._column_scales import ColumnScales
 from ._coupled_board import Compared, CoupledBoard, Frame, Known
 from ._fit_uncertainty import ALIKE, FitUncertainty
 from ._follower_solutions import FollowerSolutions
+from ._frame_account import Account
 from ._frame_budget import FIRST_EFFORT, Budget
 from ._gauss_newton import Convergence, Fit, GaussNewton
 from ._linearised import Linearised
@@ -94,10 +95,11 @@ class CoupledLive:
         self._uncertainty = FitUncertainty(parts)
         self._is_divider = not (board.floating or board.circuit.has_amplifiers)
         self.scales_columns = self._is_divider and columns.applies and not board.turned
-        self._scales = ColumnScales(parts)
-        self._solutions = FollowerSolutions(parts)
+        self._prices = prices = self._linearised.prices
+        self._scales = ColumnScales(parts, prices)
+        self._solutions = FollowerSolutions(parts, prices.solutions)
         self._below = BelowRange(parts)
-        self._broken = BrokenLines(parts)
+        self._broken = BrokenLines(parts, prices.compare)
         self._convergence = Convergence()
         self._steps = GaussNewton(parts, self._linearised, self._convergence)
         self._known: Known | None = None  # where the last frame ended
@@ -140,10 +142,15 @@ class CoupledLive:
         read = volts
         if self._broken.applies and self._settled is not None and self._broken.change_notably(signal):
             spread = self._linearised.spread * hypot(1.0, noise / self._parts.noise)
-            volts = self._broken.without(read, self._settled, spread, budget)
-            signal = np.abs(volts - self._parts.board.level)
+            corrected = self._broken.without(read, self._settled, spread, budget)
+            if corrected is None:
+                return self._nothing(selection.at_limit, UNSETTLED)
+            volts, signal = corrected, np.abs(corrected - self._parts.board.level)
         frame = self._parts.frame(volts, signal, noise, selection.ignored)
-        known, by_lost = self._usual_start(frame, selection, budget)
+        usual = self._usual_start(frame, selection, budget)
+        if usual is None:
+            return self._nothing(selection.at_limit, UNSETTLED)
+        known, by_lost = usual
         start = self._nearer_start(frame, known, budget)
         if not self._linearised.begin(start.known, budget):
             return self._nothing(selection.at_limit, UNSETTLED)
@@ -164,36 +171,47 @@ class CoupledLive:
         beside = self._disturbed(frame, fit, selection, left.fitted, short)
         # Other sets of cells are enclosed where that may tell of some cell.
         if not self._convergence.astray and np.any((left.all <= 1.0) & ~beside.ravel()):
-            left = left.besides(self._other_cells(frame, fit))
-        return self._reading(frame, fit, selection, left, beside)
+            left = left.besides(self._other_cells(frame, fit, budget))
+        return self._reading(
+            frame, fit, selection, left, beside, settled=budget.suffices and not self._convergence.astray
+        )
 
     def _budget_of_frame(self) -> Budget:
         """The budget of a new frame. What the first one of all has left is lost, also where it tells of no cell."""
         if self._has_begun:
-            return Budget(self._linearised.usual_effort(anew=self._known is None or self._convergence.fresh))
+            account = Account(self._prices.most if self._parts.sheet is None else inf)
+            account.pay(self._prices.reading)
+            return Budget(self._linearised.usual_effort(anew=self._known is None or self._convergence.fresh), account)
         self._has_begun = True
-        return Budget(FIRST_EFFORT)
+        return Budget(FIRST_EFFORT, Account(inf))
 
-    def _at(self, log: FloatArray, budget: Budget) -> Known:
-        """Evaluate the model for the logarithms (n,) of conductances that a frame starts from."""
-        paid = budget.start()
-        assert paid, "a start costs no more than its budget"
-        return self._parts.at(log)
+    def _at(self, log: FloatArray, budget: Budget, more: float = 0.0) -> Known | None:
+        """Evaluate the model for the logarithms (n,) of conductances that a frame starts from.
 
-    def _usual_start(self, frame: Frame, selection: Selection, budget: Budget) -> tuple[Known, FloatArray | float]:
+        None where the frame cannot pay for that, and ``more``.
+        """
+        return self._parts.at(log) if budget.start(self._parts.price(log) + more) else None
+
+    def _usual_start(
+        self, frame: Frame, selection: Selection, budget: Budget
+    ) -> tuple[Known, FloatArray | float] | None:
         """The last frame's cells, or others; cells of which the frame does not tell are usual ones.
 
         Where the last frame's cells lead nowhere, closed formulas and the cells of the last frame that settled take
         turns.
 
         Returns:
-            The cells, and the relative change (n,) of all others by columns that are left out.
+            The cells, and the relative change (n,) of all others by columns that are left out. None where the frame
+            cannot pay for its start.
 
         """
-        start = self._known
+        start: Known | None = self._known
         if start is None:
             settled = self._settled if self._convergence.starts % 2 else None
-            start = self._at(self._start(frame.volts) if settled is None else settled, budget)
+            log = self._start(frame.volts) if settled is None else settled
+            start = self._at(log, budget, self._prices.start)
+            if start is None:
+                return None
             self._steps.begin_anew()
             self._linearised.begin_anew(start, budget)
         beside = selection.beside.ravel()
@@ -201,6 +219,8 @@ class CoupledLive:
             usual = np.where(beside, np.median(start.log[~beside]), start.log)
             if np.abs(usual - start.log).max() > 0.0:
                 start = self._at(usual, budget)
+            if start is None:
+                return None
             if selection.lost is None:
                 return start, 0.0
             conductance = np.exp(usual).reshape(self._parts.shape)
@@ -208,15 +228,18 @@ class CoupledLive:
         if np.count_nonzero(beside):
             apparent = np.where(beside, self._start(frame.volts), start.log)
             if np.abs(apparent - start.log).max() > _ROUGHLY:
-                start = self._at(apparent, budget)
-        return start, 0.0
+                start = self._at(apparent, budget, self._prices.start)
+        return None if start is None else (start, 0.0)
 
     def _nearer_start(self, frame: Frame, known: Known, budget: Budget) -> Compared:
         """The start or, after a jump of the readings, closed formulas where these are nearer."""
         start = frame.compared(known)
         goes_on = self._linearised.columns.applies and known is self._known
-        if goes_on and start.half_steps > _JUMP * frame.coarser and budget.evaluate():
-            anew = frame.compared(self._parts.at(self._start(frame.volts)))
+        if goes_on and start.half_steps > _JUMP * frame.coarser:
+            log = self._start(frame.volts)
+            if not budget.evaluate(self._parts.price(log) + self._prices.start):
+                return start
+            anew = frame.compared(self._parts.at(log))
             if anew.half_steps < start.half_steps:
                 start = anew
                 self._linearised.rebase(start.known, budget)
@@ -228,7 +251,7 @@ class CoupledLive:
         if sheet is None:
             return fit, 0.0
         while not sheet.serves(fit.known.log, SIGMAS * frame.coarser * self._linearised.base.std):
-            if not budget.solve():
+            if not budget.solve(self._parts.price(fit.known.log)):
                 break
             sheet.solve(fit.known.log)
             fit = self._steps.fit(frame, frame.compared(self._parts.at(fit.known.log)), budget)
@@ -290,13 +313,13 @@ class CoupledLive:
         fitted = by_readings + others + doubt
         return _Open(others + by_columns, fitted, fitted + by_columns)
 
-    def _other_cells(self, frame: Frame, fit: Fit) -> FloatArray | None:
+    def _other_cells(self, frame: Frame, fit: Fit, budget: Budget) -> FloatArray | None:
         """Largest relative change (n,) of the cells to others, far from these, that give the readings; None: none."""
         base = self._linearised.base
         if self._scales.applies:
-            return self._scales.disturb(frame, fit.known, base, self._uncertainty.covered(frame))
+            return self._scales.disturb(frame, fit.known, base, self._uncertainty.covered(frame), budget)
         if self._solutions.applies:
-            return self._solutions.change(frame, fit.known, base)
+            return self._solutions.change(frame, fit.known, base, budget)
         return None
 
     def _disturbed(
@@ -323,7 +346,9 @@ class CoupledLive:
                 beside = beside | disturbed
         return beside
 
-    def _reading(self, frame: Frame, fit: Fit, selection: Selection, left: _Open, beside: BoolArray) -> LiveReading:
+    def _reading(
+        self, frame: Frame, fit: Fit, selection: Selection, left: _Open, beside: BoolArray, *, settled: bool
+    ) -> LiveReading:
         """Values, uncertainties, validity, and reasons.
 
         Args:
@@ -332,6 +357,7 @@ class CoupledLive:
             selection: readings that are left out.
             left: what is open about the cells.
             beside: (N, M) cells that are disturbed.
+            settled: whether the frame's budget sufficed, and the cells give the readings.
 
         """
         shape, gone, disturbed = self._parts.shape, self._parts.gone, beside.ravel()
@@ -340,7 +366,12 @@ class CoupledLive:
         # Not the derivatives themselves, which are large: whoever keeps the reading keeps these.
         by_readings = partial(self._by_readings, frame, self._linearised.base.std, fit.steeper, uncertainty)
         most = uncertainty.item(uncertainty.argmax())
-        if self._all_known(selection, beside) and not np.count_nonzero(open_cells) and most <= self._rule.limit:
+        if (
+            settled
+            and self._all_known(selection, beside)
+            and not np.count_nonzero(open_cells)
+            and most <= self._rule.limit
+        ):
             return LiveReading(
                 fit.known.cells.copy(),
                 *self._all_valid,
@@ -351,7 +382,7 @@ class CoupledLive:
         reason = np.full(len(uncertainty), UNCERTAIN, dtype=np.int8)
         reason[left.others > 0.5 * uncertainty] = DISTURBED
         reason[open_cells] = NO_CURRENT
-        if self._convergence.astray:  # the frame's budget did not suffice, or no cells give quite these readings
+        if not settled:
             reason[:], uncertainty[:] = UNSETTLED, inf
         uncertainty[disturbed] = inf
         reason[disturbed] = DISTURBED
@@ -377,7 +408,7 @@ class CoupledLive:
     def _all_known(self, selection: Selection, beside: BoolArray) -> bool:
         """Whether nothing but its own uncertainty can keep a cell from being valid, as in nearly all frames."""
         left_out = beside is not self._limits.nowhere or selection.at_limit is not self._limits.nowhere
-        return not (left_out or self._any_gone or self._convergence.astray)
+        return not (left_out or self._any_gone)
 
     def _uncertainties(self, frame: Frame, uncertainty: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Relative uncertainties (N, M) of a frame's cells, and the part by a cell's own reading."""

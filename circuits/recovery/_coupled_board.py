@@ -122,6 +122,11 @@ class CoupledBoard:
         if board.circuit.has_amplifiers and board.adc is not None:
             self._lowest = board.adc.range[0] + board.adc.step
 
+    def price(self, log: FloatArray) -> float:
+        """What it costs to evaluate the model for the logarithms (n,) of conductances."""
+        known = self.quick.fixed_price
+        return self.quick.price(np.exp(-log).reshape(self.shape)) if known is None else known
+
     def at(self, log: FloatArray) -> Known:
         """Evaluate the model for the logarithms (n,) of the conductances."""
         cells = np.exp(-log).reshape(self.shape)

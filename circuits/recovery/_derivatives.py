@@ -14,10 +14,8 @@ import numpy as np
 from ...arrays import FloatArray
 from .._board import Board
 from .._grid import exact_ports
-from ._normal_matrix import Meter
+from ._normal_matrix import PER_DERIVATIVE, Meter
 from ._quick_model import QuickModel
-
-_PER_ENTRY = 256  # multiplications of a matrix product that take as long as one entry of the derivatives
 
 
 def derivatives(board: Board, cells: FloatArray, model: QuickModel, meter: Meter, *, out: FloatArray) -> Iterator[None]:
@@ -36,6 +34,8 @@ def derivatives(board: Board, cells: FloatArray, model: QuickModel, meter: Meter
     """
     by_rows = model.derivatives(cells)
     if by_rows is not None:
+        if meter.is_dear(model.branch_price(cells)):
+            yield
         try:
             yield from _quick_derivatives(by_rows, meter, out)
         except np.linalg.LinAlgError:  # parts of the grid that nothing is connected to
@@ -47,7 +47,7 @@ def derivatives(board: Board, cells: FloatArray, model: QuickModel, meter: Meter
 def _quick_derivatives(by_rows: Iterator[FloatArray], meter: Meter, out: FloatArray) -> Iterator[None]:
     size, written = len(out), 0
     for some in by_rows:
-        if meter.is_full(_PER_ENTRY * some.size):
+        if meter.is_full(PER_DERIVATIVE * some.size):
             yield
         out[written : written + len(some)] = some.reshape(len(some), size)
         written += len(some)
@@ -64,7 +64,7 @@ def _exact_derivatives(
     result = out.reshape(rows, columns, rows, columns)
     yield
     for group in board.circuit.sensitivity_groups(board, ports, reading):
-        if meter.is_full(_PER_ENTRY * group.forward[..., 0].size * cells.size):
+        if meter.is_full(PER_DERIVATIVE * group.forward[..., 0].size * cells.size):
             yield
         forward, adjoint = (
             branches.across(field.reshape(-1, rows + columns)).reshape(*field.shape[:-1], rows, columns)

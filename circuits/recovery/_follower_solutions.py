@@ -32,6 +32,7 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray
 from ._coupled_board import CoupledBoard, Frame, Known
 from ._follower_law import LEAST, FollowerLaw, enclose
+from ._frame_budget import Budget
 from ._linearised import Base
 
 _LARGEST_SIEMENS = 1e6  # that of a cell that ran away is infinite
@@ -44,8 +45,9 @@ _ALIKE, _ALIKE_MARGIN = 0.05, 1.25  # change of logarithms while a result is kep
 class FollowerSolutions:
     """All sets of cells that give the readings of one board."""
 
-    def __init__(self, parts: CoupledBoard) -> None:
-        """For a board."""
+    def __init__(self, parts: CoupledBoard, price: float) -> None:
+        """For a board on which an enclosure has this price."""
+        self._price = price
         board, lines = parts.board, parts.lines
         self._parts = parts
         self._row, self._wire = _finite(lines.to_driver), _finite(lines.to_end)  # (N, M) ohm
@@ -56,16 +58,17 @@ class FollowerSolutions:
         self._kept: tuple[Base | None, bool] = None, False  # whether others are conceivable while a base serves
         self._last: tuple[FloatArray, FloatArray | None] | None = None  # logarithms (n,) and the change found for them
 
-    def change(self, frame: Frame, known: Known, base: Base) -> FloatArray | None:
+    def change(self, frame: Frame, known: Known, base: Base, budget: Budget) -> FloatArray | None:
         """Largest relative change (n,) of the cells from those that have been found to others that give the readings.
 
         Args:
             frame: the readings.
             known: the cells that have been found for them.
             base: the linear model that served for this.
+            budget: of the frame.
 
         Returns:
-            None where linear uncertainties suffice, as in nearly all frames.
+            None where linear uncertainties suffice, as in nearly all frames, or where the frame cannot pay.
 
         """
         if self._kept[0] is base:
@@ -73,6 +76,8 @@ class FollowerSolutions:
                 return None
             if self._last is not None and np.abs(self._last[0] - known.log).max() <= _ALIKE:
                 return self._last[1]
+        if not budget.judge(self._price):
+            return None
         law = self._law(frame, known)
         found = law.change()
         if self._kept[0] is not base:

@@ -1,11 +1,14 @@
 """Budget of one frame of a coupled board: every stage pays from it, and begins nothing that it cannot pay for.
 
-What a frame has no budget for, the next frames do. Until then cells that are not settled are not valid.
+An :class:`Effort` says how many steps of each kind a frame may undertake, and an :class:`.Account` what they may
+cost. What a frame has no budget for, the next frames do. Until then cells that are not settled are not valid.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
+
+from ._frame_account import Account
 
 
 class Effort(NamedTuple):
@@ -35,39 +38,48 @@ SHEET_EVALUATIONS = 9
 
 
 class Budget:
-    """What one frame has left of its effort. Each method pays for one piece of work; False: nothing is left for it."""
+    """What one frame has left. Each method pays a price for one piece of work; False: too little is left for it."""
 
-    def __init__(self, effort: Effort) -> None:
+    def __init__(self, effort: Effort, account: Account) -> None:
         self._starts, self._evaluations, self._instalments, self._solutions = effort
+        self._account = account
+        self.suffices = True
+        """all that says how well the cells are known has been paid for"""
 
-    def start(self) -> bool:
+    def start(self, price: float) -> bool:
         """An evaluation of the model where the frame starts from, or derivatives there in closed form."""
-        paid = self._starts > 0
+        paid = self._starts > 0 and self._account.pay(price)
         self._starts -= paid
         return paid
 
-    def evaluate(self) -> bool:
+    def evaluate(self, price: float) -> bool:
         """An evaluation of the model."""
-        paid = self._evaluations > 0
+        paid = self._evaluations > 0 and self._account.pay(price)
         self._evaluations -= paid
         return paid
 
-    def renew(self) -> bool:
+    def renew(self, price: float) -> bool:
         """An instalment of new derivatives."""
-        paid = self._instalments > 0
+        paid = self._instalments > 0 and self._account.pay(price)
         self._instalments -= paid
         return paid
 
-    def solve(self) -> bool:
+    def solve(self, price: float) -> bool:
         """A solution of the sheet, and the evaluation that its cells are compared by."""
-        paid = self._solutions > 0 and self._evaluations > 0
+        paid = self._solutions > 0 and self._evaluations > 0 and self._account.pay(price)
         self._solutions -= paid
         self._evaluations -= paid
         return paid
 
-    def compare(self) -> None:
-        """A comparison of what may have broken, as dear as all instalments of a frame: it takes their place."""
-        self._instalments = 0
+    def compare(self, price: float) -> bool:
+        """A comparison of what may have broken."""
+        return self._account.pay(price)
+
+    def judge(self, price: float) -> bool:
+        """Work that says how well the cells are known; without it the frame's cells are not valid."""
+        paid = self._account.pay(price)
+        self.suffices = self.suffices and paid
+        return paid
 
     def keep_instalments(self, most: int) -> None:
         """Leave the frame no more instalments than that."""

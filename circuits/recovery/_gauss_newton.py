@@ -160,8 +160,11 @@ class GaussNewton:
         # Over strong nonlinearities whole steps are quick as a rule, but may lead too far, back, and so on for ever.
         damped = self._convergence.astray_since_start >= _PATIENCE
         stalled = False
-        while budget.evaluate():
-            ahead = frame.compared(self._parts.at(here.base.advanced(here.known.log, self._damping * here.step)))
+        while True:
+            log = here.base.advanced(here.known.log, self._damping * here.step)
+            if not budget.evaluate(self._parts.price(log)):
+                break
+            ahead = frame.compared(self._parts.at(log))
             misfit, apart = ahead.half_steps / frame.coarser, ahead.apart
             stalled = abs(misfit - here.misfit) <= _SAME * misfit
             if damped and misfit > FITS and not stalled and apart @ apart > here.apart @ here.apart:
@@ -188,7 +191,8 @@ class GaussNewton:
         """After a step that led away from the readings, which began ``here``: new derivatives, or a shorter step."""
         here.measure()
         blamed = not here.is_near and not self._linearised.under_way
-        if blamed and budget.renew() and self._linearised.renew(here.known):
+        renewal = self._linearised.renewal(here.known) if blamed else None
+        if renewal is not None and budget.renew(renewal.price) and self._linearised.renew(renewal):
             here.rebase(self._linearised.base)
         else:
             self._damping *= _SHORTER
@@ -218,8 +222,8 @@ class GaussNewton:
             return False
         if here.serves and not self._convergence.astray:
             budget.keep_instalments(1)  # no need to hurry
-        while budget.renew():
-            if linearised.renew(here.known):
+        while budget.renew((renewal := linearised.renewal(here.known)).price):
+            if linearised.renew(renewal):
                 here.rebase(linearised.base)
                 here.serves = self._serves(here)
                 return False

@@ -62,19 +62,20 @@ class LeadFit(NamedTuple):
     rounds: int
     """that the search has taken"""
 
-    def propagation(self) -> Propagation:
-        """How errors of the readings come through."""
-        if self.conductance.size <= MOST_CELLS:
+    def propagation(self, *, exactly: bool) -> Propagation:
+        """How errors of the readings come through: ``exactly`` to first order, or by bounds that are wider."""
+        if exactly:
             return _Derivatives(np.abs(self._derivatives()), self.conductance.shape)
         inverse = self._inverses()
+        across = self.columns - self.rows[:, :, None]
         return _Bounds(
-            inverse=np.abs(inverse),
+            inverse=np.abs(inverse, out=inverse),
             into_column=1.0 + self.column_ohm * self.conductance.sum(axis=0),
             column_ohm=self.column_ohm,
             cells=self.conductance,
             row_ohm=self.row_ohm,
             divided=self._divided(),
-            across=np.abs(self._across()),
+            across=np.abs(across, out=across),
         )
 
     def _across(self) -> FloatArray:
@@ -119,7 +120,8 @@ class LeadFit(NamedTuple):
         by_column = shared @ self.columns  # (rows, M)
         with np.errstate(divide="ignore"):
             scale = 1.0 / (1.0 - by_column.sum(axis=0))
-        inverses: FloatArray = shared + (by_column * scale).T[:, :, None] * shared.sum(axis=0)
+        inverses: FloatArray = (by_column * scale).T[:, :, None] * shared.sum(axis=0)
+        inverses += shared
         return inverses
 
 
@@ -188,7 +190,7 @@ class _Bounds(NamedTuple):
     divided: FloatArray
     """(N,) share of a current into an idle row that returns through its lead"""
     across: FloatArray
-    """V (steps, rows, M) across the cells"""
+    """V (rows, steps, M) across the cells"""
 
     def squared(self) -> Propagation:
         return _Bounds(*(part * part for part in self))
@@ -208,12 +210,12 @@ class _Bounds(NamedTuple):
 
     def _solved(self, sides: FloatArray) -> FloatArray:
         """S (N, M) for right sides (steps, M) of the columns' equations."""
-        solved: FloatArray = np.einsum("jki,ij->kj", self.inverse, sides)
+        solved: FloatArray = (self.inverse @ np.ascontiguousarray(sides.T)[:, :, None])[:, :, 0].T
         return solved
 
     def _into_idle_rows(self, change: FloatArray) -> FloatArray:
         """A (steps, rows) per volt that changed conductances (N, M) in S feed into the rows."""
-        into: FloatArray = np.einsum("ikj,kj->ik", self.across, change)
+        into: FloatArray = (self.across @ np.ascontiguousarray(change)[:, :, None])[:, :, 0].T
         return into
 
     def _by_rows(self, into_rows: FloatArray, delivered: FloatArray | float = 0.0) -> FloatArray:

@@ -21,6 +21,7 @@ from . import _coupled_loops as loops
 from ._column_blocks import ColumnBlocks, beyond_linear
 from ._coupled_board import CoupledBoard, Known
 from ._coupled_loops import ColumnSteps
+from ._coupled_prices import CoupledPrices
 from ._derivatives import derivatives
 from ._frame_budget import ANEW_EFFORT, LARGE_EFFORT, NODE_EFFORT, SHEET_EVALUATIONS, USUAL_EFFORT, Budget, Effort
 from ._node_blocks import NodeBlocks
@@ -159,6 +160,23 @@ class Base:
         return np.maximum(ratio, 1.0 / _STEEPER, out=ratio)
 
 
+class Renewal(NamedTuple):
+    """What a renewal of derivatives does next."""
+
+    at: Known
+    """cells of the new derivatives"""
+    loss: float
+    """share of a voltage in the lines"""
+    columns_serve: bool
+    """steps by single lines converge"""
+    by_lines: bool
+    """derivatives by single lines are made"""
+    at_once: bool
+    """they are all that is made"""
+    price: float
+    """see :mod:`._frame_account`"""
+
+
 class Linearised:
     """The base of one board, and its renewal."""
 
@@ -189,6 +207,9 @@ class Linearised:
         self._least = np.log(_LEAST_READING * parts.half_step * per_volt).ravel()  # of the logarithms
         self._series = (parts.leads + board.series_ohms).ravel()  # ohm of leads and faults, for each cell
         self._compiled = compiled.load(*loops.ALL)
+        self.prices = CoupledPrices(parts, by_nodes=self._nodes is not None, by_columns=self.columns.applies)
+        """of the board's steps"""
+        self._meter = Meter(cells, beside=self.columns.applies)
         self._base: Base | None = None
         self._renewal: Iterator[Base | None] | None = None
         self._stuck = 0
@@ -240,7 +261,7 @@ class Linearised:
         """Make the first base there, or further instalments of it. False as long as there is none."""
         if self._base is None and self._renewal is None:
             self._renewal = self._first(at)
-        while self._base is None and self._renewal is not None and budget.renew():
+        while self._base is None and self._renewal is not None and budget.renew(self._first_price(at)):
             self._base = next(self._renewal)
             if self._base is not None:
                 self._renewal = None
@@ -255,17 +276,24 @@ class Linearised:
     def rebase(self, at: Known, budget: Budget) -> bool:
         """Take derivatives from there at once, where columns give them in closed form. False where they do not."""
         loss = self._loss(at)
-        if not (self.columns.applies and loss <= _HEAVY and budget.start()):
+        if not (self.columns.applies and loss <= _HEAVY and budget.start(self.prices.lines)):
             return False
         self._base, self._renewal = self._by_lines(at, loss), None
         return True
 
-    def renew(self, at: Known) -> bool:
-        """Derivatives at these cells, or a further instalment of them. True if the base has just become new."""
+    def renewal(self, at: Known) -> Renewal:
+        """What :meth:`renew` would do next at these cells."""
         base, loss = self.base, self._loss(at)
         columns_serve = loss <= _HEAVY and not self._stuck
         by_lines = (columns_serve or not self._has_matrix) and (not base.whole or base.is_far(at.log))
-        if by_lines and not self._is_coarse(loss):
+        at_once = by_lines and not self._is_coarse(loss)
+        price = (self.prices.lines if by_lines else 0.0) + (0.0 if at_once else self._instalment_price(at))
+        return Renewal(at, loss, columns_serve, by_lines, at_once, price)
+
+    def renew(self, renewal: Renewal) -> bool:
+        """Derivatives, or a further instalment of them. True if the base has just become new."""
+        at, loss, columns_serve, by_lines, at_once, _ = renewal
+        if at_once:
             self._base, self._renewal = self._by_lines(at, loss), None
             return True
         if self._renewal is None:
@@ -279,6 +307,18 @@ class Linearised:
         if by_lines:
             self._base = self._by_lines(at, loss)
         return by_lines
+
+    def _instalment_price(self, at: Known) -> float:
+        """What the next instalment of the whole matrix costs; the first one begins with the network at these cells."""
+        if self._renewal is None:
+            self._meter = Meter(len(at.log), beside=self.columns.applies)
+            return self._meter.price + self._parts.price(at.log)
+        return self._meter.price
+
+    def _first_price(self, at: Known) -> float:
+        """What the next instalment of the first base costs."""
+        by_lines = self._loss(at) <= _HEAVY or not self._has_matrix
+        return self.prices.lines if by_lines else self._meter.price
 
     def _is_coarse(self, loss: float) -> bool:
         """Whether the whole matrix is to follow derivatives by single lines, which neglect such a loss."""
@@ -329,7 +369,7 @@ class Linearised:
         """Derivatives and their regularised inverse there, in instalments; None until the last."""
         parts, size = self._parts, len(at.log)
         jacobian, cells, noise = np.empty((size, size)), at.cells.ravel(), parts.noise
-        meter = Meter(size, beside=self.columns.applies)
+        meter = self._meter = Meter(size, beside=self.columns.applies)
         # A cell that ran away is as good as a short, and the derivatives are not made for shorts.
         no_shorts = np.maximum(at.cells, np.maximum(_LEAST_CELL * parts.leads, np.exp(-_LARGEST)))
         for _ in derivatives(parts.board, no_shorts, parts.quick, meter, out=jacobian):

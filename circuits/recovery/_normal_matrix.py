@@ -19,7 +19,12 @@ from ...arrays import FloatArray
 _LEAST = 2**23  # multiplications in one instalment, at least
 _PER_ENTRY = 32  # the same per entry of the matrix, where each step reads all of them anyway
 _BLOCK = 32  # unknowns that are swept together
+_PER_INSTALMENT, _PER_PRICE = 150.0, 8000.0  # price of an instalment, and multiplications for one unit more
+_DEAR = 300.0  # price of a piece of work that is an instalment of its own
 _ROUNDING = 1e-13  # relative, of a sum of products, per unknown: beside shorts, more than the prior adds
+
+PER_DERIVATIVE = 256
+"""multiplications of a matrix product that take as long as one entry of the derivatives"""
 
 
 class Meter:
@@ -30,9 +35,27 @@ class Meter:
         self.limit = _LEAST if beside else max(_LEAST, _PER_ENTRY * size**2)
         """multiplications in one instalment"""
         self._spent = 0
+        self._usual = _PER_INSTALMENT + min(self.limit, (PER_DERIVATIVE + 2 * size) * size**2) / _PER_PRICE
+        self._ahead = 0.0
+
+    @property
+    def price(self) -> float:
+        """What the next instalment costs, see :mod:`._frame_account`."""
+        return _PER_INSTALMENT + self._ahead if self._ahead else self._usual
+
+    def is_dear(self, price: float) -> bool:
+        """Whether the next piece of work, which is no product, is to be an instalment of its own, by its price.
+
+        A cheap piece is not counted.
+        """
+        dear = price > _DEAR
+        if dear:
+            self._ahead, self._spent = price, self.limit
+        return dear
 
     def is_full(self, work: int) -> bool:
         """Whether an instalment ends before so many further multiplications, which then belong to the next one."""
+        self._ahead = 0.0
         self._spent += work
         full = self._spent > self.limit and self._spent > work
         if full:

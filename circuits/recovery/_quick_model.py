@@ -14,6 +14,7 @@ What the readout makes of either network is the circuit's to say (:meth:`.Readou
 from __future__ import annotations
 
 from collections.abc import Iterator
+from enum import Enum, auto
 
 import numpy as np
 
@@ -27,7 +28,17 @@ from ._lines import LineResistance
 from ._port_derivatives import AnyLines, Branches, IdealLines, PortDerivatives
 
 _AT_ONCE = 4096  # derivatives that are made together, if those of one row are fewer
+_SOME_OHM = 1e4
 _LIGHT = 0.25  # largest loss in the lines for which sweeps are good to a percent
+
+
+class _Way(Enum):
+    """To the voltages across all crosspoints."""
+
+    IDEAL = auto()
+    DENSE = auto()
+    SWEPT = auto()
+    SPARSE = auto()
 
 
 class QuickModel:
@@ -45,10 +56,43 @@ class QuickModel:
         self.has_network = board.plain
         """whether the network's ports give the outputs by plain nodal analysis"""
         if self.has_network:
-            some = np.full(board.shape, 1e-4)
-            self.has_network = self._quick(some) is not None
+            self.has_network = self._quick(np.full(board.shape, 1.0 / _SOME_OHM)) is not None
         self.is_quick = self.is_quick and self.has_network
         self._compiled = self.is_quick and QuickNetwork.load_loops(board.shape[1])
+        some = np.full(board.shape, _SOME_OHM)
+        varies = self.has_network and not self.is_quick and lines.can_solve(board.cell_conductance(some))
+        self.fixed_price = None if varies else self.price(some)
+        """what the readings cost; None: it depends on the cells"""
+
+    def price(self, cells: FloatArray) -> float:
+        """What the readings of ``cells`` (N, M) in ohm cost, see :mod:`._frame_account`."""
+        size = cells.size
+        if not self.has_network:
+            return self.exact_price(size)
+        if self.is_quick:
+            return 45.0 + 0.13 * size if self._board.floating else 20.0 + 0.06 * size
+        if self._lines.can_solve(self._board.cell_conductance(cells)):
+            return 45.0 + 0.5 * size + 0.01 * size**2
+        return 280.0 + 1.1 * size
+
+    def exact_price(self, size: int) -> float:
+        """What an exact solution with so many cells costs."""
+        if self._board.floating:
+            return 600.0 + 11.0 * size
+        return 350.0 + 0.3 * size + (0.0 if has_ideal_lines(self._board.lines) else 280.0 + 1.1 * size)
+
+    def sparse_price(self, size: int) -> float:
+        """What a sparse factorisation with so many cells costs, the dearest way of :meth:`branches`."""
+        return 800.0 + 8.0 * size
+
+    def branch_price(self, cells: FloatArray) -> float:
+        """What :meth:`branches` costs."""
+        size, way = cells.size, self._way(self._board.cell_conductance(cells))
+        if way is _Way.SPARSE:
+            return self.sparse_price(size)
+        if way is _Way.SWEPT:
+            return 160.0 + 0.12 * size * float(np.sqrt(size))
+        return 15.0 if way is _Way.IDEAL else 15.0 + 0.5 * size + 0.01 * size**2
 
     def __call__(self, cells: FloatArray) -> FloatArray:
         """V (N, M) for ``cells`` (N, M) in ohm, in line coordinates.
@@ -80,9 +124,7 @@ class QuickModel:
             return None
         conductance = self._board.cell_conductance(cells)
         fields = self._board.circuit.quick_fields(self._board, self._network(conductance))
-        if fields is None:
-            return None
-        return _products(fields, self.branches(cells))
+        return None if fields is None else self._products(fields, cells)
 
     def products(self, cells: FloatArray) -> PortDerivatives | None:
         """The same derivatives without their matrix.
@@ -104,12 +146,24 @@ class QuickModel:
         a sparse factorisation elsewhere.
         """
         conductance = self._board.cell_conductance(cells)
+        match self._way(conductance):
+            case _Way.IDEAL:
+                return IdealLines(conductance, self._lead)
+            case _Way.DENSE:
+                return AnyLines(self._lines.drops(conductance))
+            case _Way.SWEPT:
+                return AnyLines(self._lines.swept_drops(conductance))
+            case _Way.SPARSE:
+                return AnyLines(basis_drops(self._board, cells))
+
+    def _way(self, conductance: FloatArray) -> _Way:
+        """How :meth:`branches` goes about it at cells (N, M) in S."""
         if self.is_quick:
-            return IdealLines(conductance, self._lead)
+            return _Way.IDEAL
         if self.has_network and self._lines.can_solve(conductance):
-            return AnyLines(self._lines.drops(conductance))
+            return _Way.DENSE
         light = self.has_network and self._lines.finite and self._lines.loss(conductance) <= _LIGHT
-        return AnyLines(self._lines.swept_drops(conductance) if light else basis_drops(self._board, cells))
+        return _Way.SWEPT if light else _Way.SPARSE
 
     def _network(self, conductance: FloatArray) -> QuickNetwork:
         if self.is_quick:
@@ -121,14 +175,14 @@ class QuickModel:
             ports = port_conductances(conductance, self._board.lines).value
         return QuickNetwork(ports[:rows, rows:], ports[rows:, rows:], ports[:rows, :rows])
 
+    def _products(self, fields: QuickFields, cells: FloatArray) -> Iterator[FloatArray]:
+        branches = self.branches(cells)
+        rows, columns = fields.forward.row_share.shape
+        some = max(1, _AT_ONCE // (rows * columns**2))
+        for row in range(0, rows, some):
+            forward, adjoint = (branches.across(each.of_some(slice(row, row + some))) for each in fields)
+            derivative = forward * adjoint
+            yield np.negative(derivative, out=derivative)
+
     def _quick(self, conductance: FloatArray) -> FloatArray | None:
         return self._board.circuit.quick_outputs(self._board, self._network(conductance))
-
-
-def _products(fields: QuickFields, branches: Branches) -> Iterator[FloatArray]:
-    rows, columns = fields.forward.row_share.shape
-    some = max(1, _AT_ONCE // (rows * columns**2))
-    for row in range(0, rows, some):
-        forward, adjoint = (branches.across(each.of_some(slice(row, row + some))) for each in fields)
-        derivative = forward * adjoint
-        yield np.negative(derivative, out=derivative)

@@ -49,11 +49,13 @@ class FrameTransfer:
         self._lines, self._wires = lines, Wires.of(lines)
         self._shape = rows, columns = lines.row.shape
         few, many = sorted((rows, columns))
-        products = rows * columns * few * (2 * few + many)
+        self.products = rows * columns * few * (2 * few + many)
+        """multiplications of an exact solution by star-mesh transforms"""
         self._has_ideal_lines = has_ideal_lines(lines)
-        small = products <= (_LARGEST_WITH_IDEAL_LINES if self._has_ideal_lines else _LARGEST)
+        self.is_small = self.products <= (_LARGEST_WITH_IDEAL_LINES if self._has_ideal_lines else _LARGEST)
+        """whether exact solutions are by star-mesh transforms, where there is machine code"""
         self._turned = columns > rows  # then rows and columns change places: a node has as few neighbours as possible
-        self._star_mesh = _star_mesh.machine_code() if small else None
+        self._star_mesh = _star_mesh.machine_code() if self.is_small else None
         self._attenuate = None
         self._uniform = None  # wires for the closed form; None: always by ladders
         if self._wires is not None:

@@ -38,6 +38,7 @@ NUMBA_SWITCH = "NUMBA_DISABLE_JIT"
 Row = Annotated[FloatArray, "float64[::1]"]
 Rows = Annotated[FloatArray, "float64[:, ::1]"]
 Places = Annotated[IntArray, "intp[::1]"]
+PlaceRows = Annotated[IntArray, "intp[:, ::1]"]
 Flags = Annotated[BoolArray, "boolean[::1]"]
 FlagRows = Annotated[BoolArray, "boolean[:, ::1]"]
 Codes = Annotated[CodeArray, "uint32[::1]"]
