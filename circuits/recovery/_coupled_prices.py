@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from ._coupled_board import CoupledBoard
 from ._frame_account import USUAL_FRAMES
-
-_TYPICAL_OHM = 1e4
 
 
 class CoupledPrices:
@@ -23,7 +19,7 @@ class CoupledPrices:
 
         """
         cells = parts.shape[0] * parts.shape[1]
-        evaluation = parts.quick.price(np.full(parts.shape, _TYPICAL_OHM))
+        evaluation = parts.quick.usual_price
         self.reading = 130.0 + 0.1 * cells
         """what every frame does beside evaluations and steps"""
         self.start = 90.0 + 0.1 * cells

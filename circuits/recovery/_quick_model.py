@@ -61,8 +61,10 @@ class QuickModel:
         self._compiled = self.is_quick and QuickNetwork.load_loops(board.shape[1])
         some = np.full(board.shape, _SOME_OHM)
         varies = self.has_network and not self.is_quick and lines.can_solve(board.cell_conductance(some))
-        self.fixed_price = None if varies else self.price(some)
-        """what the readings cost; None: it depends on the cells"""
+        self.usual_price = self.price(some)
+        """what the readings of usual cells cost"""
+        self.fixed_price = None if varies else self.usual_price
+        """what those of any cells cost; None: it depends on the cells"""
 
     def price(self, cells: FloatArray) -> float:
         """What the readings of ``cells`` (N, M) in ohm cost, see :mod:`._frame_account`."""
