@@ -25,6 +25,7 @@ from ..driver import CountReader
 from ._driver import NOISE_STEPS, design, pressed
 
 READOUTS = (
+    ("voltage-divider", "float", 8),
     ("voltage-divider", "float", 10),
     ("voltage-divider", "float", 12),
     ("voltage-divider", "ground", 10),

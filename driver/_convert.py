@@ -18,6 +18,7 @@ from ..cell import Cell, Estimator
 from ..circuits import Design, Reason, ValidityRule
 from ..errors import InputError
 from ._calibration import Calibration
+from ._column_steps import ColumnSteps
 from ._contacts import ContactsOfFrames, ContactTracker, PressureView
 from ._later import Later, Retained
 from ._line_faults import Creep, LineFaults
@@ -130,6 +131,7 @@ class Converter:
         """times that the estimator has begun without memory, and as many as the last frame knew of"""
         self._creep: Creep | None = None
         self._line_faults: LineFaults | None = None
+        self._column_steps: ColumnSteps | None = None
         self._estimator = self._new_estimator()
         full_scale_kpa = np.inf if cell is None else cell.full_scale_kpa
         drift_kpa = 0.0 if self._systematic is None else self._systematic.kpa_of_rest(KNOWN_DRIFT)
@@ -237,7 +239,7 @@ class Converter:
         remembers = True
         if self.cell is not None:
             self._estimator, state = self._fresh_estimator(), past.estimator_state()
-            self._line_faults = self._new_line_faults(self._estimator)
+            self._begin_beside(self._estimator)
             if self._line_faults is not None and past.line_faults is not None:
                 self._line_faults.restore({name: block.array() for name, block in past.line_faults.items()})
             try:
@@ -317,8 +319,10 @@ class Converter:
             return unknown, Later(unknown.copy)
         if not estimator.resolved:
             estimator.resolve(*reading.resolution)
-        common = estimator.step(gap_s, reading.resistance if reading.all_valid else reading.for_estimation)
-        systematic = self._systematic.take(reading, rest_known=self._rest_known)
+        assert self._column_steps is not None, "it is made with the estimator"
+        resistance, taken_out = self._column_steps.without(reading)
+        common = estimator.step(gap_s, resistance)
+        systematic = self._systematic.take(reading, taken_out, rest_known=self._rest_known)
         std = Later(partial(_std, estimator.variance_of_last_step(), systematic, common, calibration))
         self._retained.add(std)
         return common if calibration is None else calibration.applied(common), std
@@ -397,7 +401,7 @@ class Converter:
         if self.cell is None:
             return None
         estimator = self._fresh_estimator()
-        self._line_faults = self._new_line_faults(estimator)
+        self._begin_beside(estimator)
         return estimator
 
     def _fresh_estimator(self) -> Estimator:
@@ -413,14 +417,16 @@ class Converter:
         estimator.compile()
         return estimator
 
-    def _new_line_faults(self, estimator: Estimator) -> LineFaults | None:
-        """For the rest resistances in use; None where loads lower the resistance, for what a fault does they do too."""
+    def _begin_beside(self, estimator: Estimator) -> None:
+        """Begin what knows of readings as much as the ``estimator`` does, for the rest resistances in use."""
         assert self.cell is not None
-        if estimator.inversion.side < 0.0:
-            return None
+        side = estimator.inversion.side
+        self._column_steps = ColumnSteps(estimator.rest_ohm, side, rest_known=self._rest_known)
+        if side < 0.0:
+            return  # what faults of lines do, loads do too
         if self._creep is None:
             self._creep = Creep(self.cell)
-        return LineFaults(estimator.rest_ohm, self._creep, rest_known=self._rest_known)
+        self._line_faults = LineFaults(estimator.rest_ohm, self._creep, rest_known=self._rest_known)
 
 
 def _std(

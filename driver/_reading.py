@@ -24,6 +24,7 @@ _ALIKE = 1.5  # ratio of noises with which a reading is judged about alike
 _FAINT = 0.05  # ADC steps of noise that hardly count beside the half step
 _MOST_NOISE = 0.95  # relative uncertainty, three standard deviations of noise, of a reading that an average can use
 _MOST_STEPS = 0.1  # of that by ADC steps, which no average lessens
+_LEAST_STEPS = 0.05  # of the uncertainty, by steps that noise does not make random
 _STEP_STD = 1.0 / math.sqrt(12.0)  # ADC steps, standard deviation of an error that is evenly distributed over one
 
 
@@ -152,6 +153,20 @@ class Reading:
         if self._found is None:
             return np.full(self.resistance.shape, np.nan)
         return _STEP_STD / self._covered_steps * self._found.by_readings
+
+    @property
+    def column_steps(self) -> FloatArray | None:
+        """(columns,) relative error of all conductances of a column by half a step of all other readings at once.
+
+        None where errors of other readings do not scale columns, or where noise makes rounding random.
+        """
+        share = self.steps_share
+        if not self._scales_columns or self._found is None or share < _LEAST_STEPS:
+            return None
+        others = self._found.uncertainty - self._found.own  # the root of a sum of squares
+        least: FloatArray = np.fmin.reduce(others, axis=0)
+        at_once = share / self._alike * math.sqrt(max(len(others) - 1, 0))
+        return np.where(np.isfinite(least), at_once * least, 0.0)
 
     @property
     def resolution(self) -> tuple[FloatArray, FloatArray, FloatArray, bool]:

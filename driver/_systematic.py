@@ -84,11 +84,15 @@ class SystematicError:
         """The pressure that an unloaded cell shows when its rest resistance is off by ``relative``."""
         return relative * self._kpa_of_rest
 
-    def take(self, reading: Reading, *, rest_known: bool) -> Callable[[FloatArray, FloatArray], FloatArray]:
+    def take(
+        self, reading: Reading, taken_out: FloatArray | None = None, *, rest_known: bool
+    ) -> Callable[[FloatArray, FloatArray], FloatArray]:
         """Take the next frame.
 
         Args:
             reading: of the frame.
+            taken_out: (columns,) relative standard deviation of all resistances of a column by what was taken out of
+                them; None: nothing was.
             rest_known: the rest resistances were measured, by a tare or a calibration.
 
         Returns:
@@ -97,7 +101,7 @@ class SystematicError:
             the standard deviation in kPa by both, and may be called at any time, in any thread.
 
         """
-        self._steps = _Steps.of(reading, self._steps)
+        self._steps = _Steps.of(reading, self._steps, taken_out)
         spread = 0.0
         if not rest_known and self._tabulated:
             self._look(reading)
@@ -105,7 +109,7 @@ class SystematicError:
         return partial(self._std, self._steps, spread)
 
     def _std(self, steps: _Steps, spread: float, pressure_kpa: FloatArray, variance_kpa2: FloatArray) -> FloatArray:
-        if steps.earlier is None and self._of_valid_cells is not None:
+        if steps.earlier is None and steps.taken_out is None and self._of_valid_cells is not None:
             by_steps, by_noise = steps.reading.std_shares
             uncertainty, own = map(_whole, steps.reading.uncertainties)
             pressure, slopes = np.ascontiguousarray(pressure_kpa), self._slopes_squared
@@ -167,20 +171,22 @@ class _Steps(NamedTuple):
     valid: BoolArray
     earlier: FloatArray | None
     """relative variance of cells that are not valid; None: all are"""
+    taken_out: FloatArray | None
+    """(columns,) relative standard deviation of resistances by what was taken out of a column; None: nothing was"""
 
     @classmethod
-    def of(cls, reading: Reading, before: _Steps | None) -> _Steps:
+    def of(cls, reading: Reading, before: _Steps | None, taken_out: FloatArray | None) -> _Steps:
         """Of a frame after ``before``."""
         valid = reading.valid
         if reading.all_valid:
-            return cls(reading, valid, None)
+            return cls(reading, valid, None, taken_out)
         if before is None:
             earlier = np.zeros(valid.shape)
         elif before.earlier is not None and np.array_equal(before.valid, valid):
             earlier = before.earlier
         else:
             earlier = before.relative_variance()
-        return cls(reading, valid, earlier)
+        return cls(reading, valid, earlier, taken_out)
 
     def relative_variance(self) -> FloatArray:
         """Relative variance of each resistance by ADC steps and by the noise of other cells' readings.
@@ -189,10 +195,13 @@ class _Steps(NamedTuple):
         """
         uncertainty, others = self.reading.uncertainty, self.reading.others_noise_std
         if self.earlier is None:
-            return self._sum(uncertainty, others)
-        known = self.earlier.copy()
-        known[self.valid] = self._sum(uncertainty[self.valid], others[self.valid])
-        return known
+            variance = self._sum(uncertainty, others)
+        else:
+            variance = self.earlier.copy()
+            variance[self.valid] = self._sum(uncertainty[self.valid], others[self.valid])
+        if self.taken_out is not None:
+            variance += self.taken_out * self.taken_out
+        return variance
 
     def _sum(self, uncertainty: FloatArray, others: FloatArray) -> FloatArray:
         """Relative variance by ADC steps, and by noise of standard deviation ``others``."""
