@@ -47,7 +47,7 @@ class OneCell:
         self.forgotten = 0.0
         self.doubt = self.variance = 0.0
         self.rest_variance = self.drift = self.last_drift = 0.0
-        self.rested, self.taken_off = False, 0.0
+        self.rested, self.taken_off, self.released, self.taken_before = False, 0.0, 0.0, 0.0
         self.still, self.onset = Still(), Onset()
         self.sway = Sway(r)
         self.last = self.before_last = self.third_last = p
@@ -100,6 +100,7 @@ class OneCell:
                 earlier = max(earlier, self.forgotten)
             self.forgotten = 0.0
             noticed = self.left is None and self.extreme < rows.REFUTED
+            released = self.extreme if noticed and self.rising else 0.0
             now, other = other, now
             self.rising = not self.rising
             again, left = self.left is not None, self.left
@@ -124,7 +125,9 @@ class OneCell:
             self.recent_extreme = self.extreme
             before = self.variance
             if self.rested:
-                left_over = recovery.LIGHT * before + self.taken_off**2 + may_bear**2
+                clear = self.released**2 > recovery.TWICE * self.taken_before
+                self.taken_before = max(self.taken_off**2, 0.0 if clear else self.taken_before)
+                left_over = recovery.LIGHT * before + self.taken_before + may_bear**2
                 before = min(before, self.rest_variance + left_over)
             by_noise = (gains[False] * std) ** 2
             self.doubt = (np.sqrt(before) + unseen) ** 2 + by_noise
@@ -133,7 +136,7 @@ class OneCell:
             lost = self.doubt >= (recovery.MOST * self.full) ** 2
             usual = recovery.PART * max(self.doubt - by_noise, 0.0) + min(by_noise, self.doubt)
             self.rest_variance = 0.0 if lost else usual
-            self.rested, self.drift, self.taken_off = False, 0.0, 0.0
+            self.rested, self.drift, self.taken_off, self.released = False, 0.0, 0.0, released
             error = min(np.sqrt(self.doubt), recovery.MOST * self.full)
             self.last_drift = recovery.DRIFTS * error
             if late > 0:
@@ -262,6 +265,7 @@ class OneCell:
         rate = (1 + m.e1_kpa / m.e2_kpa) / m.t2_s
         self.peak = self.peak + recovery.PEAK_FADES * (self.extreme - self.peak)
         self.rest_variance *= np.exp(-8 * dt * rate)  # of a variance, in four frames
+        self.taken_before *= np.exp(-8 * dt * rate)
         if self.rising:
             rate = (1 - 1 / (m.etau2_kpa / m.eu1_kpa + 1)) / m.tu_s
         self.drift += (1 - np.exp(-4 * dt * rate)) * (self.last_drift + max(self.taken_off, 0.0) - self.drift)

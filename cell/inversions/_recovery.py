@@ -35,11 +35,13 @@ from ._turning_rows import (
     RECENT_EXTREME,
     RECOVERY_KPA,
     RECOVERY_X3,
+    RELEASED_KPA,
     RISING_KPA,
     RISING_X3,
     SETTLED,
     SIGN,
     STATE_END,
+    TAKEN_BEFORE_KPA2,
     TAKEN_OFF_KPA,
     TURNED,
     X2,
@@ -57,7 +59,10 @@ cell. More than in any cell (:data:`..estimation._inversion.NO_LOAD_SIGMAS`): th
 frame of a rest, and its deviation here is that of the usual error (:data:`PART`) only"""
 LIGHT = 0.1
 """share of the variance of the memory that a rest leaves, beside the squares of what was subtracted and of a load that
-may have begun (:mod:`._onset`): the released cell may have borne a light load after all"""
+may have begun (:mod:`._onset`): the released cell may have borne a light load after all. What was subtracted stays in
+doubt, while it fades, until a larger load than that is released: the falls of a tremor are no new signs of rest"""
+TWICE = 4.0
+"""times the square of what was subtracted: that of a load which is larger for sure"""
 DRIFTS = 2.0
 """standard deviations of the memory's error that may seem to be a turn as the error fades"""
 OVERSHOOT = 3.0
@@ -124,6 +129,8 @@ def look(
     held = rising & (count >= _OLD)
     np.maximum(drift, noise * memory[GAIN_ROW] * numbers[BEYOND], out=drift, where=held)
     variance *= numbers[FADES]
+    taken_before = memory[TAKEN_BEFORE_KPA2]
+    taken_before *= numbers[FADES]
     calm = (memory[SIGN] < _ZERO) & (memory[LEFT] >= _FAR) & (count >= _BEFORE)
     if not np.count_nonzero(calm):
         return
@@ -154,10 +161,18 @@ def look(
     memory[:, rests] = some
 
 
+def _taken_off(memory: FloatArray) -> FloatArray:
+    """(m,) kPa^2 of what rests have subtracted, the last one and those since the last clear release."""
+    released, before = memory[RELEASED_KPA], memory[TAKEN_BEFORE_KPA2]
+    before = np.where(released * released > TWICE * before, _ZERO, before)
+    taken: FloatArray = np.maximum(memory[TAKEN_OFF_KPA] * memory[TAKEN_OFF_KPA], before)
+    return taken
+
+
 def variance_at_turn(memory: FloatArray) -> FloatArray:
     """(m,) kPa^2 of the memory of cells that have just turned, less what a rest has averaged away."""
     variance = memory[VARIANCE]
-    left_over = variance * LIGHT + memory[TAKEN_OFF_KPA] * memory[TAKEN_OFF_KPA]
+    left_over = variance * LIGHT + _taken_off(memory)
     left_over += memory[MAY_BEAR_KPA] * memory[MAY_BEAR_KPA]
     rested = np.minimum(variance, memory[REST_VARIANCE] + left_over)
     found: FloatArray = np.where(memory[RESTED] > _ZERO, rested, variance)
@@ -173,6 +188,7 @@ def begin(memory: FloatArray, by_noise: FloatArray, most_kpa2: FloatArray) -> No
         most_kpa2: without axes, the square of :data:`MOST` in kPa.
     """
     turned = memory[TURNED]
+    np.copyto(memory[TAKEN_BEFORE_KPA2], _taken_off(memory), where=memory[RESTED] > _ZERO)
     memory[[RESTED, DRIFT_KPA, REST_VARIANCE, TAKEN_OFF_KPA]] = 0.0
     usual = np.maximum(turned - by_noise, _ZERO) * PART
     usual += np.minimum(by_noise, turned)
@@ -181,12 +197,20 @@ def begin(memory: FloatArray, by_noise: FloatArray, most_kpa2: FloatArray) -> No
 
 
 @loop
+def taken_off_of(memory: Rows, i: int) -> float:
+    """:func:`_taken_off` of cell ``i``."""
+    released, before = memory[RELEASED_KPA, i], memory[TAKEN_BEFORE_KPA2, i]
+    if released * released > TWICE * before:
+        before = 0.0
+    return float(max(memory[TAKEN_OFF_KPA, i] * memory[TAKEN_OFF_KPA, i], before))
+
+
+@loop
 def variance_at_turn_of(memory: Rows, i: int) -> float:
     """:func:`variance_at_turn` of cell ``i``."""
     variance = memory[VARIANCE, i]
     if memory[RESTED, i] > 0.0:
-        taken_off = memory[TAKEN_OFF_KPA, i]
-        left_over = variance * LIGHT + taken_off * taken_off + memory[MAY_BEAR_KPA, i] * memory[MAY_BEAR_KPA, i]
+        left_over = variance * LIGHT + taken_off_of(memory, i) + memory[MAY_BEAR_KPA, i] * memory[MAY_BEAR_KPA, i]
         variance = min(variance, memory[REST_VARIANCE, i] + left_over)
     return float(variance)
 
@@ -195,6 +219,8 @@ def variance_at_turn_of(memory: Rows, i: int) -> float:
 def begin_of(memory: Rows, i: int, by_noise: float, most_kpa2: float) -> None:
     """:func:`begin` in cell ``i``."""
     turned = memory[TURNED, i]
+    if memory[RESTED, i] > 0.0:
+        memory[TAKEN_BEFORE_KPA2, i] = taken_off_of(memory, i)
     memory[RESTED, i], memory[DRIFT_KPA, i], memory[TAKEN_OFF_KPA, i] = 0.0, 0.0, 0.0
     usual = max(turned - by_noise, 0.0) * PART + min(by_noise, turned)
     memory[REST_VARIANCE, i] = usual if turned < most_kpa2 else 0.0
@@ -214,6 +240,7 @@ def look_each(memory: Rows, mean: Row, noise: Row, count: Row, numbers: Row) -> 
         if rising and count[i] >= OLD:
             memory[DRIFT_KPA, i] = max(memory[DRIFT_KPA, i], noise[i] * memory[GAIN_ROW, i] * numbers[BEYOND])
         memory[REST_VARIANCE, i] *= numbers[FADES]
+        memory[TAKEN_BEFORE_KPA2, i] *= numbers[FADES]
         if not (memory[SIGN, i] < 0.0 and memory[LEFT, i] >= FAR and count[i] >= RECENT - 1.0):
             continue
         shown, x3 = memory[PRESSURE, i], memory[RECOVERY_X3, i]

@@ -37,6 +37,7 @@ from ._turning_rows import (
     RECOVERY_IN_FORCE,
     RECOVERY_KPA,
     REFUTED,
+    RELEASED_KPA,
     RISING,
     RISING_IN_FORCE,
     RISING_KPA,
@@ -135,6 +136,7 @@ def take_over(
     doubt = np.minimum(doubt * doubt + by_noise, numbers[UNKNOWN_KPA2])
     some[TURNED] = some[VARIANCE] = doubt  # the distance of the hypotheses is in it
     recovery.begin(some, by_noise, numbers[MOST_RESTED_KPA2])
+    some[RELEASED_KPA] = np.where(noticed & (sign < _ZERO), extreme, _ZERO)
     if np.count_nonzero(late) or np.count_nonzero(earlier):
         some[EARLIER_KPA] -= np.maximum(late, earlier)
         pressure = _take_delay_back(some, pressure, late, earlier, numbers)
@@ -286,6 +288,7 @@ def take_over_of(memory: Rows, i: int, noise: float, by_model: Rows, of: Rows, n
     turned = min(doubt * doubt + by_noise, numbers[UNKNOWN_KPA2])
     memory[TURNED, i] = memory[VARIANCE, i] = turned  # the distance of the hypotheses is in it
     begin_of(memory, i, by_noise, numbers[MOST_RESTED_KPA2])
+    memory[RELEASED_KPA, i] = extreme if left >= FAR and extreme < REFUTED and sign < 0.0 else 0.0
     if max(late, earlier) > 0.0:
         doubt = math.sqrt(turned) + late * MAY_BEND
         memory[TURNED, i] = memory[VARIANCE, i] = min(doubt * doubt, numbers[UNKNOWN_KPA2])

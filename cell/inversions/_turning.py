@@ -106,6 +106,7 @@ class TurningInversion(Inversion):
         *("recent_extreme", "forgotten", "undithered"),
         *onset.NAMES,
         *sway.NAMES,
+        *("released", "taken_before"),
     )
     recovers = True
 

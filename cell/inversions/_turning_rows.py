@@ -36,6 +36,9 @@ UNDITHERED = 35
 MAY_BEAR_KPA, LOOKS_AT_REST = 36, 37
 """first rows of :mod:`._onset`: standard deviation by a load that may have begun to rise while the cell recovers; looks
 since the recovering cell was taken for one at rest, negative where such a load was taken over"""
+RELEASED_KPA, TAKEN_BEFORE_KPA2 = 120, 121
+"""rows of :mod:`._recovery` behind those of :mod:`._sway`: pressure from which a recovering cell has fallen; and square
+of what earlier rests have subtracted"""
 
 IN_FORCE, STATE = slice(RISING_IN_FORCE, RECOVERY_IN_FORCE + 1), slice(RISING_KPA, STATE_END)
 """1 in the row of the hypothesis in force; the state of both hypotheses, :data:`HYPOTHESES`"""
