@@ -92,7 +92,8 @@ def test_gaps_of_different_lengths_are_held_as_one_by_one(kind: str) -> None:
     for ohm in read:
         found = together.step(DT, ohm)
         apart = [estimator.step(DT, ohm[[place]]).item() for place, estimator in enumerate(alone)]
-        assert found == pytest.approx(apart, rel=1e-12, abs=1e-12)
+        # A matrix product rounds otherwise for three cells than for one, and pressures remember that.
+        assert found == pytest.approx(apart, rel=1e-11, abs=1e-11)
 
 
 @pytest.mark.parametrize("noise_mv", [0.1, 10.0])
