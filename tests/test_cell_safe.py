@@ -169,6 +169,29 @@ def test_a_press_right_after_taps_stays_for_as_long_as_it_is_held(volts: float) 
     assert z.max() < 2.5
 
 
+@pytest.mark.parametrize(("noise", "error", "most_left"), [(0.006, 0.08, 0.1), (0.008, 0.15, 0.75)])
+def test_a_finger_that_rubs_to_and_fro_is_followed(noise: float, error: float, most_left: float) -> None:
+    """A third of full scale for 90 ms (half of the height), every 0.4 s for 10 s, in such noise of a reading.
+
+    A line of readings that may have overshot must be old before a fall is taken for that, or else releases are missed
+    and the next rub adds to what seems to be held: half of full scale was left in 0.6 % of noise.
+    """
+    dt, full, count = 1 / 60, EXAMPLE.full_scale_kpa, 3 * COUNT
+    time, rng = np.arange(0, 18, dt)[:, None], np.random.default_rng(0)
+    first = 2.3 + rng.uniform(0, 0.4, count)
+    since = (time - first + 0.2) % 0.4 - 0.2
+    load = 0.35 * full * np.exp(-0.5 * (since / 0.0382) ** 2) * ((time > first - 0.2) & (time < first + 9.8))
+    read = EXAMPLE.forward((count,)).run(np.full(len(time), dt), load)
+    pressure, std = estimated(EXAMPLE, read * (1 + noise * rng.standard_normal(load.shape)), dt=dt)
+    rubbed = (time > 2) & (time < first + 9.8)
+    within = (np.abs(pressure - load) < 2 * std)[rubbed].mean()
+    rmse, left = np.sqrt(np.mean((pressure - load)[rubbed] ** 2)), pressure[(time > first + 11.3).all(axis=1)].max()
+    print(f"{100 * within:.1f} % within 2 sd; {100 * rmse / full:.1f} % FS rms, {100 * left / full:.1f} % left")
+    assert within > 0.975
+    assert rmse < error * full
+    assert left < most_left * full
+
+
 @pytest.mark.parametrize(("own", "volts"), [(False, 3e-4), (False, 1e-3), (False, 3e-3), (True, 1e-4), (True, 1e-3)])
 def test_a_press_that_rises_slowly_while_a_cell_recovers_is_no_rest(own: bool, volts: float) -> None:
     """As above, but the presses rise within 0.5 to 3 s.

@@ -68,7 +68,7 @@ DRIFTS = 2.0
 OVERSHOOT = 3.0
 """standard deviations of a reading by which the smoothing's line may go beyond a rising load that stops: readings must
 depart from it by some before a new line begins. No fall that is less is a turn for sure"""
-OLD = 2.0 * RECENT
+OLD = 3.0 * RECENT
 """readings of a line from which this is reckoned with: the end of a shorter one is as uncertain itself"""
 PEAK_FADES = 0.15
 """share of the way, from one look to the next, by which the peak goes down to the extreme. The largest of the noisy
