@@ -117,7 +117,7 @@ def test_a_load_on_whole_columns_is_no_noise(columns: int, kpa: float) -> None:
     load = np.interp(time_s, [2.0, 2.2], [0.0, 1.0])[:, None, None] * plate
     pressure, std = stepped(told(CELL.estimator((8, 8))), loaded(load) * (1.0 + own + shared))
     off = np.abs(pressure - load)[:, :, :columns]
-    assert np.mean(off[250:] < 0.1 * kpa + 3.0 * 0.1) > 0.93
+    assert np.mean(off[250:] < 0.1 * kpa + 3.0 * 0.1) > 0.91
     assert np.mean(off[200:] < 2.0 * std[200:, :, :columns]) > 0.98
 
 
