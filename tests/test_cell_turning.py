@@ -1,5 +1,7 @@
 """The paper's cell inverted by where the pressure turns: what the sign of dr/dt misreads, noise, wrong parameters."""
 
+import re
+
 import numpy as np
 import pytest
 from cells import EXAMPLE, FULL, sense
@@ -14,6 +16,7 @@ from ohmskin.cell.estimation._estimator import Estimator
 from ohmskin.cell.estimation._inversion import Inversion
 from ohmskin.cell.estimation._neighbours import Neighbours
 from ohmskin.cell.inversions import _doubts as doubts
+from ohmskin.cell.inversions import _turning_rows as turning_rows
 from ohmskin.cell.inversions._switched import SwitchedInversion
 from ohmskin.cell.inversions._turning import TurningInversion
 from ohmskin.cell.inversions._turning_rows import MemoryRows
@@ -22,6 +25,13 @@ MODEL = EXAMPLE.model
 assert isinstance(MODEL, PaperModel)
 REST = np.array([EXAMPLE.rest_resistance_ohm])
 NOISE = 0.005
+
+
+@pytest.mark.parametrize("name", ["recent_extreme", "forgotten_kpa", "undithered", "released_kpa", "taken_before_kpa2"])
+def test_rows_behind_those_of_a_room_are_where_their_numbers_say(name: str) -> None:
+    """A row that is added before them moves them, and no type tells."""
+    places = {re.sub("_kpa2?$", "", row): place for place, row in enumerate(TurningInversion.rows)}
+    assert getattr(turning_rows, name.upper()) == places[re.sub("_kpa2?$", "", name)]
 
 
 def rmse(inversion: Inversion, noise: float | None, read: np.ndarray, load: np.ndarray, dt: float) -> float:

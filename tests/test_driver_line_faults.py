@@ -69,7 +69,8 @@ def taken(
     volts = scan_batch(design, ohms).volts
     if fault:
         volts[BEGIN:end] = scan_batch(design.replace(fault=[fault]), ohms[BEGIN:end]).volts
-    codes = adc_codes(design, volts + draw.normal(scale=0.5 * design.adc.step, size=volts.shape))  # type: ignore[union-attr]
+    assert design.adc is not None
+    codes = adc_codes(design, volts + draw.normal(scale=0.5 * design.adc.step, size=volts.shape))
     read, lines = CountReader(design), LineFaults(rest_ohm, Creep(cell), rest_known=True)
     found = []
     for frame, counts in enumerate(codes):

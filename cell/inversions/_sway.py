@@ -26,6 +26,7 @@ from ..estimation import FAR, GAIN, PRESSURE, RECENT, RESTED, VARIANCE
 from ..materials import PaperModel
 from . import _together as together
 from . import _way as way
+from ._onset import CLEAR_KPA
 from ._paper_steps import fast_r, numbered
 from ._together import KNOWN, WEIGHTED, weights_of
 from ._together import look_of as told_beside_of
@@ -48,6 +49,8 @@ from ._turning_rows import (
     THIRD_LAST,
     TURNED,
     X2,
+    by_steps,
+    by_steps_of,
 )
 from ._way import forget_of, look_of, tell_of
 
@@ -70,7 +73,7 @@ NAMES = (
 what :mod:`._together` sums up. Then 1 where the load rose at the last look, -1 where it fell; r then, and the largest
 since the load turned, or the least; r less all by which it went beyond these; looks since an edge; the way that is
 told, and that which may be, less that of turns"""
-LOOKS = 46
+LOOKS = CLEAR_KPA + 1
 SERIES = LOOKS + 1
 SERIES_BESIDE = SERIES + way.ALL_SERIES
 SQUARES = SERIES + 3 * way.ALL_SERIES
@@ -158,8 +161,7 @@ def look(
         near: (k, m) neighbours, see :class:`..estimation._neighbours.Neighbours`.
         numbers: :func:`constants`.
     """
-    scale = memory[STATE_END - 1] + _ONE
-    noise = np.maximum(noise, scale * scale * steps)
+    noise = np.maximum(noise, by_steps(memory, steps))
     sign, extreme, unexplained = memory[SIGN], memory[EXTREME_R], memory[UNEXPLAINED_R]
     turned = sign != memory[SIGN_BEFORE]
     gone = mean - extreme
@@ -296,8 +298,7 @@ def look_each(
 @loop
 def noise_of(memory: Rows, i: int, noise: float, steps: float) -> float:
     """Standard deviation of a reading of cell ``i``, no less than by ``steps``."""
-    scale: float = memory[STATE_END - 1, i] + 1.0
-    return max(noise, scale * scale * steps)
+    return max(noise, by_steps_of(memory, i, steps))
 
 
 @loop

@@ -69,6 +69,20 @@ _CONFIRMED = np.array([CONFIRMED_FALL, CONFIRMED_RISE])
 _ZERO, _SURE = np.array(0.0), np.array(SURE)
 
 
+def by_steps(memory: FloatArray, steps: float | FloatArray) -> FloatArray:
+    """(m,) standard deviation of r by steps of the ADC, which make ``steps`` of r at rest."""
+    scale = memory[STATE_END - 1] + 1.0
+    found: FloatArray = scale * scale * steps
+    return found
+
+
+@loop
+def by_steps_of(memory: Rows, i: int, steps: float) -> float:
+    """:func:`by_steps` of cell ``i``."""
+    scale: float = memory[STATE_END - 1, i] + 1.0
+    return scale * scale * steps
+
+
 class Beside:
     """What the loops write beside one ``memory`` (rows, m)."""
 

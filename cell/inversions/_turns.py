@@ -36,12 +36,13 @@ from ._turning_rows import (
     RISING_KPA,
     SIGN,
     SPARE,
-    STATE_END,
     SURE,
     THIRD_LAST,
     UNDITHERED,
     UNSURE,
     MemoryRows,
+    by_steps,
+    by_steps_of,
 )
 
 TURN, LIGHT_TURN, TURN_SHARE = 0.01, 0.002, 0.02
@@ -132,8 +133,7 @@ def look(of: MemoryRows, std: FloatArray, numbers: tuple[FloatArray, ...]) -> No
 def look_at_steps(memory: FloatArray, noise: FloatArray, numbers: tuple[FloatArray, ...]) -> None:
     """Take the ``noise`` (m,) of a reading, steps and all: what it leaves of steps; changes ``memory`` (rows, m)."""
     if numbers[OWN_STEPS].item() > 0.0:
-        scale = memory[STATE_END - 1] + 1.0
-        ratio = noise / (scale * scale * numbers[OWN_STEPS])
+        ratio = noise / by_steps(memory, numbers[OWN_STEPS])
         left = 1.0 / (1.0 + np.maximum(ratio * ratio - 1.0, _ZERO) * DITHER)
         left *= left
         memory[UNDITHERED] = left * left
@@ -159,10 +159,9 @@ def _seeming(of: MemoryRows, numbers: tuple[FloatArray, ...]) -> FloatArray:
 def _doubt_falls(of: MemoryRows, std: FloatArray, steps: FloatArray) -> None:
     """Let a load that seems to fall, and not to none, fall by more than steps of the ADC; changes the threshold."""
     other = (of.pressures * of.not_in_force).sum(axis=0)
-    scale = of.r + 1.0
-    by_steps = scale * scale * steps * of.undithered
-    falls = (of.sign > 0.0) & (other > np.maximum(by_steps, std) * of.other_gain * STILL)
-    of.threshold += np.where(falls, np.maximum(by_steps - std, 0.0) * of.gain * (SURE + LESS), 0.0)
+    stepped = by_steps(of.memory, steps) * of.undithered
+    falls = (of.sign > 0.0) & (other > np.maximum(stepped, std) * of.other_gain * STILL)
+    of.threshold += np.where(falls, np.maximum(stepped - std, 0.0) * of.gain * (SURE + LESS), 0.0)
 
 
 def gone_back(of: MemoryRows, numbers: tuple[FloatArray, ...]) -> BoolArray:
@@ -247,8 +246,7 @@ def look_at_steps_each(memory: Rows, noise: Row, numbers: Row) -> None:
     if not numbers[OWN_STEPS] > 0.0:
         return
     for i in range(noise.size):
-        scale = memory[STATE_END - 1, i] + 1.0
-        ratio = noise[i] / (scale * scale * numbers[OWN_STEPS])
+        ratio = noise[i] / by_steps_of(memory, i, numbers[OWN_STEPS])
         left = 1.0 / (1.0 + max(ratio * ratio - 1.0, 0.0) * DITHER)
         left *= left
         memory[UNDITHERED, i] = left * left
@@ -281,10 +279,9 @@ def look_of(memory: Rows, i: int, std: float, of: Rows, numbers: Row) -> bool:
     of[UNSURE, i], of[AHEAD, i], of[SPARE, i], of[NOISE, i] = unsure, ahead, back, noise
     seeming = seeming_of(memory, i, unsure, numbers)
     if numbers[STEPS] > 0.0 and sign > 0.0:
-        scale = memory[STATE_END - 1, i] + 1.0
-        by_steps = scale * scale * numbers[STEPS] * memory[UNDITHERED, i]
-        if other > max(by_steps, std) * of[OTHER_GAIN, i] * STILL:
-            seeming += max(by_steps - std, 0.0) * memory[GAIN, i] * (SURE + LESS)
+        stepped = by_steps_of(memory, i, numbers[STEPS]) * memory[UNDITHERED, i]
+        if other > max(stepped, std) * of[OTHER_GAIN, i] * STILL:
+            seeming += max(stepped - std, 0.0) * memory[GAIN, i] * (SURE + LESS)
     least = turn_from_of(memory[EXTREME, i], numbers) + unsure * SURE
     gone_back = memory[EXTREME, i] - ahead > least + seeming
     least = numbers[LIGHT_KPA] + unsure * FALLING
