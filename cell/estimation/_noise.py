@@ -302,7 +302,7 @@ class NoiseMeter:
         self._told[: COMMON + 1] += sums
 
     def _find_multiplicative(self) -> None:
-        """Renew the multiplicative share after a look: none, where noise or an error of that at rest may be the cause."""
+        """Renew the multiplicative share: none, where chance or an error of the noise at rest may be the cause."""
         weight, found, common, lately, by_rest = self._told.tolist()
         if not weight:
             return
@@ -470,7 +470,8 @@ class NoiseMeter:
         of_array = state["noise_of_array"].tolist()
         self.typical, self.own, self._shared, self.quiet, self._passes_below, by_all = of_array
         self._looks, self._seen, self._any_blind = int(looks), int(seen), int(any_blind)
-        self.multiplicative, self._told = state["noise_multiplicative"].item(0), state["noise_multiplicative"][1:].copy()
+        self._told = state["noise_multiplicative"].copy()
+        self.multiplicative, self._told = self._told.item(0), self._told[1:]
         self.at_rest = state["noise_at_rest"]
         self.resolve(state["noise_resolution"], by_all)
 
@@ -537,8 +538,8 @@ def average(
 ) -> None:
     """:meth:`NoiseMeter._average`, of third differences (n,) that are not squared yet, as a loop over cells.
 
-    Cells keep their variance that are ``blind`` (n,) for more than ``since`` frames to come. Adds to what is ``told`` (3,)
-    of multiplicative noise, as :meth:`NoiseMeter._tell`.
+    Cells keep their variance that are ``blind`` (n,) for more than ``since`` frames to come. Adds to what is ``told``
+    (5,) of multiplicative noise, as :meth:`NoiseMeter._tell`.
     """
     uncut = UNCUT if passes_below > 0.0 else 1.0
     tell, weights, found, common = 0, 0.0, 0.0, 0.0
@@ -578,8 +579,8 @@ def std_at_rest(
 ) -> None:
     """Standard deviations (n,) of r at rest from the variances of the noise, as a loop over cells.
 
-    ``excess`` (n,) is what shared noise adds to them, where the cells read ``r`` (n,). Of which ``multiplicative`` noise
-    is the less, the more they read.
+    ``excess`` (n,) is what shared noise adds to them, where the cells read ``r`` (n,). Of a reading, ``multiplicative``
+    noise makes the less, the larger it is.
     """
     for i in range(std.size):
         std[i] = math.sqrt(variance[i] + LEAST_VARIANCE)
