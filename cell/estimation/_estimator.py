@@ -338,7 +338,9 @@ class Estimator:
         self._flush()
         if known is not None or self._gaps.open:
             self._part(wanted)
-        self._sleep.follow(remembered.follow(wanted))
+        cells = remembered.follow(wanted)
+        self._sleep.follow(cells)
+        self._deviation.follow(cells)
 
     def _part(self, wanted: BoolArray) -> None:
         """Bring up the memory of cells that are read again, and of those that are not read any more."""
