@@ -16,6 +16,8 @@ from ohmskin.verification import _chain, _report
 
 pytest_plugins = ["ohmskin.hil.plugin"]  # also where the installed entry point is older than the source
 
+os.environ.setdefault(compiled.SWITCH, "checked")  # an array of another type than a loop states is a failure
+
 # A busy machine is no failure, and a failure must come again.
 settings.register_profile("ohmskin", deadline=None, derandomize=True)
 settings.load_profile("ohmskin")

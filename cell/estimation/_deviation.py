@@ -72,7 +72,7 @@ class Asleep(NamedTuple):
     def add_to(self, variance: FloatArray, reading: FloatArray, *, compiled: bool) -> None:
         """Add what the present readings (n,) leave open to variances (n,) in kPa^2."""
         if compiled:
-            loops.add_asleep.code(variance, reading, self.cells, self.per_reading, self.hidden_kpa)
+            loops.add_asleep.unchecked(variance, reading, self.cells, self.per_reading, self.hidden_kpa)
             return
         std = np.abs(reading.take(self.cells))
         std *= self.per_reading
@@ -172,7 +172,7 @@ class Deviation:
     def show_compiled(self, block: Block, added: FloatArray, pressure: FloatArray) -> None:
         """:meth:`show` by machine code, which writes the pressures into those of all cells (n,)."""
         variance = self._variance.copy()
-        loops.show.code(
+        loops.show.unchecked(
             *(block.memory, block.line, block.taken, added, self._numbers, self._rest_at_kpa, self._rest_variance),
             *(block.cells, pressure, variance),
         )
@@ -192,7 +192,7 @@ class Deviation:
         self._variance = self._variance.copy()
         if self.compiled:
             per_reading, hidden_kpa = np.empty((2, asleep.size))
-            loops.watch_over.code(
+            loops.watch_over.unchecked(
                 *(asleep, remembered.memory, sleep.mean, noise.at_rest, sleep.band, self._numbers),
                 *(self._rest_at_kpa, self._rest_variance, sleep.wake_at, per_reading, hidden_kpa, self._variance),
             )

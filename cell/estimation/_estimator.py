@@ -421,7 +421,7 @@ class Estimator:
             InputError: the state is not one of this estimator for cells of this shape.
         """
         expected = self.state()
-        given = {name: np.array(value, dtype=np.float64) for name, value in state.items()}
+        given = {name: np.array(value, dtype=np.float64, order="C") for name, value in state.items()}
         if {name: value.shape for name, value in expected.items()} != {n: v.shape for n, v in given.items()}:
             raise InputError(f"not a saved state of this estimator for cells of shape {self.shape}")
         self._pressure, self._readings = given["pressure"], given["readings"]
