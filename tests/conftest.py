@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import signal
 from collections.abc import Iterator
 from contextlib import suppress
@@ -17,6 +18,8 @@ from ohmskin.driver import Skin, discover
 from ohmskin.verification import _chain, _report
 
 pytest_plugins = ["ohmskin.hil.plugin"]  # also where the installed entry point is older than the source
+
+os.environ.setdefault(compiled.SWITCH, "checked")  # an array of another type than a loop states is a failure
 
 # A busy machine is no failure, and a failure must come again.
 settings.register_profile("ohmskin", deadline=None, derandomize=True)
