@@ -7,9 +7,9 @@ with a rise of resistance has no such cell; there the inverse is refused.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,17 +21,18 @@ from ..estimation import (
     DOUBT,
     GAIN,
     LOADS,
+    NOISE,
     PRESSURE,
-    RECENT,
     USUAL,
     VARIANCE,
     WINDOW,
     Inversion,
     credible_readings,
+    recent_means_each,
 )
 from ..materials import AsymmetricModel, ByStep, M10Model, as_m10, lag
+from . import _chains as chains
 from . import _inverse_loops as loops
-from . import _unseen_path as unseen_path
 
 LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED, WENT_UP, FURTHEST = (
     3,
@@ -45,11 +46,10 @@ LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED, WENT_UP, FURTHEST
     14,
     15,
 )
-"""rows of the memory: the anchor is the load behind a play as wide as the noise; then come the last two steps of the
-load, variances in r of what is remembered of the branches and of the broken chains, the r of chains that may have
-broken unseen, 1 if the load left its play upwards, else 0, and the load up to which chains have broken then"""
-UNSEEN = slice(FURTHEST + 1, FURTHEST + 1 + len(unseen_path.NAMES))
-"""rows of :mod:`._unseen_path`"""
+"""rows of the memory, before those of :mod:`._chains`: the anchor is the load behind a play as wide as the noise; then
+come the last two steps of the load, variances in r of what is remembered of the branches and of the broken chains, the
+r of chains that may have broken unseen, 1 if the load left its play upwards, else 0, and the load up to which chains
+have broken then"""
 BETWEEN, AROUND, TO_AND_FRO = 0.58, 0.5, 0.6
 """the first, of a bend of the load (its change of change between frames), makes the standard deviation of a lag over
 ramp (1 - ramp), as the load may go straight or by a step. The others, of its way in the frame after a turn, make the
@@ -159,7 +159,7 @@ class AsymmetricInversion(Inversion):
     rows = (
         *("pressure", "gain", "variance", "load", "branch1", "branch2", "broken", "anchor", "moved", "moved_before"),
         *("error1", "error2", "broken_error", "missed", "went_up", "furthest"),
-        *unseen_path.NAMES,
+        *chains.NAMES,
     )
 
     def __init__(
@@ -190,6 +190,8 @@ class AsymmetricInversion(Inversion):
         self._reach = self._loads_within_reach()
         self._weights = ByStep(_weights, self.model)
         self._model_numbers = self._numbers_of_inverse()
+        of_full_scale = partial(chains.constants, full_scale_kpa=full_scale_kpa, full_scale_r=self.full_scale_r)
+        self._chains = ByStep(of_full_scale, self.model)
         self._of, self._crossed = np.empty((loops.ROWS, 0)), np.empty(0, dtype=np.intp)
         self.seeming = WINDOW * self.model.k / full_scale_kpa
         self.recovers = self.model.k > 0 and not exact
@@ -201,7 +203,7 @@ class AsymmetricInversion(Inversion):
         memory = np.zeros((len(self.rows), *r.shape))
         memory[PRESSURE], memory[LOAD], memory[BRANCHES] = s * self.full_scale_kpa, s, self._alpha * s
         memory[GAIN], memory[ANCHOR], memory[WENT_UP], memory[FURTHEST] = self.full_scale_kpa / slope, s, 1.0, s
-        unseen_path.begin(memory[UNSEEN], r)
+        chains.begin(memory)
         return memory
 
     def advance(
@@ -244,11 +246,11 @@ class AsymmetricInversion(Inversion):
         up = change > 0  # r rises with the load, so that this is also the sign of the step
         charging = ahead | ((lead == 0) & up)
         follows = np.where(charging, alpha * ramp[:2], alpha * ramp[2:4])
-        width = STILL_SIGMAS * std * memory[GAIN] / self.full_scale_kpa
+        still = np.maximum(slope + follows[0] + follows[1], 1e-9)
+        width = STILL_SIGMAS * std / still
         went_up = up
         if not self.exact and m.k:
-            still = slope + follows[0] + follows[1]
-            moves = np.abs(s0 + change / np.maximum(still, 1e-9) - memory[ANCHOR]) > width
+            moves = np.abs(s0 + change / still - memory[ANCHOR]) > width
             breaking = np.where(moves, breaking, 0.0)
             # A load that has turned has crossed its play, and broken chains there. One that goes on after noise took it
             # back has broken them before, up to where it was.
@@ -288,7 +290,8 @@ class AsymmetricInversion(Inversion):
         return step, branches
 
     def loops_used(self) -> tuple[Loop[..., Any], ...]:
-        return loops.ALL
+        looks = (recent_means_each, *chains.LOOPS) if self.recovers else ()
+        return *loops.ALL, *looks
 
     def _numbers_of_inverse(self) -> FloatArray:
         """What the loops take."""
@@ -370,14 +373,24 @@ class AsymmetricInversion(Inversion):
         count: FloatArray,
         near: IntArray,
     ) -> None:
-        """Count as standard deviation what chains loads may break that tremble (:mod:`._unseen_path`)."""
-        m, load = self.model, memory[LOAD]
-        kept = math.exp(-RECENT * dt_s / m.tau_s)
-        way, counted = unseen_path.look(memory[UNSEEN], mean, noise, memory[BROKEN], kept)
-        slope = np.maximum(m.a + 2 * m.b * load, 0.05 * self.full_scale_r)
-        # A load of none has nothing to go back.
-        trembles = load > STILL_SIGMAS * noise / self.full_scale_r
-        memory[MISSED] += np.where(trembles, np.maximum(m.k * way / slope - counted, 0.0), 0.0)
+        """Count chains that loads break unnoticed (:mod:`._chains`)."""
+        chains.look(memory, mean, noise, near, self._chains.of(dt_s))
+
+    def recover_compiled(
+        self,
+        memory: FloatArray,
+        taken: FloatArray,
+        dt_s: float,
+        line: FloatArray,
+        ring: FloatArray,
+        newest: int,
+        cells: IntArray,
+        near: IntArray,
+    ) -> None:
+        """The same by loops."""
+        of, mean, seen = self._chains.of(dt_s), np.empty(cells.size), np.empty((chains.SEEN, cells.size))
+        recent_means_each.code(ring, newest, cells, mean)
+        chains.look_each.code(memory, mean, taken[NOISE], near, of.row, of.way.rows, seen)
 
     def _limit(self, memory: FloatArray, r: FloatArray, std: FloatArray) -> None:
         """Keep loads within what is believed, and correct the memory to the reading ``r`` (n,) instead.

@@ -62,11 +62,11 @@ def solve(memory: Rows, taken: Rows, gone: Row, ramp: Row, numbers: Row, of: Row
             lead = alpha * s0 - memory[BRANCH + j, i]
             charging = lead > 0.0 or (lead == 0.0 and up)
             of[FOLLOWS + j, i] = alpha * ramp[j] if charging else alpha * ramp[2 + j]
-        width = numbers[STILL] * std * memory[GAIN, i] / numbers[FULL_KPA]
+        still = max(slope + of[FOLLOWS, i] + of[FOLLOWS + 1, i], 1e-9)
+        width = numbers[STILL] * std / still
         went_up = up
         if k != 0.0:
-            still = slope + of[FOLLOWS, i] + of[FOLLOWS + 1, i]
-            moves = abs(s0 + change / max(still, 1e-9) - anchor) > width
+            moves = abs(s0 + change / still - anchor) > width
             # A load that has turned has crossed its play, and broken chains there. One that goes on after noise took it
             # back has broken them before, up to where it was.
             went_up = memory[WENT_UP, i] > 0.0
