@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,8 @@ import pytest
 
 from ohmskin.arrays import FloatArray
 from ohmskin.circuits import Design, Reason, adc_codes, scan
+from ohmskin.circuits._exact import read_exactly
+from ohmskin.circuits.recovery._coupled_board import CoupledBoard
 from ohmskin.driver import CountReader, Reading
 
 BOARDS = {
@@ -73,6 +76,33 @@ def test_a_broken_line_leaves_the_other_cells(name: str, fault: dict[str, Any], 
     assert behind[2, 1:].all() if fault is ROW else behind[:7, 2].all()
     assert during.uncertainty[during.valid].min() < 0.2, "cells that share no line with the break are known as before"
     assert (readings[AFTER[-1]].uncertainty < 0.05).all()
+
+
+@pytest.mark.parametrize("segment", [0.0, 0.5])
+@pytest.mark.parametrize("place", [0, 3])
+@pytest.mark.parametrize("name", ["divider", "floating amplifiers"])
+def test_a_model_with_a_broken_line_is_that_of_a_board_with_one(name: str, place: int, segment: float) -> None:
+    """Against the exact solver with an open wire: at the driver or the end, and between crosspoints."""
+    array = {"rows": 8, "columns": 8, "row_lead": 25.0, "column_lead": 5.0}
+    array |= {"row_segment": segment, "column_segment": segment}
+    parts = CoupledBoard(board(name).replace(array=array).board)
+    row_ohms, column_ohms, column_lead = (
+        ohms.copy() for ohms in (parts.board.row_ohms, parts.board.column_ohms, parts.board.column_lead)
+    )
+    beyond = np.zeros((8, 8), dtype=np.bool_)
+    if name == "divider":
+        row_ohms[1, place], beyond[1, place:] = np.inf, True
+    elif place:
+        column_ohms[place, 1], beyond[:place, 1] = np.inf, True
+    else:
+        column_lead[1], beyond[:, 1] = np.inf, True
+    resistance = 10 ** np.random.default_rng(1).uniform(3.5, 5.5, (8, 8))
+    model = parts.quick.broken(row_ohms, column_ohms, column_lead)
+    broken = replace(parts.board, row_ohms=row_ohms, column_ohms=column_ohms, column_lead=column_lead)
+    exact = read_exactly(broken, resistance)[0].volts
+    np.testing.assert_allclose(model(resistance)[~beyond], exact[~beyond], rtol=1e-4)
+    sound = np.abs(parts.quick(resistance)[~beyond] / exact[~beyond] - 1.0)
+    assert sound.max() > 1e-2, "the break changes other readings"
 
 
 @pytest.mark.parametrize("name", list(BOARDS))

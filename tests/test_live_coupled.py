@@ -158,8 +158,8 @@ def test_what_a_frame_does_is_within_its_account(monkeypatch: pytest.MonkeyPatch
         monkeypatch.setattr(owner, name, noted)
 
     note(CoupledBoard, "at", CoupledBoard.price)
-    note(BrokenLines, "_breaks", lambda lines, *_: lines._price)
-    note(BrokenLines, "_take_ratio", lambda lines, *_: lines._price)
+    note(BrokenLines, "_breaks", lambda lines, *given: lines._price(given[-1]))
+    note(BrokenLines, "_take_ratio", lambda lines, cells, *_: lines._price(cells))
     note(Linearised, "renew", lambda _, renewal: renewal.price)
     note(Linearised, "_by_lines", lambda linearised, *_: linearised.prices.lines)
     note(ColumnScales, "_told", lambda scales, *_: scales._prices.told)

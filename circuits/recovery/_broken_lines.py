@@ -18,14 +18,12 @@ twice the conductance.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import inf
 
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray
 from ...errors import SolverError
-from .._exact import read_exactly
 from ._coupled_board import CoupledBoard
 from ._frame_budget import Budget
 from ._linearised import Base
@@ -44,9 +42,9 @@ class BrokenLines:
     """The lines of one board that have broken since it was first read. Arrays are (N, M) in line coordinates."""
 
     def __init__(self, parts: CoupledBoard, price: float) -> None:
-        """For a board on which a comparison has this price."""
+        """For a board on which a comparison has this price beside that of its two models."""
         board, circuit = parts.board, parts.board.circuit
-        self._parts, self._price = parts, price
+        self._parts, self._besides_models = parts, price
         self._columns_tie = board.floating
         self._rows_tie = not circuit.has_amplifiers and circuit.columns_one_by_one(board)
         sound = parts.sheet is None and not board.faults and not circuit.drives_idle_lines
@@ -57,7 +55,7 @@ class BrokenLines:
         self.beyond: BoolArray | None = None
         """cells beyond breaks; None: no line is broken"""
         self._held: FloatArray = np.zeros(parts.shape)  # logarithms of conductances, where a cell is beyond a break
-        self._broken = board
+        self._broken = parts.quick
         self._ratio: FloatArray = np.ones(parts.shape)  # of readings, with open cells to those beyond a break
         self._at: FloatArray | None = None  # (n,) logarithms for which that holds
 
@@ -83,9 +81,10 @@ class BrokenLines:
         if self.beyond is None:
             return volts
         if self._at is None or bool((np.abs(last - self._at) > np.maximum(_SERVES, _NOISE * std)).any()):
-            if not budget.compare(self._price):
+            cells = np.where(self.beyond, self._held, last.reshape(self._parts.shape))
+            if not budget.compare(self._price(cells)):
                 return None
-            self._take_ratio(last)
+            self._take_ratio(cells, self.beyond, last)
         corrected: FloatArray = self._parts.board.level + signal * self._ratio
         return corrected
 
@@ -116,7 +115,8 @@ class BrokenLines:
             return True
         held, self._at = np.where(known, self._held, last), None
         if (beyond & ~known).any():
-            if not budget.compare(self._price):
+            self._break(beyond)
+            if not budget.compare(self._price(held)):
                 return False
             if self._breaks(signal, beyond, low, held):
                 self._at = last.ravel()  # of the ratio that this has told
@@ -151,7 +151,6 @@ class BrokenLines:
             cells: logarithms of the conductances before.
 
         """
-        self._break(beyond)
         try:
             if_broken = self._through_breaks(cells)
         except SolverError:
@@ -165,7 +164,7 @@ class BrokenLines:
         return found
 
     def _break(self, beyond: BoolArray) -> None:
-        """Make the board whose lines are broken where cells ``beyond`` begin."""
+        """Make the model whose lines are broken where cells ``beyond`` begin."""
         board = self._parts.board
         row_ohms, column_ohms, column_lead = board.row_ohms.copy(), board.column_ohms.copy(), board.column_lead.copy()
         if self._rows_tie:
@@ -179,21 +178,30 @@ class BrokenLines:
                     column_ohms[count[column], column] = inf
                 else:
                     column_lead[column] = inf
-        self._broken = replace(board, row_ohms=row_ohms, column_ohms=column_ohms, column_lead=column_lead)
+        self._broken = self._parts.quick.broken(row_ohms, column_ohms, column_lead)
 
-    def _take_ratio(self, last: FloatArray) -> None:
-        """Compare the models of the sound board and of the broken one at logarithms (n,) of conductances."""
-        assert self.beyond is not None, "a line is broken"
-        cells = np.where(self.beyond, self._held, last.reshape(self._parts.shape))
+    def _price(self, cells: FloatArray) -> float:
+        """What it costs to compare the models of the sound board and of the broken one, at logarithms (N, M)."""
+        return self._besides_models + self._parts.price(cells) + self._broken.price(np.exp(-cells))
+
+    def _take_ratio(self, cells: FloatArray, beyond: BoolArray, last: FloatArray) -> None:
+        """Compare the models of the sound board and of the broken one.
+
+        Args:
+            cells: logarithms of the conductances, also where they are ``beyond`` a break.
+            beyond: these cells.
+            last: (n,) logarithms for which this is done.
+
+        """
         try:
             through = self._through_breaks(cells)
         except SolverError:
             return
-        self._at, self._ratio = last, _ratio(self._if_open(cells, self.beyond), through, ~self.beyond)
+        self._at, self._ratio = last, _ratio(self._if_open(cells, beyond), through, ~beyond)
 
     def _through_breaks(self, cells: FloatArray) -> FloatArray:
         """V of the broken board, for logarithms of conductances."""
-        volts: FloatArray = read_exactly(self._broken, np.exp(-cells))[0].volts - self._parts.board.level
+        volts: FloatArray = self._broken(np.exp(-cells)) - self._parts.board.level
         return volts
 
     def _if_open(self, cells: FloatArray, open_cells: BoolArray) -> FloatArray:

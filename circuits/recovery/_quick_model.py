@@ -14,6 +14,8 @@ What the readout makes of either network is the circuit's to say (:meth:`.Readou
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import copy
+from dataclasses import replace
 from enum import Enum, auto
 
 import numpy as np
@@ -30,6 +32,7 @@ from ._port_derivatives import AnyLines, Branches, IdealLines, PortDerivatives
 _AT_ONCE = 4096  # derivatives that are made together, if those of one row are fewer
 _SOME_OHM = 1e4
 _LIGHT = 0.25  # largest loss in the lines for which sweeps are good to a percent
+_BREAK_OHM = 1e9  # of a wire that is broken: far above cells, and such that a dense system keeps ten digits beside them
 
 
 class _Way(Enum):
@@ -66,6 +69,24 @@ class QuickModel:
         self.fixed_price = None if varies else self.usual_price
         """what those of any cells cost; None: it depends on the cells"""
 
+    def broken(self, row_ohms: FloatArray, column_ohms: FloatArray, column_lead: FloatArray) -> QuickModel:
+        """The model of the same board with other wires, as :class:`.Parts` has them; inf is a break.
+
+        Lines that break at their driver or end leave a grid with ideal lines one.
+        """
+        other = copy(self)
+        other._board = replace(
+            self._board,
+            row_ohms=np.minimum(row_ohms, _BREAK_OHM),
+            column_ohms=np.minimum(column_ohms, _BREAK_OHM),
+            column_lead=np.minimum(column_lead, _BREAK_OHM),
+        )
+        other._lead = np.ascontiguousarray(other._board.row_ohms[:, 0])
+        other.is_quick = self.is_quick and has_ideal_lines(other._board.lines)
+        if not other.is_quick:
+            other._lines, other.fixed_price = LineResistance(other._board), None
+        return other
+
     def price(self, cells: FloatArray) -> float:
         """What the readings of ``cells`` (N, M) in ohm cost, see :mod:`._frame_account`."""
         size = cells.size
@@ -75,13 +96,17 @@ class QuickModel:
             return 45.0 + 0.13 * size if self._board.floating else 20.0 + 0.06 * size
         if self._lines.can_solve(self._board.cell_conductance(cells)):
             return 45.0 + 0.5 * size + 0.01 * size**2
-        return 280.0 + 1.1 * size
+        return self._dissection_price(size)
+
+    def most_price(self, size: int) -> float:
+        """What the readings of any so many cells cost at most, also where a line has broken."""
+        return self._dissection_price(size) if self.has_network else self.exact_price(size)
 
     def exact_price(self, size: int) -> float:
         """What an exact solution with so many cells costs."""
         if self._board.floating:
             return 600.0 + 11.0 * size
-        return 350.0 + 0.3 * size + (0.0 if has_ideal_lines(self._board.lines) else 280.0 + 1.1 * size)
+        return 350.0 + 0.3 * size + (0.0 if has_ideal_lines(self._board.lines) else self._dissection_price(size))
 
     def sparse_price(self, size: int) -> float:
         """What a sparse factorisation with so many cells costs, the dearest way of :meth:`branches`."""
@@ -95,6 +120,10 @@ class QuickModel:
         if way is _Way.SWEPT:
             return 160.0 + 0.12 * size * float(np.sqrt(size))
         return 15.0 if way is _Way.IDEAL else 15.0 + 0.5 * size + 0.01 * size**2
+
+    @staticmethod
+    def _dissection_price(size: int) -> float:
+        return 280.0 + 1.1 * size
 
     def __call__(self, cells: FloatArray) -> FloatArray:
         """V (N, M) for ``cells`` (N, M) in ohm, in line coordinates.
