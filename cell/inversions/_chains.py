@@ -5,8 +5,8 @@ counts the way of smoothed readings beyond a play as wide as the noise. A load t
 chains that break meanwhile raise r, and an inverse that does not know of them shows a load which grows, by k over the
 slope dr/ds for each unit of the way.
 
-How far the load goes is told by :mod:`._meter`, from what the readings leave for the static response when branches and
-broken chains are subtracted. What the inverse has counted is subtracted from the way. For the rest, k of it counts as
+How far the load goes is told by :mod:`._meter`, in r, from the readings less the branches. What the inverse has counted
+is subtracted from the way. For the rest, k of it counts as
 broken, and the load is as much smaller. A share of it counts as standard deviation, since the way is known to about as
 much, and so does the way that there may be beside what is told from noise. All that errs to one side, and adds up like
 amounts, until the chains have healed.
@@ -36,6 +36,9 @@ LARGEST = 0.04
 """of full scale: how far a load may go from one look to the next without an edge"""
 BEARS = 3.0
 """standard deviations of a reading, in r over that of full scale: a load of less has nothing to go back"""
+CAUTION = way.Caution(may_from=2.4, told=3.0, does=5.0, of_most=0.1, most_share=1.0 / 24.0)
+"""chains take much longer to heal than a tremor to be told: what is told by chance adds up for as long, and widens the
+deviation of loads that are held still"""
 LEAST_SLOPE = 0.05
 """least slope dr/ds, over r of full scale"""
 
@@ -48,12 +51,11 @@ BROKEN_BEFORE = METER + len(meter.NAMES)
 A, B, K, FULL_KPA, FULL_R, KEPT, OWED = range(7)
 """places of the numbers: of the model; full scale in kPa and in r; share of broken chains that do not heal from one
 look to the next; and :func:`._meter.owed_looks`"""
-WITHIN, BEARING = together.TELLS, together.TELLS + 1
-SEEN = together.TELLS + 2
-"""rows of what a look at all cells sees before any of them is told: what they tell their neighbours, noise of a reading
-and load"""
+BEARING = together.TELLS
+SEEN = together.TELLS + 1
+"""rows of what a look at all cells sees before any of them is told: what they tell their neighbours, and the load"""
 _SERIES = METER + meter.SERIES
-_ZERO, _LARGEST = np.array(0.0), np.array(LARGEST)
+_ZERO = np.array(0.0)
 
 
 class Constants(NamedTuple):
@@ -75,12 +77,12 @@ def constants(model: M10Model, dt_s: float, full_scale_kpa: float, full_scale_r:
             OWED: meter.owed_looks(dt_s),
         }
     )
-    return Constants(numbers.row, numbers.each, way.constants(dt_s))
+    return Constants(numbers.row, numbers.each, way.constants(dt_s, CAUTION))
 
 
-def begin(memory: FloatArray) -> None:
-    """Begin with cells that have borne their load for ever; changes their ``memory`` (rows, m)."""
-    meter.begin(memory[ROWS], memory[LOAD])
+def begin(memory: FloatArray, r: FloatArray) -> None:
+    """Begin with cells whose reading has been ``r`` (m,) for ever; changes their ``memory`` (rows, m)."""
+    meter.begin(memory[ROWS], r - memory[BRANCH] - memory[BRANCH + 1])
     memory[BROKEN_BEFORE] = memory[BROKEN]
 
 
@@ -99,16 +101,16 @@ def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, near: IntArray
     a, b, k, full_kpa, full_r, kept, owed = numbers.each
     load, broken, rows = memory[LOAD], memory[BROKEN], memory[ROWS]
     slope = np.maximum(a + 2.0 * b * load, LEAST_SLOPE * full_r)
-    newest = load + (mean - memory[BRANCH] - memory[BRANCH + 1] - broken - (a + b * load) * load) / slope
-    within = noise / slope
+    newest = mean - memory[BRANCH] - memory[BRANCH + 1]
+    largest = slope * LARGEST
     bears = np.where(load > BEARS * noise / full_r, load, _ZERO)
-    edges = np.abs(newest - memory[_SERIES]) > within * EDGE + LARGEST
-    found = meter.look(rows, newest, within, bears, edges, near, (_LARGEST, owed, numbers.way))
-    counted = (broken - memory[BROKEN_BEFORE] * kept) / k
+    edges = np.abs(newest - memory[_SERIES]) > noise * EDGE + largest
+    found = meter.look(rows, newest, noise, bears * slope, edges, near, (largest, owed, numbers.way))
+    counted = (broken - memory[BROKEN_BEFORE] * kept) * (slope / k)
     told, may = meter.uncounted(rows, found, counted, owed)
-    more = np.maximum(may - told, _ZERO)
-    breaks = np.minimum(told * k / slope, bears)
-    memory[MISSED] += k * more + UNSURE * slope * breaks
+    per_way = k / slope
+    breaks = np.minimum(told * per_way / slope, bears)
+    memory[MISSED] += np.maximum(may - told, _ZERO) * per_way + UNSURE * slope * breaks
     for row in (LOAD, ANCHOR, FURTHEST):
         memory[row] -= breaks
     memory[PRESSURE] -= breaks * full_kpa
@@ -125,20 +127,20 @@ def look_each(
     for i in range(means.size):
         load = memory[LOAD, i]
         slope = max(a + 2.0 * b * load, LEAST_SLOPE * full_r)
-        beyond = means[i] - memory[BRANCH, i] - memory[BRANCH + 1, i] - memory[BROKEN, i] - (a + b * load) * load
-        newest, within = load + beyond / slope, noises[i] / slope
+        newest, largest = means[i] - memory[BRANCH, i] - memory[BRANCH + 1, i], slope * LARGEST
         bears = load if load > BEARS * noises[i] / full_r else 0.0
-        edge = abs(newest - memory[_SERIES, i]) > within * EDGE + LARGEST
-        see_of(memory, METER, i, newest, within, bears, edge, LARGEST, way_numbers, seen)
-        seen[WITHIN, i], seen[BEARING, i] = within, bears
+        edge = abs(newest - memory[_SERIES, i]) > noises[i] * EDGE + largest
+        see_of(memory, METER, i, newest, noises[i], bears * slope, edge, largest, way_numbers, seen)
+        seen[BEARING, i] = bears
     for i in range(means.size):
-        load, broken, within, bears = memory[LOAD, i], memory[BROKEN, i], seen[WITHIN, i], seen[BEARING, i]
-        told, may = tell_of(memory, METER, i, within, bears, LARGEST, owed, seen, near, way_numbers)
-        counted = (broken - memory[BROKEN_BEFORE, i] * numbers[KEPT]) / k
-        told, may = uncounted_of(memory, METER, i, told, may, counted, owed)
+        load, broken, bears = memory[LOAD, i], memory[BROKEN, i], seen[BEARING, i]
         slope = max(a + 2.0 * b * load, LEAST_SLOPE * full_r)
-        breaks = min(told * k / slope, bears)
-        memory[MISSED, i] += k * max(may - told, 0.0) + UNSURE * slope * breaks
+        told, may = tell_of(memory, METER, i, noises[i], bears * slope, slope * LARGEST, owed, seen, near, way_numbers)
+        counted = (broken - memory[BROKEN_BEFORE, i] * numbers[KEPT]) * (slope / k)
+        told, may = uncounted_of(memory, METER, i, told, may, counted, owed)
+        per_way = k / slope
+        breaks = min(told * per_way / slope, bears)
+        memory[MISSED, i] += max(may - told, 0.0) * per_way + UNSURE * slope * breaks
         for row in (LOAD, ANCHOR, FURTHEST):
             memory[row, i] -= breaks
         load = memory[LOAD, i]

@@ -56,9 +56,12 @@ ramp (1 - ramp), as the load may go straight or by a step. The others, of its wa
 standard deviation of the way to and fro between two frames, and what is to be expected of that way: turns err to the
 same side, so this part adds up. Taken from vibrations and slips, whose drops are faster than a frame"""
 STILL_SIGMAS = 3.0
-"""half width of that play, in standard deviations: noise within it breaks no chains"""
+"""half width of that play, in standard deviations: noise within it breaks no chains. A reading is off by half of an ADC
+step at most, which is less"""
+AT_A_TURN = 2.0
+"""standard deviations by ADC steps of the way to a turn and back from it: they hide how far the load went"""
 OVERSHOOT = 0.5
-"""of that half width: by how much noise takes the furthest load of a press beyond where the load turned"""
+"""of that half width by noise: by how much it takes the furthest load of a press beyond where the load turned"""
 
 ACCURACY = 1e-11
 """of full scale, to which a step with a change-over is solved"""
@@ -105,6 +108,8 @@ class _Equation(NamedTuple):
     """(n,) half width of the play in which a load counts as still"""
     went_up: BoolArray
     """(n,) whether the load left its play upwards the last time"""
+    turned_r: FloatArray | float
+    """(n,) standard deviation of r by the chains that ADC steps hide where it has left its play to the other side"""
 
 
 @dataclass(frozen=True)
@@ -189,6 +194,7 @@ class AsymmetricInversion(Inversion):
         """standard deviation of a load of which nothing is known: no larger one is stated"""
         self._reach = self._loads_within_reach()
         self._weights = ByStep(_weights, self.model)
+        self._steps = 0.0
         self._model_numbers = self._numbers_of_inverse()
         of_full_scale = partial(chains.constants, full_scale_kpa=full_scale_kpa, full_scale_r=self.full_scale_r)
         self._chains = ByStep(of_full_scale, self.model)
@@ -203,7 +209,7 @@ class AsymmetricInversion(Inversion):
         memory = np.zeros((len(self.rows), *r.shape))
         memory[PRESSURE], memory[LOAD], memory[BRANCHES] = s * self.full_scale_kpa, s, self._alpha * s
         memory[GAIN], memory[ANCHOR], memory[WENT_UP], memory[FURTHEST] = self.full_scale_kpa / slope, s, 1.0, s
-        chains.begin(memory)
+        chains.begin(memory, r)
         return memory
 
     def advance(
@@ -223,7 +229,7 @@ class AsymmetricInversion(Inversion):
         new[ANCHOR] = np.maximum(np.minimum(memory[ANCHOR], new[LOAD] + of.width), new[LOAD] - of.width)
         new[GAIN] = self.full_scale_kpa / np.maximum(m.a + 2 * m.b * new[LOAD] - m.k, 0.05 * self.full_scale_r)
         if not self.exact:
-            self._err(new, of.forgets, gone[4], of.follows, step, std)
+            self._err(new, of, gone[4], step, std)
         return new
 
     def _equation(
@@ -247,7 +253,13 @@ class AsymmetricInversion(Inversion):
         charging = ahead | ((lead == 0) & up)
         follows = np.where(charging, alpha * ramp[:2], alpha * ramp[2:4])
         still = np.maximum(slope + follows[0] + follows[1], 1e-9)
-        width = STILL_SIGMAS * std / still
+        turned_r: FloatArray | float = 0.0
+        by_noise = width = std * (STILL_SIGMAS / self.full_scale_kpa) * memory[GAIN]
+        if self._steps:
+            scale = r + 1.0
+            steps = np.minimum(scale * scale * self._steps, std)
+            by_noise = np.sqrt(std * std - steps * steps) * (STILL_SIGMAS / self.full_scale_kpa) * memory[GAIN]
+            width = np.maximum(by_noise, STILL_SIGMAS * steps / still)
         went_up = up
         if not self.exact and m.k:
             moves = np.abs(s0 + change / still - memory[ANCHOR]) > width
@@ -255,15 +267,17 @@ class AsymmetricInversion(Inversion):
             # A load that has turned has crossed its play, and broken chains there. One that goes on after noise took it
             # back has broken them before, up to where it was.
             went_up = memory[WENT_UP] > 0
-            gone_back = (memory[FURTHEST] - s0) * np.where(went_up, 1.0, -1.0) - OVERSHOOT * width
+            gone_back = (memory[FURTHEST] - s0) * np.where(went_up, 1.0, -1.0) - OVERSHOOT * by_noise
             gone_back = np.clip(gone_back, 0.0, 2.0 * width)
             again = np.maximum((memory[FURTHEST] - s0) * np.where(up, 1.0, -1.0), 0.0)
             crossed_play = np.where(moves, np.where(up != went_up, m.k * gone_back, -(m.k * again)), 0.0)
             free += crossed_play
             change -= crossed_play
+            if self._steps:
+                turned_r = np.where(moves & (up != went_up), AT_A_TURN * m.k * steps / still, 0.0)
             went_up = np.where(moves, up, went_up)
         slope = slope + np.where(up, breaking, -breaking)
-        return _Equation(target, lead, free, breaking, forgets, kept, follows, slope, change, width, went_up)
+        return _Equation(target, lead, free, breaking, forgets, kept, follows, slope, change, width, went_up, turned_r)
 
     def _step_of_load(self, memory: FloatArray, dt_s: float, of: _Equation) -> tuple[FloatArray, FloatArray]:
         """Steps (n,) of the load that solve the equation, and the branches (2, n) after them."""
@@ -289,6 +303,11 @@ class AsymmetricInversion(Inversion):
             )
         return step, branches
 
+    def take_steps(self, std: float, own: float) -> None:
+        """As :meth:`.Inversion.take_steps`: a reading is off by no more than half of its own step."""
+        self._steps = own
+        self._model_numbers = self._numbers_of_inverse()
+
     def loops_used(self) -> tuple[Loop[..., Any], ...]:
         looks = (recent_means_each, *chains.LOOPS) if self.recovers else ()
         return *loops.ALL, *looks
@@ -310,6 +329,8 @@ class AsymmetricInversion(Inversion):
             loops.HIGHEST_END: self._reach[1],
             loops.STILL: STILL_SIGMAS,
             loops.OVERSHOOT: OVERSHOOT,
+            loops.STEPS: self._steps,
+            loops.AT_A_TURN: AT_A_TURN * m.k,
             loops.BETWEEN: BETWEEN,
             loops.BY_TURNS: AROUND * m.k,
             loops.TO_AND_FRO: TO_AND_FRO * m.k,
@@ -332,9 +353,8 @@ class AsymmetricInversion(Inversion):
     def _err(
         self,
         memory: FloatArray,
-        forgets: FloatArray,
+        of: _Equation,
         heals: FloatArray,
-        follows: FloatArray,
         step: FloatArray,
         std: FloatArray,
     ) -> None:
@@ -349,10 +369,10 @@ class AsymmetricInversion(Inversion):
         turned = (-np.sign(step) * memory[[MOVED, BEFORE]] > still / STILL_SIGMAS).any(axis=0)
         way = np.maximum(np.abs(step) - still, 0.0) * turned
         errors = memory[ERRORS]
-        errors[:2] *= (1 - forgets) ** 2
+        errors[:2] *= (1 - of.forgets) ** 2
         errors[2] *= (1 - heals) ** 2
-        errors[:2] += (BETWEEN * bend * follows * (1 - follows / np.maximum(self._alpha, 1e-9))) ** 2
-        errors[2] += (AROUND * self.model.k * way) ** 2
+        errors[:2] += (BETWEEN * bend * of.follows * (1 - of.follows / np.maximum(self._alpha, 1e-9))) ** 2
+        errors[2] += (AROUND * self.model.k * way) ** 2 + of.turned_r * of.turned_r
         memory[MISSED] *= 1 - heals
         memory[MISSED] += TO_AND_FRO * self.model.k * way
         memory[BEFORE] = memory[MOVED]

@@ -2,7 +2,8 @@
 
 A load that trembles goes to and fro by less than noise lets an inverse follow. What the way of that does to a cell, the
 inverse knows by its material. This module tells the way: by the variances of each cell's own readings (:mod:`._way`),
-and by what the cells beside have in common with it (:mod:`._together`), each weighted by how well it knows it.
+and by what the cells beside have in common with it (:mod:`._together`), each weighted by how well it knows it. Where a
+cell's own readings leave no doubt that its load goes to and fro, as beside a finger that rubs, they are believed alone.
 
 Edges of a load, as of presses and taps, are followed by the inverse itself. After one nothing is told for as long as
 the mean squares remember it. Of what is told there remains what the inverse has not counted meanwhile
@@ -25,7 +26,7 @@ from . import _together as together
 from . import _way as way
 from ._together import KNOWN, WEIGHTED, weights_of
 from ._together import look_of as told_beside_of
-from ._way import forget_of, look_of
+from ._way import forget_of, look_of, told_by_own_of
 from ._way import tell_of as way_of_squares
 
 NAMES = (
@@ -119,6 +120,9 @@ def look(
     squares = rows[_SQUARES].reshape(2, way.ALL_SQUARES, -1)
     way.take(squares, product, _BY_NOISE, side, ends * of_way.shares, edges)
     own, beside = together.weights(known, together.known(knows))
+    alone = way.told_by_own(squares[0], of_way)
+    np.maximum(own, alone, out=own)
+    beside *= _ONE - alone
     both = squares[0] * own
     both += squares[1] * beside
     found = way.tell(both, own, beside, noise, of_way)
@@ -197,6 +201,8 @@ def tell_of(
     if not (load > 0.0 and memory[first + HELD, i] >= owed):
         return 0.0, 0.0
     own, of_beside = weights_of(load * (load / (noise * noise)), known)
+    alone = told_by_own_of(memory, squares, i, way_numbers)
+    own, of_beside = max(own, alone), of_beside * (1.0 - alone)
     return way_of_squares(memory, squares, beside, i, own, of_beside, noise, way_numbers)
 
 

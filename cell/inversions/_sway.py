@@ -112,7 +112,7 @@ def constants(model: PaperModel, dt_s: float, full_scale_kpa: float) -> Constant
             LOAD_R: 0.5 * (rise_r + fall_r),
         }
     )
-    return Constants(numbers.row, numbers.each, way.constants(dt_s))
+    return Constants(numbers.row, numbers.each, way.constants(dt_s, way.Caution()))
 
 
 def begin(memory: FloatArray, r: FloatArray) -> None:
