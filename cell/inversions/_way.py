@@ -56,9 +56,8 @@ WAY, BEND = 0.84, 0.5
 that of second differences: within a tenth for sines of up to a third of a period per block, and for random motion"""
 CLEAR = 3.0
 """standard deviations of a difference by noise, beside the largest motion that may go unnoticed: no more counts"""
-HIDDEN, MOST_HIDDEN, FAST_HZ = 1.2, 6.0, 4.0
-"""times the way that blocks see: as long it may be, by short and by long ones, since it turns between them; and
-frequency of the tremors that this is reckoned for"""
+MOST_HIDDEN, FAST_HZ = 6.0, 4.0
+"""times the way that long blocks see: as long it may be; and frequency of the tremors that this is reckoned for"""
 HIDES_AT_FAST = 7.4
 """way of a sine over that which blocks of its period see. Those of a share of its period hide the square of that share:
 the means see less of it, and it turns the more often between them"""
@@ -108,6 +107,8 @@ class Caution(NamedTuple):
     """standard deviation over the most that a way may be beyond what is told, where the neighbours tell it"""
     most_share: float = 1.0 / 8.0
     """largest share of a block in the mean squares"""
+    hidden: float = 1.2
+    """times the way that short blocks see: as long it may be, since it turns between them"""
 
 
 class Constants(NamedTuple):
@@ -131,7 +132,7 @@ def constants(dt_s: float, caution: Caution) -> Constants:
     """The numbers for frames that follow each other after ``dt_s``."""
     block_s = _LOOKS_IN_BLOCK * (RECENT * dt_s)
     share = np.clip(block_s / MEMORY_S, LEAST_SHARE, caution.most_share)
-    hides = np.minimum(HIDDEN + HIDES_AT_FAST * (FAST_HZ * block_s) ** 2, MOST_HIDDEN)
+    hides = np.minimum(caution.hidden + HIDES_AT_FAST * (FAST_HZ * block_s) ** 2, MOST_HIDDEN)
     by_chance = share * OF_SIDES**2
     rows = np.array([share[:, 0], hides[:, 0], caution[:SCALES]])
     return Constants(caution, rows, share, hides, by_chance, by_chance + NOISE_KNOWN**2)
@@ -275,7 +276,7 @@ def tell(
     most_beside = (ways[1] * hides).min(axis=0)
     np.multiply(ways[0], hides, out=ways[1])
     gates = np.empty_like(ways)
-    may_from, seems, does, of_most, _ = numbers.caution
+    may_from, seems, does, of_most = numbers.caution[:SCALES]
     np.multiply(clear - seems, 1.0 / (does - seems), out=gates[0])
     np.multiply(clear - may_from, 1.0 / (seems - may_from), out=gates[1])
     np.minimum(np.maximum(gates, _ZERO, out=gates), _ONE, out=gates)
