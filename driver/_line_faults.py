@@ -278,25 +278,21 @@ class LineFaults:
     def _look(self, time_s: float, log: FloatArray, reading: Reading, rest_spread: float | None) -> None:
         """Find lines that have changed of late, and note how low cells have read."""
         earlier, before, _ = self._looks
-        taken = np.zeros(log.shape, dtype=bool) if self.cells is None else self.cells.copy()
+        change = log - before
+        taken = None if self.cells is None else self.cells.copy()
         for _, suspect in self._suspects:
-            taken |= suspect.cells
-        change = np.where(taken, np.nan, log - before)
+            taken = suspect.cells.copy() if taken is None else taken | suspect.cells
+        if taken is not None:
+            change[taken] = np.nan
         margin = BELOW_REST if self._rest_known else max(BELOW_REST, SPREADS * (rest_spread or 0.0))
-        lowest = np.fmin(self._least, 0.0) - margin
-        if np.count_nonzero(np.abs(change) > LEAST_CHANGE) >= LEAST_CELLS:
-            least = max(LEAST_CHANGE, SPREADS * _median(np.abs(change)))
-            low = log < np.minimum(lowest, before - least)
-            risen = change > least
-            candidates = _lines(low) if np.count_nonzero(low) >= LEAST_CELLS else []
-            if np.count_nonzero(risen) >= LEAST_CELLS:
-                candidates += _ends(risen, np.isnan(log))
-            std = np.hypot(*_std_of(reading)) if candidates else log
-            for cells in candidates:
+        if _may_have_changed(change, log, margin):
+            lowest = np.fmin(self._least, 0.0) - margin
+            taken = np.zeros(log.shape, dtype=bool) if taken is None else taken
+            for cells in self._candidates(change, log, before, lowest):
                 size = _median(change[cells])
                 if not (abs(_median(change[~cells & ~taken])) < ASIDE * abs(size)):
                     continue
-                suspect = _Change(cells, before, size, (lowest, self._creep.most))
+                suspect, std = _Change(cells, before, size, (lowest, self._creep.most)), np.hypot(*_std_of(reading))
                 if not suspect.no_load(log, std):
                     if size < 0.0:
                         continue
@@ -307,7 +303,34 @@ class LineFaults:
                     suspect.conductance = float(np.nansum(np.exp(-log[cells])))
                 self._suspects.append((time_s, suspect))
                 taken |= cells
-        self._least = np.fmin(self._least, np.where(taken, math.nan, before))
+        self._least = np.fmin(self._least, before if taken is None else np.where(taken, math.nan, before))
+
+    @staticmethod
+    def _candidates(change: FloatArray, log: FloatArray, before: FloatArray, lowest: FloatArray) -> list[BoolArray]:
+        """Cells of lines that have moved together since ``before``, by a ``change``, or below the ``lowest``."""
+        size = np.abs(change)
+        if np.count_nonzero(size > LEAST_CHANGE) < LEAST_CELLS:
+            return []
+        least = max(LEAST_CHANGE, SPREADS * _median(size))
+        low, risen = log < np.minimum(lowest, before - least), change > least
+        candidates = _lines(low) if np.count_nonzero(low) >= LEAST_CELLS else []
+        if np.count_nonzero(risen) >= LEAST_CELLS:
+            candidates += _ends(risen, np.isnan(log))
+        return candidates
+
+
+def _may_have_changed(change: FloatArray, log: FloatArray, margin: float) -> bool:
+    """Whether a line may have moved as one: a quick look, as most frames are of boards without a fault.
+
+    Of a line that has, either the cells at its end have risen, or cells are below rest by more than the ``margin``.
+    """
+    still: BoolArray = change <= LEAST_CHANGE  # False where nothing is known
+    rows, columns = still[:, -LEAST_CELLS:], still[:LEAST_CELLS]  # as many as must have moved together
+    for axis, ends in ((1, rows), (0, columns)):
+        held = np.logical_or.reduce(ends, axis=axis)
+        if np.count_nonzero(held) < held.size:
+            return True
+    return bool(np.fmin.reduce(log, axis=None) < -margin)
 
 
 def _median(values: FloatArray) -> float:

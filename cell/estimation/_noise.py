@@ -238,7 +238,7 @@ class NoiseMeter:
             kept = self._variance, self._crowd, self.on_line, self._blind
             shares = self._share, self._share_of_crowd
             law = self.excess, self.multiplicative, self.resolution, self._told
-            average.code(squares, r, *law, *kept, WINDOW - 4.0, *shares, self._passes_below)
+            average.unchecked(squares, r, *law, *kept, WINDOW - 4.0, *shares, self._passes_below)
             self._renew()
             return
         squares /= self._blurred(r)
@@ -340,7 +340,7 @@ class NoiseMeter:
         if self.compiled:
             resolved, last = self.typical_resolution > 0.0, self._ring[(self._seen - 1) % WINDOW]
             law = self.excess, self.multiplicative
-            std_at_rest.code(self._variance, self.resolution, resolved, last, *law, self.at_rest)
+            std_at_rest.unchecked(self._variance, self.resolution, resolved, last, *law, self.at_rest)
             return
         np.add(self._variance, _LEAST_VARIANCE, self.at_rest)
         np.sqrt(self.at_rest, self.at_rest)
@@ -393,7 +393,7 @@ class NoiseMeter:
             present = np.empty(cells.size)
             last = (self._seen - 1) % WINDOW
             of_cells = self.resolution, self.excess, self.multiplicative, self._blind
-            beside_each.code(cells, beside, ring, last, self.quiet, *of_cells, present)
+            beside_each.unchecked(cells, beside, ring, last, self.quiet, *of_cells, present)
             return present
         scale = ring[(self._seen - 1) % WINDOW] + 1.0
         scale *= self._blurred_more(scale, self.excess[cells])

@@ -344,10 +344,10 @@ class AsymmetricInversion(Inversion):
         if self._crossed.size != cells:
             self._of, self._crossed = np.empty((loops.ROWS, cells)), np.empty(cells, dtype=np.intp)
         of, crossed, (gone, ramp) = self._of, self._crossed, self._weights.of(dt_s)
-        count = loops.solve.code(memory, taken, gone, ramp, numbers, of, crossed)
+        count = loops.solve.unchecked(memory, taken, gone, ramp, numbers, of, crossed)
         if count:
-            loops.solve_crossed.code(memory, crossed, count, dt_s, numbers, of)
-        loops.finish.code(memory, taken, float(gone[4]), numbers, of)
+            loops.solve_crossed.unchecked(memory, crossed, count, dt_s, numbers, of)
+        loops.finish.unchecked(memory, taken, float(gone[4]), numbers, of)
         return memory
 
     def _err(

@@ -327,9 +327,9 @@ def look_of(
     numbers: Rows,
 ) -> None:
     """Take the ``mean`` of the last readings of cell ``i``, whose series and mean squares begin with these rows."""
-    block, length = mean, 1.0
+    block, length = mean, 1
     for scale in range(SCALES):
-        if looks % length != 0.0:
+        if int(looks) & (length - 1):
             break
         change, bend, block = differences_of(memory, series + scale, i, block)
         per_reading = RECENT * length
@@ -337,7 +337,7 @@ def look_of(
         bend = scaled(bend, noise * math.sqrt(6.0 / per_reading), largest)
         share = numbers[SHARE, scale]
         take_of(memory, squares + scale, i, change * change, change, bend * bend, bend, 1.0, share)
-        length *= 2.0
+        length *= 2
 
 
 @loop
