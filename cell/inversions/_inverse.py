@@ -409,8 +409,8 @@ class AsymmetricInversion(Inversion):
     ) -> None:
         """The same by loops."""
         of, mean, seen = self._chains.of(dt_s), np.empty(cells.size), np.empty((chains.SEEN, cells.size))
-        recent_means_each.code(ring, newest, cells, mean)
-        chains.look_each.code(memory, mean, taken[NOISE], near, of.row, of.way.rows, seen)
+        recent_means_each.unchecked(ring, newest, cells, mean)
+        chains.look_each.unchecked(memory, mean, taken[NOISE], near, of.row, of.way.rows, seen)
 
     def _limit(self, memory: FloatArray, r: FloatArray, std: FloatArray) -> None:
         """Keep loads within what is believed, and correct the memory to the reading ``r`` (n,) instead.
