@@ -19,8 +19,7 @@ FULL = EXAMPLE.full_scale_kpa
 
 def sense(cell: Cell, load: np.ndarray, dt: float = DT) -> np.ndarray:
     """Resistance (n,) of a cell under normalised loads (n,)."""
-    forward = cell.forward(())
-    return np.array([float(forward.step(dt, cell.full_scale_kpa * s)) for s in load.tolist()])
+    return cell.forward(()).run(np.full(len(load), dt), cell.full_scale_kpa * load)
 
 
 def protocol_recording(cell: Cell, noise: float, seed: int = 0) -> Recording:
