@@ -26,6 +26,7 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray
 from ..cell import Cell
+from ..compiled import Rows, loop
 from ..errors import InputError
 from ._reading import Reading
 
@@ -186,6 +187,7 @@ class LineFaults:
         self._least: FloatArray = np.full(rest_ohm.shape, math.nan)  # that cells have read
         self._suspects: list[tuple[float, _Change]] = []
         self._faults: list[_Change] = []
+        self._all_sound = all_sound.machine_code()
         self.cells: BoolArray | None = None
         """those of faulty lines; None: no line is"""
 
@@ -208,7 +210,8 @@ class LineFaults:
         if not 0.0 < since < LONGEST_GAP_S:
             self._looks.clear()
             self._suspects.clear()
-        log: FloatArray = np.log(reading.resistance * self._per_ohm)
+        log: FloatArray = np.multiply(reading.resistance, self._per_ohm, order="C")
+        np.log(log, out=log)
         if self._faults or self._suspects:
             self._judge(time_s, log, reading)
         if len(self._looks) == self._looks.maxlen:
@@ -278,13 +281,18 @@ class LineFaults:
     def _look(self, time_s: float, log: FloatArray, reading: Reading, rest_spread: float | None) -> None:
         """Find lines that have changed of late, and note how low cells have read."""
         earlier, before, _ = self._looks
+        margin = BELOW_REST if self._rest_known else max(BELOW_REST, SPREADS * (rest_spread or 0.0))
+        if self._all_sound is not None and self.cells is None and not self._suspects:
+            least = np.empty(log.shape)
+            if self._all_sound(log, before, self._least, margin, least):
+                self._least = least
+                return
         change = log - before
         taken = None if self.cells is None else self.cells.copy()
         for _, suspect in self._suspects:
             taken = suspect.cells.copy() if taken is None else taken | suspect.cells
         if taken is not None:
             change[taken] = np.nan
-        margin = BELOW_REST if self._rest_known else max(BELOW_REST, SPREADS * (rest_spread or 0.0))
         if _may_have_changed(change, log, margin):
             lowest = np.fmin(self._least, 0.0) - margin
             taken = np.zeros(log.shape, dtype=bool) if taken is None else taken
@@ -331,6 +339,34 @@ def _may_have_changed(change: FloatArray, log: FloatArray, margin: float) -> boo
         if np.count_nonzero(held) < held.size:
             return True
     return bool(np.fmin.reduce(log, axis=None) < -margin)
+
+
+@loop
+def all_sound(log: Rows, before: Rows, least: Rows, margin: float, lowered: Rows) -> bool:
+    """Whether no line may have changed, see :func:`_may_have_changed`: of cells that read as ``before`` till then.
+
+    Then the ``least`` that cells have read is ``lowered``. Arrays are (rows, columns).
+    """
+    rows, columns = log.shape
+    for i in range(rows):
+        moving = True
+        for j in range(max(columns - LEAST_CELLS, 0), columns):
+            moving &= not (log[i, j] - before[i, j] <= LEAST_CHANGE)
+        if moving:
+            return False
+    for j in range(columns):
+        moving = True
+        for i in range(min(LEAST_CELLS, rows)):
+            moving &= not (log[i, j] - before[i, j] <= LEAST_CHANGE)
+        if moving:
+            return False
+    for i in range(rows):
+        for j in range(columns):
+            if log[i, j] < -margin:
+                return False
+            lower = least[i, j] <= before[i, j] or math.isnan(before[i, j])
+            lowered[i, j] = least[i, j] if lower else before[i, j]
+    return True
 
 
 def _median(values: FloatArray) -> float:

@@ -224,7 +224,8 @@ class CountReader:
         self._level = design.readout.reference_voltage
         self._design_noise = _noise_of(design)  # V
         self._scatter = Scatter(adc.step, assumed=not self._design_noise)
-        self._middle_of_codes = _middle_of_codes.machine_code()
+        self._middle_of_codes = _middle_of_codes.machine_code(unchecked=True)
+        self._guard, self._usual_codes = 0, self._within_limits(0)  # of the last frame, and what is no limit with it
         self._silent = 0  # cells whose readings stood at a limit in the last frame, and could not change
         self._limited: BoolArray | None = None  # cells that were taken for limited in the last frame
         self._in_doubt = False  # some of them may have left the limit, which one more frame tells
@@ -268,7 +269,7 @@ class CountReader:
 
     def _volts(self, counts: NDArray[np.integer]) -> FloatArray:
         """The middle of each code, in V."""
-        volts: FloatArray = counts.astype(np.float64)
+        volts: FloatArray = counts.astype(np.float64, order="C")
         volts *= self._step_array
         volts += self._lowest_array
         return volts
@@ -370,7 +371,9 @@ class CountReader:
         if self._scatter.frames < _MEASURED and not self._design_noise:
             first = _FIRST_GUARD if self._scatter.frames == 1 else 0
             guard = max(guard, first, math.ceil(_FINE_GUARD * self._codes))
-        lowest, highest = self._within_limits(guard)
+        if guard != self._guard:
+            self._guard, self._usual_codes = guard, self._within_limits(guard)
+        lowest, highest = self._usual_codes
         limited = faint = None
         self._silent, self._in_doubt, jumped = 0, False, self._jumped_to_limit(least, most)
         if jumped or most >= highest or least < lowest or self._limited is not None:

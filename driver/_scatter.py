@@ -98,8 +98,8 @@ class Scatter:
         """
         self._step = step
         self._assumed = ASSUMED * step if assumed else 0.0
-        self._cut_sum = _cut_sum.machine_code() or cut_sum
-        self._changes_of = _changes_of.machine_code()
+        self._cut_sum = _cut_sum.machine_code(unchecked=True) or cut_sum
+        self._changes_of = _changes_of.machine_code(unchecked=True)
         self._quietest = np.zeros((0, 0))
         """V, the quietest sum that the loop has found last; written anew in each frame"""
         self.before: FloatArray | None = None

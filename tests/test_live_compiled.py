@@ -248,7 +248,7 @@ def test_usual_frames_hand_loops_arrays_of_exactly_their_types(monkeypatch: pyte
     others: set[tuple[str, str]] = set()
     machine_code, watched = Loop.machine_code, False
 
-    def checked(loop: Loop[..., Any]) -> Any:
+    def checked(loop: Loop[..., Any], *, unchecked: bool = False) -> Any:
         code = machine_code(loop)
         types = {
             name: compiled._written(hint) for name, hint in get_type_hints(loop.function, include_extras=True).items()

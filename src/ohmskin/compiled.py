@@ -122,12 +122,13 @@ class Loop(Generic[P, R]):
         """For pickle and copy: the loop of that name."""
         return self.__qualname__
 
-    def machine_code(self) -> Callable[P, R] | None:
+    def machine_code(self, *, unchecked: bool = False) -> Callable[P, R] | None:
         """The compiled function, or None where there is none: ask when an object is made, not for every frame.
 
         The first call loads the machine code from disk, or compiles for a second or so; later ones return at once.
         Threads may call, and the compiled function runs without the interpreter's lock. It takes positional arguments
-        of exactly the types that the function states.
+        of exactly the types that the function states: others are refused with a TypeError, unless :attr:`unchecked` is
+        asked for.
         """
         if why_not() is not None:
             return None
@@ -142,7 +143,9 @@ class Loop(Generic[P, R]):
                 self.failure = f"{type(error).__name__}: {error}"
             finally:
                 _waiting.remove(self)
-        return cast(Callable[P, R] | None, self._compiled)
+        if self._compiled is None:
+            return None
+        return self.unchecked if unchecked else self.code
 
     def _compile(self) -> Any:
         """The function as Numba compiled it, kept on disk if there is a place for it."""
