@@ -25,8 +25,9 @@ demo: $(VENV)/demo.stamp
 	 exit $$code
 
 # Bytecode is kept, in images too that switch it off: hundreds of programs that the tests start would compile all again.
+# Three workers keep two cores busy, since tests of links wait for a sixth of their time.
 test: system-test-packages $(VENV)/dev.stamp $(LOOP)/node_modules/.package-lock.json lint
-	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
+	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist worksteal
 
 lint: $(VENV)/dev.stamp
 	$(BIN)/ruff check .

@@ -8,7 +8,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +31,6 @@ from ._stream import RawFrame
 from ._systematic import SystematicError
 from ._tare import DRIFT as TARE_DRIFT
 from ._tare import KNOWN_DRIFT
-
-T = TypeVar("T", bound=np.generic)
 
 KEPT_MEASUREMENTS = 8
 """that are not thrown away at once when all takers have passed them"""
@@ -293,17 +291,19 @@ class Converter:
             self._estimator = self._new_estimator()
         reading = self._without_faulty_lines(frame.time_s, reading)
         counters.reasons = reading.reason
-        _read_only(reading.resistance)
+        for array in (reading.valid, reading.reason, reading.resistance):
+            array.setflags(write=False)  # half of the time that array.flags takes
         pressure, std = self._estimate(gap_s, reading)
         rise = None
         if self._estimator is not None and self.contacts.asked:
             rise = self._estimator.rise_of_last_step()
-        view = PressureView(frame.time_s, _read_only(pressure), std, rise, self._starts)
+        pressure.setflags(write=False)
+        view = PressureView(frame.time_s, pressure, std, rise, self._starts)
         self.contacts.pass_by(view)
         self._starts_told = self._starts
         return Measurement(
-            _read_only(reading.valid),
-            _read_only(reading.reason),
+            reading.valid,
+            reading.reason,
             reading.resistance,
             pressure,
             std,
@@ -438,8 +438,3 @@ def _std(
     """The estimator's standard deviation, and what it cannot see: unknown rest resistances and ADC steps."""
     std = systematic(pressure_kpa, of_estimate())
     return std if calibration is None else calibration.applied_std(pressure_kpa, std)
-
-
-def _read_only(array: NDArray[T]) -> NDArray[T]:
-    array.setflags(write=False)  # half of the time that array.flags takes
-    return array

@@ -26,6 +26,7 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray
 from ..cell import Cell
+from ..compiled import Rows, loop
 from ..errors import InputError
 from ._reading import Reading
 
@@ -186,6 +187,7 @@ class LineFaults:
         self._least: FloatArray = np.full(rest_ohm.shape, math.nan)  # that cells have read
         self._suspects: list[tuple[float, _Change]] = []
         self._faults: list[_Change] = []
+        self._all_sound = all_sound.machine_code()
         self.cells: BoolArray | None = None
         """those of faulty lines; None: no line is"""
 
@@ -208,7 +210,8 @@ class LineFaults:
         if not 0.0 < since < LONGEST_GAP_S:
             self._looks.clear()
             self._suspects.clear()
-        log: FloatArray = np.log(reading.resistance * self._per_ohm)
+        log: FloatArray = np.multiply(reading.resistance, self._per_ohm, order="C")
+        np.log(log, out=log)
         if self._faults or self._suspects:
             self._judge(time_s, log, reading)
         if len(self._looks) == self._looks.maxlen:
@@ -278,25 +281,26 @@ class LineFaults:
     def _look(self, time_s: float, log: FloatArray, reading: Reading, rest_spread: float | None) -> None:
         """Find lines that have changed of late, and note how low cells have read."""
         earlier, before, _ = self._looks
-        taken = np.zeros(log.shape, dtype=bool) if self.cells is None else self.cells.copy()
-        for _, suspect in self._suspects:
-            taken |= suspect.cells
-        change = np.where(taken, np.nan, log - before)
         margin = BELOW_REST if self._rest_known else max(BELOW_REST, SPREADS * (rest_spread or 0.0))
-        lowest = np.fmin(self._least, 0.0) - margin
-        if np.count_nonzero(np.abs(change) > LEAST_CHANGE) >= LEAST_CELLS:
-            least = max(LEAST_CHANGE, SPREADS * _median(np.abs(change)))
-            low = log < np.minimum(lowest, before - least)
-            risen = change > least
-            candidates = _lines(low) if np.count_nonzero(low) >= LEAST_CELLS else []
-            if np.count_nonzero(risen) >= LEAST_CELLS:
-                candidates += _ends(risen, np.isnan(log))
-            std = np.hypot(*_std_of(reading)) if candidates else log
-            for cells in candidates:
+        if self._all_sound is not None and self.cells is None and not self._suspects:
+            least = np.empty(log.shape)
+            if self._all_sound(log, before, self._least, margin, least):
+                self._least = least
+                return
+        change = log - before
+        taken = None if self.cells is None else self.cells.copy()
+        for _, suspect in self._suspects:
+            taken = suspect.cells.copy() if taken is None else taken | suspect.cells
+        if taken is not None:
+            change[taken] = np.nan
+        if _may_have_changed(change, log, margin):
+            lowest = np.fmin(self._least, 0.0) - margin
+            taken = np.zeros(log.shape, dtype=bool) if taken is None else taken
+            for cells in self._candidates(change, log, before, lowest):
                 size = _median(change[cells])
                 if not (abs(_median(change[~cells & ~taken])) < ASIDE * abs(size)):
                     continue
-                suspect = _Change(cells, before, size, (lowest, self._creep.most))
+                suspect, std = _Change(cells, before, size, (lowest, self._creep.most)), np.hypot(*_std_of(reading))
                 if not suspect.no_load(log, std):
                     if size < 0.0:
                         continue
@@ -307,7 +311,62 @@ class LineFaults:
                     suspect.conductance = float(np.nansum(np.exp(-log[cells])))
                 self._suspects.append((time_s, suspect))
                 taken |= cells
-        self._least = np.fmin(self._least, np.where(taken, math.nan, before))
+        self._least = np.fmin(self._least, before if taken is None else np.where(taken, math.nan, before))
+
+    @staticmethod
+    def _candidates(change: FloatArray, log: FloatArray, before: FloatArray, lowest: FloatArray) -> list[BoolArray]:
+        """Cells of lines that have moved together since ``before``, by a ``change``, or below the ``lowest``."""
+        size = np.abs(change)
+        if np.count_nonzero(size > LEAST_CHANGE) < LEAST_CELLS:
+            return []
+        least = max(LEAST_CHANGE, SPREADS * _median(size))
+        low, risen = log < np.minimum(lowest, before - least), change > least
+        candidates = _lines(low) if np.count_nonzero(low) >= LEAST_CELLS else []
+        if np.count_nonzero(risen) >= LEAST_CELLS:
+            candidates += _ends(risen, np.isnan(log))
+        return candidates
+
+
+def _may_have_changed(change: FloatArray, log: FloatArray, margin: float) -> bool:
+    """Whether a line may have moved as one: a quick look, as most frames are of boards without a fault.
+
+    Of a line that has, either the cells at its end have risen, or cells are below rest by more than the ``margin``.
+    """
+    still: BoolArray = change <= LEAST_CHANGE  # False where nothing is known
+    rows, columns = still[:, -LEAST_CELLS:], still[:LEAST_CELLS]  # as many as must have moved together
+    for axis, ends in ((1, rows), (0, columns)):
+        held = np.logical_or.reduce(ends, axis=axis)
+        if np.count_nonzero(held) < held.size:
+            return True
+    return bool(np.fmin.reduce(log, axis=None) < -margin)
+
+
+@loop
+def all_sound(log: Rows, before: Rows, least: Rows, margin: float, lowered: Rows) -> bool:
+    """Whether no line may have changed, see :func:`_may_have_changed`: of cells that read as ``before`` till then.
+
+    Then the ``least`` that cells have read is ``lowered``. Arrays are (rows, columns).
+    """
+    rows, columns = log.shape
+    for i in range(rows):
+        moving = True
+        for j in range(max(columns - LEAST_CELLS, 0), columns):
+            moving &= not (log[i, j] - before[i, j] <= LEAST_CHANGE)
+        if moving:
+            return False
+    for j in range(columns):
+        moving = True
+        for i in range(min(LEAST_CELLS, rows)):
+            moving &= not (log[i, j] - before[i, j] <= LEAST_CHANGE)
+        if moving:
+            return False
+    for i in range(rows):
+        for j in range(columns):
+            if log[i, j] < -margin:
+                return False
+            lower = least[i, j] <= before[i, j] or math.isnan(before[i, j])
+            lowered[i, j] = least[i, j] if lower else before[i, j]
+    return True
 
 
 def _median(values: FloatArray) -> float:

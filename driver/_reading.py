@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..arrays import BoolArray, FloatArray
 from ..circuits import Design, LiveReading, Reason, adc_error, live_recovery, noise, volts_of_codes
-from ..compiled import Row, Rows, loop
+from ..compiled import Rows, loop
 from ..errors import InputError, ProtocolError, SolverError
 from ._scatter import Scatter
 
@@ -224,8 +224,8 @@ class CountReader:
         self._level = design.readout.reference_voltage
         self._design_noise = _noise_of(design)  # V
         self._scatter = Scatter(adc.step, assumed=not self._design_noise)
-        self._middle_of_codes = _middle_of_codes.machine_code()
-        self._extremes = np.zeros(2)
+        self._middle_of_codes = _middle_of_codes.machine_code(unchecked=True)
+        self._guard, self._usual_codes = 0, self._within_limits(0)  # of the last frame, and what is no limit with it
         self._silent = 0  # cells whose readings stood at a limit in the last frame, and could not change
         self._limited: BoolArray | None = None  # cells that were taken for limited in the last frame
         self._in_doubt = False  # some of them may have left the limit, which one more frame tells
@@ -269,7 +269,7 @@ class CountReader:
 
     def _volts(self, counts: NDArray[np.integer]) -> FloatArray:
         """The middle of each code, in V."""
-        volts: FloatArray = counts.astype(np.float64)
+        volts: FloatArray = counts.astype(np.float64, order="C")
         volts *= self._step_array
         volts += self._lowest_array
         return volts
@@ -280,8 +280,7 @@ class CountReader:
             # The place of an extreme is found several times as fast as its value.
             return self._volts(counts), counts.item(counts.argmin()), counts.item(counts.argmax())
         volts = counts.astype(np.float64, order="C")
-        self._middle_of_codes(volts, self._step, self._lowest_volts, self._extremes)
-        least, most = self._extremes.tolist()
+        least, most = self._middle_of_codes(volts, self._step, self._lowest_volts)
         return volts, least, most
 
     def __call__(self, counts: NDArray[np.integer]) -> Reading:
@@ -372,7 +371,9 @@ class CountReader:
         if self._scatter.frames < _MEASURED and not self._design_noise:
             first = _FIRST_GUARD if self._scatter.frames == 1 else 0
             guard = max(guard, first, math.ceil(_FINE_GUARD * self._codes))
-        lowest, highest = self._within_limits(guard)
+        if guard != self._guard:
+            self._guard, self._usual_codes = guard, self._within_limits(guard)
+        lowest, highest = self._usual_codes
         limited = faint = None
         self._silent, self._in_doubt, jumped = 0, False, self._jumped_to_limit(least, most)
         if jumped or most >= highest or least < lowest or self._limited is not None:
@@ -417,8 +418,8 @@ def _resumed(
 
 
 @loop
-def _middle_of_codes(codes: Rows, step: float, lowest: float, extremes: Row) -> None:
-    """Replace codes (N, M) by the middle of each in V, and write the least code and the largest one."""
+def _middle_of_codes(codes: Rows, step: float, lowest: float) -> tuple[float, float]:
+    """Replace codes (N, M) by the middle of each in V; returns the least code and the largest one."""
     rows, columns = codes.shape
     least = most = codes[0, 0]
     for i in range(rows):
@@ -426,7 +427,7 @@ def _middle_of_codes(codes: Rows, step: float, lowest: float, extremes: Row) -> 
             code = codes[i, j]
             least, most = min(least, code), max(most, code)
             codes[i, j] = code * step + lowest
-    extremes[0], extremes[1] = least, most
+    return least, most
 
 
 def _outside(counts: NDArray[np.integer], lowest: float, highest: float) -> BoolArray:

@@ -39,7 +39,7 @@ from scipy.linalg.lapack import dsyev
 from scipy.special import chdtri
 
 from ..arrays import FloatArray, median
-from ..compiled import Row, Rows, loop
+from ..compiled import Rows, loop
 
 FORGET = 0.95
 """share of a noise that is still assumed a frame later, once it has been seen for long"""
@@ -98,13 +98,10 @@ class Scatter:
         """
         self._step = step
         self._assumed = ASSUMED * step if assumed else 0.0
-        self._cut_sum = _cut_sum.machine_code() or cut_sum
-        self._changes_of = _changes_of.machine_code()
+        self._cut_sum = _cut_sum.machine_code(unchecked=True) or cut_sum
+        self._changes_of = _changes_of.machine_code(unchecked=True)
         self._quietest = np.zeros((0, 0))
         """V, the quietest sum that the loop has found last; written anew in each frame"""
-        self._sums = np.zeros(3)
-        """V, what the loop has found of the last frame: cut sums of its change, and of the quietest sum of two; and the
-        largest change"""
         self.before: FloatArray | None = None
         """V, the last frame's readings"""
         self.frames = 0
@@ -165,20 +162,19 @@ class Scatter:
         if before is None:
             return
         moving = max(self._free, 1)
-        quietest = self._largest = None
+        cut = self._largest = None
         if self._changes_of is None or self._change is None:
             change = volts - before
         else:
             if self._quietest.shape != volts.shape:
                 self._quietest = np.empty(volts.shape)
-            change, quietest = np.empty(volts.shape), self._quietest
-            self._changes_of(volts, before, self._change, self._most(self._seen), change, quietest, self._sums)
-            self._largest = self._sums.item(2)
+            change, most = np.empty(volts.shape), self._most(self._seen)
+            *cut, self._largest = self._changes_of(volts, before, self._change, most, change, self._quietest)
         if self.frames == 2:
             expected = max(self._seen, min(_median(np.abs(change)), AT_FIRST * self._step))
             self._seen, self._confirmed = self._by_mean(change, expected, moving), 1
         else:
-            shown, assumed = self._shown_by(change, quietest, moving), self._assumed_next
+            shown, assumed = self._shown_by(change, moving, cut), self._assumed_next
             if shown > GROWING * self._seen:
                 self._changes = 0.0  # what was seen before was another noise
                 self._confirmed = 0
@@ -217,26 +213,26 @@ class Scatter:
         self._changes = FORGET * min(self._changes, most) + self._free
         self._open = _left_open(max(round(self._changes), 1))
 
-    def _shown_by(self, change: FloatArray, quietest: FloatArray | None, moving: int) -> float:
+    def _shown_by(self, change: FloatArray, moving: int, cut: list[float] | None) -> float:
         """V, by this change (N, M) in V and those before.
 
         Args:
             change: V, since the last frame.
-            quietest: V, the quietest sum of that and the change before, where a loop has found it and :attr:`_sums`.
             moving: readings that can change.
+            cut: V, cut sums of that, and of the quietest sum of it and the change before, where a loop has found them.
 
         """
-        by_loop = quietest is not None
-        mean = self._sums.item(0) / (moving * MEAN_CHANGE) if by_loop else self._by_mean(change, self._seen, moving)
+        mean = self._by_mean(change, self._seen, moving) if cut is None else cut[0] / (moving * MEAN_CHANGE)
         if mean <= ROUNDED * self._seen:  # whatever moves
             return mean
         if self._change is None:
             return 0.0
         if moving < FEW:
             return self._shown_by_few(change, mean)
-        if quietest is None:
-            quietest = _quietest_of_two(change, self._change)
-        shown = self._by_quietest(quietest, QUIET_OF_TWO, moving, self._sums.item(1) if by_loop else None)
+        if cut is None:
+            shown = self._by_quietest(_quietest_of_two(change, self._change), QUIET_OF_TWO, moving)
+        else:
+            shown = self._by_quietest(self._quietest, QUIET_OF_TWO, moving, cut[1])
         if shown > ABOVE * self._seen and self._older is not None:
             of_three = _quietest(np.concatenate((change, self._change, self._older)).reshape(3, -1))[None]
             shown = min(shown, self._by_quietest(of_three, QUIET_OF_THREE, moving))
@@ -357,12 +353,15 @@ def _quietest_of_two(change: FloatArray, before: FloatArray) -> FloatArray:
 
 
 @loop
-def _changes_of(volts: Rows, last: Rows, before: Rows, most: float, change: Rows, quietest: Rows, sums: Row) -> None:
-    """Write the change (N, M) of the readings, its quietest sum with the one ``before``, and ``sums``.
-
-    These are the cut sums of both, and the largest change.
+def _changes_of(
+    volts: Rows, last: Rows, before: Rows, most: float, change: Rows, quietest: Rows
+) -> tuple[float, float, float]:
+    """Write the change (N, M) of the readings, and its quietest sum with the one ``before``.
 
     As array operations, :func:`_quietest_of_two` and :func:`cut_sum`.
+
+    Returns:
+        The cut sums of both, and the largest change.
     """
     rows, columns = volts.shape
     newer = mixed = older = cut = largest = 0.0
@@ -374,17 +373,16 @@ def _changes_of(volts: Rows, last: Rows, before: Rows, most: float, change: Rows
             older += before[i, j] * before[i, j]
             cut += min(abs(change[i, j]), most)
             largest = max(largest, abs(change[i, j]))
-    sums[0], sums[2] = cut, largest
     second = (newer - 2.0 * mixed + older) / 3.0
     across = newer + 2.0 * mixed + older
     angle = 0.5 * math.atan2(2.0 * (newer - older) / _ROOT_3, second - across)
     sine, cosine = math.sin(angle) / _ROOT_3, math.cos(angle)
-    cut = 0.0
+    cut_of_two = 0.0
     for i in range(rows):
         for j in range(columns):
             quietest[i, j] = change[i, j] * (cosine - sine) + before[i, j] * (cosine + sine)
-            cut += min(abs(quietest[i, j]), most)
-    sums[1] = cut
+            cut_of_two += min(abs(quietest[i, j]), most)
+    return cut, cut_of_two, largest
 
 
 def _quietest(changes: FloatArray) -> FloatArray:

@@ -68,7 +68,7 @@ class SystematicError:
         if self._tabulated:
             for row, slope in enumerate((by_reading, by_rest)):
                 self._slopes_squared[row] = np.interp(self._pressure, pressure[order], slope[order]) ** 2
-        self._of_valid_cells = _of_valid_cells.machine_code()
+        self._of_valid_cells = _of_valid_cells.machine_code(unchecked=True)
         self.rest_spread: float | None = None
         """relative standard deviation of the cells' rest resistances about that of the data sheet: the least that was
         seen, and what so few cells leave open"""

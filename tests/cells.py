@@ -1,11 +1,11 @@
-"""Calibrations that several test modules look at: each is made once."""
+"""Calibrations that several test modules look at: each is made once in a run of the tests."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
+from together import once
 
 from ohmskin.bench import _independent as independent
 from ohmskin.bench._materials import MATERIALS
@@ -19,8 +19,7 @@ FULL = EXAMPLE.full_scale_kpa
 
 def sense(cell: Cell, load: np.ndarray, dt: float = DT) -> np.ndarray:
     """Resistance (n,) of a cell under normalised loads (n,)."""
-    forward = cell.forward(())
-    return np.array([float(forward.step(dt, cell.full_scale_kpa * s)) for s in load.tolist()])
+    return cell.forward(()).run(np.full(len(load), dt), cell.full_scale_kpa * load)
 
 
 def protocol_recording(cell: Cell, noise: float, seed: int = 0) -> Recording:
@@ -39,7 +38,7 @@ def exactly(cell: Cell, name: str | None, time: np.ndarray, read: np.ndarray, **
     return np.stack([estimator.step(float(dt), r) for dt, r in zip(steps, read, strict=True)])
 
 
-@cache
+@once
 def paper() -> CalibrationResult:
     """The example cell, from the 280 s protocol with 0.5 % noise."""
     return calibrate(protocol_recording(EXAMPLE, 0.005))
@@ -60,7 +59,7 @@ class Unknown:
         return DT * np.arange(len(self.load))
 
 
-@cache
+@once
 def unknown() -> Unknown:
     """Random presses: half to learn from, then loads and readings to judge by."""
     rng = np.random.default_rng(3)
@@ -72,7 +71,7 @@ def unknown() -> Unknown:
     return Unknown(found, load, read, part)
 
 
-@cache
+@once
 def creeping() -> Unknown:
     """The protocol to learn from, ten minutes at rest, then presses: creep goes on for longer than was recorded."""
     rng = np.random.default_rng(1)
@@ -85,7 +84,7 @@ def creeping() -> Unknown:
     return Unknown(found, load, read, part)
 
 
-@cache
+@once
 def short_presses() -> tuple[CalibrationResult, np.ndarray, np.ndarray, np.ndarray, float]:
     """A minute of short presses to learn from, then a hold of 15 minutes: found, time, load, read, seconds learned."""
     rng = np.random.default_rng(2)

@@ -6,8 +6,11 @@ import gc
 import os
 import signal
 from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
 
 import pytest
+import together
 from hypothesis import settings
 
 from ohmskin import compiled
@@ -15,6 +18,8 @@ from ohmskin.driver import Skin, discover
 from ohmskin.verification import _chain, _report
 
 pytest_plugins = ["ohmskin.hil.plugin"]  # also where the installed entry point is older than the source
+
+os.environ.setdefault(compiled.SWITCH, "checked")  # an array of another type than a loop states is a failure
 
 # A busy machine is no failure, and a failure must come again.
 settings.register_profile("ohmskin", deadline=None, derandomize=True)
@@ -46,13 +51,20 @@ def _boards_of_this_process(tmp_path_factory: pytest.TempPathFactory) -> Iterato
 
     And machine code is compiled before: a board whose cable is pulled after a second does not wait for the compiler.
     """
-    loops = compiled._offered
-    odd = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")) % 2
-    compiled.load(*(reversed(loops) if odd else loops))  # two workers meet in the middle: each compiles half
+    _compile_together(together.share(tmp_path_factory))
     _keep_what_is_there()  # what the compiler made stays as well
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("OHMSKIN_RUNTIME_DIR", str(tmp_path_factory.mktemp("boards")))
         yield
+
+
+def _compile_together(folder: Path) -> None:
+    """Compile what no other worker has begun to compile, then load what the others have compiled."""
+    for number, each in enumerate(compiled._offered):  # the same ones in every worker: all have imported all tests
+        with suppress(FileExistsError):
+            (folder / f"loop-{number}").touch(exist_ok=False)
+            each.machine_code()
+    compiled.load()
 
 
 def _keep_what_is_there() -> None:

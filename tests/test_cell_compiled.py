@@ -230,7 +230,9 @@ def _calls(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
     counts: dict[str, int] = {}
     with monkeypatch.context() as patched:
         for each in estimator._loops():
-            patched.setattr(each, "code", _counted(each.code, f"{each.__module__}.{each.__qualname__}", counts))
+            patched.setattr(
+                each, "unchecked", _counted(each.unchecked, f"{each.__module__}.{each.__qualname__}", counts)
+            )
         share(estimator, 1e-4)
         pressed = readings(cell, shape, 20, 1e-4, 0)
         rest = cell.rest_resistance_ohm * (1 + 1e-4 * random.standard_normal((64, *shape)))

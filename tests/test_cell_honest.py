@@ -160,6 +160,7 @@ def test_the_step_of_a_coarse_converter_is_in_the_deviation(load: honesty.Load) 
     read = honesty.readings(EXAMPLE, share, dt, 0.1, np.random.default_rng(0), bits=bits)
     step_std = 3.3 / 2**bits / np.sqrt(12) * read[0] / (honesty.VOLTS_AT_REST * EXAMPLE.rest_resistance_ohm)
     estimator = EXAMPLE.estimator(share.shape[1:])
+    estimator.compile()
     read[0, 0] = step_std[0] = np.nan  # a cell that the first frame does not show is as coarse as the others
     estimator.resolve(step_std, read[0])
     error, std = np.empty((2, *share.shape))
@@ -255,6 +256,7 @@ def test_a_first_reading_under_load_is_no_long_hold_without_a_doubt(kpa: float, 
     time = np.arange(0.0, 10.0, dt)
     load = kpa * np.interp(time, [0.1, 0.15, 2.1, 2.15, 4.0, 4.05, 5.0, 5.05, 7.0, 7.05, 8.0, 8.05], [0, 1, 1, 0] * 3)
     board, estimator = cell.forward((4,)), cell.estimator((4,))
+    estimator.compile()
     noise = np.random.default_rng(0).normal(scale=1e-3, size=(len(time), 4))
     ratios = []
     for now, true, scatter in zip(time, load, noise, strict=True):

@@ -1,5 +1,6 @@
 """Calibration: known cells are found again, unknown materials are estimated with honest errors."""
 
+import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -30,6 +31,8 @@ from ohmskin.cell.identification._recovery_curve import recovery_branches
 from ohmskin.cell.inversions._inverse import margin
 from ohmskin.cell.materials import _simulate as simulate
 from ohmskin.errors import InputError
+
+CONTACT = ContactModel(exponent=0.9, full_scale_resistance_ohm=500)
 
 
 def test_the_example_cell_is_found_again() -> None:
@@ -120,6 +123,20 @@ def test_a_saved_cell_estimates_the_same(tmp_path: Path) -> None:
         assert (both[0] == both[1]).all()
 
 
+def test_what_was_found_can_be_pickled() -> None:
+    """For other processes, with the simulations of cells like those that were found."""
+    for found in (cells.paper(), calibrate(protocol_recording(EXAMPLE.replace(model=CONTACT), 0.01))):
+        again = pickle.loads(pickle.dumps(found))
+        assert (again.cell, again.inverse_margin, again.folds) == (found.cell, found.inverse_margin, found.folds)
+        load = np.linspace(0, 1, 50)[:, None]
+        for one, other in zip(found.fits, again.fits, strict=True):
+            for simulate_one, simulate_other in zip(
+                (one.simulate, *one.simulate_folds), (other.simulate, *other.simulate_folds), strict=True
+            ):
+                seen = [run(np.random.default_rng(1), load, DT) for run in (simulate_one, simulate_other)]
+                assert (seen[0] == seen[1]).all()
+
+
 def test_a_cell_never_seen_at_rest_has_no_rest_resistance() -> None:
     """The model takes what R0 it needs; the report says that this is not the material's."""
     load = 0.5 + 0.45 * np.sin(np.arange(0, 120, DT) / 7) * np.sin(np.arange(0, 120, DT) / 3)
@@ -136,14 +153,13 @@ def test_a_cell_never_seen_at_rest_has_no_rest_resistance() -> None:
 
 def test_contact_cells_are_told_apart() -> None:
     """P2: R falls with pressure; the exponent is found, the estimate is static, plateaus within 8 %."""
-    model = ContactModel(exponent=0.9, full_scale_resistance_ohm=500)
-    found = calibrate(protocol_recording(EXAMPLE.replace(model=model), 0.01))
+    found = calibrate(protocol_recording(EXAMPLE.replace(model=CONTACT), 0.01))
     assert isinstance(found.cell.model, ContactModel)
     assert found.cell.model.exponent == pytest.approx(0.9, abs=0.03)
     assert found.cell.default_estimator == "static"
     time = np.arange(0, 60, DT)
     load = np.repeat([0.0, 0.25, 0.5, 0.75, 1.0, 0.3], 100)
-    read = sense(EXAMPLE.replace(model=model), load)
+    read = sense(EXAMPLE.replace(model=CONTACT), load)
     pressure, _ = estimate_recording(found.cell.estimator(()), time, read)
     assert np.abs(pressure / FULL - load).max() < 0.08
 

@@ -260,6 +260,7 @@ def judged(load: np.ndarray, dt: float, noise: float, cell: Cell = EXAMPLE) -> t
     read = cell.forward(cells).run(np.full(len(load), dt), load)
     read *= 1.0 + noise * np.random.default_rng(0).standard_normal(load.shape)
     estimator = cell.estimator(cells)
+    estimator.compile()
     shown, std = np.array([(estimator.step(dt, ohms), estimator.std_kpa) for ohms in read]).swapaxes(0, 1)
     return np.abs(shown - load), np.abs(shown - load) / std
 

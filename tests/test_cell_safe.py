@@ -123,9 +123,16 @@ def test_a_light_touch_on_a_cell_that_recovers_leaves_no_load(cell: Cell) -> Non
     assert worst < 3.5
 
 
-@pytest.mark.parametrize(("hertz", "share", "noise"), [(2, 0.02, 1e-3), (5, 0.02, 2e-4), (5, 0.005, 1e-3)])
-def test_chains_that_a_tremor_breaks_unseen_are_in_the_deviation(hertz: float, share: float, noise: float) -> None:
-    """20 s of 40 % of full scale with a tremor about as large as the noise, on an m10 cell; beside it no tremor."""
+@pytest.mark.parametrize(
+    ("hertz", "share", "noise", "grows"), [(2, 0.02, 1e-3, 0.03), (5, 0.02, 2e-4, 0.03), (6, 0.02, 3e-3, 0.13)]
+)
+def test_chains_that_a_tremor_breaks_unseen_make_no_load(
+    hertz: float, share: float, noise: float, grows: float
+) -> None:
+    """20 s of 40 % of full scale with a tremor about as large as the noise, on an m10 cell; beside it no tremor.
+
+    The chains that it breaks must not show as a load that grows, by 42 % of full scale under the last of these.
+    """
     dt, cell = 0.01, EXAMPLE.replace(model=SAFE_M10)
     time = np.arange(dt, 24, dt)[:, None]
     phase = np.linspace(0, np.pi, COUNT // 2, endpoint=False)
@@ -136,12 +143,51 @@ def test_chains_that_a_tremor_breaks_unseen_are_in_the_deviation(hertz: float, s
         1 + noise * np.random.default_rng(1).standard_normal(load.shape)
     )
     pressure, std = estimated(cell, read, dt=dt)
-    late = (time[:, 0] > 2) & (time[:, 0] < 23)
+    late, last = (time[:, 0] > 2) & (time[:, 0] < 23), (time[:, 0] > 21) & (time[:, 0] < 23)
     within = (np.abs(pressure - load) < 2 * std)[late].mean(axis=0)
-    print(f"{100 * within.min():.1f} % within 2 sd; sd {100 * np.median(std[late], axis=0) / cell.full_scale_kpa} % FS")
-    assert within[: COUNT // 2].mean() > 0.85
+    grown = (pressure - load)[last].mean(axis=0) / cell.full_scale_kpa
+    wide = np.median(std[late], axis=0) / cell.full_scale_kpa
+    print(f"{100 * within.min():.1f} % within 2 sd; sd {100 * wide} % FS, grows by {100 * grown} %")
+    assert within[: COUNT // 2].mean() > 0.93
     assert (within[COUNT // 2 :] > 0.95).all()
-    assert (std[late][:, COUNT // 2 :].max(axis=0) < 0.02 * cell.full_scale_kpa).all()
+    assert np.abs(grown[: COUNT // 2]).mean() < grows
+    assert np.median(wide[COUNT // 2 :]) < 0.025
+
+
+@pytest.mark.parametrize("every", [0.6, 0.8], ids=["taps", "a finger that rubs"])
+def test_chains_that_break_within_a_step_of_the_adc_make_no_load(every: float) -> None:
+    """Taps of 2 to 60 % of full scale, and a finger on a line of cells, on m10 cells behind 8-bit amplifiers.
+
+    At 40 frames per second a step is 1 to 5 % of full scale, so that the lightest loads hardly move the reading. They
+    left up to a tenth of full scale behind when chains were counted beyond a play of three deviations alone.
+    """
+    dt, cell = 0.025, EXAMPLE.replace(model=SAFE_M10)
+    time = np.arange(dt, 14, dt)[:, None]
+    during = (time > 1) & (time < 9.4)
+    if every < 0.7:
+        taps = np.interp((time - 1) % every, [0, 0.02, 0.09, 0.11], [0, 1, 1, 0])
+        load = taps * np.array([0.02, 0.03, 0.04, 0.06, 0.1, 0.2, 0.4, 0.6]) * during
+    else:
+        at = np.interp(time % every, [0, every / 2, every], [1.5, 5.5, 1.5])
+        load = 0.3 * np.exp(-((np.arange(8) - at) ** 2) / (2 * 0.85**2)) * during
+    load = load * cell.full_scale_kpa
+    step = 3.3 / 256
+    volts = 2.0 * cell.rest_resistance_ohm / cell.forward((8,)).run(np.full(len(time), dt), load)
+    volts += 5e-4 * np.random.default_rng(2).standard_normal(volts.shape)
+    read = 2.0 * cell.rest_resistance_ohm / (np.round(volts / step) * step)
+    estimator = cell.estimator((8,))
+    estimator.compile()
+    estimator.resolve(np.full(8, step / 12**0.5 / 2.0), np.full(8, cell.rest_resistance_ohm))
+    pressure, std = np.array([(estimator.step(dt, ohms), estimator.std_kpa) for ohms in read]).swapaxes(0, 1)
+    error, late, after = np.abs(pressure - load), time[:, 0] > 1, time[:, 0] > 10.4
+    within, worst = (error < 2 * std)[late].mean(), (error / std)[late].max()
+    rms, left = np.sqrt((error[late] ** 2).mean()), error[after].max() / cell.full_scale_kpa
+    print(f"{100 * within:.1f} % within 2 sd, worst {worst:.1f}; error {100 * rms / cell.full_scale_kpa:.1f} % FS rms")
+    print(f"{100 * left:.1f} % FS left a second after")
+    assert within > 0.95
+    assert worst < 6
+    assert rms < 0.02 * cell.full_scale_kpa
+    assert (error < 2 * std)[after].mean() > 0.97
 
 
 @CELLS
@@ -169,12 +215,14 @@ def test_a_press_right_after_taps_stays_for_as_long_as_it_is_held(volts: float) 
     assert z.max() < 2.5
 
 
-@pytest.mark.parametrize(("noise", "error", "most_left"), [(0.006, 0.08, 0.1), (0.008, 0.15, 0.75)])
+@pytest.mark.parametrize(("noise", "error", "most_left"), [(0.006, 0.055, 0.05), (0.01, 0.085, 0.6)])
 def test_a_finger_that_rubs_to_and_fro_is_followed(noise: float, error: float, most_left: float) -> None:
     """A third of full scale for 90 ms (half of the height), every 0.4 s for 10 s, in such noise of a reading.
 
     A line of readings that may have overshot must be old before a fall is taken for that, or else releases are missed
-    and the next rub adds to what seems to be held: half of full scale was left in 0.6 % of noise.
+    and the next rub adds to what seems to be held: half of full scale was left in 0.6 % of noise. Such noise scales
+    with the conductance. If it were taken for constant, it would seem to be 2.5 times as large at 2.5 times the
+    resistance at rest, and the errors would be 32 % of full scale in 1 % of noise.
     """
     dt, full, count = 1 / 60, EXAMPLE.full_scale_kpa, 3 * COUNT
     time, rng = np.arange(0, 18, dt)[:, None], np.random.default_rng(0)

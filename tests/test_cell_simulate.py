@@ -1,4 +1,4 @@
-"""Simulated cells by machine code against array operations."""
+"""Simulated cells, and what is learned from them, by machine code against array operations."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ohmskin import compiled
+from ohmskin.cell.inversions._features import Bank
 from ohmskin.cell.materials import _simulate as simulate
 
 
@@ -24,3 +25,21 @@ def test_machine_code_simulates_the_same_cells(cells: int, seed: int, dt: float)
         again = simulate.m10(m10, load, dt, begun), simulate.m10(m10, load[:, :1], dt), simulate.paper(paper, load, dt)
     for one, other in zip(found, again, strict=True):
         assert (one == other).all()
+
+
+@settings(deadline=None)
+@given(
+    cells=st.integers(1, 5),
+    seed=st.integers(0, 1000),
+    lags=st.integers(0, 2),
+    paths=st.integers(0, 2),
+    smoothed=st.booleans(),
+)
+def test_machine_code_finds_the_same_features(cells: int, seed: int, lags: int, paths: int, smoothed: bool) -> None:
+    """To the last bit, of recordings with any steps in time."""
+    rng = np.random.default_rng(seed)
+    bank = Bank(0.1, (0.5, 8.0)[:lags], (0.01, 0.05, 0.3), (2.0, 20.0)[:paths], smoothed)
+    r, steps = np.cumsum(0.05 * rng.standard_normal((60, cells)), axis=0), rng.uniform(0.01, 0.3, 60)
+    found = bank.run(steps, r)
+    with compiled.switched_off():
+        assert (found == bank.run(steps, r)).all()

@@ -123,6 +123,41 @@ def test_readings_beside_edges_do_not_count_as_noise(machine_code: bool) -> None
     assert meter.at_rest.mean() == pytest.approx(NOISE, rel=0.12)
 
 
+@pytest.mark.parametrize("machine_code", [False, True])
+@pytest.mark.parametrize("cells", [1, 30])
+@pytest.mark.parametrize("power", [1, 2])
+def test_noise_of_pressed_cells_follows_the_law_that_their_readings_show(
+    power: int, cells: int, machine_code: bool
+) -> None:
+    """Noise of a conductance is constant, or scales with it: in r it is proportional to (1 + r)^2 or to 1 + r."""
+    rng = np.random.default_rng(8)
+    meter = meter_of(cells, machine_code)
+    for n in range(1800):
+        r = np.full(cells, 0.75 - 0.75 * np.cos(0.01 * max(n - 600, 0)))
+        meter.update(r + NOISE * (1.0 + r) ** power * rng.standard_normal(cells), None)
+    assert (meter.multiplicative > 0.0) == (power == 1)
+    assert meter.std(np.zeros(cells))[:3] == pytest.approx(NOISE, rel=0.35)
+    pressed = np.full(cells, 1.5)
+    for _ in range(200):
+        meter.update(pressed + NOISE * 2.5**power * rng.standard_normal(cells), None)
+    assert np.median(meter.std(pressed)) == pytest.approx(NOISE * 2.5**power, rel=0.2)
+    again = NoiseMeter(cells)
+    again.restore(meter.state())
+    assert again.std(pressed) == pytest.approx(meter.std(pressed), rel=1e-12)
+
+
+@pytest.mark.parametrize("machine_code", [False, True])
+def test_a_pressed_cell_that_stays_at_one_code_tells_nothing_of_the_law_of_noise(machine_code: bool) -> None:
+    rng = np.random.default_rng(9)
+    meter, step = meter_of(30, machine_code), 2.0 * NOISE
+    meter.resolve(np.full(30, step / 12**0.5), 0.0)
+    for n in range(1500):
+        noise = NOISE * rng.standard_normal(30) * (n < 600)
+        conductance = np.round((1.0 / (1.0 + 1.5 * (n >= 600)) + noise) / step) * step
+        meter.update(1.0 / conductance - 1.0, None)
+    assert meter.multiplicative == 0.0
+
+
 def meter_of(cells: int, machine_code: bool) -> NoiseMeter:
     meter = NoiseMeter(cells)
     meter.compiled = machine_code

@@ -91,6 +91,18 @@ def test_arguments_of_other_types_are_refused_rather_than_compiled_for() -> None
         code(np.zeros((4, 4))[:, ::2], 0)
 
 
+def test_without_a_look_at_types_loops_answer_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tests look at the types in calls that else do not, so that no caller goes wrong unseen."""
+    assert first_of.machine_code() is first_of.code is first_of.unchecked
+    monkeypatch.delenv(compiled.SWITCH)
+    usual, rows = loop(first_of.function), np.arange(12.0).reshape(3, 4)
+    code = usual.machine_code()
+    assert code is usual.code is not usual.unchecked
+    assert code(rows, 2) == usual.unchecked(rows, 2) == 8.0
+    with pytest.raises(TypeError, match="argument type"):
+        code(rows.T, 2)
+
+
 def test_arrays_that_nobody_may_write_to_are_taken_where_the_loop_says_so() -> None:
     code = divided.machine_code()
     assert code is not None

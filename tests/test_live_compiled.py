@@ -248,7 +248,7 @@ def test_usual_frames_hand_loops_arrays_of_exactly_their_types(monkeypatch: pyte
     others: set[tuple[str, str]] = set()
     machine_code, watched = Loop.machine_code, False
 
-    def checked(loop: Loop[..., Any]) -> Any:
+    def checked(loop: Loop[..., Any], *, unchecked: bool = False) -> Any:
         code = machine_code(loop)
         types = {
             name: compiled._written(hint) for name, hint in get_type_hints(loop.function, include_extras=True).items()
@@ -261,7 +261,7 @@ def test_usual_frames_hand_loops_arrays_of_exactly_their_types(monkeypatch: pyte
                     others.add((loop.__qualname__, name))
             return code(*arguments)  # type: ignore[misc]
 
-        loop.code = check
+        loop.code = loop.unchecked = check
         return check
 
     monkeypatch.setattr(Loop, "machine_code", checked)
@@ -275,5 +275,5 @@ def test_usual_frames_hand_loops_arrays_of_exactly_their_types(monkeypatch: pyte
                 _ = skin.read(0.0).pressure_std
     finally:
         for loop in compiled._offered:
-            loop.code = loop._compiled or loop.function
+            loop.code = loop.unchecked = loop._compiled or loop.function
     assert not others

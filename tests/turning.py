@@ -564,9 +564,9 @@ class Way:
     def look(self, dt: float, mean: float, noise: float, largest: float) -> tuple[float, float]:
         """Take the ``mean`` of four readings, uncertain by ``noise`` each: way that is told, and the most of it."""
         self.seen.append(mean)
-        told, most, rest, rest_of_most = 0.0, 0.0, 1.0, 1.0
+        told, most, rest, rest_of_most, caution = 0.0, 0.0, 1.0, 1.0, way.Caution()
         for length in (1, 2, 4, 8):
-            share = float(np.clip(4 * dt * length / way.MEMORY_S, *way.SHARES))
+            share = float(np.clip(4 * dt * length / way.MEMORY_S, way.LEAST_SHARE, caution.most_share))
             if len(self.seen) % length == 0:
                 self._compare(length, share, noise, largest)
             up, down, up_again, down_again = (self.sides[length, side, order] for order in (1, 2) for side in (1, -1))
@@ -574,10 +574,10 @@ class Way:
             clear = (2 * min(up_again, down_again) - 1) / sure
             moved = max(min(up + down, way.SIDE * min(up, down)) - 1, 0.0)
             this = self._way(length, moved, max(self.bends[length] - 1, 0.0), noise)
-            does = float(np.clip((clear - way.TOLD) / (way.DOES - way.TOLD), 0, 1))
+            does = float(np.clip((clear - caution.told) / (caution.does - caution.told), 0, 1))
             told, rest = told + rest * does * this, rest * (1 - does)
-            hides = min(way.HIDDEN + way.HIDES_AT_FAST * (way.FAST_HZ * 4 * dt * length) ** 2, way.MOST_HIDDEN)
-            may = float(np.clip(clear / way.TOLD, 0, 1))
+            hides = min(caution.hidden + way.HIDES_AT_FAST * (way.FAST_HZ * 4 * dt * length) ** 2, way.MOST_HIDDEN)
+            may = float(np.clip(clear / caution.told, 0, 1))
             most, rest_of_most = most + rest_of_most * may * this * hides, rest_of_most * (1 - may)
         return told, max(most, told)
 

@@ -6,7 +6,7 @@ and motion within the noise. A cell that sleeps may bear any load that its readi
 
 A program that does not ask for the deviation of a frame is not to pay for it. A frame therefore leaves what the
 variances follow from (:class:`LeftOpen`), in arrays that never change again, and the sum is made when it is asked for,
-or when other cells are followed. Machine code makes the sum at once, since that costs it less than copies.
+or when other cells are followed. Machine code makes the sum at once, since that costs it less than copies of these.
 """
 
 from __future__ import annotations
@@ -52,29 +52,27 @@ class LeftOpen(NamedTuple):
     """(m,) kPa^2 beside that of noise and memory"""
 
 
-class Stated(NamedTuple):
-    """The variances of one frame, worked out. Arrays never change again."""
-
-    cells: IntArray
-    """(m,) that were followed"""
-    variance: FloatArray
-    """(m,) kPa^2; gaps are not counted"""
-
-
 class Asleep(NamedTuple):
     """What the readings of sleeping cells leave open. Arrays never change again."""
 
     cells: IntArray
-    """(m,) that sleep, or have done so a few frames ago"""
+    """(m,)"""
     per_reading: FloatArray
     """(m,) kPa of standard deviation per r: the load may be the reading's, though none is shown"""
     hidden_kpa: FloatArray
     """(m,) what the noise may hide beyond, as standard deviation"""
 
+    def without(self, cells: IntArray, of: int) -> Asleep | None:
+        """The same without ``cells`` (m,) of so many; None: no cell is left."""
+        kept = np.ones(of, dtype=np.bool_)
+        kept[cells] = False
+        kept = kept[self.cells]
+        return Asleep(*(values.compress(kept) for values in self)) if np.count_nonzero(kept) else None
+
     def add_to(self, variance: FloatArray, reading: FloatArray, *, compiled: bool) -> None:
         """Add what the present readings (n,) leave open to variances (n,) in kPa^2."""
         if compiled:
-            loops.add_asleep.code(variance, reading, self.cells, self.per_reading, self.hidden_kpa)
+            loops.add_asleep.unchecked(variance, reading, self.cells, self.per_reading, self.hidden_kpa)
             return
         std = np.abs(reading.take(self.cells))
         std *= self.per_reading
@@ -96,8 +94,8 @@ class Deviation:
         self._rest_at_kpa = np.linspace(0, self._full_kpa, rest_std_kpa.size)
         self._doubt_kpa2 = (DOUBT * self._full_kpa) ** 2
         self._variance = np.full(cells, np.nan)
-        """(n,) kPa^2 without the cells of ``_left_open``; replaced, never changed"""
-        self._left_open: LeftOpen | Stated | None = None
+        """(n,) kPa^2 without the cells of ``_left_open``; gaps are not counted; replaced, never changed"""
+        self._left_open: LeftOpen | None = None
         self._asleep: Asleep | None = None
         self._numbers = self._numbers_of_loops()
         self.compiled = False
@@ -131,6 +129,11 @@ class Deviation:
         return np.array([numbers[place] for place in range(len(numbers))])
 
     # -- cells that are followed -------------------------------------------------------------------------------------
+
+    def follow(self, cells: IntArray) -> None:
+        """Note that ``cells`` (m,) are followed, and sleep no more."""
+        if self._asleep is not None:
+            self._asleep = self._asleep.without(cells, self._variance.size)
 
     def take_exact(self, block: Block) -> None:
         """Take the memory of a frame whose readings are exact."""
@@ -168,12 +171,12 @@ class Deviation:
 
     def show_compiled(self, block: Block, added: FloatArray, pressure: FloatArray) -> None:
         """:meth:`show` by machine code, which writes the pressures into those of all cells (n,)."""
-        variance = np.empty(block.cells.size)
-        loops.show.code(
+        variance = self._variance.copy()
+        loops.show.unchecked(
             *(block.memory, block.line, block.taken, added, self._numbers, self._rest_at_kpa, self._rest_variance),
             *(block.cells, pressure, variance),
         )
-        self._left_open = Stated(block.cells, variance)
+        self._variance, self._left_open = variance, None
 
     def flush(self) -> None:
         """Store the variances of the last frame, since other cells are to be followed."""
@@ -189,7 +192,7 @@ class Deviation:
         self._variance = self._variance.copy()
         if self.compiled:
             per_reading, hidden_kpa = np.empty((2, asleep.size))
-            loops.watch_over.code(
+            loops.watch_over.unchecked(
                 *(asleep, remembered.memory, sleep.mean, noise.at_rest, sleep.band, self._numbers),
                 *(self._rest_at_kpa, self._rest_variance, sleep.wake_at, per_reading, hidden_kpa, self._variance),
             )
@@ -221,7 +224,7 @@ class Deviation:
         before: FloatArray,
         asleep: Asleep | None,
         reading: FloatArray,
-        left_open: LeftOpen | Stated | None,
+        left_open: LeftOpen | None,
         added: tuple[FloatArray | None, ...],
     ) -> FloatArray:
         """(shape) kPa^2, from variances (n,) in kPa^2: before the step, asleep, of the step, and others."""
@@ -238,10 +241,8 @@ class Deviation:
                 variance += more
         return variance.reshape(shape)
 
-    def _variance_of(self, left_open: LeftOpen | Stated) -> FloatArray:
+    def _variance_of(self, left_open: LeftOpen) -> FloatArray:
         """(m,) variance in kPa^2 of the cells that were followed in a frame."""
-        if isinstance(left_open, Stated):
-            return left_open.variance.copy()
         looked, memory = left_open.looked, left_open.memory
         if looked is None:
             std_kpa = np.zeros(left_open.cells.size)

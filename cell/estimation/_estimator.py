@@ -338,7 +338,9 @@ class Estimator:
         self._flush()
         if known is not None or self._gaps.open:
             self._part(wanted)
-        self._sleep.follow(remembered.follow(wanted))
+        cells = remembered.follow(wanted)
+        self._sleep.follow(cells)
+        self._deviation.follow(cells)
 
     def _part(self, wanted: BoolArray) -> None:
         """Bring up the memory of cells that are read again, and of those that are not read any more."""
@@ -419,7 +421,7 @@ class Estimator:
             InputError: the state is not one of this estimator for cells of this shape.
         """
         expected = self.state()
-        given = {name: np.array(value, dtype=np.float64) for name, value in state.items()}
+        given = {name: np.array(value, dtype=np.float64, order="C") for name, value in state.items()}
         if {name: value.shape for name, value in expected.items()} != {n: v.shape for n, v in given.items()}:
             raise InputError(f"not a saved state of this estimator for cells of shape {self.shape}")
         self._pressure, self._readings = given["pressure"], given["readings"]

@@ -120,12 +120,12 @@ class Following:
         self, block: Block, dt: float, r: FloatArray, frame: int, pressure: FloatArray
     ) -> None:
         cells, line, taken = block.cells, block.line, block.taken
-        loops.take.code(r, self._noise.at_rest, cells, line, taken, LEAST_NOISE)
+        loops.take.unchecked(r, self._noise.at_rest, cells, line, taken, LEAST_NOISE)
         if self._sparks.cells.size:
             self._sparks.put_back(block, dt, taken[READING], taken[NOISE])
         gains = self._gains(dt).rows
         beside = block.line_before, cells, self._noise.on_line, self._noise.looks_next
-        if smoothing.advance_each.code(line, *beside, dt, gains, taken, block.begun, self._sparks.large_r):
+        if smoothing.advance_each.unchecked(line, *beside, dt, gains, taken, block.begun, self._sparks.large_r):
             self._sparks.remember(block, block.begun, taken[READING], taken[NOISE])
         if self._sparks.cells.size:
             self._sparks.recognise_taps(dt, r)

@@ -177,7 +177,7 @@ class Inversion(ABC):
             Whether all of them were found to be credible. False says nothing: they are to be looked at.
         """
         if compiled:
-            return loops.read.code(resistance_ohm, per_ohm, r, *self.credible)
+            return loops.read.unchecked(resistance_ohm, per_ohm, r, *self.credible)
         np.multiply(resistance_ohm, per_ohm, out=r)
         r -= _ONE
         return False

@@ -122,7 +122,7 @@ def show(
     pressure: Row,
     variance: Row,
 ) -> None:
-    """Pressures to show of ``cells`` (m,), into ``pressure`` (n,), and variances (m,) in kPa^2 of them.
+    """Pressures to show of ``cells`` (m,) into ``pressure`` (n,), and their variances in kPa^2 into ``variance`` (n,).
 
     ``added`` (m,) holds the variance by jumps, and is changed.
     """
@@ -180,7 +180,7 @@ def show(
         own += model_variance
         if rest_at_kpa.size > 0:
             own += interpolated(found, rest_at_kpa, rest_variance)
-        variance[i] = own + added[i] if stated else math.nan
+        variance[cells[i]] = own + added[i] if stated else math.nan
 
 
 @loop

@@ -9,6 +9,11 @@ those far beyond the noise are therefore passed over (a redescending M-estimator
 then the noise has risen. In an array most cells are at rest. There it is the median cell that tells whether noise has
 risen, and no cell is taken to be much noisier than that one.
 
+Other noise scales with the conductance: that of a supply, of a resistive divider, of the cell itself. Its standard
+deviation in r is proportional to 1 + r. Readings of pressed cells tell how much of a board's noise is of this kind (a
+variance function with an additive and a multiplicative component; Davidian and Carroll 1987). Taken for additive, noise
+of 1 % at rest would be 2.5 % at 2.5 times the resistance at rest. So no more is taken for multiplicative than is clear.
+
 Third differences of successive frames overlap, and tell nearly the same. Those of every third frame are all but
 independent: averaging only these costs a quarter of the accuracy and a third of the time.
 """
@@ -70,6 +75,15 @@ RECENT = 4
 HALF_STEP = math.sqrt(3.0)
 """half a step of an ADC over the standard deviation of an evenly distributed error, the resolution: no more is the
 standard deviation of readings that flip between two codes, and such readings show no motion"""
+PRESSED = 0.2
+"""of r: from there on readings tell additive noise from multiplicative"""
+DITHERED = 4.0
+"""times the variance of the steps of the ADC, from which they are noise as any other: cells with less stay at one code
+when they are pressed, and would seem to have no noise"""
+CLEAR = 2.0
+"""standard deviations by which the multiplicative share of the noise must exceed none"""
+LONGEST = 800.0
+"""information about that share, as of so many readings, beyond which older readings count for less"""
 CROSSED = 10.0
 """times the variance of noise: a window that has more is crossed by an edge, which smoothing notices"""
 
@@ -86,7 +100,11 @@ _POWERS = np.vander(np.linspace(-1.0, 1.0, WINDOW), WINDOW, increasing=True)
 _BESIDE_PARABOLA = _rolled(np.linalg.qr(_POWERS)[0][:, 3:].T.copy())
 """orthonormal rows; parabolas have no part in them, white noise has its variance in each"""
 LEAST_VARIANCE = LEAST**2
-_ONE, _OUTLIER, _LEAST_VARIANCE = np.array(1.0), np.array(OUTLIER), np.array(LEAST_VARIANCE)
+WEIGHT, FOUND, COMMON, LATELY, BY_REST = range(5)
+"""places of the sums that tell multiplicative noise: weights of readings; the same times the share that each tells; by
+how much an error of the noise at rest would change the latter, since the last time; the same of late, as long as that
+error lasts; and the variance that follows"""
+_ZERO, _ONE, _OUTLIER, _LEAST_VARIANCE = (np.array(x) for x in (0.0, 1.0, OUTLIER, LEAST_VARIANCE))
 _ACROSS, _UNCUT = np.array(ACROSS), np.array(UNCUT)
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
@@ -129,6 +147,10 @@ class NoiseMeter:
         """the same where nothing of it is taken out of the readings; 0: no noise is shared"""
         self.quiet = np.inf
         """the least that the median cell has had of late: what is more may be the load; infinite: not known"""
+        self.multiplicative = 0.0
+        """share of the variance of own noise at rest that scales with the conductance, as far as it is clear"""
+        self._told = np.zeros(5)
+        """sums that tell it, see :data:`WEIGHT`"""
         self.beside = np.zeros(cells)
         """(n,) what :meth:`beside_parabola` said at the end of the last window"""
         self.resolution = np.zeros(cells)
@@ -168,11 +190,16 @@ class NoiseMeter:
     def _blurred(self, r: FloatArray) -> FloatArray:
         """(n,) or (rows, n) standard deviation of readings ``r`` of all cells, over that of own noise at rest."""
         scale: FloatArray = r + _ONE
-        if self._shared:
-            scale *= np.sqrt(scale * scale + self.excess)
-        else:
-            scale *= scale
+        scale *= self._blurred_more(scale, self.excess)
         return scale
+
+    def _blurred_more(self, scale: FloatArray, excess: FloatArray) -> FloatArray:
+        """The same, over ``scale`` (m,), which is 1 + r; ``excess`` (m,) of the same cells."""
+        if not (self._shared or self.multiplicative):
+            return scale
+        squares = scale * scale
+        more: FloatArray = np.sqrt(squares * additive(squares, self.multiplicative) + excess)
+        return more
 
     def update(self, r: FloatArray, known: BoolArray | None) -> None:
         """Take normalised resistances (n,); ``known`` (n,) marks those that were read, None: all."""
@@ -210,16 +237,17 @@ class NoiseMeter:
             self._looks += 1
             kept = self._variance, self._crowd, self.on_line, self._blind
             shares = self._share, self._share_of_crowd
-            average.code(squares, r, self.excess, *kept, WINDOW - 4.0, *shares, self._passes_below)
+            law = self.excess, self.multiplicative, self.resolution, self._told
+            average.unchecked(squares, r, *law, *kept, WINDOW - 4.0, *shares, self._passes_below)
             self._renew()
             return
         squares /= self._blurred(r)
         squares *= squares
         if self._any_blind:
             np.copyto(squares, self._variance, where=self._blind > WINDOW - 4)
-        self._average(squares)
+        self._average(squares, r)
 
-    def _average(self, squares: FloatArray) -> None:
+    def _average(self, squares: FloatArray, r: FloatArray) -> None:
         if not self._looks:
             if squares.size >= MANY:
                 self._variance = np.full(squares.size, float(np.median(squares)) / MEDIAN_OF_SQUARES)
@@ -243,11 +271,47 @@ class NoiseMeter:
             outlies &= flags
             if self._any_blind:
                 outlies |= self._blind > WINDOW - 4
+            self._tell(squares, r, ~outlies)
             np.copyto(squares, self._variance, where=outlies)
         squares -= self._variance
         squares *= self._share
         self._variance += squares
         self._renew()
+
+    def _tell(self, squares: FloatArray, r: FloatArray, counted: BoolArray) -> None:
+        """Let squared third differences over the variance of ``r`` tell how much noise is multiplicative; all (n,).
+
+        Weighted least squares: a square over its variance is 1 - (s - m) x, where s is the share, m what was taken for
+        it, and x the derivative. A single reading weighs no more than 1.
+        """
+        tells = np.greater(r, PRESSED)
+        if not np.count_nonzero(tells):
+            return
+        tells &= counted & (squares > _LEAST_VARIANCE) & (self._variance > DITHERED * self.resolution * self.resolution)
+        cells = tells.nonzero()[0]
+        if not cells.size:
+            return
+        ratio = squares.take(cells) / self._variance.take(cells)
+        scale = r.take(cells) + _ONE
+        scale *= scale
+        slope = (scale - _ONE) / (scale * additive(scale, self.multiplicative) + self.excess.take(cells))
+        weight = slope / (slope * slope + _ONE)
+        found = slope * self.multiplicative + _ONE - ratio
+        sums = np.add.accumulate([weight * slope, weight * found, weight], axis=1)[:, -1]
+        sums[COMMON] /= math.sqrt(cells.size)  # errors of several cells
+        self._told[: COMMON + 1] += sums
+
+    def _find_multiplicative(self) -> None:
+        """Renew the multiplicative share: none, where chance or an error of the noise at rest may be the cause."""
+        weight, found, common, lately, by_rest = self._told.tolist()
+        if not weight:
+            return
+        lately = lately * (1.0 - self._share) ** POOL + common
+        by_rest += 2.0 * self._share * common * (2.0 * lately - common)
+        share, doubt = found / weight, math.sqrt(2.0 * weight + by_rest) / weight
+        self.multiplicative = min(share, 1.0) if share > CLEAR * doubt else 0.0
+        less = min(LONGEST / weight, 1.0)
+        self._told[:] = weight * less, found * less, 0.0, lately * less, by_rest * less * less
 
     @property
     def _share(self) -> float:
@@ -267,6 +331,7 @@ class NoiseMeter:
             self._variance += EXPECTED_LOOKS / KNOWN * (self._variance - self._expected)
             np.maximum(self._variance, LEAST**2, out=self._variance)
         if self._looks % POOL == 1:
+            self._find_multiplicative()
             self._pool()
         self._state_std()
 
@@ -274,14 +339,15 @@ class NoiseMeter:
         """Renew the standard deviations."""
         if self.compiled:
             resolved, last = self.typical_resolution > 0.0, self._ring[(self._seen - 1) % WINDOW]
-            std_at_rest.code(self._variance, self.resolution, resolved, last, self.excess, self.at_rest)
+            law = self.excess, self.multiplicative
+            std_at_rest.unchecked(self._variance, self.resolution, resolved, last, *law, self.at_rest)
             return
         np.add(self._variance, _LEAST_VARIANCE, self.at_rest)
         np.sqrt(self.at_rest, self.at_rest)
-        if self._shared:
+        if self._shared or self.multiplicative:
             scale = self._ring[(self._seen - 1) % WINDOW] + _ONE
             scale *= scale
-            self.at_rest *= np.sqrt(self.excess / scale + _ONE)
+            self.at_rest *= np.sqrt(self.excess / scale + additive(scale, self.multiplicative))
         if self.typical_resolution:
             np.maximum(self.at_rest, self.resolution, out=self.at_rest)
 
@@ -326,11 +392,11 @@ class NoiseMeter:
         if self.compiled:
             present = np.empty(cells.size)
             last = (self._seen - 1) % WINDOW
-            of_cells = self.resolution, self.excess, self._blind
-            beside_each.code(cells, beside, ring, last, self.quiet, *of_cells, present)
+            of_cells = self.resolution, self.excess, self.multiplicative, self._blind
+            beside_each.unchecked(cells, beside, ring, last, self.quiet, *of_cells, present)
             return present
         scale = ring[(self._seen - 1) % WINDOW] + 1.0
-        scale *= np.sqrt(scale * scale + self.excess[cells]) if self._shared else scale
+        scale *= self._blurred_more(scale, self.excess[cells])
         scale *= np.maximum(self.quiet, HALF_STEP * self.resolution[cells])
         beside /= scale
         beside *= beside
@@ -391,6 +457,7 @@ class NoiseMeter:
             "noise_of_array": np.array(
                 [self.typical, self.own, self._shared, self.quiet, self._passes_below, self.resolution_by_all]
             ),
+            "noise_multiplicative": np.array([self.multiplicative, *self._told]),
             "noise_beside": self.beside,
         }
 
@@ -403,8 +470,28 @@ class NoiseMeter:
         of_array = state["noise_of_array"].tolist()
         self.typical, self.own, self._shared, self.quiet, self._passes_below, by_all = of_array
         self._looks, self._seen, self._any_blind = int(looks), int(seen), int(any_blind)
+        self._told = state["noise_multiplicative"].copy()
+        self.multiplicative, self._told = self._told.item(0), self._told[1:]
         self.at_rest = state["noise_at_rest"]
         self.resolve(state["noise_resolution"], by_all)
+
+
+def additive(squares: FloatArray, multiplicative: float) -> FloatArray:
+    """(m,) variance of noise of which a share is ``multiplicative``, over what it would be if all were additive.
+
+    Args:
+        squares: (m,) of 1 + r. Cells that read below rest have the noise of rest.
+        multiplicative: share of the variance at rest.
+    """
+    part: FloatArray = multiplicative / np.maximum(squares, _ONE)
+    part += 1.0 - multiplicative
+    return part
+
+
+@loop
+def additive_of(square: float, multiplicative: float) -> float:
+    """:func:`additive` of one cell."""
+    return multiplicative / max(square, 1.0) + (1.0 - multiplicative)
 
 
 def recent_means(ring: FloatArray, newest: int, cells: IntArray) -> FloatArray:
@@ -437,6 +524,9 @@ def average(
     squares: Row,
     r: Row,
     excess: Row,
+    multiplicative: float,
+    resolution: Row,
+    told: Row,
     variance: Row,
     crowd: Row,
     on_line: Row,
@@ -448,12 +538,15 @@ def average(
 ) -> None:
     """:meth:`NoiseMeter._average`, of third differences (n,) that are not squared yet, as a loop over cells.
 
-    Cells keep their variance that are ``blind`` (n,) for more than ``since`` frames to come.
+    Cells keep their variance that are ``blind`` (n,) for more than ``since`` frames to come. Adds to what is ``told``
+    (5,) of multiplicative noise, as :meth:`NoiseMeter._tell`.
     """
     uncut = UNCUT if passes_below > 0.0 else 1.0
+    tell, weights, found, common = 0, 0.0, 0.0, 0.0
     for i in range(r.size):
         scale = r[i] + 1.0
-        square = squares[i] / (scale * math.sqrt(scale * scale + excess[i]))
+        more = scale * scale * additive_of(scale * scale, multiplicative) + excess[i]
+        square = squares[i] / (scale * math.sqrt(more))
         square *= square
         is_blind = blind[i] > since
         if is_blind:
@@ -463,21 +556,38 @@ def average(
         crowd[i] *= 1.0 - share_of_crowd
         if outlies:
             crowd[i] += share_of_crowd
-        if not (is_blind or (outlies and crowd[i] < passes_below)):
-            variance[i] += (min(square, limit) * uncut - variance[i]) * share
+        if is_blind or (outlies and crowd[i] < passes_below):
+            continue
+        square = min(square, limit) * uncut
+        tells = passes_below > 0.0 and r[i] > PRESSED and square > LEAST_VARIANCE
+        if tells and variance[i] > DITHERED * resolution[i] * resolution[i]:
+            slope = (scale * scale - 1.0) / more
+            weight = slope / (slope * slope + 1.0)
+            tell += 1
+            weights += weight * slope
+            found += weight * (slope * multiplicative + 1.0 - square / variance[i])
+            common += weight
+        variance[i] += (square - variance[i]) * share
+    told[WEIGHT] += weights
+    told[FOUND] += found
+    told[COMMON] += common / math.sqrt(max(tell, 1))
 
 
 @loop
-def std_at_rest(variance: Row, resolution: Row, resolved: bool, r: Row, excess: Row, std: Row) -> None:
+def std_at_rest(
+    variance: Row, resolution: Row, resolved: bool, r: Row, excess: Row, multiplicative: float, std: Row
+) -> None:
     """Standard deviations (n,) of r at rest from the variances of the noise, as a loop over cells.
 
-    ``excess`` (n,) is what shared noise adds to them, where the cells read ``r`` (n,).
+    ``excess`` (n,) is what shared noise adds to them, where the cells read ``r`` (n,). Of a reading, ``multiplicative``
+    noise makes the less, the larger it is.
     """
     for i in range(std.size):
         std[i] = math.sqrt(variance[i] + LEAST_VARIANCE)
-        if excess[i] > 0.0:
+        if excess[i] > 0.0 or multiplicative > 0.0:
             scale = r[i] + 1.0
-            std[i] *= math.sqrt(excess[i] / (scale * scale) + 1.0)
+            scale *= scale
+            std[i] *= math.sqrt(excess[i] / scale + additive_of(scale, multiplicative))
         if resolved:
             std[i] = max(std[i], resolution[i])
 
@@ -491,6 +601,7 @@ def beside_each(
     quiet: float,
     resolution: Row,
     excess: Row,
+    multiplicative: float,
     blind: Row,
     present: Row,
 ) -> None:
@@ -504,13 +615,14 @@ def beside_each(
         quiet: the board's noise.
         resolution: (n,) what the steps of the ADC add.
         excess: (n,) variance of shared noise at rest, over that of own noise.
+        multiplicative: share of own noise that is.
         blind: (n,) frames for which a cell's readings are not complete.
         present: (m,), changed.
     """
     rows = beside.shape[0]
     for i in range(cells.size):
         scale = ring[last, i] + 1.0
-        scale *= math.sqrt(scale * scale + excess[cells[i]])
+        scale *= math.sqrt(scale * scale * additive_of(scale * scale, multiplicative) + excess[cells[i]])
         scale *= max(quiet, HALF_STEP * resolution[cells[i]])
         total = 0.0
         for row in range(rows):

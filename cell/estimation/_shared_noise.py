@@ -200,7 +200,7 @@ class SharedNoise:
         scales = max(self._noise.own, resolution), resolution * math.sqrt(1.0 + self.ratio), self._side, dt_s
         kept = without, self._last, self._reference, self._held_s, read, awake
         if self.compiled:
-            shared_steps.keep_each.code(*kept, self._counts, self._per_std, *scales, watched)
+            shared_steps.keep_each.unchecked(*kept, self._counts, self._per_std, *scales, watched)
             return
         untold = self._per_std.take(self._counts.astype(np.intp)) == 0.0
         cells = shared_steps.keep(*kept, untold, *scales)
@@ -213,7 +213,7 @@ class SharedNoise:
         least_variance = self._least_variance if testing else math.inf
         kept = self._reference, self._weights, self._counts, self._test, self._sums, self._frames
         limits, scales = (least_variance, near, far, share, self._side_per_noise), (self._per_std, self._last)
-        changed = subtract_each.code(r, read, awake, *kept, *limits, *scales, without, watched)
+        changed = subtract_each.unchecked(r, read, awake, *kept, *limits, *scales, without, watched)
         return changed, without, watched
 
     @property

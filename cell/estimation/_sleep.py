@@ -94,7 +94,7 @@ class Sleep:
     def _add_up(self, r: FloatArray, watched: FloatArray, blurred: FloatArray) -> bool:
         """Add readings to the sum of which the mean is made; whether one of them may wake its cell."""
         if self.compiled:
-            return loops.watch.code(r, watched, blurred, self._sum, self.wake_at)
+            return loops.watch.unchecked(r, watched, blurred, self._sum, self.wake_at)
         self._sum += watched
         return not self.all_awake
 
@@ -107,7 +107,7 @@ class Sleep:
         self._sum_s, self._summed = 0.0, 0
         if self.compiled:
             limits = self.wake_at, self.band, averaged, blurred
-            return loops.renew_means.code(self._sum, summed, self.mean, share, *limits)
+            return loops.renew_means.unchecked(self._sum, summed, self.mean, share, *limits)
         self._sum /= summed
         self._sum -= self.mean
         self._sum *= share
@@ -131,7 +131,7 @@ class Sleep:
         calm: BoolArray
         if self.compiled:
             calm = np.empty(cells.size, dtype=np.bool_)
-            loops.find_calm.code(cells, self.mean, noise.at_rest, block.line, self.band, calm)
+            loops.find_calm.unchecked(cells, self.mean, noise.at_rest, block.line, self.band, calm)
             return calm
         mean = self.mean[cells]
         quiet = self.band + CALM_SIGMAS * noise.std(mean, cells)

@@ -82,7 +82,7 @@ class Tremor:
         """Take the cells' memory, and the variance (m,) of readings beside smooth motion over that of the noise."""
         if self.compiled:
             kept = self._suspicion, self._amplitude, self._waiting_kpa, self._looked_at, self._edge_kpa
-            self.suspicious = look_each.code(cells, memory, beside, *kept)
+            self.suspicious = look_each.unchecked(cells, memory, beside, *kept)
             return
         pressure_kpa = memory[PRESSURE]
         self._edge_kpa[cells] = np.maximum(self._edge_kpa[cells], pressure_kpa - self._looked_at[cells])
@@ -118,7 +118,7 @@ class Tremor:
         self, cells: IntArray, memory: FloatArray, taken: FloatArray, line: FloatArray, fall_kpa: float
     ) -> None:
         """:meth:`doubt_falls` by machine code, for readings ``taken`` (4, m) into a ``line`` (ROWS, m)."""
-        found = doubt_each_fall.code(cells, memory, taken, line, fall_kpa, self._waiting_kpa)
+        found = doubt_each_fall.unchecked(cells, memory, taken, line, fall_kpa, self._waiting_kpa)
         self.suspicious = self.suspicious or found
 
     def end_window(
@@ -174,7 +174,7 @@ class Tremor:
     ) -> None:
         """Add :meth:`variance` to ``added`` (m,) by machine code, from the memory and the readings (4, m) of cells."""
         kept = self._risen_from, self._amplitude, self._suspicion, self._waiting_kpa, self._edge_kpa, self._looked_at
-        doubt_rises.code(cells, memory, taken, seeming, *kept, added)
+        doubt_rises.unchecked(cells, memory, taken, seeming, *kept, added)
 
     def end_window_compiled(
         self,
@@ -195,7 +195,7 @@ class Tremor:
             self._edge_kpa,
         )
         missed = np.empty(cells.size)
-        found = end_window_each.code(cells, memory, taken, seeming, beside, beside_before, *kept, missed)
+        found = end_window_each.unchecked(cells, memory, taken, seeming, beside, beside_before, *kept, missed)
         return missed if found else None
 
     def forget(self, cells: IntArray) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from pydantic import ValidationError
 
@@ -46,11 +48,7 @@ def fit_contact(recording: Recording, full_scale_kpa: float, rest: float) -> Fit
             f"{recording.name}: no contact cell fits: {error.errors()[0]['msg']} (exponent {found[0]:.3g})"
         ) from error
     std = np.sqrt(np.diag(covariance)) * np.array([1.0, found[1]])
-
-    def simulation(rng: np.random.Generator, loads: FloatArray, dt: float) -> FloatArray:
-        resistance: FloatArray = 1 / (1 / rest + np.maximum(loads, 0) ** found[0] / found[1])
-        return resistance
-
+    simulation = partial(_simulated, rest, found)
     return Fit(
         model=model,
         rest_resistance_ohm=rest,
@@ -63,3 +61,10 @@ def fit_contact(recording: Recording, full_scale_kpa: float, rest: float) -> Fit
         simulate=simulation,
         simulate_folds=(simulation,) * len(errors),
     )
+
+
+def _simulated(rest: float, found: FloatArray, rng: np.random.Generator, loads: FloatArray, dt: float) -> FloatArray:
+    """A contact has no memory, and is known well: neither noise nor time changes its resistance."""
+    exponent, full_scale_resistance = found
+    resistance: FloatArray = 1 / (1 / rest + np.maximum(loads, 0) ** exponent / full_scale_resistance)
+    return resistance

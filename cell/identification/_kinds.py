@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from pydantic import ValidationError
@@ -24,9 +25,16 @@ DRIFTS = 1.0
 """share of R0 up to which a drift over the recording is looked for, either way"""
 
 
+def _as_it_is(load: FloatArray) -> FloatArray:
+    return load
+
+
 @dataclass(frozen=True)
 class Kind:
-    """How a kind of model is fitted: free parameters, which of them are positive, bounds, starts."""
+    """How a kind of model is fitted: free parameters, which of them are positive, bounds, starts.
+
+    It can be pickled, as the fits that refer to it can: its functions are those of this module.
+    """
 
     kind: str
     names: tuple[str, ...]
@@ -40,7 +48,7 @@ class Kind:
     """parameters (p, m), load (n,) or (n, m) as ``felt``, dt -> r (n, m), without the offset of R0"""
     begun: int = 0
     """how many parameters, after those with names, are what branches and chains remember as the recording begins"""
-    felt: Callable[[FloatArray], FloatArray] = lambda load: load
+    felt: Callable[[FloatArray], FloatArray] = _as_it_is
     """the load (n, m) or (n,) as this kind takes it: worked out once, for any number of parameters"""
 
 
@@ -50,13 +58,6 @@ Richer = Callable[[tuple[float, ...]], tuple[float, ...]]
 
 def asymmetric_kind(start: tuple[float, ...], size: float, begun: bool) -> Kind:
     g1, g2, g3, t2, t3 = start
-
-    def run(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
-        a, alpha1, fall1, alpha2, fall2 = parameters[:5]
-        zero, instant = np.zeros_like(a), np.full_like(a, INSTANT_S)
-        full = np.stack([a, zero, alpha1, instant, fall1, alpha2, instant, fall2, zero, instant])
-        return simulate.m10(full, _columns(load), dt, _unbroken(parameters[5:]))
-
     return Kind(
         kind="asymmetric",
         names=("gain1", "gain2", "fall2_s", "gain3", "fall3_s"),
@@ -64,22 +65,21 @@ def asymmetric_kind(start: tuple[float, ...], size: float, begun: bool) -> Kind:
         high=(5 * size, 5 * size, 100.0, 5 * size, 3000.0),
         starts=((0.5 * size, 0.4 * size, 5.0, 0.1 * size, 100.0), (g1, g2, t2, g3, t3)),
         size=size,
-        run=run,
+        run=_run_asymmetric,
         begun=2 if begun else 0,
     )
+
+
+def _run_asymmetric(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
+    a, alpha1, fall1, alpha2, fall2 = parameters[:5]
+    zero, instant = np.zeros_like(a), np.full_like(a, INSTANT_S)
+    full = np.stack([a, zero, alpha1, instant, fall1, alpha2, instant, fall2, zero, instant])
+    return simulate.m10(full, _columns(load), dt, _unbroken(parameters[5:]))
 
 
 def whole_kind(start: tuple[float, ...], size: float, begun: bool) -> Kind:
     """Kind m10 whose chains never break."""
     g1, g2, g3, t2, t3 = start
-    count = len(simulate.M10_PARAMETERS) - 2
-
-    def run(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
-        none = np.zeros((2, parameters.shape[1]))
-        none[1] = 30.0
-        full = np.concatenate([parameters[:count], none])
-        return simulate.m10(full, _columns(load), dt, _unbroken(parameters[count:]))
-
     return Kind(
         kind="whole",
         names=simulate.M10_PARAMETERS[:-2],
@@ -91,18 +91,21 @@ def whole_kind(start: tuple[float, ...], size: float, begun: bool) -> Kind:
             (0.7 * size, 0.0, 0.2 * size, 3.0, 3.0, 0.2 * size, 60.0, 60.0),
         ),
         size=size,
-        run=run,
+        run=_run_whole,
         begun=2 if begun else 0,
     )
 
 
+def _run_whole(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
+    count = len(simulate.M10_PARAMETERS) - 2
+    none = np.zeros((2, parameters.shape[1]))
+    none[1] = 30.0
+    full = np.concatenate([parameters[:count], none])
+    return simulate.m10(full, _columns(load), dt, _unbroken(parameters[count:]))
+
+
 def m10_kind(start: tuple[float, ...], size: float, begun: bool) -> Kind:
     whole = whole_kind(start, size, begun)
-    count = len(simulate.M10_PARAMETERS)
-
-    def run(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
-        return simulate.m10(parameters[:count], _columns(load), dt, parameters[count:] if begun else None)
-
     _, graphical, slow = whole.starts
     return Kind(
         kind="m10",
@@ -115,22 +118,19 @@ def m10_kind(start: tuple[float, ...], size: float, begun: bool) -> Kind:
             (*slow, 0.01 * size, 30.0),
         ),
         size=size,
-        run=run,
+        run=_run_m10,
         begun=3 if begun else 0,
     )
 
 
+def _run_m10(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
+    count = len(simulate.M10_PARAMETERS)
+    begun = parameters[count:]
+    return simulate.m10(parameters[:count], _columns(load), dt, begun if len(begun) else None)
+
+
 def paper_kind(start: tuple[float, ...], size: float) -> Kind:
     g1, g2, g3, t2, t3 = start
-
-    def felt(load: FloatArray) -> FloatArray:
-        columns = _columns(load)
-        noise = 4 * simulate.white_noise(columns[:, 0])  # would hand over at every sample
-        return play_follow(columns, noise)
-
-    def run(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
-        return simulate.paper(parameters, _columns(load), dt)
-
     return Kind(
         kind="paper",
         names=simulate.PAPER_PARAMETERS,
@@ -138,9 +138,19 @@ def paper_kind(start: tuple[float, ...], size: float) -> Kind:
         high=(5 * size, 5 * size, 100.0, 5 * size, 3000.0, 3.0, 300.0),
         starts=((0.5 * size, 0.4 * size, 5.0, 0.1 * size, 100.0, 0.2, 5.0), (g1, g2, t2, g3, t3, 0.2, 5.0)),
         size=size,
-        run=run,
-        felt=felt,
+        run=_run_paper,
+        felt=_without_noise,
     )
+
+
+def _run_paper(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
+    return simulate.paper(parameters, _columns(load), dt)
+
+
+def _without_noise(load: FloatArray) -> FloatArray:
+    columns = _columns(load)
+    noise = 4 * simulate.white_noise(columns[:, 0])  # would hand over at every sample
+    return play_follow(columns, noise)
 
 
 def _unbroken(begun: FloatArray) -> FloatArray | None:
@@ -167,20 +177,20 @@ def whole_as_m10(solution: tuple[float, ...], size: float) -> tuple[float, ...]:
 
 def drifting(kind: Kind) -> Kind:
     """The same kind of cells with a drift of R0 as one more parameter, after those with names."""
-    count = len(kind.names)
-
-    def run(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
-        r = kind.run(np.delete(parameters, count, axis=0), load, dt)
-        return _drifted(parameters[count], r)
-
     return replace(
         kind,
         names=(*kind.names, "drift"),
         low=(*kind.low, -DRIFTS),
         high=(*kind.high, DRIFTS),
         starts=tuple((*start, 0.0) for start in kind.starts),
-        run=run,
+        run=partial(_run_drifting, kind),
     )
+
+
+def _run_drifting(kind: Kind, parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
+    count = len(kind.names)
+    r = kind.run(np.delete(parameters, count, axis=0), load, dt)
+    return _drifted(parameters[count], r)
 
 
 def with_drift(solution: tuple[float, ...], count: int, share: float) -> tuple[float, ...]:

@@ -8,9 +8,10 @@
 :mod:`._onset`        the same cell under presses that rise slowly while it recovers: Page's test
 :mod:`._way`          how far loads go to and fro within the noise
 :mod:`._together`     the same, told by neighbours: tremors that cells of a contact share
-:mod:`._sway`         the same cell under such loads: what it keeps of them is taken back
+:mod:`._meter`        both, and how much of that way has not been counted yet
+:mod:`._sway`         the paper's cell under such loads: what it keeps of them is taken back
 :mod:`._inverse`      ``asymmetric`` and ``m10`` cells, by Newton's method
-:mod:`._unseen_path`  ``m10`` cells under loads that tremble: chains that break unseen
+:mod:`._chains`       ``m10`` cells under such loads: chains that break unnoticed are told from the load
 :mod:`._switched`     the paper's own estimator (P8), the baseline
 :mod:`._learned`      linear maps of the memories in :mod:`._features`, as calibration learned them
 ====================  ==========================================================================================

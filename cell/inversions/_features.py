@@ -10,12 +10,13 @@ are cheap, stable for any input, and at zero for a cell that has been read at on
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from ...arrays import FloatArray
+from ...compiled import Row, Rows, loop
 
 _FOLLOWED = 1
 """the play whose movement is the path"""
@@ -36,12 +37,12 @@ class Bank:
     smoothed: bool = False
     """whether the first feature is the smoothed reading, as earlier versions learned from"""
 
-    @property
+    @cached_property
     def count(self) -> int:
         """Number of features."""
         return 2 + len(self.lags_s) + len(self.plays) + len(self.paths_s)
 
-    @property
+    @cached_property
     def rows(self) -> int:
         """Number of rows of the memory: the last three readings, the smoothed one, lags, plays, paths."""
         return 4 + len(self.lags_s) + len(self.plays) + len(self.paths_s)
@@ -95,10 +96,69 @@ class Bank:
         memory = self.begin(r[0])
         found = np.empty((len(r), self.count, *r.shape[1:]))
         found[0] = self.features(memory)
-        for n in range(1, len(r)):
-            self.advance(memory, float(dt_s[n]), r[n])
-            found[n] = self.features(memory)
+        compiled = _run_each.machine_code()
+        if compiled is None:
+            for n in range(1, len(r)):
+                self.advance(memory, float(dt_s[n]), r[n])
+                found[n] = self.features(memory)
+        else:
+            of_steps = [_constants(self, dt, 0) for dt in dt_s[1:].tolist()]
+            compiled(
+                np.ascontiguousarray(r.reshape(len(r), -1)),
+                np.array([float(step.smoothing) for step in of_steps]),
+                _table([step.gone for step in of_steps], len(self.lags_s)),
+                np.array(self.plays),
+                _table([step.kept for step in of_steps], len(self.paths_s)),
+                self.smoothed,
+                memory.reshape(self.rows, -1),
+                found.reshape(len(r) * self.count, -1),
+            )
         return found
+
+
+@loop
+def _run_each(
+    r: Rows, smoothing: Row, gone: Rows, width: Row, kept: Rows, smoothed: bool, memory: Rows, found: Rows
+) -> None:
+    """:meth:`Bank.advance` and :meth:`Bank.features` for all readings ``r`` (n, m) but the first, cell by cell.
+
+    Args:
+        r: readings.
+        smoothing: (n - 1,) share that the smoothed reading forgets in each step.
+        gone: (n - 1, lags) share that the lags forget.
+        width: (plays,) half widths of the plays.
+        kept: (n - 1, paths) share that the paths keep.
+        smoothed: :attr:`Bank.smoothed`.
+        memory: (rows, m) is changed.
+        found: (n count, m) written to from the second reading on.
+    """
+    samples, cells = r.shape
+    lags, plays, paths = gone.shape[1], width.shape[0], kept.shape[1]
+    count, first_play = 2 + lags + plays + paths, 4 + lags
+    first_path = first_play + plays
+    for n in range(1, samples):
+        for i in range(cells):
+            before, last, now = memory[1, i], memory[2, i], r[n, i]
+            median = np.maximum(np.minimum(before, last), np.minimum(np.maximum(before, last), now))
+            memory[0, i], memory[1, i], memory[2, i] = before, last, now
+            smooth = memory[3, i] + (median - memory[3, i]) * smoothing[n - 1]
+            memory[3, i] = smooth
+            for j in range(lags):
+                memory[4 + j, i] += (smooth - memory[4 + j, i]) * gone[n - 1, j]
+            followed = memory[first_play + _FOLLOWED, i] if paths else 0.0
+            for j in range(plays):
+                play = np.maximum(memory[first_play + j, i], smooth - width[j])
+                memory[first_play + j, i] = np.minimum(play, smooth + width[j])
+            moved = abs(memory[first_play + _FOLLOWED, i] - followed) if paths else 0.0
+            for j in range(paths):
+                memory[first_path + j, i] = memory[first_path + j, i] * kept[n - 1, j] + moved
+            at = n * count
+            head, other = (smooth, now) if smoothed else (now, smooth)
+            found[at, i], found[at + 1, i] = head, head - other
+            for j in range(lags + plays):
+                found[at + 2 + j, i] = head - memory[4 + j, i]
+            for j in range(paths):
+                found[at + count - paths + j, i] = memory[first_path + j, i]
 
 
 def play_follow(signal: FloatArray, width: float) -> FloatArray:
@@ -131,6 +191,11 @@ def _constants(bank: Bank, dt_s: float, dimensions: int) -> _Constants:
         width=_column(bank.plays, dimensions),
         kept=1 - _gone(dt_s, _column(bank.paths_s, dimensions)),
     )
+
+
+def _table(rows: list[FloatArray], columns: int) -> FloatArray:
+    """Rows as an array (rows, columns), though there be no rows, or no columns."""
+    return np.array(rows, dtype=np.float64).reshape(len(rows), columns)
 
 
 def _gone(dt_s: float, seconds: FloatArray | float) -> FloatArray:

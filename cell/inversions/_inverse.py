@@ -7,9 +7,9 @@ with a rise of resistance has no such cell; there the inverse is refused.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,17 +21,18 @@ from ..estimation import (
     DOUBT,
     GAIN,
     LOADS,
+    NOISE,
     PRESSURE,
-    RECENT,
     USUAL,
     VARIANCE,
     WINDOW,
     Inversion,
     credible_readings,
+    recent_means_each,
 )
 from ..materials import AsymmetricModel, ByStep, M10Model, as_m10, lag
+from . import _chains as chains
 from . import _inverse_loops as loops
-from . import _unseen_path as unseen_path
 
 LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED, WENT_UP, FURTHEST = (
     3,
@@ -45,20 +46,22 @@ LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED, WENT_UP, FURTHEST
     14,
     15,
 )
-"""rows of the memory: the anchor is the load behind a play as wide as the noise; then come the last two steps of the
-load, variances in r of what is remembered of the branches and of the broken chains, the r of chains that may have
-broken unseen, 1 if the load left its play upwards, else 0, and the load up to which chains have broken then"""
-UNSEEN = slice(FURTHEST + 1, FURTHEST + 1 + len(unseen_path.NAMES))
-"""rows of :mod:`._unseen_path`"""
+"""rows of the memory, before those of :mod:`._chains`: the anchor is the load behind a play as wide as the noise; then
+come the last two steps of the load, variances in r of what is remembered of the branches and of the broken chains, the
+r of chains that may have broken unseen, 1 if the load left its play upwards, else 0, and the load up to which chains
+have broken then"""
 BETWEEN, AROUND, TO_AND_FRO = 0.58, 0.5, 0.6
 """the first, of a bend of the load (its change of change between frames), makes the standard deviation of a lag over
 ramp (1 - ramp), as the load may go straight or by a step. The others, of its way in the frame after a turn, make the
 standard deviation of the way to and fro between two frames, and what is to be expected of that way: turns err to the
 same side, so this part adds up. Taken from vibrations and slips, whose drops are faster than a frame"""
 STILL_SIGMAS = 3.0
-"""half width of that play, in standard deviations: noise within it breaks no chains"""
+"""half width of that play, in standard deviations: noise within it breaks no chains. A reading is off by half of an ADC
+step at most, which is less"""
+AT_A_TURN = 2.0
+"""standard deviations by ADC steps of the way to a turn and back from it: they hide how far the load went"""
 OVERSHOOT = 0.5
-"""of that half width: by how much noise takes the furthest load of a press beyond where the load turned"""
+"""of that half width by noise: by how much it takes the furthest load of a press beyond where the load turned"""
 
 ACCURACY = 1e-11
 """of full scale, to which a step with a change-over is solved"""
@@ -105,6 +108,8 @@ class _Equation(NamedTuple):
     """(n,) half width of the play in which a load counts as still"""
     went_up: BoolArray
     """(n,) whether the load left its play upwards the last time"""
+    turned_r: FloatArray | float
+    """(n,) standard deviation of r by the chains that ADC steps hide where it has left its play to the other side"""
 
 
 @dataclass(frozen=True)
@@ -159,7 +164,7 @@ class AsymmetricInversion(Inversion):
     rows = (
         *("pressure", "gain", "variance", "load", "branch1", "branch2", "broken", "anchor", "moved", "moved_before"),
         *("error1", "error2", "broken_error", "missed", "went_up", "furthest"),
-        *unseen_path.NAMES,
+        *chains.NAMES,
     )
 
     def __init__(
@@ -189,7 +194,10 @@ class AsymmetricInversion(Inversion):
         """standard deviation of a load of which nothing is known: no larger one is stated"""
         self._reach = self._loads_within_reach()
         self._weights = ByStep(_weights, self.model)
+        self._steps = 0.0
         self._model_numbers = self._numbers_of_inverse()
+        of_full_scale = partial(chains.constants, full_scale_kpa=full_scale_kpa, full_scale_r=self.full_scale_r)
+        self._chains = ByStep(of_full_scale, self.model)
         self._of, self._crossed = np.empty((loops.ROWS, 0)), np.empty(0, dtype=np.intp)
         self.seeming = WINDOW * self.model.k / full_scale_kpa
         self.recovers = self.model.k > 0 and not exact
@@ -201,7 +209,7 @@ class AsymmetricInversion(Inversion):
         memory = np.zeros((len(self.rows), *r.shape))
         memory[PRESSURE], memory[LOAD], memory[BRANCHES] = s * self.full_scale_kpa, s, self._alpha * s
         memory[GAIN], memory[ANCHOR], memory[WENT_UP], memory[FURTHEST] = self.full_scale_kpa / slope, s, 1.0, s
-        unseen_path.begin(memory[UNSEEN], r)
+        chains.begin(memory, r)
         return memory
 
     def advance(
@@ -221,7 +229,7 @@ class AsymmetricInversion(Inversion):
         new[ANCHOR] = np.maximum(np.minimum(memory[ANCHOR], new[LOAD] + of.width), new[LOAD] - of.width)
         new[GAIN] = self.full_scale_kpa / np.maximum(m.a + 2 * m.b * new[LOAD] - m.k, 0.05 * self.full_scale_r)
         if not self.exact:
-            self._err(new, of.forgets, gone[4], of.follows, step, std)
+            self._err(new, of, gone[4], step, std)
         return new
 
     def _equation(
@@ -244,24 +252,32 @@ class AsymmetricInversion(Inversion):
         up = change > 0  # r rises with the load, so that this is also the sign of the step
         charging = ahead | ((lead == 0) & up)
         follows = np.where(charging, alpha * ramp[:2], alpha * ramp[2:4])
-        width = STILL_SIGMAS * std * memory[GAIN] / self.full_scale_kpa
+        still = np.maximum(slope + follows[0] + follows[1], 1e-9)
+        turned_r: FloatArray | float = 0.0
+        by_noise = width = std * (STILL_SIGMAS / self.full_scale_kpa) * memory[GAIN]
+        if self._steps:
+            scale = r + 1.0
+            steps = np.minimum(scale * scale * self._steps, std)
+            by_noise = np.sqrt(std * std - steps * steps) * (STILL_SIGMAS / self.full_scale_kpa) * memory[GAIN]
+            width = np.maximum(by_noise, STILL_SIGMAS * steps / still)
         went_up = up
         if not self.exact and m.k:
-            still = slope + follows[0] + follows[1]
-            moves = np.abs(s0 + change / np.maximum(still, 1e-9) - memory[ANCHOR]) > width
+            moves = np.abs(s0 + change / still - memory[ANCHOR]) > width
             breaking = np.where(moves, breaking, 0.0)
             # A load that has turned has crossed its play, and broken chains there. One that goes on after noise took it
             # back has broken them before, up to where it was.
             went_up = memory[WENT_UP] > 0
-            gone_back = (memory[FURTHEST] - s0) * np.where(went_up, 1.0, -1.0) - OVERSHOOT * width
+            gone_back = (memory[FURTHEST] - s0) * np.where(went_up, 1.0, -1.0) - OVERSHOOT * by_noise
             gone_back = np.clip(gone_back, 0.0, 2.0 * width)
             again = np.maximum((memory[FURTHEST] - s0) * np.where(up, 1.0, -1.0), 0.0)
             crossed_play = np.where(moves, np.where(up != went_up, m.k * gone_back, -(m.k * again)), 0.0)
             free += crossed_play
             change -= crossed_play
+            if self._steps:
+                turned_r = np.where(moves & (up != went_up), AT_A_TURN * m.k * steps / still, 0.0)
             went_up = np.where(moves, up, went_up)
         slope = slope + np.where(up, breaking, -breaking)
-        return _Equation(target, lead, free, breaking, forgets, kept, follows, slope, change, width, went_up)
+        return _Equation(target, lead, free, breaking, forgets, kept, follows, slope, change, width, went_up, turned_r)
 
     def _step_of_load(self, memory: FloatArray, dt_s: float, of: _Equation) -> tuple[FloatArray, FloatArray]:
         """Steps (n,) of the load that solve the equation, and the branches (2, n) after them."""
@@ -287,8 +303,14 @@ class AsymmetricInversion(Inversion):
             )
         return step, branches
 
+    def take_steps(self, std: float, own: float) -> None:
+        """As :meth:`.Inversion.take_steps`: a reading is off by no more than half of its own step."""
+        self._steps = own
+        self._model_numbers = self._numbers_of_inverse()
+
     def loops_used(self) -> tuple[Loop[..., Any], ...]:
-        return loops.ALL
+        looks = (recent_means_each, *chains.LOOPS) if self.recovers else ()
+        return *loops.ALL, *looks
 
     def _numbers_of_inverse(self) -> FloatArray:
         """What the loops take."""
@@ -307,6 +329,8 @@ class AsymmetricInversion(Inversion):
             loops.HIGHEST_END: self._reach[1],
             loops.STILL: STILL_SIGMAS,
             loops.OVERSHOOT: OVERSHOOT,
+            loops.STEPS: self._steps,
+            loops.AT_A_TURN: AT_A_TURN * m.k,
             loops.BETWEEN: BETWEEN,
             loops.BY_TURNS: AROUND * m.k,
             loops.TO_AND_FRO: TO_AND_FRO * m.k,
@@ -320,18 +344,17 @@ class AsymmetricInversion(Inversion):
         if self._crossed.size != cells:
             self._of, self._crossed = np.empty((loops.ROWS, cells)), np.empty(cells, dtype=np.intp)
         of, crossed, (gone, ramp) = self._of, self._crossed, self._weights.of(dt_s)
-        count = loops.solve.code(memory, taken, gone, ramp, numbers, of, crossed)
+        count = loops.solve.unchecked(memory, taken, gone, ramp, numbers, of, crossed)
         if count:
-            loops.solve_crossed.code(memory, crossed, count, dt_s, numbers, of)
-        loops.finish.code(memory, taken, float(gone[4]), numbers, of)
+            loops.solve_crossed.unchecked(memory, crossed, count, dt_s, numbers, of)
+        loops.finish.unchecked(memory, taken, float(gone[4]), numbers, of)
         return memory
 
     def _err(
         self,
         memory: FloatArray,
-        forgets: FloatArray,
+        of: _Equation,
         heals: FloatArray,
-        follows: FloatArray,
         step: FloatArray,
         std: FloatArray,
     ) -> None:
@@ -346,10 +369,10 @@ class AsymmetricInversion(Inversion):
         turned = (-np.sign(step) * memory[[MOVED, BEFORE]] > still / STILL_SIGMAS).any(axis=0)
         way = np.maximum(np.abs(step) - still, 0.0) * turned
         errors = memory[ERRORS]
-        errors[:2] *= (1 - forgets) ** 2
+        errors[:2] *= (1 - of.forgets) ** 2
         errors[2] *= (1 - heals) ** 2
-        errors[:2] += (BETWEEN * bend * follows * (1 - follows / np.maximum(self._alpha, 1e-9))) ** 2
-        errors[2] += (AROUND * self.model.k * way) ** 2
+        errors[:2] += (BETWEEN * bend * of.follows * (1 - of.follows / np.maximum(self._alpha, 1e-9))) ** 2
+        errors[2] += (AROUND * self.model.k * way) ** 2 + of.turned_r * of.turned_r
         memory[MISSED] *= 1 - heals
         memory[MISSED] += TO_AND_FRO * self.model.k * way
         memory[BEFORE] = memory[MOVED]
@@ -370,14 +393,24 @@ class AsymmetricInversion(Inversion):
         count: FloatArray,
         near: IntArray,
     ) -> None:
-        """Count as standard deviation what chains loads may break that tremble (:mod:`._unseen_path`)."""
-        m, load = self.model, memory[LOAD]
-        kept = math.exp(-RECENT * dt_s / m.tau_s)
-        way, counted = unseen_path.look(memory[UNSEEN], mean, noise, memory[BROKEN], kept)
-        slope = np.maximum(m.a + 2 * m.b * load, 0.05 * self.full_scale_r)
-        # A load of none has nothing to go back.
-        trembles = load > STILL_SIGMAS * noise / self.full_scale_r
-        memory[MISSED] += np.where(trembles, np.maximum(m.k * way / slope - counted, 0.0), 0.0)
+        """Count chains that loads break unnoticed (:mod:`._chains`)."""
+        chains.look(memory, mean, noise, near, self._chains.of(dt_s))
+
+    def recover_compiled(
+        self,
+        memory: FloatArray,
+        taken: FloatArray,
+        dt_s: float,
+        line: FloatArray,
+        ring: FloatArray,
+        newest: int,
+        cells: IntArray,
+        near: IntArray,
+    ) -> None:
+        """The same by loops."""
+        of, mean, seen = self._chains.of(dt_s), np.empty(cells.size), np.empty((chains.SEEN, cells.size))
+        recent_means_each.unchecked(ring, newest, cells, mean)
+        chains.look_each.unchecked(memory, mean, taken[NOISE], near, of.row, of.way.rows, seen)
 
     def _limit(self, memory: FloatArray, r: FloatArray, std: FloatArray) -> None:
         """Keep loads within what is believed, and correct the memory to the reading ``r`` (n,) instead.

@@ -16,16 +16,18 @@ LOAD, BRANCH, BROKEN, ANCHOR, MOVED, BEFORE, ERROR, MISSED, WENT_UP, FURTHEST = 
 
 A, B, K, ALPHA, RISE_S, FALL_S = 0, 1, 2, 3, 5, 7
 FULL_KPA, FULL_R, HIGHEST, IN_DOUBT, DOUBT_KPA2, MOST_KPA2, LOWEST_END, HIGHEST_END = range(9, 17)
-STILL, BETWEEN, BY_TURNS, TO_AND_FRO, ACCURACY, EVALUATIONS, OVERSHOOT = range(17, 24)
+STILL, BETWEEN, BY_TURNS, TO_AND_FRO, ACCURACY, EVALUATIONS, OVERSHOOT, STEPS, AT_A_TURN = range(17, 26)
 """places of the estimator's numbers: of its model, with two branches; full scale; the largest loads that are believed,
 in general and while the memory is in doubt, which it is beyond a variance in kPa^2; the largest variance; the loads
-within reach; and the constants of :mod:`._inverse`, those of turns times ``k``"""
+within reach; the constants of :mod:`._inverse`, those of turns times ``k``; and the standard deviation of r at rest by
+ADC steps"""
 
 FREE, BREAKING, FORGETS, KEPT, FOLLOWS, SLOPE, CHANGE, STEP, NEW_BRANCH, WIDTH, UP = 0, 1, 2, 4, 6, 8, 9, 10, 11, 13, 14
+TURNED = 15
 """rows of what a step finds for each cell; two rows where there is one for each branch"""
-LOW, HIGH, NEWTON, NEXT, RATE, TRIED = 15, 16, 17, 18, 19, 21
+LOW, HIGH, NEWTON, NEXT, RATE, TRIED = 16, 17, 18, 19, 20, 22
 """rows of Newton's method, for the first cells instead"""
-ROWS = 22
+ROWS = 23
 
 
 @loop
@@ -62,17 +64,21 @@ def solve(memory: Rows, taken: Rows, gone: Row, ramp: Row, numbers: Row, of: Row
             lead = alpha * s0 - memory[BRANCH + j, i]
             charging = lead > 0.0 or (lead == 0.0 and up)
             of[FOLLOWS + j, i] = alpha * ramp[j] if charging else alpha * ramp[2 + j]
-        width = numbers[STILL] * std * memory[GAIN, i] / numbers[FULL_KPA]
-        went_up = up
+        still = max(slope + of[FOLLOWS, i] + of[FOLLOWS + 1, i], 1e-9)
+        scale = taken[SMOOTHED, i] + 1.0
+        steps = min(scale * scale * numbers[STEPS], std)
+        by_noise = math.sqrt(std * std - steps * steps) * (numbers[STILL] / numbers[FULL_KPA]) * memory[GAIN, i]
+        width = max(by_noise, numbers[STILL] * steps / still)
+        went_up, turned = up, 0.0
         if k != 0.0:
-            still = slope + of[FOLLOWS, i] + of[FOLLOWS + 1, i]
-            moves = abs(s0 + change / max(still, 1e-9) - anchor) > width
+            moves = abs(s0 + change / still - anchor) > width
             # A load that has turned has crossed its play, and broken chains there. One that goes on after noise took it
             # back has broken them before, up to where it was.
             went_up = memory[WENT_UP, i] > 0.0
             if moves:
                 if up != went_up:
-                    gone_back = (memory[FURTHEST, i] - s0) * (1.0 if went_up else -1.0) - numbers[OVERSHOOT] * width
+                    turned = numbers[AT_A_TURN] * steps / still
+                    gone_back = (memory[FURTHEST, i] - s0) * (1.0 if went_up else -1.0) - numbers[OVERSHOOT] * by_noise
                     crossed_play = k * min(max(gone_back, 0.0), 2.0 * width)
                     free += crossed_play
                     change -= crossed_play
@@ -93,7 +99,7 @@ def solve(memory: Rows, taken: Rows, gone: Row, ramp: Row, numbers: Row, of: Row
             lead = target - memory[BRANCH + j, i]
             crosses |= (target + numbers[ALPHA + j] * step - branch) * lead < 0.0
         of[FREE, i], of[BREAKING, i], of[SLOPE, i], of[CHANGE, i] = free, breaking, slope, change
-        of[STEP, i], of[WIDTH, i], of[UP, i] = step, width, 1.0 if went_up else 0.0
+        of[STEP, i], of[WIDTH, i], of[UP, i], of[TURNED, i] = step, width, 1.0 if went_up else 0.0, turned
         if crosses:
             crossed[count] = i
             count += 1
@@ -230,7 +236,9 @@ def finish(memory: Rows, taken: Rows, heals: float, numbers: Row, of: Rows) -> N
             lag = numbers[BETWEEN] * bend * follows * (1.0 - follows / alpha)
             memory[ERROR + j, i] = memory[ERROR + j, i] * (stays * stays) + lag * lag
         by_turns = numbers[BY_TURNS] * way
-        memory[ERROR + 2, i] = memory[ERROR + 2, i] * ((1.0 - heals) * (1.0 - heals)) + by_turns * by_turns
+        memory[ERROR + 2, i] = memory[ERROR + 2, i] * ((1.0 - heals) * (1.0 - heals)) + (
+            by_turns * by_turns + of[TURNED, i] * of[TURNED, i]
+        )
         missed = memory[MISSED, i] * (1.0 - heals) + numbers[TO_AND_FRO] * way
         memory[MISSED, i] = missed
         memory[BEFORE, i] = memory[MOVED, i]

@@ -105,7 +105,7 @@ class StaticCurve(Section):
         low, high = self.reached.lowest[0], self.reached.highest[0]
         reading, load = _monotone(self.coefficients, low, high)
         slope = (load[-1] - load[0]) / max(high - low, 1e-12)
-        return np.asarray(np.interp(x, reading, load) + slope * (x - np.clip(x, low, high)))
+        return np.asarray(np.interp(x, reading, load) + slope * (x - _clip(x, low, high)))
 
     def doubt(self, r: FloatArray) -> FloatArray:
         """Standard deviation, normalised load, that readings beyond the range of the recording add.
@@ -242,10 +242,29 @@ class Terms:
 
     def __call__(self, standardised: FloatArray) -> NDArray[np.floating]:
         """All terms (m, terms) of standardised features (count, m), which are limited to :data:`CLIP`."""
-        z = np.clip(standardised.T, -CLIP, CLIP).astype(self._dtype)
+        z = _clip(standardised.T, -CLIP, CLIP).astype(self._dtype)
         first = z[:, :1]
         cosines = self._amplitude * np.cos(z @ self._directions + self._phases)
         return np.concatenate([np.ones_like(first), z, first**2, first**3, cosines], axis=1)
+
+
+def _clip(values: FloatArray, low: FloatArray | float, high: FloatArray | float) -> FloatArray:
+    """As numpy.clip, which takes several times as long for a few values."""
+    return np.asarray(np.minimum(np.maximum(values, low), high))
+
+
+def _followed_between(learned: Learned, curve: StaticCurve) -> tuple[FloatArray, FloatArray] | None:
+    """Lowest and highest features (count, 1) to which a map is followed; None: to any, in files of earlier versions.
+
+    The map knows little beyond the readings of the recording, and nothing beyond the other features learned from: there
+    it goes on with the slope at equilibrium.
+    """
+    if learned.reached is None:
+        return None
+    low, high = (limit.copy() for limit in learned.reached.columns)
+    if curve.reached is not None and not learned.beyond_recorded:
+        low[0], high[0] = max(low[0], curve.reached.lowest[0]), min(high[0], curve.reached.highest[0])
+    return low, high
 
 
 def credible_range(reached: Reached | None) -> tuple[float, float]:
@@ -279,6 +298,7 @@ class LearnedInversion(Inversion):
         self._weights = np.array([learned.weights, learned.error_weights], dtype=np.float32).T
         self._slope = math.copysign(1 / max(abs(full_scale_r), 1e-9), full_scale_r)
         """normalised load per r, at equilibrium"""
+        self._within = _followed_between(learned, curve)
         self._steepest = full_scale_kpa * abs(self._slope)
         credible = credible_range(learned.reached)
         super().__init__(full_scale_kpa, full_scale_r, credible=credible, exact=exact)
@@ -324,26 +344,23 @@ class LearnedInversion(Inversion):
         learned, curve = self.learned, self._curve
         features = self._terms.features(standardised)
         reading, inside, beyond = features[0], standardised, np.zeros(())
-        if learned.reached is not None:
-            # The map knows little beyond the readings of the recording, and nothing beyond the other features learned
-            # from: there it goes on with the slope at equilibrium.
-            low, high = (limit.copy() for limit in learned.reached.columns)
-            if curve.reached is not None and not learned.beyond_recorded:
-                low[0], high[0] = max(low[0], curve.reached.lowest[0]), min(high[0], curve.reached.highest[0])
-            inside = self._terms.standardised(np.clip(features, low, high))
+        if learned.reached is not None and self._within is not None:
+            low, high = self._within
+            inside = self._terms.standardised(_clip(features, low, high))
             beyond = learned.reached.excess(features)
         found = np.empty((standardised.shape[1], 2))
         for start in range(0, len(found), BLOCK):
             block = slice(start, start + BLOCK)
             found[block] = self._terms(inside[:, block]) @ self._weights
         load, std = found[:, 0], np.maximum(found[:, 1] * learned.std_factor, learned.std_floor)
-        if learned.reached is not None:
-            load += self._slope * (reading - np.clip(reading, low[0], high[0]))
+        if self._within is not None:
+            low, high = self._within
+            load += self._slope * (reading - _clip(reading, low[0], high[0]))
         if learned.static_share:
             load += self._static_share(reading) * (curve.load(reading) - load)
         std = np.hypot(std, np.maximum(STEEPER * beyond * abs(self._slope), curve.doubt(reading)))
         std = np.hypot(std, STEEPER * np.maximum(load - learned.limits.highest / BEYOND, 0.0))
-        return np.clip(load, learned.limits.lowest, learned.limits.highest), std
+        return _clip(load, learned.limits.lowest, learned.limits.highest), std
 
     def _static_share(self, reading: FloatArray) -> FloatArray | float:
         """Share of the static curve; it fades beyond the recorded readings where the map is followed there."""

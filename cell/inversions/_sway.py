@@ -24,12 +24,13 @@ from ...arrays import FloatArray, IntArray
 from ...compiled import PlaceRows, Row, Rows, loop
 from ..estimation import FAR, GAIN, PRESSURE, RECENT, RESTED, VARIANCE
 from ..materials import PaperModel
+from . import _meter as meter
 from . import _together as together
 from . import _way as way
+from ._meter import EDGE, tell_of, uncounted_of
+from ._meter import see_of as tell_neighbours_of
 from ._onset import CLEAR_KPA
 from ._paper_steps import fast_r, numbered
-from ._together import KNOWN, WEIGHTED, weights_of
-from ._together import look_of as told_beside_of
 from ._turning_rows import (
     BEFORE_LAST,
     EARLIER_FROM_KPA,
@@ -52,38 +53,20 @@ from ._turning_rows import (
     by_steps,
     by_steps_of,
 )
-from ._way import forget_of, look_of, tell_of
 
 UNSURE = 0.3
 """standard deviation over what is subtracted"""
 LARGEST = 0.04
 """of full scale: how far a load may go without a turn that is noticed; what goes further from one look to the next
 is an edge. After one nothing is told for as long as the way is remembered"""
-HELD_FOR_EVER = 1e6
-"""looks"""
 
-NAMES = (
-    *("looks", *way.SERIES, *together.SERIES),
-    *way.SQUARES,
-    *(f"{name}_beside" for name in way.SQUARES),
-    *together.LOADS,
-    *("sign_before", "last_r", "extreme_r", "unexplained_r", "held", "told", "may"),
-)
-"""names of the rows of the memory: looks; series and mean squares of :mod:`._way`, own ones and those of neighbours;
-what :mod:`._together` sums up. Then 1 where the load rose at the last look, -1 where it fell; r then, and the largest
-since the load turned, or the least; r less all by which it went beyond these; looks since an edge; the way that is
-told, and that which may be, less that of turns"""
-LOOKS = CLEAR_KPA + 1
-SERIES = LOOKS + 1
-SERIES_BESIDE = SERIES + way.ALL_SERIES
-SQUARES = SERIES + 3 * way.ALL_SERIES
-SQUARES_BESIDE = SQUARES + way.ALL_SQUARES
-LOADS = SQUARES + 2 * way.ALL_SQUARES
-SIGN_BEFORE, LAST_R, EXTREME_R, UNEXPLAINED_R, HELD, BALANCE, MOST = range(LOADS + 2, LOOKS + len(NAMES))
-"""rows, behind those of :mod:`._onset`"""
-_SERIES, _SQUARES, _LOADS = slice(SERIES, SQUARES), slice(SQUARES, LOADS), slice(LOADS, LOADS + 2)
-_BY_NOISE = np.array([1.0, 0.0])[:, None, None]
-"""(2, 1, 1) what noise makes of own mean squares, and of mean products"""
+NAMES = (*meter.NAMES, "sign_before", "last_r", "extreme_r", "unexplained_r")
+"""names of the rows of the memory: those of :mod:`._meter`; 1 where the load rose at the last look, -1 where it fell; r
+then, and the largest since the load turned, or the least; r less all by which it went beyond these"""
+METER = CLEAR_KPA + 1
+"""first row, behind those of :mod:`._onset`"""
+_METER = slice(METER, METER + len(meter.NAMES))
+SIGN_BEFORE, LAST_R, EXTREME_R, UNEXPLAINED_R = range(METER + len(meter.NAMES), METER + len(NAMES))
 RISE_R, FALL_R, PER_E2, PER_E3, ETAU2_KPA, SETTLED_PER_KPA, OF_U, OF_2, OF_3, KEPT_KPA = range(10)
 OWED, LARGEST_R, LARGEST_KPA, LOAD_R = range(10, 14)
 """places of the numbers: r per kPa of a fast rise and of a fast fall; constants of the model; shares of the lags that
@@ -93,12 +76,7 @@ BACK = together.TELLS
 SEEN = together.TELLS + 1
 """rows of what a look at all cells sees before any of them is told: what they tell their neighbours, and way in r of
 turns that have just been noticed"""
-EDGE = way.CLEAR * math.sqrt(2.0 / RECENT)
-"""standard deviations of a reading"""
-_EDGE = np.array(EDGE)
-LEAST_LOAD = 1e-3
-"""r: keeps a load of none from dividing"""
-_LEAST_LOAD = np.array(LEAST_LOAD)
+_EDGE = np.array(meter.EDGE)
 _ZERO, _HALF, _ONE, _UNSURE = (np.array(x) for x in (0.0, 0.5, 1.0, UNSURE))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
@@ -128,22 +106,21 @@ def constants(model: PaperModel, dt_s: float, full_scale_kpa: float) -> Constant
             OF_2: between_s / m.t2_s,
             OF_3: between_s / m.t3_s,
             KEPT_KPA: 0.5 * (rise_r - fall_r) / (rise_r * fall_r),
-            OWED: way.MEMORY_S / between_s,
+            OWED: meter.owed_looks(dt_s),
             LARGEST_R: LARGEST * full_scale_kpa * rise_r,
             LARGEST_KPA: LARGEST * full_scale_kpa,
             LOAD_R: 0.5 * (rise_r + fall_r),
         }
     )
-    return Constants(numbers.row, numbers.each, way.constants(dt_s))
+    return Constants(numbers.row, numbers.each, way.constants(dt_s, way.Caution()))
 
 
 def begin(memory: FloatArray, r: FloatArray) -> None:
     """Begin with cells whose reading has been ``r`` (m,) for ever; changes their ``memory`` (rows, m)."""
-    memory[LOOKS : LOADS + 2] = 0.0
+    meter.begin(memory[_METER], 0.0)
     memory[SIGN_BEFORE] = memory[SIGN]
     memory[[LAST_R, EXTREME_R]] = r
-    memory[UNEXPLAINED_R : MOST + 1] = 0.0
-    memory[HELD] = HELD_FOR_EVER
+    memory[UNEXPLAINED_R] = 0.0
 
 
 def look(
@@ -173,49 +150,16 @@ def look(
     unseen -= gone
     unexplained += unseen
     memory[LAST_R], memory[SIGN_BEFORE] = mean, sign
-    held, largest = memory[HELD], numbers.each[LARGEST_R]
-    held += _ONE
+    largest, owed = numbers.each[LARGEST_R], numbers.each[OWED]
     edges = np.abs(gone) > noise * _EDGE + largest
     recent = memory[LAST : THIRD_LAST + 1]
     apart = np.maximum(np.abs(memory[PRESSURE] - recent[0]), np.abs(recent[0] - recent[2]))
     edges |= apart > noise * _EDGE * memory[GAIN] + numbers.each[LARGEST_KPA]
-    np.copyto(held, _ZERO, where=edges)
     shown = np.where(memory[RESTED] > _ZERO, _ZERO, np.maximum(memory[PRESSURE], _ZERO))
-    load = shown * numbers.each[LOAD_R]
-    tells = np.empty((together.TELLS, load.size))
-    per_variance = load / (noise * noise)
-    known = load * per_variance
-    per_variance *= held > _ONE
-    np.multiply(per_variance, unseen, tells[together.WEIGHTED])
-    np.multiply(per_variance, load, tells[together.KNOWN])
-    loads = memory[_LOADS]
-    knows = together.look(loads, tells, near)
-    newest, noises, most = np.empty((3, 3, load.size))
-    newest[0], newest[1:] = unexplained, loads
-    noises[0], noises[1:] = noise, _ONE / np.sqrt(knows)
-    most[0], most[1:] = largest, largest / np.maximum(load, _LEAST_LOAD)
-    looks = memory[LOOKS]
-    looks += _ONE
-    ends = way.ends_of_blocks(looks)
-    change = way.differences(memory[_SERIES].reshape(3, way.ALL_SERIES, -1), newest, noises, most, ends)
-    product = change[0::2] * change[:2]  # own ones squared, and those of both groups
-    side = change[:2]
-    side[1] += change[2]
-    squares = memory[_SQUARES].reshape(2, way.ALL_SQUARES, -1)
-    way.take(squares, product, _BY_NOISE, side, ends * numbers.way.shares, edges)
-    own, beside = together.weights(known, together.known(knows))
-    both = squares[0] * own
-    both += squares[1] * beside
-    found = way.tell(both, own, beside, noise, numbers.way)
-    found *= (shown > _ZERO) & (held >= numbers.each[OWED])
-    balance = memory[BALANCE : MOST + 1]
-    balance += found
-    balance -= np.abs(gone) * turned
-    most = found * numbers.each[OWED]
-    np.minimum(np.maximum(balance, -most, out=balance), most, out=balance)
-    unseen = np.maximum(balance, _ZERO)
-    balance -= unseen
-    told, more = unseen
+    rows, load = memory[_METER], shown * numbers.each[LOAD_R]
+    found = meter.look(rows, unexplained, noise, load, edges, near, (largest, owed, numbers.way))
+    remains = meter.uncounted(rows, found, np.abs(gone) * turned, owed)
+    told, more = remains
     more -= told
     np.maximum(more, _ZERO, out=more)
     more *= numbers.each[KEPT_KPA]
@@ -273,26 +217,15 @@ def look_each(
     memory: Rows, means: Row, noises: Row, steps: float, near: PlaceRows, numbers: Row, way_numbers: Rows, seen: Rows
 ) -> None:
     """:func:`look` as a loop over cells, ``way_numbers`` being those of :mod:`._way`, ``seen`` (SEEN, m) anything."""
+    largest, owed = numbers[LARGEST_R], numbers[OWED]
     for i in range(means.size):
         see_of(memory, i, means[i], noise_of(memory, i, noises[i], steps), numbers, way_numbers, seen)
-    owed, full = numbers[OWED], numbers[LARGEST_R]
     for i in range(means.size):
-        noise, held, shown = noise_of(memory, i, noises[i], steps), memory[HELD, i], shown_of(memory, i)
-        load = shown * numbers[LOAD_R]
-        relative, looks = full / max(load, LEAST_LOAD), memory[LOOKS, i]
-        known = told_beside_of(
-            memory, SERIES_BESIDE, SQUARES_BESIDE, LOADS, i, seen, near, relative, looks, way_numbers
-        )
-        told, may = 0.0, 0.0
-        if shown > 0.0 and held >= owed:
-            own, beside = weights_of(load * (load / (noise * noise)), known)
-            told, may = tell_of(memory, SQUARES, SQUARES_BESIDE, i, own, beside, noise, way_numbers)
-        back = seen[BACK, i]
-        way = min(max(memory[BALANCE, i] + told - back, -owed * told), owed * told)
-        most = min(max(memory[MOST, i] + may - back, -owed * may), owed * may)
-        memory[BALANCE, i], memory[MOST, i] = min(way, 0.0), min(most, 0.0)
+        noise, load = noise_of(memory, i, noises[i], steps), shown_of(memory, i) * numbers[LOAD_R]
+        told, may = tell_of(memory, METER, i, noise, load, largest, owed, seen, near, way_numbers)
+        way, most = uncounted_of(memory, METER, i, told, may, seen[BACK, i], owed)
         if max(way, most) > 0.0:
-            take_back_of(memory, i, max(way, 0.0), max(most, 0.0), told, numbers)
+            take_back_of(memory, i, way, most, told, numbers)
 
 
 @loop
@@ -320,20 +253,12 @@ def see_of(memory: Rows, i: int, mean: float, noise: float, numbers: Row, way_nu
     unseen -= gone
     memory[LAST_R, i], memory[SIGN_BEFORE, i] = mean, sign
     memory[UNEXPLAINED_R, i] += unseen
-    held = memory[HELD, i] + 1.0
     apart = max(abs(memory[PRESSURE, i] - memory[LAST, i]), abs(memory[LAST, i] - memory[THIRD_LAST, i]))
     edge = apart > noise * EDGE * memory[GAIN, i] + numbers[LARGEST_KPA]
-    if edge or abs(gone) > noise * EDGE + numbers[LARGEST_R]:
-        held = 0.0
-        forget_of(memory, SQUARES, i)
-        forget_of(memory, SQUARES_BESIDE, i)
-    memory[HELD, i] = held
-    memory[LOOKS, i] += 1.0
-    looks, mean = memory[LOOKS, i], memory[UNEXPLAINED_R, i]
-    look_of(memory, SERIES, SQUARES, i, looks, mean, noise, numbers[LARGEST_R], way_numbers)
-    load = shown_of(memory, i) * numbers[LOAD_R]
-    per_variance = load / (noise * noise) if held > 1.0 else 0.0
-    seen[WEIGHTED, i], seen[KNOWN, i], seen[BACK, i] = per_variance * unseen, per_variance * load, back
+    edge |= abs(gone) > noise * EDGE + numbers[LARGEST_R]
+    seen[BACK, i] = back
+    newest, load = memory[UNEXPLAINED_R, i], shown_of(memory, i) * numbers[LOAD_R]
+    tell_neighbours_of(memory, METER, i, newest, noise, load, edge, numbers[LARGEST_R], way_numbers, seen)
 
 
 @loop

@@ -118,9 +118,9 @@ def look_of(
     knows_alike = load_of(memory, loads, i, tells, near, 0, ALIKE)
     knows_between = load_of(memory, loads + 1, i, tells, near, ALIKE, near.shape[0])
     noise_alike, noise_between = 1.0 / math.sqrt(knows_alike), 1.0 / math.sqrt(knows_between)
-    block_alike, block_between, length = memory[loads, i], memory[loads + 1, i], 1.0
+    block_alike, block_between, length = memory[loads, i], memory[loads + 1, i], 1
     for scale in range(SCALES):
-        if looks % length != 0.0:
+        if int(looks) & (length - 1):
             break
         row, per_reading = series + scale, RECENT * length
         alike, bend_alike, block_alike = differences_of(memory, row, i, block_alike)
@@ -134,7 +134,7 @@ def look_of(
         moved, bent = alike * between, bend_alike * bend_between
         side, bent_side = alike + between, bend_alike + bend_between
         take_of(memory, squares + scale, i, moved, side, bent, bent_side, 0.0, numbers[SHARE, scale])
-        length *= 2.0
+        length *= 2
     if min(knows_alike, knows_between) > LEAST:
         return math.sqrt(knows_alike * knows_between)
     return 0.0

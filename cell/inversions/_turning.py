@@ -221,21 +221,21 @@ class TurningInversion(Inversion):
         w, of, numbers = self._weights.of(dt_s), self._beside, self._numbers.row
         if memory is not of.memory:
             of = self._beside = Beside(memory)
-        take_each.code(memory, taken)
+        take_each.unchecked(memory, taken)
         w.step.dot(of.state, of.change)
         if w is not of.weights:
-            take_gains_each.code(memory, w.by_model, of.rows)
+            take_gains_each.unchecked(memory, w.by_model, of.rows)
             of.weights = w
         beside = of.change, taken, w.by_model, of.rows, of.flags, numbers
-        found = loops.step_and_turn.code(memory, *beside, False)
+        found = loops.step_and_turn.unchecked(memory, *beside, False)
         if found & loops.BEYOND:
             limits.limit_some(memory, w, self._numbers.each)
-            found = loops.step_and_turn.code(memory, *beside, True)
+            found = loops.step_and_turn.unchecked(memory, *beside, True)
         if found & loops.PULLED:
-            limits.correct_each.code(memory, taken, w.by_model, numbers)
+            limits.correct_each.unchecked(memory, taken, w.by_model, numbers)
         self._taken_over.dot(of.state, of.change)
         held_kpa, unconfirmed = doubts.held_kpa(dt_s, self.full_scale_kpa), found & loops.UNCONFIRMED > 0
-        doubts.begin_anew_each.code(memory, of.change, of.rows, of.flags, held_kpa, unconfirmed, numbers)
+        doubts.begin_anew_each.unchecked(memory, of.change, of.rows, of.flags, held_kpa, unconfirmed, numbers)
         return memory
 
     def recover(
@@ -267,14 +267,14 @@ class TurningInversion(Inversion):
     ) -> None:
         """:meth:`recover` by the loops of the same rooms."""
         mean, noise = np.empty(cells.size), taken[NOISE]
-        recent_means_each.code(ring, newest, cells, mean)
-        turns.look_at_steps_each.code(memory, noise, self._numbers.row)
-        recovery.look_each.code(memory, mean, noise, line[COUNT], self._recovery.of(dt_s).row)
-        still.look_each.code(memory, mean, noise, self.full_scale_kpa, self._still.of(dt_s).row)
-        onset.look_each.code(memory, mean, noise, self.full_scale_kpa, self._onset.of(dt_s).row)
+        recent_means_each.unchecked(ring, newest, cells, mean)
+        turns.look_at_steps_each.unchecked(memory, noise, self._numbers.row)
+        recovery.look_each.unchecked(memory, mean, noise, line[COUNT], self._recovery.of(dt_s).row)
+        still.look_each.unchecked(memory, mean, noise, self.full_scale_kpa, self._still.of(dt_s).row)
+        onset.look_each.unchecked(memory, mean, noise, self.full_scale_kpa, self._onset.of(dt_s).row)
         of = self._sway.of(dt_s)
         seen = np.empty((sway.SEEN, cells.size))
-        sway.look_each.code(memory, mean, noise, self._numbers.row[turns.STEPS], near, of.row, of.way.rows, seen)
+        sway.look_each.unchecked(memory, mean, noise, self._numbers.row[turns.STEPS], near, of.row, of.way.rows, seen)
 
     def released(self, memory: FloatArray) -> BoolArray | None:
         released: BoolArray = memory[SIGN] < self._none

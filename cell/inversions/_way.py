@@ -33,24 +33,22 @@ from ..estimation import RECENT
 
 SCALES = 4
 """lengths of blocks: one, two, four and eight times the readings of which the noise meter takes the mean"""
-MEMORY_S, SHARES = 1.5, (1.0 / 64.0, 1.0 / 8.0)
-"""seconds that the mean squares remember, and limits of the share of a block in them"""
+MEMORY_S, LEAST_SHARE = 1.5, 1.0 / 64.0
+"""seconds that the mean squares remember, and the least share of a block in them"""
 GROWS, AT_ONCE = 1.0, 0.25
 """of the mean square so far, and of the variance of noise: by no more does a single squared difference raise it"""
 MOST = 8.0
 """times the variance of noise: no squared second difference counts for more where it is told whether a load trembles"""
 SIDE = 3.0
 """times the lesser of both sides: their sum counts for no more"""
-TOLD, DOES = 1.8, 3.2
-"""standard deviations of what is known of the mean square of second differences to either side, beyond that of noise:
-from which a load seems to tremble, and from which it does"""
 MAY = 2.0
 """such standard deviations beyond what is seen: as much the mean squares may be"""
-OF_MOST = 0.5
-"""standard deviation over the most that a way may be beyond what is told, where the neighbours tell it"""
 OF_SIDES = 1.6
 """such a standard deviation by chance, over the variance of noise and the root of the share of a block: of twice the
 mean square to one side, to which half of all differences go"""
+OWN_TELLS, OWN_SURE = 4.0, 6.0
+"""standard deviations as of :class:`Caution`, from which own readings are believed whatever the neighbours tell, and
+from which they alone are: the load of a single cell may tremble, or move to and fro beside it"""
 NOISE_KNOWN = 0.15
 """relative standard deviation of the variance of noise: steps of an ADC are not white, and go by the reading"""
 WAY, BEND = 0.84, 0.5
@@ -58,9 +56,8 @@ WAY, BEND = 0.84, 0.5
 that of second differences: within a tenth for sines of up to a third of a period per block, and for random motion"""
 CLEAR = 3.0
 """standard deviations of a difference by noise, beside the largest motion that may go unnoticed: no more counts"""
-HIDDEN, MOST_HIDDEN, FAST_HZ = 1.2, 6.0, 4.0
-"""times the way that blocks see: as long it may be, by short and by long ones, since it turns between them; and
-frequency of the tremors that this is reckoned for"""
+MOST_HIDDEN, FAST_HZ = 6.0, 4.0
+"""times the way that long blocks see: as long it may be; and frequency of the tremors that this is reckoned for"""
 HIDES_AT_FAST = 7.4
 """way of a sine over that which blocks of its period see. Those of a share of its period hide the square of that share:
 the means see less of it, and it turns the more often between them"""
@@ -74,8 +71,10 @@ SQUARES = tuple(
 differences upwards, of second differences upwards, and of both downwards"""
 ALL_SERIES, ALL_SQUARES = len(SERIES), len(SQUARES)
 _BENDS, _UP, _DOWN = 0, SCALES, 3 * SCALES
-SHARE, HIDES = range(2)
-"""rows of the numbers that depend on the time between frames"""
+SHARE, HIDES, CAUTION = range(3)
+"""rows of the numbers that depend on the time between frames; in the last one those of :class:`Caution`"""
+MAY_FROM, TOLD, DOES, OF_MOST = range(4)
+"""places of these in that row"""
 _LOOKS_IN_BLOCK = 2.0 ** np.arange(SCALES)[:, None]
 _BEFORE_END = _LOOKS_IN_BLOCK.astype(np.intp) - 1
 """bits of the number of looks that are 0 at the end of a block"""
@@ -91,11 +90,34 @@ _ZERO, _HALF, _ONE, _TWO, _FOUR, _CLEAR, _MOST, _LEAST, _AT_ONCE = (
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
+class Caution(NamedTuple):
+    """How sure the way must be, by what an error costs: one that fades slowly adds up for longer.
+
+    The first three are standard deviations of what is known of the mean square of second differences to either side,
+    beyond that of noise.
+    """
+
+    may_from: float = 0.0
+    """from which a load may tremble"""
+    told: float = 1.8
+    """from which it seems to"""
+    does: float = 3.2
+    """from which it does"""
+    of_most: float = 0.5
+    """standard deviation over the most that a way may be beyond what is told, where the neighbours tell it"""
+    most_share: float = 1.0 / 8.0
+    """largest share of a block in the mean squares"""
+    hidden: float = 1.2
+    """times the way that short blocks see: as long it may be, since it turns between them"""
+
+
 class Constants(NamedTuple):
     """Numbers that depend on the time between frames."""
 
+    caution: Caution
     rows: FloatArray
-    """(2, SCALES) for machine code: share of a block in the mean squares, and how much of the way blocks may hide"""
+    """(3, SCALES) for machine code: share of a block in the mean squares, how much of the way blocks may hide, and the
+    first four of the caution"""
     shares: FloatArray
     """(SCALES, 1)"""
     hides: FloatArray
@@ -106,13 +128,14 @@ class Constants(NamedTuple):
     """(SCALES, 1) the same where noise is known by its measure only"""
 
 
-def constants(dt_s: float) -> Constants:
+def constants(dt_s: float, caution: Caution) -> Constants:
     """The numbers for frames that follow each other after ``dt_s``."""
     block_s = _LOOKS_IN_BLOCK * (RECENT * dt_s)
-    share = np.clip(block_s / MEMORY_S, *SHARES)
-    hides = np.minimum(HIDDEN + HIDES_AT_FAST * (FAST_HZ * block_s) ** 2, MOST_HIDDEN)
+    share = np.clip(block_s / MEMORY_S, LEAST_SHARE, caution.most_share)
+    hides = np.minimum(caution.hidden + HIDES_AT_FAST * (FAST_HZ * block_s) ** 2, MOST_HIDDEN)
     by_chance = share * OF_SIDES**2
-    return Constants(np.hstack([share, hides]).T.copy(), share, hides, by_chance, by_chance + NOISE_KNOWN**2)
+    rows = np.array([share[:, 0], hides[:, 0], caution[:SCALES]])
+    return Constants(caution, rows, share, hides, by_chance, by_chance + NOISE_KNOWN**2)
 
 
 def ends_of_blocks(looks: FloatArray) -> BoolArray:
@@ -197,6 +220,18 @@ def take(
     squares += beyond
 
 
+def told_by_own(squares: FloatArray, numbers: Constants) -> FloatArray:
+    """(m,) 0 to 1: whether own mean ``squares`` (as :data:`SQUARES`, m) alone are believed."""
+    lesser = np.minimum(squares[_UP + SCALES : _DOWN], squares[_DOWN + SCALES :])
+    lesser /= np.sqrt(numbers.by_chance_and_noise)
+    alone: FloatArray = lesser.max(axis=0)
+    alone *= _TWO
+    alone -= OWN_TELLS
+    alone *= 1.0 / (OWN_SURE - OWN_TELLS)
+    np.minimum(np.maximum(alone, _ZERO, out=alone), _ONE, out=alone)
+    return alone
+
+
 def tell(
     squares: FloatArray,
     own: FloatArray,
@@ -241,8 +276,9 @@ def tell(
     most_beside = (ways[1] * hides).min(axis=0)
     np.multiply(ways[0], hides, out=ways[1])
     gates = np.empty_like(ways)
-    np.multiply(clear - TOLD, 1.0 / (DOES - TOLD), out=gates[0])
-    np.multiply(clear, 1.0 / TOLD, out=gates[1])
+    may_from, seems, does, of_most = numbers.caution[:SCALES]
+    np.multiply(clear - seems, 1.0 / (does - seems), out=gates[0])
+    np.multiply(clear - may_from, 1.0 / (seems - may_from), out=gates[1])
     np.minimum(np.maximum(gates, _ZERO, out=gates), _ONE, out=gates)
     rest = np.ones_like(gates)
     np.cumprod(_ONE - gates[:, :-1], axis=1, out=rest[:, 1:])
@@ -255,7 +291,7 @@ def tell(
     most *= own
     most_beside -= told
     np.maximum(most_beside, _ZERO, out=most_beside)
-    most_beside *= (_ONE - own) * OF_MOST
+    most_beside *= (_ONE - own) * of_most
     most += most_beside
     most += told
     return found
@@ -291,9 +327,9 @@ def look_of(
     numbers: Rows,
 ) -> None:
     """Take the ``mean`` of the last readings of cell ``i``, whose series and mean squares begin with these rows."""
-    block, length = mean, 1.0
+    block, length = mean, 1
     for scale in range(SCALES):
-        if looks % length != 0.0:
+        if int(looks) & (length - 1):
             break
         change, bend, block = differences_of(memory, series + scale, i, block)
         per_reading = RECENT * length
@@ -301,7 +337,7 @@ def look_of(
         bend = scaled(bend, noise * math.sqrt(6.0 / per_reading), largest)
         share = numbers[SHARE, scale]
         take_of(memory, squares + scale, i, change * change, change, bend * bend, bend, 1.0, share)
-        length *= 2.0
+        length *= 2
 
 
 @loop
@@ -358,6 +394,17 @@ def count_of(memory: Rows, row: int, i: int, product: float, by_noise: float, sh
 
 
 @loop
+def told_by_own_of(memory: Rows, squares: int, i: int, numbers: Rows) -> float:
+    """:func:`told_by_own` of cell ``i``, whose mean squares begin with row ``squares`` of ``memory``."""
+    alone = 0.0
+    for scale in range(SCALES):
+        row = squares + scale + SCALES
+        sure = math.sqrt(numbers[SHARE, scale] * OF_SIDES**2 + NOISE_KNOWN**2)
+        alone = max(alone, min(memory[row + _UP, i], memory[row + _DOWN, i]) / sure)
+    return min(max((alone * 2.0 - OWN_TELLS) * (1.0 / (OWN_SURE - OWN_TELLS)), 0.0), 1.0)
+
+
+@loop
 def tell_of(
     memory: Rows,
     squares: int,
@@ -370,6 +417,7 @@ def tell_of(
 ) -> tuple[float, float]:
     """:func:`tell` of cell ``i``; mean squares begin with rows ``squares`` and ``squares_beside`` of ``memory``."""
     told, most, most_beside = 0.0, 0.0, math.inf
+    may_from, seems, surely = numbers[CAUTION, MAY_FROM], numbers[CAUTION, TOLD], numbers[CAUTION, DOES]
     rest, rest_of_most, length = 1.0, 1.0, 1.0
     for scale in range(SCALES):
         row, other = squares + scale, squares_beside + scale
@@ -390,15 +438,15 @@ def tell_of(
         most_beside = min(most_beside, way_of(moved + beyond, bends + beyond, of_change, of_bend, length) * hides)
         if clear > 0.0 and rest > 0.0:
             way = way_of(moved, bends, of_change, of_bend, length)
-            may = min(clear * (1.0 / TOLD), 1.0)
-            does = min(max((clear - TOLD) * (1.0 / (DOES - TOLD)), 0.0), 1.0)
+            may = min(max((clear - may_from) * (1.0 / (seems - may_from)), 0.0), 1.0)
+            does = min(max((clear - seems) * (1.0 / (surely - seems)), 0.0), 1.0)
             told += rest * does * way
             rest *= 1.0 - does
             most += rest_of_most * may * (way * hides)
             rest_of_most *= 1.0 - may
         length *= 2.0
     untold = max(most - told, 0.0) * own
-    untold += max(most_beside - told, 0.0) * (1.0 - own) * OF_MOST
+    untold += max(most_beside - told, 0.0) * (1.0 - own) * numbers[CAUTION, OF_MOST]
     return told, told + untold
 
 

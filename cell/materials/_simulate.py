@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray, scatter
-from ...compiled import Rows, loop
+from ...compiled import Row, Rows, loop
 from . import _lag as lag
 
 FEW_CELLS = 8
@@ -67,9 +67,7 @@ def m10(parameters: FloatArray, load: FloatArray, dt_s: float, begun: FloatArray
     gone, ramp = lag.weights(dt_s, tau)
     moved = np.abs(np.diff(load, axis=0, prepend=load[:1])) * (k * (1 - ramp))
     moved[0] = begun[2]
-    broken = np.empty((samples, cells))
-    for cell in range(cells):
-        broken[:, cell] = _recursion(moved[:, cell], 1 - gone[cell])
+    broken = _recursions(moved, 1 - gone, np.zeros(cells))
     r: FloatArray = a * load + b * load**2 + branches.sum(axis=1) + broken
     return r
 
@@ -139,11 +137,8 @@ def paper(parameters: FloatArray, load: FloatArray, dt_s: float) -> FloatArray:
     into2 = gain2 * (load[:-1] * (gone2 - ramp2) + load[1:] * ramp2)
     into3 = gain3 * (load[:-1] * (gone3 - ramp3) + load[1:] * ramp3)
     stay_u, stay2 = 1 - gone_u, 1 - gone2
-    x3 = np.empty((samples, cells))
-    for cell in range(cells):
-        stay3 = 1 - gone3[cell]
-        x3[0, cell] = first = gain3[cell] * load[0, cell]
-        x3[1:, cell] = _recursion(into3[:, cell], stay3, stay3 * first)
+    into3 = np.concatenate([gain3 * load[:1], into3])
+    x3 = _recursions(into3, 1 - gone3, np.zeros(cells))
 
     # Which way each load last went, upwards at first.
     sign = np.sign(np.diff(load, axis=0, prepend=load[:1] - 1))
@@ -240,23 +235,42 @@ def wandering(
     keep = np.exp(-dt_s / seconds)
     white = std * rng.standard_normal((samples, cells))
     white[1:] *= np.sqrt(1 - keep**2)
-    return _recursion(white, keep)
+    return _recursions(white, np.full(cells, keep), np.zeros(cells))
 
 
 def lagging(load: FloatArray, dt_s: float, seconds: FloatArray, first: FloatArray) -> FloatArray:
     """Loads (n, m) behind lags of ``seconds`` (m,) that begin at ``first`` (m,): slow creep, and what came before."""
-    found = np.empty_like(load)
-    for cell, keep in enumerate(np.exp(-dt_s / seconds)):
-        found[:, cell] = _recursion((1 - keep) * load[:, cell], keep, keep * first[cell])
-    return found
+    keep = np.exp(-dt_s / seconds)
+    return _recursions((1 - keep) * load, keep, first)
 
 
-def _recursion(into: FloatArray, keep: float, before: float = 0.0) -> FloatArray:
-    """First-order recursive filter along axis 0: ``y[k] = keep y[k-1] + into[k]``, and ``before`` added to y[0]."""
+def _recursions(into: FloatArray, keep: FloatArray, before: FloatArray) -> FloatArray:
+    """First-order recursive filters (n, m) along axis 0: ``y[k] = keep y[k-1] + into[k]``, ``before`` being y[-1].
+
+    Args:
+        into: (n, m).
+        keep: (m,).
+        before: (m,).
+    """
+    found = np.empty(into.shape)
+    compiled = _filter_columns.machine_code()
+    if compiled is not None:
+        compiled(np.ascontiguousarray(into), keep, before, found)
+        return found
     from scipy.signal import lfilter  # loads scipy.stats, which takes as long as all else of this package
 
-    found: FloatArray = lfilter([1.0], [1.0, -keep], into, axis=0, zi=np.full((1, *into.shape[1:]), before))[0]
+    for place, (stay, last) in enumerate(zip(keep, before, strict=True)):
+        found[:, place] = lfilter([1.0], [1.0, -stay], into[:, place], zi=[stay * last])[0]
     return found
+
+
+@loop
+def _filter_columns(into: Rows, keep: Row, before: Row, found: Rows) -> None:
+    """:func:`_recursions`; writes ``found``."""
+    for k in range(into.shape[0]):
+        for place in range(into.shape[1]):
+            last = found[k - 1, place] if k else before[place]
+            found[k, place] = keep[place] * last + into[k, place]
 
 
 def white_noise(signal: FloatArray) -> float:

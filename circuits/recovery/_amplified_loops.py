@@ -38,7 +38,7 @@ class UsualFrames:
         self._board = board
         self._about_base = _about_base.machine_code()
         self._independent = _independent_columns.machine_code()
-        self._uncertainties = _uncertainties.machine_code()
+        self._uncertainties = _uncertainties.machine_code(unchecked=True)
         self.compiled = None not in (self._about_base, self._independent, self._uncertainties)
         """there is machine code"""
         constants = (board.scale, board.constant, board.per_sum, board.farthest_driver, board.to_amplifier[0])

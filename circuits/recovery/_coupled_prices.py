@@ -41,7 +41,8 @@ class CoupledPrices:
         self.solutions = 100.0 + 2.0 * cells
         """an enclosure of other sets of cells behind followers"""
         step = self.by_lines if by_nodes or by_columns else self.by_matrix
-        usual = self.reading + parts.quick.usual_price + 2.0 * step
+        steps = 2.0 if by_nodes else 1.0  # by which a moving finger is followed, as a rule
+        usual = self.reading + steps * parts.quick.usual_price + (1.0 + steps) * step
         dearest = self.compare + 2.0 * parts.quick.most_price(cells)
         if not ideal:
             dearest = max(parts.quick.sparse_price(cells) + self.lines, dearest)

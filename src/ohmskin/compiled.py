@@ -30,7 +30,8 @@ from typing import Annotated, Any, Generic, ParamSpec, TypeVar, cast, get_args, 
 from .arrays import BoolArray, CodeArray, FloatArray, IntArray
 
 SWITCH = "OHMSKIN_COMPILED"
-"""environment variable; 0, no, off or false: no machine code is used, though Numba is installed"""
+"""environment variable; 0, no, off or false: no machine code is used, though Numba is installed; checked: no call goes
+without a look at the types of its arguments"""
 NUMBA_SWITCH = "NUMBA_DISABLE_JIT"
 """Numba's own environment variable, by which programs that use Numba are debugged; 1: nothing is compiled"""
 
@@ -54,7 +55,7 @@ WAIT = "up to 40 s"
 """processor time in which all loops, more than eighty, are compiled on a slow core; a fast one takes half as long"""
 
 _SCALARS = {float: "float64", int: "intp", bool: "boolean", type(None): "void"}
-_OFF = ("0", "no", "off", "false")
+_OFF, _CHECKED = ("0", "no", "off", "false"), "checked"
 _log = logging.getLogger("ohmskin")
 _lock = threading.RLock()
 _offered: list[Loop[..., Any]] = []
@@ -67,7 +68,7 @@ R = TypeVar("R")
 
 def why_not() -> str | None:
     """Why no loop is compiled, in a few words; None: loops are compiled."""
-    if os.environ.get(SWITCH, "").strip().lower() in _OFF:
+    if _switch() in _OFF:
         return f"switched off by {SWITCH}={os.environ[SWITCH]}"
     try:
         import numba
@@ -109,6 +110,10 @@ class Loop(Generic[P, R]):
         _offered.append(self)
         self.code: Callable[P, R] = function
         """the compiled function once :func:`load` said so, before that ``function``"""
+        self.unchecked: Callable[P, R] = function
+        """the same without a look at the types of the arguments, which takes half of a call: only for arrays that the
+        caller has made itself, as others would be read as if they were of the stated types. Tests look at them
+        nevertheless (:data:`SWITCH` is ``checked``)"""
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
         return self.code(*args, **kwargs)
@@ -117,12 +122,13 @@ class Loop(Generic[P, R]):
         """For pickle and copy: the loop of that name."""
         return self.__qualname__
 
-    def machine_code(self) -> Callable[P, R] | None:
+    def machine_code(self, *, unchecked: bool = False) -> Callable[P, R] | None:
         """The compiled function, or None where there is none: ask when an object is made, not for every frame.
 
         The first call loads the machine code from disk, or compiles for a second or so; later ones return at once.
         Threads may call, and the compiled function runs without the interpreter's lock. It takes positional arguments
-        of exactly the types that the function states.
+        of exactly the types that the function states: others are refused with a TypeError, unless :attr:`unchecked` is
+        asked for.
         """
         if why_not() is not None:
             return None
@@ -130,12 +136,16 @@ class Loop(Generic[P, R]):
             _waiting.append(self)
             try:
                 with _lock:
-                    self.code = self._compile()
+                    self.code = self.unchecked = self._compile()
+                if _switch() != _CHECKED:
+                    self.unchecked = _without_dispatcher(self.code)
             except Exception as error:  # of any part of the compiler
                 self.failure = f"{type(error).__name__}: {error}"
             finally:
                 _waiting.remove(self)
-        return cast(Callable[P, R] | None, self._compiled)
+        if self._compiled is None:
+            return None
+        return self.unchecked if unchecked else self.code
 
     def _compile(self) -> Any:
         """The function as Numba compiled it, kept on disk if there is a place for it."""
@@ -252,6 +262,16 @@ def switched_off() -> Iterator[None]:
 def is_compiling() -> bool:
     """Whether the compiler is at work in some thread: who limits the time of other work does not count this time."""
     return bool(_waiting)
+
+
+def _switch() -> str:
+    return os.environ.get(SWITCH, "").strip().lower()
+
+
+def _without_dispatcher(compiled: Any) -> Any:
+    """What Numba's dispatcher calls once it has found out the types of the arguments; there is one signature only."""
+    (only,) = compiled.overloads.values()
+    return only.entry_point
 
 
 def _written(hint: Any) -> str:

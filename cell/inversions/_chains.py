@@ -1,0 +1,152 @@
+"""Chains of ``m10`` cells that a load breaks unnoticed, by going to and fro within what noise and ADC steps hide.
+
+Motion breaks conductive chains in proportion to the way of the load, up or down: ``D' = k |s'| - D/tau``. An inverse
+counts the way of smoothed readings beyond a play as wide as the noise. A load that trembles goes farther than that. The
+chains that break meanwhile raise r, and an inverse that does not know of them shows a load which grows, by k over the
+slope dr/ds for each unit of the way.
+
+How far the load goes is told by :mod:`._meter`, in r, from the readings less the branches. What the inverse has counted
+is subtracted from the way. For the rest, k of it counts as
+broken, and the load is as much smaller. A share of it counts as standard deviation, since the way is known to about as
+much, and so does the way that there may be beside what is told from noise. All that errs to one side, and adds up like
+amounts, until the chains have healed.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ...arrays import FloatArray, IntArray
+from ...compiled import PlaceRows, Row, Rows, loop
+from ..estimation import PRESSURE, RECENT
+from ..materials import M10Model
+from . import _meter as meter
+from . import _together as together
+from . import _way as way
+from ._inverse_loops import ANCHOR, BRANCH, BROKEN, FURTHEST, LOAD, MISSED
+from ._meter import EDGE, see_of, tell_of, uncounted_of
+from ._paper_steps import numbered
+
+UNSURE = 0.2
+"""standard deviation over what is taken for broken"""
+LARGEST = 0.04
+"""of full scale: how far a load may go from one look to the next without an edge"""
+BEARS = 3.0
+"""standard deviations of a reading, in r over that of full scale: a load of less has nothing to go back"""
+CAUTION = way.Caution(may_from=2.4, told=3.0, does=5.0, of_most=0.1, most_share=1.0 / 24.0, hidden=1.0)
+"""chains take much longer to heal than a tremor to be told: what is told by chance adds up for as long, and widens the
+deviation of loads that are held still"""
+LEAST_SLOPE = 0.05
+"""least slope dr/ds, over r of full scale"""
+
+NAMES = (*meter.NAMES, "broken_before")
+"""names of the rows of the memory: those of :mod:`._meter`, and r of the broken chains at the last look"""
+METER = FURTHEST + 1
+"""first row"""
+ROWS = slice(METER, METER + len(meter.NAMES))
+BROKEN_BEFORE = METER + len(meter.NAMES)
+A, B, K, FULL_KPA, FULL_R, KEPT, OWED = range(7)
+"""places of the numbers: of the model; full scale in kPa and in r; share of broken chains that do not heal from one
+look to the next; and :func:`._meter.owed_looks`"""
+BEARING = together.TELLS
+SEEN = together.TELLS + 1
+"""rows of what a look at all cells sees before any of them is told: what they tell their neighbours, and the load"""
+_SERIES = METER + meter.SERIES
+_ZERO = np.array(0.0)
+
+
+class Constants(NamedTuple):
+    """Numbers that depend on the time between frames."""
+
+    row: FloatArray
+    """for machine code"""
+    each: tuple[FloatArray, ...]
+    """the same numbers, as arrays without axes"""
+    way: way.Constants
+
+
+def constants(model: M10Model, dt_s: float, full_scale_kpa: float, full_scale_r: float) -> Constants:
+    """The numbers for frames that follow each other after ``dt_s``."""
+    numbers = numbered(
+        {
+            **{A: model.a, B: model.b, K: model.k, FULL_KPA: full_scale_kpa, FULL_R: full_scale_r},
+            KEPT: math.exp(-RECENT * dt_s / model.tau_s),
+            OWED: meter.owed_looks(dt_s),
+        }
+    )
+    return Constants(numbers.row, numbers.each, way.constants(dt_s, CAUTION))
+
+
+def begin(memory: FloatArray, r: FloatArray) -> None:
+    """Begin with cells whose reading has been ``r`` (m,) for ever; changes their ``memory`` (rows, m)."""
+    meter.begin(memory[ROWS], r - memory[BRANCH] - memory[BRANCH + 1])
+    memory[BROKEN_BEFORE] = memory[BROKEN]
+
+
+def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, near: IntArray, numbers: Constants) -> None:
+    """Take the last readings of m cells; changes their ``memory`` (rows, m).
+
+    To be called every :data:`..estimation._noise.RECENT` frames.
+
+    Args:
+        memory: of the cells.
+        mean: (m,) of as many readings.
+        noise: (m,) standard deviation of one of them.
+        near: (k, m) neighbours, see :class:`..estimation._neighbours.Neighbours`.
+        numbers: :func:`constants`.
+    """
+    a, b, k, full_kpa, full_r, kept, owed = numbers.each
+    load, broken, rows = memory[LOAD], memory[BROKEN], memory[ROWS]
+    slope = np.maximum(a + 2.0 * b * load, LEAST_SLOPE * full_r)
+    newest = mean - memory[BRANCH] - memory[BRANCH + 1]
+    largest = slope * LARGEST
+    bears = np.where(load > BEARS * noise / full_r, load, _ZERO)
+    edges = np.abs(newest - memory[_SERIES]) > noise * EDGE + largest
+    found = meter.look(rows, newest, noise, bears * slope, edges, near, (largest, owed, numbers.way))
+    counted = (broken - memory[BROKEN_BEFORE] * kept) * (slope / k)
+    told, may = meter.uncounted(rows, found, counted, owed)
+    per_way = k / slope
+    breaks = np.minimum(told * per_way / slope, bears)
+    memory[MISSED] += np.maximum(may - told, _ZERO) * per_way + UNSURE * slope * breaks
+    for row in (LOAD, ANCHOR, FURTHEST):
+        memory[row] -= breaks
+    memory[PRESSURE] -= breaks * full_kpa
+    broken += (a + b * (2.0 * load + breaks)) * breaks  # the static response to what the load was before, and is
+    memory[BROKEN_BEFORE] = broken
+
+
+@loop
+def look_each(
+    memory: Rows, means: Row, noises: Row, near: PlaceRows, numbers: Row, way_numbers: Rows, seen: Rows
+) -> None:
+    """:func:`look` as a loop over cells, ``way_numbers`` being those of :mod:`._way`, ``seen`` (SEEN, m) anything."""
+    a, b, k, full_r, owed = numbers[A], numbers[B], numbers[K], numbers[FULL_R], numbers[OWED]
+    for i in range(means.size):
+        load = memory[LOAD, i]
+        slope = max(a + 2.0 * b * load, LEAST_SLOPE * full_r)
+        newest, largest = means[i] - memory[BRANCH, i] - memory[BRANCH + 1, i], slope * LARGEST
+        bears = load if load > BEARS * noises[i] / full_r else 0.0
+        edge = abs(newest - memory[_SERIES, i]) > noises[i] * EDGE + largest
+        see_of(memory, METER, i, newest, noises[i], bears * slope, edge, largest, way_numbers, seen)
+        seen[BEARING, i] = bears
+    for i in range(means.size):
+        load, broken, bears = memory[LOAD, i], memory[BROKEN, i], seen[BEARING, i]
+        slope = max(a + 2.0 * b * load, LEAST_SLOPE * full_r)
+        told, may = tell_of(memory, METER, i, noises[i], bears * slope, slope * LARGEST, owed, seen, near, way_numbers)
+        counted = (broken - memory[BROKEN_BEFORE, i] * numbers[KEPT]) * (slope / k)
+        told, may = uncounted_of(memory, METER, i, told, may, counted, owed)
+        per_way = k / slope
+        breaks = min(told * per_way / slope, bears)
+        memory[MISSED, i] += max(may - told, 0.0) * per_way + UNSURE * slope * breaks
+        for row in (LOAD, ANCHOR, FURTHEST):
+            memory[row, i] -= breaks
+        load = memory[LOAD, i]
+        memory[PRESSURE, i] -= breaks * numbers[FULL_KPA]
+        broken += (a + b * (2.0 * load + breaks)) * breaks
+        memory[BROKEN, i] = memory[BROKEN_BEFORE, i] = broken
+
+
+LOOPS = (look_each,)

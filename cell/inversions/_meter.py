@@ -1,0 +1,217 @@
+"""The meter of the way: how far the loads of an array's cells go to and fro, and how much of that is not counted yet.
+
+A load that trembles goes to and fro by less than noise lets an inverse follow. What the way of that does to a cell, the
+inverse knows by its material. This module tells the way: by the variances of each cell's own readings (:mod:`._way`),
+and by what the cells beside have in common with it (:mod:`._together`), each weighted by how well it knows it. Where a
+cell's own readings leave no doubt that its load goes to and fro, as beside a finger that rubs, they are believed alone.
+
+Edges of a load, as of presses and taps, are followed by the inverse itself. After one nothing is told for as long as
+the mean squares remember it. Of what is told there remains what the inverse has not counted meanwhile
+(:func:`uncounted`). The mean squares tell a motion later than an inverse counts it, so that what is counted too early
+or too late is carried over for as long.
+
+All is in units of whatever quantity is read: r, or the load. Rows are those of a part of the memory of an inversion.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ...arrays import BoolArray, FloatArray, IntArray
+from ...compiled import PlaceRows, Rows, loop
+from ..estimation import RECENT
+from . import _together as together
+from . import _way as way
+from ._together import KNOWN, WEIGHTED, weights_of
+from ._together import look_of as told_beside_of
+from ._way import forget_of, look_of, told_by_own_of
+from ._way import tell_of as way_of_squares
+
+NAMES = (
+    *("looks", *way.SERIES, *together.SERIES),
+    *way.SQUARES,
+    *(f"{name}_beside" for name in way.SQUARES),
+    *together.LOADS,
+    *("held", "told", "may"),
+)
+"""names of the rows of the memory: looks; series and mean squares of :mod:`._way`, own ones and those of neighbours;
+what :mod:`._together` sums up; looks since an edge; the way that is told, and that which may be, less what is
+counted"""
+LOOKS, SERIES = 0, 1
+SERIES_BESIDE = SERIES + way.ALL_SERIES
+SQUARES = SERIES + 3 * way.ALL_SERIES
+SQUARES_BESIDE = SQUARES + way.ALL_SQUARES
+LOADS = SQUARES + 2 * way.ALL_SQUARES
+HELD, TOLD, MAY = range(LOADS + len(together.LOADS), len(NAMES))
+_SERIES, _SQUARES, _LOADS = slice(SERIES, SQUARES), slice(SQUARES, LOADS), slice(LOADS, HELD)
+HELD_FOR_EVER = 1e6
+"""looks"""
+EDGE = way.CLEAR * math.sqrt(2.0 / RECENT)
+"""standard deviations of a reading"""
+LEAST_LOAD = 1e-3
+"""keeps a load of none from dividing"""
+_BY_NOISE = np.array([1.0, 0.0])[:, None, None]
+"""(2, 1, 1) what noise makes of own mean squares, and of mean products"""
+_ZERO, _ONE, _LEAST_LOAD = (np.array(x) for x in (0.0, 1.0, LEAST_LOAD))
+# As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
+
+
+def owed_looks(dt_s: float) -> float:
+    """Looks that the way counts for, where frames follow each other after ``dt_s``."""
+    return way.MEMORY_S / (RECENT * dt_s)
+
+
+def begin(rows: FloatArray, level: FloatArray | float) -> None:
+    """Begin with m cells that have read ``level`` (m,) for ever; writes their ``rows`` (as :data:`NAMES`, m)."""
+    rows[...] = 0.0
+    rows[SERIES:SERIES_BESIDE] = level
+    rows[HELD] = HELD_FOR_EVER
+
+
+def look(
+    rows: FloatArray,
+    newest: FloatArray,
+    noise: FloatArray,
+    load: FloatArray,
+    edges: BoolArray,
+    near: IntArray,
+    numbers: tuple[FloatArray, FloatArray, way.Constants],
+) -> FloatArray:
+    """Take the last :data:`..estimation._noise.RECENT` readings of m cells; changes their ``rows``.
+
+    Args:
+        rows: (as :data:`NAMES`, m) of the memory.
+        newest: (m,) mean of the readings, less the motion that is not to be told.
+        noise: (m,) standard deviation of one of them.
+        load: (m,) the load that goes to and fro, in their unit.
+        edges: (m,) where it has an edge just now.
+        near: (k, m) neighbours, see :class:`..estimation._neighbours.Neighbours`.
+        numbers: how far a load may go from one look to the next without an edge; :func:`owed_looks`; and those of
+            :mod:`._way`.
+
+    Returns:
+        (2, m) way since the last look as far as it is told from noise; and way that may be, no less.
+    """
+    largest, owed, of_way = numbers
+    held = rows[HELD]
+    held += _ONE
+    np.copyto(held, _ZERO, where=edges)
+    tells = np.empty((together.TELLS, load.size))
+    per_variance = load / (noise * noise)
+    known = load * per_variance
+    per_variance *= held > _ONE
+    np.multiply(per_variance, newest - rows[SERIES], tells[together.WEIGHTED])
+    np.multiply(per_variance, load, tells[together.KNOWN])
+    loads = rows[_LOADS]
+    knows = together.look(loads, tells, near)
+    series, noises, most = np.empty((3, 3, load.size))
+    series[0], series[1:] = newest, loads
+    noises[0], noises[1:] = noise, _ONE / np.sqrt(knows)
+    most[0], most[1:] = largest, largest / np.maximum(load, _LEAST_LOAD)
+    looks = rows[LOOKS]
+    looks += _ONE
+    ends = way.ends_of_blocks(looks)
+    change = way.differences(rows[_SERIES].reshape(3, way.ALL_SERIES, -1), series, noises, most, ends)
+    product = change[0::2] * change[:2]  # own ones squared, and those of both groups
+    side = change[:2]
+    side[1] += change[2]
+    squares = rows[_SQUARES].reshape(2, way.ALL_SQUARES, -1)
+    way.take(squares, product, _BY_NOISE, side, ends * of_way.shares, edges)
+    own, beside = together.weights(known, together.known(knows))
+    alone = way.told_by_own(squares[0], of_way)
+    np.maximum(own, alone, out=own)
+    beside *= _ONE - alone
+    both = squares[0] * own
+    both += squares[1] * beside
+    found = way.tell(both, own, beside, noise, of_way)
+    found *= (load > _ZERO) & (held >= owed)
+    return found
+
+
+def uncounted(rows: FloatArray, found: FloatArray, counted: FloatArray, owed: FloatArray) -> FloatArray:
+    """(2, m) what is ``found`` (2, m) by :func:`look` and not ``counted`` (m,) otherwise; changes ``rows``.
+
+    What is counted beyond is carried over, for as many looks as the way counts for, ``owed``.
+    """
+    balance = rows[TOLD : MAY + 1]
+    balance += found
+    balance -= counted
+    most = found * owed
+    np.minimum(np.maximum(balance, -most, out=balance), most, out=balance)
+    remains: FloatArray = np.maximum(balance, _ZERO)
+    balance -= remains
+    return remains
+
+
+# -- machine code ----------------------------------------------------------------------------------------------------
+
+
+@loop
+def see_of(
+    memory: Rows,
+    first: int,
+    i: int,
+    newest: float,
+    noise: float,
+    load: float,
+    edge: bool,
+    largest: float,
+    way_numbers: Rows,
+    seen: Rows,
+) -> None:
+    """The first half of :func:`look` for cell ``i``, whose rows begin with ``first``.
+
+    What it tells its neighbours goes into ``seen`` (TELLS, m).
+    """
+    held = memory[first + HELD, i] + 1.0
+    if edge:
+        held = 0.0
+        forget_of(memory, first + SQUARES, i)
+        forget_of(memory, first + SQUARES_BESIDE, i)
+    memory[first + HELD, i] = held
+    memory[first + LOOKS, i] += 1.0
+    unseen = newest - memory[first + SERIES, i]
+    looks = memory[first + LOOKS, i]
+    look_of(memory, first + SERIES, first + SQUARES, i, looks, newest, noise, largest, way_numbers)
+    per_variance = load / (noise * noise) if held > 1.0 else 0.0
+    seen[WEIGHTED, i], seen[KNOWN, i] = per_variance * unseen, per_variance * load
+
+
+@loop
+def tell_of(
+    memory: Rows,
+    first: int,
+    i: int,
+    noise: float,
+    load: float,
+    largest: float,
+    owed: float,
+    seen: Rows,
+    near: PlaceRows,
+    way_numbers: Rows,
+) -> tuple[float, float]:
+    """The second half of :func:`look` for cell ``i``, after all cells have been seen."""
+    relative, looks = largest / max(load, LEAST_LOAD), memory[first + LOOKS, i]
+    squares, beside = first + SQUARES, first + SQUARES_BESIDE
+    known = told_beside_of(
+        memory, first + SERIES_BESIDE, beside, first + LOADS, i, seen, near, relative, looks, way_numbers
+    )
+    if not (load > 0.0 and memory[first + HELD, i] >= owed):
+        return 0.0, 0.0
+    own, of_beside = weights_of(load * (load / (noise * noise)), known)
+    alone = told_by_own_of(memory, squares, i, way_numbers)
+    own, of_beside = max(own, alone), of_beside * (1.0 - alone)
+    return way_of_squares(memory, squares, beside, i, own, of_beside, noise, way_numbers)
+
+
+@loop
+def uncounted_of(
+    memory: Rows, first: int, i: int, told: float, may: float, counted: float, owed: float
+) -> tuple[float, float]:
+    """:func:`uncounted` of cell ``i``."""
+    way = min(max(memory[first + TOLD, i] + told - counted, -owed * told), owed * told)
+    most = min(max(memory[first + MAY, i] + may - counted, -owed * may), owed * may)
+    memory[first + TOLD, i], memory[first + MAY, i] = min(way, 0.0), min(most, 0.0)
+    return max(way, 0.0), max(most, 0.0)
