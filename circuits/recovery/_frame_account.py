@@ -10,7 +10,7 @@ valid, and the next frame goes on.
 
 from __future__ import annotations
 
-USUAL_FRAMES = 8.0
+USUAL_FRAMES = 9.0
 """that a frame may cost: prices are true to about a tenth"""
 FIRST_FRAMES = 60.0
 """the same of the first frame of all, before which nothing is known"""
