@@ -11,7 +11,8 @@ adjoint field (Tellegen's theorem; Director and Rohrer, "The generalized adjoint
 Implementation
 --------------
 The forward and adjoint fields of all readings are linear combinations of N + M basis fields. In a basis field one port
-of the grid is at 1 V and all other ports are at 0 V. One sparse LU factorisation gives all basis fields.
+of the grid is at 1 V and all other ports are at 0 V. One LU factorisation gives all basis fields: a sparse one, or on a
+small grid a dense one.
 
 Parts in series with a line use the product of their currents instead of their voltages. The current of a line follows
 from the sum of its cells' currents. The derivatives thus exist for lines of zero resistance as well.
@@ -28,7 +29,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from ..arrays import BoolArray, FloatArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError, SolverError
 from ._board import Board
 from ._design import Design
@@ -38,6 +39,15 @@ from .solvers import Network, reduce, siemens
 
 LARGEST = 64 * 64
 """Largest number of cells: the derivatives then need 0.13 GB of memory per kind of part."""
+FEW_NODES = 150
+"""of a grid, up to which its equations are solved as dense ones"""
+WIDEST = 1e7
+"""largest over smallest conductance of a grid, up to which its equations are solved as dense ones: beyond, and where a
+very small resistance stands for a short, the order of sparse elimination keeps more digits"""
+_TOO_MANY_DECADES = (
+    "the grid's parts span too many decades for sensitivities; give the smallest resistances as 0, "
+    "or the largest as inf"
+)
 _SHORT = 1e8  # conductance that stands for a short, over the largest other conductance
 
 
@@ -203,36 +213,13 @@ class _BasisFields(NamedTuple):
         _, node = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(count, count)), directed=False)
         a, b = node[network.ends[~wired]].T
         value = conductance[~wired]
-        port = node[network.ports]
+        port = node[network.ports].astype(np.intp)
         size = int(node.max()) + 1
-        graph = coo_array((value, (a, b)), shape=(size, size)).tocsr()
-        graph = graph + graph.T
-        graph.eliminate_zeros()  # zero entries would count as connections
-        inner = np.setdiff1d(np.arange(size), port)
-        potential = np.zeros((size, rows + columns))
-        potential[port, np.arange(rows + columns)] = 1.0
-        if len(inner):
-            # The potential of an island without a port is undetermined and would make the matrix singular. We tie
-            # one of its nodes to ground by 1 S, which sets the potential to 0.
-            _, island = connected_components(graph, directed=False)
-            adrift = ~np.isin(island, island[port])
-            loose = np.zeros(size)
-            loose[np.flatnonzero(adrift)[np.unique(island[adrift], return_index=True)[1]]] = 1.0
-            total = np.asarray(graph.sum(axis=1)).ravel() + loose
-            matrix = (coo_array((total, (np.arange(size), np.arange(size))), shape=(size, size)) - graph).tocsc()
-            try:
-                factor = splu(
-                    matrix[inner][:, inner],
-                    permc_spec="MMD_AT_PLUS_A",
-                    diag_pivot_thresh=0.0,
-                    options={"SymmetricMode": True},
-                )
-            except RuntimeError as error:  # SuperLU reports a singular matrix like this
-                raise SolverError(
-                    "the grid's parts span too many decades for sensitivities; give the smallest resistances as 0, or "
-                    "the largest as inf"
-                ) from error
-            potential[inner] = factor.solve(graph[inner][:, port].toarray())
+        felt = value[value > 0.0]
+        is_easy = size <= FEW_NODES and felt.max(initial=0.0) <= WIDEST * felt.min(initial=np.inf)
+        potential = _dense_potentials(a, b, value, port, size) if is_easy else None
+        if potential is None:
+            potential = _sparse_potentials(a, b, value, port, size)
         first, second = potential[node[network.ends[cell_at:]]].transpose(1, 2, 0)
         drops, siemens_at = first - second, conductance[cell_at:]
         ours = slice(cells.size)
@@ -250,6 +237,74 @@ class _BasisFields(NamedTuple):
         across = siemens_at[ours].reshape(rows, columns)
         own = np.minimum(siemens(cells + board.series_ohms), across)  # without faults in parallel
         return cls(drops[:, ours].reshape(-1, rows, columns), own, leaving, entering)
+
+
+def _dense_potentials(a: IntArray, b: IntArray, value: FloatArray, port: IntArray, size: int) -> FloatArray | None:
+    """:func:`_sparse_potentials` of few nodes, by array operations on all pairs; None: some node reaches no port.
+
+    On a small grid each operation on a sparse matrix takes as long as all of these.
+    """
+    graph = np.zeros((size, size))
+    np.add.at(graph, (a, b), value)
+    graph += graph.T
+    reached = np.zeros(size, dtype=np.bool_)
+    reached[port] = True
+    linked, count = graph > 0.0, 0
+    while count < (count := int(np.count_nonzero(reached))):
+        reached |= linked[:, reached].any(axis=1)
+    if count < size:
+        return None
+    inner = np.setdiff1d(np.arange(size), port)
+    potential = np.zeros((size, len(port)))
+    potential[port, np.arange(len(port))] = 1.0
+    matrix = np.diag(graph.sum(axis=1)) - graph
+    try:
+        potential[inner] = np.linalg.solve(matrix[np.ix_(inner, inner)], graph[np.ix_(inner, port)])
+    except np.linalg.LinAlgError as error:
+        raise SolverError(_TOO_MANY_DECADES) from error
+    return potential
+
+
+def _sparse_potentials(a: IntArray, b: IntArray, value: FloatArray, port: IntArray, size: int) -> FloatArray:
+    """Potentials (size, ports) of all nodes while one port after the other is at 1 V and all others are at 0 V.
+
+    Args:
+        a: one end of each branch, a node.
+        b: its other end.
+        value: its conductance in S.
+        port: the nodes of the ports.
+        size: number of nodes.
+
+    Raises:
+        SolverError: the factorisation breaks down.
+    """
+    graph = coo_array((value, (a, b)), shape=(size, size)).tocsr()
+    graph = graph + graph.T
+    graph.eliminate_zeros()  # zero entries would count as connections
+    inner = np.setdiff1d(np.arange(size), port)
+    potential = np.zeros((size, len(port)))
+    potential[port, np.arange(len(port))] = 1.0
+    if not len(inner):
+        return potential
+    # The potential of an island without a port is undetermined and would make the matrix singular. We tie
+    # one of its nodes to ground by 1 S, which sets the potential to 0.
+    _, island = connected_components(graph, directed=False)
+    adrift = ~np.isin(island, island[port])
+    loose = np.zeros(size)
+    loose[np.flatnonzero(adrift)[np.unique(island[adrift], return_index=True)[1]]] = 1.0
+    total = np.asarray(graph.sum(axis=1)).ravel() + loose
+    matrix = (coo_array((total, (np.arange(size), np.arange(size))), shape=(size, size)) - graph).tocsc()
+    try:
+        factor = splu(
+            matrix[inner][:, inner],
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+    except RuntimeError as error:  # SuperLU reports a singular matrix like this
+        raise SolverError(_TOO_MANY_DECADES) from error
+    potential[inner] = factor.solve(graph[inner][:, port].toarray())
+    return potential
 
 
 def _empty(volts: FloatArray, conductance: FloatArray) -> Sensitivity:

@@ -29,7 +29,13 @@ BY_ARRAYS = 2000
 """readings up to which array operations estimate, and not machine code"""
 
 
-@pytest.mark.parametrize("name", ["recent_extreme", "forgotten_kpa", "undithered", "released_kpa", "taken_before_kpa2"])
+BEHIND = (
+    *("recent_extreme", "forgotten_kpa", "undithered", "released_kpa", "taken_before_kpa2"),
+    *("highest_mean_kpa", "fallen"),
+)
+
+
+@pytest.mark.parametrize("name", BEHIND)
 def test_rows_behind_those_of_a_room_are_where_their_numbers_say(name: str) -> None:
     """A row that is added before them moves them, and no type tells."""
     places = {re.sub("_kpa2?$", "", row): place for place, row in enumerate(TurningInversion.rows)}
@@ -177,6 +183,8 @@ def written_out_alike(load: np.ndarray, dt: float, noise: float, rng: np.random.
             for one, *taken in zip(one_by_one, mean.tolist(), count.tolist(), strict=True):
                 one.recover(dt, taken[0], 2 * noise, taken[1])
             np.testing.assert_allclose(memory[0], [one.now.pressure for one in one_by_one], rtol=1e-8, atol=1e-8)
+            fallen = [one.fallen for one in one_by_one]
+            np.testing.assert_allclose(memory[turning_rows.FALLEN], fallen, rtol=1e-6, atol=1e-8)
     return one_by_one
 
 

@@ -13,6 +13,7 @@ from ohmskin.cell.inversions import _earlier as third
 from ohmskin.cell.inversions import _limits as limits
 from ohmskin.cell.inversions import _onset as onset
 from ohmskin.cell.inversions import _recovery as recovery
+from ohmskin.cell.inversions import _released as release
 from ohmskin.cell.inversions import _still as still
 from ohmskin.cell.inversions import _sway as sway
 from ohmskin.cell.inversions import _takeover as takeover
@@ -45,6 +46,7 @@ class OneCell:
         self.left: float | None = None
         self.earlier, self.earlier_least, self.earlier_from = 0.0, 0.0, 0.0
         self.forgotten = 0.0
+        self.highest_mean = self.fallen = 0.0
         self.doubt = self.variance = 0.0
         self.rest_variance = self.drift = self.last_drift = 0.0
         self.rested, self.taken_off, self.released, self.taken_before = False, 0.0, 0.0, 0.0
@@ -71,7 +73,7 @@ class OneCell:
             rise_r, fall_r = 1 / m.eu1_kpa + 1 / m.etau2_kpa, 1 / m.e1_kpa
             fall = max(self.extreme - other.pressure - turns.CLEAR_FALL * self.full, 0.0)
             seeming = min(seeming, turns.SHARED_FALL * fall_r / rise_r * fall)
-            if self.third_last - now.pressure > turns.FALLING * std * gains[True]:
+            if self.third_last - now.pressure > turns.FALLING * std * gains[True] or self.fallen > turns.RELEASED:
                 seeming = 0.0
         unsure = std * gains[self.rising]
         turned = self.extreme - self._ahead(now) > rows.SURE * unsure + self._turn_from(self.extreme) + seeming
@@ -210,6 +212,7 @@ class OneCell:
     def recover(self, dt: float, mean: float, noise: float, count: int) -> None:
         """Take the ``mean`` of the last four readings, each uncertain by ``noise``."""
         self._rest(dt, mean, noise, count)
+        self._release(dt, mean, noise)
         self._compare(dt, mean, noise)
         self._begin(dt, mean, noise)
         full_r, bears = self._fast_r()[0] * self.full, not self.rested and self.now.pressure > 0
@@ -247,7 +250,7 @@ class OneCell:
         self.last, self.before_last, self.third_last = self.last - kpa, self.before_last - kpa, self.third_last - kpa
         ahead = kpa if self.rising else -kpa
         self.extreme, self.peak = self.extreme - ahead, self.peak - ahead
-        self.recent_extreme -= ahead
+        self.recent_extreme, self.highest_mean = self.recent_extreme - ahead, self.highest_mean - kpa
         if self.left is not None:
             ahead = -ahead
             self.left -= ahead
@@ -288,6 +291,23 @@ class OneCell:
         self.other = self._begun(self.now.pressure, self.r, self.now.x3)
         self.extreme, self.peak = min(self.extreme + error, 0.0), min(self.peak + error, 0.0)
         self.recent_extreme = min(self.recent_extreme + error, 0.0)
+
+    def _release(self, dt: float, mean: float, noise: float) -> None:
+        """Sum up by how much means of readings are below the highest, under a load that rises."""
+        m, (rise_r, fall_r) = self.model, self._fast_r()
+        rises, recovers = (self.now, self.other) if self.rising else (self.other, self.now)
+        gain = self._solved(Hypothesis(0, 0, 0, 0), True, dt, 1.0).pressure
+        sunk = (self.r - rises.pressure / m.eu1_kpa) * (1 - np.exp(-1.5 * dt / m.tu_s))
+        pressure, by_noise = rises.pressure + gain * (mean - sunk - self.r), gain * noise / 2
+        begun, below = pressure - release.LESS * by_noise, self.highest_mean - pressure
+        if not self.rising or begun > self.highest_mean:
+            self.highest_mean, self.fallen = begun, 0.0
+            return
+        by_change = (self.extreme - rises.pressure) * rise_r / fall_r
+        held = max(self.extreme - recovers.pressure - by_change, 0.0)
+        below -= turns.TURN * self.full + turns.SHARED_FALL * fall_r / rise_r * held
+        self.fallen = max(self.fallen + below / by_noise - release.ALLOWED, 0.0)
+        self.highest_mean += (1 - np.exp(-4 * dt / release.LASTS_S)) * min(pressure - self.highest_mean, 0.0)
 
     def _compare(self, dt: float, mean: float, noise: float) -> None:
         """The load may be what it was before."""

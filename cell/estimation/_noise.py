@@ -80,7 +80,7 @@ PRESSED = 0.2
 DITHERED = 4.0
 """times the variance of the steps of the ADC, from which they are noise as any other: cells with less stay at one code
 when they are pressed, and would seem to have no noise"""
-CLEAR = 2.0
+CLEAR = 3.0
 """standard deviations by which the multiplicative share of the noise must exceed none"""
 LONGEST = 800.0
 """information about that share, as of so many readings, beyond which older readings count for less"""

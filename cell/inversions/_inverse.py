@@ -58,8 +58,9 @@ same side, so this part adds up. Taken from vibrations and slips, whose drops ar
 STILL_SIGMAS = 3.0
 """half width of that play, in standard deviations: noise within it breaks no chains. A reading is off by half of an ADC
 step at most, which is less"""
-AT_A_TURN = 2.0
-"""standard deviations by ADC steps of the way to a turn and back from it: they hide how far the load went"""
+AT_A_TURN = 4.0
+"""standard deviations by ADC steps of the way to a turn and back from it, of which they hide how far the load went. Two
+of them are those of a single turn. Loads that repeat turn at the same readings, so that their errors are alike"""
 OVERSHOOT = 0.5
 """of that half width by noise: by how much it takes the furthest load of a press beyond where the load turned"""
 

@@ -36,6 +36,7 @@ from ._turning_rows import (
     EARLIER_FROM_KPA,
     EARLIER_LEAST_KPA,
     EXTREME,
+    HIGHEST_MEAN_KPA,
     LAST,
     LEFT,
     PEAK,
@@ -196,7 +197,7 @@ def _take_back(
     drifts = np.where(rises, recovers / fall - sinks / rise, sinks / rise - recovers / fall)
     kpa = way * kept + drifts * share * _HALF
     kpa = np.minimum(np.maximum(kpa, _ZERO), shown)
-    for row in (PRESSURE, LAST, BEFORE_LAST, THIRD_LAST, RISING_KPA, RECOVERY_KPA):
+    for row in (PRESSURE, LAST, BEFORE_LAST, THIRD_LAST, RISING_KPA, RECOVERY_KPA, HIGHEST_MEAN_KPA):
         memory[row] -= kpa
     memory[SETTLED] -= kpa * settled_per_kpa
     memory[X2] += kpa * fall
@@ -287,6 +288,7 @@ def take_back_of(memory: Rows, i: int, way: float, most: float, told: float, num
         memory[row, i] -= kpa
     memory[RISING_KPA, i] -= kpa
     memory[RECOVERY_KPA, i] -= kpa
+    memory[HIGHEST_MEAN_KPA, i] -= kpa
     memory[SETTLED, i] -= kpa * numbers[SETTLED_PER_KPA]
     memory[X2, i] += kpa * fall
     ahead = sign * kpa

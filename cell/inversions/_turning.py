@@ -10,7 +10,7 @@ what an estimator asks of an inversion. The rest is in rooms of its own, array o
 :mod:`._earlier`       a third hypothesis: that the load turned earlier
 :mod:`._doubts`        the other hypothesis begins anew; the distance of both counts as deviation
 :mod:`._limits`        limits of what they remember
-:mod:`._recovery`, :mod:`._still`, :mod:`._onset`, :mod:`._sway`: what readings of some frames tell
+:mod:`._recovery`, :mod:`._released`, :mod:`._still`, :mod:`._onset`, :mod:`._sway`: what readings of some frames tell
 =====================  ================================================================================
 
 The numbers of these rooms are in one row, each at a place that its room names.
@@ -48,6 +48,7 @@ from . import _earlier as earlier
 from . import _limits as limits
 from . import _onset as onset
 from . import _recovery as recovery
+from . import _released as released
 from . import _still as still
 from . import _sway as sway
 from . import _takeover as takeover
@@ -107,6 +108,7 @@ class TurningInversion(Inversion):
         *onset.NAMES,
         *sway.NAMES,
         *("released", "taken_before"),
+        *released.NAMES,
     )
     recovers = True
 
@@ -134,6 +136,7 @@ class TurningInversion(Inversion):
         self._doubted_load_kpa2 = np.array((DOUBTED_LOAD * full_scale_kpa) ** 2)
         self._recovery = ByStep(recovery.constants, model)
         self._still = ByStep(still.constants, model)
+        self._released = ByStep(partial(released.constants, full_scale_kpa=full_scale_kpa), model)
         self._onset = ByStep(onset.constants, model)
         self._sway = ByStep(partial(sway.constants, full_scale_kpa=full_scale_kpa), model)
 
@@ -215,7 +218,7 @@ class TurningInversion(Inversion):
 
     def loops_used(self) -> tuple[Loop[..., Any], ...]:
         looks = recent_means_each, turns.look_at_steps_each
-        return *loops.ALL, *looks, *recovery.LOOPS, *still.LOOPS, *onset.LOOPS, *sway.LOOPS
+        return *loops.ALL, *looks, *recovery.LOOPS, *released.LOOPS, *still.LOOPS, *onset.LOOPS, *sway.LOOPS
 
     def advance_compiled(self, memory: FloatArray, taken: FloatArray, line: FloatArray, dt_s: float) -> FloatArray:
         w, of, numbers = self._weights.of(dt_s), self._beside, self._numbers.row
@@ -250,6 +253,7 @@ class TurningInversion(Inversion):
         """See the functions that it calls."""
         turns.look_at_steps(memory, noise, self._numbers.each)
         recovery.look(memory, mean, noise, count, self._recovery.of(dt_s).each)
+        released.look(memory, mean, noise, self._released.of(dt_s).each)
         still.look(memory, mean, noise, self.full_scale_kpa, self._still.of(dt_s).each)
         onset.look(memory, mean, noise, self.full_scale_kpa, self._onset.of(dt_s).each)
         sway.look(memory, mean, noise, self._numbers.row[turns.STEPS], near, self._sway.of(dt_s))
@@ -270,6 +274,7 @@ class TurningInversion(Inversion):
         recent_means_each.unchecked(ring, newest, cells, mean)
         turns.look_at_steps_each.unchecked(memory, noise, self._numbers.row)
         recovery.look_each.unchecked(memory, mean, noise, line[COUNT], self._recovery.of(dt_s).row)
+        released.look_each.unchecked(memory, mean, noise, self._released.of(dt_s).row)
         still.look_each.unchecked(memory, mean, noise, self.full_scale_kpa, self._still.of(dt_s).row)
         onset.look_each.unchecked(memory, mean, noise, self.full_scale_kpa, self._onset.of(dt_s).row)
         of = self._sway.of(dt_s)

@@ -39,6 +39,9 @@ since the recovering cell was taken for one at rest, negative where such a load 
 RELEASED_KPA, TAKEN_BEFORE_KPA2 = 124, 125
 """rows of :mod:`._recovery` behind those of :mod:`._sway`: pressure from which a recovering cell has fallen; and square
 of what earlier rests have subtracted"""
+HIGHEST_MEAN_KPA, FALLEN = 122, 123
+"""rows of :mod:`._released`: the largest pressure of late by means of readings; and by how many standard deviations
+means have been below it, summed up"""
 
 IN_FORCE, STATE = slice(RISING_IN_FORCE, RECOVERY_IN_FORCE + 1), slice(RISING_KPA, STATE_END)
 """1 in the row of the hypothesis in force; the state of both hypotheses, :data:`HYPOTHESES`"""
@@ -112,7 +115,7 @@ class MemoryRows:
         self.in_force, self.drift = memory[IN_FORCE], memory[DRIFT_KPA]
         self.earlier, self.earlier_least, self.earlier_from = memory[EARLIER_KPA : EARLIER_FROM_KPA + 1]
         self.recent_extreme, self.forgotten, self.undithered = memory[RECENT_EXTREME : UNDITHERED + 1]
-        self.may_bear = memory[MAY_BEAR_KPA]
+        self.may_bear, self.fallen = memory[MAY_BEAR_KPA], memory[FALLEN]
         self.state = memory[STATE]
         self.hypotheses, self.pressures, self.r = self.state[:6], self.state[:2], self.state[6]
         self.both = self.pressures.reshape(-1)

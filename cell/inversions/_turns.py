@@ -23,6 +23,7 @@ from ._turning_rows import (
     CONFIRMING_TURNS,
     DRIFT_KPA,
     EXTREME,
+    FALLEN,
     LEFT,
     NOISE,
     NOT_RECOVERY,
@@ -76,13 +77,15 @@ FALLING = 6.0
 """standard deviations of the smoothed noise by which a pressure that goes back in three frames is that of a load that
 falls, whatever the share: smooth loads of little noise turn so. By as many, and :data:`LIGHT_TURN`, a pressure must
 have gone back from a recent extreme for a turn"""
+RELEASED = 3.0
+"""sum of Page's test (:mod:`._released`) from which a fall is a release, whatever the share"""
 
 TURN_KPA, LIGHT_KPA, LEAST_KPA, EXACT_KPA, CLEAR_RISE_KPA, CLEAR_FALL_KPA, FALL_SHARE, STEPS, OWN_STEPS = range(10, 19)
 """places of numbers, behind those of :mod:`._limits`: what makes a turn, and a light one; the least pressure, below
 which nothing turns; rounding; rises and falls that are clear; :data:`SHARED_FALL` as the recovery model answers it; and
 the standard deviations of r at rest by the steps of all readings that it follows from, and of its own, 0: unknown"""
-_ZERO, _FAR, _SURE, _LESS, _TURN_SHARE, _SHARED, _FALLING = (
-    np.array(x) for x in (0.0, FAR, SURE, LESS, TURN_SHARE, SHARED, FALLING)
+_ZERO, _FAR, _SURE, _LESS, _TURN_SHARE, _SHARED, _FALLING, _RELEASED = (
+    np.array(x) for x in (0.0, FAR, SURE, LESS, TURN_SHARE, SHARED, FALLING, RELEASED)
 )
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
@@ -143,7 +146,7 @@ def _seeming(of: MemoryRows, numbers: tuple[FloatArray, ...]) -> FloatArray:
     """(m,) kPa by which pressures may seem to go back though the load has not turned.
 
     Under a load that rises this is no more than a share of what the recovery model has gone back by, and none where the
-    pressure has gone back by more than noise in the last three frames.
+    pressure has gone back by more than noise in the last three frames, or the means of readings have.
     """
     shared: FloatArray = np.subtract(of.extreme, of.recovery_kpa, of.spare)
     shared -= numbers[CLEAR_FALL_KPA]
@@ -151,7 +154,9 @@ def _seeming(of: MemoryRows, numbers: tuple[FloatArray, ...]) -> FloatArray:
     shared *= numbers[FALL_SHARE]
     np.minimum(shared, of.drift, out=shared)
     falls = np.subtract(of.third_last, of.pressure, of.nearby)
-    np.copyto(shared, _ZERO, where=np.greater(falls, of.unsure * _FALLING, of.where))
+    np.greater(falls, of.unsure * _FALLING, of.where)
+    of.where |= np.greater(of.fallen, _RELEASED, of.held)
+    np.copyto(shared, _ZERO, where=of.where)
     np.copyto(shared, of.drift, where=np.less(of.sign, _ZERO, of.where))
     return shared
 
@@ -259,7 +264,7 @@ def seeming_of(memory: Rows, i: int, unsure: float, numbers: Row) -> float:
     if memory[SIGN, i] > 0.0:
         shared = memory[EXTREME, i] - memory[RECOVERY_KPA, i] - numbers[CLEAR_FALL_KPA]
         drift = min(drift, max(shared, 0.0) * numbers[FALL_SHARE])
-        if memory[THIRD_LAST, i] - memory[PRESSURE, i] > unsure * FALLING:
+        if memory[THIRD_LAST, i] - memory[PRESSURE, i] > unsure * FALLING or memory[FALLEN, i] > RELEASED:
             drift = 0.0
     return float(drift)
 
