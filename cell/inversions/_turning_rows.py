@@ -39,7 +39,7 @@ since the recovering cell was taken for one at rest, negative where such a load 
 RELEASED_KPA, TAKEN_BEFORE_KPA2 = 124, 125
 """rows of :mod:`._recovery` behind those of :mod:`._sway`: pressure from which a recovering cell has fallen; and square
 of what earlier rests have subtracted"""
-HIGHEST_MEAN_KPA, FALLEN = 122, 123
+HIGHEST_MEAN_KPA, FALLEN = 126, 127
 """rows of :mod:`._released`: the largest pressure of late by means of readings; and by how many standard deviations
 means have been below it, summed up"""
 
