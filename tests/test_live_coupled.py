@@ -27,7 +27,7 @@ from ohmskin.circuits.recovery._column_scales import ColumnScales, _Scales
 from ohmskin.circuits.recovery._coupled import CoupledLive
 from ohmskin.circuits.recovery._coupled_board import CoupledBoard
 from ohmskin.circuits.recovery._frame_budget import ANEW_EFFORT, NODE_EFFORT, Budget
-from ohmskin.circuits.recovery._linearised import Linearised
+from ohmskin.circuits.recovery._linearised import Base, Linearised
 from ohmskin.circuits.recovery._lines import LineResistance
 from ohmskin.circuits.recovery._node_blocks import NodeBlocks
 from ohmskin.circuits.recovery._quick_model import QuickModel
@@ -160,11 +160,12 @@ def test_what_a_frame_does_is_within_its_account(monkeypatch: pytest.MonkeyPatch
     note(CoupledBoard, "at", CoupledBoard.price)
     note(BrokenLines, "_breaks", lambda lines, *given: lines._price(given[-1]))
     note(BrokenLines, "_take_ratio", lambda lines, cells, *_: lines._price(cells))
+    note(Base, "change", lambda base, *_: 45.0)  # each step
     note(Linearised, "renew", lambda _, renewal: renewal.price)
     note(Linearised, "_by_lines", lambda linearised, *_: linearised.prices.lines)
     note(ColumnScales, "_told", lambda scales, *_: scales._prices.told)
     note(_Scales, "changes", lambda scales: 0.0)
-    note(_Scales, "_narrow", lambda scales, _: 150.0)
+    note(_Scales, "_narrow", lambda scales, _: 180.0)
     did: set[str] = set()
     for number in (170000126, 170000135, 170000158, 170000408):
         found = _live_streams.stream("divider twofold", number)
@@ -176,7 +177,7 @@ def test_what_a_frame_does_is_within_its_account(monkeypatch: pytest.MonkeyPatch
             did |= {name for name, _ in done}
             assert isinstance(read._recover, CoupledLive)
             assert frame == 0 or sum(price for _, price in done) <= read._recover._prices.most
-    assert {"_breaks", "renew", "at", "_told", "changes"} <= did
+    assert {"_breaks", "renew", "at", "change", "_told", "changes"} <= did
 
 
 def test_no_step_waits_for_ever() -> None:

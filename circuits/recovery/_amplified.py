@@ -159,7 +159,7 @@ class AmplifiedLive:
         """The account of a new frame, which has paid for what every frame costs."""
         is_first = self._base is None and not self._board.independent_columns
         account = Account(self._prices.first if is_first else self._prices.most(heavy=self._usually_heavy))
-        account.pay(self._prices.reading)
+        account.spend(self._prices.reading)
         return account
 
     def _cells(

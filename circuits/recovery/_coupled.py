@@ -180,7 +180,7 @@ class CoupledLive:
         """The budget of a new frame. What the first one of all has left is lost, also where it tells of no cell."""
         if self._has_begun:
             account = Account(self._prices.most if self._parts.sheet is None else inf)
-            account.pay(self._prices.reading)
+            account.spend(self._prices.reading)
             return Budget(self._linearised.usual_effort(anew=self._known is None or self._convergence.fresh), account)
         self._has_begun = True
         return Budget(FIRST_EFFORT, Account(inf))
@@ -224,6 +224,8 @@ class CoupledLive:
             if selection.lost is None:
                 return start, 0.0
             conductance = np.exp(usual).reshape(self._parts.shape)
+            prices = self._prices
+            budget.spend(prices.lost + prices.each_lost * np.count_nonzero(selection.lost))
             return start, self._limits.by_lost_columns(frame, selection.lost, conductance)
         if np.count_nonzero(beside):
             apparent = np.where(beside, self._start(frame.volts), start.log)

@@ -19,23 +19,32 @@ class CoupledPrices:
 
         """
         cells = parts.shape[0] * parts.shape[1]
-        evaluation = parts.quick.usual_price
-        self.reading = 130.0 + 0.1 * cells
+        ideal = parts.quick.is_quick
+        self.reading = 70.0 + 0.06 * cells
         """what every frame does beside evaluations and steps"""
-        self.start = 90.0 + 0.1 * cells
+        self.start = 25.0 + 0.05 * cells
         """closed formulas"""
-        self.lines = 200.0 + 12.0 * cells if by_nodes else 250.0 + 0.15 * cells
-        """derivatives by what is special about the cells of one line"""
-        self.compare = 150.0 + 0.1 * cells
+        self.lines = 300.0 + (3.3 if ideal else 7.0) * cells if by_nodes else 250.0 + 0.15 * cells
+        """derivatives by what is special about the cells of one line, beside potentials within the lines"""
+        self.by_matrix = 45.0 + cells**2 / 1200.0
+        """a step, and what tells whether it was the last one, by all derivatives"""
+        self.by_lines = 45.0 + 0.03 * cells
+        """the same by :attr:`lines`"""
+        if by_nodes:
+            self.by_lines = 100.0 + 0.3 * cells if ideal else 150.0 + cells
+        self.lost, self.each_lost = 80.0 + 0.05 * cells, 15.0
+        """what columns that are left out may change, beside each of them; each of them"""
+        self.compare = 200.0 + 0.3 * cells
         """what lines that broke make of the readings, beside an evaluation each of the sound and of the broken board"""
-        self.told, self.scales, self.narrow = 100.0 + 0.1 * cells, 200.0 + 0.2 * cells, 100.0 + 0.3 * cells
+        self.told, self.scales, self.narrow = 100.0 + 0.1 * cells, 200.0 + 0.2 * cells, 180.0 + 0.3 * cells
         """what readings tell of the columns' scales; what these change; to narrow one of them"""
-        self.solutions = 300.0 + 3.0 * cells
+        self.solutions = 100.0 + 2.0 * cells
         """an enclosure of other sets of cells behind followers"""
-        whole = 15.0 + 0.05 * cells if by_columns else 10.0 + cells**2 / 2000.0  # a step
-        usual = self.reading + evaluation + (400.0 + 3.0 * cells if by_nodes else whole)
+        step = self.by_lines if by_nodes or by_columns else self.by_matrix
+        steps = 2.0 if by_nodes else 1.0  # by which a moving finger is followed, as a rule
+        usual = self.reading + steps * parts.quick.usual_price + (1.0 + steps) * step
         dearest = self.compare + 2.0 * parts.quick.most_price(cells)
-        if not parts.quick.is_quick:
+        if not ideal:
             dearest = max(parts.quick.sparse_price(cells) + self.lines, dearest)
         # No step is dearer than a frame, or what waits for it would wait for ever.
         self.most = max(USUAL_FRAMES * usual, dearest + 2.0 * usual)

@@ -11,7 +11,7 @@ valid, and the next frame goes on.
 from __future__ import annotations
 
 USUAL_FRAMES = 9.0
-"""that a frame may cost; beside the prices' own errors that is ten"""
+"""that a frame may cost: prices are true to about a tenth"""
 FIRST_FRAMES = 60.0
 """the same of the first frame of all, before which nothing is known"""
 
@@ -29,6 +29,10 @@ class Account:
         if paid:
             self.left -= price
         return paid
+
+    def spend(self, price: float) -> None:
+        """Pay for what the frame does in any case."""
+        self.left -= price
 
     def can_pay(self, price: float) -> bool:
         """Whether enough is left."""

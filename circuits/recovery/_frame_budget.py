@@ -71,6 +71,10 @@ class Budget:
         self._evaluations -= paid
         return paid
 
+    def spend(self, price: float) -> None:
+        """Pay for what the frame does in any case."""
+        self._account.spend(price)
+
     def compare(self, price: float) -> bool:
         """A comparison of what may have broken."""
         return self._account.pay(price)

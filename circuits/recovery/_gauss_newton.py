@@ -156,13 +156,14 @@ class GaussNewton:
 
     def fit(self, frame: Frame, start: Compared, budget: Budget) -> Fit:
         """Fit the cells to a frame, from ``start`` on, as far as the frame's budget goes."""
+        budget.spend(self._linearised.step_price)
         here = _Place(self._linearised.base, frame, start)
         # Over strong nonlinearities whole steps are quick as a rule, but may lead too far, back, and so on for ever.
         damped = self._convergence.astray_since_start >= _PATIENCE
         stalled = False
         while True:
             log = here.base.advanced(here.known.log, self._damping * here.step)
-            if not budget.evaluate(self._parts.price(log)):
+            if not budget.evaluate(self._parts.price(log) + self._linearised.step_price):
                 break
             ahead = frame.compared(self._parts.at(log))
             misfit, apart = ahead.half_steps / frame.coarser, ahead.apart

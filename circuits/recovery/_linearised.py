@@ -25,7 +25,7 @@ from ._coupled_prices import CoupledPrices
 from ._derivatives import derivatives
 from ._frame_budget import ANEW_EFFORT, LARGE_EFFORT, NODE_EFFORT, SHEET_EVALUATIONS, USUAL_EFFORT, Budget, Effort
 from ._node_blocks import NodeBlocks
-from ._normal_matrix import Meter, NormalMatrix
+from ._normal_matrix import DEAR, Meter, NormalMatrix
 
 _PRIOR = 3.0  # standard deviation of the logarithm of a conductance before anything is read: a factor of 20
 _UNKNOWN = 8.0  # the same for a cell that a fault hides
@@ -42,6 +42,7 @@ _LEAST_READING = 0.03  # half steps that the least conductance would read alone:
 _LIGHT = 0.3  # share of a voltage in the lines up to which derivatives in closed form are as good as any
 _HEAVY = 3.0  # the same up to which steps by them converge
 _SMALL = 100  # cells up to which an instalment is a whole renewal
+_SOME_OHM = 1e4
 _PER_SQUARE = 16  # multiplications of a matrix product that take as long as the square of one entry
 
 LARGEST_MATRIX = 4096
@@ -202,6 +203,7 @@ class Linearised:
             )
         nearly_independent = self.columns.applies and not parts.shorted.any()
         self._has_matrix = cells <= (LARGEST_BESIDE if nearly_independent else LARGEST_MATRIX)
+        self._small_matrix = cells <= _SMALL and parts.quick.derivatives(np.full(parts.shape, _SOME_OHM)) is not None
         self._prior = np.where(parts.hidden, _UNKNOWN, _PRIOR)
         per_volt = np.abs(board.circuit.conductance_slope(board, np.zeros(parts.shape)))
         self._least = np.log(_LEAST_READING * parts.half_step * per_volt).ravel()  # of the logarithms
@@ -232,6 +234,11 @@ class Linearised:
         """The present linear model; there is one after :meth:`begin`."""
         assert self._base is not None
         return self._base
+
+    @property
+    def step_price(self) -> float:
+        """What a step by the present linear model costs, see :mod:`._frame_account`."""
+        return self.prices.by_matrix if self.base.whole else self.prices.by_lines
 
     @property
     def spread(self) -> FloatArray | float:
@@ -276,7 +283,7 @@ class Linearised:
     def rebase(self, at: Known, budget: Budget) -> bool:
         """Take derivatives from there at once, where columns give them in closed form. False where they do not."""
         loss = self._loss(at)
-        if not (self.columns.applies and loss <= _HEAVY and budget.start(self.prices.lines)):
+        if not (self.columns.applies and loss <= _HEAVY and budget.start(self._lines_price(at))):
             return False
         self._base, self._renewal = self._by_lines(at, loss), None
         return True
@@ -287,7 +294,11 @@ class Linearised:
         columns_serve = loss <= _HEAVY and not self._stuck
         by_lines = (columns_serve or not self._has_matrix) and (not base.whole or base.is_far(at.log))
         at_once = by_lines and not self._is_coarse(loss)
-        price = (self.prices.lines if by_lines else 0.0) + (0.0 if at_once else self._instalment_price(at))
+        price = self.step_price
+        if by_lines and (at_once or not self._is_one_instalment(at)):
+            price += self._lines_price(at)
+        if not at_once:
+            price += self._instalment_price(at)
         return Renewal(at, loss, columns_serve, by_lines, at_once, price)
 
     def renew(self, renewal: Renewal) -> bool:
@@ -308,6 +319,10 @@ class Linearised:
             self._base = self._by_lines(at, loss)
         return by_lines
 
+    def _is_one_instalment(self, at: Known) -> bool:
+        """Whether the next instalment is a whole matrix, beside which derivatives by single lines are not wanted."""
+        return self._renewal is None and self._small_matrix and self._parts.quick.branch_price(at.cells) <= DEAR
+
     def _instalment_price(self, at: Known) -> float:
         """What the next instalment of the whole matrix costs; the first one begins with the network at these cells."""
         if self._renewal is None:
@@ -318,7 +333,11 @@ class Linearised:
     def _first_price(self, at: Known) -> float:
         """What the next instalment of the first base costs."""
         by_lines = self._loss(at) <= _HEAVY or not self._has_matrix
-        return self.prices.lines if by_lines else self._meter.price
+        return self._lines_price(at) if by_lines else self._meter.price
+
+    def _lines_price(self, at: Known) -> float:
+        """What derivatives by single lines cost; the nodes' begin with potentials within the lines."""
+        return self.prices.lines + (0.0 if self._nodes is None else self._parts.quick.branch_price(at.cells))
 
     def _is_coarse(self, loss: float) -> bool:
         """Whether the whole matrix is to follow derivatives by single lines, which neglect such a loss."""

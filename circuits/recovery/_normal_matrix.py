@@ -19,10 +19,11 @@ from ...arrays import FloatArray
 _LEAST = 2**23  # multiplications in one instalment, at least
 _PER_ENTRY = 32  # the same per entry of the matrix, where each step reads all of them anyway
 _BLOCK = 32  # unknowns that are swept together
-_PER_INSTALMENT, _PER_PRICE = 150.0, 8000.0  # price of an instalment, and multiplications for one unit more
-_DEAR = 300.0  # price of a piece of work that is an instalment of its own
+_PER_INSTALMENT, _PER_PRICE = 250.0, 13000.0  # price of an instalment, and multiplications for one unit more
 _ROUNDING = 1e-13  # relative, of a sum of products, per unknown: beside shorts, more than the prior adds
 
+DEAR = 300.0
+"""price from which on a piece of work is an instalment of its own"""
 PER_DERIVATIVE = 256
 """multiplications of a matrix product that take as long as one entry of the derivatives"""
 
@@ -48,7 +49,7 @@ class Meter:
 
         A cheap piece is not counted.
         """
-        dear = price > _DEAR
+        dear = price > DEAR
         if dear:
             self._ahead, self._spent = price, self.limit
         return dear
