@@ -125,8 +125,19 @@ class Contact(Load):
         share = self._shape.cover(middles, rows.astype(float), columns.astype(float), pitch_mm)
         return cells, share.reshape(len(middles), -1)
 
-    def check(self, shape: tuple[int, int]) -> None:
-        """Raises InputError for cells beside an array of this shape."""
+    def check(self, shape: tuple[int, int], pitch_mm: float) -> None:
+        """Raises InputError for cells beside an array of this shape, or a shape that nowhere on its path reaches it."""
         for row, column in self.cells or ():
             if row >= shape[0] or column >= shape[1]:
                 raise InputError(f"cells: [{row}, {column}] lies outside the {shape[0]} x {shape[1]} array")
+        if self.cells is not None:
+            return
+        path = self.path_cells or self.path_mm
+        middles = self.middles(np.array([time for time, *_ in path] if path else [0.0]), pitch_mm)
+        if any(first >= last for first, last in self._shape.window(middles, shape, pitch_mm)):
+            row, column = middles[0]
+            never = ", nor does its path" if path else ""
+            raise InputError(
+                f"its shape around row {row:.4g}, column {column:.4g} does not reach the {shape[0]} x {shape[1]} array"
+                f"{never}; rows and columns count from 0, and mm from the middle of cell [0, 0]"
+            )

@@ -155,9 +155,9 @@ class Scene(Section):
     def _on_the_skin(self) -> Self:
         for k, contact in enumerate(self.contact):
             try:
-                contact.check(self.skin.design.array.shape)
+                contact.check(self.skin.design.array.shape, self.skin.cell_pitch_mm)
             except InputError as error:
-                raise ValueError(f"contact[{k}].{error}") from error
+                raise ValueError(f"contact[{k}]{'.' if contact.cells else ': '}{error}") from error
         check_events(self.event, self.skin.design)
         if self.contact and self.movie is not None and self.movie.quantity == "resistance":
             raise ValueError("a movie of resistance leaves nothing to the contacts; expected one or the other")

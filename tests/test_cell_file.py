@@ -36,7 +36,17 @@ def test_a_good_cell_loads(tmp_path: Path) -> None:
         (
             "[model]",
             "full_scal = 1\n[model]",
-            "unknown key 'full_scal'; the nearest known key is 'full_scale_kpa'",
+            "unknown key 'full_scal'; the nearest known key, 'full_scale_kpa', is there already",
+        ),
+        (
+            "[model]",
+            "[model]\neta2 = 510",
+            "unknown key 'model.asymmetric.eta2'; the nearest known key, 'eta2_kpa_s', is there already",
+        ),
+        (
+            "eta2_kpa_s = 510",
+            "eta2 = 510",
+            "unknown key 'model.asymmetric.eta2'; the nearest known key is 'eta2_kpa_s'",
         ),
         ("rest_resistance_ohm = 1e4", "rest_resistance_ohm = -1", "rest_resistance_ohm"),
         ("eta2_kpa_s = 510", "", "missing key 'model.asymmetric.eta2_kpa_s'"),

@@ -134,6 +134,14 @@ LOAD = {"load_kpa": [[0.0, 1.0]]}
         ),
         ({"contact": [LOAD | {"cells": [[0, 2]]}]}, "contact[0].cells: [0, 2] lies outside the 3 x 2 array"),
         (
+            {"contact": [LOAD | {"disc": {"center": [1.0, 4.0], "radius_cells": 1.5}}]},
+            "contact[0]: its shape around row 1, column 4 does not reach the 3 x 2 array",
+        ),
+        (
+            {"contact": [LOAD | {"point": {}, "path_cells": [[0.0, -2.0, 0.0], [1.0, -2.0, 1.0]]}]},
+            "contact[0]: its shape around row -2, column 0 does not reach the 3 x 2 array, nor does its path",
+        ),
+        (
             {"contact": [LOAD | {"cells": [[-1, 0]]}]},
             "contact[0].cells[0][0]: input should be greater than or equal to 0",
         ),
@@ -166,6 +174,15 @@ def test_a_scene_that_makes_no_sense_is_refused_in_one_located_line(tables: dict
     with pytest.raises(InputError, match=re.escape(message)) as caught:
         scene(**tables)
     assert "\n" not in str(caught.value)
+
+
+def test_a_contact_may_come_from_beside_the_array_and_leave_it() -> None:
+    """Its path reaches the array, though neither end of the path does."""
+    path = [[0.0, 1.0, -9.0], [1.0, 1.0, 9.0]]
+    coming = scene(contact=[LOAD | {"disc": {"radius_cells": 1.0}, "path_cells": path}])
+    assert not coming.pressure_kpa(0.0).any()
+    assert coming.pressure_kpa(0.5).any()
+    assert scene(contact=[LOAD | {"disc": {"center": [1.0, 2.4], "radius_cells": 1.0}}]).pressure_kpa(0.5).any()
 
 
 def test_the_document_shows_a_scene_that_loads(tmp_path: Path) -> None:

@@ -130,7 +130,7 @@ def load_record(path: str | Path) -> ReportRecord:
         if first["type"] == "json_invalid":
             reason = first["ctx"]["error"]
             raise InputError(f"{path}: not valid JSON: {reason}; expected a report.json of ohmskin verify") from error
-        raise InputError(f"{path}: not a report.json of this version: {describe(error, ReportRecord)}") from error
+        raise InputError(f"{path}: not a report.json of this version: {describe(error, ReportRecord, {})}") from error
 
 
 def number(value: float | None) -> Number:

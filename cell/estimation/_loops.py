@@ -66,6 +66,14 @@ def take(r: Row, noise_at_rest: Row, cells: Places, line: Rows, taken: Rows, lea
         taken[NOISE, i] = scale * scale * noise_at_rest[cell] + least
 
 
+@loop
+def scatter(values: Rows, cells: Places, new: Rows) -> None:
+    """Write ``new`` (rows, m) over the ``values`` (rows, n) of ``cells`` (m,)."""
+    for row in range(values.shape[0]):
+        for i in range(cells.size):
+            values[row, cells[i]] = new[row, i]
+
+
 MODEL_VARIANCE, WITHIN, SURE, FULL, MUCH, MUCH_NOISE, NO_LOAD, TINY = range(8)
 HIDDEN, PER_SIGMAS, STATED, SIGMAS, HIDDEN_SHARE, RISE_KPA, FALL_KPA, RESTS, DOUBT_KPA2, LIGHT_KPA2, DOUBTED_KPA2 = (
     range(8, 19)
@@ -253,4 +261,4 @@ def watch_over(
         variance[cell] = own + pressure * pressure if numbers[STATED] > 0.0 else math.nan
 
 
-ALL = read, watch, renew_means, take, show, add_asleep, find_calm, watch_over
+ALL = read, watch, renew_means, take, scatter, show, add_asleep, find_calm, watch_over

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
+from . import _loops as loops
 from . import _smoothing as smoothing
 from ._inversion import Inversion
 
@@ -56,6 +57,8 @@ class Remembered:
         """(n,) the cells that were chosen last"""
         self.stale = True
         """whether other cells may have to be chosen"""
+        self.compiled = False
+        """whether the loops are there as machine code"""
         self._at_rest = inversion.begin(np.zeros(1)), smoothing.begin(np.zeros(1), 1.0)
         self._no_block = self._gathered(np.zeros(0, dtype=np.intp))
         self.block = self._no_block
@@ -73,6 +76,9 @@ class Remembered:
         block, self.block = self.block, self._no_block
         if block.cells.size == self.followed.size:
             self.memory, self.line = np.ascontiguousarray(block.memory), block.line
+        elif self.compiled:
+            loops.scatter.unchecked(self.memory, block.cells, np.ascontiguousarray(block.memory))
+            loops.scatter.unchecked(self.line, block.cells, block.line)
         else:
             self.put(block.cells, block.memory, block.line)
         self.stale = True

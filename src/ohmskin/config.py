@@ -12,6 +12,7 @@ import json
 import math
 import tomllib
 from collections.abc import Mapping
+from itertools import zip_longest
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar, get_args, get_origin
 
@@ -141,7 +142,7 @@ def parse(tables: Mapping[str, Any], model: type[S], *, source: str) -> S:
     except RecursionError as error:
         raise InputError(f"{source}: tables are nested too deeply") from error
     except ValidationError as error:
-        raise InputError(f"{source}: {describe(error, model)}") from error
+        raise InputError(f"{source}: {describe(error, model, tables)}") from error
 
 
 def fingerprint(values: BaseModel | Mapping[str, Any]) -> str:
@@ -165,15 +166,15 @@ def _finite(value: Any) -> Any:
     return value
 
 
-def describe(error: ValidationError, model: type[BaseModel]) -> str:
-    """The first fault of a failed validation, in one line: key, what is wrong, what was expected."""
+def describe(error: ValidationError, model: type[BaseModel], tables: Mapping[str, Any]) -> str:
+    """The first fault of a failed validation of ``tables``, in one line: key, what is wrong, what was expected."""
     # An unknown key explains a missing one (a slip of the pen), so it goes first.
     first = min(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
     where = shortened(_dotted(first["loc"]), LONGEST_KEY)
     match first["type"]:
         case "extra_forbidden":
             *table, key = first["loc"]
-            return f"unknown key '{where}'{_hint(model, tuple(table), str(key))}"
+            return f"unknown key '{where}'{_hint(model, tuple(table), str(key), tables)}"
         case "missing":
             return f"missing key '{where}'"
         case "value_error":
@@ -212,12 +213,15 @@ def _dotted(location: tuple[int | str, ...]) -> str:
     return path
 
 
-def _hint(model: type[BaseModel], location: tuple[int | str, ...], key: str) -> str:
+def _hint(model: type[BaseModel], location: tuple[int | str, ...], key: str, tables: Mapping[str, Any]) -> str:
     """What may be meant by an unknown ``key`` of the table at ``location``: a key of another table, or a slip."""
     homes = _places_of(key, model)
     here = _keys(_model_at(model, location))
     if not homes:
-        near = difflib.get_close_matches(key, here, n=1, cutoff=0.0)
+        with_unit = [known for known in here if known.startswith(f"{key}_")]
+        near = difflib.get_close_matches(key, with_unit or here, n=1, cutoff=0.0)
+        if near and near[0] in _table_at(tables, location):
+            return f"; the nearest known key, '{near[0]}', is there already"
         return f"; the nearest known key is '{near[0]}'" if near else ""
     slip = difflib.get_close_matches(key, here, n=1, cutoff=LIKELY_SLIP)
     or_slip = f"; or is '{slip[0]}' meant?" if slip else ""
@@ -252,13 +256,28 @@ def _models_in(annotation: Any, *, is_list: bool = False) -> list[tuple[type[Bas
 
 
 def _model_at(model: type[BaseModel], location: tuple[int | str, ...]) -> type[BaseModel]:
-    """The model of the table at ``location``."""
-    for part in location:
+    """The model of the table at ``location``; of several kinds of tables the one whose name comes next there."""
+    for part, kind in zip_longest(location, location[1:], fillvalue=""):
         if isinstance(part, int) or part not in model.model_fields:
             continue
-        inner = _models_in(model.model_fields[part].annotation)
-        model = inner[0][0] if inner else model
+        inner = [each for each, _ in _models_in(model.model_fields[part].annotation)]
+        model = next((each for each in inner if _is_of_kind(each, kind)), inner[0] if inner else model)
     return model
+
+
+def _is_of_kind(model: type[BaseModel], kind: int | str) -> bool:
+    """Whether tables of a model are told from others by a key whose one value is ``kind``."""
+    return any(get_args(field.annotation) == (kind,) for field in model.model_fields.values())
+
+
+def _table_at(tables: Any, location: tuple[int | str, ...]) -> Mapping[str, Any]:
+    """The table at ``location``, in which names of kinds of tables are no keys; empty: none."""
+    for part in location:
+        if isinstance(part, int) and isinstance(tables, list):
+            tables = tables[part]
+        elif isinstance(tables, Mapping):
+            tables = tables.get(part, tables)
+    return tables if isinstance(tables, Mapping) else {}
 
 
 def _keys(model: type[BaseModel]) -> list[str]:
