@@ -389,3 +389,38 @@ def test_a_shuffled_resistance_is_refused() -> None:
     shuffled = np.random.default_rng(5).permutation(recording.resistance_ohm)
     with pytest.raises(InputError, match="does not follow the pressure"):
         calibrate(checked_recording(recording.time_s, recording.pressure_kpa, shuffled))
+
+
+@pytest.mark.parametrize("dt", [0.02, 1 / 12])
+def test_the_noise_of_a_force_gauge_is_smoothed_no_longer_than_it_must(dt: float) -> None:
+    """What it adds to the path of the load in ten seconds comes down to 5 % of its range; at most half a second."""
+    noise = 0.002 * np.random.default_rng(0).standard_normal(20_000)
+    noise[10] = 1 - noise.min()  # the range of the load
+    seconds = simulate.smoothing_s(noise, dt)
+    left = np.abs(np.diff(simulate.smoothed(noise, dt, seconds)[1000:])).mean() * 10 / dt
+    assert left == pytest.approx(0.05 * np.sqrt(4 / np.pi), rel=0.1)  # of mean magnitudes and standard deviations
+    assert simulate.smoothing_s(100 * noise.clip(-0.01, 0.01), dt) == simulate.LONGEST_SMOOTHING_S
+    assert simulate.smoothing_s(0.01 * noise.clip(-0.01, 0.01) + np.arange(20_000) / 20_000, dt) == 0
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        EXAMPLE.model,
+        M10Model(a=0.4, b=0.1, alpha1=0.18, rise1_s=0.25, fall1_s=3, alpha2=0.1, fall2_s=30, k=0.09, tau_s=12),
+    ],
+    ids=["paper", "m10"],
+)
+def test_a_cell_explains_its_readings_behind_a_noisy_force_gauge(model: PaperModel | M10Model) -> None:
+    """Presses of a second, gauge noise of 0.2 % of full scale: what is left of load and reading belongs together.
+
+    Behind a window of half a second the cells would leave 11 and 9 % of the range of their readings.
+    """
+    cell = Cell(rest_resistance_ohm=1e4, full_scale_kpa=FULL, model=model)
+    time = np.arange(0, 60, 1 / 12)
+    load = np.interp(time % 2.5, [0, 0.2, 0.8, 1.0], [0, 1, 1, 0]) * (time < 40)
+    gauge = FULL * (load + 0.002 * np.random.default_rng(0).standard_normal(len(time)))
+    read = sense(cell, load, 1 / 12)
+    quiet = Recording(time, gauge, read).quiet
+    explained = sense(cell, np.maximum(quiet.pressure_kpa / FULL, 0), 1 / 12)
+    assert np.std(explained - quiet.resistance_ohm) < 0.03 * np.ptp(read)

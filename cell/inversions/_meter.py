@@ -24,9 +24,9 @@ from ...compiled import PlaceRows, Rows, loop
 from ..estimation import RECENT
 from . import _together as together
 from . import _way as way
-from ._together import KNOWN, WEIGHTED, weights_of
+from ._together import KNOWN, WEIGHTED
 from ._together import look_of as told_beside_of
-from ._way import forget_of, look_of, told_by_own_of
+from ._way import SCALES, forget_of, look_of
 from ._way import tell_of as way_of_squares
 
 NAMES = (
@@ -34,18 +34,21 @@ NAMES = (
     *way.SQUARES,
     *(f"{name}_beside" for name in way.SQUARES),
     *together.LOADS,
+    *together.APART,
     *("held", "told", "may"),
 )
 """names of the rows of the memory: looks; series and mean squares of :mod:`._way`, own ones and those of neighbours;
-what :mod:`._together` sums up; looks since an edge; the way that is told, and that which may be, less what is
-counted"""
+what :mod:`._together` sums up, and how far both groups are apart; looks since an edge; the way that is told, and that
+which may be, less what is counted"""
 LOOKS, SERIES = 0, 1
 SERIES_BESIDE = SERIES + way.ALL_SERIES
 SQUARES = SERIES + 3 * way.ALL_SERIES
 SQUARES_BESIDE = SQUARES + way.ALL_SQUARES
 LOADS = SQUARES + 2 * way.ALL_SQUARES
-HELD, TOLD, MAY = range(LOADS + len(together.LOADS), len(NAMES))
-_SERIES, _SQUARES, _LOADS = slice(SERIES, SQUARES), slice(SQUARES, LOADS), slice(LOADS, HELD)
+APART = LOADS + len(together.LOADS)
+HELD, TOLD, MAY = range(APART + SCALES, len(NAMES))
+_SERIES, _SQUARES = slice(SERIES, SQUARES), slice(SQUARES, LOADS)
+_LOADS, _APART = slice(LOADS, APART), slice(APART, HELD)
 HELD_FOR_EVER = 1e6
 """looks"""
 EDGE = way.CLEAR * math.sqrt(2.0 / RECENT)
@@ -115,17 +118,23 @@ def look(
     ends = way.ends_of_blocks(looks)
     change = way.differences(rows[_SERIES].reshape(3, way.ALL_SERIES, -1), series, noises, most, ends)
     product = change[0::2] * change[:2]  # own ones squared, and those of both groups
+    bends = change[1:, SCALES:].copy()
     side = change[:2]
     side[1] += change[2]
     squares = rows[_SQUARES].reshape(2, way.ALL_SQUARES, -1)
-    way.take(squares, product, _BY_NOISE, side, ends * of_way.shares, edges)
-    own, beside = together.weights(known, together.known(knows))
+    shares = ends * of_way.shares
+    way.take(squares, product, _BY_NOISE, side, shares, edges)
+    apart = rows[_APART]
+    together.compare(apart, bends, knows, shares, edges)
+    scatter = np.maximum(apart, _ZERO) + _ONE
+    own, beside = way.weights(known, together.known(knows), scatter)
     alone = way.told_by_own(squares[0], of_way)
     np.maximum(own, alone, out=own)
     beside *= _ONE - alone
-    both = squares[0] * own
-    both += squares[1] * beside
-    found = way.tell(both, own, beside, noise, of_way)
+    by_scale = squares.reshape(2, -1, *own.shape)
+    both = by_scale[0] * own
+    both += by_scale[1] * beside
+    found = way.tell(both.reshape(squares[0].shape), own, beside, scatter, noise, of_way)
     found *= (load > _ZERO) & (held >= owed)
     return found
 
@@ -170,6 +179,8 @@ def see_of(
         held = 0.0
         forget_of(memory, first + SQUARES, i)
         forget_of(memory, first + SQUARES_BESIDE, i)
+        for row in range(first + APART, first + HELD):
+            memory[row, i] = 0.0
     memory[first + HELD, i] = held
     memory[first + LOOKS, i] += 1.0
     unseen = newest - memory[first + SERIES, i]
@@ -194,16 +205,14 @@ def tell_of(
 ) -> tuple[float, float]:
     """The second half of :func:`look` for cell ``i``, after all cells have been seen."""
     relative, looks = largest / max(load, LEAST_LOAD), memory[first + LOOKS, i]
-    squares, beside = first + SQUARES, first + SQUARES_BESIDE
+    squares, beside, apart = first + SQUARES, first + SQUARES_BESIDE, first + APART
     known = told_beside_of(
-        memory, first + SERIES_BESIDE, beside, first + LOADS, i, seen, near, relative, looks, way_numbers
+        memory, first + SERIES_BESIDE, beside, first + LOADS, apart, i, seen, near, relative, looks, way_numbers
     )
     if not (load > 0.0 and memory[first + HELD, i] >= owed):
         return 0.0, 0.0
-    own, of_beside = weights_of(load * (load / (noise * noise)), known)
-    alone = told_by_own_of(memory, squares, i, way_numbers)
-    own, of_beside = max(own, alone), of_beside * (1.0 - alone)
-    return way_of_squares(memory, squares, beside, i, own, of_beside, noise, way_numbers)
+    own = load * (load / (noise * noise))
+    return way_of_squares(memory, squares, beside, apart, i, own, known, noise, way_numbers)
 
 
 @loop

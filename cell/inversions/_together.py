@@ -8,6 +8,10 @@ and the noise of a sum is not known well. So there are two sums: of the neighbou
 second one beside, and of those in the columns between. Noise has no part in the mean of the product of both, a tremor
 has: the product of their differences stands for the square in the variances of :mod:`._way`.
 
+Within a group noise may be common to cells as well, and neighbours of another contact move in another way. What each
+group tells is therefore known less well than by the noise of single readings. How far both are apart tells by how much:
+a tremor that they share has no part in the difference, all else has.
+
 Both tell of the load of a cell what its own readings tell as well. They are weighted by how well they know it. What is
 told beside is far better known for most cells, and has the smaller weight where a cell bears far more than the cells
 around.
@@ -19,11 +23,11 @@ import math
 
 import numpy as np
 
-from ...arrays import FloatArray, IntArray
+from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import PlaceRows, Rows, loop
 from ..estimation import ALIKE, RECENT
 from . import _way as way
-from ._way import ALL_SERIES, SCALES, SHARE, differences_of, scaled, take_of
+from ._way import ALL_SERIES, SCALES, SHARE, count_of, differences_of, scaled, take_of
 
 LEAST = 1e-9
 """reciprocal variance of a relative change of the load below which a group knows nothing"""
@@ -31,31 +35,16 @@ LEAST = 1e-9
 GROUPS = "alike", "between"
 SERIES = tuple(f"{name}_{group}" for group in GROUPS for name in way.SERIES)
 LOADS = tuple(f"load_{group}" for group in GROUPS)
+APART = tuple(f"apart_{RECENT << scale}" for scale in range(SCALES))
 """names of rows of the memory: a series for each group, and its relative load, summed up. Mean products of both are as
-:data:`._way.SQUARES`"""
+:data:`._way.SQUARES`. For each length of block, mean square of how far second differences of both groups are apart,
+over the variance by noise of single readings, and beyond that"""
 WEIGHTED, KNOWN = range(2)
 """rows of what cells tell: change of r times the change of r with the relative load, over the variance by noise; and
 the square of the latter over this variance"""
 TELLS = 2
-_ZERO, _ONE, _HALF, _LEAST = (np.array(x) for x in (0.0, 1.0, 0.5, LEAST))
+_ZERO, _LEAST = np.array(0.0), np.array(LEAST)
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
-
-
-def weights(own: FloatArray, beside: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Shares of mean squares of own differences and of mean products beside, by inverse variance.
-
-    Args:
-        own: (m,) reciprocal variance of the relative change of the load, by own readings.
-        beside: (m,) by those beside, see :func:`look`.
-
-    Returns:
-        (m,) share of own ones, and (m,) share of those beside, which tells r of the own load.
-    """
-    # A mean product has half of the variance of a mean square.
-    ratio = np.divide(own, beside, out=np.zeros_like(own), where=beside > _ZERO)
-    share = _ONE / (ratio * ratio * _HALF + _ONE)
-    share *= ratio > _ZERO  # what bears nothing, or has no neighbour, is told by its own readings
-    return _ONE - share, share * ratio
 
 
 def look(loads: FloatArray, tells: FloatArray, near: IntArray) -> FloatArray:
@@ -81,6 +70,24 @@ def look(loads: FloatArray, tells: FloatArray, near: IntArray) -> FloatArray:
     return knows
 
 
+def compare(apart: FloatArray, bends: FloatArray, knows: FloatArray, shares: FloatArray, forgotten: BoolArray) -> None:
+    """Take how far second differences of both groups are apart.
+
+    Args:
+        apart: (as :data:`APART`, m) of the memory, changed.
+        bends: (2, SCALES, m) second differences of each group, over their deviation by noise of single readings.
+        knows: (2, m) what :func:`look` found.
+        shares: (SCALES, m) of these differences in the mean squares.
+        forgotten: (m,) cells whose mean squares begin anew.
+    """
+    np.copyto(apart, _ZERO, where=forgotten)
+    alike, between = np.sqrt(knows[::-1] / knows.sum(axis=0))
+    off = bends[0] * alike
+    off -= bends[1] * between
+    off *= off
+    way.count(apart, off, shares)
+
+
 def known(knows: FloatArray) -> FloatArray:
     """(m,) reciprocal variance of the relative change that mean products know, for :func:`look`; 0: nothing."""
     both: FloatArray = np.sqrt(knows[0] * knows[1])
@@ -89,21 +96,12 @@ def known(knows: FloatArray) -> FloatArray:
 
 
 @loop
-def weights_of(own: float, beside: float) -> tuple[float, float]:
-    """:func:`weights` of one cell."""
-    if not min(own, beside) > 0.0:
-        return 1.0, 0.0
-    ratio = own / beside
-    share = 1.0 / (ratio * ratio * 0.5 + 1.0)
-    return 1.0 - share, share * ratio
-
-
-@loop
 def look_of(
     memory: Rows,
     series: int,
     squares: int,
     loads: int,
+    apart: int,
     i: int,
     tells: Rows,
     near: PlaceRows,
@@ -113,11 +111,13 @@ def look_of(
 ) -> float:
     """Take what neighbours tell cell ``i``; returns :func:`known`.
 
-    Series, mean products and relative loads begin with these rows of ``memory`` (rows, m).
+    Series, mean products, relative loads and :data:`APART` begin with these rows of ``memory`` (rows, m).
     """
     knows_alike = load_of(memory, loads, i, tells, near, 0, ALIKE)
     knows_between = load_of(memory, loads + 1, i, tells, near, ALIKE, near.shape[0])
     noise_alike, noise_between = 1.0 / math.sqrt(knows_alike), 1.0 / math.sqrt(knows_between)
+    of_alike = math.sqrt(knows_between / (knows_alike + knows_between))
+    of_between = math.sqrt(knows_alike / (knows_alike + knows_between))
     block_alike, block_between, length = memory[loads, i], memory[loads + 1, i], 1
     for scale in range(SCALES):
         if int(looks) & (length - 1):
@@ -134,6 +134,8 @@ def look_of(
         moved, bent = alike * between, bend_alike * bend_between
         side, bent_side = alike + between, bend_alike + bend_between
         take_of(memory, squares + scale, i, moved, side, bent, bent_side, 0.0, numbers[SHARE, scale])
+        off = bend_alike * of_alike - bend_between * of_between
+        count_of(memory, apart + scale, i, off * off - 1.0, 1.0, numbers[SHARE, scale])
         length *= 2
     if min(knows_alike, knows_between) > LEAST:
         return math.sqrt(knows_alike * knows_between)

@@ -220,6 +220,43 @@ def take(
     squares += beyond
 
 
+def count(squares: FloatArray, product: FloatArray, shares: FloatArray) -> None:
+    """Take a ``product`` of differences (SCALES, m), changed, of which noise makes 1 in the mean, into mean squares.
+
+    Args:
+        squares: (SCALES, m) of the memory, beyond what noise makes, changed.
+        product: to take.
+        shares: (SCALES, m) of it.
+    """
+    product -= _ONE
+    product -= squares
+    product *= shares
+    room = squares * GROWS
+    room += _ROOM[0]
+    np.minimum(product, room, out=product)
+    squares += product
+
+
+def weights(own: FloatArray, beside: FloatArray, scatter: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Shares of mean squares of own differences and of mean products beside, by inverse variance.
+
+    Args:
+        own: (m,) reciprocal variance of the relative change of the load by noise, by own readings.
+        beside: (m,) by those beside, see :func:`._together.look`.
+        scatter: (SCALES, m) variance of what those beside tell, over that by noise.
+
+    Returns:
+        (SCALES, m) share of own ones, and (SCALES, m) share of those beside, which tells the unit of the own load.
+    """
+    # A mean product has half of the variance of a mean square.
+    ratio = np.divide(own, beside, out=np.zeros_like(own), where=beside > _ZERO)
+    share = ratio * scatter
+    share *= share
+    share = _ONE / (share * _HALF + _ONE)
+    share *= ratio > _ZERO  # what bears nothing, or has no neighbour, is told by its own readings
+    return _ONE - share, share * ratio
+
+
 def told_by_own(squares: FloatArray, numbers: Constants) -> FloatArray:
     """(m,) 0 to 1: whether own mean ``squares`` (as :data:`SQUARES`, m) alone are believed."""
     lesser = np.minimum(squares[_UP + SCALES : _DOWN], squares[_DOWN + SCALES :])
@@ -236,6 +273,7 @@ def tell(
     squares: FloatArray,
     own: FloatArray,
     beside: FloatArray,
+    scatter: FloatArray,
     noise: FloatArray,
     numbers: Constants,
 ) -> FloatArray:
@@ -243,8 +281,9 @@ def tell(
 
     Args:
         squares: (as :data:`SQUARES`, m) mean squares, of own differences and of those beside in the shares below.
-        own: (m,) share of own ones.
-        beside: (m,) the same of those beside, which know the noise.
+        own: (SCALES, m) share of own ones.
+        beside: (SCALES, m) the same of those beside, which know the noise.
+        scatter: (SCALES, m) variance of what those beside tell, over that by noise.
         noise: (m,) standard deviation of a reading.
         numbers: :func:`constants`.
 
@@ -252,7 +291,8 @@ def tell(
         (2, m) way since the last look as far as it is told from noise; and way that may be, no less.
     """
     by_chance = numbers.by_chance
-    by_chance_beside = by_chance * (beside * _HALF * beside)
+    by_chance_beside = beside * scatter
+    by_chance_beside *= by_chance_beside * (by_chance * _HALF)
     sure = numbers.by_chance_and_noise * (own * own)
     sure += by_chance_beside
     np.sqrt(sure, out=sure)
@@ -273,7 +313,10 @@ def tell(
     variance = noise * noise * _NOISE
     ways = _ways(moved, bends, variance)
     hides = numbers.hides
-    most_beside = (ways[1] * hides).min(axis=0)
+    all_beside = ways[1] * hides
+    least = np.expand_dims(all_beside.argmin(axis=0), 0)
+    (most_beside,) = np.take_along_axis(all_beside, least, axis=0)
+    (of_own,) = np.take_along_axis(own, least, axis=0)
     np.multiply(ways[0], hides, out=ways[1])
     gates = np.empty_like(ways)
     may_from, seems, does, of_most = numbers.caution[:SCALES]
@@ -288,10 +331,10 @@ def tell(
     told, most = found
     most -= told
     np.maximum(most, _ZERO, out=most)
-    most *= own
+    most *= of_own
     most_beside -= told
     np.maximum(most_beside, _ZERO, out=most_beside)
-    most_beside *= (_ONE - own) * of_most
+    most_beside *= (_ONE - of_own) * of_most
     most += most_beside
     most += told
     return found
@@ -394,6 +437,17 @@ def count_of(memory: Rows, row: int, i: int, product: float, by_noise: float, sh
 
 
 @loop
+def weights_of(own: float, beside: float, scatter: float) -> tuple[float, float]:
+    """:func:`weights` of one cell, for blocks of one length."""
+    if not min(own, beside) > 0.0:
+        return 1.0, 0.0
+    ratio = own / beside
+    share = ratio * scatter
+    share = 1.0 / (share * share * 0.5 + 1.0)
+    return 1.0 - share, share * ratio
+
+
+@loop
 def told_by_own_of(memory: Rows, squares: int, i: int, numbers: Rows) -> float:
     """:func:`told_by_own` of cell ``i``, whose mean squares begin with row ``squares`` of ``memory``."""
     alone = 0.0
@@ -409,20 +463,29 @@ def tell_of(
     memory: Rows,
     squares: int,
     squares_beside: int,
+    apart: int,
     i: int,
-    own: float,
-    beside: float,
+    own_knows: float,
+    beside_knows: float,
     noise: float,
     numbers: Rows,
 ) -> tuple[float, float]:
-    """:func:`tell` of cell ``i``; mean squares begin with rows ``squares`` and ``squares_beside`` of ``memory``."""
-    told, most, most_beside = 0.0, 0.0, math.inf
+    """:func:`tell` of cell ``i``, for reciprocal variances as in :func:`weights`.
+
+    Mean squares begin with rows ``squares`` and ``squares_beside`` of ``memory``, those of :mod:`._together` with
+    ``apart``.
+    """
+    told, most, most_beside, of_own = 0.0, 0.0, math.inf, 1.0
+    alone = told_by_own_of(memory, squares, i, numbers)
     may_from, seems, surely = numbers[CAUTION, MAY_FROM], numbers[CAUTION, TOLD], numbers[CAUTION, DOES]
     rest, rest_of_most, length = 1.0, 1.0, 1.0
     for scale in range(SCALES):
-        row, other = squares + scale, squares_beside + scale
+        row, other, scatter = squares + scale, squares_beside + scale, max(memory[apart + scale, i] + 1.0, 1.0)
+        own, beside = weights_of(own_knows, beside_knows, scatter)
+        own, beside = max(own, alone), beside * (1.0 - alone)
         by_chance = numbers[SHARE, scale] * OF_SIDES**2
-        by_chance_beside = by_chance * (0.5 * beside * beside)
+        by_chance_beside = beside * scatter
+        by_chance_beside *= by_chance_beside * (by_chance * 0.5)
         sure = math.sqrt((by_chance + NOISE_KNOWN**2) * (own * own) + by_chance_beside)
         bends = max(own * memory[row, i] + beside * memory[other, i], 0.0)
         up = own * memory[row + _UP, i] + beside * memory[other + _UP, i]
@@ -435,7 +498,9 @@ def tell_of(
         per_reading = RECENT * length
         of_change, of_bend = noise * noise * (2.0 / per_reading), noise * noise * (6.0 / per_reading)
         beyond, hides = math.sqrt(by_chance_beside) * MAY, numbers[HIDES, scale]
-        most_beside = min(most_beside, way_of(moved + beyond, bends + beyond, of_change, of_bend, length) * hides)
+        may_beside = way_of(moved + beyond, bends + beyond, of_change, of_bend, length) * hides
+        if may_beside < most_beside:
+            most_beside, of_own = may_beside, own
         if clear > 0.0 and rest > 0.0:
             way = way_of(moved, bends, of_change, of_bend, length)
             may = min(max((clear - may_from) * (1.0 / (seems - may_from)), 0.0), 1.0)
@@ -445,8 +510,8 @@ def tell_of(
             most += rest_of_most * may * (way * hides)
             rest_of_most *= 1.0 - may
         length *= 2.0
-    untold = max(most - told, 0.0) * own
-    untold += max(most_beside - told, 0.0) * (1.0 - own) * numbers[CAUTION, OF_MOST]
+    untold = max(most - told, 0.0) * of_own
+    untold += max(most_beside - told, 0.0) * (1.0 - of_own) * numbers[CAUTION, OF_MOST]
     return told, told + untold
 
 

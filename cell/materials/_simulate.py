@@ -16,6 +16,8 @@ from . import _lag as lag
 
 FEW_CELLS = 8
 """up to which stepping the cells one by one is faster than stepping them together, without machine code"""
+LONGEST_SMOOTHING_S = 0.5
+"""standard deviation of the longest window over the signal of a force gauge"""
 
 M10_PARAMETERS = ("a", "b", "alpha1", "rise1_s", "fall1_s", "alpha2", "rise2_s", "fall2_s", "k", "tau_s")
 
@@ -287,9 +289,19 @@ def step_noise(signal: FloatArray) -> float:
 def smoothing_s(load: FloatArray, dt_s: float) -> float:
     """Over how long a force gauge's signal must be smoothed: its noise would add up in the integral of |ds|.
 
-    Not at all if that is less than 5 % of the load's range in ten seconds.
+    As long as brings what it adds to 5 % of the load's range in ten seconds, which is not at all for little noise, and
+    at most :data:`LONGEST_SMOOTHING_S`. Longer than needed would blur fast edges, to which cells answer otherwise than
+    to slow ones.
     """
-    return 0.5 if white_noise(load) * 10 / dt_s > 0.05 * np.ptp(load) else 0.0
+    added, allowed = white_noise(load) * 10 / dt_s, 0.05 * np.ptp(load)
+    if added <= allowed:
+        return 0.0
+    if not allowed:
+        return LONGEST_SMOOTHING_S
+    # Behind a Gaussian window of w samples, white noise changes from sample to sample by 1 / (2 sqrt(2) pi^(1/4) w^1.5)
+    # of what it did before.
+    samples = (added / allowed / (2 * math.sqrt(2) * math.pi**0.25)) ** (2 / 3)
+    return min(float(samples) * dt_s, LONGEST_SMOOTHING_S)
 
 
 def smoothed(signal: FloatArray, dt_s: float, seconds: float) -> FloatArray:
