@@ -457,7 +457,7 @@ def told_by_own_of(memory: Rows, squares: int, i: int, numbers: Rows) -> float:
         row = squares + scale + SCALES
         sure = math.sqrt(numbers[SHARE, scale] * OF_SIDES**2 + NOISE_KNOWN**2)
         alone = max(alone, min(memory[row + _UP, i], memory[row + _DOWN, i]) / sure)
-    return min(max((alone * 2.0 - numbers[ALONE_FROM, 0]) * (1.0 / ALONE), 0.0), 1.0)
+    return float(min(max((alone * 2.0 - numbers[ALONE_FROM, 0]) * (1.0 / ALONE), 0.0), 1.0))
 
 
 @loop
