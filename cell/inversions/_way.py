@@ -110,7 +110,7 @@ class Caution(NamedTuple):
     """times the way that short blocks see: as long it may be, since it turns between them"""
     alone_from: float = math.inf
     """such standard deviations from which own readings are believed whatever the neighbours tell: the load of a single
-    cell may tremble, or move to and fro beside it. Infinity: never, where turns that go by unseen leave the same steps"""
+    cell may tremble, or move to and fro beside it. Infinity: never, where turns that pass unseen leave the same"""
 
 
 class Constants(NamedTuple):
