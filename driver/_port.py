@@ -535,6 +535,8 @@ def _why_not_opened(name: str, error: Exception) -> str:
             return "in use by another program, or by another Skin of this one"
         case errno.EMFILE | errno.ENFILE:
             return f"cannot be opened: {_reason(error)}"
+    if os.path.isfile(name):
+        return "is no serial port but a file; recordings of ohmskin end in .mcap"
     if os.path.exists(name) and not isinstance(error, ValueError):
         return f"is no serial port ({_reason(error)})"
     return f"cannot be opened: {_reason(error)}"

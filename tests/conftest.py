@@ -19,8 +19,6 @@ from ohmskin.verification import _chain, _report
 
 pytest_plugins = ["ohmskin.hil.plugin"]  # also where the installed entry point is older than the source
 
-os.environ.setdefault(compiled.SWITCH, "checked")  # an array of another type than a loop states is a failure
-
 # A busy machine is no failure, and a failure must come again.
 settings.register_profile("ohmskin", deadline=None, derandomize=True)
 settings.load_profile("ohmskin")
@@ -59,12 +57,17 @@ def _boards_of_this_process(tmp_path_factory: pytest.TempPathFactory) -> Iterato
 
 
 def _compile_together(folder: Path) -> None:
-    """Compile what no other worker has begun to compile, then load what the others have compiled."""
-    for number, each in enumerate(compiled._offered):  # the same ones in every worker: all have imported all tests
-        with suppress(FileExistsError):
-            (folder / f"loop-{number}").touch(exist_ok=False)
-            each.machine_code()
-    compiled.load()
+    """Compile what no other worker has begun to compile, then load what the others have compiled.
+
+    In this process an array of another type than a loop states is a failure; programs that tests start do not look.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(compiled.SWITCH, os.environ.get(compiled.SWITCH, "checked"))
+        for number, each in enumerate(compiled._offered):  # the same ones in every worker: all have imported all tests
+            with suppress(FileExistsError):
+                (folder / f"loop-{number}").touch(exist_ok=False)
+                each.machine_code()
+        compiled.load()
 
 
 def _keep_what_is_there() -> None:

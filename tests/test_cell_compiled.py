@@ -18,6 +18,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ohmskin import compiled
 from ohmskin.arrays import FloatArray
 from ohmskin.cell import AsymmetricModel, Cell, ContactModel, Estimator, M10Model
 from ohmskin.cell.inversions import _doubts as doubts
@@ -252,6 +253,33 @@ def test_frames_are_worked_out_by_machine_code_unless_it_is_switched_off(
     assert min(calls.values()) > 0, calls
     monkeypatch.setenv(SWITCH, "0")
     assert set(_calls(CELLS[kind], monkeypatch).values()) == {0}
+
+
+LAYOUTS: dict[str, Callable[[FloatArray], Any]] = {
+    "transposed": lambda ohm: ohm.T.copy().T,
+    "every second": lambda ohm: np.repeat(ohm, 2, axis=1)[:, ::2],
+    "backwards": lambda ohm: ohm[::-1, ::-1].copy()[::-1, ::-1],
+    "other bytes": lambda ohm: ohm.astype(">f8"),
+    "whole ohms": lambda ohm: np.rint(ohm).astype(np.int32),
+    "read only": lambda ohm: np.frombuffer(ohm.tobytes()).reshape(ohm.shape),
+    "lists": lambda ohm: ohm.tolist(),
+}
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("kind", ["paper", "m10", "contact"])
+def test_readings_of_any_layout_are_taken_as_they_are(kind: str, layout: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Loops that do not look at the types of their arrays, as in users' programs, get none of the user's own."""
+    cell = CELLS[kind]
+    for each in cell.estimator((3, 4))._loops():
+        each.machine_code()
+        monkeypatch.setattr(each, "unchecked", compiled._without_dispatcher(each.code))
+    estimator, usual = cell.estimator((3, 4)), cell.estimator((3, 4))
+    assert estimator.compile()
+    for ohm in np.rint(readings(cell, (3, 4), 120, 1e-3, 0)):
+        given = LAYOUTS[layout](ohm)
+        equal(estimator.step(DT_S, given), usual.step(DT_S, ohm), layout, NEARLY)
+        equal(estimator.std_kpa, usual.std_kpa, layout, NEARLY)
 
 
 def test_a_pickled_estimator_goes_on_where_there_is_no_machine_code(monkeypatch: pytest.MonkeyPatch) -> None:

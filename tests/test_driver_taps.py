@@ -130,6 +130,28 @@ def test_a_bad_contact_adds_resistance_and_a_press_on_electrodes_that_touch_take
     assert max(contacts_of(ohm, FALLING)) == number
 
 
+def test_a_fingertip_as_wide_as_a_short_row_of_electrodes_that_touch_is_one_contact() -> None:
+    """Their resistance falls by nearly all under a light load, so that the whole row has moved alike in r."""
+    cell = Cell(
+        rest_resistance_ohm=2e5, full_scale_kpa=50.0, model=ContactModel(exponent=0.9, full_scale_resistance_ohm=1500.0)
+    )
+    shape = (8, 5)
+    row, column = np.indices(shape)
+    load = np.zeros((QUIET + 30, *shape))
+    load[QUIET : QUIET + 12] = 25.0 * np.exp(-((row - 3.8) ** 2 + (column - 1.4) ** 2) / 2.0)
+    forward = cell.forward(shape)
+    ohm = np.array([forward.step(DT_S, frame) for frame in load])
+    assert contacts_of(ohm, cell) == [0] * QUIET + [1] * 12 + [0] * 18
+
+
+@pytest.mark.parametrize("where", [(slice(3, 5), slice(None)), (slice(None), slice(0, 1)), (slice(None), slice(None))])
+def test_lines_of_electrodes_that_touch_which_conduct_more_at_once_make_no_contact(where: tuple[slice, slice]) -> None:
+    """As the converter of a column that is off: it reads all cells of the line alike."""
+    ohm = at_rest(QUIET + 30, FALLING)
+    ohm[(slice(QUIET, QUIET + 8), *where)] *= 0.5
+    assert not any(contacts_of(ohm, FALLING))
+
+
 def test_a_crosstalk_below_the_least_share_does_not_make_a_spark_a_tap() -> None:
     """Leads that the design does not mention carry a little of a spark to its row and column."""
     ohm = at_rest(QUIET + 30)

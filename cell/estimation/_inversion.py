@@ -18,7 +18,7 @@ from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import Loop
 from . import _loops as loops
 from ._noise import recent_means
-from ._rows import GAIN, NOISE, READING, SMOOTHED, STD
+from ._rows import GAIN, NOISE, PRESSURE, READING, SMOOTHED, STD
 from ._smoothing import COUNT, Looked
 
 LOADS = (-0.5, 3.0)
@@ -107,6 +107,11 @@ class Inversion(ABC):
         """
 
     # -- what an inversion may say -----------------------------------------------------------------------------------
+
+    def held_kpa(self, r: FloatArray) -> FloatArray:
+        """(m,) pressure of cells whose reading has been ``r`` (m,) for ever."""
+        pressure: FloatArray = self.begin(r)[PRESSURE]
+        return pressure
 
     def hold(self, memory: FloatArray, dt_s: float | FloatArray) -> FloatArray:
         """The memory (rows, m) after ``dt_s``, one number or (m,), in which the pressure stayed."""

@@ -45,7 +45,7 @@ class Sparks:
 
     def __init__(self, inversion: Inversion, noise: NoiseMeter, gaps: Gaps, shape: tuple[int, ...]) -> None:
         """``gaps`` is told of jumps that may have been either, a spark or a tap; ``shape`` is that of the array."""
-        self._taps = Taps(shape)
+        self._taps = Taps(inversion, shape)
         self._inversion, self._noise, self._gaps = inversion, noise, gaps
         self.large_r = LARGE_JUMP * inversion.full_scale_r
         """r from which a jump may be a spark"""
@@ -121,7 +121,7 @@ class Sparks:
     def recognise_taps(self, dt: float, r: FloatArray) -> None:
         """Look for jumps that are loads, by the readings ``r`` (n,) of all cells ``dt`` after the last ones."""
         off = r[self.cells] - self._line[smoothing.LEVEL]
-        self._taps.look(self.cells, self._age_s, self._jump, off, dt, self._inversion.side, r, self._noise.at_rest)
+        self._taps.look(self.cells, self._age_s, self._jump, off, dt, r, self._noise.at_rest)
 
     def taps(self) -> IntArray:
         """Indices of cells that have jumped just now, under a load."""

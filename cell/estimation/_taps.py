@@ -22,6 +22,7 @@ import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray, scatter
 from . import _smoothing as smoothing
+from ._inversion import Inversion
 from ._noise import ENOUGH
 
 SHARED = 0.05
@@ -39,8 +40,9 @@ FRAMES = 2
 LASTS = 0.5
 """share of a jump that must be left for it to be under way"""
 WHOLE, EVEN, SEEN = 0.85, 0.3, 3.0
-"""share of a line's cells that have moved from which the line itself may be bad; share of a jump, and standard
-deviations of its reading, by which a cell has then moved, since a bad line moves its cells alike"""
+"""share of a line's cells that have moved from which the line itself may be bad; share of a jump's pressure, and
+standard deviations of its reading, by which a cell has then moved, since a bad line moves its cells alike. Not share of
+r: that of electrodes which touch is nearly -1 from a light load on, in the middle and at the rim of a finger alike"""
 LEAST_LINE = 4
 """cells of a line that may be called whole: a fingertip covers shorter ones"""
 TINY = 1e-30
@@ -51,8 +53,9 @@ _SOON = 1 + 1e-9
 class Taps:
     """Which of the jumps that may be sparks are known to be loads. Arrays are of the k jumps of the last moment."""
 
-    def __init__(self, shape: tuple[int, ...]) -> None:
+    def __init__(self, inversion: Inversion, shape: tuple[int, ...]) -> None:
         """``shape`` is (rows, columns). Cells of an array with another number of axes have no neighbours."""
+        self._inversion = inversion
         self._grid = len(shape) == 2
         cells = math.prod(shape)
         self._shape = (shape[0], shape[1]) if self._grid else (1, cells)
@@ -99,7 +102,6 @@ class Taps:
         jump: FloatArray,
         off: FloatArray,
         dt_s: float,
-        side: float,
         reading: FloatArray,
         noise_at_rest: FloatArray,
     ) -> None:
@@ -111,13 +113,13 @@ class Taps:
             jump: largest distance of r from that before the jump.
             off: present distance.
             dt_s: since the last frame.
-            side: 1 where a load raises the resistance, -1 where it lowers it.
             reading: (n,) normalised resistances r of all cells.
             noise_at_rest: (n,) standard deviations of readings of cells at rest.
         """
         young = ~self.known & (age_s <= max(TOGETHER_S, dt_s) * _SOON)
         if not np.count_nonzero(young):
             return
+        side = self._inversion.side
         noise = smoothing.noise_of(reading[np.newaxis], noise_at_rest)  # of lines that end in the readings
         size = np.abs(jump)
         lasts = np.abs(off) > LASTS * size
@@ -132,7 +134,7 @@ class Taps:
         self._frames += lasts & soon & (along_column | along_row | (side < 0))
         lasted = self._frames >= FRAMES
         if self._grid:
-            whole, ends_column, ends_row = self._lines(cells, size, (reading - self._before) * side, noise)
+            whole, ends_column, ends_row = self._lines(cells, reading[cells] - off, jump, reading, noise)
             young &= ~whole
             lasted &= ~np.where(along_column, ends_column, ends_row)
         self.known |= young & (spread | lasted)
@@ -158,11 +160,11 @@ class Taps:
         return beside
 
     def _lines(
-        self, cells: IntArray, size: FloatArray, moved: FloatArray, noise: FloatArray
+        self, cells: IntArray, before: FloatArray, jump: FloatArray, reading: FloatArray, noise: FloatArray
     ) -> tuple[BoolArray, BoolArray, BoolArray]:
-        """What the lines of ``cells`` (m,) have done, whose readings jumped by ``size`` (m,).
+        """What the lines of ``cells`` (m,) have done, whose readings jumped from ``before`` (m,) by ``jump`` (m,).
 
-        ``moved`` (n,) is how far the readings have moved as a load moves them, ``noise`` (n,) their standard deviation.
+        ``reading`` (n,) is that of all cells, ``noise`` (n,) their standard deviation.
 
         Returns:
             (m,) cells whose row or column has moved as a whole; cells whose column has moved at an end; whose row has.
@@ -170,9 +172,13 @@ class Taps:
         """
         rows, columns = self._shape
         row, column = np.divmod(cells, columns)
-        seen = np.where(moved > SEEN * noise, moved, 0.0).reshape(rows, columns)
-        least = EVEN * size[:, None]
-        in_row, in_column = seen[row] > least, seen.T[column] > least
+        pressure = self._inversion.held_kpa
+        moved = ((reading - self._before) * self._inversion.side > SEEN * noise).nonzero()[0]
+        rise = np.zeros(reading.size)
+        rise[moved] = pressure(reading[moved]) - pressure(self._before[moved])
+        rises = rise.reshape(rows, columns)
+        least = EVEN * (pressure(before + jump) - pressure(before))[:, None]
+        in_row, in_column = rises[row] > least, rises.T[column] > least
         whole = np.zeros(cells.size, dtype=np.bool_)
         for line, length in ((in_row, columns), (in_column, rows)):
             if length >= LEAST_LINE:

@@ -36,7 +36,7 @@ LARGEST = 0.04
 """of full scale: how far a load may go from one look to the next without an edge"""
 BEARS = 3.0
 """standard deviations of a reading, in r over that of full scale: a load of less has nothing to go back"""
-CAUTION = way.Caution(may_from=2.4, told=3.0, does=5.0, of_most=0.1, most_share=1.0 / 24.0, hidden=1.0)
+CAUTION = way.Caution(may_from=2.4, told=3.0, does=5.0, of_most=0.1, most_share=1.0 / 24.0, hidden=1.0, alone_from=4.0)
 """chains take much longer to heal than a tremor to be told: what is told by chance adds up for as long, and widens the
 deviation of loads that are held still"""
 LEAST_SLOPE = 0.05

@@ -46,9 +46,8 @@ MAY = 2.0
 OF_SIDES = 1.6
 """such a standard deviation by chance, over the variance of noise and the root of the share of a block: of twice the
 mean square to one side, to which half of all differences go"""
-OWN_TELLS, OWN_SURE = 4.0, 6.0
-"""standard deviations as of :class:`Caution`, from which own readings are believed whatever the neighbours tell, and
-from which they alone are: the load of a single cell may tremble, or move to and fro beside it"""
+ALONE = 2.0
+"""standard deviations beyond :attr:`Caution.alone_from` from which own readings alone are believed"""
 NOISE_KNOWN = 0.15
 """relative standard deviation of the variance of noise: steps of an ADC are not white, and go by the reading"""
 WAY, BEND = 0.84, 0.5
@@ -71,8 +70,8 @@ SQUARES = tuple(
 differences upwards, of second differences upwards, and of both downwards"""
 ALL_SERIES, ALL_SQUARES = len(SERIES), len(SQUARES)
 _BENDS, _UP, _DOWN = 0, SCALES, 3 * SCALES
-SHARE, HIDES, CAUTION = range(3)
-"""rows of the numbers that depend on the time between frames; in the last one those of :class:`Caution`"""
+SHARE, HIDES, CAUTION, ALONE_FROM = range(4)
+"""rows of the numbers that depend on the time between frames; in the last two those of :class:`Caution`"""
 MAY_FROM, TOLD, DOES, OF_MOST = range(4)
 """places of these in that row"""
 _LOOKS_IN_BLOCK = 2.0 ** np.arange(SCALES)[:, None]
@@ -109,6 +108,9 @@ class Caution(NamedTuple):
     """largest share of a block in the mean squares"""
     hidden: float = 1.2
     """times the way that short blocks see: as long it may be, since it turns between them"""
+    alone_from: float = math.inf
+    """such standard deviations from which own readings are believed whatever the neighbours tell: the load of a single
+    cell may tremble, or move to and fro beside it. Infinity: never, where turns that pass unseen leave the same"""
 
 
 class Constants(NamedTuple):
@@ -116,8 +118,8 @@ class Constants(NamedTuple):
 
     caution: Caution
     rows: FloatArray
-    """(3, SCALES) for machine code: share of a block in the mean squares, how much of the way blocks may hide, and the
-    first four of the caution"""
+    """(4, SCALES) for machine code: share of a block in the mean squares, how much of the way blocks may hide, the
+    first four of the caution, and from when own readings are believed alone"""
     shares: FloatArray
     """(SCALES, 1)"""
     hides: FloatArray
@@ -134,7 +136,7 @@ def constants(dt_s: float, caution: Caution) -> Constants:
     share = np.clip(block_s / MEMORY_S, LEAST_SHARE, caution.most_share)
     hides = np.minimum(caution.hidden + HIDES_AT_FAST * (FAST_HZ * block_s) ** 2, MOST_HIDDEN)
     by_chance = share * OF_SIDES**2
-    rows = np.array([share[:, 0], hides[:, 0], caution[:SCALES]])
+    rows = np.array([share[:, 0], hides[:, 0], caution[:SCALES], [caution.alone_from] * SCALES])
     return Constants(caution, rows, share, hides, by_chance, by_chance + NOISE_KNOWN**2)
 
 
@@ -263,8 +265,8 @@ def told_by_own(squares: FloatArray, numbers: Constants) -> FloatArray:
     lesser /= np.sqrt(numbers.by_chance_and_noise)
     alone: FloatArray = lesser.max(axis=0)
     alone *= _TWO
-    alone -= OWN_TELLS
-    alone *= 1.0 / (OWN_SURE - OWN_TELLS)
+    alone -= numbers.caution.alone_from
+    alone *= 1.0 / ALONE
     np.minimum(np.maximum(alone, _ZERO, out=alone), _ONE, out=alone)
     return alone
 
@@ -455,7 +457,7 @@ def told_by_own_of(memory: Rows, squares: int, i: int, numbers: Rows) -> float:
         row = squares + scale + SCALES
         sure = math.sqrt(numbers[SHARE, scale] * OF_SIDES**2 + NOISE_KNOWN**2)
         alone = max(alone, min(memory[row + _UP, i], memory[row + _DOWN, i]) / sure)
-    return min(max((alone * 2.0 - OWN_TELLS) * (1.0 / (OWN_SURE - OWN_TELLS)), 0.0), 1.0)
+    return float(min(max((alone * 2.0 - numbers[ALONE_FROM, 0]) * (1.0 / ALONE), 0.0), 1.0))
 
 
 @loop

@@ -271,7 +271,7 @@ def _switch() -> str:
 def _without_dispatcher(compiled: Any) -> Any:
     """What Numba's dispatcher calls once it has found out the types of the arguments; there is one signature only."""
     (only,) = compiled.overloads.values()
-    return only.entry_point
+    return getattr(only, "entry_point", compiled)  # no part of what Numba promises
 
 
 def _written(hint: Any) -> str:

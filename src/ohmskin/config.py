@@ -18,6 +18,7 @@ from typing import Annotated, Any, Self, TypeVar, get_args, get_origin
 
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import ErrorDetails
 
 from .errors import InputError
 from .files import read_text
@@ -177,6 +178,8 @@ def describe(error: ValidationError, model: type[BaseModel], tables: Mapping[str
             return f"unknown key '{where}'{_hint(model, tuple(table), str(key), tables)}"
         case "missing":
             return f"missing key '{where}'"
+        case "union_tag_not_found":
+            return f"missing key '{where}.{_kind_key(first)}'"
         case "value_error":
             message = str(first["ctx"]["error"])
         case "tuple_type" | "list_type":
@@ -189,8 +192,17 @@ def describe(error: ValidationError, model: type[BaseModel], tables: Mapping[str
         case _:
             message = first["msg"][0].lower() + first["msg"][1:]
     given = first["input"]
+    if first["type"] == "union_tag_invalid":  # the kind of a table, of which there are several
+        where, given = f"{where}.{_kind_key(first)}", given[_kind_key(first)]
+        *others, last = first["ctx"]["expected_tags"].split(", ")
+        message = f"input should be {', '.join(others)} or {last}"
     got = "" if isinstance(given, (dict, BaseModel)) else f" (got {shown(given)})"
     return f"{where}: {message}{got}" if where else f"{message}{got}"
+
+
+def _kind_key(fault: ErrorDetails) -> str:
+    """The key that tells tables of several kinds apart, of a fault that is about it."""
+    return str(fault["ctx"]["discriminator"]).strip("'")
 
 
 def _check_integers(value: Any, source: str, where: str = "") -> None:

@@ -35,9 +35,7 @@ from . import arguments
     show_default=True,
     help="What runs the board: a model of it, or the reference board's program on an emulated processor (Node.js).",
 )
-@click.option(
-    "--duration", type=click.FloatRange(min=0, min_open=True), default=inf, metavar="S", help="Seconds of board time."
-)
+@click.option("--duration", type=arguments.positive, default=inf, metavar="S", help="Seconds of board time.")
 @click.option(
     "--truth", type=click.Path(path_type=Path), metavar="FILE.npz", help="Record every frame as it truly was."
 )
