@@ -131,6 +131,8 @@ class ContactTracker:
         self._trails = Trails(shape)
         self._risen_kpa = np.zeros(shape)
         """(rows, columns) largest pressure since the cell rose jointly with its neighbours; 0: it has not"""
+        self._risen_s = np.full(shape, np.inf)
+        """(rows, columns) time of that rise; infinite for the others"""
         self._rising: BoolArray = np.zeros(shape, dtype=np.bool_)
         """(rows, columns) middles of the joint rises of this frame"""
         self._most_drift_kpa, self._drift_kpa_per_s = drift_kpa, drift_kpa / KNOWN_DRIFT * DRIFT_PER_S
@@ -178,6 +180,7 @@ class ContactTracker:
         self._labels = labels.reshape(self.shape)
         self._fingers = [1 + len(name.joined) for name in names]
         self._risen_kpa[(self._labels == 0) & ~self._rising] = 0.0  # left behind by the touch that lifted them
+        self._risen_s = np.where(self._risen_kpa > 0, np.minimum(self._risen_s, time_s), np.inf)
         elapsed_s, self._time_s = max(time_s - self._time_s, 0.0), time_s
         self._drift(elapsed_s, pressure_kpa)
         self._remember(elapsed_s, pressure_kpa)
@@ -234,7 +237,7 @@ class ContactTracker:
             return  # a held touch
         least = np.maximum(LEFT_SHARE * risen_kpa, STAY_SHARE * full)
         lasts = (pressure_kpa > least) & (risen_kpa > 0)
-        lasts &= self._touch_lasts(pressure_kpa, None if found is None else found.fallen)
+        lasts &= self._touch_lasts(time_s, pressure_kpa, None if found is None else found.fallen)
         if found is not None:
             lasts |= found.risen & (pressure_kpa > START_SHARE * full)
         self._risen_kpa = np.where(lasts, np.maximum(risen_kpa, pressure_kpa), 0.0)
@@ -243,8 +246,11 @@ class ContactTracker:
         alone = pressure_kpa > np.fmax(JOIN_STDS * std_kpa, np.maximum(JOIN_SHARE * full, LEFT_SHARE * risen_kpa))
         self._labels = np.where((risen_kpa > 0) & ~lasts & ~alone, 0, self._labels)
 
-    def _touch_lasts(self, pressure_kpa: FloatArray, fallen: BoolArray | None) -> BoolArray:
-        """(rows, columns) cells of joint rises whose touch goes on as a whole: its rim does not outlast its middle."""
+    def _touch_lasts(self, time_s: float, pressure_kpa: FloatArray, fallen: BoolArray | None) -> BoolArray:
+        """(rows, columns) cells of joint rises whose touch goes on as a whole: its rim does not outlast its middle.
+
+        Where one of several touches that run together is released, the whole falls. What it leaves unchanged goes on.
+        """
         numbers, risen_kpa = self._labels.ravel(), self._risen_kpa.ravel()
         now = np.bincount(numbers, np.where(risen_kpa > 0, np.fmax(pressure_kpa.ravel(), 0.0), 0.0))
         least = LEFT_SHARE * np.bincount(numbers, risen_kpa)
@@ -252,7 +258,33 @@ class ContactTracker:
             least[numbers[fallen.ravel() & (risen_kpa > 0)]] *= FALLEN_SHARE / LEFT_SHARE
         goes_on: BoolArray = now > least
         goes_on[0] = True  # in no contact yet
-        return goes_on[self._labels]
+        lasts = goes_on[self._labels]
+        if fallen is not None and not goes_on.all():
+            lasts |= self._held_in_a_fall(time_s, ~lasts & (pressure_kpa > FALLEN_SHARE * self._risen_kpa), fallen)
+        return lasts
+
+    def _held_in_a_fall(self, time_s: float, bears: BoolArray, fallen: BoolArray) -> BoolArray:
+        """(rows, columns) cells that bear what they bore, connected with a held one whose surroundings have not fallen.
+
+        All cells of a finger that is lifted have others around them that fall. A rim that is wider than that bears
+        less than :data:`WAKE_SHARE` of the middle. Of taps and of fingers that move the estimates keep more for a
+        moment, so cells count as held that rose before :data:`WAKE_S`.
+
+        Args:
+            time_s: of the frame.
+            bears: (rows, columns) cells that have not fallen themselves, of contacts that have fallen as a whole.
+            fallen: (rows, columns) cells that have fallen together with their neighbours.
+
+        """
+        most_kpa = np.zeros(self._labels.max() + 1)
+        np.maximum.at(most_kpa, self._labels, self._risen_kpa)
+        held = bears & ~fallen & (self._risen_kpa > WAKE_SHARE * most_kpa[self._labels])
+        held &= time_s - self._risen_s > WAKE_S
+        parts, count = self._segments.label(bears)
+        lasting = np.zeros(count + 1, dtype=np.bool_)
+        lasting[parts[held]] = True
+        of_lasting: BoolArray = lasting[parts]
+        return of_lasting
 
     def _find(self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray) -> tuple[IntArray, list[Patch]]:
         """The patches of touched cells, and for each cell of the flattened array the number of its patch, from 1."""

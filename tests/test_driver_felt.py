@@ -211,6 +211,24 @@ def test_a_held_touch_that_only_its_rise_has_told_of_lasts_and_ends() -> None:
     assert not any(seen[6003:])
 
 
+@pytest.mark.parametrize("rise_frames", [1, 3])
+def test_a_tap_beside_a_held_object_leaves_the_contact_of_the_object(rise_frames: int) -> None:
+    """Of the object only its rise has told; the tap makes more than half of the force of both."""
+    rng = np.random.default_rng(3)
+    held, tap = np.zeros(SHAPE), np.zeros(SHAPE)
+    held[2:5, 3:6], tap[5:9, 0:4] = 5.0, 9.0
+    share = np.interp(np.arange(220), [150, 150 + rise_frames, 170, 170 + rise_frames], [0.0, 1.0, 1.0, 0.0])
+    tracker, seen = ContactTracker(SHAPE, PITCH_M, FULL_KPA), []
+    for k in range(220):
+        pressure = (held if k >= 20 else 0 * held) + share[k] * tap + rng.normal(0, 0.05, SHAPE)
+        rise = STD * pressure / 0.05, np.full(SHAPE, STD)
+        seen.append(tracker.update(0.01 * k, pressure, np.where(held > 0, 2.0, 0.1), rise))
+    assert len({c.id for contacts in seen[22:] for c in contacts[-1:]}) == 1
+    for contacts in seen[175:]:
+        (contact,) = contacts
+        np.testing.assert_array_equal(contact.cells, np.argwhere(held > 0))
+
+
 @pytest.mark.parametrize(("idle_rows", "bits", "noise_mv"), [("ground", 8, 4.0), ("float", 8, 4.0)])
 def test_boards_of_8_bits_with_dividers_find_taps(idle_rows: str, bits: int, noise_mv: float) -> None:
     """At 1000 frames per second; without the joint test half of the taps, and none with floating rows."""
