@@ -26,7 +26,7 @@ import numpy as np
 from scipy import ndimage
 
 from ..arrays import BoolArray, FloatArray, IntArray
-from ._around import highest_around
+from ._around import highest_around, sums_around, with_all_neighbours
 from ._bridging import bridge
 from ._later import Later
 from ._pitch import Pitch
@@ -43,6 +43,10 @@ START_SHARE, JOIN_SHARE, STAY_SHARE = 0.03, 0.0192, 0.015
 LEFT_SHARE, FALLEN_SHARE = 0.4, 0.7
 """of the largest pressure that a cell has had since it rose jointly with others: with less, its touch is over; the
 second where it has just fallen jointly with others"""
+TOGETHER_STDS, HELD_S, HELD_SHARE = 2.0, 0.5, 0.9
+"""a touch begins in cells whose weighted sum has exceeded so many times that of their standard deviations for so long,
+and has not fallen below that share: a press grows or is steady, what taps leave in the estimates fades. Such errors of
+neighbours have the same history, so their deviations are added as if they were common"""
 MISSING_S = 0.2
 """a cell that was not read for longer is missing; until then its last pressure counts"""
 DRIFT_PER_S = 0.003
@@ -135,6 +139,10 @@ class ContactTracker:
         """(rows, columns) time of that rise; infinite for the others"""
         self._rising: BoolArray = np.zeros(shape, dtype=np.bool_)
         """(rows, columns) middles of the joint rises of this frame"""
+        self._together_s = np.full(shape, np.inf)
+        """(rows, columns) time since which untouched cells tell of a load together and steadily; infinite for others"""
+        self._together_kpa = np.zeros(shape)
+        """(rows, columns) largest weighted sum of pressures since then"""
         self._most_drift_kpa, self._drift_kpa_per_s = drift_kpa, drift_kpa / KNOWN_DRIFT * DRIFT_PER_S
         self._drift_kpa = np.zeros(shape)
         """(rows, columns) part of the pressure that drift may have made"""
@@ -229,22 +237,49 @@ class ContactTracker:
         """Look for cells that have risen jointly, and for those whose touch is over."""
         found = None if rise is None else self._rises.look(time_s, *rise)
         risen_kpa = self._risen_kpa
+        held = self._held_together(time_s, pressure_kpa, std_kpa)
         self._rising = np.zeros(self.shape, dtype=np.bool_) if found is None else found.middle
-        if found is None and not risen_kpa.any():
+        if found is None and held is None and not risen_kpa.any():
             return
         full = self.full_scale_kpa
-        if found is None and (pressure_kpa[risen_kpa > 0] >= FALLEN_SHARE * risen_kpa[risen_kpa > 0]).all():
+        if (
+            found is None
+            and held is None
+            and (pressure_kpa[risen_kpa > 0] >= FALLEN_SHARE * risen_kpa[risen_kpa > 0]).all()
+        ):
             return  # a held touch
         least = np.maximum(LEFT_SHARE * risen_kpa, STAY_SHARE * full)
         lasts = (pressure_kpa > least) & (risen_kpa > 0)
         lasts &= self._touch_lasts(time_s, pressure_kpa, None if found is None else found.fallen)
         if found is not None:
             lasts |= found.risen & (pressure_kpa > START_SHARE * full)
+        if held is not None:
+            lasts |= held
         self._risen_kpa = np.where(lasts, np.maximum(risen_kpa, pressure_kpa), 0.0)
         # What kept these cells in their contact is over: they stay only if their own pressures tell of a touch that
         # has not gone on and left a little behind.
         alone = pressure_kpa > np.fmax(JOIN_STDS * std_kpa, np.maximum(JOIN_SHARE * full, LEFT_SHARE * risen_kpa))
         self._labels = np.where((risen_kpa > 0) & ~lasts & ~alone, 0, self._labels)
+
+    def _held_together(self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray) -> BoolArray | None:
+        """(rows, columns) untouched cells of a steady load that neighbours tell of together; None: there is none."""
+        excess = pressure_kpa - self._drift_kpa
+        known = np.isfinite(excess) & np.isfinite(std_kpa)
+        pressed = known & (excess > START_SHARE * self.full_scale_kpa)
+        free = pressed & (self._labels == 0)
+        if not free.any():
+            self._together_s.fill(np.inf)
+            return None
+        sums, stds = sums_around(np.where(known, excess, 0.0)), sums_around(np.where(known, std_kpa, 0.0))
+        # Without its row and without its column, too: faults of the wiring move one line.
+        for total, std in zip(sums, stds, strict=True):
+            free &= total > TOGETHER_STDS * std
+        largest = np.where(np.isfinite(self._together_s), np.maximum(self._together_kpa, sums.whole), sums.whole)
+        steady = free & (sums.whole >= HELD_SHARE * largest)
+        self._together_s = np.where(steady, np.minimum(self._together_s, time_s), np.inf)
+        self._together_kpa = largest
+        middle = time_s - self._together_s > HELD_S
+        return with_all_neighbours(middle) & pressed if middle.any() else None
 
     def _touch_lasts(self, time_s: float, pressure_kpa: FloatArray, fallen: BoolArray | None) -> BoolArray:
         """(rows, columns) cells of joint rises whose touch goes on as a whole: its rim does not outlast its middle.

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from ohmskin.cell import Cell
+from ohmskin.emulator import LinkFault
 from ohmskin.errors import InputError
 
 GOOD = """
@@ -55,7 +56,7 @@ def test_a_good_cell_loads(tmp_path: Path) -> None:
             '"burgers"',
             "cell.toml: model.kind: input should be 'paper', 'asymmetric', 'm10' or 'contact' (got 'burgers')",
         ),
-        ('"asymmetric"', "3", "model.kind: input should be 'paper', 'asymmetric', 'm10' or 'contact' (got 3)"),
+        ('"asymmetric"', "3", "model.kind: input should be 'paper', 'asymmetric', 'm10' or 'contact' (got '3')"),
         ('kind = "asymmetric"', "", "cell.toml: missing key 'model.kind'"),
         ("eta2_kpa_s = 510", "eta2_kpa_s = nan", "model.asymmetric.eta2_kpa_s"),
         ("eta2_kpa_s = 510", "eta2_kpa_s = 5100000", "the third branch must be the slower"),
@@ -67,6 +68,11 @@ def test_a_bad_cell_is_refused(tmp_path: Path, old: str, new: str, message: str)
     assert "cell.toml" in str(caught.value)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_model_of_something_else_is_refused() -> None:
+    with pytest.raises(InputError, match=r"model\.kind: input should be .* \(got 'stall'\)"):
+        Cell.example().replace(model=LinkFault(kind="stall", at_s=1.0))
 
 
 def test_phases_that_disagree_at_equilibrium_are_refused() -> None:

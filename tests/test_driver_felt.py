@@ -229,6 +229,27 @@ def test_a_tap_beside_a_held_object_leaves_the_contact_of_the_object(rise_frames
         np.testing.assert_array_equal(contact.cells, np.argwhere(held > 0))
 
 
+@pytest.mark.parametrize(
+    ("where", "is_found"), [("fingertip", True), ("fades", False), ("row", False), ("cell", False)]
+)
+def test_a_slow_press_that_only_neighbours_together_tell_of_is_found(where: str, is_found: bool) -> None:
+    """Taps left a deviation of a third of the pressure. What fades is left by them; faults move one cell or line."""
+    load = bump(5, 6, 9.0, 1.2)
+    if where == "row":
+        load[np.arange(12) != 5] = 0.0
+    elif where == "cell":
+        load[load < 9.0] = 0.0
+    course = np.interp(np.arange(400), [20, 200, 300, 340], [0.0, 1.0, 1.0, 0.0])
+    if where == "fades":
+        course = np.exp(-np.arange(400) / 100)
+    noise = np.random.default_rng(4).normal(0, 0.05, (400, *SHAPE))
+    tracker = ContactTracker(SHAPE, PITCH_M, FULL_KPA)
+    std = 0.1 + bump(5, 6, 3.0, 1.2)
+    seen = [tracker.update(0.01 * k, course[k] * load + noise[k], std) for k in range(400)]
+    assert not any(seen[:40] + seen[345:])
+    assert [len(contacts) for contacts in seen[240:300]] == [1 if is_found else 0] * 60
+
+
 @pytest.mark.parametrize(("idle_rows", "bits", "noise_mv"), [("ground", 8, 4.0), ("float", 8, 4.0)])
 def test_boards_of_8_bits_with_dividers_find_taps(idle_rows: str, bits: int, noise_mv: float) -> None:
     """At 1000 frames per second; without the joint test half of the taps, and none with floating rows."""

@@ -193,7 +193,7 @@ def describe(error: ValidationError, model: type[BaseModel], tables: Mapping[str
             message = first["msg"][0].lower() + first["msg"][1:]
     given = first["input"]
     if first["type"] == "union_tag_invalid":  # the kind of a table, of which there are several
-        where, given = f"{where}.{_kind_key(first)}", given[_kind_key(first)]
+        where, given = f"{where}.{_kind_key(first)}", first["ctx"]["tag"]
         *others, last = first["ctx"]["expected_tags"].split(", ")
         message = f"input should be {', '.join(others)} or {last}"
     got = "" if isinstance(given, (dict, BaseModel)) else f" (got {shown(given)})"
