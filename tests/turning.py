@@ -300,7 +300,7 @@ class OneCell:
         sunk = (self.r - rises.pressure / m.eu1_kpa) * (1 - np.exp(-1.5 * dt / m.tu_s))
         pressure, by_noise = rises.pressure + gain * (mean - sunk - self.r), gain * noise / 2
         begun, below = pressure - release.LESS * by_noise, self.highest_mean - pressure
-        if not self.rising or begun > self.highest_mean:
+        if not self.rising or begun > self.highest_mean or by_noise > release.LOUD * self.full:
             self.highest_mean, self.fallen = begun, 0.0
             return
         by_change = (self.extreme - rises.pressure) * rise_r / fall_r

@@ -30,6 +30,9 @@ ALLOWED = 0.75
 """standard deviations by which a mean may be below the largest without adding to the sum"""
 LASTS_S = 0.5
 """time in which the largest mean fades"""
+LOUD = 0.05
+"""of full scale: standard deviation of a mean from which nothing is summed up. A resistance is a reciprocal of a
+current, and in so much noise single ones are far larger than the load makes them: all later ones would seem to fall"""
 
 NAMES = ("highest_mean", "fallen")
 """names of the rows of the memory, from :data:`._turning_rows.HIGHEST_MEAN_KPA` on"""
@@ -37,9 +40,9 @@ GAIN_KPA, SINCE, FADES, NOISE_KPA = range(4)
 """places of what depends on the time between frames: kPa per r in the rising model; share of the way to its
 equilibrium by which r has fallen, under a load that is held, since the mean of the readings was right; share of the way
 by which the largest mean fades until the next look; and kPa of a mean per deviation of a reading. Then constants:"""
-PER_EU1, RISE_PER_FALL, FALL_SHARE, TURN_KPA = range(4, 8)
+PER_EU1, RISE_PER_FALL, FALL_SHARE, TURN_KPA, LOUD_KPA = range(4, 9)
 """of the model; r of a fast rise over that of a fast fall; :data:`._turns.SHARED_FALL` as the recovery model answers
-it; and a fall that is none"""
+it; a fall that is none; and :data:`LOUD`"""
 _ZERO, _LESS, _ALLOWED = (np.array(x) for x in (0.0, LESS, ALLOWED))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
@@ -56,6 +59,7 @@ def constants(model: PaperModel, dt_s: float, full_scale_kpa: float) -> Constant
         RISE_PER_FALL: rise_r / fall_r,
         FALL_SHARE: SHARED_FALL * fall_r / rise_r,
         TURN_KPA: TURN * full_scale_kpa,
+        LOUD_KPA: LOUD * full_scale_kpa,
     }
     return numbered(numbers)
 
@@ -85,6 +89,7 @@ def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, numbers: tuple
     begun = pressure - by_noise * _LESS
     anew = begun > highest
     anew |= memory[SIGN] < _ZERO
+    anew |= by_noise > numbers[LOUD_KPA]
     held = extreme - memory[RECOVERY_KPA]
     held -= (extreme - rising) * numbers[RISE_PER_FALL]
     np.maximum(held, _ZERO, out=held)
@@ -107,7 +112,8 @@ def look_each(memory: Rows, mean: Row, noise: Row, numbers: Row) -> None:
         pressure = (mean[i] + since - r) * numbers[GAIN_KPA] + rising
         by_noise = noise[i] * numbers[NOISE_KPA]
         begun, below = pressure - by_noise * LESS, memory[HIGHEST_MEAN_KPA, i] - pressure
-        if begun > memory[HIGHEST_MEAN_KPA, i] or memory[SIGN, i] < 0.0:
+        loud = by_noise > numbers[LOUD_KPA]
+        if begun > memory[HIGHEST_MEAN_KPA, i] or memory[SIGN, i] < 0.0 or loud:
             memory[HIGHEST_MEAN_KPA, i], memory[FALLEN, i] = begun, 0.0
             continue
         held = extreme - memory[RECOVERY_KPA, i] - (extreme - rising) * numbers[RISE_PER_FALL]
