@@ -131,7 +131,8 @@ class Estimator:
         """All that a frame calls."""
         noise = *noise_meter.LOOPS, *shared_noise.LOOPS
         falls = tremor.LOOPS_OF_FALLS if self.inversion.steepness_kpa[1] > 0.0 else ()
-        return *loops.ALL, *smoothing.LOOPS, *noise, *tremor.LOOPS, *falls, *self.inversion.loops_used()
+        means = (noise_meter.recent_means_each,) if self.inversion.recovers else ()
+        return *loops.ALL, *smoothing.LOOPS, *noise, *means, *tremor.LOOPS, *falls, *self.inversion.loops_used()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Continue from a pickle, perhaps in a process without machine code."""

@@ -136,8 +136,8 @@ class Following:
             self._accept_taps(block)
         if frame % RECENT == 0:
             if self._inversion.recovers:
-                window = *self._noise.window, cells
-                self._inversion.recover_compiled(memory, taken, dt, line, *window, self._near(block))
+                mean, noise, count = self._noise.mean_of_recent(cells), taken[NOISE], line[smoothing.COUNT]
+                self._inversion.recover_compiled(memory, dt, mean, noise, count, self._near(block))
             self._look_for_tremor_compiled(block, ends_window=frame % WINDOW == 0)
         added = np.zeros(cells.size)
         if self._tremor.suspicious:

@@ -17,9 +17,8 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import Loop
 from . import _loops as loops
-from ._noise import recent_means
 from ._rows import GAIN, NOISE, PRESSURE, READING, SMOOTHED, STD
-from ._smoothing import COUNT, Looked
+from ._smoothing import Looked
 
 LOADS = (-0.5, 3.0)
 """times full scale beyond which no load is looked for"""
@@ -192,27 +191,14 @@ class Inversion(ABC):
     def recover_compiled(
         self,
         memory: FloatArray,
-        taken: FloatArray,
         dt_s: float,
-        line: FloatArray,
-        ring: FloatArray,
-        newest: int,
-        cells: IntArray,
+        mean: FloatArray,
+        noise: FloatArray,
+        count: FloatArray,
         near: IntArray,
     ) -> None:
-        """:meth:`recover` by machine code, where an inversion has loops for that.
-
-        Args:
-            memory: (rows, m) of the cells, changed.
-            taken: (4, m) readings of the frame, rows as in :mod:`._rows`.
-            dt_s: seconds between frames.
-            line: (ROWS, m) memory of the smoothing.
-            ring: (k, n) last readings of all cells.
-            newest: row of the last of them.
-            cells: (m,) indices.
-            near: (k, m) as for :meth:`recover`.
-        """
-        self.recover(memory, dt_s, recent_means(ring, newest, cells), taken[NOISE], line[COUNT], near)
+        """:meth:`recover` by machine code, where an inversion has loops for that."""
+        self.recover(memory, dt_s, mean, noise, count, near)
 
     def loops_used(self) -> tuple[Loop[..., Any], ...]:
         """All loops that :meth:`advance_compiled` calls."""

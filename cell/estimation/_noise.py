@@ -412,6 +412,10 @@ class NoiseMeter:
 
     def mean_of_recent(self, cells: IntArray) -> FloatArray:
         """(m,) mean of the last :data:`RECENT` readings of ``cells``."""
+        if self.compiled:
+            mean = np.empty(cells.size)
+            recent_means_each.unchecked(*self.window, cells, mean)
+            return mean
         return recent_means(*self.window, cells)
 
     def unrest(self, cells: IntArray, present: FloatArray) -> FloatArray:

@@ -21,14 +21,12 @@ from ..estimation import (
     DOUBT,
     GAIN,
     LOADS,
-    NOISE,
     PRESSURE,
     USUAL,
     VARIANCE,
     WINDOW,
     Inversion,
     credible_readings,
-    recent_means_each,
 )
 from ..materials import AsymmetricModel, ByStep, M10Model, as_m10, lag
 from . import _chains as chains
@@ -310,7 +308,7 @@ class AsymmetricInversion(Inversion):
         self._model_numbers = self._numbers_of_inverse()
 
     def loops_used(self) -> tuple[Loop[..., Any], ...]:
-        looks = (recent_means_each, *chains.LOOPS) if self.recovers else ()
+        looks = chains.LOOPS if self.recovers else ()
         return *loops.ALL, *looks
 
     def _numbers_of_inverse(self) -> FloatArray:
@@ -400,18 +398,15 @@ class AsymmetricInversion(Inversion):
     def recover_compiled(
         self,
         memory: FloatArray,
-        taken: FloatArray,
         dt_s: float,
-        line: FloatArray,
-        ring: FloatArray,
-        newest: int,
-        cells: IntArray,
+        mean: FloatArray,
+        noise: FloatArray,
+        count: FloatArray,
         near: IntArray,
     ) -> None:
         """The same by loops."""
-        of, mean, seen = self._chains.of(dt_s), np.empty(cells.size), np.empty((chains.SEEN, cells.size))
-        recent_means_each.unchecked(ring, newest, cells, mean)
-        chains.look_each.unchecked(memory, mean, taken[NOISE], near, of.row, of.way.rows, seen)
+        of, seen = self._chains.of(dt_s), np.empty((chains.SEEN, mean.size))
+        chains.look_each.unchecked(memory, mean, noise, near, of.row, of.way.rows, seen)
 
     def _limit(self, memory: FloatArray, r: FloatArray, std: FloatArray) -> None:
         """Keep loads within what is believed, and correct the memory to the reading ``r`` (n,) instead.

@@ -27,12 +27,10 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import Loop
 from ..estimation import (
-    COUNT,
     DOUBTED_LOAD,
     FAR,
     GAIN,
     LIGHT_LOAD,
-    NOISE,
     PRESSURE,
     REST_VARIANCE,
     RESTED,
@@ -40,7 +38,6 @@ from ..estimation import (
     WINDOW,
     Inversion,
     credible_readings,
-    recent_means_each,
 )
 from ..materials import ByStep, PaperModel, lag
 from . import _doubts as doubts
@@ -217,8 +214,15 @@ class TurningInversion(Inversion):
         return unconfirmed
 
     def loops_used(self) -> tuple[Loop[..., Any], ...]:
-        looks = recent_means_each, turns.look_at_steps_each
-        return *loops.ALL, *looks, *recovery.LOOPS, *released.LOOPS, *still.LOOPS, *onset.LOOPS, *sway.LOOPS
+        return (
+            *loops.ALL,
+            turns.look_at_steps_each,
+            *recovery.LOOPS,
+            *released.LOOPS,
+            *still.LOOPS,
+            *onset.LOOPS,
+            *sway.LOOPS,
+        )
 
     def advance_compiled(self, memory: FloatArray, taken: FloatArray, line: FloatArray, dt_s: float) -> FloatArray:
         w, of, numbers = self._weights.of(dt_s), self._beside, self._numbers.row
@@ -261,24 +265,20 @@ class TurningInversion(Inversion):
     def recover_compiled(
         self,
         memory: FloatArray,
-        taken: FloatArray,
         dt_s: float,
-        line: FloatArray,
-        ring: FloatArray,
-        newest: int,
-        cells: IntArray,
+        mean: FloatArray,
+        noise: FloatArray,
+        count: FloatArray,
         near: IntArray,
     ) -> None:
         """:meth:`recover` by the loops of the same rooms."""
-        mean, noise = np.empty(cells.size), taken[NOISE]
-        recent_means_each.unchecked(ring, newest, cells, mean)
         turns.look_at_steps_each.unchecked(memory, noise, self._numbers.row)
-        recovery.look_each.unchecked(memory, mean, noise, line[COUNT], self._recovery.of(dt_s).row)
+        recovery.look_each.unchecked(memory, mean, noise, count, self._recovery.of(dt_s).row)
         released.look_each.unchecked(memory, mean, noise, self._released.of(dt_s).row)
         still.look_each.unchecked(memory, mean, noise, self.full_scale_kpa, self._still.of(dt_s).row)
         onset.look_each.unchecked(memory, mean, noise, self.full_scale_kpa, self._onset.of(dt_s).row)
         of = self._sway.of(dt_s)
-        seen = np.empty((sway.SEEN, cells.size))
+        seen = np.empty((sway.SEEN, mean.size))
         sway.look_each.unchecked(memory, mean, noise, self._numbers.row[turns.STEPS], near, of.row, of.way.rows, seen)
 
     def released(self, memory: FloatArray) -> BoolArray | None:
