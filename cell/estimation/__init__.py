@@ -12,7 +12,7 @@ from ._held import longest_s
 from ._inversion import DOUBT, DOUBTED_LOAD, LIGHT_LOAD, LOADS, UNKNOWN, USUAL, Inversion, credible_readings
 from ._loops import FAR, REST_VARIANCE, RESTED
 from ._neighbours import ALIKE
-from ._noise import RECENT, WINDOW, recent_mean
+from ._noise import RECENT, WINDOW
 from ._rows import GAIN, NOISE, PRESSURE, READING, SMOOTHED, STD, VARIANCE
 from ._smoothing import COUNT, HIDDEN, SIGMAS
 
@@ -44,5 +44,4 @@ __all__ = [
     "Inversion",
     "credible_readings",
     "longest_s",
-    "recent_mean",
 ]
