@@ -123,8 +123,9 @@ class Remembered:
         self.stale = True
 
     def _gathered(self, cells: IntArray) -> Block:
-        if cells.size == self.memory.shape[1]:  # :meth:`flush` takes it back as it is
-            return Block(cells, self.memory, self.line)
+        if cells.size == self.memory.shape[1]:
+            # Not copied, as :meth:`flush` takes it back. Another array, as sign that it may have changed.
+            return Block(cells, self.memory[:], self.line[:])
         return Block(cells, self.memory.take(cells, axis=1), self.line.take(cells, axis=1))
 
 
