@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -21,12 +22,14 @@ from ohmskin.circuits.recovery import (
     _quick_model,
     _sheet_model,
 )
+from ohmskin.circuits.recovery._below_range import BelowRange
 from ohmskin.circuits.recovery._broken_lines import BrokenLines
 from ohmskin.circuits.recovery._column_blocks import ColumnBlocks, beyond_linear
 from ohmskin.circuits.recovery._column_scales import ColumnScales, _Scales
 from ohmskin.circuits.recovery._coupled import CoupledLive
 from ohmskin.circuits.recovery._coupled_board import CoupledBoard
-from ohmskin.circuits.recovery._frame_budget import ANEW_EFFORT, NODE_EFFORT, Budget
+from ohmskin.circuits.recovery._frame_account import Account
+from ohmskin.circuits.recovery._frame_budget import ANEW_EFFORT, FIRST_EFFORT, NODE_EFFORT, Budget
 from ohmskin.circuits.recovery._linearised import Base, Linearised
 from ohmskin.circuits.recovery._lines import LineResistance
 from ohmskin.circuits.recovery._node_blocks import NodeBlocks
@@ -176,8 +179,69 @@ def test_what_a_frame_does_is_within_its_account(monkeypatch: pytest.MonkeyPatch
             read(counts)
             did |= {name for name, _ in done}
             assert isinstance(read._recover, CoupledLive)
-            assert frame == 0 or sum(price for _, price in done) <= read._recover._prices.most
+            assert frame == 0 or sum(price for _, price in done) <= read._recover._prices.most(looks=False)
     assert {"_breaks", "renew", "at", "change", "_told", "changes"} <= did
+
+
+@pytest.mark.parametrize("kind", ["feedback", "floating"])
+def test_what_cells_below_the_range_change_is_worked_out_over_frames(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Eleven of them: ten steps, which a frame cannot always pay for. The result is that of one frame that can."""
+    design = board(kind, 5, 6).replace(readout={"offset_voltage": -3e-3})
+    cells = 1e4 * 10 ** np.random.default_rng(0).uniform(-0.2, 0.2, (5, 6))
+    cells[1:3, :5] = cells[3, 0] = np.inf
+    volts = scan(design, cells).volts
+    parts = CoupledBoard(design.board)
+    # What lies below the range reads as its lower end.
+    read = np.maximum(volts, 0.5 * parts.half_step)
+    frame = parts.frame(read, np.abs(read - parts.board.level), 0.0, None)
+    log = -np.log(np.minimum(cells, 1e9)).ravel()
+    known, linear, price = parts.at(log), Linearised(parts), parts.price(log)
+    assert linear.begin(known, Budget(FIRST_EFFORT, Account(inf)))
+    whole = BelowRange(parts)(frame, known, linear.base, Budget(FIRST_EFFORT, Account(inf)), price)
+    step, steps = linear.base.step, 0
+
+    def counted_step(apart: FloatArray) -> FloatArray:
+        nonlocal steps
+        steps += 1
+        return step(apart)
+
+    monkeypatch.setattr(linear.base, "step", counted_step)
+    below, suffices, frames = BelowRange(parts), False, 0
+    while not suffices:
+        steps, frames = 0, frames + 1
+        budget = Budget(FIRST_EFFORT, Account(3.5 * price))
+        found = below(frame, known, linear.base, budget, price)
+        suffices = budget.suffices
+        assert steps <= 3
+        assert frames < 20
+    assert frames > 1
+    np.testing.assert_allclose(found, whole, rtol=1e-12)
+
+
+def test_a_search_that_is_not_paid_for_leaves_a_frame_unsettled() -> None:
+    """Looking for rows of shorts that read like other cells behind followers takes up to eight rounds."""
+    found = _live_streams.stream("feedback", 170000023)
+    assert found is not None
+    read = CountReader(found.design)
+    recovery = read._recover
+    assert isinstance(recovery, CoupledLive)
+    for counts in found.counts:
+        before = read(counts)
+    assert before.valid.any()
+    recovery._shorts._price = recovery._prices.lost_rows = inf
+    after = read(found.counts[-1] + 1)
+    assert not after.valid.any()
+    assert (after.reason == Reason.UNSETTLED).any()
+
+
+@pytest.mark.parametrize("shape", [(1, 6), (4, 1)])
+def test_a_cell_without_a_contact_that_is_alone_on_its_line_does_not_end_the_reader(shape: tuple[int, int]) -> None:
+    """Floating lines that nothing is connected to have no potential."""
+    design = board("floating rows", *shape, fault=[{"kind": "open-cell", "place": [0, 0]}])
+    reading = CountReader(design)(adc_codes(design, scan(design, np.full(shape, 1e4)).volts))
+    assert reading.reason[0, 0] == Reason.HIDDEN
 
 
 def test_no_step_waits_for_ever() -> None:

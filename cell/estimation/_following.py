@@ -98,11 +98,11 @@ class Following:
             self._tremor.doubt_falls(cells, memory, looked, self._fall_kpa)
         if self._sparks.cells.size:
             self._accept_taps(block)
+        if self._inversion.recovers and frame % self._inversion.recent == 0:
+            count = block.line_before[smoothing.COUNT]
+            mean = self._noise.mean_of_recent(cells, self._inversion.recent)
+            self._inversion.recover(memory, dt, mean, noise, count, self._near(block))
         if frame % RECENT == 0:
-            if self._inversion.recovers:
-                count = block.line_before[smoothing.COUNT]
-                mean = self._noise.mean_of_recent(cells)
-                self._inversion.recover(memory, dt, mean, noise, count, self._near(block))
             self._look_for_tremor(block, noise, ends_window=frame % WINDOW == 0)
         added = None
         if self._tremor.suspicious:
@@ -134,10 +134,11 @@ class Following:
             self._tremor.doubt_falls_compiled(cells, memory, taken, line, self._fall_kpa)
         if self._sparks.cells.size:
             self._accept_taps(block)
+        if self._inversion.recovers and frame % self._inversion.recent == 0:
+            mean = self._noise.mean_of_recent(cells, self._inversion.recent)
+            noise, count = taken[NOISE], line[smoothing.COUNT]
+            self._inversion.recover_compiled(memory, dt, mean, noise, count, self._near(block))
         if frame % RECENT == 0:
-            if self._inversion.recovers:
-                mean, noise, count = self._noise.mean_of_recent(cells), taken[NOISE], line[smoothing.COUNT]
-                self._inversion.recover_compiled(memory, dt, mean, noise, count, self._near(block))
             self._look_for_tremor_compiled(block, ends_window=frame % WINDOW == 0)
         added = np.zeros(cells.size)
         if self._tremor.suspicious:

@@ -17,6 +17,7 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import Loop
 from . import _loops as loops
+from ._noise import RECENT
 from ._rows import GAIN, NOISE, PRESSURE, READING, SMOOTHED, STD
 from ._smoothing import Looked
 
@@ -63,6 +64,8 @@ class Inversion(ABC):
     """kPa per r by which a fast rise of the load and a fast fall are answered; 0: by the memory's gain"""
     recovers = False
     """whether :meth:`recover` does anything"""
+    recent = RECENT
+    """frames from one call of it to the next"""
     rests = 0.0
     """squared standard deviations at which a load and none are as likely in cells that are taken for cells at rest; 0:
     none are. :meth:`hides_kpa2` says the same to array operations"""
@@ -134,7 +137,7 @@ class Inversion(ABC):
         Args:
             memory: of the cells, after :meth:`advance`.
             dt_s: seconds between frames.
-            mean: (m,) of the last :data:`._noise.RECENT` readings.
+            mean: (m,) of the last :attr:`recent` readings.
             noise: (m,) standard deviation of one of them.
             count: (m,) readings since the smoothing last noticed a change.
             near: (k, m) places of the neighbours of each cell, see :meth:`._neighbours.Neighbours.among`.

@@ -71,7 +71,7 @@ MEDIAN_OF_SQUARES = 0.4549
 WINDOW = 12
 """readings that are kept, and compared with a parabola through them"""
 RECENT = 4
-"""readings of which :meth:`NoiseMeter.mean_of_recent` is the mean; frames between two looks at the window"""
+"""frames between two looks at the window"""
 HALF_STEP = math.sqrt(3.0)
 """half a step of an ADC over the standard deviation of an evenly distributed error, the resolution: no more is the
 standard deviation of readings that flip between two codes, and such readings show no motion"""
@@ -408,13 +408,13 @@ class NoiseMeter:
         """(WINDOW, n) the last readings, and which row is the newest."""
         return self._ring, (self._seen - 1) % WINDOW
 
-    def mean_of_recent(self, cells: IntArray) -> FloatArray:
-        """(m,) mean of the last :data:`RECENT` readings of ``cells``."""
+    def mean_of_recent(self, cells: IntArray, count: int) -> FloatArray:
+        """(m,) mean of the last ``count`` readings of ``cells``, no more than :data:`WINDOW`."""
         if self.compiled:
             mean = np.empty(cells.size)
-            recent_means_each.unchecked(*self.window, cells, mean)
+            recent_means_each.unchecked(*self.window, cells, count, mean)
             return mean
-        return recent_means(*self.window, cells)
+        return recent_means(*self.window, cells, count)
 
     def std(self, r: FloatArray, cells: slice | IntArray = slice(None)) -> FloatArray:
         """Standard deviation of the readings ``r`` of ``cells``."""
@@ -484,29 +484,29 @@ def additive_of(square: float, multiplicative: float) -> float:
     return multiplicative / max(square, 1.0) + (1.0 - multiplicative)
 
 
-def recent_means(ring: FloatArray, newest: int, cells: IntArray) -> FloatArray:
-    """(m,) mean of the last :data:`RECENT` readings of ``cells``; the last is in row ``newest`` of ``ring`` (k, n)."""
+def recent_means(ring: FloatArray, newest: int, cells: IntArray, count: int) -> FloatArray:
+    """(m,) mean of the last ``count`` readings of ``cells``; the last is in row ``newest`` of ``ring`` (k, n)."""
     total: FloatArray = ring[newest].take(cells)
-    for age in range(1, RECENT):
+    for age in range(1, count):
         total += ring[(newest - age) % len(ring)].take(cells)
-    total *= 1.0 / RECENT
+    total *= 1.0 / count
     return total
 
 
 @loop
-def recent_mean(ring: Rows, newest: int, cell: int) -> float:
+def recent_mean(ring: Rows, newest: int, cell: int, count: int) -> float:
     """:func:`recent_means` of one cell."""
     total = ring[newest, cell]
-    for age in range(1, RECENT):
+    for age in range(1, count):
         total += ring[(newest - age) % ring.shape[0], cell]
-    return float(total * (1.0 / RECENT))
+    return float(total * (1.0 / count))
 
 
 @loop
-def recent_means_each(ring: Rows, newest: int, cells: Places, mean: Row) -> None:
+def recent_means_each(ring: Rows, newest: int, cells: Places, count: int, mean: Row) -> None:
     """Write :func:`recent_means` into ``mean`` (m,)."""
     for i in range(cells.size):
-        mean[i] = recent_mean(ring, newest, cells[i])
+        mean[i] = recent_mean(ring, newest, cells[i], count)
 
 
 @loop

@@ -21,22 +21,25 @@ import numpy as np
 
 from ...arrays import FloatArray, IntArray
 from ...compiled import PlaceRows, Row, Rows, loop
-from ..estimation import PRESSURE, RECENT
+from ..estimation import PRESSURE
 from ..materials import M10Model
 from . import _meter as meter
 from . import _together as together
 from . import _way as way
 from ._inverse_loops import ANCHOR, BRANCH, BROKEN, FURTHEST, LOAD, MISSED
-from ._meter import EDGE, see_of, tell_of, uncounted_of
+from ._meter import see_of, tell_of, uncounted_of
 from ._paper_steps import numbered
 
+READINGS = 2
+"""from one look to the next. Chains break by all of the way, and blocks of twice as many hide a third of that of a
+tremor of eight frames, and nearly all of that of five"""
 UNSURE = 0.2
 """standard deviation over what is taken for broken"""
 LARGEST = 0.04
 """of full scale: how far a load may go from one look to the next without an edge"""
 BEARS = 3.0
 """standard deviations of a reading, in r over that of full scale: a load of less has nothing to go back"""
-CAUTION = way.Caution(may_from=2.4, told=3.0, does=5.0, of_most=0.1, most_share=1.0 / 24.0, hidden=1.0, alone_from=4.0)
+CAUTION = way.Caution(may_from=2.4, told=3.0, does=5.0, of_most=0.1, most_share=1.0 / 48.0, hidden=1.0, alone_from=4.0)
 """chains take much longer to heal than a tremor to be told: what is told by chance adds up for as long, and widens the
 deviation of loads that are held still"""
 LEAST_SLOPE = 0.05
@@ -54,6 +57,7 @@ look to the next; and :func:`._meter.owed_looks`"""
 BEARING = together.TELLS
 SEEN = together.TELLS + 1
 """rows of what a look at all cells sees before any of them is told: what they tell their neighbours, and the load"""
+EDGE = meter.edge(READINGS)
 _SERIES = METER + meter.SERIES
 _ZERO = np.array(0.0)
 
@@ -73,11 +77,11 @@ def constants(model: M10Model, dt_s: float, full_scale_kpa: float, full_scale_r:
     numbers = numbered(
         {
             **{A: model.a, B: model.b, K: model.k, FULL_KPA: full_scale_kpa, FULL_R: full_scale_r},
-            KEPT: math.exp(-RECENT * dt_s / model.tau_s),
-            OWED: meter.owed_looks(dt_s),
+            KEPT: math.exp(-READINGS * dt_s / model.tau_s),
+            OWED: meter.owed_looks(dt_s, READINGS),
         }
     )
-    return Constants(numbers.row, numbers.each, way.constants(dt_s, CAUTION))
+    return Constants(numbers.row, numbers.each, way.constants(dt_s, READINGS, CAUTION))
 
 
 def begin(memory: FloatArray, r: FloatArray) -> None:
@@ -89,7 +93,7 @@ def begin(memory: FloatArray, r: FloatArray) -> None:
 def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, near: IntArray, numbers: Constants) -> None:
     """Take the last readings of m cells; changes their ``memory`` (rows, m).
 
-    To be called every :data:`..estimation._noise.RECENT` frames.
+    To be called every :data:`READINGS` frames.
 
     Args:
         memory: of the cells.

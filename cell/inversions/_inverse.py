@@ -199,7 +199,7 @@ class AsymmetricInversion(Inversion):
         self._chains = ByStep(of_full_scale, self.model)
         self._of, self._crossed = np.empty((loops.ROWS, 0)), np.empty(0, dtype=np.intp)
         self.seeming = WINDOW * self.model.k / full_scale_kpa
-        self.recovers = self.model.k > 0 and not exact
+        self.recovers, self.recent = self.model.k > 0 and not exact, chains.READINGS
 
     def begin(self, r: FloatArray) -> FloatArray:
         m = self.model

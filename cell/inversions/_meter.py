@@ -21,7 +21,6 @@ import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import PlaceRows, Rows, loop
-from ..estimation import RECENT
 from . import _together as together
 from . import _way as way
 from ._together import KNOWN, WEIGHTED
@@ -51,8 +50,6 @@ _SERIES, _SQUARES = slice(SERIES, SQUARES), slice(SQUARES, LOADS)
 _LOADS, _APART = slice(LOADS, APART), slice(APART, HELD)
 HELD_FOR_EVER = 1e6
 """looks"""
-EDGE = way.CLEAR * math.sqrt(2.0 / RECENT)
-"""standard deviations of a reading"""
 LEAST_LOAD = 1e-3
 """keeps a load of none from dividing"""
 _BY_NOISE = np.array([1.0, 0.0])[:, None, None]
@@ -61,9 +58,14 @@ _ZERO, _ONE, _LEAST_LOAD = (np.array(x) for x in (0.0, 1.0, LEAST_LOAD))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
-def owed_looks(dt_s: float) -> float:
-    """Looks that the way counts for, where frames follow each other after ``dt_s``."""
-    return way.MEMORY_S / (RECENT * dt_s)
+def edge(readings: int) -> float:
+    """Standard deviations of a reading by which means of so many ``readings`` differ by noise at most."""
+    return way.CLEAR * math.sqrt(2.0 / readings)
+
+
+def owed_looks(dt_s: float, readings: int) -> float:
+    """Looks that the way counts for: frames follow each other after ``dt_s``, with ``readings`` from look to look."""
+    return way.MEMORY_S / (readings * dt_s)
 
 
 def begin(rows: FloatArray, level: FloatArray | float) -> None:
@@ -82,7 +84,7 @@ def look(
     near: IntArray,
     numbers: tuple[FloatArray, FloatArray, way.Constants],
 ) -> FloatArray:
-    """Take the last :data:`..estimation._noise.RECENT` readings of m cells; changes their ``rows``.
+    """Take the readings of m cells since the last look; changes their ``rows``.
 
     Args:
         rows: (as :data:`NAMES`, m) of the memory.
@@ -116,7 +118,7 @@ def look(
     looks = rows[LOOKS]
     looks += _ONE
     ends = way.ends_of_blocks(looks)
-    change = way.differences(rows[_SERIES].reshape(3, way.ALL_SERIES, -1), series, noises, most, ends)
+    change = way.differences(rows[_SERIES].reshape(3, way.ALL_SERIES, -1), series, noises, most, ends, of_way)
     product = change[0::2] * change[:2]  # own ones squared, and those of both groups
     bends = change[1:, SCALES:].copy()
     side = change[:2]

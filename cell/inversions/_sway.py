@@ -27,8 +27,8 @@ from ..materials import PaperModel
 from . import _meter as meter
 from . import _together as together
 from . import _way as way
-from ._meter import EDGE, tell_of, uncounted_of
 from ._meter import see_of as tell_neighbours_of
+from ._meter import tell_of, uncounted_of
 from ._onset import CLEAR_KPA
 from ._paper_steps import fast_r, numbered
 from ._turning_rows import (
@@ -77,7 +77,8 @@ BACK = together.TELLS
 SEEN = together.TELLS + 1
 """rows of what a look at all cells sees before any of them is told: what they tell their neighbours, and way in r of
 turns that have just been noticed"""
-_EDGE = np.array(meter.EDGE)
+EDGE = meter.edge(RECENT)
+_EDGE = np.array(EDGE)
 _ZERO, _HALF, _ONE, _UNSURE = (np.array(x) for x in (0.0, 0.5, 1.0, UNSURE))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
@@ -107,13 +108,13 @@ def constants(model: PaperModel, dt_s: float, full_scale_kpa: float) -> Constant
             OF_2: between_s / m.t2_s,
             OF_3: between_s / m.t3_s,
             KEPT_KPA: 0.5 * (rise_r - fall_r) / (rise_r * fall_r),
-            OWED: meter.owed_looks(dt_s),
+            OWED: meter.owed_looks(dt_s, RECENT),
             LARGEST_R: LARGEST * full_scale_kpa * rise_r,
             LARGEST_KPA: LARGEST * full_scale_kpa,
             LOAD_R: 0.5 * (rise_r + fall_r),
         }
     )
-    return Constants(numbers.row, numbers.each, way.constants(dt_s, way.Caution()))
+    return Constants(numbers.row, numbers.each, way.constants(dt_s, RECENT, way.Caution()))
 
 
 def begin(memory: FloatArray, r: FloatArray) -> None:

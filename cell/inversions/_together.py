@@ -25,9 +25,9 @@ import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import PlaceRows, Rows, loop
-from ..estimation import ALIKE, RECENT
+from ..estimation import ALIKE
 from . import _way as way
-from ._way import ALL_SERIES, SCALES, SHARE, count_of, differences_of, scaled, take_of
+from ._way import ALL_SERIES, READINGS, SCALES, SHARE, count_of, differences_of, scaled, take_of
 
 LEAST = 1e-9
 """reciprocal variance of a relative change of the load below which a group knows nothing"""
@@ -35,7 +35,7 @@ LEAST = 1e-9
 GROUPS = "alike", "between"
 SERIES = tuple(f"{name}_{group}" for group in GROUPS for name in way.SERIES)
 LOADS = tuple(f"load_{group}" for group in GROUPS)
-APART = tuple(f"apart_{RECENT << scale}" for scale in range(SCALES))
+APART = tuple(f"apart_{1 << scale}" for scale in range(SCALES))
 """names of rows of the memory: a series for each group, and its relative load, summed up. Mean products of both are as
 :data:`._way.SQUARES`. For each length of block, mean square of how far second differences of both groups are apart,
 over the variance by noise of single readings, and beyond that"""
@@ -122,7 +122,7 @@ def look_of(
     for scale in range(SCALES):
         if int(looks) & (length - 1):
             break
-        row, per_reading = series + scale, RECENT * length
+        row, per_reading = series + scale, numbers[READINGS, scale]
         alike, bend_alike, block_alike = differences_of(memory, row, i, block_alike)
         between, bend_between, block_between = differences_of(memory, row + ALL_SERIES, i, block_between)
         by_noise = math.sqrt(2.0 / per_reading)

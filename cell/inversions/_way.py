@@ -29,10 +29,9 @@ import numpy as np
 
 from ...arrays import BoolArray, FloatArray
 from ...compiled import Rows, loop
-from ..estimation import RECENT
 
 SCALES = 4
-"""lengths of blocks: one, two, four and eight times the readings of which the noise meter takes the mean"""
+"""lengths of blocks: one, two, four and eight times the readings from one look to the next"""
 MEMORY_S, LEAST_SHARE = 1.5, 1.0 / 64.0
 """seconds that the mean squares remember, and the least share of a block in them"""
 GROWS, AT_ONCE = 1.0, 0.25
@@ -61,25 +60,22 @@ HIDES_AT_FAST = 7.4
 """way of a sine over that which blocks of its period see. Those of a share of its period hide the square of that share:
 the means see less of it, and it turns the more often between them"""
 
-SERIES = tuple(f"{name}_{RECENT << scale}" for name in ("mean", "mean_before") for scale in range(SCALES))
-"""names of the rows of a series: for each length of block, mean of the last one, and of the one before"""
+SERIES = tuple(f"{name}_{1 << scale}" for name in ("mean", "mean_before") for scale in range(SCALES))
+"""names of the rows of a series: for each length of block in looks, mean of the last one, and of the one before"""
 SQUARES = tuple(
-    f"{name}_{RECENT << scale}" for name in ("bends", "up", "bends_up", "down", "bends_down") for scale in range(SCALES)
+    f"{name}_{1 << scale}" for name in ("bends", "up", "bends_up", "down", "bends_down") for scale in range(SCALES)
 )
 """names of the rows of mean squares, over the variances by noise and beyond what noise makes: of second differences, of
 differences upwards, of second differences upwards, and of both downwards"""
 ALL_SERIES, ALL_SQUARES = len(SERIES), len(SQUARES)
 _BENDS, _UP, _DOWN = 0, SCALES, 3 * SCALES
-SHARE, HIDES, CAUTION, ALONE_FROM = range(4)
-"""rows of the numbers that depend on the time between frames; in the last two those of :class:`Caution`"""
+SHARE, HIDES, CAUTION, ALONE_FROM, READINGS = range(5)
+"""rows of the numbers that depend on the time between frames; two of them are those of :class:`Caution`"""
 MAY_FROM, TOLD, DOES, OF_MOST = range(4)
 """places of these in that row"""
 _LOOKS_IN_BLOCK = 2.0 ** np.arange(SCALES)[:, None]
 _BEFORE_END = _LOOKS_IN_BLOCK.astype(np.intp) - 1
 """bits of the number of looks that are 0 at the end of a block"""
-_NOISE = np.concatenate([2.0 / (RECENT * _LOOKS_IN_BLOCK), 6.0 / (RECENT * _LOOKS_IN_BLOCK)])
-"""(2 * SCALES, 1) variances of first and second differences, over that of a reading"""
-_STD = np.sqrt(_NOISE)
 _PER_LOOK = WAY / _LOOKS_IN_BLOCK
 _ROOM = np.repeat([1.0, 0.5], (SCALES, 4 * SCALES))[:, None] * GROWS + AT_ONCE
 """(rows of SQUARES, 1) by which one difference may raise a mean square that is that of noise"""
@@ -118,8 +114,8 @@ class Constants(NamedTuple):
 
     caution: Caution
     rows: FloatArray
-    """(4, SCALES) for machine code: share of a block in the mean squares, how much of the way blocks may hide, the
-    first four of the caution, and from when own readings are believed alone"""
+    """(5, SCALES) for machine code: share of a block in the mean squares, how much of the way blocks may hide, the
+    first four of the caution, from when own readings are believed alone, and readings in a block"""
     shares: FloatArray
     """(SCALES, 1)"""
     hides: FloatArray
@@ -128,16 +124,22 @@ class Constants(NamedTuple):
     """(SCALES, 1) variance of the difference of mean squares from noise"""
     by_chance_and_noise: FloatArray
     """(SCALES, 1) the same where noise is known by its measure only"""
+    noise: FloatArray
+    """(2 * SCALES, 1) variances of first and second differences, over that of a reading"""
+    std: FloatArray
+    """(2 * SCALES, 1) their square roots"""
 
 
-def constants(dt_s: float, caution: Caution) -> Constants:
-    """The numbers for frames that follow each other after ``dt_s``."""
-    block_s = _LOOKS_IN_BLOCK * (RECENT * dt_s)
+def constants(dt_s: float, readings: int, caution: Caution) -> Constants:
+    """The numbers for frames that follow each other after ``dt_s``, with so many ``readings`` from look to look."""
+    in_block = _LOOKS_IN_BLOCK * readings
+    block_s = in_block * dt_s
     share = np.clip(block_s / MEMORY_S, LEAST_SHARE, caution.most_share)
     hides = np.minimum(caution.hidden + HIDES_AT_FAST * (FAST_HZ * block_s) ** 2, MOST_HIDDEN)
     by_chance = share * OF_SIDES**2
-    rows = np.array([share[:, 0], hides[:, 0], caution[:SCALES], [caution.alone_from] * SCALES])
-    return Constants(caution, rows, share, hides, by_chance, by_chance + NOISE_KNOWN**2)
+    rows = np.array([share[:, 0], hides[:, 0], caution[:SCALES], [caution.alone_from] * SCALES, in_block[:, 0]])
+    noise = np.concatenate([2.0 / in_block, 6.0 / in_block])
+    return Constants(caution, rows, share, hides, by_chance, by_chance + NOISE_KNOWN**2, noise, np.sqrt(noise))
 
 
 def ends_of_blocks(looks: FloatArray) -> BoolArray:
@@ -147,16 +149,22 @@ def ends_of_blocks(looks: FloatArray) -> BoolArray:
 
 
 def differences(
-    series: FloatArray, newest: FloatArray, noise: FloatArray, largest: FloatArray, ends: BoolArray
+    series: FloatArray,
+    newest: FloatArray,
+    noise: FloatArray,
+    largest: FloatArray,
+    ends: BoolArray,
+    numbers: Constants,
 ) -> FloatArray:
     """Take the ``newest`` means (k, m) into k ``series`` (k, as :data:`SERIES`, m), changed.
 
     Args:
         series: of the memory.
-        newest: means of the last :data:`..estimation._noise.RECENT` readings.
+        newest: means of the readings since the last look.
         noise: (k, m) standard deviation of one of them.
         largest: (k, m) way that a load may go without being noticed otherwise.
         ends: :func:`ends_of_blocks`.
+        numbers: :func:`constants`.
 
     Returns:
         (k, 2 * SCALES, m) first differences of blocks of each length, and second ones, over their deviation by noise.
@@ -174,7 +182,7 @@ def differences(
     change[:, SCALES:] += change[:, :SCALES]
     np.copyto(befores, means, where=ends)
     np.copyto(means, blocks, where=ends)
-    std = noise[:, None] * _STD
+    std = noise[:, None] * numbers.std
     change /= std
     limit = np.divide(largest[:, None], std, std)
     limit += _CLEAR
@@ -312,7 +320,7 @@ def tell(
     beyond *= MAY
     np.add(moved[0], beyond, out=moved[1])
     np.add(bends[0], beyond, out=bends[1])
-    variance = noise * noise * _NOISE
+    variance = noise * noise * numbers.noise
     ways = _ways(moved, bends, variance)
     hides = numbers.hides
     all_beside = ways[1] * hides
@@ -377,7 +385,7 @@ def look_of(
         if int(looks) & (length - 1):
             break
         change, bend, block = differences_of(memory, series + scale, i, block)
-        per_reading = RECENT * length
+        per_reading = numbers[READINGS, scale]
         change = scaled(change, noise * math.sqrt(2.0 / per_reading), largest)
         bend = scaled(bend, noise * math.sqrt(6.0 / per_reading), largest)
         share = numbers[SHARE, scale]
@@ -497,7 +505,7 @@ def tell_of(
         bends_down = own * memory[row + _DOWN, i] + beside * memory[other + _DOWN, i]
         clear = min(bends_up, bends_down) * 2.0 / sure
         moved = max(min(up + down, min(up, down) * SIDE + (0.5 * SIDE - 1.0)), 0.0)
-        per_reading = RECENT * length
+        per_reading = numbers[READINGS, scale]
         of_change, of_bend = noise * noise * (2.0 / per_reading), noise * noise * (6.0 / per_reading)
         beyond, hides = math.sqrt(by_chance_beside) * MAY, numbers[HIDES, scale]
         may_beside = way_of(moved + beyond, bends + beyond, of_change, of_bend, length) * hides

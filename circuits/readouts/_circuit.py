@@ -8,7 +8,7 @@ name it in the table in ``readouts/__init__.py``; docs/design.md lists what else
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -179,7 +179,7 @@ class ReadoutCircuit(ABC):
         return volts
 
     def imitated_by_shorts(
-        self, board: Parts, row_lead: FloatArray, signal: FloatArray, least: float
+        self, board: Parts, row_lead: FloatArray, signal: FloatArray, least: float, may_look: Callable[[], bool]
     ) -> BoolArray | None:
         """Readings that quite other cells give as well, some of which are shorts.
 
@@ -188,9 +188,10 @@ class ReadoutCircuit(ABC):
             row_lead: (N, M) ohm between each row's driver and the crosspoint.
             signal: (N, M) V above the reference.
             least: V of a signal that is none.
+            may_look: asked before each round of a search that takes several; the search ends where it says no.
 
         Returns:
-            (N, M) cells whose values such shorts would make wrong; None where there are none.
+            (N, M) cells whose values such shorts would make wrong; None where there are none, or none were found.
 
         """
         return None

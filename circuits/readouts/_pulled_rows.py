@@ -39,7 +39,12 @@ _GROWTH = np.concatenate([[1.0], np.geomspace(1.5, _MOST_MORE, 24)])
 
 
 def imitated(
-    board: Parts, lead: FloatArray, signal: FloatArray, least: float, apparent: Callable[[], FloatArray]
+    board: Parts,
+    lead: FloatArray,
+    signal: FloatArray,
+    least: float,
+    apparent: Callable[[], FloatArray],
+    may_look: Callable[[], bool],
 ) -> BoolArray | None:
     """(N, M) cells that shorts may imitate, those whose readings these would shift included; None: none.
 
@@ -49,23 +54,31 @@ def imitated(
         signal: (N, M) V above the reference.
         least: V of a signal that is none.
         apparent: (N, M) S of each cell, if it were alone, by the signals.
+        may_look: as of :meth:`.ReadoutCircuit.imitated_by_shorts`.
 
     """
     lift = board.follower_lift
-    if not _pulls_anywhere(board, float(lead.max()), signal, lift, least):
+    if not _pulls_anywhere(board, float(lead.max()), signal, lift, least) or not may_look():
         return None
     rows = PulledRows.of(board, lead, signal, lift, least, apparent())
     if _rows_together(rows, board, signal, lift, least):
         return np.ones(signal.shape, dtype=np.bool_)  # cells that read nothing still load the rows
-    return _imitated_in_rows(rows, board, signal, lift, least)
+    return _imitated_in_rows(rows, board, signal, lift, least, may_look)
 
 
 def _imitated_in_rows(
-    rows: PulledRows, board: Parts, signal: FloatArray, lift: FloatArray, least: float
+    rows: PulledRows,
+    board: Parts,
+    signal: FloatArray,
+    lift: FloatArray,
+    least: float,
+    may_look: Callable[[], bool],
 ) -> BoolArray | None:
     """:func:`imitated` of each row by itself, with the readings of all others as they are."""
     ordinary = np.maximum(_WELL_ABOVE / rows.reference, rows.apparent)
-    for _ in range(_ROUNDS):
+    for again in range(_ROUNDS):
+        if again and not may_look():
+            return None
         found = rows.second_solutions()
         if found is None:
             return None

@@ -6,7 +6,7 @@ The follower's output is what is read.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from math import inf
 from typing import NamedTuple
 
@@ -116,11 +116,11 @@ class VoltageFeedback(VoltageDivider):
         return None  # the follower keeps the column's other cells out of a reading
 
     def imitated_by_shorts(
-        self, board: Parts, row_lead: FloatArray, signal: FloatArray, least: float
+        self, board: Parts, row_lead: FloatArray, signal: FloatArray, least: float, may_look: Callable[[], bool]
     ) -> BoolArray | None:
         """Cells of rows that may conduct so well that the follower, through them, pulls at the row's crosspoints."""
         lead = row_lead.max(axis=1)
-        return imitated(board, lead, signal, least, lambda: self.apparent_conductance(board, signal))
+        return imitated(board, lead, signal, least, lambda: self.apparent_conductance(board, signal), may_look)
 
     def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:
         """By the energies of two fields: 1 V at the sensed column alone, and the step as it is.

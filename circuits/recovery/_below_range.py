@@ -15,6 +15,7 @@ import numpy as np
 
 from ...arrays import BoolArray, FloatArray
 from ._coupled_board import CoupledBoard, Frame, Known
+from ._frame_budget import Budget
 from ._linearised import Base
 
 _ONE_BY_ONE = 8  # readings whose effects are added up without their signs; those of the others keep them
@@ -33,14 +34,18 @@ class BelowRange:
         self._parts = parts
         self._per_siemens = np.broadcast_to(per_siemens, parts.shape).ravel()  # V
         self._kept: tuple[Base | None, BoolArray, FloatArray, FloatArray] | None = None
+        self._alone: tuple[Base | None, dict[int, FloatArray]] = None, {}
 
-    def __call__(self, frame: Frame, known: Known, base: Base) -> FloatArray | float:
+    def __call__(self, frame: Frame, known: Known, base: Base, budget: Budget, step_price: float) -> FloatArray | float:
         """Relative change (n,) of the conductances while cells below the range take any value they can have.
 
         Args:
             frame: the readings, some of which are at the lower end of the range.
             known: the cells that have been found for them.
             base: the linear model about these.
+            budget: of the frame. What it cannot pay for, the next frames do while the base stays; until then the
+                result is too low, and :attr:`.Budget.suffices` is False.
+            step_price: of a step by the base.
 
         """
         open_volts = self._open_volts(frame, known)
@@ -50,9 +55,14 @@ class BelowRange:
         kept = self._kept
         if kept is None or kept[0] is not base or (chosen & ~kept[1]).any() or (open_volts > kept[2])[chosen].any():
             allowed = np.where(chosen, _ALIKE * open_volts, 0.0)
-            effects = self._effects(allowed, base)
-            if not base.whole:
-                np.maximum(effects, self._effects_of_opening(known, chosen, allowed, base), out=effects)
+            effects = self._effects(allowed, base, budget, step_price)
+            if effects is not None and not base.whole:
+                if budget.judge(self._parts.price(known.log) + step_price):
+                    np.maximum(effects, self._effects_of_opening(known, chosen, allowed, base), out=effects)
+                else:
+                    effects = None
+            if effects is None:
+                return 0.0
             kept = self._kept = base, chosen, allowed, effects
         return kept[3]
 
@@ -73,19 +83,31 @@ class BelowRange:
         more[chosen] = 0.0
         return more
 
-    def _effects(self, volts: FloatArray, base: Base) -> FloatArray:
-        """Relative change (n,) of the other cells by volts (n,) that readings may be off."""
+    def _effects(self, volts: FloatArray, base: Base, budget: Budget, step_price: float) -> FloatArray | None:
+        """Relative change (n,) of the other cells by volts (n,) that readings may be off. None: not paid for."""
         order = np.argsort(volts)[::-1]
-        changed = np.zeros(len(volts))
-        for place in order[:_ONE_BY_ONE]:
-            if volts[place] > 0.0:
-                alone = np.zeros(len(volts))
-                alone[place] = volts[place]
-                change = np.abs(base.step(alone))
-                change[place] = 0.0
-                changed += change
+        largest = [place for place in order[:_ONE_BY_ONE].tolist() if volts[place] > 0.0]
+        of, before = self._alone
+        alone = {place: before[place] for place in largest if place in before} if of is base else {}
+        self._alone = base, alone
+        for place in largest:
+            if place not in alone:
+                if not budget.judge(step_price):
+                    return None
+                alone[place] = self._effect_alone(place, base)
+        changed: FloatArray = volts[largest] @ np.array([alone[place] for place in largest])
         rest = volts.copy()
-        rest[order[:_ONE_BY_ONE]] = 0.0
+        rest[largest] = 0.0
         if rest.any():
+            if not budget.judge(step_price):
+                return None
             changed += np.abs(base.step(rest))
         return changed
+
+    def _effect_alone(self, place: int, base: Base) -> FloatArray:
+        """Relative change (n,) of the other cells per volt that the reading at ``place`` may be off."""
+        alone = np.zeros(len(self._per_siemens))
+        alone[place] = 1.0
+        change: FloatArray = np.abs(base.step(alone))
+        change[place] = 0.0
+        return change

@@ -91,13 +91,13 @@ class CoupledLive:
         self._start = ClosedStart(parts, columns)
         self._rows = LostRows(parts)
         self._limits = ReadingLimits(parts, nearly_independent=columns.applies, loses_rows=self._rows.applies)
-        self._shorts = PossibleShorts(parts)
         self._uncertainty = FitUncertainty(parts)
         self._is_divider = not (board.floating or board.circuit.has_amplifiers)
         self.scales_columns = self._is_divider and columns.applies and not board.turned
         self._prices = prices = self._linearised.prices
         self._scales = ColumnScales(parts, prices)
         self._solutions = FollowerSolutions(parts, prices.solutions)
+        self._shorts = PossibleShorts(parts, prices.imitated)
         self._below = BelowRange(parts)
         self._broken = BrokenLines(parts, prices.compare)
         self._convergence = Convergence()
@@ -164,11 +164,12 @@ class CoupledLive:
             self._settled = fit.known.log
             if self._broken.applies:
                 self._broken.remember(read, error)
-        if selection.lost_rows is not None:
+        astray = self._convergence.astray
+        if selection.lost_rows is not None and not astray and budget.judge(self._prices.lost_rows):
             conductance = 1.0 / fit.known.cells
             by_lost = self._rows.change(frame, selection.lost_rows, selection.at_limit, conductance)
-        left = self._left_open(frame, fit, by_lost, doubt)
-        beside = self._disturbed(frame, fit, selection, left.fitted, short)
+        left = self._left_open(frame, fit, by_lost, doubt, budget)
+        beside = self._disturbed(frame, fit, selection, left.fitted, short, budget)
         # Other sets of cells are enclosed where that may tell of some cell.
         if not self._convergence.astray and np.any((left.all <= 1.0) & ~beside.ravel()):
             left = left.besides(self._other_cells(frame, fit, budget))
@@ -179,7 +180,8 @@ class CoupledLive:
     def _budget_of_frame(self) -> Budget:
         """The budget of a new frame. What the first one of all has left is lost, also where it tells of no cell."""
         if self._has_begun:
-            account = Account(self._prices.most if self._parts.sheet is None else inf)
+            most = self._prices.most(looks=self._shorts.usually_looks)
+            account = Account(most if self._parts.sheet is None else inf)
             account.spend(self._prices.reading)
             return Budget(self._linearised.usual_effort(anew=self._known is None or self._convergence.fresh), account)
         self._has_begun = True
@@ -284,7 +286,7 @@ class CoupledLive:
             if convergence.fresh and convergence.failures > _MOST_FAILURES:
                 raise SolverError("no cell resistances give these readings; check that the design is that of the board")
 
-    def _left_open(self, frame: Frame, fit: Fit, by_lost: FloatArray | float, doubt: float) -> _Open:
+    def _left_open(self, frame: Frame, fit: Fit, by_lost: FloatArray | float, doubt: float, budget: Budget) -> _Open:
         """Uncertainties of the fit.
 
         Args:
@@ -292,6 +294,7 @@ class CoupledLive:
             fit: the cells that have been found for them.
             by_lost: relative change (n,) by columns that are left out.
             doubt: relative, what a continuous sheet leaves open.
+            budget: of the frame.
 
         """
         base = self._linearised.base
@@ -309,7 +312,7 @@ class CoupledLive:
             with np.errstate(over="ignore"):  # what is boundless stays so
                 by_columns = by_columns * (1.0 + leads / fit.known.cells).ravel()
         if frame.bottom is not None:
-            others = others + self._below(frame, fit.known, base)
+            others = others + self._below(frame, fit.known, base, budget, self._linearised.step_price)
         if self._broken.beyond is not None:
             others = others + self._broken.change(frame.volts, base)
         fitted = by_readings + others + doubt
@@ -325,7 +328,13 @@ class CoupledLive:
         return None
 
     def _disturbed(
-        self, frame: Frame, fit: Fit, selection: Selection, uncertainty: FloatArray, short: BoolArray | None
+        self,
+        frame: Frame,
+        fit: Fit,
+        selection: Selection,
+        uncertainty: FloatArray,
+        short: BoolArray | None,
+        budget: Budget,
     ) -> BoolArray:
         """(N, M) cells of which the frame does not tell, or whose values shorts would make wrong.
 
@@ -335,6 +344,7 @@ class CoupledLive:
             selection: readings that are left out.
             uncertainty: (n,) of the fit, but for what columns do that are left out or of unknown scale.
             short: (N, M) cells of the fit that are as good as shorts; None: there are none.
+            budget: of the frame.
 
         """
         beside = selection.beside
@@ -343,7 +353,7 @@ class CoupledLive:
         if short is not None:  # its lines carry what no derivative tells
             beside = beside | short.any(axis=1, keepdims=True) | short.any(axis=0, keepdims=True)
         if not self._convergence.astray:
-            disturbed = self._shorts.disturb(frame, fit.known, uncertainty, selection.lost, selection.lost_rows)
+            disturbed = self._shorts.disturb(frame, fit.known, uncertainty, selection.lost, selection.lost_rows, budget)
             if disturbed is not None:
                 beside = beside | disturbed
         return beside

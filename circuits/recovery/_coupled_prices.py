@@ -34,6 +34,10 @@ class CoupledPrices:
             self.by_lines = 100.0 + 0.3 * cells if ideal else 150.0 + cells
         self.lost, self.each_lost = 80.0 + 0.05 * cells, 15.0
         """what columns that are left out may change, beside each of them; each of them"""
+        self.lost_rows = 190.0 + 0.1 * cells
+        """what rows that are left out may change"""
+        self.imitated = 300.0 + 0.5 * cells
+        """a round of the search for shorts that a follower's readings may be of as well"""
         self.compare = 200.0 + 0.3 * cells
         """what lines that broke make of the readings, beside an evaluation each of the sound and of the broken board"""
         self.told, self.scales, self.narrow = 100.0 + 0.1 * cells, 200.0 + 0.2 * cells, 180.0 + 0.3 * cells
@@ -46,6 +50,10 @@ class CoupledPrices:
         dearest = self.compare + 2.0 * parts.quick.most_price(cells)
         if not ideal:
             dearest = max(parts.quick.sparse_price(cells) + self.lines, dearest)
+        self._usual, self._dearest = usual, dearest
+
+    def most(self, *, looks: bool) -> float:
+        """What a frame may cost on a board whose usual frames ``look`` for imitations."""
+        usual = self._usual + (self.imitated if looks else 0.0)
         # No step is dearer than a frame, or what waits for it would wait for ever.
-        self.most = max(USUAL_FRAMES * usual, dearest + 2.0 * usual)
-        """what a frame may cost"""
+        return max(USUAL_FRAMES * usual, self._dearest + 2.0 * usual)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from math import inf
 
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray
 from ._coupled_board import CoupledBoard, Frame, Known
+from ._frame_budget import Budget
 from ._live_reading import SIGMAS
 
 _FAR_BELOW = 0.05  # share of its leads' resistance below which a cell is as good as a short
@@ -19,8 +21,12 @@ _RESOLVED = 4.0  # half steps and noise of a reading that is far from none
 class PossibleShorts:
     """What shorts would do to the readings of one board."""
 
-    def __init__(self, parts: CoupledBoard) -> None:
-        """For a board."""
+    def __init__(self, parts: CoupledBoard, price: float) -> None:
+        """For a board, and what a round of the search for shorts that pass for other cells costs."""
+        self._price = price
+        self._looked, self._always_looked = False, True
+        self.usually_looks = False
+        """whether there has been such a search in every frame that was asked about"""
         board, lines = parts.board, parts.lines
         self._board, self._shape = board, parts.shape
         explained = parts.gone.reshape(parts.shape)
@@ -44,7 +50,8 @@ class PossibleShorts:
         known: Known,
         uncertainty: FloatArray,
         lost: BoolArray | None,
-        lost_rows: BoolArray | None = None,
+        lost_rows: BoolArray | None,
+        budget: Budget,
     ) -> BoolArray | None:
         """Cells whose values would be wrong if cells that may be shorts were such.
 
@@ -54,6 +61,7 @@ class PossibleShorts:
             uncertainty: (n,) of the conductances, but for what the lost columns do.
             lost: (M,) columns that are left out; None: there are none.
             lost_rows: (N,) rows that are left out, whose effects have bounds of their own; None: there are none.
+            budget: of the frame.
 
         Returns:
             (N, M); None where there are none.
@@ -68,10 +76,18 @@ class PossibleShorts:
         row_lead = self._row_lead
         if lost_rows is not None:
             row_lead = np.where(lost_rows[:, None], 0.0, row_lead)
-        imitated = self._board.circuit.imitated_by_shorts(self._board, row_lead, signal, least)
+        self._looked, may_look = False, partial(self._may_look, budget)
+        imitated = self._board.circuit.imitated_by_shorts(self._board, row_lead, signal, least, may_look)
+        self._always_looked &= self._looked
+        self.usually_looks = self._always_looked
         if tied is None or imitated is None:
             return imitated if tied is None else tied
         return tied | imitated
+
+    def _may_look(self, budget: Budget) -> bool:
+        """Pay for a round of the search."""
+        self._looked = True
+        return budget.judge(self._price)
 
     def _tied(self, known: Known, uncertainty: FloatArray, excess: FloatArray) -> BoolArray | None:
         """Cells on lines that two cells, which may be shorts, join with each other by way of a third line.

@@ -148,13 +148,16 @@ class QuickModel:
             cells: (N, M) ohm.
 
         Returns:
-            None where there is no short way.
+            None where there is no short way, as where parts of the grid are connected to nothing.
 
         """
         if not self.has_network:
             return None
         conductance = self._board.cell_conductance(cells)
-        fields = self._board.circuit.quick_fields(self._board, self._network(conductance))
+        try:
+            fields = self._board.circuit.quick_fields(self._board, self._network(conductance))
+        except np.linalg.LinAlgError:
+            return None
         return None if fields is None else self._products(fields, cells)
 
     def products(self, cells: FloatArray) -> PortDerivatives | None:

@@ -54,6 +54,9 @@ FixedCodes = Annotated[CodeArray, "Array(uint32, 1, 'C', readonly=True)"]
 WAIT = "up to 40 s"
 """processor time in which all loops, more than eighty, are compiled on a slow core; a fast one takes half as long"""
 
+_OPTIONS = {"nogil": True, "error_model": "numpy", "forceinline": True}
+"""of Numba for all loops. The last one, for LLVM: a loop becomes a part of those that call it. A call for each cell
+would pass some ten words per array, count references to them, and take as long as the work that is done there"""
 _SCALARS = {float: "float64", int: "intp", bool: "boolean", type(None): "void"}
 _OFF, _CHECKED = ("0", "no", "off", "false"), "checked"
 _log = logging.getLogger("ohmskin")
@@ -162,7 +165,7 @@ class Loop(Generic[P, R]):
         import numba
 
         # The signature makes Numba compile at once, and for no other types: a stream never waits for the compiler.
-        return numba.njit(self._signature(), cache=keep, nogil=True, error_model="numpy")(self._own_function())
+        return numba.njit(self._signature(), cache=keep, **_OPTIONS)(self._own_function())
 
     def _own_function(self) -> FunctionType:
         """A copy whose helpers are compiled functions, under a name that changes with all that it depends on.
@@ -187,7 +190,7 @@ class Loop(Generic[P, R]):
     def _stamp(self) -> str:
         """Digest of the code, and of the numbers and helpers that it uses."""
         code = cast(FunctionType, self.function).__code__
-        parts = [code.co_code.hex(), repr(code.co_consts), repr(code.co_names), self._signature()]
+        parts = [code.co_code.hex(), repr(code.co_consts), repr(code.co_names), self._signature(), repr(_OPTIONS)]
         for name, value in sorted(self._globals().items()):
             parts.append(f"{name}={value._stamp() if isinstance(value, Loop) else value!r}")
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
