@@ -166,7 +166,7 @@ class OneCell:
         direction = 1.0 if self.rising else -1.0
         held = direction * (self.third_last - now.pressure) < 3 * dt * doubts.HELD_PER_S * self.full
         below = self.peak - ahead
-        share = doubts.AGAIN if below < max(unsure, doubts.FLAT * self.full if held else 0.0) else 0.0
+        share = doubts.AGAIN if below < unsure else 0.0
         share = 1.0 if below <= turns.EXACTLY * self.full else share
         if self.left is not None:
             share = 0.0
@@ -325,9 +325,6 @@ class OneCell:
         if not alike or abs(off) > still.LIGHT_TOUCH * self.full + noise_kpa:
             was.off, was.pressure = off, p
             return
-        doubt = max(self.doubt, (still.EITHER * max(growth - noise_kpa, 0)) ** 2)
-        self.variance += doubt - self.doubt
-        self.doubt = doubt
         if growth > max(clear * self.full, noise_kpa / flat):
             x3 = was.x3 + was.load / m.e3_kpa
             self.other = Hypothesis(was.load, self.other.settled, self.r - was.load / m.e1_kpa - x3, x3)
@@ -364,10 +361,6 @@ class OneCell:
         if seen.looks == onset.SETTLES:
             seen.earliest, seen.clear_pull = Rise(0.0, -m.etau2_kpa * (self.now.x2 + self.now.x3)), 0.0
         if seen.looks == onset.SETTLES or seen.pull <= none + onset.COINCIDENCE * load_kpa or load_kpa < -unsure:
-            if seen.clear_pull > 0:
-                doubt = max(self.doubt, (onset.EITHER * max(load_kpa, 0)) ** 2)
-                self.variance += doubt - self.doubt
-                self.doubt = doubt
             seen.x2, seen.x3, seen.pull, seen.clear_pull = self.now.x2, self.now.x3, 0.0, 0.0
             seen.begun = Rise(0.0, -m.etau2_kpa * (seen.x2 + seen.x3))
             may_bear = lasts
