@@ -93,9 +93,7 @@ class OneCell:
         if refuted:
             turned = self.rising
         if turned:
-            late, earlier = 0.0, 0.0
-            if self.left is None:
-                late = self._late(now, other, std * gains[self.rising])
+            earlier = 0.0
             if self.left is None and self.rising:
                 earlier = third.MIDWAY * self._turned_earlier(0.0, std * gains[True])
             if self.left is None:
@@ -110,7 +108,7 @@ class OneCell:
             self.left = None if again else self.extreme
             sign = 1.0 if self.rising else -1.0
             there = max(sign * (self.third_last - self.before_last), sign * (self.before_last - self.last), 0.0)
-            way = min(takeover.JUST_BEGUN * there, max(abs(now.pressure - self.last), takeover.HALF * there))
+            way = min(takeover.JUST_BEGUN * there, abs(now.pressure - self.last))
             bend = 1 / m.eu1_kpa + 1 / m.etau2_kpa - 1 / m.e1_kpa
             fast = max(1.0, abs(now.pressure - self.last) / (takeover.FAST * turns.TURN * self.full))
             way = max(way - rows.SURE * unsure, 0.0)
@@ -119,8 +117,8 @@ class OneCell:
                 unseen += self._hidden(now.pressure, other.pressure)
             self.onset.looks = 0 if noticed and not self.rising else self.onset.looks
             may_bear, self.onset.may_bear = self.onset.may_bear, 0.0
-            now = self._without_delay(now, max(late, earlier))
-            self.earlier -= max(late, earlier)
+            now = self._gone_further(now, earlier)
+            self.earlier -= earlier
             ahead = sign * max(now.pressure, 0)
             self.extreme = left if again else ahead - turns.LESS * unsure
             self.peak = left if again else ahead - unsure
@@ -141,9 +139,6 @@ class OneCell:
             self.rested, self.drift, self.taken_off, self.released = False, 0.0, 0.0, released
             error = min(np.sqrt(self.doubt), recovery.MOST * self.full)
             self.last_drift = recovery.DRIFTS * error
-            if late > 0:
-                doubt_kpa = np.sqrt(self.doubt) + takeover.MAY_BEND * late
-                self.doubt = self.variance = min(doubt_kpa**2, (UNKNOWN * self.full) ** 2)
         unsure = std * gains[self.rising]
         ahead = self._ahead(now)
         if refuted:
@@ -282,10 +277,12 @@ class OneCell:
         by_noise = (gain * noise) ** 2 / 4
         if max(pressure**2, self.now.pressure**2) >= recovery.REST_SIGMAS**2 * (self.rest_variance + by_noise):
             return
-        kept = by_noise / (by_noise + self.rest_variance)
+        fallen = max(self.third_last - self.now.pressure - recovery.STEADY * gain * noise, 0.0)
+        unsure = by_noise + (recovery.GOES_ON * fallen) ** 2
+        kept = unsure / (unsure + self.rest_variance)
         error = pressure * (1 - kept)
         self.rest_variance *= kept
-        self.rested = True
+        self.rested = self.rested or fallen == 0.0
         self.taken_off += error
         self.now = self._begun(self.now.pressure - error, self.r, self.now.x3)
         self.other = self._begun(self.now.pressure, self.r, self.now.x3)
@@ -411,27 +408,13 @@ class OneCell:
         hidden = np.clip(1 - (recovers + self.extreme) / rise / fast, 0, 1)
         return float(onset.HIDDEN_SHARE * hidden**2 * max(self.onset.earliest.pressure - pressure, 0))
 
-    def _late(self, left: Hypothesis, other: Hypothesis, unsure: float) -> float:
-        """By how much the pressure was off when the model that is left turned, if the load is a parabola in time."""
-        m, sign = self.model, 1.0 if self.rising else -1.0
-        rise_r, fall_r = 1 / m.eu1_kpa + 1 / m.etau2_kpa, 1 / m.e1_kpa
-        left_r, other_r = (rise_r, fall_r) if self.rising else (fall_r, rise_r)
-        away = takeover.AWAY * self.full < abs(self.extreme) and self.extreme < USUAL * self.full
-        if not away or unsure >= takeover.SMOOTH * turns.TURN * self.full:
-            return 0.0
-        gone, way = (self.extreme + unsure - sign * one.pressure for one in (left, other))
-        by_drift = way * other_r / left_r - gone
-        if by_drift <= rows.SURE * unsure:
-            return 0.0
-        return min(by_drift**2 * (left_r + other_r) / (4 * other_r * gone), way)
-
-    def _without_delay(self, now: Hypothesis, late: float) -> Hypothesis:
-        """The hypothesis taken over, whose pressure went on for too long: less goes back, more is remembered of it."""
+    def _gone_further(self, now: Hypothesis, kpa: float) -> Hypothesis:
+        """The hypothesis taken over, whose load turned before: less goes back, more is remembered of it."""
         m = self.model
         if self.rising:
-            settled = now.settled + late * (1 + m.etau2_kpa / m.eu1_kpa)
-            return Hypothesis(now.pressure + late, settled, now.x2, now.x3)
-        return Hypothesis(now.pressure - late, now.settled, now.x2 + late / m.e1_kpa, now.x3)
+            settled = now.settled + kpa * (1 + m.etau2_kpa / m.eu1_kpa)
+            return Hypothesis(now.pressure + kpa, settled, now.x2, now.x3)
+        return Hypothesis(now.pressure - kpa, now.settled, now.x2 + kpa / m.e1_kpa, now.x3)
 
     def _follow_earlier_turn(self, unsure: float, confirmed: bool) -> None:
         """Begin the hypothesis anew that the load turned earlier, where its pressure has gone on as before."""

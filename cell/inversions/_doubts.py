@@ -63,7 +63,7 @@ and half, the two errors about cancel"""
 CREEPS = CREEP / (3.0 * HELD_PER_S)
 """share of what a held pressure may seem to go back by in three frames that a recent extreme fades by in one"""
 
-FLAT_KPA, CLEAR_KPA2 = 31, 32
+FLAT_KPA, CLEAR_KPA2 = 28, 29
 """places of numbers, behind those of :mod:`._takeover`: :data:`FLAT`, and a variance that is more than rounding"""
 _ZERO, _ONE, _FAR, _LESS, _PER_LESS, _EITHER, _EARLIER, _AGAIN, _GOES_BACK, _KEPT = (
     np.array(x) for x in (0.0, 1.0, FAR, LESS, 1.0 / LESS, EITHER, EARLIER, AGAIN, GOES_BACK, 1.0 - GONE)
