@@ -277,10 +277,12 @@ class OneCell:
         by_noise = (gain * noise) ** 2 / 4
         if max(pressure**2, self.now.pressure**2) >= recovery.REST_SIGMAS**2 * (self.rest_variance + by_noise):
             return
-        kept = by_noise / (by_noise + self.rest_variance)
+        fallen = max(self.third_last - self.now.pressure - recovery.STEADY * gain * noise, 0.0)
+        unsure = by_noise + (recovery.GOES_ON * fallen) ** 2
+        kept = unsure / (unsure + self.rest_variance)
         error = pressure * (1 - kept)
         self.rest_variance *= kept
-        self.rested = True
+        self.rested = self.rested or fallen == 0.0
         self.taken_off += error
         self.now = self._begun(self.now.pressure - error, self.r, self.now.x3)
         self.other = self._begun(self.now.pressure, self.r, self.now.x3)
