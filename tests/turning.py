@@ -166,7 +166,7 @@ class OneCell:
         direction = 1.0 if self.rising else -1.0
         held = direction * (self.third_last - now.pressure) < 3 * dt * doubts.HELD_PER_S * self.full
         below = self.peak - ahead
-        share = doubts.AGAIN if below < max(unsure, doubts.FLAT * self.full if held else 0.0) else 0.0
+        share = doubts.AGAIN if below < unsure else 0.0
         share = 1.0 if below <= turns.EXACTLY * self.full else share
         if self.left is not None:
             share = 0.0
@@ -187,7 +187,7 @@ class OneCell:
         self.forgotten += min(forgotten, third.OF_FALL * fallen)
         self.forgotten *= max(1 - third.LASTS * (1 - fade), 0.0) if fallen >= 0 else 0.0
         self.forgotten = max(self.forgotten, 0.0)
-        self.recent_extreme -= (1 - fade) * np.sqrt(self.doubt) + doubts.CREEP * self.full * dt
+        self.recent_extreme -= (1 - fade) * np.sqrt(self.doubt)
         self.recent_extreme = max(self.recent_extreme, ahead - turns.LESS * unsure)
         if held:
             self.peak -= doubts.GOES_BACK * (1 - fade) * min(np.sqrt(self.doubt), turns.TURN * self.full)
@@ -321,16 +321,12 @@ class OneCell:
         bears = was.x2 * np.exp(ago / m.t2_s) + was.x3 * np.exp(ago / m.t3_s)
         off = gain * (mean - was.load * (1 / m.e1_kpa + 1 / m.e2_kpa + 1 / m.e3_kpa) - bears)
         growth = p - was.pressure
-        light = was.pressure <= was.load + still.LIGHT_TOUCH * self.full and self.onset.looks >= 0
-        flat, clear = (still.FLAT, still.CLEAR) if light else (still.FLAT_PRESS, still.CLEAR_PRESS)
-        alike = was.off is not None and abs(off - was.off) <= flat * max(growth, 0) + noise_kpa
-        if not alike or abs(off) > still.LIGHT_TOUCH * self.full + noise_kpa:
+        light_kpa = still.LIGHT_TOUCH * self.full
+        alike = was.off is not None and abs(off - was.off) <= still.FLAT * max(growth, 0) + noise_kpa
+        if not alike or abs(off) > light_kpa + noise_kpa or was.pressure > was.load + light_kpa:
             was.off, was.pressure = off, p
             return
-        doubt = max(self.doubt, (still.EITHER * max(growth - noise_kpa, 0)) ** 2)
-        self.variance += doubt - self.doubt
-        self.doubt = doubt
-        if growth > max(clear * self.full, noise_kpa / flat):
+        if growth > max(still.CLEAR * self.full, noise_kpa / still.FLAT):
             x3 = was.x3 + was.load / m.e3_kpa
             self.other = Hypothesis(was.load, self.other.settled, self.r - was.load / m.e1_kpa - x3, x3)
             self.extreme = rows.REFUTED
@@ -366,10 +362,6 @@ class OneCell:
         if seen.looks == onset.SETTLES:
             seen.earliest, seen.clear_pull = Rise(0.0, -m.etau2_kpa * (self.now.x2 + self.now.x3)), 0.0
         if seen.looks == onset.SETTLES or seen.pull <= none + onset.COINCIDENCE * load_kpa or load_kpa < -unsure:
-            if seen.clear_pull > 0:
-                doubt = max(self.doubt, (onset.EITHER * max(load_kpa, 0)) ** 2)
-                self.variance += doubt - self.doubt
-                self.doubt = doubt
             seen.x2, seen.x3, seen.pull, seen.clear_pull = self.now.x2, self.now.x3, 0.0, 0.0
             seen.begun = Rise(0.0, -m.etau2_kpa * (seen.x2 + seen.x3))
             may_bear = lasts
