@@ -184,7 +184,9 @@ def test_chains_that_break_within_a_step_of_the_adc_make_no_load(every: float) -
     """Taps of 2 to 60 % of full scale, and a finger on a line of cells, on m10 cells behind 8-bit amplifiers.
 
     At 40 frames per second a step is 1 to 5 % of full scale, so that the lightest loads hardly move the reading. They
-    left up to a tenth of full scale behind when chains were counted beyond a play of three deviations alone.
+    left up to a tenth of full scale behind when chains were counted beyond a play of three deviations alone. Where the
+    finger turns beside a cell, the load goes back by little more than a step: with the play of a load that is held,
+    such turns were missed, and the errors were 1.6 % of full scale rms.
     """
     dt, cell = 0.025, EXAMPLE.replace(model=SAFE_M10)
     time = np.arange(dt, 14, dt)[:, None]
@@ -211,7 +213,7 @@ def test_chains_that_break_within_a_step_of_the_adc_make_no_load(every: float) -
     print(f"{100 * left:.1f} % FS left a second after")
     assert within > 0.95
     assert worst < 6
-    assert rms < 0.02 * cell.full_scale_kpa
+    assert rms < 0.014 * cell.full_scale_kpa
     assert (error < 2 * std)[after].mean() > 0.97
 
 
