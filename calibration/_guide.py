@@ -52,12 +52,14 @@ class Guide:
             keep_trace: keep the load over time, for a reference sensor.
 
         Raises:
-            InputError: the skin does not say what its cells are made of, or the progress is of another calibration.
+            InputError: the skin does not say what its cells are made of, a load is far beyond their full scale, or the
+                progress is of another calibration.
 
         """
         _hear_identity(skin)
         if skin.cell is None:
             raise InputError("the board does not tell the data of its cells; give them (--cell CELL.toml)")
+        plan.check_full_scale(skin.cell.full_scale_kpa)
         self._skin, self._plan, self._tell = skin, plan, tell
         self._progress, self._keep_trace = progress, keep_trace
         self._setup: dict[str, Any] = {

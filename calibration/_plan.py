@@ -13,6 +13,8 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError
 
 MOST_STEPS = 100
+GAINS = (0.25, 4.0)
+"""between which a gain is believed: beyond, the load, the area or the data of the cell are another's"""
 LEAST_PRESSES = 2
 """of each cell: one press alone says nothing of its own error"""
 
@@ -59,6 +61,15 @@ class Plan:
         if len(loads_kpa) > MOST_STEPS:
             raise InputError(f"{len(loads_kpa)} loads; expected at most {MOST_STEPS}")
         _patch(press)
+
+    def check_full_scale(self, full_scale_kpa: float) -> None:
+        """InputError for a load that cells of this full scale could only feel with a gain that is not believed."""
+        largest = max(self.loads_kpa)
+        if largest > GAINS[1] * full_scale_kpa:
+            raise InputError(
+                f"a load of {largest:g} kPa; expected at most {GAINS[1]:g} times the full scale of the cells, "
+                f"{full_scale_kpa:g} kPa: is it in Pa, the weight in g, or the area not in m^2?"
+            )
 
     def name(self, target: int) -> str:
         """A target in words."""

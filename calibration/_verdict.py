@@ -16,11 +16,9 @@ from ..driver import Calibration
 from ..errors import InputError
 from ..text import count_of
 from ._fit import Fit, fit_cells
-from ._plan import LEAST_PRESSES
+from ._plan import GAINS, LEAST_PRESSES
 from ._presses import Press, Rest
 
-GAINS = (0.25, 4.0)
-"""between which a gain is believed: beyond, the load, the area or the data of the cell are another's"""
 MOST_NOISE = 0.1
 """relative noise of the measured effect of a load"""
 MOST_REST_CHANGE = 0.03

@@ -399,6 +399,18 @@ def test_words_that_fit_no_skin_are_refused_before_anything_is_asked(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("words", [["--load", "5", "--load", "12000"], ["--mass", "200", "--area", "1e-4"]])
+def test_loads_in_another_unit_are_asked_about_before_anybody_presses(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """12 kPa in Pa and 0.2 kg in g: a press begins at a quarter of its load, so none would ever be noticed."""
+    port = f"ohmskin://{EXAMPLES / 'calibration.toml'}?clock=fast&duration=10"
+    assert run(["calibrate", port, "-o", str(tmp_path / "a.toml"), "--yes", *words]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "expected at most 4 times the full scale of the cells, 15.5 kPa: is it in Pa, the weight in g" in line
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_one_load_alone_is_pressed_twice() -> None:
     assert Plan.make((2, 3), "each", [5.0]).loads_kpa == (5.0, 5.0)
     assert Plan.make((2, 3), "all", [5.0, 12.0]).loads_kpa == (5.0, 12.0)

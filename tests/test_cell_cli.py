@@ -103,3 +103,22 @@ def test_estimate_names_the_sample_whose_time_does_not_follow(
     assert run(["estimate", str(read), "--cell", str(cell), "-o", str(out)]) == 2
     assert f"{read}: time_s must increase and be finite, but sample 2 is at" in capsys.readouterr().err
     assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("ohms", "message"),
+    [
+        ("10 12 11", "no load of this cell explains resistance_ohm, which is about 11; the cell at rest has 1e+04 ohm"),
+        ("10000 -12000 11000", "resistance_ohm of sample 2 is -12000, expected more than 0"),
+        ("nan nan nan", "resistance_ohm has no reading"),
+    ],
+)
+def test_estimate_refuses_readings_that_give_no_pressure(
+    ohms: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cell, read, out = tmp_path / "cell.toml", tmp_path / "read.csv", tmp_path / "out.csv"
+    Cell.example().save(cell)
+    read.write_text("time_s,resistance_ohm\n" + "".join(f"{n},{ohm}\n" for n, ohm in enumerate(ohms.split())))
+    assert run(["estimate", str(read), "--cell", str(cell), "-o", str(out)]) == 2
+    assert f"{read}: {message}" in capsys.readouterr().err
+    assert not out.exists()

@@ -271,6 +271,13 @@ def test_a_path_is_the_faded_sum_of_what_the_reading_moved(seed: int, dt: float)
     assert not narrow[:, -2:].any()
 
 
+def test_a_recording_of_two_heights_has_a_static_curve_through_both() -> None:
+    """They leave a cubic open; NumPy's warning of that, an error here, means nothing to who made the recording."""
+    time, load = np.arange(400.0), np.tile([0.0, 1.0], 200)
+    curve = training.static_curve(training.NormalisedRecording(time, 0.4 * load, load, 1e4, _unused, 0.0), 15.5)
+    assert curve.load(0.4 * load) == pytest.approx(load, abs=1e-6)
+
+
 def test_the_static_curve_is_judged_as_it_will_run() -> None:
     """A fold's error is that of the estimator with its smoothing, not that of the curve on single noisy readings."""
     rng = np.random.default_rng(5)

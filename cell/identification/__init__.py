@@ -11,7 +11,7 @@
 
 from ._calibrate import CalibrationResult, calibrate, estimate_recording
 from ._protocol import check_protocol, protocol_load, protocol_text
-from ._recording import Recording, check_times, checked_recording
+from ._recording import Recording, check_resistances, check_times, checked_recording
 from ._recovery_curve import recovery_branches
 from ._report import calibration_figure, calibration_record, calibration_text
 
@@ -23,6 +23,7 @@ __all__ = [
     "calibration_record",
     "calibration_text",
     "check_protocol",
+    "check_resistances",
     "check_times",
     "checked_recording",
     "estimate_recording",

@@ -121,6 +121,17 @@ def check_times(time_s: FloatArray, name: str) -> None:
         )
 
 
+def check_resistances(resistance_ohm: FloatArray, name: str) -> None:
+    """InputError, naming the sample, unless resistances (n,) are positive, or NaN where there is no reading."""
+    wrong = np.flatnonzero(resistance_ohm <= 0)
+    if wrong.size:
+        at = int(wrong[0])
+        raise InputError(
+            f"{name}: resistance_ohm of sample {at + 1} is {resistance_ohm[at]:g}, expected more than 0; "
+            "are the columns exchanged?"
+        )
+
+
 def checked_recording(
     time_s: FloatArray,
     pressure_kpa: FloatArray,
@@ -146,13 +157,7 @@ def checked_recording(
     if not np.isfinite(pressure_kpa).all():
         at = int(np.flatnonzero(~np.isfinite(pressure_kpa))[0])
         raise InputError(f"{name}: pressure_kpa of sample {at + 1} is {pressure_kpa[at]}; expected a number")
-    wrong = np.flatnonzero(resistance_ohm <= 0)
-    if wrong.size:
-        at = int(wrong[0])
-        raise InputError(
-            f"{name}: resistance_ohm of sample {at + 1} is {resistance_ohm[at]:g}, expected more than 0; "
-            "are the columns exchanged?"
-        )
+    check_resistances(resistance_ohm, name)
     read = np.isfinite(resistance_ohm)
     applied = None if read.all() else Applied(time_s, pressure_kpa)
     found = Recording(time_s[read], pressure_kpa[read], resistance_ohm[read], name, applied)

@@ -104,7 +104,9 @@ def static_curve(calibration: NormalisedRecording, full_scale_kpa: float, *, log
     """The cubic that fits the recording best."""
     r, load = calibration.r, calibration.load
     x = -np.log(np.maximum(1 + r, 1e-6)) if logarithmic else r
-    coefficients = np.polynomial.Polynomial.fit(x, load, 3).convert().coef
+    # Few different readings leave a cubic open, of which this is the least; `full` says that without a warning.
+    polynomial, _ = np.polynomial.Polynomial.fit(x, load, 3, full=True)
+    coefficients = polynomial.convert().coef
     curve = StaticCurve(
         coefficients=tuple(map(float, coefficients)),
         logarithmic=logarithmic,

@@ -188,7 +188,7 @@ class AsymmetricInversion(Inversion):
                 f"(a + 2 b s - k falls to {found:.2g} of the slope at equilibrium); use another estimator"
             )
         self.model = m = as_m10(model, full_scale_kpa) if isinstance(model, AsymmetricModel) else model
-        self._alpha = np.array([[m.alpha1], [m.alpha2]])
+        self._alpha, self._held_slope = np.array([[m.alpha1], [m.alpha2]]), m.a + m.alpha1 + m.alpha2
         self._rise_s, self._fall_s = np.array([[m.rise1_s], [m.rise2_s]]), np.array([[m.fall1_s], [m.fall2_s]])
         steepest = m.a + 2 * max(m.b, 0.0) * LOADS[1] + m.alpha1 + m.alpha2 + m.k
         credible = credible_readings(steepest)
@@ -209,13 +209,23 @@ class AsymmetricInversion(Inversion):
         self.seeming = WINDOW * self.model.k / full_scale_kpa
         self.recovers, self.recent = self.model.k > 0 and not exact, chains.READINGS
 
+    def held_kpa(self, r: FloatArray) -> FloatArray:
+        return self._held_load(r) * self.full_scale_kpa
+
+    def _held_load(self, r: FloatArray) -> FloatArray:
+        """(m,) load of cells whose reading has been ``r`` (m,) for ever."""
+        return _root(self.model.b, np.full_like(r, self._held_slope), r)
+
     def begin(self, r: FloatArray) -> FloatArray:
-        m = self.model
-        slope = np.full_like(r, m.a + m.alpha1 + m.alpha2)
-        s = _root(m.b, slope, r)
+        s = self._held_load(r)
         memory = np.zeros((len(self.rows), *r.shape))
         memory[PRESSURE], memory[LOAD], memory[BRANCHES] = s * self.full_scale_kpa, s, self._alpha * s
-        memory[GAIN], memory[ANCHOR], memory[WENT_UP], memory[FURTHEST] = self.full_scale_kpa / slope, s, 1.0, s
+        memory[GAIN], memory[ANCHOR], memory[WENT_UP], memory[FURTHEST] = (
+            self.full_scale_kpa / self._held_slope,
+            s,
+            1.0,
+            s,
+        )
         chains.begin(memory, r)
         return memory
 

@@ -5,8 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
+import numpy as np
 
-from ..cell import Cell, check_times, estimate_recording
+from ..arrays import FloatArray
+from ..cell import Cell, check_resistances, check_times, estimate_recording
+from ..errors import InputError
 from ..tables import read_columns, write_columns
 from . import arguments
 
@@ -21,6 +24,21 @@ def command(recording: Path, cell_file: Path, output: Path, estimator: str | Non
     columns = read_columns(recording, ("time_s", "resistance_ohm"))
     time, resistance = columns["time_s"], columns["resistance_ohm"]
     check_times(time, str(recording))
-    pressure, std = estimate_recording(Cell.load(cell_file).estimator((), estimator), time, resistance)
+    check_resistances(resistance, str(recording))
+    cell = Cell.load(cell_file)
+    pressure, std = estimate_recording(cell.estimator((), estimator), time, resistance)
+    if not np.isfinite(pressure).any():
+        raise InputError(f"{recording}: {_why_none(cell, resistance)}")
     found = {"time_s": time, "pressure_kpa": pressure}
     write_columns(output, found if std is None else found | {"std_kpa": std})
+
+
+def _why_none(cell: Cell, resistance_ohm: FloatArray) -> str:
+    """Why not one of the resistances (n,) gave a pressure."""
+    read = resistance_ohm[np.isfinite(resistance_ohm)]
+    if not read.size:
+        return "resistance_ohm has no reading"
+    return (
+        f"no load of this cell explains resistance_ohm, which is about {np.median(read):.3g}; the cell at rest has "
+        f"{cell.rest_resistance_ohm:.3g} ohm: is the column in another unit, or of another cell?"
+    )
