@@ -207,7 +207,9 @@ def test_chains_that_break_within_a_step_of_the_adc_make_no_load(every: float) -
     """Taps of 2 to 60 % of full scale, and a finger on a line of cells, on m10 cells behind 8-bit amplifiers.
 
     At 40 frames per second a step is 1 to 5 % of full scale, so that the lightest loads hardly move the reading. They
-    left up to a tenth of full scale behind when chains were counted beyond a play of three deviations alone.
+    left up to a tenth of full scale behind when chains were counted beyond a play of three deviations alone. Where the
+    finger turns beside a cell, the load goes back by little more than a step: with the play of a load that is held,
+    such turns were missed, and the errors were 1.6 % of full scale rms.
     """
     dt, cell = 0.025, EXAMPLE.replace(model=SAFE_M10)
     time = np.arange(dt, 14, dt)[:, None]
@@ -234,7 +236,7 @@ def test_chains_that_break_within_a_step_of_the_adc_make_no_load(every: float) -
     print(f"{100 * left:.1f} % FS left a second after")
     assert within > 0.95
     assert worst < 6
-    assert rms < 0.02 * cell.full_scale_kpa
+    assert rms < 0.014 * cell.full_scale_kpa
     assert (error < 2 * std)[after].mean() > 0.97
 
 
@@ -259,7 +261,7 @@ def test_a_press_right_after_taps_stays_for_as_long_as_it_is_held(volts: float) 
     release. A fall of the rising model by noise, or by an error that fades, must not confirm that.
     """
     lost, z = pressed_after_taps(EXAMPLE, volts, np.full(6 * COUNT, 0.2))
-    assert lost < 5
+    assert lost < 2
     assert z.max() < 2.5
 
 
@@ -291,17 +293,21 @@ def test_a_finger_that_rubs_to_and_fro_is_followed(noise: float, error: float, m
     assert left < most_left * full
 
 
-@pytest.mark.parametrize(("own", "volts"), [(False, 3e-4), (False, 1e-3), (False, 3e-3), (True, 1e-4), (True, 1e-3)])
-def test_a_press_that_rises_slowly_while_a_cell_recovers_is_no_rest(own: bool, volts: float) -> None:
+@pytest.mark.parametrize(
+    ("own", "volts", "most_lost"),
+    [(False, 3e-4, 9), (False, 1e-3, 10), (False, 3e-3, 15), (True, 1e-4, 2), (True, 1e-3, 2)],
+)
+def test_a_press_that_rises_slowly_while_a_cell_recovers_is_no_rest(own: bool, volts: float, most_lost: int) -> None:
     """As above, but the presses rise within 0.5 to 3 s.
 
     They let the resistance of a cell that recovers fall faster. Without the test of ``_onset.py`` half to three
     quarters are taken for rest, with 35 to 63 % of the errors within two deviations.
-    Where a press has been hidden before its pull is clear, that must be in the deviation, too (90 % without it).
+    Where a press has been hidden before its pull is clear, that must be in the deviation, too (90 % without it). What
+    has grown beyond a light touch is no recovery that passes for a load (12 of 48 were lost in 0.3 mV).
     """
     cell = uncalibrated()["paper"] if own else EXAMPLE
     lost, z = pressed_after_taps(cell, volts, np.tile([0.5, 1.0, 1.5, 2.0, 2.5, 3.0], COUNT))
-    assert lost < (5 if own else 16)
+    assert lost <= most_lost
     assert np.mean(z < 2) > (0.97 if own else 0.92)
     assert z.max() < (9 if own else 18)
 

@@ -43,6 +43,40 @@ def first_of(rows: Rows, at: int) -> float:
 
 
 @loop
+def nearest(rows: Rows, at: int) -> float:
+    """Twice as long as what the compiler makes a part of its callers of its own accord."""
+    low, high = math.inf, -math.inf
+    for row in range(1, rows.shape[0]):
+        off = math.sqrt(abs(rows[row, at] - rows[0, at])) / (1.0 + abs(rows[row, at]))
+        if off < low:
+            low, rows[row, at] = off, rows[0, at]
+        elif off > high:
+            high, rows[0, at] = off, rows[row, at]
+        else:
+            rows[row, at] = min(max(rows[row, at], rows[0, at] / (1.0 + off)), low + high)
+    return math.sqrt(low * low + high * high) / (low + high)
+
+
+@loop
+def summed(rows: Rows) -> float:
+    total = 0.0
+    for at in range(1, rows.shape[1]):
+        total += nearest(rows, at) - nearest(rows, 0)
+    return total
+
+
+@loop
+def added(rows: Rows) -> float:
+    sums, total = np.zeros(rows.shape[1]), 0.0
+    for i in range(rows.shape[0]):
+        for j in range(rows.shape[1]):
+            sums[j] += first_of(rows, i) * rows[i, j]
+    for j in range(sums.size):
+        total += sums[j] * sums[j]
+    return total
+
+
+@loop
 def named(at: int) -> int:
     return len(NAMES[at])
 
@@ -80,6 +114,27 @@ def test_a_loop_is_the_same_function_without_a_compiler(monkeypatch: pytest.Monk
     assert "OHMSKIN_COMPILED=off" in (compiled.why_not() or "")
     monkeypatch.setenv(compiled.SWITCH, "1")
     assert first_of.machine_code() is code
+
+
+def test_a_loop_is_a_part_of_those_that_call_it_and_counts_no_references() -> None:
+    """A call for each cell would take as long as the work that is done there."""
+    (native,) = summed._compiled_by_numba(keep=False).inspect_llvm().values()
+    calls = [line for line in native.splitlines() if " call " in line]
+    assert calls, "the interpreter's functions, of the arguments"
+    assert not [line for line in calls if "nearest" in line or "NRT_" in line]
+
+
+def test_a_loop_that_makes_arrays_is_compiled_as_well() -> None:
+    code, rows = added.machine_code(), np.array([[1.0, 2.0], [3.0, 4.0]])
+    assert code is not None, added.failure
+    assert code(rows) == 10.0**2 + 14.0**2
+
+
+def test_a_compiler_that_does_not_know_an_undocumented_option_compiles_without(monkeypatch: pytest.MonkeyPatch) -> None:
+    documented = summed._options().keys() - {"forceinline", "_nrt"}
+    assert documented != summed._options().keys()
+    monkeypatch.setattr("numba.core.cpu.CPUTargetOptions", object)
+    assert summed._options().keys() == documented
 
 
 def test_arguments_of_other_types_are_refused_rather_than_compiled_for() -> None:

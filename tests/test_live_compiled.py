@@ -13,7 +13,7 @@ from ohmskin import compiled
 from ohmskin.bench import _driver as bench
 from ohmskin.bench import _live_streams
 from ohmskin.cell import Cell
-from ohmskin.circuits import Design, adc_codes, scan
+from ohmskin.circuits import Design, adc_codes, live_recovery, scan
 from ohmskin.circuits.readouts import QuickNetwork, _quick
 from ohmskin.circuits.recovery._amplified import AmplifiedLive
 from ohmskin.circuits.recovery._amplified_loops import UsualFrames
@@ -241,6 +241,23 @@ def test_without_machine_code_array_operations_read(monkeypatch: pytest.MonkeyPa
     assert not reader._recover._loops.compiled
     for counts in stream.counts:
         assert reader(counts).solved
+
+
+@pytest.mark.parametrize("column_lead", [0.0, 9.0])
+def test_outputs_of_any_type_and_order_are_read(column_lead: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Loops do not look at the types of what they are given: another one would be read as if it were theirs."""
+    monkeypatch.delenv(compiled.SWITCH, raising=False)
+    design = bench.design(4, "inverting-amplifier", "ground", 12).replace(array={"column_lead": column_lead})
+    random = np.random.default_rng(3)
+    volts = scan(design, random.uniform(9e3, 11e3, (4, 4))).volts.astype(np.float32).astype(np.float64)
+    recover = live_recovery(design)
+    assert isinstance(recover, AmplifiedLive)
+    expected = [recover(volts).resistance for _ in range(3)][-1]
+    assert recover._usual(volts, 0.0) is not None
+    protected = volts.copy()
+    protected.flags.writeable = False
+    for same in (volts.astype(np.float32), np.asfortranarray(volts), protected):
+        np.testing.assert_array_equal(recover(same).resistance, expected)
 
 
 def test_usual_frames_hand_loops_arrays_of_exactly_their_types(monkeypatch: pytest.MonkeyPatch) -> None:

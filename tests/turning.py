@@ -93,9 +93,7 @@ class OneCell:
         if refuted:
             turned = self.rising
         if turned:
-            late, earlier = 0.0, 0.0
-            if self.left is None:
-                late = self._late(now, other, std * gains[self.rising])
+            earlier = 0.0
             if self.left is None and self.rising:
                 earlier = third.MIDWAY * self._turned_earlier(0.0, std * gains[True])
             if self.left is None:
@@ -110,7 +108,7 @@ class OneCell:
             self.left = None if again else self.extreme
             sign = 1.0 if self.rising else -1.0
             there = max(sign * (self.third_last - self.before_last), sign * (self.before_last - self.last), 0.0)
-            way = min(takeover.JUST_BEGUN * there, max(abs(now.pressure - self.last), takeover.HALF * there))
+            way = min(takeover.JUST_BEGUN * there, abs(now.pressure - self.last))
             bend = 1 / m.eu1_kpa + 1 / m.etau2_kpa - 1 / m.e1_kpa
             fast = max(1.0, abs(now.pressure - self.last) / (takeover.FAST * turns.TURN * self.full))
             way = max(way - rows.SURE * unsure, 0.0)
@@ -119,8 +117,8 @@ class OneCell:
                 unseen += self._hidden(now.pressure, other.pressure)
             self.onset.looks = 0 if noticed and not self.rising else self.onset.looks
             may_bear, self.onset.may_bear = self.onset.may_bear, 0.0
-            now = self._without_delay(now, max(late, earlier))
-            self.earlier -= max(late, earlier)
+            now = self._gone_further(now, earlier)
+            self.earlier -= earlier
             ahead = sign * max(now.pressure, 0)
             self.extreme = left if again else ahead - turns.LESS * unsure
             self.peak = left if again else ahead - unsure
@@ -141,9 +139,6 @@ class OneCell:
             self.rested, self.drift, self.taken_off, self.released = False, 0.0, 0.0, released
             error = min(np.sqrt(self.doubt), recovery.MOST * self.full)
             self.last_drift = recovery.DRIFTS * error
-            if late > 0:
-                doubt_kpa = np.sqrt(self.doubt) + takeover.MAY_BEND * late
-                self.doubt = self.variance = min(doubt_kpa**2, (UNKNOWN * self.full) ** 2)
         unsure = std * gains[self.rising]
         ahead = self._ahead(now)
         if refuted:
@@ -171,7 +166,7 @@ class OneCell:
         direction = 1.0 if self.rising else -1.0
         held = direction * (self.third_last - now.pressure) < 3 * dt * doubts.HELD_PER_S * self.full
         below = self.peak - ahead
-        share = doubts.AGAIN if below < max(unsure, doubts.FLAT * self.full if held else 0.0) else 0.0
+        share = doubts.AGAIN if below < unsure else 0.0
         share = 1.0 if below <= turns.EXACTLY * self.full else share
         if self.left is not None:
             share = 0.0
@@ -192,7 +187,7 @@ class OneCell:
         self.forgotten += min(forgotten, third.OF_FALL * fallen)
         self.forgotten *= max(1 - third.LASTS * (1 - fade), 0.0) if fallen >= 0 else 0.0
         self.forgotten = max(self.forgotten, 0.0)
-        self.recent_extreme -= (1 - fade) * np.sqrt(self.doubt) + doubts.CREEP * self.full * dt
+        self.recent_extreme -= (1 - fade) * np.sqrt(self.doubt)
         self.recent_extreme = max(self.recent_extreme, ahead - turns.LESS * unsure)
         if held:
             self.peak -= doubts.GOES_BACK * (1 - fade) * min(np.sqrt(self.doubt), turns.TURN * self.full)
@@ -282,10 +277,12 @@ class OneCell:
         by_noise = (gain * noise) ** 2 / 4
         if max(pressure**2, self.now.pressure**2) >= recovery.REST_SIGMAS**2 * (self.rest_variance + by_noise):
             return
-        kept = by_noise / (by_noise + self.rest_variance)
+        fallen = max(self.third_last - self.now.pressure - recovery.STEADY * gain * noise, 0.0)
+        unsure = by_noise + (recovery.GOES_ON * fallen) ** 2
+        kept = unsure / (unsure + self.rest_variance)
         error = pressure * (1 - kept)
         self.rest_variance *= kept
-        self.rested = True
+        self.rested = self.rested or fallen == 0.0
         self.taken_off += error
         self.now = self._begun(self.now.pressure - error, self.r, self.now.x3)
         self.other = self._begun(self.now.pressure, self.r, self.now.x3)
@@ -324,16 +321,12 @@ class OneCell:
         bears = was.x2 * np.exp(ago / m.t2_s) + was.x3 * np.exp(ago / m.t3_s)
         off = gain * (mean - was.load * (1 / m.e1_kpa + 1 / m.e2_kpa + 1 / m.e3_kpa) - bears)
         growth = p - was.pressure
-        light = was.pressure <= was.load + still.LIGHT_TOUCH * self.full and self.onset.looks >= 0
-        flat, clear = (still.FLAT, still.CLEAR) if light else (still.FLAT_PRESS, still.CLEAR_PRESS)
-        alike = was.off is not None and abs(off - was.off) <= flat * max(growth, 0) + noise_kpa
-        if not alike or abs(off) > still.LIGHT_TOUCH * self.full + noise_kpa:
+        light_kpa = still.LIGHT_TOUCH * self.full
+        alike = was.off is not None and abs(off - was.off) <= still.FLAT * max(growth, 0) + noise_kpa
+        if not alike or abs(off) > light_kpa + noise_kpa or was.pressure > was.load + light_kpa:
             was.off, was.pressure = off, p
             return
-        doubt = max(self.doubt, (still.EITHER * max(growth - noise_kpa, 0)) ** 2)
-        self.variance += doubt - self.doubt
-        self.doubt = doubt
-        if growth > max(clear * self.full, noise_kpa / flat):
+        if growth > max(still.CLEAR * self.full, noise_kpa / still.FLAT):
             x3 = was.x3 + was.load / m.e3_kpa
             self.other = Hypothesis(was.load, self.other.settled, self.r - was.load / m.e1_kpa - x3, x3)
             self.extreme = rows.REFUTED
@@ -369,10 +362,6 @@ class OneCell:
         if seen.looks == onset.SETTLES:
             seen.earliest, seen.clear_pull = Rise(0.0, -m.etau2_kpa * (self.now.x2 + self.now.x3)), 0.0
         if seen.looks == onset.SETTLES or seen.pull <= none + onset.COINCIDENCE * load_kpa or load_kpa < -unsure:
-            if seen.clear_pull > 0:
-                doubt = max(self.doubt, (onset.EITHER * max(load_kpa, 0)) ** 2)
-                self.variance += doubt - self.doubt
-                self.doubt = doubt
             seen.x2, seen.x3, seen.pull, seen.clear_pull = self.now.x2, self.now.x3, 0.0, 0.0
             seen.begun = Rise(0.0, -m.etau2_kpa * (seen.x2 + seen.x3))
             may_bear = lasts
@@ -411,27 +400,13 @@ class OneCell:
         hidden = np.clip(1 - (recovers + self.extreme) / rise / fast, 0, 1)
         return float(onset.HIDDEN_SHARE * hidden**2 * max(self.onset.earliest.pressure - pressure, 0))
 
-    def _late(self, left: Hypothesis, other: Hypothesis, unsure: float) -> float:
-        """By how much the pressure was off when the model that is left turned, if the load is a parabola in time."""
-        m, sign = self.model, 1.0 if self.rising else -1.0
-        rise_r, fall_r = 1 / m.eu1_kpa + 1 / m.etau2_kpa, 1 / m.e1_kpa
-        left_r, other_r = (rise_r, fall_r) if self.rising else (fall_r, rise_r)
-        away = takeover.AWAY * self.full < abs(self.extreme) and self.extreme < USUAL * self.full
-        if not away or unsure >= takeover.SMOOTH * turns.TURN * self.full:
-            return 0.0
-        gone, way = (self.extreme + unsure - sign * one.pressure for one in (left, other))
-        by_drift = way * other_r / left_r - gone
-        if by_drift <= rows.SURE * unsure:
-            return 0.0
-        return min(by_drift**2 * (left_r + other_r) / (4 * other_r * gone), way)
-
-    def _without_delay(self, now: Hypothesis, late: float) -> Hypothesis:
-        """The hypothesis taken over, whose pressure went on for too long: less goes back, more is remembered of it."""
+    def _gone_further(self, now: Hypothesis, kpa: float) -> Hypothesis:
+        """The hypothesis taken over, whose load turned before: less goes back, more is remembered of it."""
         m = self.model
         if self.rising:
-            settled = now.settled + late * (1 + m.etau2_kpa / m.eu1_kpa)
-            return Hypothesis(now.pressure + late, settled, now.x2, now.x3)
-        return Hypothesis(now.pressure - late, now.settled, now.x2 + late / m.e1_kpa, now.x3)
+            settled = now.settled + kpa * (1 + m.etau2_kpa / m.eu1_kpa)
+            return Hypothesis(now.pressure + kpa, settled, now.x2, now.x3)
+        return Hypothesis(now.pressure - kpa, now.settled, now.x2 + kpa / m.e1_kpa, now.x3)
 
     def _follow_earlier_turn(self, unsure: float, confirmed: bool) -> None:
         """Begin the hypothesis anew that the load turned earlier, where its pressure has gone on as before."""

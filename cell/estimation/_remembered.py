@@ -123,6 +123,9 @@ class Remembered:
         self.stale = True
 
     def _gathered(self, cells: IntArray) -> Block:
+        if cells.size == self.memory.shape[1]:
+            # Not copied, as :meth:`flush` takes it back. Another array, as sign that it may have changed.
+            return Block(cells, self.memory[:], self.line[:])
         return Block(cells, self.memory.take(cells, axis=1), self.line.take(cells, axis=1))
 
 
@@ -136,5 +139,8 @@ def _put(values: FloatArray, cells: IntArray, new: FloatArray) -> None:
         values[:, cells] = new
         return
     alike = new.shape[1] == 1  # a number is written in half the time of an array of one
+    if alike and cells.size == values.shape[1]:
+        values[...] = new
+        return
     for row, written in zip(values, new[:, 0].tolist() if alike else new, strict=True):
         row[cells] = written

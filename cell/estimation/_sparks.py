@@ -100,7 +100,6 @@ class Sparks:
         ``reading`` (m,) is r ``dt`` after the last frame, ``noise`` (m,) its standard deviation.
         """
         self._age_s += dt
-        self._memory = self._inversion.hold(self._memory, dt)
         place = np.searchsorted(block.cells, self.cells)
         off = reading[place] - self._line[smoothing.LEVEL]
         np.copyto(self._jump, off, where=np.abs(off) > np.abs(self._jump))
@@ -114,7 +113,7 @@ class Sparks:
         if back.any():
             some = np.flatnonzero(back)
             back[some] = self._were_sparks(block, some, place[some], dt, reading, noise)
-            block.take_back(place[back], self._memory.compress(back, axis=1), self._line.compress(back, axis=1))
+            block.take_back(place[back], self._held(back), self._line.compress(back, axis=1))
         if over.any():
             self._keep(~over)
 
@@ -174,7 +173,7 @@ class Sparks:
             return
         back = gone & ~self._taps.known
         cells = self.cells[back]
-        remembered.put(cells, self._memory.compress(back, axis=1), self._line.compress(back, axis=1))
+        remembered.put(cells, self._held(back), self._line.compress(back, axis=1))
         pressure[cells] = self._memory[PRESSURE, back]
         self._keep(~gone)
 
@@ -184,6 +183,10 @@ class Sparks:
         beyond = ~self._taps.known & (np.abs(now - full_kpa / 2) > BEYOND * full_kpa)
         pressure[self.cells[beyond]] = self._memory[PRESSURE, beyond]
 
+    def _held(self, some: BoolArray) -> FloatArray:
+        """What the marked cells remembered before their jumps (rows, m), after the time since, the load held."""
+        return self._inversion.hold(self._memory.compress(some, axis=1), self._age_s[some])
+
     def _add(self, block: Block, place: IntArray, jump: FloatArray) -> None:
         """Keep what is remembered of the cells at ``place`` (k,) in the block, from before their ``jump`` (k,)."""
         before = self._noise.last_but_one()
@@ -191,7 +194,9 @@ class Sparks:
         self._taps.add(block.cells[place], before, anew=not (self._age_s <= TOGETHER_S).any())
         self.cells = np.concatenate([self.cells, block.cells[place]])
         self._age_s = np.concatenate([self._age_s, np.zeros(place.size)])
-        self._memory = np.concatenate([self._memory, block.memory.take(place, axis=1)], axis=1)
+        every = place.size == block.cells.size  # taking as many columns takes several times as long as a copy
+        memory = block.memory.copy() if every else block.memory.take(place, axis=1)
+        self._memory = np.concatenate([self._memory, memory], axis=1) if self._memory.size else memory
         self._line = np.concatenate([self._line, block.line_before.take(place, axis=1)], axis=1)
         self._jump = np.concatenate([self._jump, jump])
 

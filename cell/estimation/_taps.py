@@ -177,10 +177,14 @@ class Taps:
         rise = np.zeros(reading.size)
         rise[moved] = pressure(reading[moved]) - pressure(self._before[moved])
         rises = rise.reshape(rows, columns)
-        least = EVEN * (pressure(before + jump) - pressure(before))[:, None]
-        in_row, in_column = rises[row] > least, rises.T[column] > least
+        least = EVEN * (pressure(before + jump) - pressure(before))
         whole = np.zeros(cells.size, dtype=np.bool_)
-        for line, length in ((in_row, columns), (in_column, rows)):
+        ends = []
+        for line, number in ((rises, row), (rises.T, column)):
+            length = line.shape[1]
             if length >= LEAST_LINE:
-                whole |= np.count_nonzero(line, axis=1) >= WHOLE * length
-        return whole, in_column[:, 0] | in_column[:, -1], in_row[:, 0] | in_row[:, -1]
+                # As many cells have moved where the least of the so many largest rises is one.
+                place = length - math.ceil(WHOLE * length)
+                whole |= np.partition(line, place, axis=1)[:, place][number] > least
+            ends.append(np.maximum(line[:, 0], line[:, -1])[number] > least)
+        return whole, ends[1], ends[0]

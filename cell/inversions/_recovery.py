@@ -4,7 +4,8 @@ What noise leaves in the memory at a turn shows as a load afterwards, and fades 
 readings cannot tell such an error from a light load: both recover along the same curve for seconds. What can be said is
 that most released cells bear no load. As long as the pressure of a recovering cell does not differ from none by more
 than the error of its memory explains, the difference is therefore taken for that error. Readings of the whole rest are
-averaged for this, which is much longer than the smoothing may average.
+averaged for this, which is much longer than the smoothing may average. A load that still falls is not none yet: what
+may be left of it counts as noise of the readings (:data:`GOES_ON`), and the cell is not taken for one at rest so far.
 
 A light load that is taken for none in this way comes back as the error of the memory fades. Three rules keep that
 honest. The standard deviation does not shrink while the cell recovers, and at the next turn what was subtracted is part
@@ -43,6 +44,7 @@ from ._turning_rows import (
     STATE_END,
     TAKEN_BEFORE_KPA2,
     TAKEN_OFF_KPA,
+    THIRD_LAST,
     TURNED,
     X2,
 )
@@ -57,6 +59,9 @@ RESTED_SIGMAS = 5.0
 """standard deviations of the smoothed noise and of the memory at which a load and none are as likely in a released
 cell. More than in any cell (:data:`..estimation._inversion.NO_LOAD_SIGMAS`): the error of the memory shows in every
 frame of a rest, and its deviation here is that of the usual error (:data:`PART`) only"""
+GOES_ON, STEADY = 4.0, 0.25
+"""times what a pressure has fallen by in three frames: standard deviation of the load that is left while it falls; and
+the fall that is none, in standard deviations of a reading"""
 LIGHT = 0.1
 """share of the variance of the memory that a rest leaves, beside the squares of what was subtracted and of a load that
 may have begun (:mod:`._onset`): the released cell may have borne a light load after all. What was subtracted stays in
@@ -82,7 +87,9 @@ BOUND, E1_KPA, SETTLED_PER_KPA, ETAU2_KPA, LATELY, BEYOND = range(6, 12)
 """squared standard deviations of rest; of the model; how fast a peak goes down; how far a line may overshoot"""
 
 
-_ZERO, _FAR, _BEFORE, _OLD, _PER_READING = (np.array(x) for x in (0.0, FAR, RECENT - 1.0, OLD, 1.0 / RECENT))
+_ZERO, _ONE, _FAR, _BEFORE, _OLD, _PER_READING, _GOES_ON, _STEADY = (
+    np.array(x) for x in (0.0, 1.0, FAR, RECENT - 1.0, OLD, 1.0 / RECENT, GOES_ON, STEADY)
+)
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
@@ -137,17 +144,18 @@ def look(
     remembered = memory[X2] * numbers[BACK_2] + memory[RECOVERY_X3] * numbers[BACK_3]
     pressure = (mean - remembered) * numbers[GAIN]
     by_noise = noise * numbers[GAIN]
+    left_over = np.maximum(memory[THIRD_LAST] - shown - by_noise * _STEADY, _ZERO)
     by_noise = by_noise * by_noise * _PER_READING
     bound = (variance + by_noise) * numbers[BOUND]
     calm &= (pressure * pressure < bound) & (shown * shown < bound)
     rests = calm.nonzero()[0]
     if not rests.size:
         return
-    some = memory.take(rests, axis=1)
-    share = some[REST_VARIANCE] / (some[REST_VARIANCE] + by_noise[rests])
+    some, left_over = memory.take(rests, axis=1), left_over[rests] * _GOES_ON
+    share = some[REST_VARIANCE] / (some[REST_VARIANCE] + by_noise[rests] + left_over * left_over)
     error = pressure[rests] * share
     some[REST_VARIANCE] *= 1.0 - share
-    some[RESTED] = 1.0
+    np.copyto(some[RESTED], _ONE, where=left_over == _ZERO)
     some[TAKEN_OFF_KPA] += error
     p = some[PRESSURE] - error
     r, x3 = some[STATE_END - 1], some[RECOVERY_X3]
@@ -247,14 +255,16 @@ def look_each(memory: Rows, mean: Row, noise: Row, count: Row, numbers: Row) -> 
         remembered = memory[X2, i] * numbers[BACK_2] + x3 * numbers[BACK_3]
         pressure = (mean[i] - remembered) * gain
         by_noise = noise[i] * gain
+        left_over = max(memory[THIRD_LAST, i] - shown - by_noise * STEADY, 0.0) * GOES_ON
         by_noise = by_noise * by_noise * (1.0 / RECENT)
         bound = (memory[REST_VARIANCE, i] + by_noise) * numbers[BOUND]
         if not (pressure * pressure < bound and shown * shown < bound):
             continue
-        share = memory[REST_VARIANCE, i] / (memory[REST_VARIANCE, i] + by_noise)
+        share = memory[REST_VARIANCE, i] / (memory[REST_VARIANCE, i] + by_noise + left_over * left_over)
         error = pressure * share
         memory[REST_VARIANCE, i] *= 1.0 - share
-        memory[RESTED, i] = 1.0
+        if left_over == 0.0:
+            memory[RESTED, i] = 1.0
         memory[TAKEN_OFF_KPA, i] += error
         p, r = shown - error, memory[STATE_END - 1, i]
         memory[PRESSURE, i], memory[RISING_KPA, i], memory[RECOVERY_KPA, i] = p, p, p

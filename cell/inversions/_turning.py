@@ -150,9 +150,11 @@ class TurningInversion(Inversion):
         """As :meth:`.Inversion.take_steps`: for falls of loads that are held, see :data:`._turns.STILL`."""
         self._numbers = self._numbers_of(std, own)
 
+    def held_kpa(self, r: FloatArray) -> FloatArray:
+        return r / self.model.gain_per_kpa
+
     def begin(self, r: FloatArray) -> FloatArray:
-        m = self.model
-        p = r / m.gain_per_kpa
+        m, p = self.model, self.held_kpa(r)
         memory = np.zeros((len(self.rows), *r.shape))
         memory[PRESSURE], memory[GAIN], memory[SIGN], memory[LEFT] = p, self._begin_gain, 1.0, FAR
         memory[[EXTREME, PEAK, RECENT_EXTREME]] = memory[LAST : THIRD_LAST + 1] = p
@@ -178,7 +180,7 @@ class TurningInversion(Inversion):
             limits.correct(of, std, doubt(), w, numbers)
         held_kpa = doubts.held_kpa(dt_s, self.full_scale_kpa)
         doubts.begin_anew(of, self._taken_over, held_kpa, numbers, unconfirmed=unconfirmed)
-        doubts.renew_variance(of, held_kpa, numbers, unconfirmed=unconfirmed)
+        doubts.renew_variance(of, numbers, unconfirmed=unconfirmed)
         return memory
 
     def _take_turns(self, of: MemoryRows, std: FloatArray, weights: TurnWeights) -> bool:

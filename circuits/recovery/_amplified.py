@@ -142,8 +142,9 @@ class AmplifiedLive:
         levels, base = self._errors.kept_for(noise), self._base
         if levels is None:
             return None
+        volts = np.ascontiguousarray(volts, dtype=np.float64)  # of exactly the type that the loops take
         if not volts.flags.writeable:
-            volts = volts.copy()  # of exactly the type that the loops take
+            volts = volts.copy()
         if self._board.independent_columns:
             found = self._loops.independent(levels, volts)
         elif base is None or base.off is not None or self._heavy or base.loss > HEAVY or levels.gain is not base.gain:

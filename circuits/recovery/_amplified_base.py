@@ -269,13 +269,15 @@ class _Anchor(NamedTuple):
 
 
 @loop
-def lost_along_lines(change: Rows, row_ohms: FixedRows, behind: FixedRows, lost: Rows) -> None:
+def lost_along_lines(change: Rows, row_ohms: FixedRows, behind: FixedRows, sums: Rows, lost: Rows) -> None:
     """Write the changes (N, M) of gains to first order in a ``change`` (N, M) in S, which is used up.
 
-    As :meth:`.AmplifiedBoard.drop_along_rows` and :meth:`.AmplifiedBoard.drop_along_columns` together.
+    As :meth:`.AmplifiedBoard.drop_along_rows` and :meth:`.AmplifiedBoard.drop_along_columns` together. ``sums`` (2, M)
+    may hold anything.
     """
     rows, columns = change.shape
-    flow, below = np.zeros(columns), np.zeros(columns)
+    flow, below = sums[0], sums[1]
+    sums[:] = 0.0
     for i in range(rows):
         for j in range(columns):
             flow[j] += change[i, j]
@@ -344,7 +346,7 @@ def _relinearise(
     near = moved <= FAR
     if near:
         lost = off
-        lost_along_lines(change, row_ohms, behind, lost)
+        lost_along_lines(change, row_ohms, behind, np.empty((2, columns)), lost)
         for i in range(rows):
             for j in range(columns):
                 conductance[i, j] = lost[i, j] * conductance[i, j] + conductance[i, j]

@@ -36,8 +36,8 @@ class UsualFrames:
     def __init__(self, board: AmplifiedBoard) -> None:
         """For one board, before its first frame."""
         self._board = board
-        self._about_base = _about_base.machine_code()
-        self._independent = _independent_columns.machine_code()
+        self._about_base = _about_base.machine_code(unchecked=True)
+        self._independent = _independent_columns.machine_code(unchecked=True)
         self._uncertainties = _uncertainties.machine_code(unchecked=True)
         self.compiled = None not in (self._about_base, self._independent, self._uncertainties)
         """there is machine code"""
@@ -47,6 +47,8 @@ class UsualFrames:
         self._farthest_amplifier = np.array(board.farthest_amplifier)
         self._row_ohms = np.array(np.broadcast_to(board.board.row_ohms, board.board.shape), order="C")
         self._behind = np.array(board.behind, order="C")
+        self._change_and_lost, self._sums = np.empty((2, *board.board.shape)), np.empty((2, board.board.shape[1]))
+        """(2, N, M) and (2, M) for intermediate results"""
         self._base: Base | None = None
         self._of_base = _OfBase.none()
         self._levels: Levels | None = None
@@ -58,7 +60,7 @@ class UsualFrames:
         Args:
             base: a base whose own error is below the tolerance, on lines that are not heavy.
             levels: of that base.
-            volts: (N, M) V, outputs.
+            volts: (N, M) V, outputs, contiguous.
 
         """
         if self._base is not base:
@@ -81,6 +83,8 @@ class UsualFrames:
             board.least_tolerance,
             base.loss,
             of_base.missing_per_moved,
+            self._change_and_lost,
+            self._sums,
             transfer,
             resistance,
         )
@@ -92,7 +96,14 @@ class UsualFrames:
         transfer, resistance = np.empty(volts.shape), np.empty(volts.shape)
         assert self._independent is not None
         usual = self._independent(
-            volts, self._constants, of_levels.gain, of_levels.blocks, self._board.has_sources, transfer, resistance
+            volts,
+            self._constants,
+            of_levels.gain,
+            of_levels.blocks,
+            self._board.has_sources,
+            self._sums,
+            transfer,
+            resistance,
         )
         return (resistance, partial(self._uncertain, of_levels, transfer)) if usual else None
 
@@ -189,6 +200,8 @@ def _about_base(
     least_tolerance: float,
     loss: float,
     missing_per_moved: float,
+    change_and_lost: _Blocks,
+    sums: Rows,
     transfer: Rows,
     resistance: Rows,
 ) -> bool:
@@ -199,8 +212,9 @@ def _about_base(
     rows, columns = volts.shape
     farthest_driver = constants[_FARTHEST_DRIVER]
     _transfer(volts, constants, base_columns[_BETWEEN], has_sources, transfer)
-    conductance, change = resistance, np.empty((rows, columns))
-    by_column = np.zeros(columns)
+    conductance, change, lost = resistance, change_and_lost[0], change_and_lost[1]
+    by_column = sums[0]
+    by_column[:] = 0.0
     most_by_row = most_by_column = most_transfer = 0.0
     for i in range(rows):
         by_row = 0.0
@@ -226,8 +240,7 @@ def _about_base(
             drift = source_spread * (loss * changed + moved * (base_columns[_SUM, j] + changed))
             if not drift <= base_columns[_MODEL_ERROR, j]:
                 return False
-    lost = np.empty((rows, columns))
-    lost_along_lines(change, row_ohms, behind, lost)
+    lost_along_lines(change, row_ohms, behind, sums, lost)
     for i in range(rows):
         for j in range(columns):
             transfer[i, j] = max(transfer[i, j] + base[_SHIFT, i, j] / base[_GAIN, i, j], 0.0)
@@ -244,12 +257,15 @@ def _independent_columns(
     level_gain: Row,
     levels: _Blocks,
     has_sources: bool,
+    sums: Rows,
     transfer: Rows,
     resistance: Rows,
 ) -> bool:
     """As :func:`_about_base`, by :meth:`.AmplifiedBoard.of_independent_columns`."""
     rows, columns = volts.shape
-    _transfer(volts, constants, np.zeros(columns), has_sources, transfer)
+    between = sums[0]
+    between[:] = 0.0
+    _transfer(volts, constants, between, has_sources, transfer)
     for j in range(columns):
         total = 0.0
         for i in range(rows):

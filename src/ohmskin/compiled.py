@@ -54,6 +54,14 @@ FixedCodes = Annotated[CodeArray, "Array(uint32, 1, 'C', readonly=True)"]
 WAIT = "up to 40 s"
 """processor time in which all loops, more than eighty, are compiled on a slow core; a fast one takes half as long"""
 
+_OPTIONS: dict[str, bool | str] = {"nogil": True, "error_model": "numpy"}
+"""of Numba, for all loops"""
+_INLINED, _UNCOUNTED = {"forceinline": True}, {"_nrt": False}
+"""options beside that Numba does not document. By the first a loop becomes a part of those that call it: a call for
+each cell would take as long as the work that is done there. By the second nobody counts references to arrays, which
+doubles what a call costs; where a loop makes arrays, they must be counted"""
+_MAKERS = {"empty", "zeros"}
+"""functions of NumPy that make arrays; no loop may use another one"""
 _SCALARS = {float: "float64", int: "intp", bool: "boolean", type(None): "void"}
 _OFF, _CHECKED = ("0", "no", "off", "false"), "checked"
 _log = logging.getLogger("ohmskin")
@@ -162,7 +170,7 @@ class Loop(Generic[P, R]):
         import numba
 
         # The signature makes Numba compile at once, and for no other types: a stream never waits for the compiler.
-        return numba.njit(self._signature(), cache=keep, nogil=True, error_model="numpy")(self._own_function())
+        return numba.njit(self._signature(), cache=keep, **self._options())(self._own_function())
 
     def _own_function(self) -> FunctionType:
         """A copy whose helpers are compiled functions, under a name that changes with all that it depends on.
@@ -185,12 +193,26 @@ class Loop(Generic[P, R]):
         return f"{answer}({', '.join(_written(hint) for hint in hints.values())})"
 
     def _stamp(self) -> str:
-        """Digest of the code, and of the numbers and helpers that it uses."""
+        """Digest of the code, of the numbers and helpers that it uses, and of how it is compiled."""
         code = cast(FunctionType, self.function).__code__
         parts = [code.co_code.hex(), repr(code.co_consts), repr(code.co_names), self._signature()]
+        parts.append(repr(self._options()))
         for name, value in sorted(self._globals().items()):
             parts.append(f"{name}={value._stamp() if isinstance(value, Loop) else value!r}")
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+    def _options(self) -> dict[str, bool | str]:
+        """Of Numba for this loop; undocumented ones only where Numba knows them."""
+        from numba.core import cpu
+
+        beside = _INLINED if self._makes_arrays() else _INLINED | _UNCOUNTED
+        known = getattr(cpu, "CPUTargetOptions", None)
+        return _OPTIONS | {name: value for name, value in beside.items() if hasattr(known, name)}
+
+    def _makes_arrays(self) -> bool:
+        """Whether this loop, or one that it calls, makes arrays."""
+        makers = _MAKERS.intersection(cast(FunctionType, self.function).__code__.co_names)
+        return bool(makers) or any(isinstance(used, Loop) and used._makes_arrays() for used in self._globals().values())
 
     def _globals(self) -> dict[str, Any]:
         """The helpers and numbers of the module that the function names.
@@ -228,6 +250,7 @@ def loop(function: Callable[P, R]) -> Loop[P, R]:
 
     Its annotations are the types above, ``float``, ``int``, ``bool``, None, and tuples of these. Beside its arguments
     it uses numbers of its module, the modules ``math`` and ``numpy``, and other loops; within a function, no function.
+    Calls are quickest where neither it nor the loops that it calls make arrays (``numpy.empty``, ``numpy.zeros``).
     """
     return Loop(function)
 

@@ -1,0 +1,88 @@
+"""A skin that is pressed as a whole: all its cells wake, and may have sparked, in one frame."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_cell_compiled import CELLS, DT_S
+
+from ohmskin.cell import Cell
+from ohmskin.cell.estimation._rows import PRESSURE
+from ohmskin.cell.estimation._taps import EVEN, LEAST_LINE, SEEN, WHOLE, Taps
+
+SHAPE = (12, 10)
+
+
+def moved(kind: str) -> tuple[np.ndarray, np.ndarray]:
+    """Memory (rows, 5) of cells of a kind that have been pressed and let go, and readings (5,) of r."""
+    cell = CELLS[kind]
+    shares = np.linspace(0.1, 0.9, 5)
+    estimator = cell.estimator((5,), noise=1e-4)
+    load = np.concatenate([np.zeros(5), np.linspace(0.0, 1.0, 20), np.linspace(1.0, 0.4, 15)])
+    ohms = cell.forward((5,)).run(np.full(load.size, DT_S), cell.full_scale_kpa * load[:, None] * shares)
+    for ohm in ohms:
+        estimator.step(DT_S, ohm)
+    return estimator._remembered.block.memory.copy(), ohms[-1] / cell.rest_resistance_ohm - 1.0
+
+
+@pytest.mark.parametrize("kind", CELLS)
+def test_a_held_load_is_that_of_a_memory_that_begins_with_it(kind: str) -> None:
+    inversion, (_, r) = CELLS[kind].estimator((5,)).inversion, moved(kind)
+    np.testing.assert_array_equal(inversion.held_kpa(r), inversion.begin(r)[PRESSURE])
+
+
+@pytest.mark.parametrize("kind", CELLS)
+def test_a_load_that_is_held_in_parts_is_remembered_like_one_that_is_held_at_once(kind: str) -> None:
+    """So that what cells remembered before a jump is brought up only where the jump is taken back."""
+    inversion, (memory, _) = CELLS[kind].estimator((5,)).inversion, moved(kind)
+    in_parts = memory
+    for _ in range(8):
+        in_parts = inversion.hold(in_parts, DT_S)
+    np.testing.assert_allclose(in_parts, inversion.hold(memory, np.full(5, 8 * DT_S)), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("shape", [(12, 10), (20, 3), (4, 40)])
+def test_lines_that_moved_as_a_whole_are_those_most_of_whose_cells_did(shape: tuple[int, int]) -> None:
+    """Against counts of the cells of each line."""
+    inversion, rng = CELLS["contact"].estimator(shape).inversion, np.random.default_rng(0)
+    for share in (0.6, 0.8, 0.9, 1.0):
+        taps, n = Taps(inversion, shape), shape[0] * shape[1]
+        taps._before = 0.02 * rng.standard_normal(n)
+        reading = taps._before - np.where(rng.random(n) < share, rng.uniform(0.1, 0.9, n), 0.0)
+        noise = np.full(n, 1e-3)
+        cells = np.flatnonzero(reading < taps._before - 0.3)
+        before = taps._before[cells]
+        whole, ends_column, ends_row = taps._lines(cells, before, reading[cells] - before, reading, noise)
+        seen = (reading - taps._before) * inversion.side > SEEN * noise
+        rise = np.where(seen, inversion.held_kpa(reading) - inversion.held_kpa(taps._before), 0.0).reshape(shape)
+        for place, cell in enumerate(cells):
+            row, column = divmod(int(cell), shape[1])
+            least = EVEN * (inversion.held_kpa(reading[cell, None]) - inversion.held_kpa(before[place, None]))
+            lines = [line > least for line in (rise[row], rise[:, column])]
+            assert whole[place] == any(line.sum() >= WHOLE * line.size for line in lines if line.size >= LEAST_LINE)
+            assert ends_row[place] == (lines[0][0] or lines[0][-1])
+            assert ends_column[place] == (lines[1][0] or lines[1][-1])
+
+
+def test_a_press_of_the_whole_skin_makes_no_memory_of_all_cells_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To look for taps among 4096 jumps it was made four times a frame, and held once more: 12 ms for five frames."""
+    cell = Cell.example()
+    estimator = cell.estimator(SHAPE)
+    rng, rest = np.random.default_rng(0), cell.rest_resistance_ohm
+
+    def step(load: float) -> np.ndarray:
+        return estimator.step(DT_S, rest * (1.0 + load) * (1.0 + 1e-3 * rng.standard_normal(SHAPE)))
+
+    for _ in range(40):
+        step(0.0)
+    assert not estimator._sleep.awake.any()
+
+    def refused(*_: object) -> None:
+        raise AssertionError("a memory of all cells")
+
+    monkeypatch.setattr(estimator.inversion, "begin", refused)
+    monkeypatch.setattr(estimator.inversion, "hold", refused)
+    for _ in range(8):
+        pressure = step(0.5 * estimator.inversion.full_scale_r)
+    assert estimator._sleep.awake.all()
+    assert (pressure > 0.3 * cell.full_scale_kpa).all()
