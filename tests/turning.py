@@ -166,7 +166,7 @@ class OneCell:
         direction = 1.0 if self.rising else -1.0
         held = direction * (self.third_last - now.pressure) < 3 * dt * doubts.HELD_PER_S * self.full
         below = self.peak - ahead
-        share = doubts.AGAIN if below < max(unsure, doubts.FLAT * self.full if held else 0.0) else 0.0
+        share = doubts.AGAIN if below < unsure else 0.0
         share = 1.0 if below <= turns.EXACTLY * self.full else share
         if self.left is not None:
             share = 0.0
@@ -187,7 +187,7 @@ class OneCell:
         self.forgotten += min(forgotten, third.OF_FALL * fallen)
         self.forgotten *= max(1 - third.LASTS * (1 - fade), 0.0) if fallen >= 0 else 0.0
         self.forgotten = max(self.forgotten, 0.0)
-        self.recent_extreme -= (1 - fade) * np.sqrt(self.doubt) + doubts.CREEP * self.full * dt
+        self.recent_extreme -= (1 - fade) * np.sqrt(self.doubt)
         self.recent_extreme = max(self.recent_extreme, ahead - turns.LESS * unsure)
         if held:
             self.peak -= doubts.GOES_BACK * (1 - fade) * min(np.sqrt(self.doubt), turns.TURN * self.full)
@@ -321,16 +321,12 @@ class OneCell:
         bears = was.x2 * np.exp(ago / m.t2_s) + was.x3 * np.exp(ago / m.t3_s)
         off = gain * (mean - was.load * (1 / m.e1_kpa + 1 / m.e2_kpa + 1 / m.e3_kpa) - bears)
         growth = p - was.pressure
-        light = was.pressure <= was.load + still.LIGHT_TOUCH * self.full and self.onset.looks >= 0
-        flat, clear = (still.FLAT, still.CLEAR) if light else (still.FLAT_PRESS, still.CLEAR_PRESS)
-        alike = was.off is not None and abs(off - was.off) <= flat * max(growth, 0) + noise_kpa
-        if not alike or abs(off) > still.LIGHT_TOUCH * self.full + noise_kpa:
+        light_kpa = still.LIGHT_TOUCH * self.full
+        alike = was.off is not None and abs(off - was.off) <= still.FLAT * max(growth, 0) + noise_kpa
+        if not alike or abs(off) > light_kpa + noise_kpa or was.pressure > was.load + light_kpa:
             was.off, was.pressure = off, p
             return
-        doubt = max(self.doubt, (still.EITHER * max(growth - noise_kpa, 0)) ** 2)
-        self.variance += doubt - self.doubt
-        self.doubt = doubt
-        if growth > max(clear * self.full, noise_kpa / flat):
+        if growth > max(still.CLEAR * self.full, noise_kpa / still.FLAT):
             x3 = was.x3 + was.load / m.e3_kpa
             self.other = Hypothesis(was.load, self.other.settled, self.r - was.load / m.e1_kpa - x3, x3)
             self.extreme = rows.REFUTED
@@ -366,10 +362,6 @@ class OneCell:
         if seen.looks == onset.SETTLES:
             seen.earliest, seen.clear_pull = Rise(0.0, -m.etau2_kpa * (self.now.x2 + self.now.x3)), 0.0
         if seen.looks == onset.SETTLES or seen.pull <= none + onset.COINCIDENCE * load_kpa or load_kpa < -unsure:
-            if seen.clear_pull > 0:
-                doubt = max(self.doubt, (onset.EITHER * max(load_kpa, 0)) ** 2)
-                self.variance += doubt - self.doubt
-                self.doubt = doubt
             seen.x2, seen.x3, seen.pull, seen.clear_pull = self.now.x2, self.now.x3, 0.0, 0.0
             seen.begun = Rise(0.0, -m.etau2_kpa * (seen.x2 + seen.x3))
             may_bear = lasts
@@ -568,6 +560,7 @@ class Way:
         """Take the ``mean`` of four readings, uncertain by ``noise`` each: way that is told, and the most of it."""
         self.seen.append(mean)
         told, most, rest, rest_of_most, caution = 0.0, 0.0, 1.0, 1.0, way.Caution()
+        bound = np.inf
         for length in (1, 2, 4, 8):
             share = float(np.clip(4 * dt * length / way.MEMORY_S, way.LEAST_SHARE, caution.most_share))
             if len(self.seen) % length == 0:
@@ -576,19 +569,25 @@ class Way:
             sure = np.sqrt(share * way.OF_SIDES**2 + way.NOISE_KNOWN**2)
             clear = (2 * min(up_again, down_again) - 1) / sure
             moved = max(min(up + down, way.SIDE * min(up, down)) - 1, 0.0)
-            this = self._way(length, moved, max(self.bends[length] - 1, 0.0), noise)
+            bends = max(self.bends[length] - 1, 0.0)
+            this, fast = self._way(length, moved, bends, noise)
             does = float(np.clip((clear - caution.told) / (caution.does - caution.told), 0, 1))
             told, rest = told + rest * does * this, rest * (1 - does)
             hides = min(caution.hidden + way.HIDES_AT_FAST * (way.FAST_HZ * 4 * dt * length) ** 2, way.MOST_HIDDEN)
             may = float(np.clip(clear / caution.told, 0, 1))
-            most, rest_of_most = most + rest_of_most * may * this * hides, rest_of_most * (1 - may)
-        return told, max(most, told)
+            most += rest_of_most * may * (this + fast * (hides - 1))
+            rest_of_most *= 1 - may
+            if length == 1:
+                this, fast = self._way(length, moved + way.MAY * sure, bends + way.MAY * sure, noise)
+                bound = this + fast * (hides - 1)
+        return told, max(min(most, bound), told)
 
     @staticmethod
-    def _way(length: int, moved: float, bends: float, noise: float) -> float:
+    def _way(length: int, moved: float, bends: float, noise: float) -> tuple[float, float]:
         of_change = moved * noise**2 / (2 * length)
-        of_bend = min(bends * noise**2 * 3 / (2 * length), 4 * of_change)
-        return float(np.sqrt(of_change + way.BEND * of_bend)) * way.WAY / length
+        of_bend = way.BEND * min(bends * noise**2 * 3 / (2 * length), 4 * of_change)
+        per_look = way.WAY / length
+        return float(np.sqrt(of_change + of_bend)) * per_look, float(np.sqrt(way.FAST * of_bend)) * per_look
 
     def _compare(self, length: int, share: float, noise: float, largest: float) -> None:
         ends = (len(self.seen), len(self.seen) - length, len(self.seen) - 2 * length)

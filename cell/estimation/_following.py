@@ -159,8 +159,8 @@ class Following:
         beside = self._noise.beside_parabola(cells)
         self._tremor.look(cells, memory, beside)
         if ends_window:
-            most_kpa, unrest = self._inversion.most_seeming(memory, noise), self._noise.unrest(cells, beside)
-            missed = self._tremor.end_window(cells, memory[PRESSURE], most_kpa, beside, unrest)
+            most_kpa = self._inversion.most_seeming(memory, noise)
+            missed = self._tremor.end_window(cells, memory[PRESSURE], most_kpa, beside)
             if missed is not None:
                 self._inversion.miss(memory, missed)
 
@@ -170,8 +170,8 @@ class Following:
         beside = self._noise.beside_parabola(cells)
         self._tremor.look(cells, memory, beside)
         if ends_window:
-            seeming, before = self._inversion.seeming, self._noise.beside
-            missed = self._tremor.end_window_compiled(cells, memory, block.taken, seeming, beside, before)
+            seeming = self._inversion.seeming
+            missed = self._tremor.end_window_compiled(cells, memory, block.taken, seeming, beside)
             if missed is not None:
                 self._inversion.miss(memory, missed)
 

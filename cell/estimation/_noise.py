@@ -151,8 +151,6 @@ class NoiseMeter:
         """share of the variance of own noise at rest that scales with the conductance, as far as it is clear"""
         self._told = np.zeros(5)
         """sums that tell it, see :data:`WEIGHT`"""
-        self.beside = np.zeros(cells)
-        """(n,) what :meth:`beside_parabola` said at the end of the last window"""
         self.resolution = np.zeros(cells)
         """(n,) the part of it that the steps of the ADC make; 0: not known"""
         self.typical_resolution = 0.0
@@ -418,17 +416,6 @@ class NoiseMeter:
             return mean
         return recent_means(*self.window, cells, count)
 
-    def unrest(self, cells: IntArray, present: FloatArray) -> FloatArray:
-        """(m,) the lesser of the last two windows' variances, since a single edge is in one of them only.
-
-        To be called every :data:`WINDOW` frames, with what :meth:`beside_parabola` says at ``present`` (m,).
-        """
-        before = self.beside[cells]
-        found: FloatArray = np.minimum(present, before)
-        found[np.maximum(present, before) > CROSSED] = 0.0
-        self.beside[cells] = present
-        return found
-
     def std(self, r: FloatArray, cells: slice | IntArray = slice(None)) -> FloatArray:
         """Standard deviation of the readings ``r`` of ``cells``."""
         scale = np.maximum(r, -0.9)
@@ -462,13 +449,12 @@ class NoiseMeter:
                 [self.typical, self.own, self._shared, self.quiet, self._passes_below, self.resolution_by_all]
             ),
             "noise_multiplicative": np.array([self.multiplicative, *self._told]),
-            "noise_beside": self.beside,
         }
 
     def restore(self, state: dict[str, FloatArray]) -> None:
         """Continue from a :meth:`state`."""
         self._ring, self._blind, self._variance = (state[f"noise_{name}"] for name in ("ring", "blind", "variance"))
-        self.beside, self._crowd, self.on_line = (state[f"noise_{name}"] for name in ("beside", "crowd", "on_line"))
+        self._crowd, self.on_line = state["noise_crowd"], state["noise_on_line"]
         looks, seen, any_blind = state["noise_counts"].tolist()
         self.excess = state["noise_excess"]
         of_array = state["noise_of_array"].tolist()

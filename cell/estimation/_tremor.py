@@ -42,6 +42,13 @@ on, the load may have fallen, and from the second on, it most likely has. Noise 
 all frames"""
 FALLEN = 1.5
 """of what a fall would leave behind: how much of it is in doubt. Noise may hide a part of the fall"""
+
+RISEN_FROM, LOOKED_AT, EDGE_KPA, WAITING_KPA, SUSPECTED, AMPLITUDE, BESIDE_BEFORE, UNREST_BEFORE = range(8)
+"""rows of what is remembered: kPa at the beginning of the window, and at the last look; the largest rise from one look
+to the next in this window, since an edge of a load is in one of them; rise of the windows before, in doubt until this
+one has told; the largest suspicion in this window, 0 to 1; amplitude of motion over that of the noise, as far as the
+readings show it; variance beside smooth motion in the last window, and the lesser one of the last two"""
+ROWS = 8
 _SUSPICION, _MAY_FALL2, _ZERO, _ONE = (np.array(x) for x in (SUSPICION, MAY_FALL * MAY_FALL, 0.0, 1.0))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as a small operation.
 
@@ -57,22 +64,9 @@ def _share(ratio: FloatArray, low: float, high: float) -> FloatArray:
 class Tremor:
     """How far the rises of n cells are in doubt. Methods take the indices of m cells, and arrays (m,) of theirs."""
 
-    _KEPT = ("risen_from", "looked_at", "edge_kpa", "waiting_kpa", "suspicion", "amplitude", "unrest_before")
-
     def __init__(self, cells: int) -> None:
-        self._risen_from = np.zeros(cells)
-        """kPa at the beginning of the window"""
-        self._looked_at = np.zeros(cells)
-        """kPa at the last look"""
-        self._edge_kpa = np.zeros(cells)
-        """largest rise from one look to the next in this window: an edge of a load is in one of them"""
-        self._waiting_kpa = np.zeros(cells)
-        """rise of the windows before, in doubt until this one has told"""
-        self._suspicion = np.zeros(cells)
-        """largest in this window, 0 to 1"""
-        self._amplitude = np.ones(cells)
-        """of motion over that of the noise, as far as the readings show it"""
-        self._unrest_before = np.zeros(cells)
+        self._kept = np.zeros((ROWS, cells))
+        self._kept[AMPLITUDE] = 1.0
         self.suspicious = False
         """whether a rise is in doubt for the time being"""
         self.compiled = False
@@ -81,15 +75,14 @@ class Tremor:
     def look(self, cells: IntArray, memory: FloatArray, beside: FloatArray) -> None:
         """Take the cells' memory, and the variance (m,) of readings beside smooth motion over that of the noise."""
         if self.compiled:
-            kept = self._suspicion, self._amplitude, self._waiting_kpa, self._looked_at, self._edge_kpa
-            self.suspicious = look_each.unchecked(cells, memory, beside, *kept)
+            self.suspicious = look_each.unchecked(cells, memory, beside, self._kept)
             return
-        pressure_kpa = memory[PRESSURE]
-        self._edge_kpa[cells] = np.maximum(self._edge_kpa[cells], pressure_kpa - self._looked_at[cells])
-        self._looked_at[cells] = pressure_kpa
-        self._suspicion[cells] = np.maximum(self._suspicion[cells], _share(beside, HIDES, SUSPECTS))
+        kept, pressure_kpa = self._kept, memory[PRESSURE]
+        kept[EDGE_KPA, cells] = np.maximum(kept[EDGE_KPA, cells], pressure_kpa - kept[LOOKED_AT, cells])
+        kept[LOOKED_AT, cells] = pressure_kpa
+        kept[SUSPECTED, cells] = np.maximum(kept[SUSPECTED, cells], _share(beside, HIDES, SUSPECTS))
         squared = np.maximum(beside - _ONE, _ONE)
-        self._amplitude[cells] = np.sqrt(np.minimum(squared, CROSSED, out=squared))
+        kept[AMPLITUDE, cells] = np.sqrt(np.minimum(squared, CROSSED, out=squared))
         self._renew()
 
     def doubt_falls(self, cells: IntArray, memory: FloatArray, looked: Looked, fall_kpa: float) -> None:
@@ -111,18 +104,18 @@ class Tremor:
         below, left, noise2 = below[fell], left[fell], looked.noise[fell] ** 2
         kept_kpa = below * noise2 / left * np.maximum(fall_kpa - memory[GAIN, fell], 0.0) * FALLEN
         kept_kpa *= _share(below / np.sqrt(left), MAY_FALL, FALLS)
-        self._waiting_kpa[cells[fell]] += np.minimum(kept_kpa, np.maximum(memory[PRESSURE, fell], 0.0))
+        self._kept[WAITING_KPA, cells[fell]] += np.minimum(kept_kpa, np.maximum(memory[PRESSURE, fell], 0.0))
         self.suspicious = True
 
     def doubt_falls_compiled(
         self, cells: IntArray, memory: FloatArray, taken: FloatArray, line: FloatArray, fall_kpa: float
     ) -> None:
         """:meth:`doubt_falls` by machine code, for readings ``taken`` (4, m) into a ``line`` (ROWS, m)."""
-        found = doubt_each_fall.unchecked(cells, memory, taken, line, fall_kpa, self._waiting_kpa)
+        found = doubt_each_fall.unchecked(cells, memory, taken, line, fall_kpa, self._kept)
         self.suspicious = self.suspicious or found
 
     def end_window(
-        self, cells: IntArray, pressure_kpa: FloatArray, most_kpa: FloatArray, beside: FloatArray, unrest: FloatArray
+        self, cells: IntArray, pressure_kpa: FloatArray, most_kpa: FloatArray, beside: FloatArray
     ) -> FloatArray | None:
         """End a window of readings, after :meth:`look`, and begin the next one.
 
@@ -131,40 +124,49 @@ class Tremor:
             pressure_kpa: (m,) estimates.
             most_kpa: (m,) by which motion as large as the noise may let them seem to rise in a window.
             beside: (m,) as in :meth:`look`.
-            unrest: (m,) the lesser of the last two windows'.
 
         Returns:
             (m,) kPa of the rise that is in doubt for good; None: of no cell.
 
         """
-        rise, waiting = self._seeming_rise(cells, pressure_kpa, most_kpa), self._waiting_kpa[cells]
-        spread = np.maximum(rise - self._edge_kpa[cells], 0.0)
-        missed = None
+        kept = self._kept
+        rise, waiting = self._seeming_rise(cells, pressure_kpa, most_kpa), kept[WAITING_KPA, cells]
+        spread = np.maximum(rise - kept[EDGE_KPA, cells], 0.0)
+        unrest, missed = self._unrest(cells, beside), None
         if unrest.item(unrest.argmax()) > HIDES:
             sure = _share(unrest, HIDES, SURELY_HIDES)
             by_two = sure * np.where(rise < most_kpa, rise, 0.0)
-            by_three = _share(np.minimum(unrest, self._unrest_before[cells]), SUSPECTS, SURELY_SUSPECTS)
+            by_three = _share(np.minimum(unrest, kept[UNREST_BEFORE, cells]), SUSPECTS, SURELY_SUSPECTS)
             now = np.maximum(by_two, by_three * spread)
             missed = (now + by_three * waiting) * (1.0 + UNTOLD * sure)
             spread *= 1.0 - by_three
             waiting *= 1.0 - by_three
-        self._waiting_kpa[cells] = self._suspicion[cells] * (spread + FADES * waiting)
-        self._edge_kpa[cells] = 0.0
-        self._suspicion[cells] = _share(beside, HIDES, SUSPECTS)
-        self._unrest_before[cells] = unrest
-        self._risen_from[cells] = pressure_kpa
+        kept[WAITING_KPA, cells] = kept[SUSPECTED, cells] * (spread + FADES * waiting)
+        kept[EDGE_KPA, cells] = 0.0
+        kept[SUSPECTED, cells] = _share(beside, HIDES, SUSPECTS)
+        kept[UNREST_BEFORE, cells] = unrest
+        kept[RISEN_FROM, cells] = pressure_kpa
         return missed
+
+    def _unrest(self, cells: IntArray, beside: FloatArray) -> FloatArray:
+        """(m,) the lesser of the last two windows' variances, since a single edge is in one of them only."""
+        before = self._kept[BESIDE_BEFORE, cells]
+        found: FloatArray = np.minimum(beside, before)
+        found[np.maximum(beside, before) > CROSSED] = 0.0
+        self._kept[BESIDE_BEFORE, cells] = beside
+        return found
 
     def accept(self, cells: IntArray, pressure_kpa: FloatArray) -> None:
         """Take the pressures (m,) of cells for those of a load: nothing of their rise until now is in doubt."""
-        self._risen_from[cells] = self._looked_at[cells] = pressure_kpa
-        self._waiting_kpa[cells] = self._edge_kpa[cells] = 0.0
+        kept = self._kept
+        kept[RISEN_FROM, cells] = kept[LOOKED_AT, cells] = pressure_kpa
+        kept[WAITING_KPA, cells] = kept[EDGE_KPA, cells] = 0.0
 
     def variance(self, cells: IntArray, pressure_kpa: FloatArray, most_kpa: FloatArray) -> FloatArray:
         """(m,) kPa^2 of what is in doubt for the time being."""
         std = self._seeming_rise(cells, pressure_kpa, most_kpa)
-        std *= self._suspicion.take(cells, mode="clip")  # a third of the time of [cells], here and below
-        std += self._waiting_kpa.take(cells, mode="clip")
+        std *= self._kept[SUSPECTED].take(cells, mode="clip")  # a third of the time of [cells], here and below
+        std += self._kept[WAITING_KPA].take(cells, mode="clip")
         std *= _SUSPICION
         std *= std
         return std
@@ -173,35 +175,20 @@ class Tremor:
         self, cells: IntArray, memory: FloatArray, taken: FloatArray, seeming: float, added: FloatArray
     ) -> None:
         """Add :meth:`variance` to ``added`` (m,) by machine code, from the memory and the readings (4, m) of cells."""
-        kept = self._risen_from, self._amplitude, self._suspicion, self._waiting_kpa, self._edge_kpa, self._looked_at
-        doubt_rises.unchecked(cells, memory, taken, seeming, *kept, added)
+        doubt_rises.unchecked(cells, memory, taken, seeming, self._kept, added)
 
     def end_window_compiled(
-        self,
-        cells: IntArray,
-        memory: FloatArray,
-        taken: FloatArray,
-        seeming: float,
-        beside: FloatArray,
-        beside_before: FloatArray,
+        self, cells: IntArray, memory: FloatArray, taken: FloatArray, seeming: float, beside: FloatArray
     ) -> FloatArray | None:
-        """:meth:`end_window` by machine code; ``beside_before`` (n,) is that of the window before, and changed."""
-        kept = (
-            self._risen_from,
-            self._amplitude,
-            self._suspicion,
-            self._waiting_kpa,
-            self._unrest_before,
-            self._edge_kpa,
-        )
+        """:meth:`end_window` by machine code, with arguments as :meth:`add_variance`."""
         missed = np.empty(cells.size)
-        found = end_window_each.unchecked(cells, memory, taken, seeming, beside, beside_before, *kept, missed)
+        found = end_window_each.unchecked(cells, memory, taken, seeming, beside, self._kept, missed)
         return missed if found else None
 
     def forget(self, cells: IntArray) -> None:
         """Let nothing be in doubt about cells that are put to sleep."""
-        self._suspicion[cells] = self._waiting_kpa[cells] = 0.0
-        self._risen_from[cells] = self._looked_at[cells] = self._edge_kpa[cells] = 0.0
+        for row in (SUSPECTED, WAITING_KPA, RISEN_FROM, LOOKED_AT, EDGE_KPA):
+            self._kept[row, cells] = 0.0
 
     def _seeming_rise(self, cells: IntArray, pressure_kpa: FloatArray, most_kpa: FloatArray) -> FloatArray:
         """(m,) kPa by which pressures have risen in this window beside loads.
@@ -209,55 +196,45 @@ class Tremor:
         What rose faster than motion within the noise may seem to is a load: an edge. Its steepest part is in no doubt,
         and of the rest no more than is in doubt already.
         """
-        rise: FloatArray = pressure_kpa - self._risen_from.take(cells, mode="clip")
+        rise: FloatArray = pressure_kpa - self._kept[RISEN_FROM].take(cells, mode="clip")
         np.maximum(rise, _ZERO, out=rise)
-        most = self._amplitude.take(cells, mode="clip")
+        most = self._kept[AMPLITUDE].take(cells, mode="clip")
         most *= most_kpa
         fast = np.flatnonzero(~(rise < most))
         if fast.size:
             some = cells[fast]
-            steepest = np.maximum(self._edge_kpa[some], pressure_kpa[fast] - self._looked_at[some])
+            steepest = np.maximum(self._kept[EDGE_KPA, some], pressure_kpa[fast] - self._kept[LOOKED_AT, some])
             beside_edge = np.maximum(rise[fast] - steepest, 0.0)
-            rise[fast] = np.minimum(np.minimum(beside_edge, most[fast]), self._waiting_kpa[some])
+            rise[fast] = np.minimum(np.minimum(beside_edge, most[fast]), self._kept[WAITING_KPA, some])
         return rise
 
     def state(self) -> dict[str, FloatArray]:
         """All that is remembered, by name."""
-        return {f"tremor_{name}": getattr(self, f"_{name}") for name in self._KEPT}
+        return {"tremor": self._kept}
 
     def restore(self, state: dict[str, FloatArray]) -> None:
         """Continue from a saved :meth:`state`."""
-        for name in self._KEPT:
-            setattr(self, f"_{name}", state[f"tremor_{name}"])
+        self._kept = state["tremor"]
         self._renew()
 
     def _renew(self) -> None:
         """Tell whether a rise is in doubt."""
-        self.suspicious = bool(np.count_nonzero(self._suspicion) or np.count_nonzero(self._waiting_kpa))
+        self.suspicious = bool(np.count_nonzero(self._kept[WAITING_KPA : SUSPECTED + 1]))
 
 
 @loop
-def look_each(
-    cells: Places,
-    memory: Rows,
-    beside: Row,
-    suspicion: Row,
-    amplitude: Row,
-    waiting_kpa: Row,
-    looked_at: Row,
-    edge_kpa: Row,
-) -> bool:
-    """:meth:`Tremor.look` as a loop over cells."""
+def look_each(cells: Places, memory: Rows, beside: Row, kept: Rows) -> bool:
+    """:meth:`Tremor.look` as a loop over cells; ``kept`` (ROWS, n) is what is remembered, here and below."""
     for i in range(cells.size):
         cell, pressure_kpa = cells[i], memory[PRESSURE, i]
-        edge_kpa[cell] = max(edge_kpa[cell], pressure_kpa - looked_at[cell])
-        looked_at[cell] = pressure_kpa
+        kept[EDGE_KPA, cell] = max(kept[EDGE_KPA, cell], pressure_kpa - kept[LOOKED_AT, cell])
+        kept[LOOKED_AT, cell] = pressure_kpa
         suspects = min(max((beside[i] - HIDES) / (SUSPECTS - HIDES), 0.0), 1.0)
-        suspicion[cell] = max(suspicion[cell], suspects)
-        amplitude[cell] = math.sqrt(min(max(beside[i] - 1.0, 1.0), CROSSED))
+        kept[SUSPECTED, cell] = max(kept[SUSPECTED, cell], suspects)
+        kept[AMPLITUDE, cell] = math.sqrt(min(max(beside[i] - 1.0, 1.0), CROSSED))
     suspicious = False
-    for cell in range(suspicion.size):
-        suspicious |= suspicion[cell] != 0.0 or waiting_kpa[cell] != 0.0
+    for cell in range(kept.shape[1]):
+        suspicious |= kept[SUSPECTED, cell] != 0.0 or kept[WAITING_KPA, cell] != 0.0
     return suspicious
 
 
@@ -270,31 +247,20 @@ def seeming_rise(rise: float, most_kpa: float, steepest: float, waiting: float) 
 
 
 @loop
-def doubt_rises(
-    cells: Places,
-    memory: Rows,
-    taken: Rows,
-    seeming: float,
-    risen_from: Row,
-    amplitude: Row,
-    suspicion: Row,
-    waiting_kpa: Row,
-    edge_kpa: Row,
-    looked_at: Row,
-    added: Row,
-) -> None:
+def doubt_rises(cells: Places, memory: Rows, taken: Rows, seeming: float, kept: Rows, added: Row) -> None:
     """:meth:`Tremor.variance` as a loop over cells. ``seeming`` is the rise in a window, per noise and squared gain."""
     for i in range(cells.size):
         cell, gain, pressure = cells[i], memory[GAIN, i], memory[PRESSURE, i]
-        most_kpa = amplitude[cell] * (seeming * taken[NOISE, i] * (gain * gain))
-        steepest = max(edge_kpa[cell], pressure - looked_at[cell])
-        rise = seeming_rise(pressure - risen_from[cell], most_kpa, steepest, waiting_kpa[cell])
-        std = (rise * suspicion[cell] + waiting_kpa[cell]) * SUSPICION
+        most_kpa = kept[AMPLITUDE, cell] * (seeming * taken[NOISE, i] * (gain * gain))
+        waiting = kept[WAITING_KPA, cell]
+        steepest = max(kept[EDGE_KPA, cell], pressure - kept[LOOKED_AT, cell])
+        rise = seeming_rise(pressure - kept[RISEN_FROM, cell], most_kpa, steepest, waiting)
+        std = (rise * kept[SUSPECTED, cell] + waiting) * SUSPICION
         added[i] += std * std
 
 
 @loop
-def doubt_each_fall(cells: Places, memory: Rows, taken: Rows, line: Rows, fall_kpa: float, waiting_kpa: Row) -> bool:
+def doubt_each_fall(cells: Places, memory: Rows, taken: Rows, line: Rows, fall_kpa: float, kept: Rows) -> bool:
     """:meth:`Tremor.doubt_falls` as a loop over cells; whether one is in doubt."""
     found = False
     for i in range(cells.size):
@@ -305,28 +271,16 @@ def doubt_each_fall(cells: Places, memory: Rows, taken: Rows, line: Rows, fall_k
             continue
         kept_kpa = below * noise2 / left * max(fall_kpa - memory[GAIN, i], 0.0) * FALLEN
         kept_kpa *= min(max((below / math.sqrt(left) - MAY_FALL) / (FALLS - MAY_FALL), 0.0), 1.0)
-        waiting_kpa[cells[i]] += min(kept_kpa, max(memory[PRESSURE, i], 0.0))
+        kept[WAITING_KPA, cells[i]] += min(kept_kpa, max(memory[PRESSURE, i], 0.0))
         found = True
     return found
 
 
 @loop
 def end_window_each(
-    cells: Places,
-    memory: Rows,
-    taken: Rows,
-    seeming: float,
-    beside: Row,
-    beside_before: Row,
-    risen_from: Row,
-    amplitude: Row,
-    suspicion: Row,
-    waiting_kpa: Row,
-    unrest_before: Row,
-    edge_kpa: Row,
-    missed: Row,
+    cells: Places, memory: Rows, taken: Rows, seeming: float, beside: Row, kept: Rows, missed: Row
 ) -> bool:
-    """:meth:`._noise.NoiseMeter.unrest` and :meth:`Tremor.end_window` as a loop over cells.
+    """:meth:`Tremor.end_window` as a loop over cells.
 
     Returns:
         Whether a rise is in doubt for good: then ``missed`` (m,) has it.
@@ -334,28 +288,24 @@ def end_window_each(
     found = False
     for i in range(cells.size):
         cell, gain, pressure, present = cells[i], memory[GAIN, i], memory[PRESSURE, i], beside[i]
-        unrest = min(present, beside_before[cell])
-        if max(present, beside_before[cell]) > CROSSED:
-            unrest = 0.0
-        beside_before[cell] = present
+        before, waiting, edge_kpa = kept[BESIDE_BEFORE, cell], kept[WAITING_KPA, cell], kept[EDGE_KPA, cell]
+        unrest = min(present, before) if max(present, before) <= CROSSED else 0.0
         most_kpa = seeming * taken[NOISE, i] * (gain * gain)
-        waiting = waiting_kpa[cell]
-        rise = seeming_rise(pressure - risen_from[cell], amplitude[cell] * most_kpa, edge_kpa[cell], waiting)
+        rise = seeming_rise(pressure - kept[RISEN_FROM, cell], kept[AMPLITUDE, cell] * most_kpa, edge_kpa, waiting)
         found |= unrest > HIDES
         sure = min(max((unrest - HIDES) / (SURELY_HIDES - HIDES), 0.0), 1.0)
         by_two = sure * (rise if rise < most_kpa else 0.0)
-        lesser = min(unrest, unrest_before[cell])
+        lesser = min(unrest, kept[UNREST_BEFORE, cell])
         by_three = min(max((lesser - SUSPECTS) / (SURELY_SUSPECTS - SUSPECTS), 0.0), 1.0)
-        spread = max(rise - edge_kpa[cell], 0.0)
+        spread = max(rise - edge_kpa, 0.0)
         now = max(by_two, by_three * spread)
         missed[i] = (now + by_three * waiting) * (1.0 + UNTOLD * sure)
         spread *= 1.0 - by_three
         waiting *= 1.0 - by_three
-        waiting_kpa[cell] = suspicion[cell] * (spread + FADES * waiting)
-        edge_kpa[cell] = 0.0
-        suspicion[cell] = min(max((present - HIDES) / (SUSPECTS - HIDES), 0.0), 1.0)
-        unrest_before[cell] = unrest
-        risen_from[cell] = pressure
+        kept[WAITING_KPA, cell] = kept[SUSPECTED, cell] * (spread + FADES * waiting)
+        kept[SUSPECTED, cell] = min(max((present - HIDES) / (SUSPECTS - HIDES), 0.0), 1.0)
+        kept[RISEN_FROM, cell], kept[EDGE_KPA, cell] = pressure, 0.0
+        kept[BESIDE_BEFORE, cell], kept[UNREST_BEFORE, cell] = present, unrest
     return found
 
 

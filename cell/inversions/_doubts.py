@@ -46,13 +46,9 @@ EITHER = 0.5
 LOST, GONE = 1.5, 0.7
 """standard deviations of the smoothed noise by which the hypotheses must have been apart for a doubt to stay, and the
 share of the variance that a new beginning takes away"""
-CREEP = 0.003
-"""of full scale: what a recent extreme fades by in a second, beside what an error of two standard deviations of the
-memory fades by. A load that goes back faster has turned, however large it is: holds by a hand waver by less than what
-makes a turn otherwise"""
-FLAT, HELD_PER_S = 0.003, 0.03
-"""of full scale: by how much a pressure that is held may seem to go back, and by how much in a second. A load that goes
-back faster has turned: the other hypothesis began at its extreme, and is not to begin again later"""
+HELD_PER_S = 0.03
+"""of full scale: by how much a pressure that is held may seem to go back in a second. A load that goes back faster has
+turned"""
 GOES_BACK = 6.0
 """standard deviations of the memory, at most a turn, per share of its variance that fades in a frame, by which the peak
 goes down. As an error of the memory fades, the pressure of a load that is held seems to go back"""
@@ -60,11 +56,9 @@ AGAIN = 0.5
 """share by which the other hypothesis begins anew at a frame, within one standard deviation of the extreme.
 Beginning at every extreme would take noise for part of the press, beginning late would miss some of the release; half
 and half, the two errors about cancel"""
-CREEPS = CREEP / (3.0 * HELD_PER_S)
-"""share of what a held pressure may seem to go back by in three frames that a recent extreme fades by in one"""
 
-FLAT_KPA, CLEAR_KPA2 = 28, 29
-"""places of numbers, behind those of :mod:`._takeover`: :data:`FLAT`, and a variance that is more than rounding"""
+CLEAR_KPA2 = 28
+"""place of a number, behind those of :mod:`._takeover`: a variance that is more than rounding"""
 _ZERO, _ONE, _FAR, _LESS, _PER_LESS, _EITHER, _EARLIER, _AGAIN, _GOES_BACK, _KEPT = (
     np.array(x) for x in (0.0, 1.0, FAR, LESS, 1.0 / LESS, EITHER, EARLIER, AGAIN, GOES_BACK, 1.0 - GONE)
 )
@@ -72,8 +66,8 @@ _ZERO, _ONE, _FAR, _LESS, _PER_LESS, _EITHER, _EARLIER, _AGAIN, _GOES_BACK, _KEP
 
 
 def numbers_of(full_scale_kpa: float) -> dict[int, float]:
-    """Numbers of the places above."""
-    return {FLAT_KPA: FLAT * full_scale_kpa, CLEAR_KPA2: (1.0 - GONE) * (NEAR * full_scale_kpa) ** 2}
+    """The number of the place above."""
+    return {CLEAR_KPA2: (1.0 - GONE) * (NEAR * full_scale_kpa) ** 2}
 
 
 def held_kpa(dt_s: float, full_scale_kpa: float) -> float:
@@ -101,10 +95,8 @@ def begin_anew(
     gone_back = np.subtract(of.third_last, of.pressure, of.spare)
     gone_back *= of.sign
     np.less(gone_back, held_kpa, of.held)
-    np.multiply(of.held, numbers[FLAT_KPA], of.nearby)
-    np.maximum(of.unsure, of.nearby, out=of.nearby)
     below_peak = np.subtract(of.peak, of.ahead, of.spare)
-    again = np.less(below_peak, of.nearby, of.where).astype(np.float64)
+    again = np.less(below_peak, of.unsure, of.where).astype(np.float64)
     again *= _AGAIN
     np.copyto(again, _ONE, where=np.less_equal(below_peak, numbers[EXACT_KPA], of.where))
     if unconfirmed:
@@ -123,13 +115,11 @@ def begin_anew(
     np.maximum(of.extreme, of.ahead, out=of.extreme)
 
 
-def renew_variance(of: MemoryRows, held_kpa: float, numbers: tuple[FloatArray, ...], *, unconfirmed: bool) -> None:
+def renew_variance(of: MemoryRows, numbers: tuple[FloatArray, ...], *, unconfirmed: bool) -> None:
     """Count the distance of the hypotheses as deviation, and let extremes fade; as and after :func:`begin_anew`."""
     np.subtract(_ONE, of.fade, of.nearby)
     np.sqrt(of.doubt, of.spare)
-    fades = np.multiply(of.nearby, of.spare, of.threshold)
-    fades += held_kpa * CREEPS
-    of.recent_extreme -= fades
+    of.recent_extreme -= np.multiply(of.nearby, of.spare, of.threshold)
     np.maximum(of.recent_extreme, of.ahead, out=of.recent_extreme)
     of.nearby *= np.minimum(of.spare, numbers[TURN_KPA], out=of.spare)
     of.nearby *= _GOES_BACK
@@ -208,7 +198,7 @@ def begin_anew_each(
         flags[HELD, i] = held
         below_peak = memory[PEAK, i] - of[AHEAD, i]
         again = 0.0
-        if below_peak < max(of[UNSURE, i], numbers[FLAT_KPA] if held else 0.0):
+        if below_peak < of[UNSURE, i]:
             again = AGAIN
         if below_peak <= numbers[EXACT_KPA]:
             again = 1.0
@@ -227,7 +217,7 @@ def begin_anew_each(
         of[UNSURE, i] = unsure
         memory[EXTREME, i] = max(memory[EXTREME, i], ahead - unsure)
         error_kpa, fades = math.sqrt(memory[TURNED, i]), 1.0 - of[FADE, i]
-        recent = memory[RECENT_EXTREME, i] - (fades * error_kpa + held_kpa * CREEPS)
+        recent = memory[RECENT_EXTREME, i] - fades * error_kpa
         memory[RECENT_EXTREME, i] = max(recent, ahead - unsure)
         if flags[HELD, i]:
             memory[PEAK, i] -= fades * min(error_kpa, numbers[TURN_KPA]) * GOES_BACK

@@ -74,8 +74,7 @@ COINCIDENCE = 0.25
 NONE, CLEAR = 0.002, 0.01
 """of full scale: a pull that is none, and a load that is worth taking over"""
 EITHER = 0.6
-"""standard deviation over a load that is taken over, since it may have begun later, and over one that is hidden after a
-clear pull"""
+"""standard deviation over a load that is taken over, since it may have begun later"""
 HIDES_S, HIDDEN = 2.0, 0.4
 """how long a load may have risen at the hidden rate; and standard deviation over such a load where the pull is clear"""
 HELD = 0.7
@@ -203,14 +202,8 @@ def _compare(
     np.copyto(may_bear, _ZERO, where=anew)
     np.maximum(may_bear, memory[MAY_BEAR_KPA] * numbers[LASTS], out=may_bear)
     np.copyto(may_bear, _ZERO, where=more)
-    was_clear = anew & (clear_before > _ZERO) & ~settles
     memory[VARIANCE] += may_bear * may_bear - memory[MAY_BEAR_KPA] * memory[MAY_BEAR_KPA]
     memory[MAY_BEAR_KPA] = may_bear
-    if np.count_nonzero(was_clear):
-        doubt = np.where(was_clear, np.maximum(load, _ZERO) * EITHER, _ZERO)
-        doubt = np.maximum(doubt * doubt, memory[TURNED])
-        memory[VARIANCE] += doubt - memory[TURNED]
-        memory[TURNED] = doubt
     memory[CLEAR_KPA] = np.where(anew, _ZERO, np.where(clear & (clear_before == _ZERO), pull, clear_before))
     memory[PULL_KPA] = np.where(anew, _ZERO, pull)
     forgotten = (memory[X2] + memory[RECOVERY_X3]) * -numbers[ETAU2_KPA]
@@ -319,11 +312,6 @@ def look_each(memory: Rows, mean: Row, noise: Row, full_scale_kpa: float, number
             memory[BEGUN_KPA, i], memory[BEGUN_SETTLED, i], memory[PULL_KPA, i] = 0.0, settled, 0.0
             memory[EXPECTED_X2, i], memory[EXPECTED_X3, i] = memory[X2, i], memory[RECOVERY_X3, i]
             memory[VARIANCE, i] += may_bear * may_bear - may_bear2
-            if memory[CLEAR_KPA, i] > 0.0 and looks > SETTLES:
-                doubt = max(load, 0.0) * EITHER
-                doubt = max(doubt * doubt, memory[TURNED, i])
-                memory[VARIANCE, i] += doubt - memory[TURNED, i]
-                memory[TURNED, i] = doubt
             memory[CLEAR_KPA, i], memory[MAY_BEAR_KPA, i] = 0.0, may_bear
             continue
         memory[PULL_KPA, i] = pull

@@ -7,9 +7,10 @@ full scale. Neither hypothesis tells: the recovery model begins anew where the p
 A third hypothesis is therefore followed while the rising model is in force: that the load is what it was when the
 recovery model was, and that the cell remembers what it remembered then. Its prediction of the readings needs no
 inverse. As long as the readings keep their distance from it while the rising model's pressure grows, the load would
-have to grow exactly as the recovery fades. The growth is therefore in doubt, and is refuted when it is clear: the
-recovery model is taken over again, with that load. A load that grows takes the readings away from the prediction, and
-under a light load that is held the resistance falls faster than it. Both begin the comparison anew.
+have to grow exactly as the recovery fades. The growth is therefore refuted when it is clear: the recovery model is
+taken over again, with that load. A load that grows takes the readings away from the prediction, and under a light load
+that is held the resistance falls faster than it. Both begin the comparison anew. So does a growth beyond a light
+touch: a press may rise for a while by about as much as the recovery fades.
 """
 
 from __future__ import annotations
@@ -20,19 +21,17 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...compiled import Row, Rows, loop
-from ..estimation import FAR, PRESSURE, RECENT, VARIANCE
+from ..estimation import FAR, PRESSURE, RECENT
 from ..materials import PaperModel
 from ._paper_steps import Constants, borne_before, numbered, step_weights
 from ._turning_rows import (
     EXTREME,
     LEFT,
-    LOOKS_AT_REST,
     RECOVERY_KPA,
     RECOVERY_X3,
     REFUTED,
     SIGN,
     STATE_END,
-    TURNED,
     X2,
 )
 
@@ -40,17 +39,12 @@ FLAT = 0.3
 """share of the growth by which the readings may leave the prediction, as the recovery model answers that"""
 SURE = 3.0
 """standard deviations of the mean of readings by which they may do so, too, and by which a growth is none"""
-LIGHT_TOUCH = 0.05
+LIGHT_TOUCH = 0.03
 """of full scale: how far the readings may be from the prediction, as the recovery model answers that. Larger loads fall
 by enough to be noticed"""
 CLEAR = 0.01
 """of full scale: growth that is refuted. Of a growth that noise hides more than :data:`FLAT` of, nothing can be said"""
-EITHER = 0.5
-"""standard deviation over the growth that is in doubt"""
-FLAT_PRESS, CLEAR_PRESS = 0.05, 0.1
-"""as :data:`FLAT` and :data:`CLEAR`, of growth that began beyond a light touch or was found by :mod:`._onset`: a load
-may rise for a while by about as much as the recovery fades, but hardly by just as much for long"""
-_ZERO, _FAR, _EITHER, _SURE = (np.array(x) for x in (0.0, FAR, EITHER, SURE / math.sqrt(RECENT)))
+_ZERO, _FAR, _SURE = (np.array(x) for x in (0.0, FAR, SURE / math.sqrt(RECENT)))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 NAMES = ("still_kpa", "still_x2", "still_x3", "off_kpa_before", "pressure_before")
@@ -125,24 +119,16 @@ def look(
     off *= numbers[GAIN_KPA]
     by_noise = noise * _SURE
     by_noise *= numbers[GAIN_KPA]
-    light = pressure_before <= load + LIGHT_TOUCH * full_scale_kpa
-    light &= memory[LOOKS_AT_REST] >= _ZERO
-    flat, clear = np.where(light, FLAT, FLAT_PRESS), np.where(light, CLEAR, CLEAR_PRESS)
-    growth = pressure - pressure_before
-    alike = np.abs(off - off_before) <= np.maximum(growth, _ZERO) * flat + by_noise
-    alike &= np.abs(off) <= by_noise + LIGHT_TOUCH * full_scale_kpa
+    light_kpa, growth = LIGHT_TOUCH * full_scale_kpa, pressure - pressure_before
+    alike = np.abs(off - off_before) <= np.maximum(growth, _ZERO) * FLAT + by_noise
+    alike &= np.abs(off) <= by_noise + light_kpa
+    alike &= pressure_before <= load + light_kpa
     anew = rising & ~alike
     np.copyto(off_before, off, where=anew)
     np.copyto(pressure_before, pressure, where=anew)
     np.copyto(growth, _ZERO, where=~(rising & alike))
-    in_doubt = np.maximum(growth - by_noise, _ZERO) * _EITHER
-    in_doubt *= in_doubt
-    in_doubt -= memory[TURNED]
-    np.maximum(in_doubt, _ZERO, out=in_doubt)
-    memory[TURNED] += in_doubt
-    memory[VARIANCE] += in_doubt
-    refuted = growth > clear * full_scale_kpa
-    refuted &= growth * flat > by_noise
+    refuted = growth > CLEAR * full_scale_kpa
+    refuted &= growth * FLAT > by_noise
     if np.count_nonzero(refuted):
         x3 = x3 + load * numbers[PER_KPA_3]
         np.copyto(memory[RECOVERY_KPA], load, where=refuted)
@@ -154,6 +140,7 @@ def look(
 @loop
 def look_each(memory: Rows, mean: Row, noise: Row, full_scale_kpa: float, numbers: Row) -> None:
     """:func:`look` as a loop over cells."""
+    light_kpa = LIGHT_TOUCH * full_scale_kpa
     for i in range(mean.size):
         pressure = memory[PRESSURE, i]
         x2, x3 = memory[STILL_X2, i] * numbers[FADES_2], memory[STILL_X3, i] * numbers[FADES_3]
@@ -169,18 +156,13 @@ def look_each(memory: Rows, mean: Row, noise: Row, full_scale_kpa: float, number
         off = mean[i] - load * numbers[PER_KPA] - x2 * numbers[BACK_2] - x3 * numbers[BACK_3]
         off *= numbers[GAIN_KPA]
         by_noise = noise[i] * (SURE / math.sqrt(RECENT)) * numbers[GAIN_KPA]
-        light = memory[PRESSURE_BEFORE, i] <= load + LIGHT_TOUCH * full_scale_kpa and memory[LOOKS_AT_REST, i] >= 0.0
-        flat, clear = (FLAT, CLEAR) if light else (FLAT_PRESS, CLEAR_PRESS)
         growth = pressure - memory[PRESSURE_BEFORE, i]
-        alike = abs(off - memory[OFF_BEFORE, i]) <= max(growth, 0.0) * flat + by_noise
-        if not (alike and abs(off) <= by_noise + LIGHT_TOUCH * full_scale_kpa):
+        alike = abs(off - memory[OFF_BEFORE, i]) <= max(growth, 0.0) * FLAT + by_noise
+        light = memory[PRESSURE_BEFORE, i] <= load + light_kpa and abs(off) <= by_noise + light_kpa
+        if not (alike and light):
             memory[OFF_BEFORE, i], memory[PRESSURE_BEFORE, i] = off, pressure
             continue
-        in_doubt = max(growth - by_noise, 0.0) * EITHER
-        in_doubt = max(in_doubt * in_doubt - memory[TURNED, i], 0.0)
-        memory[TURNED, i] += in_doubt
-        memory[VARIANCE, i] += in_doubt
-        if growth > clear * full_scale_kpa and growth * flat > by_noise:
+        if growth > CLEAR * full_scale_kpa and growth * FLAT > by_noise:
             x3 = x3 + load * numbers[PER_KPA_3]
             memory[RECOVERY_KPA, i], memory[RECOVERY_X3, i], memory[EXTREME, i] = load, x3, REFUTED
             memory[X2, i] = memory[STATE_END - 1, i] - load * numbers[PER_KPA_AT_ONCE] - x3
