@@ -181,6 +181,9 @@ class ContactTracker:
             self._trails.look(*rise, self._labels > 0)
             self._find_missing(time_s, np.isnan(rise[0]))
         self._rise = rise
+        if math.isinf(self._time_s):
+            # Nobody has seen these cells before: most likely they have been pressed for longer than sparks last.
+            self._pressed_s[pressure_kpa > START_SHARE * self.full_scale_kpa] = -np.inf
         labels, patches = self._find(time_s, pressure_kpa, std_kpa)
         self._pressed = pressure_kpa > START_SHARE * self.full_scale_kpa
         self._pressed_s = np.where(self._pressed, np.minimum(self._pressed_s, time_s), np.inf)

@@ -32,7 +32,7 @@ from ._replay import NOTHING_RECORDED, ReplayPort
 from ._statistics import LinkStatistics
 from ._stream import RawFrame
 from ._taker import AsyncFrames, ConvertedFrames, FrameCallback, FrameTaker
-from ._tare import KNOWN_DRIFT, Tare
+from ._tare import KNOWN_DRIFT, SPREAD, Tare
 from ._taring import Tares
 
 
@@ -522,7 +522,9 @@ class Skin:
             pending=min(pending, self._mailbox.capacity), drift_ppm=clock.drift_ppm, clock_steps=clock.steps
         )
 
-    def tare(self, frames: int = 20, *, force: bool = False, drift: float = KNOWN_DRIFT) -> Tare:
+    def tare(
+        self, frames: int = 20, *, force: bool = False, drift: float = KNOWN_DRIFT, spread: float = SPREAD
+    ) -> Tare:
         """Take the skin for unloaded now: the mean of the next ``frames`` becomes each cell's rest resistance.
 
         This removes what differs from cell to cell, and the steady part of what the design does not mention. A cell
@@ -535,12 +537,14 @@ class Skin:
             force: tare in spite of signs that the skin is loaded; they are then in the result's ``remarks``.
             drift: relative change of a rest resistance, since the tare or calibration in use, that temperature and age
                 explain. A larger one is such a sign. A tare that was forced is not compared with.
+            spread: relative deviation of a cell from the typical one, or from its share in the calibration, that
+                manufacture explains. A larger one is such a sign.
 
         Raises:
             InputError: the skin seems to be loaded (resistances far from the data sheet, or unlike each other, or
                 changing, or unlike those of the tare or calibration in use), or noise alone may let it seem so (the
-                message says how many frames tell); no cell has a valid reading; or ``frames`` or ``drift`` is not
-                positive.
+                message says how many frames tell); no cell has a valid reading; or ``frames``, ``drift`` or ``spread``
+                is not positive.
             LinkTimeout, LinkError, ProtocolError: as for :meth:`read`.
 
         """
@@ -550,6 +554,7 @@ class Skin:
             serial_number=lambda: self._reader.serial_number(0.0),
             board=self.port_name,
             drift=positive("drift", drift),
+            spread=positive("spread", spread),
             force=force,
             waiting=self._delivery == "every",
         )

@@ -18,7 +18,8 @@ from ..files import read_bytes, whole_file
 from ..text import count_of, printable
 
 SPREAD = 0.3
-"""relative deviation of a cell from the other cells that manufacture explains; the project's own choice"""
+"""relative deviation of a cell from the other cells that manufacture explains, unless told otherwise; the project's own
+choice"""
 SHEET_FACTOR = 2.0
 """factor between the typical cell and its data sheet that manufacture explains"""
 KNOWN_DRIFT = 0.1
@@ -30,8 +31,12 @@ DRIFT = 0.01
 """relative change of a resistance during the tare that a resting cell may show"""
 DRIFT_STDS = 5.0
 """and so many standard errors, for noisy readings"""
+OUTLYING_STDS = 4.0
+"""a cell that is farther from the others, in robust standard deviations of all, is no part of their scatter"""
+NORMAL_MAD = 1.4826
+"""standard deviation over the median absolute deviation (normal distribution)"""
 NOISE_SHARE = 0.5
-"""of :data:`SPREAD`, that noise may take up; the rest is for manufacture"""
+"""of the deviation that manufacture explains, that noise may take up; the rest is for manufacture"""
 TYPICAL_READINGS = 4
 """readings of a cell that the noise of all cells is worth"""
 ENOUGH_READINGS = 8.0
@@ -65,6 +70,9 @@ class Tare:
     """signs that the skin was loaded; a tare that has any was forced"""
     frames_advised: int = 0
     """frames that would do, where noise alone may be the cause of these signs, or of cells without a reading; else 0"""
+    spread_advised: float = 0.0
+    """relative deviation of the cells from each other that would explain these signs, where they scatter so widely that
+    it may be their manufacture, and no other sign speaks of a load; else 0"""
 
     @property
     def covers(self) -> str:
@@ -166,6 +174,7 @@ class RestReadings:
         calibrated_ohm: FloatArray | None = None,
         earlier: EarlierRest | None = None,
         drift: float = KNOWN_DRIFT,
+        spread: float = SPREAD,
     ) -> Tare:
         """The rest resistances, and every sign that the skin is loaded.
 
@@ -178,6 +187,7 @@ class RestReadings:
                 sheet.
             earlier: what this skin's rest resistances were when it was known to be unloaded.
             drift: relative change since then that is no load.
+            spread: relative deviation of a cell from the others that is none either.
 
         Raises:
             InputError: not one cell has a valid reading.
@@ -193,7 +203,7 @@ class RestReadings:
         expected = np.ones_like(mean) if calibrated_ohm is None else calibrated_ohm
         typical = float(np.median((mean / expected)[measured]))
         otherwise = typical * expected if cell is None or calibrated_ohm is not None else cell.rest_resistance_ohm
-        unlike = _unlike_others(mean, typical * expected, measured, cell)
+        unlike = _unlike_others(mean, typical * expected, measured, cell, spread)
         signs = (
             _far_from_sheet(typical, cell) if calibrated_ohm is None else _far_from_calibration(typical),
             unlike,
@@ -203,10 +213,13 @@ class RestReadings:
             self._changing(mean, std, readings),
         )
         remarks = tuple(sign for sign in signs if sign)
-        frames_advised = 0
+        frames_advised, spread_advised = 0, 0.0
         if remarks == (unlike,) and not (cell is not None and isinstance(cell.model, ContactModel)):
             ratio = np.where(measured, mean / (typical * expected), 1.0)
-            frames_advised = self._frames_to_tell(ratio, deviation / np.where(measured, mean, 1.0), readings)
+            relative = deviation / np.where(measured, mean, 1.0)
+            frames_advised = self._frames_to_tell(ratio, relative, readings, spread)
+            if not frames_advised:
+                spread_advised = _spread_of_all(ratio[measured])
         elif not remarks:
             frames_advised = self._frames_to_cover(measured)
         return Tare(
@@ -219,15 +232,17 @@ class RestReadings:
             wall_time=wall_time,
             remarks=remarks,
             frames_advised=frames_advised,
+            spread_advised=spread_advised,
         )
 
-    def _frames_to_tell(self, ratio: FloatArray, deviation: FloatArray, readings: FloatArray) -> int:
-        """Frames in which noise lets no cell differ from the others by more than its share of :data:`SPREAD`.
+    def _frames_to_tell(self, ratio: FloatArray, deviation: FloatArray, readings: FloatArray, spread: float) -> int:
+        """Frames in which noise lets no cell differ from the others by more than its share of ``spread``.
 
         Args:
             ratio: (rows, columns) of the cells to what is usual for them.
             deviation: (frames, rows, columns) of the readings from their mean, relative; 0 where not valid.
             readings: (rows, columns) that are valid.
+            spread: relative deviation of a cell from the others that manufacture explains.
 
         Returns:
             Their number, rounded up to two digits; 0 where noise is not enough to explain the ratios.
@@ -237,12 +252,12 @@ class RestReadings:
         variance = squares.sum() / max(told.sum(), 1)
         # A cell of few readings tells its own noise badly.
         own = np.sqrt((squares + TYPICAL_READINGS * variance) / (told + TYPICAL_READINGS))
-        beyond = np.abs(ratio - 1) - SPREAD
+        beyond = np.abs(ratio - 1) - spread
         unlike = beyond > 0
         # Boards measure currents, whose noise is that of a conductance: in a resistance it grows with that.
         if (beyond > DRIFT_STDS * own * ratio / np.sqrt(np.maximum(readings, 1)))[unlike].any():
             return 0
-        enough = float((DRIFT_STDS * own[unlike].max() / (NOISE_SHARE * SPREAD)) ** 2)
+        enough = float((DRIFT_STDS * own[unlike].max() / (NOISE_SHARE * spread)) ** 2)
         # Cells whose readings are seldom valid rule. A column's are so together, in some columns ten times as often.
         return _two_digits(len(self.time_s) * max(enough / float(readings[readings > 0].min()), 2.0))
 
@@ -310,17 +325,27 @@ def _far_from_calibration(ratio: float) -> str:
     return f"the typical resistance is {ratio:.2g} times that of the calibration at rest"
 
 
-def _unlike_others(mean_ohm: FloatArray, usual_ohm: FloatArray, measured: BoolArray, cell: Cell | None) -> str:
-    """A remark where cells differ from what is usual for them, since the others read as they do."""
+def _unlike_others(
+    mean_ohm: FloatArray, usual_ohm: FloatArray, measured: BoolArray, cell: Cell | None, spread: float
+) -> str:
+    """A remark where cells differ by more than ``spread`` from what is usual for them, since the others read so."""
     if cell is not None and isinstance(cell.model, ContactModel):
         return _conducting(mean_ohm, usual_ohm, measured, cell.model, cell.full_scale_kpa)
     ratio = mean_ohm / usual_ohm
-    unlike = measured & (np.abs(ratio - 1) > SPREAD)
+    unlike = measured & (np.abs(ratio - 1) > spread)
     if not unlike.any():
         return ""
     worst = _worst(np.where(unlike, np.abs(ratio - 1), 0.0))
     differ = "differs" if unlike.sum() == 1 else "differ"
     return f"{_cells(unlike)} {differ} from the others, most cell {worst} with {ratio[worst]:.2f} times their median"
+
+
+def _spread_of_all(ratio: FloatArray) -> float:
+    """The largest relative deviation of resistances (n,), in units of the usual one, rounded up; 0: with outliers."""
+    deviation = np.abs(np.log(np.maximum(ratio, 1e-300)))
+    if deviation.max() > OUTLYING_STDS * NORMAL_MAD * float(np.median(deviation)):
+        return 0.0
+    return math.ceil(10 * float(np.abs(ratio - 1).max())) / 10
 
 
 def _conducting(

@@ -47,6 +47,7 @@ class Tares:
         serial_number: Callable[[], str],
         board: str,
         drift: float,
+        spread: float,
         force: bool,
         waiting: bool,
     ) -> Tare:
@@ -58,21 +59,25 @@ class Tares:
             serial_number: says that of the board, once the frames have come; empty where it does not say.
             board: how messages call the board.
             drift: relative change since the tare or calibration in use that is no load.
+            spread: relative deviation of a cell from the others that is none either.
             force: use the tare in spite of signs of a load.
             waiting: whether frames wait in a queue, which are of the past.
 
         """
         with self._lock, self._next_frames(frames, timeout_s, waiting=waiting) as taken:
-            tare = self._made_of(taken, serial_number(), drift)
+            tare = self._made_of(taken, serial_number(), drift=drift, spread=spread)
             if tare.remarks and tare.frames_advised and not force:
                 raise InputError(
                     f"{board}: no tare, though noise may be why {tare.remarks[0]}. "
                     f"Take more frames, tare({tare.frames_advised}), or tare(force=True)"
                 )
             if tare.remarks and not force:
+                unlike = ""
+                if tare.spread_advised:
+                    unlike = f"; tare(spread={tare.spread_advised:g}) if nothing is on it, and its cells differ so"
                 raise InputError(
                     f"{board}: no tare, the skin seems to be loaded: {'; '.join(tare.remarks)}. "
-                    "Take everything off it, or tare(force=True)"
+                    f"Take everything off it{unlike}, or tare(force=True)"
                 )
             self._used.append(tare)
             self._apply()
@@ -126,7 +131,7 @@ class Tares:
         finally:
             self._taker.tell_again(taken, used=used)
 
-    def _made_of(self, taken: list[Frame], serial_number: str, drift: float) -> Tare:
+    def _made_of(self, taken: list[Frame], serial_number: str, *, drift: float, spread: float) -> Tare:
         # What was lost before the first of them, perhaps long ago, is not of the tare.
         losses = [frame.lost_before for frame in taken[1:]]
         readings = RestReadings(
@@ -142,6 +147,7 @@ class Tares:
             calibrated_ohm=None if self._calibration is None else self._calibration.rest_ohm,
             earlier=self._earlier_rest(),
             drift=drift,
+            spread=spread,
         )
 
     def _earlier_rest(self) -> EarlierRest | None:

@@ -123,6 +123,29 @@ def test_a_light_touch_on_a_cell_that_recovers_leaves_no_load(cell: Cell) -> Non
     assert worst < 3.5
 
 
+@pytest.mark.parametrize("noise", [2e-4, 1e-3])
+def test_a_load_that_swings_slowly_does_not_seem_to_tremble(noise: float) -> None:
+    """20 s of 40 +- 27 % of full scale at 0.3 Hz, far beyond the noise, on an m10 cell at 40 frames per second.
+
+    Long blocks of readings see it, and hide tremors. Were it taken for one, its deviation would grow to half of full
+    scale within 10 s, and whatever holds the cell would be no contact.
+    """
+    dt, cell = 0.025, EXAMPLE.replace(model=SAFE_M10)
+    time = np.arange(dt, 24, dt)[:, None]
+    phase = np.linspace(0, np.pi, COUNT, endpoint=False)
+    swing = np.where(time > 2, 0.27 * np.sin(2 * np.pi * 0.3 * time + phase), 0.27 * np.sin(phase + 3.77))
+    load = cell.full_scale_kpa * np.clip(time - 0.5, 0, 1) * (0.4 + swing)
+    read = cell.forward((COUNT,)).run(np.full(len(time), dt), load) * (
+        1 + noise * np.random.default_rng(1).standard_normal(load.shape)
+    )
+    pressure, std = estimated(cell, read, dt=dt)
+    late = time[:, 0] > 2
+    within, wide = (np.abs(pressure - load) < 2 * std)[late].mean(), std[late].mean() / cell.full_scale_kpa
+    print(f"{100 * within:.1f} % within 2 sd; sd {100 * wide:.1f} % FS")
+    assert within > 0.97
+    assert wide < 0.05
+
+
 @pytest.mark.parametrize(
     ("hertz", "share", "noise", "grows"), [(2, 0.02, 1e-3, 0.03), (5, 0.02, 2e-4, 0.03), (6, 0.02, 3e-3, 0.13)]
 )
@@ -184,7 +207,9 @@ def test_chains_that_break_within_a_step_of_the_adc_make_no_load(every: float) -
     """Taps of 2 to 60 % of full scale, and a finger on a line of cells, on m10 cells behind 8-bit amplifiers.
 
     At 40 frames per second a step is 1 to 5 % of full scale, so that the lightest loads hardly move the reading. They
-    left up to a tenth of full scale behind when chains were counted beyond a play of three deviations alone.
+    left up to a tenth of full scale behind when chains were counted beyond a play of three deviations alone. Where the
+    finger turns beside a cell, the load goes back by little more than a step: with the play of a load that is held,
+    such turns were missed, and the errors were 1.6 % of full scale rms.
     """
     dt, cell = 0.025, EXAMPLE.replace(model=SAFE_M10)
     time = np.arange(dt, 14, dt)[:, None]
@@ -211,7 +236,7 @@ def test_chains_that_break_within_a_step_of_the_adc_make_no_load(every: float) -
     print(f"{100 * left:.1f} % FS left a second after")
     assert within > 0.95
     assert worst < 6
-    assert rms < 0.02 * cell.full_scale_kpa
+    assert rms < 0.014 * cell.full_scale_kpa
     assert (error < 2 * std)[after].mean() > 0.97
 
 

@@ -261,6 +261,17 @@ def test_cells_of_one_line_are_no_contact_for_a_single_frame(cells: tuple[slice,
     assert [len(contacts) for contacts in track([nothing, press, press, press, nothing])] == [0, 0, 1, 1, 0]
 
 
+@pytest.mark.parametrize("cells", [(slice(7, 8), slice(3, 6)), (slice(5, 6), slice(7, 8))])
+def test_a_held_press_of_one_line_is_a_contact_in_the_first_frame_that_is_asked_about(
+    cells: tuple[slice, slice],
+) -> None:
+    """Who looks once, as before a grasp, has seen no frame before; a disturbance lasts for one frame in thousands."""
+    press, rise = np.zeros((16, 16)), (risen(cells, 0.08), np.full((16, 16), 0.01))
+    press[cells] = 8.0
+    one = tracker()
+    assert [len(one.update(0.01 * k, press, np.full((16, 16), 0.3), rise)) for k in range(15)] == [1] * 15
+
+
 def when_found(
     cells: tuple[slice, slice], rise: FloatArray, lasting_s: float, *, faults_press: bool = True
 ) -> list[float]:
@@ -416,7 +427,8 @@ def test_cells_without_a_pressure_or_with_no_idea_of_it_are_untouched() -> None:
     pressure, std = np.full((4, 4), 10.0), np.zeros((4, 4))
     pressure[:, 1], std[:, 2] = np.nan, np.inf
     one = tracker((4, 4))
-    assert one.update(0.0, pressure, std) == ()  # each is within one column, and may be a disturbance
+    assert one.update(0.0, np.zeros((4, 4)), std) == ()
+    assert one.update(0.005, pressure, std) == ()  # each is within one column, and may be a disturbance
     assert sorted(len(contact.cells) for contact in one.update(0.01, pressure, std)) == [4, 4]
     assert tracker((4, 4)).update(0.0, np.full((4, 4), np.nan), std) == ()
 

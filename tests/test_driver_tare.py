@@ -6,6 +6,7 @@ import re
 import threading
 import warnings
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
@@ -84,6 +85,33 @@ def test_a_press_beyond_the_noise_asks_for_no_more_frames() -> None:
     tare = tare_of(readings)
     assert len(tare.remarks) == 1
     assert tare.frames_advised == 0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_cells_that_scatter_widely_are_tared_with_the_spread_that_is_named(seed: int) -> None:
+    """12 x 20 cells whose logarithms scatter by 0.15: some are beyond 30 %, and a press is beyond all of them."""
+    rng = np.random.default_rng(seed)
+    cells = REST * np.exp(rng.normal(0.0, 0.15, (12, 20)))
+    readings = taken(cells * (1 + 1e-3 * rng.standard_normal((20, 12, 20))))
+    tare = partial(readings.tare, CELL, lost=0, serial_number="A1", wall_time=1.0)
+    refused = tare()
+    assert len(refused.remarks) == 1
+    assert 0.3 < refused.spread_advised < 1.0
+    assert tare(spread=refused.spread_advised).remarks == ()
+    readings.resistance_ohm[:, 3, 4] = 2.5 * np.median(cells)
+    pressed = tare(spread=refused.spread_advised)
+    assert len(pressed.remarks) == 1
+    assert "1 cell differs from the others, most cell (3, 4)" in pressed.remarks[0]
+    assert pressed.spread_advised == 0.0, "no scatter of cells explains it"
+
+
+def test_a_skin_whose_cells_scatter_widely_names_the_spread() -> None:
+    wide = {"design": DESIGN, "spread": {"rest_percent": 25.0, "seed": 2}}
+    with lossless(Wire(Board(scene(skin=wide, contact=[])))) as skin:
+        with pytest.raises(InputError, match=r"; tare\(spread=0\.\d\) if nothing is on it") as caught:
+            skin.tare(10)
+        named = float(re.findall(r"spread=(0\.\d)", str(caught.value))[0])
+        assert skin.tare(10, spread=named).remarks == ()
 
 
 def test_a_divider_in_noise_says_how_many_frames_tell() -> None:
@@ -362,10 +390,11 @@ def test_a_load_that_lowers_the_resistance_counts_since_an_earlier_tare() -> Non
         assert len(tare.remarks) == signs
 
 
-@pytest.mark.parametrize("drift", [0.0, -0.1, float("nan")])
-def test_a_drift_that_cannot_be_is_refused(drift: float) -> None:
-    with lossless(even_load()) as skin, pytest.raises(InputError, match=r"drift is .*; expected"):
-        skin.tare(2, drift=drift)
+@pytest.mark.parametrize("name", ["drift", "spread"])
+@pytest.mark.parametrize("value", [0.0, -0.1, float("nan")])
+def test_a_limit_that_cannot_be_is_refused(name: str, value: float) -> None:
+    with lossless(even_load()) as skin, pytest.raises(InputError, match=rf"{name} is .*; expected"):
+        skin.tare(2, **{name: value})  # type: ignore[arg-type]
 
 
 def test_a_tare_of_another_shape_is_refused() -> None:

@@ -560,6 +560,7 @@ class Way:
         """Take the ``mean`` of four readings, uncertain by ``noise`` each: way that is told, and the most of it."""
         self.seen.append(mean)
         told, most, rest, rest_of_most, caution = 0.0, 0.0, 1.0, 1.0, way.Caution()
+        bound = np.inf
         for length in (1, 2, 4, 8):
             share = float(np.clip(4 * dt * length / way.MEMORY_S, way.LEAST_SHARE, caution.most_share))
             if len(self.seen) % length == 0:
@@ -568,19 +569,25 @@ class Way:
             sure = np.sqrt(share * way.OF_SIDES**2 + way.NOISE_KNOWN**2)
             clear = (2 * min(up_again, down_again) - 1) / sure
             moved = max(min(up + down, way.SIDE * min(up, down)) - 1, 0.0)
-            this = self._way(length, moved, max(self.bends[length] - 1, 0.0), noise)
+            bends = max(self.bends[length] - 1, 0.0)
+            this, fast = self._way(length, moved, bends, noise)
             does = float(np.clip((clear - caution.told) / (caution.does - caution.told), 0, 1))
             told, rest = told + rest * does * this, rest * (1 - does)
             hides = min(caution.hidden + way.HIDES_AT_FAST * (way.FAST_HZ * 4 * dt * length) ** 2, way.MOST_HIDDEN)
             may = float(np.clip(clear / caution.told, 0, 1))
-            most, rest_of_most = most + rest_of_most * may * this * hides, rest_of_most * (1 - may)
-        return told, max(most, told)
+            most += rest_of_most * may * (this + fast * (hides - 1))
+            rest_of_most *= 1 - may
+            if length == 1:
+                this, fast = self._way(length, moved + way.MAY * sure, bends + way.MAY * sure, noise)
+                bound = this + fast * (hides - 1)
+        return told, max(min(most, bound), told)
 
     @staticmethod
-    def _way(length: int, moved: float, bends: float, noise: float) -> float:
+    def _way(length: int, moved: float, bends: float, noise: float) -> tuple[float, float]:
         of_change = moved * noise**2 / (2 * length)
-        of_bend = min(bends * noise**2 * 3 / (2 * length), 4 * of_change)
-        return float(np.sqrt(of_change + way.BEND * of_bend)) * way.WAY / length
+        of_bend = way.BEND * min(bends * noise**2 * 3 / (2 * length), 4 * of_change)
+        per_look = way.WAY / length
+        return float(np.sqrt(of_change + of_bend)) * per_look, float(np.sqrt(way.FAST * of_bend)) * per_look
 
     def _compare(self, length: int, share: float, noise: float, largest: float) -> None:
         ends = (len(self.seen), len(self.seen) - length, len(self.seen) - 2 * length)

@@ -26,7 +26,7 @@ from ..materials import M10Model
 from . import _meter as meter
 from . import _together as together
 from . import _way as way
-from ._inverse_loops import ANCHOR, BRANCH, BROKEN, FURTHEST, LOAD, MISSED
+from ._inverse_loops import ANCHOR, BRANCH, BROKEN, FURTHEST, LATELY, LOAD, MISSED
 from ._meter import see_of, tell_of, uncounted_of
 from ._paper_steps import numbered
 
@@ -47,7 +47,7 @@ LEAST_SLOPE = 0.05
 
 NAMES = (*meter.NAMES, "broken_before")
 """names of the rows of the memory: those of :mod:`._meter`, and r of the broken chains at the last look"""
-METER = FURTHEST + 1
+METER = LATELY + 1
 """first row"""
 ROWS = slice(METER, METER + len(meter.NAMES))
 BROKEN_BEFORE = METER + len(meter.NAMES)

@@ -32,7 +32,7 @@ from ..materials import AsymmetricModel, ByStep, M10Model, as_m10, lag
 from . import _chains as chains
 from . import _inverse_loops as loops
 
-LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED, WENT_UP, FURTHEST = (
+LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED, WENT_UP, FURTHEST, LATELY = (
     3,
     slice(4, 6),
     6,
@@ -43,19 +43,27 @@ LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED, WENT_UP, FURTHEST
     13,
     14,
     15,
+    16,
 )
 """rows of the memory, before those of :mod:`._chains`: the anchor is the load behind a play as wide as the noise; then
 come the last two steps of the load, variances in r of what is remembered of the branches and of the broken chains, the
-r of chains that may have broken unseen, 1 if the load left its play upwards, else 0, and the load up to which chains
-have broken then"""
+r of chains that may have broken unseen, 1 if the load left its play upwards, else 0, the load up to which chains have
+broken then, and how far it has gone of late"""
 BETWEEN, AROUND, TO_AND_FRO = 0.58, 0.5, 0.6
 """the first, of a bend of the load (its change of change between frames), makes the standard deviation of a lag over
 ramp (1 - ramp), as the load may go straight or by a step. The others, of its way in the frame after a turn, make the
 standard deviation of the way to and fro between two frames, and what is to be expected of that way: turns err to the
 same side, so this part adds up. Taken from vibrations and slips, whose drops are faster than a frame"""
 STILL_SIGMAS = 3.0
-"""half width of that play, in standard deviations: noise within it breaks no chains. A reading is off by half of an ADC
-step at most, which is less"""
+"""half width of that play, in standard deviations by noise, which breaks no chains within it"""
+HELD_STEPS, MOVING_STEPS = 3.3, 1.85
+"""the same by ADC steps, of a load that is held, and of one that moves. A reading is off by half a step at most, which
+is hardly less than the latter. Where readings of a held load flip between two codes, smoothing overshoots, and branches
+give way until they flip back. A load that moves may go back by little more than a step, as beside where a finger that
+rubs turns"""
+MOVES, LATELY_S = 1.5, 0.12
+"""times the half width of a held load's play by ADC steps: a load moves that has gone as far of late; and seconds in
+which such a way is forgotten"""
 AT_A_TURN = 4.0
 """standard deviations by ADC steps of the way to a turn and back from it, of which they hide how far the load went. Two
 of them are those of a single turn. Loads that repeat turn at the same readings, so that their errors are alike"""
@@ -162,7 +170,7 @@ class AsymmetricInversion(Inversion):
 
     rows = (
         *("pressure", "gain", "variance", "load", "branch1", "branch2", "broken", "anchor", "moved", "moved_before"),
-        *("error1", "error2", "broken_error", "missed", "went_up", "furthest"),
+        *("error1", "error2", "broken_error", "missed", "went_up", "furthest", "lately"),
         *chains.NAMES,
     )
 
@@ -184,7 +192,7 @@ class AsymmetricInversion(Inversion):
         self._rise_s, self._fall_s = np.array([[m.rise1_s], [m.rise2_s]]), np.array([[m.fall1_s], [m.fall2_s]])
         steepest = m.a + 2 * max(m.b, 0.0) * LOADS[1] + m.alpha1 + m.alpha2 + m.k
         credible = credible_readings(steepest)
-        self._constants_s = np.concatenate([self._rise_s, self._fall_s, [[m.tau_s]]])
+        self._constants_s = np.concatenate([self._rise_s, self._fall_s, [[m.tau_s], [LATELY_S]]])
         full_r = m.a + m.b + m.alpha1 + m.alpha2
         # With b < 0 the answer grows ever steeper towards the load where a fast step has no slope left.
         self._highest = min(LOADS[1], max(1.0, 0.4 * (m.a - m.k) / -m.b)) if m.b < 0 else LOADS[1]
@@ -224,7 +232,7 @@ class AsymmetricInversion(Inversion):
     def advance(
         self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
-        gone, ramp = lag.weights(dt_s, self._constants_s)  # (5, 1) or (5, n)
+        gone, ramp = lag.weights(dt_s, self._constants_s)  # (6, 1) or (6, n)
         of = self._equation(memory, r, std, gone, ramp)
         step, branches = self._step_of_load(memory, dt_s, of)
         m, new = self.model, memory.copy()
@@ -233,7 +241,9 @@ class AsymmetricInversion(Inversion):
             self._limit(new, r, std)
         if not self.exact and m.k:
             new[WENT_UP] = of.went_up
-            new[FURTHEST] = np.where(of.breaking != 0.0, new[LOAD], memory[FURTHEST])
+            breaks = of.breaking != 0.0
+            new[FURTHEST] = np.where(breaks, new[LOAD], memory[FURTHEST])
+            new[LATELY] = memory[LATELY] * (1.0 - gone[5]) + np.where(breaks, np.abs(step), 0.0)
         new[PRESSURE] = new[LOAD] * self.full_scale_kpa
         new[ANCHOR] = np.maximum(np.minimum(memory[ANCHOR], new[LOAD] + of.width), new[LOAD] - of.width)
         new[GAIN] = self.full_scale_kpa / np.maximum(m.a + 2 * m.b * new[LOAD] - m.k, 0.05 * self.full_scale_r)
@@ -246,7 +256,7 @@ class AsymmetricInversion(Inversion):
     ) -> _Equation:
         """The equation for the step of the load at readings ``r`` (n,) known to ``std`` (n,).
 
-        ``gone`` and ``ramp`` (5, 1 or n) are the weights of the rising and falling branches and of the broken chains.
+        ``gone`` and ``ramp`` (6, 1 or n) are weights as in :func:`_weights`.
         """
         m, alpha, s0 = self.model, self._alpha, memory[LOAD]
         target = alpha * s0
@@ -268,7 +278,9 @@ class AsymmetricInversion(Inversion):
             scale = r + 1.0
             steps = np.minimum(scale * scale * self._steps, std)
             by_noise = np.sqrt(std * std - steps * steps) * (STILL_SIGMAS / self.full_scale_kpa) * memory[GAIN]
-            width = np.maximum(by_noise, STILL_SIGMAS * steps / still)
+            held = HELD_STEPS * steps / still
+            by_steps = np.where(memory[LATELY] > MOVES * held, MOVING_STEPS * steps / still, held)
+            width = np.maximum(by_noise, by_steps)
         went_up = up
         if not self.exact and m.k:
             moves = np.abs(s0 + change / still - memory[ANCHOR]) > width
@@ -337,6 +349,9 @@ class AsymmetricInversion(Inversion):
             loops.LOWEST_END: self._reach[0],
             loops.HIGHEST_END: self._reach[1],
             loops.STILL: STILL_SIGMAS,
+            loops.HELD_STEPS: HELD_STEPS,
+            loops.MOVING_STEPS: MOVING_STEPS,
+            loops.MOVES: MOVES,
             loops.OVERSHOOT: OVERSHOOT,
             loops.STEPS: self._steps,
             loops.AT_A_TURN: AT_A_TURN * m.k,
@@ -356,7 +371,7 @@ class AsymmetricInversion(Inversion):
         count = loops.solve.unchecked(memory, taken, gone, ramp, numbers, of, crossed)
         if count:
             loops.solve_crossed.unchecked(memory, crossed, count, dt_s, numbers, of)
-        loops.finish.unchecked(memory, taken, float(gone[4]), numbers, of)
+        loops.finish.unchecked(memory, taken, float(gone[4]), float(gone[5]), numbers, of)
         return memory
 
     def _err(
@@ -449,6 +464,7 @@ class AsymmetricInversion(Inversion):
         s = memory[LOAD]
         held[BRANCHES] = self._branches(memory, dt_s, s)
         held[BROKEN] *= np.exp(-dt_s / self.model.tau_s)
+        held[LATELY] *= np.exp(-dt_s / LATELY_S)
         return held
 
     def settled(self, memory: FloatArray, band: float) -> BoolArray:
@@ -516,9 +532,12 @@ class AsymmetricInversion(Inversion):
 
 
 def _weights(model: M10Model, dt_s: float) -> tuple[FloatArray, FloatArray]:
-    """What lags forget in ``dt_s``, and their answers to a ramp: of rising and falling branches and broken chains."""
+    """(6,) what lags forget in ``dt_s``, and their answers to a ramp.
+
+    Of the two branches as they rise, and as they fall, of the broken chains, and of the way of late.
+    """
     m = model
-    return lag.weights(dt_s, np.array([m.rise1_s, m.rise2_s, m.fall1_s, m.fall2_s, m.tau_s]))
+    return lag.weights(dt_s, np.array([m.rise1_s, m.rise2_s, m.fall1_s, m.fall2_s, m.tau_s, LATELY_S]))
 
 
 def _root(b: float, slope: FloatArray, change: FloatArray) -> FloatArray:

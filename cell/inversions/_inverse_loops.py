@@ -11,12 +11,14 @@ import math
 from ...compiled import Places, Row, Rows, loop
 from ..estimation import GAIN, PRESSURE, SMOOTHED, STD, VARIANCE
 
-LOAD, BRANCH, BROKEN, ANCHOR, MOVED, BEFORE, ERROR, MISSED, WENT_UP, FURTHEST = 3, 4, 6, 7, 8, 9, 10, 13, 14, 15
+LOAD, BRANCH, BROKEN, ANCHOR, MOVED, BEFORE, ERROR, MISSED = 3, 4, 6, 7, 8, 9, 10, 13
+WENT_UP, FURTHEST, LATELY = 14, 15, 16
 """rows of the memory, see :mod:`._inverse`; two branches, and three variances"""
 
 A, B, K, ALPHA, RISE_S, FALL_S = 0, 1, 2, 3, 5, 7
 FULL_KPA, FULL_R, HIGHEST, IN_DOUBT, DOUBT_KPA2, MOST_KPA2, LOWEST_END, HIGHEST_END = range(9, 17)
 STILL, BETWEEN, BY_TURNS, TO_AND_FRO, ACCURACY, EVALUATIONS, OVERSHOOT, STEPS, AT_A_TURN = range(17, 26)
+HELD_STEPS, MOVING_STEPS, MOVES = range(26, 29)
 """places of the estimator's numbers: of its model, with two branches; full scale; the largest loads that are believed,
 in general and while the memory is in doubt, which it is beyond a variance in kPa^2; the largest variance; the loads
 within reach; the constants of :mod:`._inverse`, those of turns times ``k``; and the standard deviation of r at rest by
@@ -44,7 +46,7 @@ def root(b: float, slope: float, change: float) -> float:
 def solve(memory: Rows, taken: Rows, gone: Row, ramp: Row, numbers: Row, of: Rows, crossed: Places) -> int:
     """Steps of the load without change-over, into ``of``; how many cells have one, of which ``crossed`` tells.
 
-    ``gone`` and ``ramp`` (5,) are the weights of the rising and the falling branches and of the broken chains.
+    ``gone`` and ``ramp`` (6,) are weights as in :func:`._inverse._weights`.
     """
     a, b, k = numbers[A], numbers[B], numbers[K]
     count = 0
@@ -68,7 +70,10 @@ def solve(memory: Rows, taken: Rows, gone: Row, ramp: Row, numbers: Row, of: Row
         scale = taken[SMOOTHED, i] + 1.0
         steps = min(scale * scale * numbers[STEPS], std)
         by_noise = math.sqrt(std * std - steps * steps) * (numbers[STILL] / numbers[FULL_KPA]) * memory[GAIN, i]
-        width = max(by_noise, numbers[STILL] * steps / still)
+        width = numbers[HELD_STEPS] * steps / still
+        if memory[LATELY, i] > numbers[MOVES] * width:
+            width = numbers[MOVING_STEPS] * steps / still
+        width = max(by_noise, width)
         went_up, turned = up, 0.0
         if k != 0.0:
             moves = abs(s0 + change / still - anchor) > width
@@ -194,8 +199,11 @@ def solve_crossed(memory: Rows, crossed: Places, count: int, dt_s: float, number
 
 
 @loop
-def finish(memory: Rows, taken: Rows, heals: float, numbers: Row, of: Rows) -> None:
-    """The memory after the steps, its limits and its errors: the rest of ``advance``, ``_limit`` and ``_err``."""
+def finish(memory: Rows, taken: Rows, heals: float, forgets: float, numbers: Row, of: Rows) -> None:
+    """The memory after the steps, its limits and its errors: the rest of ``advance``, ``_limit`` and ``_err``.
+
+    Of the broken chains a share ``heals``, of the way of late one ``forgets``.
+    """
     a, b, k, full_kpa = numbers[A], numbers[B], numbers[K], numbers[FULL_KPA]
     for i in range(memory.shape[1]):
         r, std, step, width = taken[SMOOTHED, i], taken[STD, i], of[STEP, i], of[WIDTH, i]
@@ -216,8 +224,10 @@ def finish(memory: Rows, taken: Rows, heals: float, numbers: Row, of: Rows) -> N
                 broken += max(left, 0.0)
         if k != 0.0:
             memory[WENT_UP, i] = of[UP, i]
+            memory[LATELY, i] *= 1.0 - forgets
             if of[BREAKING, i] != 0.0:
                 memory[FURTHEST, i] = load
+                memory[LATELY, i] += abs(step)
         gain = full_kpa / max(a + 2.0 * b * load - k, 0.05 * numbers[FULL_R])
         memory[LOAD, i], memory[BRANCH, i], memory[BRANCH + 1, i], memory[BROKEN, i] = load, one, other, broken
         memory[PRESSURE, i], memory[GAIN, i] = load * full_kpa, gain

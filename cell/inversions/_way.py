@@ -9,7 +9,8 @@ of these differences is the Allan variance. Where it goes on in one direction, a
 differences of these differences are small (Hadamard variance). A load that trembles has both, up and down. Blocks of
 several lengths are compared: short ones see all of the way, long ones tell a weak tremor from the noise. The shortest
 ones that are clear are believed. From one block to the next the load may go to and fro as well: second differences tell
-how much.
+how much. The shortest blocks hide least: what they and their noise leave room for bounds the way, however long the
+blocks are that tell it. So a load that swings slowly and widely may not also tremble by several times as much.
 
 An edge of a load stands alone, while a tremor goes on. Whether a load trembles is therefore told by second differences
 of which none counts for much more than those of noise, and which must go up as well as down. How far it goes is told by
@@ -52,6 +53,9 @@ NOISE_KNOWN = 0.15
 WAY, BEND = 0.84, 0.5
 """way of a load from one block to the next, over the square root of the mean square of differences and of this share of
 that of second differences: within a tenth for sines of up to a third of a period per block, and for random motion"""
+FAST = 1.5
+"""of that share: with it alone, second differences tell as much of motion of which they are largest, and less of slow
+motion, which blocks do not hide"""
 CLEAR = 3.0
 """standard deviations of a difference by noise, beside the largest motion that may go unnoticed: no more counts"""
 MOST_HIDDEN, FAST_HZ = 6.0, 4.0
@@ -309,8 +313,8 @@ def tell(
     ups, downs = squares[_UP:_DOWN], squares[_DOWN:]
     lesser = np.minimum(ups, downs)
     clear = lesser[SCALES:] * _TWO / sure
-    # Of what is seen, and of the most that it may be.
-    moved, bends = np.empty((2, *clear.shape)), np.empty((2, *clear.shape))
+    # Of what is seen, of the most that neighbours let it be, and of the most that chance lets it be.
+    moved, bends = np.empty((3, *clear.shape)), np.empty((3, *clear.shape))
     sides = lesser[:SCALES] * SIDE
     sides += 0.5 * SIDE - 1.0
     np.minimum(ups[:SCALES] + downs[:SCALES], sides, out=sides)
@@ -320,14 +324,20 @@ def tell(
     beyond *= MAY
     np.add(moved[0], beyond, out=moved[1])
     np.add(bends[0], beyond, out=bends[1])
+    sure *= MAY
+    np.add(moved[0], sure, out=moved[2])
+    np.add(bends[0], sure, out=bends[2])
     variance = noise * noise * numbers.noise
-    ways = _ways(moved, bends, variance)
-    hides = numbers.hides
-    all_beside = ways[1] * hides
+    ways, hidden = _ways(moved, bends, variance)
+    hidden *= numbers.hides - _ONE
+    may = ways + hidden
+    all_beside = may[1]
     least = np.expand_dims(all_beside.argmin(axis=0), 0)
     (most_beside,) = np.take_along_axis(all_beside, least, axis=0)
     (of_own,) = np.take_along_axis(own, least, axis=0)
-    np.multiply(ways[0], hides, out=ways[1])
+    most_by_shortest = may[2, 0]
+    ways = ways[:2]
+    ways[1] = may[0]
     gates = np.empty_like(ways)
     may_from, seems, does, of_most = numbers.caution[:SCALES]
     np.multiply(clear - seems, 1.0 / (does - seems), out=gates[0])
@@ -339,6 +349,7 @@ def tell(
     rest *= ways
     found: FloatArray = rest.sum(axis=1)
     told, most = found
+    np.minimum(most, most_by_shortest, out=most)
     most -= told
     np.maximum(most, _ZERO, out=most)
     most *= of_own
@@ -350,9 +361,12 @@ def tell(
     return found
 
 
-def _ways(moved: FloatArray, bends: FloatArray, variance: FloatArray) -> FloatArray:
-    """(..., SCALES, m) way per look for mean squares of first and second differences, over their ``variance`` by noise;
-    changes both.
+def _ways(moved: FloatArray, bends: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Ways for mean squares of first and second differences, over their ``variance`` by noise; changes both.
+
+    Returns:
+        (..., SCALES, m) way per look; and that of the part of the motion that turns within some blocks, of which
+        blocks may hide more.
     """
     moved *= variance[:SCALES]
     bends *= variance[SCALES:]
@@ -361,7 +375,10 @@ def _ways(moved: FloatArray, bends: FloatArray, variance: FloatArray) -> FloatAr
     moved += bends
     np.sqrt(moved, out=moved)
     moved *= _PER_LOOK
-    return moved
+    bends *= FAST
+    np.sqrt(bends, out=bends)
+    bends *= _PER_LOOK
+    return moved, bends
 
 
 # -- machine code ----------------------------------------------------------------------------------------------------
@@ -485,7 +502,7 @@ def tell_of(
     Mean squares begin with rows ``squares`` and ``squares_beside`` of ``memory``, those of :mod:`._together` with
     ``apart``.
     """
-    told, most, most_beside, of_own = 0.0, 0.0, math.inf, 1.0
+    told, most, most_by_shortest, most_beside, of_own = 0.0, 0.0, math.inf, math.inf, 1.0
     alone = told_by_own_of(memory, squares, i, numbers)
     may_from, seems, surely = numbers[CAUTION, MAY_FROM], numbers[CAUTION, TOLD], numbers[CAUTION, DOES]
     rest, rest_of_most, length = 1.0, 1.0, 1.0
@@ -508,19 +525,22 @@ def tell_of(
         per_reading = numbers[READINGS, scale]
         of_change, of_bend = noise * noise * (2.0 / per_reading), noise * noise * (6.0 / per_reading)
         beyond, hides = math.sqrt(by_chance_beside) * MAY, numbers[HIDES, scale]
-        may_beside = way_of(moved + beyond, bends + beyond, of_change, of_bend, length) * hides
+        may_beside = way_that_may_be(moved + beyond, bends + beyond, of_change, of_bend, length, hides)
         if may_beside < most_beside:
             most_beside, of_own = may_beside, own
+        if scale == 0:
+            beyond = sure * MAY
+            most_by_shortest = way_that_may_be(moved + beyond, bends + beyond, of_change, of_bend, length, hides)
         if clear > 0.0 and rest > 0.0:
             way = way_of(moved, bends, of_change, of_bend, length)
             may = min(max((clear - may_from) * (1.0 / (seems - may_from)), 0.0), 1.0)
             does = min(max((clear - seems) * (1.0 / (surely - seems)), 0.0), 1.0)
             told += rest * does * way
             rest *= 1.0 - does
-            most += rest_of_most * may * (way * hides)
+            most += rest_of_most * may * way_that_may_be(moved, bends, of_change, of_bend, length, hides)
             rest_of_most *= 1.0 - may
         length *= 2.0
-    untold = max(most - told, 0.0) * of_own
+    untold = max(min(most, most_by_shortest) - told, 0.0) * of_own
     untold += max(most_beside - told, 0.0) * (1.0 - of_own) * numbers[CAUTION, OF_MOST]
     return told, told + untold
 
@@ -530,3 +550,11 @@ def way_of(moved: float, bends: float, of_change: float, of_bend: float, length:
     """Way per look for mean squares over their variances by noise, of blocks of ``length`` looks."""
     moved *= of_change
     return math.sqrt(moved + min(bends * of_bend, moved * 4.0) * BEND) * (WAY / length)
+
+
+@loop
+def way_that_may_be(moved: float, bends: float, of_change: float, of_bend: float, length: float, hides: float) -> float:
+    """Longest way per look, of which such blocks hide some."""
+    seen = way_of(moved, bends, of_change, of_bend, length)
+    fast = min(bends * of_bend, moved * of_change * 4.0) * (BEND * FAST)
+    return seen + math.sqrt(fast) * (WAY / length) * (hides - 1.0)
