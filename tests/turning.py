@@ -187,7 +187,7 @@ class OneCell:
         self.forgotten += min(forgotten, third.OF_FALL * fallen)
         self.forgotten *= max(1 - third.LASTS * (1 - fade), 0.0) if fallen >= 0 else 0.0
         self.forgotten = max(self.forgotten, 0.0)
-        self.recent_extreme -= (1 - fade) * np.sqrt(self.doubt)
+        self.recent_extreme -= (1 - fade) * np.sqrt(self.doubt) + doubts.CREEP * self.full * dt
         self.recent_extreme = max(self.recent_extreme, ahead - turns.LESS * unsure)
         if held:
             self.peak -= doubts.GOES_BACK * (1 - fade) * min(np.sqrt(self.doubt), turns.TURN * self.full)
@@ -321,12 +321,13 @@ class OneCell:
         bears = was.x2 * np.exp(ago / m.t2_s) + was.x3 * np.exp(ago / m.t3_s)
         off = gain * (mean - was.load * (1 / m.e1_kpa + 1 / m.e2_kpa + 1 / m.e3_kpa) - bears)
         growth = p - was.pressure
-        light_kpa = still.LIGHT_TOUCH * self.full
-        alike = was.off is not None and abs(off - was.off) <= still.FLAT * max(growth, 0) + noise_kpa
-        if not alike or abs(off) > light_kpa + noise_kpa or was.pressure > was.load + light_kpa:
+        light = was.pressure <= was.load + still.LIGHT_TOUCH * self.full and self.onset.looks >= 0
+        flat, clear = (still.FLAT, still.CLEAR) if light else (still.FLAT_PRESS, still.CLEAR_PRESS)
+        alike = was.off is not None and abs(off - was.off) <= flat * max(growth, 0) + noise_kpa
+        if not alike or abs(off) > still.LIGHT_TOUCH * self.full + noise_kpa:
             was.off, was.pressure = off, p
             return
-        if growth > max(still.CLEAR * self.full, noise_kpa / still.FLAT):
+        if growth > max(clear * self.full, noise_kpa / flat):
             x3 = was.x3 + was.load / m.e3_kpa
             self.other = Hypothesis(was.load, self.other.settled, self.r - was.load / m.e1_kpa - x3, x3)
             self.extreme = rows.REFUTED

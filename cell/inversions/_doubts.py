@@ -46,6 +46,10 @@ EITHER = 0.5
 LOST, GONE = 1.5, 0.7
 """standard deviations of the smoothed noise by which the hypotheses must have been apart for a doubt to stay, and the
 share of the variance that a new beginning takes away"""
+CREEP = 0.003
+"""of full scale: what a recent extreme fades by in a second, beside what an error of two standard deviations of the
+memory fades by. A load that goes back faster has turned, however large it is: holds by a hand waver by less than what
+makes a turn otherwise"""
 HELD_PER_S = 0.03
 """of full scale: by how much a pressure that is held may seem to go back in a second. A load that goes back faster has
 turned"""
@@ -56,6 +60,8 @@ AGAIN = 0.5
 """share by which the other hypothesis begins anew at a frame, within one standard deviation of the extreme.
 Beginning at every extreme would take noise for part of the press, beginning late would miss some of the release; half
 and half, the two errors about cancel"""
+CREEPS = CREEP / (3.0 * HELD_PER_S)
+"""share of what a held pressure may seem to go back by in three frames that a recent extreme fades by in one"""
 
 CLEAR_KPA2 = 28
 """place of a number, behind those of :mod:`._takeover`: a variance that is more than rounding"""
@@ -115,11 +121,13 @@ def begin_anew(
     np.maximum(of.extreme, of.ahead, out=of.extreme)
 
 
-def renew_variance(of: MemoryRows, numbers: tuple[FloatArray, ...], *, unconfirmed: bool) -> None:
+def renew_variance(of: MemoryRows, held_kpa: float, numbers: tuple[FloatArray, ...], *, unconfirmed: bool) -> None:
     """Count the distance of the hypotheses as deviation, and let extremes fade; as and after :func:`begin_anew`."""
     np.subtract(_ONE, of.fade, of.nearby)
     np.sqrt(of.doubt, of.spare)
-    of.recent_extreme -= np.multiply(of.nearby, of.spare, of.threshold)
+    fades = np.multiply(of.nearby, of.spare, of.threshold)
+    fades += held_kpa * CREEPS
+    of.recent_extreme -= fades
     np.maximum(of.recent_extreme, of.ahead, out=of.recent_extreme)
     of.nearby *= np.minimum(of.spare, numbers[TURN_KPA], out=of.spare)
     of.nearby *= _GOES_BACK
@@ -217,7 +225,7 @@ def begin_anew_each(
         of[UNSURE, i] = unsure
         memory[EXTREME, i] = max(memory[EXTREME, i], ahead - unsure)
         error_kpa, fades = math.sqrt(memory[TURNED, i]), 1.0 - of[FADE, i]
-        recent = memory[RECENT_EXTREME, i] - fades * error_kpa
+        recent = memory[RECENT_EXTREME, i] - (fades * error_kpa + held_kpa * CREEPS)
         memory[RECENT_EXTREME, i] = max(recent, ahead - unsure)
         if flags[HELD, i]:
             memory[PEAK, i] -= fades * min(error_kpa, numbers[TURN_KPA]) * GOES_BACK

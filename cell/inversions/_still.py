@@ -7,10 +7,9 @@ full scale. Neither hypothesis tells: the recovery model begins anew where the p
 A third hypothesis is therefore followed while the rising model is in force: that the load is what it was when the
 recovery model was, and that the cell remembers what it remembered then. Its prediction of the readings needs no
 inverse. As long as the readings keep their distance from it while the rising model's pressure grows, the load would
-have to grow exactly as the recovery fades. The growth is therefore refuted when it is clear: the recovery model is
-taken over again, with that load. A load that grows takes the readings away from the prediction, and under a light load
-that is held the resistance falls faster than it. Both begin the comparison anew. So does a growth beyond a light
-touch: a press may rise for a while by about as much as the recovery fades.
+have to grow exactly as the recovery fades. The growth is therefore refuted when it is clear: the
+recovery model is taken over again, with that load. A load that grows takes the readings away from the prediction, and
+under a light load that is held the resistance falls faster than it. Both begin the comparison anew.
 """
 
 from __future__ import annotations
@@ -27,6 +26,7 @@ from ._paper_steps import Constants, borne_before, numbered, step_weights
 from ._turning_rows import (
     EXTREME,
     LEFT,
+    LOOKS_AT_REST,
     RECOVERY_KPA,
     RECOVERY_X3,
     REFUTED,
@@ -44,6 +44,9 @@ LIGHT_TOUCH = 0.03
 by enough to be noticed"""
 CLEAR = 0.01
 """of full scale: growth that is refuted. Of a growth that noise hides more than :data:`FLAT` of, nothing can be said"""
+FLAT_PRESS, CLEAR_PRESS = 0.05, 0.1
+"""as :data:`FLAT` and :data:`CLEAR`, of growth that began beyond a light touch or was found by :mod:`._onset`: a load
+may rise for a while by about as much as the recovery fades, but hardly by just as much for long"""
 _ZERO, _FAR, _SURE = (np.array(x) for x in (0.0, FAR, SURE / math.sqrt(RECENT)))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
@@ -119,16 +122,18 @@ def look(
     off *= numbers[GAIN_KPA]
     by_noise = noise * _SURE
     by_noise *= numbers[GAIN_KPA]
-    light_kpa, growth = LIGHT_TOUCH * full_scale_kpa, pressure - pressure_before
-    alike = np.abs(off - off_before) <= np.maximum(growth, _ZERO) * FLAT + by_noise
-    alike &= np.abs(off) <= by_noise + light_kpa
-    alike &= pressure_before <= load + light_kpa
+    light = pressure_before <= load + LIGHT_TOUCH * full_scale_kpa
+    light &= memory[LOOKS_AT_REST] >= _ZERO
+    flat, clear = np.where(light, FLAT, FLAT_PRESS), np.where(light, CLEAR, CLEAR_PRESS)
+    growth = pressure - pressure_before
+    alike = np.abs(off - off_before) <= np.maximum(growth, _ZERO) * flat + by_noise
+    alike &= np.abs(off) <= by_noise + LIGHT_TOUCH * full_scale_kpa
     anew = rising & ~alike
     np.copyto(off_before, off, where=anew)
     np.copyto(pressure_before, pressure, where=anew)
     np.copyto(growth, _ZERO, where=~(rising & alike))
-    refuted = growth > CLEAR * full_scale_kpa
-    refuted &= growth * FLAT > by_noise
+    refuted = growth > clear * full_scale_kpa
+    refuted &= growth * flat > by_noise
     if np.count_nonzero(refuted):
         x3 = x3 + load * numbers[PER_KPA_3]
         np.copyto(memory[RECOVERY_KPA], load, where=refuted)
@@ -140,7 +145,6 @@ def look(
 @loop
 def look_each(memory: Rows, mean: Row, noise: Row, full_scale_kpa: float, numbers: Row) -> None:
     """:func:`look` as a loop over cells."""
-    light_kpa = LIGHT_TOUCH * full_scale_kpa
     for i in range(mean.size):
         pressure = memory[PRESSURE, i]
         x2, x3 = memory[STILL_X2, i] * numbers[FADES_2], memory[STILL_X3, i] * numbers[FADES_3]
@@ -156,13 +160,14 @@ def look_each(memory: Rows, mean: Row, noise: Row, full_scale_kpa: float, number
         off = mean[i] - load * numbers[PER_KPA] - x2 * numbers[BACK_2] - x3 * numbers[BACK_3]
         off *= numbers[GAIN_KPA]
         by_noise = noise[i] * (SURE / math.sqrt(RECENT)) * numbers[GAIN_KPA]
+        light = memory[PRESSURE_BEFORE, i] <= load + LIGHT_TOUCH * full_scale_kpa and memory[LOOKS_AT_REST, i] >= 0.0
+        flat, clear = (FLAT, CLEAR) if light else (FLAT_PRESS, CLEAR_PRESS)
         growth = pressure - memory[PRESSURE_BEFORE, i]
-        alike = abs(off - memory[OFF_BEFORE, i]) <= max(growth, 0.0) * FLAT + by_noise
-        light = memory[PRESSURE_BEFORE, i] <= load + light_kpa and abs(off) <= by_noise + light_kpa
-        if not (alike and light):
+        alike = abs(off - memory[OFF_BEFORE, i]) <= max(growth, 0.0) * flat + by_noise
+        if not (alike and abs(off) <= by_noise + LIGHT_TOUCH * full_scale_kpa):
             memory[OFF_BEFORE, i], memory[PRESSURE_BEFORE, i] = off, pressure
             continue
-        if growth > CLEAR * full_scale_kpa and growth * FLAT > by_noise:
+        if growth > clear * full_scale_kpa and growth * flat > by_noise:
             x3 = x3 + load * numbers[PER_KPA_3]
             memory[RECOVERY_KPA, i], memory[RECOVERY_X3, i], memory[EXTREME, i] = load, x3, REFUTED
             memory[X2, i] = memory[STATE_END - 1, i] - load * numbers[PER_KPA_AT_ONCE] - x3

@@ -180,7 +180,7 @@ class TurningInversion(Inversion):
             limits.correct(of, std, doubt(), w, numbers)
         held_kpa = doubts.held_kpa(dt_s, self.full_scale_kpa)
         doubts.begin_anew(of, self._taken_over, held_kpa, numbers, unconfirmed=unconfirmed)
-        doubts.renew_variance(of, numbers, unconfirmed=unconfirmed)
+        doubts.renew_variance(of, held_kpa, numbers, unconfirmed=unconfirmed)
         return memory
 
     def _take_turns(self, of: MemoryRows, std: FloatArray, weights: TurnWeights) -> bool:
