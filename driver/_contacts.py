@@ -242,15 +242,11 @@ class ContactTracker:
         risen_kpa = self._risen_kpa
         held = self._held_together(time_s, pressure_kpa, std_kpa)
         self._rising = np.zeros(self.shape, dtype=np.bool_) if found is None else found.middle
-        if found is None and held is None and not risen_kpa.any():
-            return
+        if found is None and held is None:
+            of_touch = risen_kpa > 0
+            if (pressure_kpa[of_touch] >= FALLEN_SHARE * risen_kpa[of_touch]).all():
+                return  # no touch, or one that is held
         full = self.full_scale_kpa
-        if (
-            found is None
-            and held is None
-            and (pressure_kpa[risen_kpa > 0] >= FALLEN_SHARE * risen_kpa[risen_kpa > 0]).all()
-        ):
-            return  # a held touch
         least = np.maximum(LEFT_SHARE * risen_kpa, STAY_SHARE * full)
         lasts = (pressure_kpa > least) & (risen_kpa > 0)
         lasts &= self._touch_lasts(time_s, pressure_kpa, None if found is None else found.fallen)
