@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -393,8 +394,9 @@ def test_a_load_that_lowers_the_resistance_counts_since_an_earlier_tare() -> Non
 @pytest.mark.parametrize("name", ["drift", "spread"])
 @pytest.mark.parametrize("value", [0.0, -0.1, float("nan")])
 def test_a_limit_that_cannot_be_is_refused(name: str, value: float) -> None:
+    limit: dict[str, Any] = {name: value}
     with lossless(even_load()) as skin, pytest.raises(InputError, match=rf"{name} is .*; expected"):
-        skin.tare(2, **{name: value})  # type: ignore[arg-type]
+        skin.tare(2, **limit)
 
 
 def test_a_tare_of_another_shape_is_refused() -> None:
