@@ -14,12 +14,13 @@ from . import _smoothing as smoothing
 from ._deviation import Deviation, total
 from ._inversion import Inversion
 from ._neighbours import Neighbours
-from ._noise import RECENT, WINDOW, NoiseMeter
+from ._noise import NoiseMeter
 from ._remembered import Block
 from ._rows import NOISE, PRESSURE, READING
 from ._smoothing import LEAST_NOISE, Looked
 from ._sparks import Sparks
 from ._tremor import Tremor
+from ._window import RECENT, WINDOW
 
 _ZERO = np.zeros(1)
 
@@ -100,7 +101,7 @@ class Following:
             self._accept_taps(block)
         if self._inversion.recovers and frame % self._inversion.recent == 0:
             count = block.line_before[smoothing.COUNT]
-            mean = self._noise.mean_of_recent(cells, self._inversion.recent)
+            mean = self._noise.window.mean_of_recent(cells, self._inversion.recent)
             self._inversion.recover(memory, dt, mean, noise, count, self._near(block))
         if frame % RECENT == 0:
             self._look_for_tremor(block, noise, ends_window=frame % WINDOW == 0)
@@ -135,7 +136,7 @@ class Following:
         if self._sparks.cells.size:
             self._accept_taps(block)
         if self._inversion.recovers and frame % self._inversion.recent == 0:
-            mean = self._noise.mean_of_recent(cells, self._inversion.recent)
+            mean = self._noise.window.mean_of_recent(cells, self._inversion.recent)
             noise, count = taken[NOISE], line[smoothing.COUNT]
             self._inversion.recover_compiled(memory, dt, mean, noise, count, self._near(block))
         if frame % RECENT == 0:

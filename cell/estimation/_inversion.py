@@ -17,9 +17,9 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import Loop
 from . import _loops as loops
-from ._noise import RECENT
 from ._rows import GAIN, NOISE, PRESSURE, READING, SMOOTHED, STD
 from ._smoothing import Looked
+from ._window import RECENT
 
 LOADS = (-0.5, 3.0)
 """times full scale beyond which no load is looked for"""
