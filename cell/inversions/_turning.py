@@ -34,7 +34,7 @@ from typing import Any
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray
+from ...arrays import BoolArray, FloatArray
 from ...compiled import Loop
 from ..estimation import (
     DOUBTED_LOAD,
@@ -47,6 +47,7 @@ from ..estimation import (
     VARIANCE,
     WINDOW,
     Inversion,
+    RecentReadings,
     credible_readings,
 )
 from ..materials import ByStep, PaperModel, lag
@@ -257,16 +258,9 @@ class TurningInversion(Inversion):
         doubts.begin_anew_each.unchecked(memory, of.change, of.rows, of.flags, held_kpa, unconfirmed, numbers)
         return memory
 
-    def recover(
-        self,
-        memory: FloatArray,
-        dt_s: float,
-        mean: FloatArray,
-        noise: FloatArray,
-        count: FloatArray,
-        near: IntArray,
-    ) -> None:
+    def recover(self, memory: FloatArray, recent: RecentReadings) -> None:
         """Ask what means of readings tell, in the order of the list above."""
+        dt_s, mean, noise, count, near = recent
         turns.look_at_steps(memory, noise, self._numbers.each)
         recovery.look(memory, mean, noise, count, self._recovery.of(dt_s).each)
         released.look(memory, mean, noise, self._released.of(dt_s).each)
@@ -274,16 +268,9 @@ class TurningInversion(Inversion):
         onset.look(memory, mean, noise, self.full_scale_kpa, self._onset.of(dt_s).each)
         sway.look(memory, mean, noise, self._numbers.row[turns.STEPS], near, self._sway.of(dt_s))
 
-    def recover_compiled(
-        self,
-        memory: FloatArray,
-        dt_s: float,
-        mean: FloatArray,
-        noise: FloatArray,
-        count: FloatArray,
-        near: IntArray,
-    ) -> None:
+    def recover_compiled(self, memory: FloatArray, recent: RecentReadings) -> None:
         """:meth:`recover` by loops."""
+        dt_s, mean, noise, count, near = recent
         turns.look_at_steps_each.unchecked(memory, noise, self._numbers.row)
         recovery.look_each.unchecked(memory, mean, noise, count, self._recovery.of(dt_s).row)
         released.look_each.unchecked(memory, mean, noise, self._released.of(dt_s).row)
