@@ -11,9 +11,10 @@
 Loads that go to and fro within the noise leave more in either kind of cell than their inverse notices:
 
 ====================  ==========================================================================================
-:mod:`._way`          how far such a load goes, by Allan and Hadamard variances of a cell's own readings
-:mod:`._together`     the same, by the cross variance of its neighbours
-:mod:`._meter`        both, and how much of that way has not been counted yet
+:mod:`._variances`    Allan and Hadamard variances of readings
+:mod:`._way`          how far such a load goes, by these variances
+:mod:`._together`     the same, by the cross variance of a cell's neighbours
+:mod:`._meter`        own readings and neighbours together, and how much of that way has not been counted yet
 :mod:`._sway`         what the way leaves in the paper's cell
 :mod:`._chains`       what it leaves in ``m10`` cells: chains that break unnoticed
 ====================  ==========================================================================================
