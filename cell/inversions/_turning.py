@@ -238,7 +238,7 @@ class TurningInversion(Inversion):
         beside = of.change, taken, w.by_model, of.rows, of.flags, numbers
         found = loops.step_and_turn.unchecked(memory, *beside, False)
         if found & loops.BEYOND:
-            limits.limit_some(memory, w, self._numbers.each)
+            limits.limit_each.unchecked(memory, w.ramp, numbers)
             found = loops.step_and_turn.unchecked(memory, *beside, True)
         if found & loops.PULLED:
             limits.correct_each.unchecked(memory, taken, w.by_model, numbers)
