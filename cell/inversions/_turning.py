@@ -354,6 +354,10 @@ class TurningInversion(Inversion):
         sway.begin(held, state[6])
         return held
 
+    @property
+    def held_rows(self) -> IntArray:
+        return np.delete(np.arange(len(self.rows)), sway.ROWS)
+
     def settled(self, memory: FloatArray, band: float) -> BoolArray:
         m = self.model
         kpa = 2 * band / m.gain_per_kpa
