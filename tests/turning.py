@@ -148,8 +148,7 @@ class OneCell:
         if self.left is not None:
             back = self.left + (1.0 if self.rising else -1.0) * other.pressure
             times = rows.CONFIRMED_RISE if self.rising else rows.CONFIRMED_FALL
-            shares = not self.rising or back >= turns.SHARED * (self.left + now.pressure)
-            if shares and back >= times * (rows.SURE * std * gains[not self.rising] + self._turn_from(self.left)):
+            if back >= times * (rows.SURE * std * gains[not self.rising] + self._turn_from(self.left)):
                 self.left, confirmed = None, True
         allowed = -limits.PULL_SIGMAS * gains[False] * doubt - limits.NEAR * self.full
         if not self.rising:

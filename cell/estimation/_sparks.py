@@ -92,7 +92,7 @@ class Sparks:
             kept = np.zeros(self._noise.at_rest.size, dtype=np.bool_)  # in a tenth of the time of numpy.isin
             kept[self.cells] = True
             jumped &= ~kept[block.cells[place]]
-        jumped &= size > SUDDEN * np.abs(self._noise.change_before(block.cells[place]))
+        jumped &= size > SUDDEN * np.abs(self._noise.window.change_before(block.cells[place]))
         if np.count_nonzero(jumped):
             self._add(block, place[jumped], jump[jumped])
 
@@ -193,7 +193,7 @@ class Sparks:
 
     def _add(self, block: Block, place: IntArray, jump: FloatArray) -> None:
         """Keep what is remembered of the cells at ``place`` (k,) in the block, from before their ``jump`` (k,)."""
-        before = self._noise.last_but_one()
+        before = self._noise.window.reading(1).copy()
         before[self.cells] = self._line[smoothing.LEVEL]
         self._taps.add(block.cells[place], before, anew=not (self._age_s <= TOGETHER_S).any())
         self.cells = np.concatenate([self.cells, block.cells[place]])

@@ -132,7 +132,7 @@ def look(
 ) -> None:
     """Take the last readings of m cells; changes their ``memory`` (rows, m).
 
-    To be called every :data:`..estimation._noise.RECENT` frames.
+    To be called every :data:`..estimation.RECENT` frames.
 
     Args:
         memory: of the cells.
