@@ -34,7 +34,7 @@ from typing import Any
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import Loop
 from ..estimation import (
     DOUBTED_LOAD,
