@@ -134,6 +134,11 @@ class Inversion(ABC):
         """The memory (rows, m) after ``dt_s``, one number or (m,), in which the pressure stayed."""
         return memory
 
+    @property
+    def held_rows(self) -> IntArray:
+        """Rows of the memory that :meth:`hold` needs, the pressure first; it writes the others anew."""
+        return np.arange(len(self.rows))
+
     def settled(self, memory: FloatArray, band: float) -> BoolArray:
         """(m,) whether the memory is that of a cell at rest, within ``band`` of r."""
         return np.ones(memory.shape[1], dtype=bool)

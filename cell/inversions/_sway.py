@@ -67,6 +67,8 @@ METER = CLEAR_KPA + 1
 """first row, behind those of :mod:`._onset`"""
 _METER = slice(METER, METER + len(meter.NAMES))
 SIGN_BEFORE, LAST_R, EXTREME_R, UNEXPLAINED_R = range(METER + len(meter.NAMES), METER + len(NAMES))
+ROWS = slice(METER, METER + len(NAMES))
+"""all of them; :func:`begin` writes them"""
 RISE_R, FALL_R, PER_E2, PER_E3, ETAU2_KPA, SETTLED_PER_KPA, OF_U, OF_2, OF_3, KEPT_KPA = range(10)
 OWED, LARGEST_R, LARGEST_KPA, LOAD_R = range(10, 14)
 """places of the numbers: r per kPa of a fast rise and of a fast fall; constants of the model; shares of the lags that

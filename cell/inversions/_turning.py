@@ -34,7 +34,7 @@ from typing import Any
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import Loop
 from ..estimation import (
     DOUBTED_LOAD,
@@ -249,7 +249,7 @@ class TurningInversion(Inversion):
         beside = of.change, taken, w.by_model, of.rows, of.flags, numbers
         found = loops.step_and_turn.unchecked(memory, *beside, False)
         if found & loops.BEYOND:
-            limits.limit_some(memory, w, self._numbers.each)
+            limits.limit_each.unchecked(memory, w.ramp, numbers)
             found = loops.step_and_turn.unchecked(memory, *beside, True)
         if found & loops.PULLED:
             limits.correct_each.unchecked(memory, taken, w.by_model, numbers)
@@ -350,6 +350,10 @@ class TurningInversion(Inversion):
         onset.begin_anew(held)
         sway.begin(held, state[6])
         return held
+
+    @property
+    def held_rows(self) -> IntArray:
+        return np.delete(np.arange(len(self.rows)), sway.ROWS)
 
     def settled(self, memory: FloatArray, band: float) -> BoolArray:
         m = self.model
