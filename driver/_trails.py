@@ -47,6 +47,9 @@ KEPT = 0.8
 GONE = 0.1
 """share by which the readings of the cells behind a slide have fallen together. A cell that was loaded and unloaded
 between two frames shows no fall, but those beside it do, on which the finger was when they were read"""
+LESS = 2.0
+"""standard deviations of a reading's noise by which the largest of some readings counts for less: it is too large by
+about as many, which on a board of few steps looks like a fall"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,12 +133,12 @@ class Trails:
             if head.slides:
                 slow = max(FAST - head.way / head.frames, 0.0)
                 behind = head.course & ~sudden & (self._along(head) < -BEHIND - slow)
-                if self._have_fallen(behind, reading):
+                if self._have_fallen(behind, reading, noise):
                     self._leave(behind, reading)
         for head in last:
             if id(head) not in gone_on:
                 behind = head.course & ~sudden
-                if head.slides and self._is_over(head, reading, rise) and self._have_fallen(behind, reading):
+                if head.slides and self._is_over(head, reading, rise) and self._have_fallen(behind, reading, noise):
                     self._leave(behind, reading)
                 elif not head.missed:
                     self._heads.append(replace(head, missed=1))
@@ -192,7 +195,7 @@ class Trails:
         last = np.fmax.reduce(reading[with_all_neighbours(head.cells)])
         return bool(last < KEPT * np.fmax.reduce(self._highest[head.course]))
 
-    def _have_fallen(self, cells: BoolArray, reading: FloatArray) -> bool:
+    def _have_fallen(self, cells: BoolArray, reading: FloatArray, noise: FloatArray) -> bool:
         """Whether the readings of these cells have fallen as under a finger that is gone.
 
         Under an object that comes down on one cell after the other, from one end to the other, they have not. Nor have
@@ -200,7 +203,7 @@ class Trails:
         """
         cells = cells & ~np.isnan(reading)
         highest = self._highest[cells]
-        return bool((highest - reading[cells]).sum() > GONE * highest.sum())
+        return bool((highest - reading[cells] - LESS * noise[cells]).sum() > GONE * highest.sum())
 
     def _leave(self, cells: BoolArray, reading: FloatArray) -> None:
         new = cells & ~self.left & ~np.isnan(reading)

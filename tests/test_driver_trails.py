@@ -124,6 +124,25 @@ def test_two_fingers_that_come_down_together_within_some_frames_are_both_there(f
         assert sum(contact.force_n for contact in contacts) == pytest.approx(truth_n, rel=0.1)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_flips_between_two_steps_of_the_adc_are_no_fall_behind_a_slide(seed: int) -> None:
+    """A finger comes down, and tilts meanwhile, and another one beside it in the next frame: the heads of a slide.
+
+    The largest reading of each cell is up to a step above the present one, though nothing has fallen.
+    """
+    rng, step, noise = np.random.default_rng(seed), 0.03, np.full(SHAPE, 0.015)
+    one = ContactTracker(SHAPE, PITCH_MM / 1e3, FULL_KPA)
+    for frame in range(40):
+        finger = bump(np.array([[7.0]]), np.array([[6.0 if frame < 21 else 6.8]]), 8.0)
+        other = bump(np.array([[7.3]]), np.array([[11.5]]), 6.0)
+        kpa = (finger * np.interp(frame, [19, 20, 21], [0.0, 0.5, 1.0]) + other * (frame >= 22))[0, 0]
+        reading = step * np.round(0.08 * kpa / step + rng.integers(0, 2, SHAPE))
+        contacts = one.update(0.1 * frame, kpa, np.full(SHAPE, STD_KPA), (reading, noise))
+        if frame > 21:
+            truth_n = 1e3 * float(kpa.sum()) * (PITCH_MM / 1e3) ** 2
+            assert sum(contact.force_n for contact in contacts) == pytest.approx(truth_n, rel=0.1)
+
+
 def test_swipes_over_a_skin_leave_no_contact_behind() -> None:
     """Six swipes by a cell per frame, 10 mV of noise; without a look at their trails 0.8 s of contacts are left."""
     scene = next(one for one in played.SCENES if one.name == "swipe, 1 cells a frame")
