@@ -57,7 +57,7 @@ def linked_terminals(directory: Path) -> list[str]:
 
 
 def refuse_missing(name: str) -> None:
-    """Raise the LinkError of :func:`open_port` where a look at ``name`` shows it, without opening anything.
+    """Raise the LinkError of :func:`._port.open_port` where a look at ``name`` shows it, without opening anything.
 
     So no device is there, or this user may not read and write it, or the scene of an ``ohmskin://`` address is no file.
     Other addresses (``socket://...``) pass.
