@@ -39,6 +39,10 @@ SMALL_AFTER = 32
 KEEP_STATE_S = 60.0
 """after a longer gap the estimator starts anew: what the skin bore meanwhile is not to be guessed"""
 
+CLOCK_DIGITS = 6
+"""of the seconds between frames: boards count microseconds. What the estimator works out for a length of step it keeps,
+which takes a small skin as long as ten frames, and sums of seconds differ in their last digits"""
+
 SOON = 50
 """first frames that the driver judges board and skin by"""
 UNSETTLED_FRAMES = 10
@@ -277,8 +281,8 @@ class Converter:
             return self._measured.get(frame.index)
 
     def _convert(self, frame: RawFrame) -> Measurement:
-        gap_s = 0.0 if self._last_s is None else frame.time_s - self._last_s
-        self._last, self._last_s = frame, frame.time_s
+        gap_s = 0.0 if self._last_s is None else round(frame.time_s - self._last_s, CLOCK_DIGITS)
+        self._last, self._last_s = frame, frame.time_s if self._last_s is None else self._last_s + gap_s
         reading = self._read(frame.counts)
         counters = self._counters
         counters.converted += 1

@@ -89,8 +89,8 @@ class Remembered:
         self.stale = True
 
     def wake(self, cells: IntArray) -> None:
-        """Let sleeping ``cells`` (m,) remember that they have been at rest for ever, and be followed."""
-        self.put(cells, *self._at_rest)
+        """Let sleeping ``cells`` (m,) be followed, on lines that have read as at rest for ever."""
+        _put(self.line, cells, self._at_rest[1])  # their memory is that of rest since they sleep, see :meth:`rest`
         self.stale = True
 
     def rest(self, cells: IntArray) -> None:

@@ -229,9 +229,7 @@ class SharedNoise:
     @property
     def _last(self) -> FloatArray:
         """(n,) readings of the last frame, without shared noise."""
-        ring, newest = self._noise.window
-        last: FloatArray = ring[newest]
-        return last
+        return self._noise.window.reading()
 
     def _by_array_operations(
         self, r: FloatArray, read: BoolArray, awake: BoolArray, testing: bool, near: float, far: float, share: float

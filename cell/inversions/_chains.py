@@ -15,7 +15,6 @@ amounts, until the chains have healed.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -28,7 +27,6 @@ from . import _together as together
 from . import _way as way
 from ._inverse_loops import ANCHOR, BRANCH, BROKEN, FURTHEST, LATELY, LOAD, MISSED
 from ._meter import see_of, tell_of, uncounted_of
-from ._paper_steps import numbered
 
 READINGS = 2
 """from one look to the next. Chains break by all of the way, and blocks of twice as many hide a third of that of a
@@ -62,26 +60,14 @@ _SERIES = METER + meter.SERIES
 _ZERO = np.array(0.0)
 
 
-class Constants(NamedTuple):
-    """Numbers that depend on the time between frames."""
-
-    row: FloatArray
-    """for machine code"""
-    each: tuple[FloatArray, ...]
-    """the same numbers, as arrays without axes"""
-    way: way.Constants
-
-
-def constants(model: M10Model, dt_s: float, full_scale_kpa: float, full_scale_r: float) -> Constants:
+def constants(model: M10Model, dt_s: float, full_scale_kpa: float, full_scale_r: float) -> meter.Constants:
     """The numbers for frames that follow each other after ``dt_s``."""
-    numbers = numbered(
-        {
-            **{A: model.a, B: model.b, K: model.k, FULL_KPA: full_scale_kpa, FULL_R: full_scale_r},
-            KEPT: math.exp(-READINGS * dt_s / model.tau_s),
-            OWED: meter.owed_looks(dt_s, READINGS),
-        }
-    )
-    return Constants(numbers.row, numbers.each, way.constants(dt_s, READINGS, CAUTION))
+    numbers = {
+        **{A: model.a, B: model.b, K: model.k, FULL_KPA: full_scale_kpa, FULL_R: full_scale_r},
+        KEPT: math.exp(-READINGS * dt_s / model.tau_s),
+        OWED: meter.owed_looks(dt_s, READINGS),
+    }
+    return meter.constants(numbers, dt_s, READINGS, CAUTION)
 
 
 def begin(memory: FloatArray, r: FloatArray) -> None:
@@ -90,7 +76,7 @@ def begin(memory: FloatArray, r: FloatArray) -> None:
     memory[BROKEN_BEFORE] = memory[BROKEN]
 
 
-def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, near: IntArray, numbers: Constants) -> None:
+def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, near: IntArray, numbers: meter.Constants) -> None:
     """Take the last readings of m cells; changes their ``memory`` (rows, m).
 
     To be called every :data:`READINGS` frames.

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray
+from ...arrays import BoolArray, FloatArray
 from ...compiled import Loop
 from ...errors import InputError
 from ..estimation import (
@@ -26,6 +26,7 @@ from ..estimation import (
     VARIANCE,
     WINDOW,
     Inversion,
+    RecentReadings,
     credible_readings,
 )
 from ..materials import AsymmetricModel, ByStep, M10Model, as_m10, lag
@@ -408,30 +409,14 @@ class AsymmetricInversion(Inversion):
         """Motion within the noise breaks chains, which seems to be a load that rises."""
         memory[MISSED] += rise_kpa / memory[GAIN]
 
-    def recover(
-        self,
-        memory: FloatArray,
-        dt_s: float,
-        mean: FloatArray,
-        noise: FloatArray,
-        count: FloatArray,
-        near: IntArray,
-    ) -> None:
+    def recover(self, memory: FloatArray, recent: RecentReadings) -> None:
         """Count chains that loads break unnoticed (:mod:`._chains`)."""
-        chains.look(memory, mean, noise, near, self._chains.of(dt_s))
+        chains.look(memory, recent.mean, recent.noise, recent.near, self._chains.of(recent.dt_s))
 
-    def recover_compiled(
-        self,
-        memory: FloatArray,
-        dt_s: float,
-        mean: FloatArray,
-        noise: FloatArray,
-        count: FloatArray,
-        near: IntArray,
-    ) -> None:
+    def recover_compiled(self, memory: FloatArray, recent: RecentReadings) -> None:
         """The same by loops."""
-        of, seen = self._chains.of(dt_s), np.empty((chains.SEEN, mean.size))
-        chains.look_each.unchecked(memory, mean, noise, near, of.row, of.way.rows, seen)
+        of, seen = self._chains.of(recent.dt_s), np.empty((chains.SEEN, recent.mean.size))
+        chains.look_each.unchecked(memory, recent.mean, recent.noise, recent.near, of.row, of.way.rows, seen)
 
     def _limit(self, memory: FloatArray, r: FloatArray, std: FloatArray) -> None:
         """Keep loads within what is believed, and correct the memory to the reading ``r`` (n,) instead.

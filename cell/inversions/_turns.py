@@ -233,9 +233,6 @@ def confirm(of: MemoryRows, back: FloatArray, noise: FloatArray, numbers: tuple[
     noise += of.nearby
     confirmed = np.greater_equal(back, noise, of.confirmed)
     confirmed &= of.left < _FAR
-    rise = np.add(of.left, of.rising_kpa, of.nearby)
-    rise *= _SHARED
-    confirmed &= np.greater_equal(back, rise, of.held) | (of.sign < _ZERO)
     np.copyto(of.left, _FAR, where=confirmed)
 
 
@@ -318,9 +315,7 @@ def confirm_of(memory: Rows, i: int, of: Rows, numbers: Row) -> bool:
     """:func:`confirm` of cell ``i``, whose turn is unconfirmed, after :func:`look_of`."""
     least = of[NOISE, i] * of[CONFIRMING_SIGMAS, i]
     least += turn_from_of(memory[LEFT, i], numbers) * of[CONFIRMING_TURNS, i]
-    shared = (memory[LEFT, i] + memory[RISING_KPA, i]) * SHARED
-    shares = of[SPARE, i] >= shared or memory[SIGN, i] < 0.0
-    confirmed = of[SPARE, i] >= least and shares
+    confirmed = of[SPARE, i] >= least
     if confirmed:
         memory[LEFT, i] = FAR
     return bool(confirmed)
