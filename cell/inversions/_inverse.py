@@ -452,6 +452,14 @@ class AsymmetricInversion(Inversion):
         held[LATELY] *= np.exp(-dt_s / LATELY_S)
         return held
 
+    def left_over(self, memory: FloatArray) -> FloatArray:
+        """The broken chains, and what the branches have beyond their targets."""
+        beyond = memory[BRANCHES] - self._alpha * memory[LOAD]
+        np.maximum(beyond, 0.0, out=beyond)
+        left: FloatArray = memory[BROKEN] + beyond[0]
+        left += beyond[1]
+        return left
+
     def settled(self, memory: FloatArray, band: float) -> BoolArray:
         found: BoolArray = np.abs(memory[4:7]).sum(axis=0) < band
         return found
