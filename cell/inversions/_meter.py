@@ -20,7 +20,7 @@ import math
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
-from ...compiled import PlaceRows, Rows, loop
+from ...compiled import PlaceRows, Rows, SpacedRows, loop
 from . import _together as together
 from . import _way as way
 from ._together import KNOWN, WEIGHTED
@@ -161,7 +161,7 @@ def uncounted(rows: FloatArray, found: FloatArray, counted: FloatArray, owed: Fl
 
 @loop
 def see_of(
-    memory: Rows,
+    memory: SpacedRows,
     first: int,
     i: int,
     newest: float,
@@ -194,7 +194,7 @@ def see_of(
 
 @loop
 def tell_of(
-    memory: Rows,
+    memory: SpacedRows,
     first: int,
     i: int,
     noise: float,
@@ -219,7 +219,7 @@ def tell_of(
 
 @loop
 def uncounted_of(
-    memory: Rows, first: int, i: int, told: float, may: float, counted: float, owed: float
+    memory: SpacedRows, first: int, i: int, told: float, may: float, counted: float, owed: float
 ) -> tuple[float, float]:
     """:func:`uncounted` of cell ``i``."""
     way = min(max(memory[first + TOLD, i] + told - counted, -owed * told), owed * told)

@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray
-from ...compiled import Rows, loop
+from ...compiled import Rows, SpacedRows, loop
 
 SCALES = 4
 """lengths of blocks: one, two, four and eight times the readings from one look to the next"""
@@ -386,7 +386,7 @@ def _ways(moved: FloatArray, bends: FloatArray, variance: FloatArray) -> tuple[F
 
 @loop
 def look_of(
-    memory: Rows,
+    memory: SpacedRows,
     series: int,
     squares: int,
     i: int,
@@ -411,7 +411,7 @@ def look_of(
 
 
 @loop
-def forget_of(memory: Rows, squares: int, i: int) -> None:
+def forget_of(memory: SpacedRows, squares: int, i: int) -> None:
     """Let the mean squares of cell ``i``, which begin with row ``squares`` of ``memory``, begin anew."""
     for row in range(squares, squares + ALL_SQUARES):
         memory[row, i] = 0.0
@@ -425,7 +425,7 @@ def scaled(change: float, std: float, largest: float) -> float:
 
 
 @loop
-def differences_of(memory: Rows, row: int, i: int, block: float) -> tuple[float, float, float]:
+def differences_of(memory: SpacedRows, row: int, i: int, block: float) -> tuple[float, float, float]:
     """:func:`differences` of cell ``i`` for blocks of one length, whose last mean is in ``row``, and the next block."""
     last = memory[row, i]
     change = block - last
@@ -436,7 +436,7 @@ def differences_of(memory: Rows, row: int, i: int, block: float) -> tuple[float,
 
 @loop
 def take_of(
-    memory: Rows,
+    memory: SpacedRows,
     row: int,
     i: int,
     moved: float,
@@ -456,7 +456,7 @@ def take_of(
 
 
 @loop
-def count_of(memory: Rows, row: int, i: int, product: float, by_noise: float, share: float) -> None:
+def count_of(memory: SpacedRows, row: int, i: int, product: float, by_noise: float, share: float) -> None:
     """Count a ``product`` in a ``row`` of cell ``i``, to which noise gives ``by_noise`` more than is written there."""
     before = memory[row, i]
     room = max(before * GROWS + (by_noise * GROWS + AT_ONCE), AT_ONCE)
@@ -475,7 +475,7 @@ def weights_of(own: float, beside: float, scatter: float) -> tuple[float, float]
 
 
 @loop
-def told_by_own_of(memory: Rows, squares: int, i: int, numbers: Rows) -> float:
+def told_by_own_of(memory: SpacedRows, squares: int, i: int, numbers: Rows) -> float:
     """:func:`told_by_own` of cell ``i``, whose mean squares begin with row ``squares`` of ``memory``."""
     alone = 0.0
     for scale in range(SCALES):
@@ -487,7 +487,7 @@ def told_by_own_of(memory: Rows, squares: int, i: int, numbers: Rows) -> float:
 
 @loop
 def tell_of(
-    memory: Rows,
+    memory: SpacedRows,
     squares: int,
     squares_beside: int,
     apart: int,

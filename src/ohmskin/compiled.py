@@ -41,6 +41,8 @@ Rows = Annotated[FloatArray, "float64[:, ::1]"]
 Places = Annotated[IntArray, "intp[::1]"]
 PlaceRows = Annotated[IntArray, "intp[:, ::1]"]
 Flags = Annotated[BoolArray, "boolean[::1]"]
+# Rows that need not follow each other without a gap: an inversion's memory (`ohmskin.arrays.spaced`).
+SpacedRows = Annotated[FloatArray, "float64[:, :]"]
 FlagRows = Annotated[BoolArray, "boolean[:, ::1]"]
 Codes = Annotated[CodeArray, "uint32[::1]"]
 # The same for arrays that the loop does not write to, and that nobody may write to (flags.writeable is False).
