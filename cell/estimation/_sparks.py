@@ -57,6 +57,8 @@ class Sparks:
         """Take jumps of the last moment for loads."""
         self.cells = np.zeros(0, dtype=np.intp)
         """(k,) indices"""
+        self._looked_up = self.cells, self.cells, self.cells
+        """cells of a block, those of the jumps, and (k,) the places of these among the former"""
         self._age_s, self._jump = np.zeros((2, 0))
         self._taps.forget_all()
         self._memory = np.zeros((self._kept.size, 0))
@@ -102,7 +104,7 @@ class Sparks:
         ``reading`` (m,) is r ``dt`` after the last frame, ``noise`` (m,) its standard deviation.
         """
         self._age_s += dt
-        place = np.searchsorted(block.cells, self.cells)
+        place = self._places_in(block)
         off = reading[place] - self._line[smoothing.LEVEL]
         np.copyto(self._jump, off, where=np.abs(off) > np.abs(self._jump))
         jump, moved = np.abs(self._jump), self._line[smoothing.SLOPE] * self._age_s
@@ -159,7 +161,7 @@ class Sparks:
 
     def variance(self, block: Block, memory: FloatArray) -> FloatArray:
         """(m,) kPa^2: half of a jump counts as standard deviation as long as it may be a spark."""
-        place = np.searchsorted(block.cells, self.cells)
+        place = self._places_in(block)
         jump = memory[PRESSURE, place] - self._memory[PRESSURE]
         variance = np.zeros(memory.shape[1])
         variance[place] = np.where(self._taps.known, 0.0, (IN_DOUBT * jump) ** 2)
@@ -178,6 +180,12 @@ class Sparks:
         remembered.put(cells, self._held(back), self._line.compress(back, axis=1))
         pressure[cells] = self._memory[PRESSURE, back]
         self._keep(~gone)
+
+    def _places_in(self, block: Block) -> IntArray:
+        """(k,) places of the jumps' cells among those of the block."""
+        if self._looked_up[0] is not block.cells or self._looked_up[1] is not self.cells:
+            self._looked_up = block.cells, self.cells, np.searchsorted(block.cells, self.cells)
+        return self._looked_up[2]
 
     def hide(self, pressure: FloatArray) -> None:
         """Show no jump beyond full scale before it has lasted longer than a spark; changes ``pressure`` (n,)."""

@@ -20,7 +20,7 @@ import math
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
-from ...compiled import PlaceRows, Rows, SpacedRows, loop
+from ...compiled import Rows, SpacedPlaces, SpacedRows, loop
 from . import _together as together
 from . import _way as way
 from ._together import KNOWN, WEIGHTED
@@ -202,7 +202,7 @@ def tell_of(
     largest: float,
     owed: float,
     seen: Rows,
-    near: PlaceRows,
+    near: SpacedPlaces,
     way_numbers: Rows,
 ) -> tuple[float, float]:
     """The second half of :func:`look` for cell ``i``, after all cells have been seen."""

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
-from ...compiled import PlaceRows, Row, Rows, SpacedRows, loop
+from ...compiled import Row, Rows, SpacedPlaces, SpacedRows, loop
 from ..estimation import FAR, GAIN, PRESSURE, RECENT, RESTED, VARIANCE
 from ..materials import PaperModel
 from . import _meter as meter
@@ -222,7 +222,7 @@ def look_each(
     means: Row,
     noises: Row,
     steps: float,
-    near: PlaceRows,
+    near: SpacedPlaces,
     numbers: Row,
     way_numbers: Rows,
     seen: Rows,

@@ -90,7 +90,6 @@ class Stream:
 
 def _ports(conductance: FloatArray, lines: Lines, *, transfer_only: bool) -> Rounded:
     """Port conductances (frames, N + M, N + M) in S, or if ``transfer_only`` their (frames, N, M) transfer block."""
-    rows = conductance.shape[1]
     if has_ideal_lines(lines):
         return (_ideal_transfer if transfer_only else _ideal_lines)(*capped(conductance, lines), lines.exit)
     network, relative = dissect(*_reversed_rows(conductance, lines), transfer_only)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
 CodeArray = NDArray[np.uint32]
 AnyArray = NDArray[Any]
+N = TypeVar("N", np.float64, np.intp)
 
 _SOON_SORTED = 256
 """values that are sorted sooner than their middle is found"""
@@ -61,7 +62,7 @@ _LINE = 8
 """numbers in a line of a processor's cache"""
 
 
-def spaced(rows: FloatArray) -> FloatArray:
+def spaced(rows: NDArray[N]) -> NDArray[N]:
     """A copy of ``rows`` (n, m) that begin an odd number of cache lines apart (padding of the leading dimension).
 
     Loops over cells take a number from each of a hundred rows. Where rows are a power of two apart, as those of 64 x 64
@@ -69,6 +70,6 @@ def spaced(rows: FloatArray) -> FloatArray:
     """
     count, columns = rows.shape
     lines = -(-columns // _LINE) | 1
-    copy: FloatArray = np.empty((count, lines * _LINE))[:, :columns]
+    copy: NDArray[N] = np.empty((count, lines * _LINE), dtype=rows.dtype)[:, :columns]
     copy[...] = rows
     return copy
