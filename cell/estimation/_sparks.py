@@ -184,7 +184,9 @@ class Sparks:
     def _places_in(self, block: Block) -> IntArray:
         """(k,) places of the jumps' cells among those of the block."""
         if self._looked_up[0] is not block.cells or self._looked_up[1] is not self.cells:
-            self._looked_up = block.cells, self.cells, np.searchsorted(block.cells, self.cells)
+            every = np.array_equal(self.cells, block.cells)  # in a tenth of the time of a search
+            place = np.arange(self.cells.size) if every else np.searchsorted(block.cells, self.cells)
+            self._looked_up = block.cells, self.cells, place
         return self._looked_up[2]
 
     def hide(self, pressure: FloatArray) -> None:
@@ -206,11 +208,11 @@ class Sparks:
         self._taps.add(block.cells[place], before, anew=not (self._age_s <= TOGETHER_S).any())
         self.cells = np.concatenate([self.cells, block.cells[place]])
         self._age_s = np.concatenate([self._age_s, np.zeros(place.size)])
-        memory = block.memory[self._kept]
+        memory, line = block.memory[self._kept], block.line_before
         if place.size < block.cells.size:  # taking as many columns takes several times as long as a copy
-            memory = memory.take(place, axis=1)
+            memory, line = memory.take(place, axis=1), line.take(place, axis=1)
         self._memory = np.concatenate([self._memory, memory], axis=1) if self._memory.size else memory
-        self._line = np.concatenate([self._line, block.line_before.take(place, axis=1)], axis=1)
+        self._line = np.concatenate([self._line, line], axis=1)
         self._jump = np.concatenate([self._jump, jump])
 
     def _keep(self, kept: BoolArray) -> None:
