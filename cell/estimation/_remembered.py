@@ -41,6 +41,11 @@ class Block:
         """For pickle and copy: the rows in ``scratch`` are parts of the line, and would become arrays of their own."""
         return type(self), (self.cells, self.memory, self.line), {"line_before": self.line_before}
 
+    def memory_of(self, place: IntArray) -> FloatArray:
+        """A copy of the memory (rows, k) of the cells at ``place`` (k,)."""
+        every = place.size == self.cells.size and bool((np.diff(place) > 0).all())
+        return spaced(self.memory if every else self.memory.take(place, axis=1))
+
     def take_back(self, place: IntArray, memory: FloatArray, line: FloatArray) -> None:
         """Let cells at ``place`` (k,) in the block remember ``memory`` (rows, k) and ``line`` (ROWS, k) again."""
         self.memory = self.memory[:]  # another array, as sign that it has changed

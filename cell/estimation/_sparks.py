@@ -15,7 +15,7 @@ from ._gaps import Gaps
 from ._inversion import Inversion
 from ._noise import NoiseMeter
 from ._remembered import Block, Remembered
-from ._rows import PRESSURE
+from ._rows import PRESSURE, READING, SMOOTHED, STD
 from ._taps import TOGETHER_S, Taps
 
 SPARK_S = 0.1
@@ -51,6 +51,8 @@ class Sparks:
         """of the memory, as far as putting it back needs them"""
         self.large_r = LARGE_JUMP * inversion.full_scale_r
         """r from which a jump may be a spark"""
+        self.compiled = False
+        """whether the inversion's loops are there as machine code"""
         self.forget_all()
 
     def forget_all(self) -> None:
@@ -117,6 +119,7 @@ class Sparks:
         if back.any():
             some = np.flatnonzero(back)
             back[some] = self._were_sparks(block, some, place[some], dt, reading, noise)
+        if back.any():
             block.take_back(place[back], self._held(back), self._line.compress(back, axis=1))
         if over.any():
             self._keep(~over)
@@ -149,15 +152,28 @@ class Sparks:
         """
         full_kpa, reading, noise = self._inversion.full_scale_kpa, reading[place], noise[place]
         before, top = self._memory[PRESSURE, some], block.memory[PRESSURE, place]
-        tapped = self._inversion.advance(block.memory[:, place], dt, reading, noise, lambda: noise)
+        tapped = self._tapped(block.memory_of(place), dt, reading, noise)
         off = np.abs(reading - self._line[smoothing.LEVEL, some]) - CLEAR * noise
-        off_if_tapped = np.abs(tapped[PRESSURE] - before)
+        off_if_tapped = np.abs(tapped - before)
         moved = np.abs(top - before)
         found: BoolArray = off * moved <= NEARER * off_if_tapped * np.abs(self._jump[some])
         plausible = np.maximum(EITHER * moved, SMALL * full_kpa)
-        either = found & (off_if_tapped < plausible) & (tapped[PRESSURE] > -LARGE_JUMP * full_kpa)
+        either = found & (off_if_tapped < plausible) & (tapped > -LARGE_JUMP * full_kpa)
         self._gaps.doubt(self.cells[some][either], off_if_tapped[either])
         return found
+
+    def _tapped(self, memory: FloatArray, dt: float, reading: FloatArray, noise: FloatArray) -> FloatArray:
+        """(k,) kPa by what cells remember of taps, ``memory`` (rows, k), which changes; see :meth:`_were_sparks`."""
+        if self.compiled:
+            taken = np.zeros((4, reading.size))
+            taken[READING] = taken[SMOOTHED] = reading
+            taken[STD] = noise
+            line = smoothing.begin(reading)
+            after = self._inversion.advance_compiled(memory, taken, line, dt)
+        else:
+            after = self._inversion.advance(memory, dt, reading, noise, lambda: noise)
+        pressure: FloatArray = after[PRESSURE]
+        return pressure
 
     def variance(self, block: Block, memory: FloatArray) -> FloatArray:
         """(m,) kPa^2: half of a jump counts as standard deviation as long as it may be a spark."""
