@@ -24,7 +24,8 @@ from ._discover import LONGEST_SEARCH_S, find_board
 from ._frame import Frame
 from ._opening import QUEUE, Delivery, Link, Opening
 from ._past import Past
-from ._port import Arrival, BytePort, has_gone, refuse_missing, usb_serial_number
+from ._port import Arrival, BytePort
+from ._port_names import has_gone, refuse_missing, usb_serial_number
 from ._reader import await_free
 from ._reconnect import PortFinder
 from ._recording import Recording
