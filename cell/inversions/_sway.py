@@ -8,9 +8,9 @@ noticed, a fall. Presses and taps leave nothing then but the ways by which turns
 either model says, half of the time each.
 
 What the rest makes of the pressure is subtracted from both hypotheses and from what they are compared with, so that it
-is no turn. A share of it counts as standard deviation, since the way is known to about as much, and so does the way
-that there may be beside what is told from noise. All that errs to one side, and adds up like amounts. A load that grows
-is not touched: it goes one way.
+is no turn. The standard deviation contains a share of that, since the way is known to about as much, and the way that
+there may be beside what is told from noise. Both errors are of one sign, and are added as amounts. A load that grows is
+not touched: it goes one way.
 """
 
 from __future__ import annotations
