@@ -168,7 +168,8 @@ class Estimator:
         before = self._pressure.copy() if self._gaps.concern(dt, self._usual_s or dt, known) else None
         watched = blurred = loaded = None
         if self._shared_noise.ratio and not exact:
-            r, watched, loaded = self._shared_noise.subtract(dt, r, known, self._sleep.awake)
+            left_over, awake = self._remembered.left_over, self._sleep.awake
+            r, watched, loaded = self._shared_noise.subtract(dt, r, known, awake, left_over)
             self._reading, blurred = r, self._shared_noise.mean_std
         self._watched = r if watched is None else watched
         self._by_shared = None

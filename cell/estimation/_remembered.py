@@ -120,6 +120,15 @@ class Remembered:
         """Bring up the memory of ``cells`` (m,) that were not read for ``unread_s`` (m,): as if the load had stayed."""
         _put(self.memory, cells, self._inversion.hold(self.memory.take(cells, axis=1), unread_s))
 
+    def left_over(self) -> FloatArray:
+        """(n,) r that earlier loads have left in cells, see :meth:`._inversion.Inversion.left_over`."""
+        block = self.block
+        if not block.cells.size:  # what was followed until the last frame is in the memory of all
+            return self._inversion.left_over(self.memory)
+        found = np.zeros(self.followed.size)
+        found[block.cells] = self._inversion.left_over(block.memory)
+        return found
+
     def state(self) -> dict[str, FloatArray | BoolArray]:
         """What is remembered, by name. To be called after :meth:`flush`."""
         return {"memory": self.memory, "line": self.line, "followed": self.followed}

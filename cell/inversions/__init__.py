@@ -3,7 +3,7 @@
 ====================  ==========================================================================================
 :mod:`._static`       without memory: the equilibrium curve of a model, or the calibrated cubic
 :mod:`._turning`      the paper's cell, by two hypotheses about when the pressure last turned; lists its own modules
-:mod:`._inverse`      ``asymmetric`` and ``m10`` cells, by Newton's method
+:mod:`._inverse`      ``asymmetric`` and ``m10`` cells, by the equation of a step; :mod:`._change_over` solves rare ones
 :mod:`._switched`     the paper's own estimator (P8), the baseline
 :mod:`._learned`      linear maps of the memories in :mod:`._features`, as calibration learned them
 ====================  ==========================================================================================
@@ -11,9 +11,10 @@
 Loads that go to and fro within the noise leave more in either kind of cell than their inverse notices:
 
 ====================  ==========================================================================================
-:mod:`._way`          how far such a load goes, by Allan and Hadamard variances of a cell's own readings
-:mod:`._together`     the same, by the cross variance of its neighbours
-:mod:`._meter`        both, and how much of that way has not been counted yet
+:mod:`._variances`    Allan and Hadamard variances of readings
+:mod:`._way`          how far such a load goes, by these variances
+:mod:`._together`     the same, by the cross variance of a cell's neighbours
+:mod:`._meter`        own readings and neighbours together, and how much of that way has not been counted yet
 :mod:`._sway`         what the way leaves in the paper's cell
 :mod:`._chains`       what it leaves in ``m10`` cells: chains that break unnoticed
 ====================  ==========================================================================================
