@@ -30,7 +30,7 @@ from ._statistics import Counters
 from ._stream import RawFrame
 from ._systematic import SystematicError
 from ._tare import DRIFT as TARE_DRIFT
-from ._tare import KNOWN_DRIFT
+from ._tare import KNOWN_DRIFT, far_from_sheet
 
 KEPT_MEASUREMENTS = 8
 """that are not thrown away at once when all takers have passed them"""
@@ -38,6 +38,10 @@ SMALL_AFTER = 32
 """frames after which a frame that somebody keeps has its standard deviation computed"""
 KEEP_STATE_S = 60.0
 """after a longer gap the estimator starts anew: what the skin bore meanwhile is not to be guessed"""
+
+CLOCK_DIGITS = 6
+"""of the seconds between frames: boards count microseconds. What the estimator works out for a length of step it keeps,
+which takes a small skin as long as ten frames, and sums of seconds differ in their last digits"""
 
 SOON = 50
 """first frames that the driver judges board and skin by"""
@@ -114,6 +118,8 @@ class Converter:
         self._judged: int | None = 0  # frames of the first ones that were counted; None: judged
         self._reasons = np.zeros(len(Reason), dtype=np.int64)  # cells of those frames by reason
         self._surest = np.inf  # least uncertainty of their cells
+        self._sheet: str | None = None
+        """why the data sheet does not seem to be this skin's, by the first frames"""
         self._systematic = None if cell is None else SystematicError(cell)
         self._lock = threading.RLock()
         self.on_converted: list[Callable[[RawFrame, Measurement], None]] = []
@@ -275,8 +281,8 @@ class Converter:
             return self._measured.get(frame.index)
 
     def _convert(self, frame: RawFrame) -> Measurement:
-        gap_s = 0.0 if self._last_s is None else frame.time_s - self._last_s
-        self._last, self._last_s = frame, frame.time_s
+        gap_s = 0.0 if self._last_s is None else round(frame.time_s - self._last_s, CLOCK_DIGITS)
+        self._last, self._last_s = frame, frame.time_s if self._last_s is None else self._last_s + gap_s
         reading = self._read(frame.counts)
         counters = self._counters
         counters.converted += 1
@@ -360,7 +366,10 @@ class Converter:
             if self._counters.remark:
                 warnings.warn(self._counters.remark, RuntimeWarning, stacklevel=2)
         else:
+            self._sheet = self._unlike_sheet(reading)
             self._counters.untared = self._why_to_tare()
+            if self._counters.untared and self._sheet:
+                warnings.warn(self._counters.untared, RuntimeWarning, stacklevel=2)
 
     def _why_none_valid(self) -> str | None:
         cells, valid = self._reasons.sum(), self._reasons[Reason.VALID]
@@ -383,10 +392,24 @@ class Converter:
             "bits, or another reference resistor, tells more"
         )
 
+    def _unlike_sheet(self, reading: Reading) -> str | None:
+        """A remark where the typical cell reads otherwise than the data sheet lets it read at rest."""
+        if not reading.valid.any():
+            return None
+        far = far_from_sheet(float(np.median(reading.resistance[reading.valid])), self.cell)
+        if not far:
+            return None
+        return (
+            f"{far}: the cell or the design is another skin's or in another unit, or the whole skin is loaded; "
+            "correct them, or tare() the unloaded skin"
+        )
+
     def _why_to_tare(self) -> str | None:
         """A remark where rest resistances that nobody measured leave pressures open by more than a little."""
         if self.cell is None or self._systematic is None or self._rest_known:
             return None
+        if self._sheet:
+            return self._sheet
         spread = self._systematic.rest_spread or 0.0
         kpa = self._systematic.kpa_of_rest(spread)
         if kpa < CLEAR_SPREAD * self.cell.full_scale_kpa:

@@ -134,8 +134,9 @@ class Trails:
                     self._leave(behind, reading)
         for head in last:
             if id(head) not in gone_on:
-                if head.slides and self._is_over(head, reading, rise):
-                    self._leave(head.course & ~sudden, reading)
+                behind = head.course & ~sudden
+                if head.slides and self._is_over(head, reading, rise) and self._have_fallen(behind, reading):
+                    self._leave(behind, reading)
                 elif not head.missed:
                     self._heads.append(replace(head, missed=1))
 
@@ -194,7 +195,8 @@ class Trails:
     def _have_fallen(self, cells: BoolArray, reading: FloatArray) -> bool:
         """Whether the readings of these cells have fallen as under a finger that is gone.
 
-        Under an object that comes down on one cell after the other, from one end to the other, they have not.
+        Under an object that comes down on one cell after the other, from one end to the other, they have not. Nor have
+        they under fingers that come down together, of which the one at the rim is the last to stop.
         """
         cells = cells & ~np.isnan(reading)
         highest = self._highest[cells]

@@ -13,7 +13,7 @@ from ohmskin.bench._independent import presses
 from ohmskin.cell import PaperModel
 from ohmskin.cell.estimation._conditions import Conditions
 from ohmskin.cell.estimation._estimator import Estimator
-from ohmskin.cell.estimation._inversion import Inversion
+from ohmskin.cell.estimation._inversion import Inversion, RecentReadings
 from ohmskin.cell.estimation._neighbours import Neighbours
 from ohmskin.cell.inversions import _doubts as doubts
 from ohmskin.cell.inversions import _turning_rows as turning_rows
@@ -179,7 +179,7 @@ def written_out_alike(load: np.ndarray, dt: float, noise: float, rng: np.random.
         if noise and number % 4 == 0 and len(readings) == 4:
             count = rng.integers(0, 9, cells)
             mean = np.mean(readings, axis=0)
-            inversion.recover(memory, dt, mean, np.full(cells, 2 * noise), count.astype(float), alone)
+            inversion.recover(memory, RecentReadings(dt, mean, np.full(cells, 2 * noise), count.astype(float), alone))
             for one, *taken in zip(one_by_one, mean.tolist(), count.tolist(), strict=True):
                 one.recover(dt, taken[0], 2 * noise, taken[1])
             np.testing.assert_allclose(memory[0], [one.now.pressure for one in one_by_one], rtol=1e-8, atol=1e-8)

@@ -12,7 +12,7 @@ import pytest
 from boards import DESIGN, Wire, lossless, scene
 
 from ohmskin.cell import Cell
-from ohmskin.cell.estimation._noise import RECENT
+from ohmskin.cell.estimation import RECENT
 from ohmskin.circuits import Design
 from ohmskin.driver import CountReader, Frame, Recorder, Skin
 from ohmskin.driver._systematic import SystematicError

@@ -110,6 +110,20 @@ def test_two_fingers_that_come_down_one_after_the_other_are_both_there(apart: in
     assert force_n[-1] == pytest.approx(truth_n, rel=0.1)
 
 
+@pytest.mark.parametrize("frames", [(2, 5), (2, 6), (3, 6)])
+def test_two_fingers_that_come_down_together_within_some_frames_are_both_there(frames: tuple[int, int]) -> None:
+    """Their readings rise as one first, then where the one presses, and at last where the other one does, at the rim.
+
+    So do those of a slide that leaves the skin there. But none of them falls.
+    """
+    rim = bump(np.array([[13.5]]), np.array([[13.0]]), 3.6)
+    inside = bump(np.array([[11.0]]), np.array([[10.0]]), 9.0)
+    loads = [inside * min(frame / frames[0], 1.0) + rim * min(frame / frames[1], 1.0) for frame in range(1, 40)]
+    truth_n = 1e3 * float((inside + rim).sum()) * (PITCH_MM / 1e3) ** 2
+    for contacts in contacts_of(np.concatenate(loads), rate_hz=20.0)[10:]:
+        assert sum(contact.force_n for contact in contacts) == pytest.approx(truth_n, rel=0.1)
+
+
 def test_swipes_over_a_skin_leave_no_contact_behind() -> None:
     """Six swipes by a cell per frame, 10 mV of noise; without a look at their trails 0.8 s of contacts are left."""
     scene = next(one for one in played.SCENES if one.name == "swipe, 1 cells a frame")

@@ -19,6 +19,7 @@ from ohmskin.cell.inversions import _sway as sway
 from ohmskin.cell.inversions import _takeover as takeover
 from ohmskin.cell.inversions import _turning_rows as rows
 from ohmskin.cell.inversions import _turns as turns
+from ohmskin.cell.inversions import _variances as variances
 from ohmskin.cell.inversions import _way as way
 from ohmskin.cell.materials import _lag as lag
 
@@ -76,7 +77,8 @@ class OneCell:
             if self.third_last - now.pressure > turns.FALLING * std * gains[True] or self.fallen > turns.RELEASED:
                 seeming = 0.0
         unsure = std * gains[self.rising]
-        turned = self.extreme - self._ahead(now) > rows.SURE * unsure + self._turn_from(self.extreme) + seeming
+        sure = turns.SURE_SEEN if self.fallen > turns.SEEN_FALLING else rows.SURE
+        turned = self.extreme - self._ahead(now) > sure * unsure + self._turn_from(self.extreme) + seeming
         least = turns.FALLING * unsure + turns.LIGHT_TURN * self.full + (seeming if self.rising else 0.0)
         turned = turned or self.recent_extreme - self._ahead(now) > least
         if self.left is not None:
@@ -115,6 +117,7 @@ class OneCell:
             unseen = takeover.BETWEEN * way * bend * gains[self.rising] + takeover.ROUND * self.full / fast
             if noticed and self.rising:
                 unseen += self._hidden(now.pressure, other.pressure)
+            self.fallen = 0.0
             self.onset.looks = 0 if noticed and not self.rising else self.onset.looks
             may_bear, self.onset.may_bear = self.onset.may_bear, 0.0
             now = self._gone_further(now, earlier)
@@ -148,8 +151,7 @@ class OneCell:
         if self.left is not None:
             back = self.left + (1.0 if self.rising else -1.0) * other.pressure
             times = rows.CONFIRMED_RISE if self.rising else rows.CONFIRMED_FALL
-            shares = not self.rising or back >= turns.SHARED * (self.left + now.pressure)
-            if shares and back >= times * (rows.SURE * std * gains[not self.rising] + self._turn_from(self.left)):
+            if back >= times * (rows.SURE * std * gains[not self.rising] + self._turn_from(self.left)):
                 self.left, confirmed = None, True
         allowed = -limits.PULL_SIGMAS * gains[False] * doubt - limits.NEAR * self.full
         if not self.rising:
@@ -531,7 +533,7 @@ class Sway:
         self.unexplained += mean - self.last - explained
         self.last, self.rising = mean, rising
         self.held += 1
-        if leaps or abs(explained) > way.CLEAR * noise / np.sqrt(2) + sway.LARGEST * full_r:
+        if leaps or abs(explained) > variances.CLEAR * noise / np.sqrt(2) + sway.LARGEST * full_r:
             self.held = 0
             self.way.forget()
         told, most = self.way.look(dt, self.unexplained, noise, sway.LARGEST * full_r)
@@ -597,14 +599,14 @@ class Way:
             (1, newest - last, noise**2 / (2 * length)),
             (2, newest - 2 * last + before, noise**2 * 3 / (2 * length)),
         ):
-            size = min(abs(change) / np.sqrt(variance), largest / np.sqrt(variance) + way.CLEAR) ** 2
+            size = min(abs(change) / np.sqrt(variance), largest / np.sqrt(variance) + variances.CLEAR) ** 2
             if order == 2:
                 self.bends[length] = self._counted(self.bends[length], size, share)
-                size = min(size, way.MOST)
+                size = min(size, variances.MOST)
             for side in (1, -1):
                 counts = size if side * change > 0 else 0.0
                 self.sides[length, side, order] = self._counted(self.sides[length, side, order], counts, share)
 
     @staticmethod
     def _counted(before: float, size: float, share: float) -> float:
-        return float(before + min((size - before) * share, way.GROWS * max(before, 0.0) + way.AT_ONCE))
+        return float(before + min((size - before) * share, variances.GROWS * max(before, 0.0) + variances.AT_ONCE))

@@ -9,12 +9,22 @@ The constants below are thresholds that an inversion shares with the rest of its
 from ._conditions import Conditions
 from ._estimator import Estimator
 from ._held import longest_s
-from ._inversion import DOUBT, DOUBTED_LOAD, LIGHT_LOAD, LOADS, UNKNOWN, USUAL, Inversion, credible_readings
+from ._inversion import (
+    DOUBT,
+    DOUBTED_LOAD,
+    LIGHT_LOAD,
+    LOADS,
+    UNKNOWN,
+    USUAL,
+    Inversion,
+    RecentReadings,
+    credible_readings,
+)
 from ._loops import FAR, REST_VARIANCE, RESTED
 from ._neighbours import ALIKE
-from ._noise import RECENT, WINDOW
 from ._rows import GAIN, NOISE, PRESSURE, READING, SMOOTHED, STD, VARIANCE
 from ._smoothing import COUNT, HIDDEN, SIGMAS
+from ._window import RECENT, WINDOW
 
 __all__ = [
     "ALIKE",
@@ -42,6 +52,7 @@ __all__ = [
     "Conditions",
     "Estimator",
     "Inversion",
+    "RecentReadings",
     "credible_readings",
     "longest_s",
 ]

@@ -34,6 +34,7 @@ from . import _noise as noise_meter
 from . import _shared_noise as shared_noise
 from . import _smoothing as smoothing
 from . import _tremor as tremor
+from . import _window as window
 from ._conditions import Conditions
 from ._deviation import Deviation
 from ._following import Following
@@ -121,7 +122,7 @@ class Estimator:
     def _use(self, *, machine_code: bool) -> None:
         """Do the work of frames by machine code, or by array operations."""
         self._compiled = machine_code
-        noise = self._noise, self._shared_noise
+        noise = self._noise, self._noise.window, self._shared_noise
         for part in (*noise, self._tremor, self._sleep, self._remembered, self._deviation, self._following):
             part.compiled = machine_code
         block = self._remembered.block
@@ -131,7 +132,7 @@ class Estimator:
         """All that a frame calls."""
         noise = *noise_meter.LOOPS, *shared_noise.LOOPS
         falls = tremor.LOOPS_OF_FALLS if self.inversion.steepness_kpa[1] > 0.0 else ()
-        means = (noise_meter.recent_means_each,) if self.inversion.recovers else ()
+        means = (window.recent_means_each,) if self.inversion.recovers else ()
         return *loops.ALL, *smoothing.LOOPS, *noise, *means, *tremor.LOOPS, *falls, *self.inversion.loops_used()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -166,7 +167,8 @@ class Estimator:
         before = self._pressure.copy() if self._gaps.concern(dt, self._usual_s or dt, known) else None
         watched = blurred = loaded = None
         if self._shared_noise.ratio and not exact:
-            r, watched, loaded = self._shared_noise.subtract(dt, r, known, self._sleep.awake)
+            left_over, awake = self._remembered.left_over, self._sleep.awake
+            r, watched, loaded = self._shared_noise.subtract(dt, r, known, awake, left_over)
             self._reading, blurred = r, self._shared_noise.mean_std
         self._watched = r if watched is None else watched
         self._by_shared = None

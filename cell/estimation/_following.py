@@ -8,18 +8,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import FloatArray, IntArray
+from ...arrays import FloatArray
 from . import _loops as loops
 from . import _smoothing as smoothing
 from ._deviation import Deviation, total
-from ._inversion import Inversion
+from ._inversion import Inversion, RecentReadings
 from ._neighbours import Neighbours
-from ._noise import RECENT, WINDOW, NoiseMeter
+from ._noise import NoiseMeter
 from ._remembered import Block
 from ._rows import NOISE, PRESSURE, READING
 from ._smoothing import LEAST_NOISE, Looked
 from ._sparks import Sparks
 from ._tremor import Tremor
+from ._window import RECENT, WINDOW
 
 _ZERO = np.zeros(1)
 
@@ -99,9 +100,7 @@ class Following:
         if self._sparks.cells.size:
             self._accept_taps(block)
         if self._inversion.recovers and frame % self._inversion.recent == 0:
-            count = block.line_before[smoothing.COUNT]
-            mean = self._noise.mean_of_recent(cells, self._inversion.recent)
-            self._inversion.recover(memory, dt, mean, noise, count, self._near(block))
+            self._inversion.recover(memory, self._recent(block, dt, noise, block.line_before))
         if frame % RECENT == 0:
             self._look_for_tremor(block, noise, ends_window=frame % WINDOW == 0)
         added = None
@@ -135,9 +134,7 @@ class Following:
         if self._sparks.cells.size:
             self._accept_taps(block)
         if self._inversion.recovers and frame % self._inversion.recent == 0:
-            mean = self._noise.mean_of_recent(cells, self._inversion.recent)
-            noise, count = taken[NOISE], line[smoothing.COUNT]
-            self._inversion.recover_compiled(memory, dt, mean, noise, count, self._near(block))
+            self._inversion.recover_compiled(memory, self._recent(block, dt, taken[NOISE], line))
         if frame % RECENT == 0:
             self._look_for_tremor_compiled(block, ends_window=frame % WINDOW == 0)
         added = np.zeros(cells.size)
@@ -175,11 +172,12 @@ class Following:
             if missed is not None:
                 self._inversion.miss(memory, missed)
 
-    def _near(self, block: Block) -> IntArray:
-        """(k, m) neighbours in the block."""
+    def _recent(self, block: Block, dt: float, noise: FloatArray, line: FloatArray) -> RecentReadings:
+        """The last readings of the block, of the ``noise`` (m,), for its inversion; ``line`` (ROWS, m) smooths them."""
         if block.near is None:
             block.near = self._neighbours.among(block.cells)
-        return block.near
+        mean = self._noise.window.mean_of_recent(block.cells, self._inversion.recent)
+        return RecentReadings(dt, mean, noise, line[smoothing.COUNT], block.near)
 
     def _gains(self, dt: float) -> smoothing.Gains:
         """Of the smoothing, which the noise and the time between frames ask for."""

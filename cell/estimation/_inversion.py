@@ -10,16 +10,16 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import Loop
 from . import _loops as loops
-from ._noise import RECENT
 from ._rows import GAIN, NOISE, PRESSURE, READING, SMOOTHED, STD
 from ._smoothing import Looked
+from ._window import RECENT
 
 LOADS = (-0.5, 3.0)
 """times full scale beyond which no load is looked for"""
@@ -42,6 +42,21 @@ DOUBTED_LOAD = 0.2
 _NO_VARIANCE = np.zeros(1)
 _ONE, _NO_LOAD_SIGMAS = np.array(1.0), np.array(NO_LOAD_SIGMAS)
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
+
+
+class RecentReadings(NamedTuple):
+    """The last :attr:`Inversion.recent` readings of m cells."""
+
+    dt_s: float
+    """between frames"""
+    mean: FloatArray
+    """(m,) of these readings"""
+    noise: FloatArray
+    """(m,) standard deviation of one of them"""
+    on_line: FloatArray
+    """(m,) readings since the smoothing last noticed a change"""
+    near: IntArray
+    """(k, m) places of the neighbours of each cell, see :meth:`._neighbours.Neighbours.among`"""
 
 
 class Inversion(ABC):
@@ -119,29 +134,23 @@ class Inversion(ABC):
         """The memory (rows, m) after ``dt_s``, one number or (m,), in which the pressure stayed."""
         return memory
 
+    @property
+    def held_rows(self) -> IntArray:
+        """Rows of the memory that :meth:`hold` needs, the pressure first; it writes the others anew."""
+        return np.arange(len(self.rows))
+
     def settled(self, memory: FloatArray, band: float) -> BoolArray:
         """(m,) whether the memory is that of a cell at rest, within ``band`` of r."""
         return np.ones(memory.shape[1], dtype=bool)
 
     def recover(  # noqa: B027 - without a memory nothing is remembered wrong
-        self,
-        memory: FloatArray,
-        dt_s: float,
-        mean: FloatArray,
-        noise: FloatArray,
-        count: FloatArray,
-        near: IntArray,
+        self, memory: FloatArray, recent: RecentReadings
     ) -> None:
-        """Correct what released cells remember by their readings of late; changes ``memory`` (rows, m).
+        """Correct what cells remember by their readings of late; changes ``memory`` (rows, m) after :meth:`advance`."""
 
-        Args:
-            memory: of the cells, after :meth:`advance`.
-            dt_s: seconds between frames.
-            mean: (m,) of the last :attr:`recent` readings.
-            noise: (m,) standard deviation of one of them.
-            count: (m,) readings since the smoothing last noticed a change.
-            near: (k, m) places of the neighbours of each cell, see :meth:`._neighbours.Neighbours.among`.
-        """
+    def left_over(self, memory: FloatArray) -> FloatArray:
+        """(m,) r that earlier loads have left, beyond what the present load leads to if it stays; 0 where unknown."""
+        return np.zeros(memory.shape[1])
 
     def released(self, memory: FloatArray) -> BoolArray | None:
         """(m,) whether the load of a cell went down last, so that its memory may show as a load; None: of none."""
@@ -191,17 +200,9 @@ class Inversion(ABC):
 
     # -- machine code ------------------------------------------------------------------------------------------------
 
-    def recover_compiled(
-        self,
-        memory: FloatArray,
-        dt_s: float,
-        mean: FloatArray,
-        noise: FloatArray,
-        count: FloatArray,
-        near: IntArray,
-    ) -> None:
+    def recover_compiled(self, memory: FloatArray, recent: RecentReadings) -> None:
         """:meth:`recover` by machine code, where an inversion has loops for that."""
-        self.recover(memory, dt_s, mean, noise, count, near)
+        self.recover(memory, recent)
 
     def loops_used(self) -> tuple[Loop[..., Any], ...]:
         """All loops that :meth:`advance_compiled` calls."""

@@ -39,6 +39,8 @@ class Neighbours:
         """Places (NEAR, m) of the neighbours of ``cells`` (m,) among these, m for one that is not; the first ALIKE of
         each cell are in columns like its own.
         """
+        if cells.size == self._cells:
+            return self._near
         place = np.full(self._cells + 1, cells.size, dtype=np.intp)
         place[cells] = np.arange(cells.size)
         return place.take(self._near.take(cells, axis=1))

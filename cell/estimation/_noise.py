@@ -9,10 +9,8 @@ those far beyond the noise are therefore passed over (a redescending M-estimator
 then the noise has risen. In an array most cells are at rest. There it is the median cell that tells whether noise has
 risen, and no cell is taken to be much noisier than that one.
 
-Other noise scales with the conductance: that of a supply, of a resistive divider, of the cell itself. Its standard
-deviation in r is proportional to 1 + r. Readings of pressed cells tell how much of a board's noise is of this kind (a
-variance function with an additive and a multiplicative component; Davidian and Carroll 1987). Taken for additive, noise
-of 1 % at rest would be 2.5 % at 2.5 times the resistance at rest. So no more is taken for multiplicative than is clear.
+Other noise scales with the conductance. How much of it does is told by readings of pressed cells
+(:mod:`._multiplicative`).
 
 Third differences of successive frames overlap, and tell nearly the same. Those of every third frame are all but
 independent: averaging only these costs a quarter of the accuracy and a third of the time.
@@ -21,11 +19,14 @@ independent: averaging only these costs a quarter of the accuracy and a third of
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray, median
 from ...compiled import Places, Row, Rows, loop
+from ._multiplicative import COMMON, FOUND, WEIGHT, MultiplicativeNoise, additive, additive_of
+from ._window import WINDOW, Window
 
 READINGS = 200
 """over which the variance is averaged"""
@@ -68,42 +69,22 @@ FORGET = 1.002
 """by which the least noise of the median cell grows from one look at it to the next, so that noise may rise for good"""
 MEDIAN_OF_SQUARES = 0.4549
 """median of the square of a normal variable of variance 1"""
-WINDOW = 12
-"""readings that are kept, and compared with a parabola through them"""
-RECENT = 4
-"""frames between two looks at the window"""
 HALF_STEP = math.sqrt(3.0)
 """half a step of an ADC over the standard deviation of an evenly distributed error, the resolution: no more is the
 standard deviation of readings that flip between two codes, and such readings show no motion"""
+CROSSED = 10.0
+"""times the variance of noise: a window that has more is crossed by an edge, which smoothing notices"""
 PRESSED = 0.2
 """of r: from there on readings tell additive noise from multiplicative"""
 DITHERED = 4.0
 """times the variance of the steps of the ADC, from which they are noise as any other: cells with less stay at one code
 when they are pressed, and would seem to have no noise"""
-CLEAR = 3.0
-"""standard deviations by which the multiplicative share of the noise must exceed none"""
-LONGEST = 800.0
-"""information about that share, as of so many readings, beyond which older readings count for less"""
-CROSSED = 10.0
-"""times the variance of noise: a window that has more is crossed by an edge, which smoothing notices"""
+INCOMPLETE = WINDOW - 4.0
+"""a cell that is blind for more frames to come has a reading that is not its own among the last four"""
 
-
-def _rolled(rows: FloatArray) -> list[FloatArray]:
-    """Coefficients (k, WINDOW) of readings from the oldest on, for a ring whose oldest is in row 0, 1, ..."""
-    return [np.roll(rows, shift, axis=-1) for shift in range(WINDOW)]
-
-
-_THIRD = np.zeros(WINDOW)
-_THIRD[-4:] = np.array([1.0, -3.0, 3.0, -1.0]) / np.sqrt(20.0)
-_THIRD_DIFFERENCE = _rolled(_THIRD)
-_POWERS = np.vander(np.linspace(-1.0, 1.0, WINDOW), WINDOW, increasing=True)
-_BESIDE_PARABOLA = _rolled(np.linalg.qr(_POWERS)[0][:, 3:].T.copy())
-"""orthonormal rows; parabolas have no part in them, white noise has its variance in each"""
+VARIANCE, CROWD, ON_LINE, BLIND, EXCESS, RESOLUTION = range(6)
+"""rows of what is known of each cell, see :meth:`NoiseMeter._name_rows`"""
 LEAST_VARIANCE = LEAST**2
-WEIGHT, FOUND, COMMON, LATELY, BY_REST = range(5)
-"""places of the sums that tell multiplicative noise: weights of readings; the same times the share that each tells; by
-how much an error of the noise at rest would change the latter, since the last time; the same of late, as long as that
-error lasts; and the variance that follows"""
 _ZERO, _ONE, _OUTLIER, _LEAST_VARIANCE = (np.array(x) for x in (0.0, 1.0, OUTLIER, LEAST_VARIANCE))
 _ACROSS, _UNCUT = np.array(ACROSS), np.array(UNCUT)
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
@@ -118,20 +99,18 @@ class NoiseMeter:
 
     def __init__(self, cells: int, expected: float = 0.0) -> None:
         """``expected``: standard deviation of r at rest that an earlier recording had; 0 if there is none."""
-        self._ring = np.zeros((WINDOW, cells))
-        self._variance = np.full(cells, expected**2)
-        self._crowd = np.zeros(cells)
-        """(n,) share of outliers among the differences of late"""
+        self.window = Window(cells)
+        """the last readings"""
+        self._cells = np.zeros((6, cells))
+        self._name_rows()
+        self._variance[...] = expected**2
+        self.on_line[...] = np.inf
         self._passes_below = -1.0
         """share of outliers below which those of a cell are passed over; negative: they count, as three deviations"""
         self._looks = 0
-        self.on_line = np.full(cells, np.inf)
-        """(n,) readings since the smoothing of a cell last noticed a change; whoever smooths sets it, in every frame"""
         self._expected = expected**2 if cells < MANY else 0.0
         # The median of few cells is itself uncertain, and counts for less.
         self._shared_looks = EXPECTED_LOOKS if self._expected else min(cells // MANY, SHARED_LOOKS)
-        self._seen = 0
-        self._blind = np.zeros(cells)
         self._any_blind = 0
         self._squares, self._limit = np.empty((2, cells))
         self._flags = np.empty((2, cells), dtype=np.bool_)
@@ -141,28 +120,39 @@ class NoiseMeter:
         """(n,) standard deviation of r of a cell at rest; renewed in place"""
         self.own = expected
         """the part of it that no other cell of a column shares"""
-        self.excess = np.zeros(cells)
-        """(n,) variance at rest of what is left of shared noise, over that of own noise; see :mod:`._shared_noise`"""
         self._shared = 0.0
         """the same where nothing of it is taken out of the readings; 0: no noise is shared"""
         self.quiet = np.inf
         """the least that the median cell has had of late: what is more may be the load; infinite: not known"""
-        self.multiplicative = 0.0
-        """share of the variance of own noise at rest that scales with the conductance, as far as it is clear"""
-        self._told = np.zeros(5)
-        """sums that tell it, see :data:`WEIGHT`"""
-        self.resolution = np.zeros(cells)
-        """(n,) the part of it that the steps of the ADC make; 0: not known"""
+        self._multiplicative = MultiplicativeNoise()
         self.typical_resolution = 0.0
-        """that of the median cell"""
+        """standard deviation of r at rest that the steps of the ADC make, of the median cell; 0: not known"""
         self.resolution_by_all = 0.0
         """the same by the steps of all readings that the median cell's resistance follows from; 0: not known"""
         self.compiled = False
         """whether the loops are there as machine code"""
 
+    def _name_rows(self) -> None:
+        self._variance, self._crowd, self.on_line, self._blind, self.excess, self.resolution = self._cells
+        """rows (n,), each a part of one array, which the loops take: variance of own noise at rest; share of outliers
+        among the differences of late; readings since the smoothing of a cell last noticed a change, which whoever
+        smooths sets in every frame; frames for which a cell's readings are not complete; variance at rest of what is
+        left of shared noise, over that of own noise, see :mod:`._shared_noise`; and the part of :attr:`at_rest` that
+        the steps of the ADC make, 0: not known"""
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Continue from a pickle or a copy, in which rows would be arrays of their own."""
+        self.__dict__.update(state)
+        self._name_rows()
+
+    @property
+    def multiplicative(self) -> float:
+        """Share of the variance of own noise at rest that scales with the conductance, as far as it is clear."""
+        return self._multiplicative.share
+
     def resolve(self, resolution: FloatArray, by_all: float) -> None:
         """Take the standard deviation (n,) of r at rest that the steps of the ADC make: of own readings, and of all."""
-        self.resolution, self.resolution_by_all = resolution, by_all
+        self.resolution[...], self.resolution_by_all = resolution, by_all
         self.typical_resolution = float(np.median(resolution))
         np.maximum(self.at_rest, resolution, out=self.at_rest)
 
@@ -176,11 +166,11 @@ class NoiseMeter:
         self._expected *= scale
         self.own, self.quiet = self.own * scale**0.5, self.quiet * scale**0.5
         self._shared = ratio
-        self.leave(np.full(self.excess.size, ratio))
+        self.leave(ratio)
 
-    def leave(self, excess: FloatArray) -> None:
+    def leave(self, excess: FloatArray | float) -> None:
         """Take the part (n,) of shared noise that the readings have from now on, as :attr:`excess`."""
-        self.excess = excess
+        self.excess[...] = excess
         if self._looks:
             self._find_typical()
             self._state_std()
@@ -201,15 +191,15 @@ class NoiseMeter:
 
     def update(self, r: FloatArray, known: BoolArray | None) -> None:
         """Take normalised resistances (n,); ``known`` (n,) marks those that were read, None: all."""
-        self._ring[self._seen % WINDOW] = r
-        self._seen += 1
+        self.window.take(r)
         if known is not None:
             self._blind[~known] = WINDOW  # so many frames contain this reading
             self._any_blind = WINDOW
-        due = self._looks < SOON or self._seen % EVERY == 0
-        if due and self._seen > 3:
+        seen = self.window.seen
+        due = self._looks < SOON or seen % EVERY == 0
+        if due and seen > 3:
             self._look(r)
-        elif 1 < self._seen <= 3 and not self._looks and known is None and r.size >= MANY:
+        elif 1 < seen <= 3 and not self._looks and known is None and r.size >= MANY:
             self._guess(r)
         if self._any_blind:
             self._blind -= 1.0
@@ -218,11 +208,11 @@ class NoiseMeter:
     @property
     def looks_next(self) -> bool:
         """Whether the noise is measured again in the next frame."""
-        return self._looks < SOON or (self._seen + 1) % EVERY == 0
+        return self._looks < SOON or (self.window.seen + 1) % EVERY == 0
 
     def _guess(self, r: FloatArray) -> None:
         """Take the median cell's change from the last reading for noise, until there are four readings."""
-        changes = (r - self._ring[(self._seen - 2) % WINDOW]) / (r + 1.0) ** 2
+        changes = (r - self.window.reading(1)) / (r + 1.0) ** 2
         self.typical = float(np.median(np.abs(changes))) / (2 * MEDIAN_OF_SQUARES) ** 0.5
         self.at_rest[:] = np.hypot(self.typical, LEAST)
         np.maximum(self.at_rest, self.resolution, out=self.at_rest)
@@ -230,27 +220,25 @@ class NoiseMeter:
     def _look(self, r: FloatArray) -> None:
         """Average the square of the third difference that ends with ``r``."""
         squares = self._squares
-        _THIRD_DIFFERENCE[self._seen % WINDOW].dot(self._ring, squares)
+        self.window.third_difference(squares)
         if self.compiled and self._looks:
             self._looks += 1
-            kept = self._variance, self._crowd, self.on_line, self._blind
-            shares = self._share, self._share_of_crowd
-            law = self.excess, self.multiplicative, self.resolution, self._told
-            average.unchecked(squares, r, *law, *kept, WINDOW - 4.0, *shares, self._passes_below)
+            shares = self._share, self._share_of_crowd, self._passes_below
+            average.unchecked(squares, r, self._cells, self._multiplicative.sums, self.multiplicative, *shares)
             self._renew()
             return
         squares /= self._blurred(r)
         squares *= squares
         if self._any_blind:
-            np.copyto(squares, self._variance, where=self._blind > WINDOW - 4)
+            np.copyto(squares, self._variance, where=self._blind > INCOMPLETE)
         self._average(squares, r)
 
     def _average(self, squares: FloatArray, r: FloatArray) -> None:
         if not self._looks:
             if squares.size >= MANY:
-                self._variance = np.full(squares.size, float(np.median(squares)) / MEDIAN_OF_SQUARES)
+                self._variance[...] = float(np.median(squares)) / MEDIAN_OF_SQUARES
             elif not self._expected:
-                self._variance = squares.copy()
+                self._variance[...] = squares
             np.maximum(self._variance, LEAST**2, out=self._variance)
         self._looks += 1
         np.multiply(self._variance, _OUTLIER, self._limit)
@@ -268,7 +256,7 @@ class NoiseMeter:
             np.less(self._crowd, self._passes_below, flags)
             outlies &= flags
             if self._any_blind:
-                outlies |= self._blind > WINDOW - 4
+                outlies |= self._blind > INCOMPLETE
             self._tell(squares, r, ~outlies)
             np.copyto(squares, self._variance, where=outlies)
         squares -= self._variance
@@ -277,39 +265,15 @@ class NoiseMeter:
         self._renew()
 
     def _tell(self, squares: FloatArray, r: FloatArray, counted: BoolArray) -> None:
-        """Let squared third differences over the variance of ``r`` tell how much noise is multiplicative; all (n,).
-
-        Weighted least squares: a square over its variance is 1 - (s - m) x, where s is the share, m what was taken for
-        it, and x the derivative. A single reading weighs no more than 1.
-        """
+        """Let squared third differences of ``r`` tell how much noise is multiplicative; all (n,)."""
         tells = np.greater(r, PRESSED)
         if not np.count_nonzero(tells):
             return
         tells &= counted & (squares > _LEAST_VARIANCE) & (self._variance > DITHERED * self.resolution * self.resolution)
         cells = tells.nonzero()[0]
-        if not cells.size:
-            return
-        ratio = squares.take(cells) / self._variance.take(cells)
-        scale = r.take(cells) + _ONE
-        scale *= scale
-        slope = (scale - _ONE) / (scale * additive(scale, self.multiplicative) + self.excess.take(cells))
-        weight = slope / (slope * slope + _ONE)
-        found = slope * self.multiplicative + _ONE - ratio
-        sums = np.add.accumulate([weight * slope, weight * found, weight], axis=1)[:, -1]
-        sums[COMMON] /= math.sqrt(cells.size)  # errors of several cells
-        self._told[: COMMON + 1] += sums
-
-    def _find_multiplicative(self) -> None:
-        """Renew the multiplicative share: none, where chance or an error of the noise at rest may be the cause."""
-        weight, found, common, lately, by_rest = self._told.tolist()
-        if not weight:
-            return
-        lately = lately * (1.0 - self._share) ** POOL + common
-        by_rest += 2.0 * self._share * common * (2.0 * lately - common)
-        share, doubt = found / weight, math.sqrt(2.0 * weight + by_rest) / weight
-        self.multiplicative = min(share, 1.0) if share > CLEAR * doubt else 0.0
-        less = min(LONGEST / weight, 1.0)
-        self._told[:] = weight * less, found * less, 0.0, lately * less, by_rest * less * less
+        if cells.size:
+            ratio = squares.take(cells) / self._variance.take(cells)
+            self._multiplicative.tell(ratio, r.take(cells), self.excess.take(cells))
 
     @property
     def _share(self) -> float:
@@ -329,21 +293,20 @@ class NoiseMeter:
             self._variance += EXPECTED_LOOKS / KNOWN * (self._variance - self._expected)
             np.maximum(self._variance, LEAST**2, out=self._variance)
         if self._looks % POOL == 1:
-            self._find_multiplicative()
+            self._multiplicative.find(self._share, POOL)
             self._pool()
         self._state_std()
 
     def _state_std(self) -> None:
         """Renew the standard deviations."""
         if self.compiled:
-            resolved, last = self.typical_resolution > 0.0, self._ring[(self._seen - 1) % WINDOW]
-            law = self.excess, self.multiplicative
-            std_at_rest.unchecked(self._variance, self.resolution, resolved, last, *law, self.at_rest)
+            resolved, last = self.typical_resolution > 0.0, self.window.reading()
+            std_at_rest.unchecked(self._cells, resolved, last, self.multiplicative, self.at_rest)
             return
         np.add(self._variance, _LEAST_VARIANCE, self.at_rest)
         np.sqrt(self.at_rest, self.at_rest)
         if self._shared or self.multiplicative:
-            scale = self._ring[(self._seen - 1) % WINDOW] + _ONE
+            scale = self.window.reading() + _ONE
             scale *= scale
             self.at_rest *= np.sqrt(self.excess / scale + additive(scale, self.multiplicative))
         if self.typical_resolution:
@@ -351,9 +314,8 @@ class NoiseMeter:
 
     def _raise(self) -> None:
         """Raise a variance whose first look was small by chance, so that readings after it seemed to be outliers."""
-        last = self._seen % WINDOW
-        differences = np.array([_THIRD_DIFFERENCE[(last - age) % WINDOW] for age in range(FIRST)]) @ self._ring
-        differences /= self._blurred(self._ring[last - 1])
+        differences = self.window.third_differences(FIRST)
+        differences /= self._blurred(self.window.reading())
         middle = np.median(differences**2, axis=0) / MEDIAN_OF_SQUARES
         np.copyto(self._variance, np.maximum(self._variance, middle), where=self._blind <= 0.0)
 
@@ -383,17 +345,14 @@ class NoiseMeter:
         0 where that is not known.
         """
         present: FloatArray
-        if self._seen < WINDOW or not math.isfinite(self.quiet):
+        if self.window.seen < WINDOW or not math.isfinite(self.quiet):
             return np.zeros(cells.size)
-        ring = self._ring.take(cells, axis=1)
-        beside = np.dot(_BESIDE_PARABOLA[self._seen % WINDOW], ring)
+        beside, last = self.window.beside_parabola(cells)
         if self.compiled:
             present = np.empty(cells.size)
-            last = (self._seen - 1) % WINDOW
-            of_cells = self.resolution, self.excess, self.multiplicative, self._blind
-            beside_each.unchecked(cells, beside, ring, last, self.quiet, *of_cells, present)
+            beside_each.unchecked(cells, beside, last, self._cells, self.quiet, self.multiplicative, present)
             return present
-        scale = ring[(self._seen - 1) % WINDOW] + 1.0
+        scale = last + _ONE
         scale *= self._blurred_more(scale, self.excess[cells])
         scale *= np.maximum(self.quiet, HALF_STEP * self.resolution[cells])
         beside /= scale
@@ -403,19 +362,6 @@ class NoiseMeter:
             present[self._blind[cells] > 0] = 0.0
         return present
 
-    @property
-    def window(self) -> tuple[FloatArray, int]:
-        """(WINDOW, n) the last readings, and which row is the newest."""
-        return self._ring, (self._seen - 1) % WINDOW
-
-    def mean_of_recent(self, cells: IntArray, count: int) -> FloatArray:
-        """(m,) mean of the last ``count`` readings of ``cells``, no more than :data:`WINDOW`."""
-        if self.compiled:
-            mean = np.empty(cells.size)
-            recent_means_each.unchecked(*self.window, cells, count, mean)
-            return mean
-        return recent_means(*self.window, cells, count)
-
     def std(self, r: FloatArray, cells: slice | IntArray = slice(None)) -> FloatArray:
         """Standard deviation of the readings ``r`` of ``cells``."""
         scale = np.maximum(r, -0.9)
@@ -424,201 +370,131 @@ class NoiseMeter:
         scale *= self.at_rest[cells]
         return np.asarray(scale)
 
-    def change_before(self, cells: IntArray) -> FloatArray:
-        """Change of the readings of ``cells`` from the last but two to the last but one."""
-        before, last = self._ring[(self._seen - 3) % WINDOW], self._ring[(self._seen - 2) % WINDOW]
-        return np.asarray(last[cells] - before[cells])
-
-    def last_but_one(self) -> FloatArray:
-        """(n,) readings of the frame before this one; the array is the caller's."""
-        return np.asarray(self._ring[(self._seen - 2) % WINDOW].copy())
-
     def state(self) -> dict[str, FloatArray]:
         """All that is remembered."""
         return {
-            "noise_ring": self._ring,
+            "noise_ring": self.window.ring,
             "noise_blind": self._blind,
             "noise_variance": self._variance,
             "noise_at_rest": self.at_rest,
             "noise_resolution": self.resolution,
             "noise_crowd": self._crowd,
             "noise_on_line": self.on_line,
-            "noise_counts": np.array([self._looks, self._seen, self._any_blind], dtype=np.float64),
+            "noise_counts": np.array([self._looks, self.window.seen, self._any_blind], dtype=np.float64),
             "noise_excess": self.excess,
             "noise_of_array": np.array(
                 [self.typical, self.own, self._shared, self.quiet, self._passes_below, self.resolution_by_all]
             ),
-            "noise_multiplicative": np.array([self.multiplicative, *self._told]),
+            "noise_multiplicative": self._multiplicative.state(),
         }
 
     def restore(self, state: dict[str, FloatArray]) -> None:
         """Continue from a :meth:`state`."""
-        self._ring, self._blind, self._variance = (state[f"noise_{name}"] for name in ("ring", "blind", "variance"))
-        self._crowd, self.on_line = state["noise_crowd"], state["noise_on_line"]
+        for row, name in ((VARIANCE, "variance"), (CROWD, "crowd"), (ON_LINE, "on_line"), (BLIND, "blind")):
+            self._cells[row] = state[f"noise_{name}"]
         looks, seen, any_blind = state["noise_counts"].tolist()
-        self.excess = state["noise_excess"]
+        self.excess[...] = state["noise_excess"]
         of_array = state["noise_of_array"].tolist()
         self.typical, self.own, self._shared, self.quiet, self._passes_below, by_all = of_array
-        self._looks, self._seen, self._any_blind = int(looks), int(seen), int(any_blind)
-        self._told = state["noise_multiplicative"].copy()
-        self.multiplicative, self._told = self._told.item(0), self._told[1:]
+        self._looks, self._any_blind = int(looks), int(any_blind)
+        self.window.ring, self.window.seen = state["noise_ring"], int(seen)
+        self._multiplicative.restore(state["noise_multiplicative"])
         self.at_rest = state["noise_at_rest"]
         self.resolve(state["noise_resolution"], by_all)
-
-
-def additive(squares: FloatArray, multiplicative: float) -> FloatArray:
-    """(m,) variance of noise of which a share is ``multiplicative``, over what it would be if all were additive.
-
-    Args:
-        squares: (m,) of 1 + r. Cells that read below rest have the noise of rest.
-        multiplicative: share of the variance at rest.
-    """
-    part: FloatArray = multiplicative / np.maximum(squares, _ONE)
-    part += 1.0 - multiplicative
-    return part
-
-
-@loop
-def additive_of(square: float, multiplicative: float) -> float:
-    """:func:`additive` of one cell."""
-    return multiplicative / max(square, 1.0) + (1.0 - multiplicative)
-
-
-def recent_means(ring: FloatArray, newest: int, cells: IntArray, count: int) -> FloatArray:
-    """(m,) mean of the last ``count`` readings of ``cells``; the last is in row ``newest`` of ``ring`` (k, n)."""
-    total: FloatArray = ring[newest].take(cells)
-    for age in range(1, count):
-        total += ring[(newest - age) % len(ring)].take(cells)
-    total *= 1.0 / count
-    return total
-
-
-@loop
-def recent_mean(ring: Rows, newest: int, cell: int, count: int) -> float:
-    """:func:`recent_means` of one cell."""
-    total = ring[newest, cell]
-    for age in range(1, count):
-        total += ring[(newest - age) % ring.shape[0], cell]
-    return float(total * (1.0 / count))
-
-
-@loop
-def recent_means_each(ring: Rows, newest: int, cells: Places, count: int, mean: Row) -> None:
-    """Write :func:`recent_means` into ``mean`` (m,)."""
-    for i in range(cells.size):
-        mean[i] = recent_mean(ring, newest, cells[i], count)
 
 
 @loop
 def average(
     squares: Row,
     r: Row,
-    excess: Row,
-    multiplicative: float,
-    resolution: Row,
+    cells: Rows,
     told: Row,
-    variance: Row,
-    crowd: Row,
-    on_line: Row,
-    blind: Row,
-    since: float,
+    multiplicative: float,
     share: float,
     share_of_crowd: float,
     passes_below: float,
 ) -> None:
     """:meth:`NoiseMeter._average`, of third differences (n,) that are not squared yet, as a loop over cells.
 
-    Cells keep their variance that are ``blind`` (n,) for more than ``since`` frames to come. Adds to what is ``told``
-    (5,) of multiplicative noise, as :meth:`NoiseMeter._tell`.
+    ``cells`` (6, n) has the rows of :meth:`NoiseMeter._name_rows`. Adds to what is ``told`` (5,) of multiplicative
+    noise, as :meth:`.MultiplicativeNoise.tell`.
     """
     uncut = UNCUT if passes_below > 0.0 else 1.0
     tell, weights, found, common = 0, 0.0, 0.0, 0.0
     for i in range(r.size):
+        variance = cells[VARIANCE, i]
         scale = r[i] + 1.0
-        more = scale * scale * additive_of(scale * scale, multiplicative) + excess[i]
+        more = scale * scale * additive_of(scale * scale, multiplicative) + cells[EXCESS, i]
         square = squares[i] / (scale * math.sqrt(more))
         square *= square
-        is_blind = blind[i] > since
+        is_blind = cells[BLIND, i] > INCOMPLETE
         if is_blind:
-            square = variance[i]
-        limit = variance[i] * OUTLIER + LEAST_VARIANCE
-        outlies = square > limit or on_line[i] < ACROSS
-        crowd[i] *= 1.0 - share_of_crowd
+            square = variance
+        limit = variance * OUTLIER + LEAST_VARIANCE
+        outlies = square > limit or cells[ON_LINE, i] < ACROSS
+        cells[CROWD, i] *= 1.0 - share_of_crowd
         if outlies:
-            crowd[i] += share_of_crowd
-        if is_blind or (outlies and crowd[i] < passes_below):
+            cells[CROWD, i] += share_of_crowd
+        if is_blind or (outlies and cells[CROWD, i] < passes_below):
             continue
         square = min(square, limit) * uncut
         tells = passes_below > 0.0 and r[i] > PRESSED and square > LEAST_VARIANCE
-        if tells and variance[i] > DITHERED * resolution[i] * resolution[i]:
+        if tells and variance > DITHERED * cells[RESOLUTION, i] * cells[RESOLUTION, i]:
             slope = (scale * scale - 1.0) / more
             weight = slope / (slope * slope + 1.0)
             tell += 1
             weights += weight * slope
-            found += weight * (slope * multiplicative + 1.0 - square / variance[i])
+            found += weight * (slope * multiplicative + 1.0 - square / variance)
             common += weight
-        variance[i] += (square - variance[i]) * share
+        cells[VARIANCE, i] += (square - variance) * share
     told[WEIGHT] += weights
     told[FOUND] += found
     told[COMMON] += common / math.sqrt(max(tell, 1))
 
 
 @loop
-def std_at_rest(
-    variance: Row, resolution: Row, resolved: bool, r: Row, excess: Row, multiplicative: float, std: Row
-) -> None:
+def std_at_rest(cells: Rows, resolved: bool, r: Row, multiplicative: float, std: Row) -> None:
     """Standard deviations (n,) of r at rest from the variances of the noise, as a loop over cells.
 
-    ``excess`` (n,) is what shared noise adds to them, where the cells read ``r`` (n,). Of a reading, ``multiplicative``
-    noise makes the less, the larger it is.
+    ``cells`` (6, n) has the rows of :meth:`NoiseMeter._name_rows`, and the cells read ``r`` (n,). Of a reading,
+    ``multiplicative`` noise makes the less, the larger it is.
     """
     for i in range(std.size):
-        std[i] = math.sqrt(variance[i] + LEAST_VARIANCE)
-        if excess[i] > 0.0 or multiplicative > 0.0:
+        std[i] = math.sqrt(cells[VARIANCE, i] + LEAST_VARIANCE)
+        if cells[EXCESS, i] > 0.0 or multiplicative > 0.0:
             scale = r[i] + 1.0
             scale *= scale
-            std[i] *= math.sqrt(excess[i] / scale + additive_of(scale, multiplicative))
+            std[i] *= math.sqrt(cells[EXCESS, i] / scale + additive_of(scale, multiplicative))
         if resolved:
-            std[i] = max(std[i], resolution[i])
+            std[i] = max(std[i], cells[RESOLUTION, i])
 
 
 @loop
 def beside_each(
-    cells: Places,
-    beside: Rows,
-    ring: Rows,
-    last: int,
-    quiet: float,
-    resolution: Row,
-    excess: Row,
-    multiplicative: float,
-    blind: Row,
-    present: Row,
+    places: Places, beside: Rows, last: Row, cells: Rows, quiet: float, multiplicative: float, present: Row
 ) -> None:
     """The rest of :meth:`NoiseMeter.beside_parabola` as a loop over cells, into ``present`` (m,).
 
     Args:
-        cells: (m,) indices.
+        places: (m,) indices of the cells.
         beside: (k, m) parts of the readings that parabolas do not take up.
-        ring: (WINDOW, m) readings, of which those in row ``last`` are the present ones.
-        last: that row.
+        last: (m,) the present readings.
+        cells: (6, n) rows of :meth:`NoiseMeter._name_rows`.
         quiet: the board's noise.
-        resolution: (n,) what the steps of the ADC add.
-        excess: (n,) variance of shared noise at rest, over that of own noise.
         multiplicative: share of own noise that is.
-        blind: (n,) frames for which a cell's readings are not complete.
         present: (m,), changed.
     """
     rows = beside.shape[0]
-    for i in range(cells.size):
-        scale = ring[last, i] + 1.0
-        scale *= math.sqrt(scale * scale * additive_of(scale * scale, multiplicative) + excess[cells[i]])
-        scale *= max(quiet, HALF_STEP * resolution[cells[i]])
+    for i in range(places.size):
+        cell = places[i]
+        scale = last[i] + 1.0
+        scale *= math.sqrt(scale * scale * additive_of(scale * scale, multiplicative) + cells[EXCESS, cell])
+        scale *= max(quiet, HALF_STEP * cells[RESOLUTION, cell])
         total = 0.0
         for row in range(rows):
             part = beside[row, i] / scale
             total += part * part
-        present[i] = 0.0 if blind[cells[i]] > 0.0 else total / rows
+        present[i] = 0.0 if cells[BLIND, cell] > 0.0 else total / rows
 
 
 LOOPS = average, std_at_rest, beside_each

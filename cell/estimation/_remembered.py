@@ -89,8 +89,8 @@ class Remembered:
         self.stale = True
 
     def wake(self, cells: IntArray) -> None:
-        """Let sleeping ``cells`` (m,) remember that they have been at rest for ever, and be followed."""
-        self.put(cells, *self._at_rest)
+        """Let sleeping ``cells`` (m,) be followed, on lines that have read as at rest for ever."""
+        _put(self.line, cells, self._at_rest[1])  # their memory is that of rest since they sleep, see :meth:`rest`
         self.stale = True
 
     def rest(self, cells: IntArray) -> None:
@@ -111,6 +111,15 @@ class Remembered:
     def hold(self, cells: IntArray, unread_s: FloatArray) -> None:
         """Bring up the memory of ``cells`` (m,) that were not read for ``unread_s`` (m,): as if the load had stayed."""
         _put(self.memory, cells, self._inversion.hold(self.memory.take(cells, axis=1), unread_s))
+
+    def left_over(self) -> FloatArray:
+        """(n,) r that earlier loads have left in cells, see :meth:`._inversion.Inversion.left_over`."""
+        block = self.block
+        if not block.cells.size:  # what was followed until the last frame is in the memory of all
+            return self._inversion.left_over(self.memory)
+        found = np.zeros(self.followed.size)
+        found[block.cells] = self._inversion.left_over(block.memory)
+        return found
 
     def state(self) -> dict[str, FloatArray | BoolArray]:
         """What is remembered, by name. To be called after :meth:`flush`."""

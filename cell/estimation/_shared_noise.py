@@ -26,6 +26,7 @@ other ways.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -155,7 +156,12 @@ class SharedNoise:
         self._reference[cells] = mean
 
     def subtract(
-        self, dt_s: float, r: FloatArray, known: BoolArray | None, awake: BoolArray
+        self,
+        dt_s: float,
+        r: FloatArray,
+        known: BoolArray | None,
+        awake: BoolArray,
+        left_over: Callable[[], FloatArray] | None = None,
     ) -> tuple[FloatArray, FloatArray, IntArray | None]:
         """Take the shared noise out of readings.
 
@@ -164,6 +170,7 @@ class SharedNoise:
             r: (n,) normalised resistances, which are not changed.
             known: (n,) which of them were read; None: all.
             awake: (n,) which cells do not sleep.
+            left_over: gives what earlier loads have left, (n,) of r; None: nothing.
 
         Returns:
             (n,) readings without shared noise; (n,) the same, but those of sleeping cells as they were read; and (m,)
@@ -177,7 +184,8 @@ class SharedNoise:
         by = self._by_machine_code if self.compiled else self._by_array_operations
         changed, without, watched = by(r, read, awake, testing, near, far, share)
         if self._scales_columns:
-            self._keep_held(dt_s, without, watched, read, awake)
+            reference = self._reference if left_over is None else self._reference + left_over()
+            self._keep_held(dt_s, without, watched, reference, read, awake)
         loaded = None
         if testing and self._test[TESTS] >= TESTED:
             refuted = self._test[SHARED] < REFUTED * self.ratio * self._test[OWN]
@@ -193,12 +201,18 @@ class SharedNoise:
         return without, watched, loaded
 
     def _keep_held(
-        self, dt_s: float, without: FloatArray, watched: FloatArray, read: BoolArray, awake: BoolArray
+        self,
+        dt_s: float,
+        without: FloatArray,
+        watched: FloatArray,
+        reference: FloatArray,
+        read: BoolArray,
+        awake: BoolArray,
     ) -> None:
         """Take steps that no sleeping cells tell out of the readings of held cells, see :mod:`._shared_steps`."""
         resolution = self._noise.typical_resolution
         scales = max(self._noise.own, resolution), resolution * math.sqrt(1.0 + self.ratio), self._side, dt_s
-        kept = without, self._last, self._reference, self._held_s, read, awake
+        kept = without, self._last, reference, self._held_s, read, awake
         if self.compiled:
             shared_steps.keep_each.unchecked(*kept, self._counts, self._per_std, *scales, watched)
             return
@@ -229,9 +243,7 @@ class SharedNoise:
     @property
     def _last(self) -> FloatArray:
         """(n,) readings of the last frame, without shared noise."""
-        ring, newest = self._noise.window
-        last: FloatArray = ring[newest]
-        return last
+        return self._noise.window.reading()
 
     def _by_array_operations(
         self, r: FloatArray, read: BoolArray, awake: BoolArray, testing: bool, near: float, far: float, share: float

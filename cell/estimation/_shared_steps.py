@@ -2,10 +2,11 @@
 
 On a divider whose idle rows are driven, a step of one reading scales all resistances of its column alike. With few bits
 that looks like the release of a load that is held there, and nearly all cells of the column are awake then, so that no
-sleeping cells tell the step (:mod:`._shared_noise`). But a cell reads no less than at rest, whatever its load:
+sleeping cells tell the step (:mod:`._shared_noise`). But a cell reads no less than without load, whatever it bears:
+that is its reading at rest, and what earlier loads have left. Recovery that takes a minute would pass for a step.
 
-* Where even the third least of a column's readings is below rest, that much is shared, and is taken out.
-* Where it is above rest, it may be shared or a load on all cells. The reading of a cell is then known to an interval:
+* Where even the third least of a column's readings is below that, that much is shared, and is taken out.
+* Where it is above that, it may be shared or a load on all cells. The reading of a cell is then known to an interval:
   with and without the shared part. A cell that has been held for a while keeps its last reading as far as that lies in
   the interval. Other cells are left alone: a tap would lose the part of its rise that its column has in common.
 
@@ -52,7 +53,7 @@ def keep(
     Args:
         r: (n,) normalised resistances.
         last: (n,) those of the last frame.
-        reference: (n,) those at rest.
+        reference: (n,) those that cells have without load: at rest, and what earlier loads have left.
         held_s: (n,) seconds for which cells have been held.
         read: (n,) which cells have been read.
         awake: (n,) which of them do not sleep.

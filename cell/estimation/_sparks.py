@@ -47,6 +47,8 @@ class Sparks:
         """``gaps`` is told of jumps that may have been either, a spark or a tap; ``shape`` is that of the array."""
         self._taps = Taps(inversion, shape)
         self._inversion, self._noise, self._gaps = inversion, noise, gaps
+        self._kept = inversion.held_rows
+        """of the memory, as far as putting it back needs them"""
         self.large_r = LARGE_JUMP * inversion.full_scale_r
         """r from which a jump may be a spark"""
         self.forget_all()
@@ -57,7 +59,7 @@ class Sparks:
         """(k,) indices"""
         self._age_s, self._jump = np.zeros((2, 0))
         self._taps.forget_all()
-        self._memory = self._inversion.begin(np.zeros(1))[:, :0]
+        self._memory = np.zeros((self._kept.size, 0))
         self._line = smoothing.begin(np.zeros(0))
 
     def forget(self, cells: IntArray) -> None:
@@ -90,7 +92,7 @@ class Sparks:
             kept = np.zeros(self._noise.at_rest.size, dtype=np.bool_)  # in a tenth of the time of numpy.isin
             kept[self.cells] = True
             jumped &= ~kept[block.cells[place]]
-        jumped &= size > SUDDEN * np.abs(self._noise.change_before(block.cells[place]))
+        jumped &= size > SUDDEN * np.abs(self._noise.window.change_before(block.cells[place]))
         if np.count_nonzero(jumped):
             self._add(block, place[jumped], jump[jumped])
 
@@ -185,17 +187,20 @@ class Sparks:
 
     def _held(self, some: BoolArray) -> FloatArray:
         """What the marked cells remembered before their jumps (rows, m), after the time since, the load held."""
-        return self._inversion.hold(self._memory.compress(some, axis=1), self._age_s[some])
+        memory = np.zeros((len(self._inversion.rows), np.count_nonzero(some)))
+        memory[self._kept] = self._memory.compress(some, axis=1)
+        return self._inversion.hold(memory, self._age_s[some])
 
     def _add(self, block: Block, place: IntArray, jump: FloatArray) -> None:
         """Keep what is remembered of the cells at ``place`` (k,) in the block, from before their ``jump`` (k,)."""
-        before = self._noise.last_but_one()
+        before = self._noise.window.reading(1).copy()
         before[self.cells] = self._line[smoothing.LEVEL]
         self._taps.add(block.cells[place], before, anew=not (self._age_s <= TOGETHER_S).any())
         self.cells = np.concatenate([self.cells, block.cells[place]])
         self._age_s = np.concatenate([self._age_s, np.zeros(place.size)])
-        every = place.size == block.cells.size  # taking as many columns takes several times as long as a copy
-        memory = block.memory.copy() if every else block.memory.take(place, axis=1)
+        memory = block.memory[self._kept]
+        if place.size < block.cells.size:  # taking as many columns takes several times as long as a copy
+            memory = memory.take(place, axis=1)
         self._memory = np.concatenate([self._memory, memory], axis=1) if self._memory.size else memory
         self._line = np.concatenate([self._line, block.line_before.take(place, axis=1)], axis=1)
         self._jump = np.concatenate([self._jump, jump])

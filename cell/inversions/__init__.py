@@ -2,18 +2,21 @@
 
 ====================  ==========================================================================================
 :mod:`._static`       without memory: the equilibrium curve of a model, or the calibrated cubic
-:mod:`._turning`      the paper's cell, by two hypotheses about when the pressure last turned; its rooms are named there
-:mod:`._recovery`     the same cell at rest: a Kalman filter of what it remembers
-:mod:`._still`        the same cell after a light touch: whether the load is again what it was
-:mod:`._onset`        the same cell under presses that rise slowly while it recovers: Page's test
-:mod:`._way`          how far loads go to and fro within the noise
-:mod:`._together`     the same, told by neighbours: tremors that cells of a contact share
-:mod:`._meter`        both, and how much of that way has not been counted yet
-:mod:`._sway`         the paper's cell under such loads: what it keeps of them is taken back
-:mod:`._inverse`      ``asymmetric`` and ``m10`` cells, by Newton's method
-:mod:`._chains`       ``m10`` cells under such loads: chains that break unnoticed are told from the load
+:mod:`._turning`      the paper's cell, by two hypotheses about when the pressure last turned; lists its own modules
+:mod:`._inverse`      ``asymmetric`` and ``m10`` cells, by the equation of a step; :mod:`._change_over` solves rare ones
 :mod:`._switched`     the paper's own estimator (P8), the baseline
 :mod:`._learned`      linear maps of the memories in :mod:`._features`, as calibration learned them
+====================  ==========================================================================================
+
+Loads that go to and fro within the noise leave more in either kind of cell than their inverse notices:
+
+====================  ==========================================================================================
+:mod:`._variances`    Allan and Hadamard variances of readings
+:mod:`._way`          how far such a load goes, by these variances
+:mod:`._together`     the same, by the cross variance of a cell's neighbours
+:mod:`._meter`        own readings and neighbours together, and how much of that way has not been counted yet
+:mod:`._sway`         what the way leaves in the paper's cell
+:mod:`._chains`       what it leaves in ``m10`` cells: chains that break unnoticed
 ====================  ==========================================================================================
 """
 

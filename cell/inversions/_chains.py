@@ -6,16 +6,14 @@ chains that break meanwhile raise r, and an inverse that does not know of them s
 slope dr/ds for each unit of the way.
 
 How far the load goes is told by :mod:`._meter`, in r, from the readings less the branches. What the inverse has counted
-is subtracted from the way. For the rest, k of it counts as
-broken, and the load is as much smaller. A share of it counts as standard deviation, since the way is known to about as
-much, and so does the way that there may be beside what is told from noise. All that errs to one side, and adds up like
-amounts, until the chains have healed.
+is subtracted from the way. Of the rest, the share k counts as broken chains, and the load as so much smaller. The
+standard deviation contains a share of that, since the way is known to about as much, and the way that there may be
+beside what is told from noise. Both errors are of one sign, and are added as amounts until the chains have healed.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -28,7 +26,6 @@ from . import _together as together
 from . import _way as way
 from ._inverse_loops import ANCHOR, BRANCH, BROKEN, FURTHEST, LATELY, LOAD, MISSED
 from ._meter import see_of, tell_of, uncounted_of
-from ._paper_steps import numbered
 
 READINGS = 2
 """from one look to the next. Chains break by all of the way, and blocks of twice as many hide a third of that of a
@@ -62,26 +59,14 @@ _SERIES = METER + meter.SERIES
 _ZERO = np.array(0.0)
 
 
-class Constants(NamedTuple):
-    """Numbers that depend on the time between frames."""
-
-    row: FloatArray
-    """for machine code"""
-    each: tuple[FloatArray, ...]
-    """the same numbers, as arrays without axes"""
-    way: way.Constants
-
-
-def constants(model: M10Model, dt_s: float, full_scale_kpa: float, full_scale_r: float) -> Constants:
+def constants(model: M10Model, dt_s: float, full_scale_kpa: float, full_scale_r: float) -> meter.Constants:
     """The numbers for frames that follow each other after ``dt_s``."""
-    numbers = numbered(
-        {
-            **{A: model.a, B: model.b, K: model.k, FULL_KPA: full_scale_kpa, FULL_R: full_scale_r},
-            KEPT: math.exp(-READINGS * dt_s / model.tau_s),
-            OWED: meter.owed_looks(dt_s, READINGS),
-        }
-    )
-    return Constants(numbers.row, numbers.each, way.constants(dt_s, READINGS, CAUTION))
+    numbers = {
+        **{A: model.a, B: model.b, K: model.k, FULL_KPA: full_scale_kpa, FULL_R: full_scale_r},
+        KEPT: math.exp(-READINGS * dt_s / model.tau_s),
+        OWED: meter.owed_looks(dt_s, READINGS),
+    }
+    return meter.constants(numbers, dt_s, READINGS, CAUTION)
 
 
 def begin(memory: FloatArray, r: FloatArray) -> None:
@@ -90,7 +75,7 @@ def begin(memory: FloatArray, r: FloatArray) -> None:
     memory[BROKEN_BEFORE] = memory[BROKEN]
 
 
-def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, near: IntArray, numbers: Constants) -> None:
+def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, near: IntArray, numbers: meter.Constants) -> None:
     """Take the last readings of m cells; changes their ``memory`` (rows, m).
 
     To be called every :data:`READINGS` frames.

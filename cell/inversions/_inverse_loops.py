@@ -113,7 +113,7 @@ def solve(memory: Rows, taken: Rows, gone: Row, ramp: Row, numbers: Row, of: Row
 
 @loop
 def change_over(memory: Rows, i: int, j: int, step: float, dt_s: float, numbers: Row, of: Rows) -> tuple[float, float]:
-    """:meth:`._inverse._ChangeOver.branches` of cell ``i`` and branch ``j``: where it ends, and its derivative."""
+    """:meth:`._change_over.ChangeOver.branches` of cell ``i`` and branch ``j``: where it ends, and its derivative."""
     alpha = numbers[ALPHA + j]
     target = alpha * memory[LOAD, i]
     lead = target - memory[BRANCH + j, i]
@@ -135,7 +135,7 @@ def change_over(memory: Rows, i: int, j: int, step: float, dt_s: float, numbers:
 
 @loop
 def solve_crossed(memory: Rows, crossed: Places, count: int, dt_s: float, numbers: Row, of: Rows) -> None:
-    """:meth:`._inverse.AsymmetricInversion._solved`, for the first ``count`` of the cells ``crossed``."""
+    """:meth:`._change_over.ChangeOver.solved`, for the first ``count`` of the cells ``crossed``."""
     b, accuracy = numbers[B], numbers[ACCURACY]
     bend = 0.0
     for j in range(2):

@@ -156,6 +156,34 @@ def correct(
 
 
 @loop
+def limit_each(memory: Rows, ramp: Row, numbers: Row) -> None:
+    """:func:`limit` as a loop over cells, with the ``ramp`` of the time step's weights."""
+    lowest, usual, highest = numbers[LOWEST_KPA], numbers[USUAL_KPA], numbers[HIGHEST_KPA]
+    for i in range(memory.shape[1]):
+        rising, recovery = memory[RISING_KPA, i], memory[RECOVERY_KPA, i]
+        if not (min(rising, recovery) < lowest or max(rising, recovery) > usual):
+            continue
+        rising, recovery = min(max(rising, lowest), highest) - rising, min(max(recovery, lowest), highest) - recovery
+        for row in range(0, 6, 2):
+            memory[RISING_KPA + row, i] += ramp[row] * rising
+            memory[RECOVERY_KPA + row, i] += ramp[row + 1] * recovery
+        if not memory[VARIANCE, i] > numbers[DOUBT_KPA2]:
+            continue
+        r, rises = memory[STATE_END - 1, i], memory[RISING_IN_FORCE, i] > 0.0
+        rising_beyond, recovery_beyond = memory[RISING_KPA, i] > usual, memory[RECOVERY_KPA, i] > usual
+        if rising_beyond if rises else recovery_beyond:
+            memory[TURNED, i] = max(memory[TURNED, i], numbers[UNKNOWN_KPA2])
+        if rising_beyond:
+            memory[RISING_KPA, i] = usual
+            memory[SETTLED, i] = usual * numbers[SETTLED_PER_KPA] - numbers[ETAU2_KPA] * r
+            if rises and not recovery_beyond:
+                memory[EXTREME, i] = REFUTED
+        if recovery_beyond:
+            memory[RECOVERY_KPA, i] = usual
+            memory[X2, i] = r - usual / numbers[E1_KPA] - memory[RECOVERY_X3, i]
+
+
+@loop
 def correct_each(memory: Rows, taken: Rows, by_model: Rows, numbers: Row) -> None:
     """:func:`correct` as a loop over cells, for readings ``taken`` (4, m)."""
     pull = -PULL_SIGMAS * by_model[0, 1]

@@ -16,34 +16,37 @@ All is in units of whatever quantity is read: r, or the load. Rows are those of 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import PlaceRows, Rows, loop
 from . import _together as together
+from . import _variances as variances
 from . import _way as way
+from ._paper_steps import numbered
 from ._together import KNOWN, WEIGHTED
 from ._together import look_of as told_beside_of
-from ._way import SCALES, forget_of, look_of
+from ._variances import SCALES, forget_of, look_of
 from ._way import tell_of as way_of_squares
 
 NAMES = (
-    *("looks", *way.SERIES, *together.SERIES),
-    *way.SQUARES,
-    *(f"{name}_beside" for name in way.SQUARES),
+    *("looks", *variances.SERIES, *together.SERIES),
+    *variances.SQUARES,
+    *(f"{name}_beside" for name in variances.SQUARES),
     *together.LOADS,
     *together.APART,
     *("held", "told", "may"),
 )
-"""names of the rows of the memory: looks; series and mean squares of :mod:`._way`, own ones and those of neighbours;
-what :mod:`._together` sums up, and how far both groups are apart; looks since an edge; the way that is told, and that
-which may be, less what is counted"""
+"""names of the rows of the memory: looks; series and mean squares of :mod:`._variances`, own ones and those of
+neighbours; what :mod:`._together` sums up, and how far both groups are apart; looks since an edge; the way that is
+told, and that which may be, less what is counted"""
 LOOKS, SERIES = 0, 1
-SERIES_BESIDE = SERIES + way.ALL_SERIES
-SQUARES = SERIES + 3 * way.ALL_SERIES
-SQUARES_BESIDE = SQUARES + way.ALL_SQUARES
-LOADS = SQUARES + 2 * way.ALL_SQUARES
+SERIES_BESIDE = SERIES + variances.ALL_SERIES
+SQUARES = SERIES + 3 * variances.ALL_SERIES
+SQUARES_BESIDE = SQUARES + variances.ALL_SQUARES
+LOADS = SQUARES + 2 * variances.ALL_SQUARES
 APART = LOADS + len(together.LOADS)
 HELD, TOLD, MAY = range(APART + SCALES, len(NAMES))
 _SERIES, _SQUARES = slice(SERIES, SQUARES), slice(SQUARES, LOADS)
@@ -58,9 +61,25 @@ _ZERO, _ONE, _LEAST_LOAD = (np.array(x) for x in (0.0, 1.0, LEAST_LOAD))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
+class Constants(NamedTuple):
+    """Numbers of a material whose cells keep something of the way; they depend on the time between frames."""
+
+    row: FloatArray
+    """for machine code"""
+    each: tuple[FloatArray, ...]
+    """the same numbers, as arrays without axes"""
+    way: way.Constants
+
+
+def constants(numbers: dict[int, float], dt_s: float, readings: int, caution: way.Caution) -> Constants:
+    """The ``numbers`` by their places, for frames that follow each other after ``dt_s``, and those of the way."""
+    row, each = numbered(numbers)
+    return Constants(row, each, way.constants(dt_s, readings, caution))
+
+
 def edge(readings: int) -> float:
     """Standard deviations of a reading by which means of so many ``readings`` differ by noise at most."""
-    return way.CLEAR * math.sqrt(2.0 / readings)
+    return variances.CLEAR * math.sqrt(2.0 / readings)
 
 
 def owed_looks(dt_s: float, readings: int) -> float:
@@ -117,15 +136,16 @@ def look(
     most[0], most[1:] = largest, largest / np.maximum(load, _LEAST_LOAD)
     looks = rows[LOOKS]
     looks += _ONE
-    ends = way.ends_of_blocks(looks)
-    change = way.differences(rows[_SERIES].reshape(3, way.ALL_SERIES, -1), series, noises, most, ends, of_way)
+    ends = variances.ends_of_blocks(looks)
+    kept = rows[_SERIES].reshape(3, variances.ALL_SERIES, -1)
+    change = variances.differences(kept, series, noises, most, ends, of_way.std)
     product = change[0::2] * change[:2]  # own ones squared, and those of both groups
     bends = change[1:, SCALES:].copy()
     side = change[:2]
     side[1] += change[2]
-    squares = rows[_SQUARES].reshape(2, way.ALL_SQUARES, -1)
+    squares = rows[_SQUARES].reshape(2, variances.ALL_SQUARES, -1)
     shares = ends * of_way.shares
-    way.take(squares, product, _BY_NOISE, side, shares, edges)
+    variances.take(squares, product, _BY_NOISE, side, shares, edges)
     apart = rows[_APART]
     together.compare(apart, bends, knows, shares, edges)
     scatter = np.maximum(apart, _ZERO) + _ONE

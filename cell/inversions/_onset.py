@@ -139,7 +139,7 @@ def begin_anew(memory: FloatArray) -> None:
 def look(
     memory: FloatArray, mean: FloatArray, noise: FloatArray, full_scale_kpa: float, numbers: tuple[FloatArray, ...]
 ) -> None:
-    """Take the last :data:`..estimation._noise.RECENT` readings of m cells; changes their ``memory`` (rows, m).
+    """Take the last :data:`..estimation.RECENT` readings of m cells; changes their ``memory`` (rows, m).
 
     Args:
         memory: of the cells.

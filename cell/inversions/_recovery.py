@@ -118,7 +118,7 @@ def constants(model: PaperModel, dt_s: float) -> Constants:
 def look(
     memory: FloatArray, mean: FloatArray, noise: FloatArray, count: FloatArray, numbers: tuple[FloatArray, ...]
 ) -> None:
-    """Take the last :data:`..estimation._noise.RECENT` readings of m cells; changes their ``memory`` (rows, m).
+    """Take the last :data:`..estimation.RECENT` readings of m cells; changes their ``memory`` (rows, m).
 
     Args:
         memory: of the cells.

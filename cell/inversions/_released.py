@@ -65,7 +65,7 @@ def constants(model: PaperModel, dt_s: float, full_scale_kpa: float) -> Constant
 
 
 def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, numbers: tuple[FloatArray, ...]) -> None:
-    """Take the last :data:`..estimation._noise.RECENT` readings of m cells; changes their ``memory`` (rows, m).
+    """Take the last :data:`..estimation.RECENT` readings of m cells; changes their ``memory`` (rows, m).
 
     A change of r takes both models back, the recovery model by more. What is beyond that a load makes that is held: of
     it, the share that may be an error is allowed for.

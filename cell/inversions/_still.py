@@ -94,7 +94,7 @@ def hold(memory: FloatArray, left_2: FloatArray, left_3: FloatArray) -> None:
 def look(
     memory: FloatArray, mean: FloatArray, noise: FloatArray, full_scale_kpa: float, numbers: tuple[FloatArray, ...]
 ) -> None:
-    """Take the last :data:`..estimation._noise.RECENT` readings of m cells; changes their ``memory`` (rows, m).
+    """Take the last :data:`..estimation.RECENT` readings of m cells; changes their ``memory`` (rows, m).
 
     Args:
         memory: of the cells.

@@ -8,15 +8,14 @@ noticed, a fall. Presses and taps leave nothing then but the ways by which turns
 either model says, half of the time each.
 
 What the rest makes of the pressure is subtracted from both hypotheses and from what they are compared with, so that it
-is no turn. A share of it counts as standard deviation, since the way is known to about as much, and so does the way
-that there may be beside what is told from noise. All that errs to one side, and adds up like amounts. A load that grows
-is not touched: it goes one way.
+is no turn. The standard deviation contains a share of that, since the way is known to about as much, and the way that
+there may be beside what is told from noise. Both errors are of one sign, and are added as amounts. A load that grows is
+not touched: it goes one way.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -30,7 +29,7 @@ from . import _way as way
 from ._meter import see_of as tell_neighbours_of
 from ._meter import tell_of, uncounted_of
 from ._onset import CLEAR_KPA
-from ._paper_steps import fast_r, numbered
+from ._paper_steps import fast_r
 from ._turning_rows import (
     BEFORE_LAST,
     EARLIER_FROM_KPA,
@@ -68,6 +67,8 @@ METER = CLEAR_KPA + 1
 """first row, behind those of :mod:`._onset`"""
 _METER = slice(METER, METER + len(meter.NAMES))
 SIGN_BEFORE, LAST_R, EXTREME_R, UNEXPLAINED_R = range(METER + len(meter.NAMES), METER + len(NAMES))
+ROWS = slice(METER, METER + len(NAMES))
+"""all of them; :func:`begin` writes them"""
 RISE_R, FALL_R, PER_E2, PER_E3, ETAU2_KPA, SETTLED_PER_KPA, OF_U, OF_2, OF_3, KEPT_KPA = range(10)
 OWED, LARGEST_R, LARGEST_KPA, LOAD_R = range(10, 14)
 """places of the numbers: r per kPa of a fast rise and of a fast fall; constants of the model; shares of the lags that
@@ -83,38 +84,26 @@ _ZERO, _HALF, _ONE, _UNSURE = (np.array(x) for x in (0.0, 0.5, 1.0, UNSURE))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
-class Constants(NamedTuple):
-    """Numbers that depend on the time between frames."""
-
-    row: FloatArray
-    """for machine code"""
-    each: tuple[FloatArray, ...]
-    """the same numbers, as arrays without axes"""
-    way: way.Constants
-
-
-def constants(model: PaperModel, dt_s: float, full_scale_kpa: float) -> Constants:
+def constants(model: PaperModel, dt_s: float, full_scale_kpa: float) -> meter.Constants:
     """The numbers for frames that follow each other after ``dt_s``."""
     m, between_s, (rise_r, fall_r) = model, RECENT * dt_s, fast_r(model)
-    numbers = numbered(
-        {
-            RISE_R: rise_r,
-            FALL_R: fall_r,
-            PER_E2: 1 / m.e2_kpa,
-            PER_E3: 1 / m.e3_kpa,
-            ETAU2_KPA: m.etau2_kpa,
-            SETTLED_PER_KPA: 1 + m.etau2_kpa / m.eu1_kpa,
-            OF_U: between_s / m.tu_s,
-            OF_2: between_s / m.t2_s,
-            OF_3: between_s / m.t3_s,
-            KEPT_KPA: 0.5 * (rise_r - fall_r) / (rise_r * fall_r),
-            OWED: meter.owed_looks(dt_s, RECENT),
-            LARGEST_R: LARGEST * full_scale_kpa * rise_r,
-            LARGEST_KPA: LARGEST * full_scale_kpa,
-            LOAD_R: 0.5 * (rise_r + fall_r),
-        }
-    )
-    return Constants(numbers.row, numbers.each, way.constants(dt_s, RECENT, way.Caution()))
+    numbers = {
+        RISE_R: rise_r,
+        FALL_R: fall_r,
+        PER_E2: 1 / m.e2_kpa,
+        PER_E3: 1 / m.e3_kpa,
+        ETAU2_KPA: m.etau2_kpa,
+        SETTLED_PER_KPA: 1 + m.etau2_kpa / m.eu1_kpa,
+        OF_U: between_s / m.tu_s,
+        OF_2: between_s / m.t2_s,
+        OF_3: between_s / m.t3_s,
+        KEPT_KPA: 0.5 * (rise_r - fall_r) / (rise_r * fall_r),
+        OWED: meter.owed_looks(dt_s, RECENT),
+        LARGEST_R: LARGEST * full_scale_kpa * rise_r,
+        LARGEST_KPA: LARGEST * full_scale_kpa,
+        LOAD_R: 0.5 * (rise_r + fall_r),
+    }
+    return meter.constants(numbers, dt_s, RECENT, way.Caution())
 
 
 def begin(memory: FloatArray, r: FloatArray) -> None:
@@ -126,11 +115,11 @@ def begin(memory: FloatArray, r: FloatArray) -> None:
 
 
 def look(
-    memory: FloatArray, mean: FloatArray, noise: FloatArray, steps: float, near: IntArray, numbers: Constants
+    memory: FloatArray, mean: FloatArray, noise: FloatArray, steps: float, near: IntArray, numbers: meter.Constants
 ) -> None:
     """Take the last readings of m cells; changes their ``memory`` (rows, m).
 
-    To be called every :data:`..estimation._noise.RECENT` frames.
+    To be called every :data:`..estimation.RECENT` frames.
 
     Args:
         memory: of the cells.

@@ -25,6 +25,7 @@ from ._turning_rows import (
     BEFORE_LAST,
     EARLIER_KPA,
     EXTREME,
+    FALLEN,
     FORGOTTEN_KPA,
     IN_FORCE,
     LAST,
@@ -116,7 +117,7 @@ def take_over(
     hidden = onset.hidden_kpa(some, pressure, extreme, numbers[FALL_PER_RISE])
     unseen += np.where(noticed & (sign > _ZERO), hidden, _ZERO)
     np.copyto(some[LOOKS_AT_REST], _ZERO, where=noticed & (sign < _ZERO))
-    some[MAY_BEAR_KPA] = 0.0
+    some[[MAY_BEAR_KPA, FALLEN]] = 0.0
     by_noise = noise * weights.by_model[0, RECOVERY]
     by_noise *= by_noise
     doubt = np.sqrt(before) + unseen
@@ -214,7 +215,7 @@ def take_over_of(memory: Rows, i: int, noise: float, by_model: Rows, of: Rows, n
             unseen += hidden_kpa_of(memory, i, pressure, extreme, numbers[FALL_PER_RISE])
         else:
             memory[LOOKS_AT_REST, i] = 0.0
-    memory[MAY_BEAR_KPA, i] = 0.0
+    memory[MAY_BEAR_KPA, i], memory[FALLEN, i] = 0.0, 0.0
     doubt = math.sqrt(before) + unseen
     by_noise = by_model[0, 1] * noise
     by_noise *= by_noise

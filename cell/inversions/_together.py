@@ -6,7 +6,7 @@ readings are therefore combined to the relative change of the load, each weighte
 filter). What is common in a column of the readings may be noise, though, as of a divider whose idle rows are driven,
 and the noise of a sum is not known well. So there are two sums: of the neighbours in the cell's own column and in every
 second one beside, and of those in the columns between. Noise has no part in the mean of the product of both, a tremor
-has: the product of their differences stands for the square in the variances of :mod:`._way`.
+has: the product of their differences stands for the square in the variances of :mod:`._variances`.
 
 Within a group noise may be common to cells as well, and neighbours of another contact move in another way. What each
 group tells is therefore known less well than by the noise of single readings. How far both are apart tells by how much:
@@ -26,19 +26,19 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import PlaceRows, Rows, loop
 from ..estimation import ALIKE
-from . import _way as way
-from ._way import ALL_SERIES, READINGS, SCALES, SHARE, count_of, differences_of, scaled, take_of
+from . import _variances as variances
+from ._variances import ALL_SERIES, READINGS, SCALES, SHARE, count_of, differences_of, scaled, take_of
 
 LEAST = 1e-9
 """reciprocal variance of a relative change of the load below which a group knows nothing"""
 
 GROUPS = "alike", "between"
-SERIES = tuple(f"{name}_{group}" for group in GROUPS for name in way.SERIES)
+SERIES = tuple(f"{name}_{group}" for group in GROUPS for name in variances.SERIES)
 LOADS = tuple(f"load_{group}" for group in GROUPS)
 APART = tuple(f"apart_{1 << scale}" for scale in range(SCALES))
 """names of rows of the memory: a series for each group, and its relative load, summed up. Mean products of both are as
-:data:`._way.SQUARES`. For each length of block, mean square of how far second differences of both groups are apart,
-over the variance by noise of single readings, and beyond that"""
+:data:`._variances.SQUARES`. For each length of block, mean square of how far second differences of both groups are
+apart, over the variance by noise of single readings, and beyond that"""
 WEIGHTED, KNOWN = range(2)
 """rows of what cells tell: change of r times the change of r with the relative load, over the variance by noise; and
 the square of the latter over this variance"""
@@ -85,7 +85,7 @@ def compare(apart: FloatArray, bends: FloatArray, knows: FloatArray, shares: Flo
     off = bends[0] * alike
     off -= bends[1] * between
     off *= off
-    way.count(apart, off, shares)
+    variances.count(apart, off, shares)
 
 
 def known(knows: FloatArray) -> FloatArray:

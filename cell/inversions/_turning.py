@@ -2,18 +2,28 @@
 
 The paper's cell has two linear models and changes from one to the other where the pressure turns. Inverting either is
 algebra (:mod:`._paper_steps`). What is hard is to know which model holds. This module has the order of a frame, and
-what an estimator asks of an inversion. The rest is in rooms of its own, array operations and loops side by side:
+what an estimator asks of an inversion. Each question has a module of its own, with array operations and loops side by
+side (``docs/design.md``, "Inside an estimator"). In every frame, in this order:
 
-=====================  ================================================================================
-:mod:`._turns`         whether the pressure has turned, and whether a turn was none
-:mod:`._takeover`      what a turn leaves where the other hypothesis is taken over, and its doubt
-:mod:`._earlier`       a third hypothesis: that the load turned earlier
-:mod:`._doubts`        the other hypothesis begins anew; the distance of both counts as deviation
-:mod:`._limits`        limits of what they remember
-:mod:`._recovery`, :mod:`._released`, :mod:`._still`, :mod:`._onset`, :mod:`._sway`: what readings of some frames tell
-=====================  ================================================================================
+==================  =================================================================================
+:mod:`._limits`     limits of what both hypotheses remember
+:mod:`._turns`      whether the pressure has turned, and whether a turn was none
+:mod:`._takeover`   what a turn leaves where the other hypothesis is taken over, and its doubt
+:mod:`._doubts`     the other hypothesis begins anew; the distance of both counts as deviation
+:mod:`._earlier`    a third hypothesis: that the load turned earlier
+==================  =================================================================================
 
-The numbers of these rooms are in one row, each at a place that its room names.
+And every :data:`..estimation.RECENT` frames, of the mean of as many readings:
+
+==================  =================================================================================
+:mod:`._recovery`   whether a released cell bears no load, and what it remembers then
+:mod:`._released`   whether a load has been released within the noise
+:mod:`._still`      whether a load that seems to grow is only the recovery after a light touch
+:mod:`._onset`      whether a load has begun to rise while the cell recovers
+:mod:`._sway`       what loads that go to and fro within the noise leave in the memory
+==================  =================================================================================
+
+The numbers of all of them are in one row, each at a place that its module names.
 """
 
 from __future__ import annotations
@@ -37,6 +47,7 @@ from ..estimation import (
     VARIANCE,
     WINDOW,
     Inversion,
+    RecentReadings,
     credible_readings,
 )
 from ..materials import ByStep, PaperModel, lag
@@ -138,7 +149,7 @@ class TurningInversion(Inversion):
         self._sway = ByStep(partial(sway.constants, full_scale_kpa=full_scale_kpa), model)
 
     def _numbers_of(self, steps: float, own: float) -> Constants:
-        """The numbers of all rooms; ``steps`` and ``own`` as :data:`._turns.STEPS` and :data:`._turns.OWN_STEPS`."""
+        """The numbers of all modules; ``steps`` and ``own`` as :data:`._turns.STEPS` and :data:`._turns.OWN_STEPS`."""
         of = self.model, self.full_scale_kpa
         parts = (
             *(limits.numbers_of(*of), turns.numbers_of(*of, exact=self.exact, steps=(steps, own))),
@@ -238,7 +249,7 @@ class TurningInversion(Inversion):
         beside = of.change, taken, w.by_model, of.rows, of.flags, numbers
         found = loops.step_and_turn.unchecked(memory, *beside, False)
         if found & loops.BEYOND:
-            limits.limit_some(memory, w, self._numbers.each)
+            limits.limit_each.unchecked(memory, w.ramp, numbers)
             found = loops.step_and_turn.unchecked(memory, *beside, True)
         if found & loops.PULLED:
             limits.correct_each.unchecked(memory, taken, w.by_model, numbers)
@@ -247,16 +258,9 @@ class TurningInversion(Inversion):
         doubts.begin_anew_each.unchecked(memory, of.change, of.rows, of.flags, held_kpa, unconfirmed, numbers)
         return memory
 
-    def recover(
-        self,
-        memory: FloatArray,
-        dt_s: float,
-        mean: FloatArray,
-        noise: FloatArray,
-        count: FloatArray,
-        near: IntArray,
-    ) -> None:
-        """See the functions that it calls."""
+    def recover(self, memory: FloatArray, recent: RecentReadings) -> None:
+        """Ask what means of readings tell, in the order of the list above."""
+        dt_s, mean, noise, count, near = recent
         turns.look_at_steps(memory, noise, self._numbers.each)
         recovery.look(memory, mean, noise, count, self._recovery.of(dt_s).each)
         released.look(memory, mean, noise, self._released.of(dt_s).each)
@@ -264,16 +268,9 @@ class TurningInversion(Inversion):
         onset.look(memory, mean, noise, self.full_scale_kpa, self._onset.of(dt_s).each)
         sway.look(memory, mean, noise, self._numbers.row[turns.STEPS], near, self._sway.of(dt_s))
 
-    def recover_compiled(
-        self,
-        memory: FloatArray,
-        dt_s: float,
-        mean: FloatArray,
-        noise: FloatArray,
-        count: FloatArray,
-        near: IntArray,
-    ) -> None:
-        """:meth:`recover` by the loops of the same rooms."""
+    def recover_compiled(self, memory: FloatArray, recent: RecentReadings) -> None:
+        """:meth:`recover` by loops."""
+        dt_s, mean, noise, count, near = recent
         turns.look_at_steps_each.unchecked(memory, noise, self._numbers.row)
         recovery.look_each.unchecked(memory, mean, noise, count, self._recovery.of(dt_s).row)
         released.look_each.unchecked(memory, mean, noise, self._released.of(dt_s).row)
@@ -353,6 +350,10 @@ class TurningInversion(Inversion):
         onset.begin_anew(held)
         sway.begin(held, state[6])
         return held
+
+    @property
+    def held_rows(self) -> IntArray:
+        return np.delete(np.arange(len(self.rows)), sway.ROWS)
 
     def settled(self, memory: FloatArray, band: float) -> BoolArray:
         m = self.model

@@ -13,7 +13,7 @@ from ...compiled import FlagRows, Row, Rows, loop
 from ..estimation import FAR, PRESSURE, STD
 from ._doubts import begin_anew_each
 from ._earlier import sign_before_of
-from ._limits import LOWEST_KPA, PULLED_KPA, USUAL_KPA, correct_each
+from ._limits import LOWEST_KPA, PULLED_KPA, USUAL_KPA, correct_each, limit_each
 from ._takeover import take_over_of
 from ._turning_rows import (
     CONFIRMED,
@@ -97,4 +97,4 @@ def step_and_turn(
     return take_turns(memory, taken, by_model, of, flags, numbers)
 
 
-ALL = take_each, take_gains_each, step_and_turn, correct_each, begin_anew_each
+ALL = take_each, take_gains_each, step_and_turn, limit_each, correct_each, begin_anew_each
