@@ -112,7 +112,7 @@ class ClockMap:
         self._buckets.append(self._least)
         recent = [self._buckets[k] for k in range(-min(STEP_BUCKETS, len(self._buckets)), 0)]
         if len(recent) == STEP_BUCKETS and all(y > self._line(x) + STEP_S for x, y in recent):
-            self.steps += 1
+            self.steps += _keeps_pace(recent)
             self._buckets.clear()
             self._buckets.extend(recent)
         hull = lower_hull(list(self._buckets))
@@ -127,6 +127,12 @@ class ClockMap:
         self._drift = min(max((y1 - y0) / (x1 - x0), -LARGEST_DRIFT), LARGEST_DRIFT)
         # With a drift at its limit the edge's own ends need not be the lowest.
         self._anchor = min(hull, key=lambda point: point[1] - self._drift * point[0])
+
+
+def _keeps_pace(points: list[tuple[float, float]]) -> bool:
+    """Whether a clock may have told the times of ``points``, which increase in x: a fast emulation keeps no pace."""
+    (x0, y0), (x1, y1) = points[0], points[-1]
+    return abs(y1 - y0) <= LARGEST_DRIFT * (x1 - x0) + STEP_S
 
 
 def lower_hull(points: list[tuple[float, float]]) -> list[tuple[float, float]]:

@@ -30,7 +30,7 @@ from ._statistics import Counters
 from ._stream import RawFrame
 from ._systematic import SystematicError
 from ._tare import DRIFT as TARE_DRIFT
-from ._tare import KNOWN_DRIFT
+from ._tare import KNOWN_DRIFT, far_from_sheet
 
 KEPT_MEASUREMENTS = 8
 """that are not thrown away at once when all takers have passed them"""
@@ -118,6 +118,8 @@ class Converter:
         self._judged: int | None = 0  # frames of the first ones that were counted; None: judged
         self._reasons = np.zeros(len(Reason), dtype=np.int64)  # cells of those frames by reason
         self._surest = np.inf  # least uncertainty of their cells
+        self._sheet: str | None = None
+        """why the data sheet does not seem to be this skin's, by the first frames"""
         self._systematic = None if cell is None else SystematicError(cell)
         self._lock = threading.RLock()
         self.on_converted: list[Callable[[RawFrame, Measurement], None]] = []
@@ -364,7 +366,10 @@ class Converter:
             if self._counters.remark:
                 warnings.warn(self._counters.remark, RuntimeWarning, stacklevel=2)
         else:
+            self._sheet = self._unlike_sheet(reading)
             self._counters.untared = self._why_to_tare()
+            if self._counters.untared and self._sheet:
+                warnings.warn(self._counters.untared, RuntimeWarning, stacklevel=2)
 
     def _why_none_valid(self) -> str | None:
         cells, valid = self._reasons.sum(), self._reasons[Reason.VALID]
@@ -387,10 +392,24 @@ class Converter:
             "bits, or another reference resistor, tells more"
         )
 
+    def _unlike_sheet(self, reading: Reading) -> str | None:
+        """A remark where the typical cell reads otherwise than the data sheet lets it read at rest."""
+        if not reading.valid.any():
+            return None
+        far = far_from_sheet(float(np.median(reading.resistance[reading.valid])), self.cell)
+        if not far:
+            return None
+        return (
+            f"{far}: the cell or the design is another skin's or in another unit, or the whole skin is loaded; "
+            "correct them, or tare() the unloaded skin"
+        )
+
     def _why_to_tare(self) -> str | None:
         """A remark where rest resistances that nobody measured leave pressures open by more than a little."""
         if self.cell is None or self._systematic is None or self._rest_known:
             return None
+        if self._sheet:
+            return self._sheet
         spread = self._systematic.rest_spread or 0.0
         kpa = self._systematic.kpa_of_rest(spread)
         if kpa < CLEAR_SPREAD * self.cell.full_scale_kpa:

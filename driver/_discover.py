@@ -11,7 +11,8 @@ from ..checks import path_text, positive
 from ..errors import InputError, LinkError, OhmskinError
 from ..text import shown
 from ..wire import Family, FramePacket, Identity, Order, board_family, host_protocol
-from ._port import emulated_ports, open_port, serial_ports, usb_serial_number
+from ._port import open_port
+from ._port_names import emulated_ports, serial_ports, usb_serial_number
 
 SEARCH_S = 1.5
 """for which a silent port is asked who is there"""

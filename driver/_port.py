@@ -1,4 +1,4 @@
-"""Serial ports and TCP sockets as byte streams. This module is the only one that knows pyserial.
+"""Serial ports and TCP sockets as byte streams; beside :mod:`._port_names`, only this module knows pyserial.
 
 Waiting uses :mod:`selectors` on file descriptors: ``select()``, which pyserial uses, fails beyond descriptor 1023.
 """
@@ -12,19 +12,17 @@ import queue
 import select
 import selectors
 import socket
-import stat
 import threading
 import time
 from abc import abstractmethod
-from pathlib import Path
 from typing import NamedTuple, Protocol
-from urllib.parse import unquote, urlsplit
+from urllib.parse import urlsplit
 
 import serial
-from serial.tools import list_ports
 
 from ..errors import LinkEnded, LinkError
-from ..rendezvous import END_OF_TRANSMISSION, announced, announced_ports
+from ..rendezvous import END_OF_TRANSMISSION, announced
+from ._port_names import EMULATED_HERE, reason_of, refuse_terminal, why_not_opened
 
 BAUDRATE = 1_000_000
 """for a real UART; USB, pseudo-terminals and TCP ignore it"""
@@ -38,8 +36,6 @@ UNHEARD_S = 3.0
 _CHUNK = 65536
 _SHORT = 1024
 """bytes below which one system call has brought all that there was: terminals give up to 4095 at once, sockets more"""
-EMULATED_HERE = "ohmskin://"
-"""scheme of the address of a board that is emulated in this process"""
 _EMULATOR = "ohmskin.emulator"
 """package in which pyserial finds the handler of ohmskin:// addresses; imported only for such an address"""
 _NOT_NOW = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR)
@@ -131,7 +127,7 @@ def open_port(
         return UrlPort(name, device) if "://" in name else SerialPort(name, device)
     except OSError as error:  # too many open files
         device.close()
-        raise LinkError(f"{name}: cannot be opened: {_reason(error)}") from error
+        raise LinkError(f"{name}: cannot be opened: {reason_of(error)}") from error
 
 
 class _RealTimePort:
@@ -162,7 +158,7 @@ class _RealTimePort:
     def _gone(self, error: Exception | str) -> LinkError:
         if self.announced is not None and self.announced.is_over:
             return over(self.name)
-        reason = error if isinstance(error, str) else _reason(error)
+        reason = error if isinstance(error, str) else reason_of(error)
         return LinkError(f"{self.name}: the board has gone away ({reason})")
 
 
@@ -227,7 +223,7 @@ class DescriptorPort(_RealTimePort):
                         self._failure = error
                     raise self._gone(error) from error
                 if error.errno not in _NOT_NOW:
-                    raise LinkError(f"{self.name}: the board takes no commands ({_reason(error)})") from error
+                    raise LinkError(f"{self.name}: the board takes no commands ({reason_of(error)})") from error
                 if time.monotonic() > deadline:
                     raise LinkError(f"{self.name}: the board takes no commands (the line is full)") from error
                 self._wait_writable(deadline)
@@ -285,7 +281,7 @@ class SocketPort(DescriptorPort):
                 raise ValueError("expected socket://HOST:PORT")
             self._socket = socket.create_connection((address.hostname, address.port), timeout=CONNECT_TIMEOUT_S)
         except (OSError, ValueError) as error:
-            raise LinkError(f"{name}: cannot be opened: {_reason(error)}") from error
+            raise LinkError(f"{name}: cannot be opened: {reason_of(error)}") from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         _end_when_unheard(self._socket)
         self._socket.setblocking(False)
@@ -297,7 +293,7 @@ class SocketPort(DescriptorPort):
             super().__init__(name, self._socket.fileno())
         except OSError as error:  # too many open files
             self._socket.close()
-            raise LinkError(f"{name}: cannot be opened: {_reason(error)}") from error
+            raise LinkError(f"{name}: cannot be opened: {reason_of(error)}") from error
 
     def read(self) -> Arrival:
         """Take the bytes that have come, without waiting; LinkError when the port is gone."""
@@ -383,7 +379,7 @@ class UrlPort(_RealTimePort):
         try:
             self._device.write(data)
         except (serial.SerialException, OSError) as error:
-            raise LinkError(f"{self.name}: the board takes no commands ({_reason(error)})") from error
+            raise LinkError(f"{self.name}: the board takes no commands ({reason_of(error)})") from error
 
     def interrupt(self) -> None:
         """Does nothing: a wait ends by itself within 0.1 s."""
@@ -412,74 +408,13 @@ def _end_when_unheard(connection: socket.socket) -> None:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1e3 * UNHEARD_S))
 
 
-def usb_serial_number(name: str) -> str | None:
-    """The serial number of the USB device behind the port ``name``; None where there is none."""
-    device = os.path.realpath(name)
-    return next((port.serial_number for port in list_ports.comports() if port.device == device), None)
-
-
-def ports_with(usb_serial: str) -> list[str]:
-    """The names of all ports of the USB device with this serial number."""
-    return [port.device for port in list_ports.comports() if port.serial_number == usb_serial]
-
-
 def over(name: str) -> LinkEnded:
     """The error for a port whose emulated board has come to its regular end."""
     return LinkEnded(f"{name}: the emulated board has come to the end of its time")
 
 
-def serial_ports() -> list[str]:
-    """The names of the serial ports that the operating system lists. Pseudo-terminals are not among them."""
-    return [port.device for port in list_ports.comports()]
-
-
-def emulated_ports() -> list[str]:
-    """The names of the pseudo-terminals and sockets of the emulated boards on this machine."""
-    return [port.name for port in announced_ports() if port.is_listed]
-
-
-def is_numbered_terminal(name: str) -> bool:
-    """Whether ``name`` is a pseudo-terminal under its number, which the next one gets when this one is closed."""
-    return name.startswith("/dev/pts/")
-
-
-def is_linked_terminal(name: str) -> bool:
-    """Whether ``name`` is a link to a pseudo-terminal: the port of an emulated board."""
-    return os.path.islink(name) and os.path.realpath(name).startswith("/dev/pts/")
-
-
-def linked_terminals(directory: Path) -> list[str]:
-    """The links to pseudo-terminals in a directory."""
-    try:
-        return [str(path) for path in sorted(directory.iterdir()) if is_linked_terminal(str(path))]
-    except OSError:
-        return []
-
-
-def refuse_missing(name: str) -> None:
-    """Raise the LinkError of :func:`open_port` where a look at ``name`` shows it, without opening anything.
-
-    So no device is there, or this user may not read and write it, or the scene of an ``ohmskin://`` address is no file.
-    Other addresses (``socket://...``) pass.
-    """
-    if name.startswith(EMULATED_HERE):
-        parts = urlsplit(name)
-        if not os.path.isfile(unquote(parts.netloc + parts.path)):
-            raise LinkError(f"{name}: no such scene")
-    elif "://" not in name:
-        if has_gone(name):
-            raise LinkError(f"{name}: {_why_not_opened(name, FileNotFoundError(errno.ENOENT, 'no such port'))}")
-        if not os.access(name, os.R_OK | os.W_OK):
-            raise LinkError(f"{name}: {_why_not_opened(name, PermissionError(errno.EACCES, 'permission denied'))}")
-
-
-def has_gone(name: str) -> bool:
-    """Whether there is no device of that name now; of addresses (``socket://...``) nobody can say without opening."""
-    return "://" not in name and not os.path.exists(name)
-
-
 def _open_serial(name: str, baudrate: int, dtr: bool | None, rts: bool | None) -> serial.SerialBase:
-    _refuse_terminal(name)
+    refuse_terminal(name)
     if name.startswith(EMULATED_HERE) and _EMULATOR not in serial.protocol_handler_packages:
         serial.protocol_handler_packages.append(_EMULATOR)
     # pyserial's RFC 2217 client refuses a limit for writing, and each change of a limit is a talk with the server.
@@ -496,63 +431,8 @@ def _open_serial(name: str, baudrate: int, dtr: bool | None, rts: bool | None) -
             device.rts = rts
         device.open()
     except (serial.SerialException, NotImplementedError, ValueError, OSError) as error:
-        raise LinkError(f"{name}: {_why_not_opened(name, error)}") from error
+        raise LinkError(f"{name}: {why_not_opened(name, error)}") from error
     # FTDI converters hold bytes back for 16 ms unless told otherwise. Other devices do not know the setting.
     with contextlib.suppress(Exception):
         device.set_low_latency_mode(True)
     return device
-
-
-def _refuse_terminal(name: str) -> None:
-    """Raise LinkError where the pseudo-terminal ``name`` is somebody's terminal window.
-
-    An emulator that died may leave a link to a pseudo-terminal whose number a terminal window has taken since.
-    """
-    device = os.path.realpath(name)
-    if not device.startswith("/dev/pts/") or not os.path.exists(device):
-        return
-    number = os.stat(device).st_rdev
-    for process in Path("/proc").glob("[0-9]*"):
-        try:
-            # The name in parentheses may contain anything; the fields after it begin with state, parent, group,
-            # session and terminal.
-            head, _, fields = (process / "stat").read_text(errors="replace").rpartition(")")
-        except OSError:
-            continue
-        if int(fields.split()[4]) == number:
-            who = f"process {process.name} ({head.partition('(')[2]})"
-            raise LinkError(f"{name}: is the terminal of {who}, not a board")
-
-
-def _why_not_opened(name: str, error: Exception) -> str:
-    match getattr(error, "errno", None):
-        case errno.ENOENT:
-            emulated = f"; emulated boards: {', '.join(emulated_ports())}" if emulated_ports() else ""
-            return f"no such port; serial ports present: {', '.join(serial_ports()) or 'none'}{emulated}"
-        case errno.EACCES | errno.EPERM:
-            return f"permission denied; {_why_forbidden(name)}; `ohmskin doctor {name}` says what to do"
-        case errno.EAGAIN | errno.EBUSY:
-            return "in use by another program, or by another Skin of this one"
-        case errno.EMFILE | errno.ENFILE:
-            return f"cannot be opened: {_reason(error)}"
-    if os.path.isfile(name):
-        return "is no serial port but a file; recordings of ohmskin end in .mcap"
-    if os.path.exists(name) and not isinstance(error, ValueError):
-        return f"is no serial port ({_reason(error)})"
-    return f"cannot be opened: {_reason(error)}"
-
-
-def _why_forbidden(name: str) -> str:
-    status = os.stat(name)
-    try:
-        group = f"group '{Path(name).group()}'"
-    except KeyError:
-        group = f"group {status.st_gid}"
-    group_may = status.st_mode & stat.S_IRGRP and status.st_mode & stat.S_IWGRP
-    if group_may and status.st_gid not in (os.getegid(), *os.getgroups()):
-        return f"the port belongs to {group}, which this user is not in"
-    return f"the port belongs to {group}, and its mode {stat.filemode(status.st_mode)} keeps this user out"
-
-
-def _reason(error: Exception) -> str:
-    return getattr(error, "strerror", None) or str(error)

@@ -8,15 +8,13 @@ from pathlib import Path
 
 from ..errors import LinkError
 from ..rendezvous import AnnouncedPort, announced
-from ._port import (
+from ._port import BytePort, open_port, over
+from ._port_names import (
     EMULATED_HERE,
-    BytePort,
     emulated_ports,
     is_linked_terminal,
     is_numbered_terminal,
     linked_terminals,
-    open_port,
-    over,
     ports_with,
     serial_ports,
     usb_serial_number,

@@ -24,7 +24,8 @@ from ._discover import LONGEST_SEARCH_S, find_board
 from ._frame import Frame
 from ._opening import QUEUE, Delivery, Link, Opening
 from ._past import Past
-from ._port import Arrival, BytePort, has_gone, refuse_missing, usb_serial_number
+from ._port import Arrival, BytePort
+from ._port_names import has_gone, refuse_missing, usb_serial_number
 from ._reader import await_free
 from ._reconnect import PortFinder
 from ._recording import Recording
@@ -210,12 +211,13 @@ class Skin:
             accuracy: likewise.
             record: likewise.
             overwrite: likewise.
-            speed: of a recording, times real time; None: as fast as it is read.
+            speed: of a recording, times real time; None: as fast as it is read. A live board has its own pace.
             calibration: as for :meth:`__init__`; None: that of the recording, else none.
 
         Raises:
             LinkError: the port is not there, may not be used, or is in use, or another board is behind it; and what
                 :meth:`__init__` raises.
+            InputError: ``speed`` is given and ``port`` is no recording; and what :meth:`__init__` raises.
 
         """
         finder: PortFinder | None = None
@@ -223,6 +225,8 @@ class Skin:
         reopen: Callable[[], BytePort]
         name = None if port is None else path_text("port", port, "the name of a port or of a recording")
         played = ReplayPort(name, speed) if name is not None and name.endswith(".mcap") else None
+        if played is None and speed is not None:
+            raise InputError(f"speed is {speed}, but only a recording (a file that ends in .mcap) has one")
         recorded = NOTHING_RECORDED if played is None else played.settings
         usual: Delivery = "newest" if played is None else "lossless"
         # All that can be wrong with what is asked is told before anybody waits for a board or for the compiler.

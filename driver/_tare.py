@@ -205,7 +205,7 @@ class RestReadings:
         otherwise = typical * expected if cell is None or calibrated_ohm is not None else cell.rest_resistance_ohm
         unlike = _unlike_others(mean, typical * expected, measured, cell, spread)
         signs = (
-            _far_from_sheet(typical, cell) if calibrated_ohm is None else _far_from_calibration(typical),
+            far_from_sheet(typical, cell) if calibrated_ohm is None else _far_from_calibration(typical),
             unlike,
             ""
             if earlier is None
@@ -306,7 +306,8 @@ def _two_digits(number: float) -> int:
     return math.ceil(number * 10.0**-digits) * int(10.0**digits)
 
 
-def _far_from_sheet(typical_ohm: float, cell: Cell | None) -> str:
+def far_from_sheet(typical_ohm: float, cell: Cell | None) -> str:
+    """A remark where the typical resistance is not one of a cell at rest; empty where it may be one."""
     if cell is None:
         return ""
     ratio = typical_ohm / cell.rest_resistance_ohm

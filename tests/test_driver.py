@@ -256,6 +256,29 @@ def test_one_valid_cell_among_the_first_frames_silences_the_remark() -> None:
     assert sum(bool(frame.valid.any()) for frame in frames) == 1
 
 
+@pytest.mark.parametrize("unit", [1e-3, 0.1, 10.0])
+def test_a_data_sheet_in_another_unit_is_told_once_and_by_what_factor(unit: float) -> None:
+    """After 50 frames; and a tare, which measures the rest resistances, ends it."""
+    cell = Cell.example()
+    sent = [encode(FramePacket.of(np.full((3, 2), 2000), sequence=n, time_us=1000 * n)) for n in range(120)]
+    with lossless(Script(*sent), design=design(), cell=cell) as skin:
+        rest_ohm = float(next(skin).resistance[0, 0])
+    told = cell.replace(rest_resistance_ohm=unit * rest_ohm)
+    with lossless(Script(*sent), design=design(), cell=told) as skin:
+        list(islice(skin, 49))
+        with pytest.warns(
+            RuntimeWarning, match=f"{1 / unit:.2g} times the {unit * rest_ohm:.4g} ohm".replace("+", r"\+")
+        ) as said:
+            list(islice(skin, 31))
+        assert len(said) == 1
+        assert skin.stats().remark == str(said[0].message)
+        skin.tare(force=True)
+        assert skin.stats().remark is None
+    with lossless(Script(*sent), design=design(), cell=cell.replace(rest_resistance_ohm=rest_ohm)) as skin:
+        list(islice(skin, 60))
+        assert skin.stats().remark is None
+
+
 def test_an_invalid_cell_keeps_its_last_pressure() -> None:
     """Pressed so hard that the divider's output leaves the converter's range."""
     narrow = DESIGN | {"adc": {"bits": 12, "range": [1.5, 3.3]}}

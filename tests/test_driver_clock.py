@@ -54,6 +54,15 @@ def test_a_time_that_no_clock_keeps_has_no_drift(pace: float) -> None:
     assert max(delays) < STEP_S + 0.01
 
 
+@pytest.mark.parametrize(("pace", "pause_s"), [(4.0, 4.0), (0.6, 0.0), (1.5, 6.0)])
+def test_a_time_that_no_clock_keeps_is_never_set(pace: float, pause_s: float) -> None:
+    """Neither a host that pauses for seconds, nor one that is slower than the board's time, sets a fast clock."""
+    clock = ClockMap()
+    for k in range(6000):
+        clock.add(0.01 * k, 0.01 * k / pace + pause_s * (k // 2000))
+    assert clock.steps == 0
+
+
 @pytest.mark.parametrize("drift_ppm", [-300.0, -20.0, 0.0, 80.0, 5000.0])
 def test_offset_and_drift_are_found_below_the_delays(drift_ppm: float) -> None:
     rng = np.random.default_rng(5)

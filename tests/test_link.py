@@ -378,14 +378,14 @@ def test_a_port_without_permission_names_the_group(
     device = tmp_path / "tty"
     device.touch()
     device.chmod(mode)
-    monkeypatch.setattr("ohmskin.driver._port.os.getegid", lambda: 12345)
-    monkeypatch.setattr("ohmskin.driver._port.os.getgroups", lambda: [12346])
+    monkeypatch.setattr("ohmskin.driver._port_names.os.getegid", lambda: 12345)
+    monkeypatch.setattr("ohmskin.driver._port_names.os.getgroups", lambda: [12346])
 
     def refuse(*_: object) -> int:
         raise PermissionError(errno.EACCES, "Permission denied")
 
     if at_a_glance:
-        monkeypatch.setattr("ohmskin.driver._port.os.access", lambda *_: False)
+        monkeypatch.setattr("ohmskin.driver._port_names.os.access", lambda *_: False)
     monkeypatch.setattr("serial.serialposix.os.open", refuse)
     with pytest.raises(LinkError, match="permission denied; the port belongs to group .*" + re.escape(reason)):
         Skin.open(str(device))

@@ -12,7 +12,7 @@ from needs import need
 
 from ohmskin.arrays import FloatArray
 from ohmskin.bench.boards import design
-from ohmskin.cell import Cell
+from ohmskin.cell import Cell, M10Model
 from ohmskin.cell.estimation import _shared_steps
 from ohmskin.circuits import adc_codes, scan_batch
 from ohmskin.compiled import load as load_loops
@@ -108,6 +108,49 @@ def test_machine_code_holds_loads_as_array_operations_do() -> None:
         np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6)
 
 
+M10 = M10Model(
+    a=0.9, b=0.12, alpha1=0.2, rise1_s=0.4, fall1_s=3.0, alpha2=0.12, rise2_s=6.0, fall2_s=50.0, k=0.25, tau_s=40.0
+)
+
+
+def held_after_handling(noise_mv: float, seed: int) -> tuple[FloatArray, FloatArray]:
+    """Loads and pressures in kPa, (frames, 6, 6), on an 8-bit divider: a press, a slide, then a hold from 10 s on."""
+    cell = Cell.example().replace(full_scale_kpa=22.0, model=M10)
+    board = design("voltage-divider", "ground", "float", 8, 0.85 * cell.rest_resistance_ohm)
+    board = board.replace(array={"rows": 6, "columns": 6})
+    time_s = np.arange(1.0, 34.0 * RATE_HZ) / RATE_HZ
+    now, (row, column) = time_s[:, None, None], np.indices((6, 6))
+    along = np.interp(now, [5.0, 8.0], [0.0, 1.0])
+    bump = np.exp(-((row - 1.6) ** 2 + (column - 1.8) ** 2) / 1.6)
+    finger = np.exp(-((row - 0.5 - 4.0 * along) ** 2 + (column - 5.0 * along) ** 2))
+    load = np.interp(now, [1.0, 1.3, 4.0, 4.2], [0.0, 14.0, 14.0, 0.0]) * bump
+    load += np.interp(now, [5.0, 5.2, 8.0, 8.2], [0.0, 15.0, 15.0, 0.0]) * finger
+    load[:, 3:5, 3:5] += np.interp(now, [10.0, 10.5], [0.0, 12.0])
+    draw = np.random.default_rng(seed)
+    ohm = cell.forward((6, 6)).run(np.full(len(time_s), 1.0 / RATE_HZ), load)
+    volts = scan_batch(board, ohm * np.exp(draw.normal(0.0, 0.04, (6, 6)))).volts
+    codes = adc_codes(board, volts + 1e-3 * noise_mv * draw.standard_normal(volts.shape))
+    read, pressure, tare = CountReader(board), np.zeros(load.shape), round(0.8 * RATE_HZ)
+    rest_ohm = np.mean([read(frame).resistance for frame in codes[:tare]], axis=0)
+    estimator = cell.estimator((6, 6), rest_resistance_ohm=rest_ohm)
+    estimator.compile()
+    for n, frame in enumerate(codes[tare:], tare):
+        reading = read(frame)
+        if not estimator.resolved:
+            estimator.resolve(*reading.resolution)
+        pressure[n] = estimator.step(1.0 / RATE_HZ, reading.for_estimation)
+    return load[time_s > 12.0], pressure[time_s > 12.0]
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_hold_does_not_fade_where_other_cells_still_recover(seed: int) -> None:
+    """What earlier loads have left in a column of ``m10`` cells is no step of its readings."""
+    load, pressure = held_after_handling(4.0, seed)
+    held_kpa, shown_kpa = load[:, 3:5, 3:5], pressure[:, 3:5, 3:5]
+    assert shown_kpa.mean() > 0.95 * held_kpa.mean()
+    assert np.sqrt(np.mean((pressure - load) ** 2)) < 0.5
+
+
 OWN, STEPS, HELD_R = 0.01, 0.035, 0.5
 DT_S = 0.02
 LONG = round(2.0 * _shared_steps.HELD_S / DT_S)
@@ -117,15 +160,14 @@ LONG = round(2.0 * _shared_steps.HELD_S / DT_S)
 def kept(readings: FloatArray, compiled: bool) -> FloatArray:
     """(frames, 8) what is left of the ``readings`` (frames, 8) of a column that is awake, frame by frame."""
     need("needs numba" if compiled and not load_loops(*_shared_steps.LOOPS) else None)
-    rest, held_s, every, none = np.zeros(8), np.zeros(8), np.ones(8, dtype=np.bool_), np.zeros(1)
+    rest, held_s, every, untold = np.zeros(8), np.zeros(8), np.ones(8, dtype=np.bool_), np.ones(1)
     found, last, scales = [], readings[0], (OWN, STEPS, 1.0, DT_S)
     for reading in readings:
         r = reading.copy()
         if compiled:
-            given = r, last, rest, held_s, every, every, none, np.zeros(9)
-            _shared_steps.keep_each.code(*given, *scales, r.copy())
+            _shared_steps.keep_each.code(r, last, rest, held_s, every, every, untold, *scales, r.copy())
         else:
-            _shared_steps.keep(r, last, rest, held_s, every, every, none == 0.0, *scales)
+            _shared_steps.keep(r, last, rest, held_s, every, every, untold > 0.0, *scales)
         found.append(r)
         last = r
     return np.array(found)

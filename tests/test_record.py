@@ -325,6 +325,12 @@ def test_a_replay_at_a_speed_takes_its_time(tmp_path: Path) -> None:
         ReplayPort(path, 0.0)
 
 
+@pytest.mark.parametrize("port", ["/dev/ttyNone", "ohmskin://scene.toml", None])
+def test_only_a_recording_has_a_speed(port: str | None) -> None:
+    with pytest.raises(InputError, match=r"speed is 2\.0, but only a recording"):
+        Skin.open(port, serial_number="L-07", speed=2.0)
+
+
 @pytest.mark.parametrize("content", [b"", b"time,pressure\n1,2\n", b"\x89MCAP0\r\n"])
 def test_what_is_no_recording_is_one_line(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "no.mcap"

@@ -123,7 +123,8 @@ class Estimator:
         """Do the work of frames by machine code, or by array operations."""
         self._compiled = machine_code
         noise = self._noise, self._noise.window, self._shared_noise
-        for part in (*noise, self._tremor, self._sleep, self._remembered, self._deviation, self._following):
+        followers = self._remembered, self._sparks, self._deviation, self._following
+        for part in (*noise, self._tremor, self._sleep, *followers):
             part.compiled = machine_code
         block = self._remembered.block
         block.line_before = block.line.copy()  # machine code has that from before the last step
@@ -167,7 +168,8 @@ class Estimator:
         before = self._pressure.copy() if self._gaps.concern(dt, self._usual_s or dt, known) else None
         watched = blurred = loaded = None
         if self._shared_noise.ratio and not exact:
-            r, watched, loaded = self._shared_noise.subtract(dt, r, known, self._sleep.awake)
+            left_over, awake = self._remembered.left_over, self._sleep.awake
+            r, watched, loaded = self._shared_noise.subtract(dt, r, known, awake, left_over)
             self._reading, blurred = r, self._shared_noise.mean_std
         self._watched = r if watched is None else watched
         self._by_shared = None

@@ -148,6 +148,10 @@ class Inversion(ABC):
     ) -> None:
         """Correct what cells remember by their readings of late; changes ``memory`` (rows, m) after :meth:`advance`."""
 
+    def left_over(self, memory: FloatArray) -> FloatArray:
+        """(m,) r that earlier loads have left, beyond what the present load leads to if it stays; 0 where unknown."""
+        return np.zeros(memory.shape[1])
+
     def released(self, memory: FloatArray) -> BoolArray | None:
         """(m,) whether the load of a cell went down last, so that its memory may show as a load; None: of none."""
         return None

@@ -2,10 +2,11 @@
 
 On a divider whose idle rows are driven, a step of one reading scales all resistances of its column alike. With few bits
 that looks like the release of a load that is held there, and nearly all cells of the column are awake then, so that no
-sleeping cells tell the step (:mod:`._shared_noise`). But a cell reads no less than at rest, whatever its load:
+sleeping cells tell the step (:mod:`._shared_noise`). But a cell reads no less than without load, whatever it bears:
+that is its reading at rest, and what earlier loads have left. Recovery that takes a minute would pass for a step.
 
-* Where even the third least of a column's readings is below rest, that much is shared, and is taken out.
-* Where it is above rest, it may be shared or a load on all cells. The reading of a cell is then known to an interval:
+* Where even the third least of a column's readings is below that, that much is shared, and is taken out.
+* Where it is above that, it may be shared or a load on all cells. The reading of a cell is then known to an interval:
   with and without the shared part. A cell that has been held for a while keeps its last reading as far as that lies in
   the interval. Other cells are left alone: a tap would lose the part of its rise that its column has in common.
 
@@ -52,7 +53,7 @@ def keep(
     Args:
         r: (n,) normalised resistances.
         last: (n,) those of the last frame.
-        reference: (n,) those at rest.
+        reference: (n,) those that cells have without load: at rest, and what earlier loads have left.
         held_s: (n,) seconds for which cells have been held.
         read: (n,) which cells have been read.
         awake: (n,) which of them do not sleep.
@@ -93,20 +94,15 @@ def keep_each(
     held_s: Row,
     read: Flags,
     awake: Flags,
-    counts: Row,
-    per_std: Row,
+    untold: Row,
     own: float,
     steps: float,
     side: float,
     dt_s: float,
     watched: Row,
 ) -> None:
-    """:func:`keep` as a loop; also changes ``watched`` (n,).
-
-    Sleeping cells of a column, of which there are ``counts`` (columns,), tell where ``per_std`` (rows + 1,) of their
-    number is above zero.
-    """
-    columns, bound = counts.size, min(MOST * steps, LIMIT)
+    """:func:`keep` as a loop; also changes ``watched`` (n,). ``untold`` (columns,) is 1 where it is true, else 0."""
+    columns, bound = untold.size, min(MOST * steps, LIMIT)
     if r.size < TELLING * columns:
         return
     for column in range(columns):
@@ -124,9 +120,9 @@ def keep_each(
         if not some_awake:
             continue
         shared = 0.0
-        if per_std[int(counts[column])] == 0.0 and level < 0.0:
+        if untold[column] > 0.0 and level < 0.0:
             shared = max(min(level + own, 0.0), -bound)
-        elif per_std[int(counts[column])] == 0.0:
+        elif untold[column] > 0.0:
             shared = max(min(level - own, 2.0 * bound - (level - own)), 0.0)
         for i in range(column, r.size, columns):
             off = side * (r[i] - reference[i]) / (1.0 + reference[i]) if read[i] else np.inf

@@ -3,7 +3,7 @@
 ====================  ==========================================================================================
 :mod:`._static`       without memory: the equilibrium curve of a model, or the calibrated cubic
 :mod:`._turning`      the paper's cell, by two hypotheses about when the pressure last turned; lists its own modules
-:mod:`._inverse`      ``asymmetric`` and ``m10`` cells, by Newton's method
+:mod:`._inverse`      ``asymmetric`` and ``m10`` cells, by the equation of a step; :mod:`._change_over` solves rare ones
 :mod:`._switched`     the paper's own estimator (P8), the baseline
 :mod:`._learned`      linear maps of the memories in :mod:`._features`, as calibration learned them
 ====================  ==========================================================================================

@@ -6,10 +6,9 @@ chains that break meanwhile raise r, and an inverse that does not know of them s
 slope dr/ds for each unit of the way.
 
 How far the load goes is told by :mod:`._meter`, in r, from the readings less the branches. What the inverse has counted
-is subtracted from the way. For the rest, k of it counts as
-broken, and the load is as much smaller. A share of it counts as standard deviation, since the way is known to about as
-much, and so does the way that there may be beside what is told from noise. All that errs to one side, and adds up like
-amounts, until the chains have healed.
+is subtracted from the way. Of the rest, the share k counts as broken chains, and the load as so much smaller. The
+standard deviation contains a share of that, since the way is known to about as much, and the way that there may be
+beside what is told from noise. Both errors are of one sign, and are added as amounts until the chains have healed.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ import math
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
-from ...compiled import PlaceRows, Row, Rows, loop
+from ...compiled import Row, Rows, SpacedPlaces, SpacedRows, loop
 from ..estimation import PRESSURE
 from ..materials import M10Model
 from . import _meter as meter
@@ -110,7 +109,7 @@ def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, near: IntArray
 
 @loop
 def look_each(
-    memory: Rows, means: Row, noises: Row, near: PlaceRows, numbers: Row, way_numbers: Rows, seen: Rows
+    memory: SpacedRows, means: Row, noises: Row, near: SpacedPlaces, numbers: Row, way_numbers: Rows, seen: Rows
 ) -> None:
     """:func:`look` as a loop over cells, ``way_numbers`` being those of :mod:`._way`, ``seen`` (SEEN, m) anything."""
     a, b, k, full_r, owed = numbers[A], numbers[B], numbers[K], numbers[FULL_R], numbers[OWED]

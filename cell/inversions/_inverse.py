@@ -1,4 +1,4 @@
-"""The exact inverse of a cell with asymmetric branches, by Newton's method: no switch, no thresholds.
+"""The exact inverse of a cell with asymmetric branches: no switch, no thresholds.
 
 Where the resistance of a step rises with the load at its end, whatever the step (``margin`` positive), a reading
 has exactly one load, and the inverse is as exact as the model. Real carbon-black silicone that answers unloading
@@ -8,13 +8,12 @@ with a rise of resistance has no such cell; there the inverse is refused.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import Loop
 from ...errors import InputError
 from ..estimation import (
@@ -32,6 +31,7 @@ from ..estimation import (
 from ..materials import AsymmetricModel, ByStep, M10Model, as_m10, lag
 from . import _chains as chains
 from . import _inverse_loops as loops
+from ._change_over import ACCURACY, EVALUATIONS, ChangeOver
 
 LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED, WENT_UP, FURTHEST, LATELY = (
     3,
@@ -70,12 +70,6 @@ AT_A_TURN = 4.0
 of them are those of a single turn. Loads that repeat turn at the same readings, so that their errors are alike"""
 OVERSHOOT = 0.5
 """of that half width by noise: by how much it takes the furthest load of a press beyond where the load turned"""
-
-ACCURACY = 1e-11
-"""of full scale, to which a step with a change-over is solved"""
-EVALUATIONS = 16
-"""of the model, at most, in a step with a change-over: a frame costs no more. Newton's method needs two or three
-at high sample rates, six where a step is many time constants long; bisection halves what is left otherwise"""
 
 
 def margin(model: AsymmetricModel | M10Model, full_scale_kpa: float) -> float:
@@ -120,52 +114,12 @@ class _Equation(NamedTuple):
     """(n,) standard deviation of r by the chains that ADC steps hide where it has left its play to the other side"""
 
 
-@dataclass(frozen=True)
-class _ChangeOver:
-    """A step of n cells of which a branch may change between charging and discharging; (2, n) are by branch."""
-
-    lead: FloatArray
-    """(2, n) by which the branches were behind their targets at first"""
-    target: FloatArray
-    """(2, n) what they followed at first"""
-    alpha: FloatArray
-    """(2, 1) targets over load"""
-    first_s: FloatArray
-    """(2, n) time constants at first"""
-    second_s: FloatArray
-    """(2, n) and after a change-over"""
-    dt_s: float
-    kept: FloatArray
-    """(2, n) where the branches would end without change-over if the load stayed"""
-    follows: FloatArray
-    """(2, n) and how much further per step of load"""
-
-    def branches(self, step: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Branches (2, n) at the end of a step (n,) of load, and their derivatives by it.
-
-        With v = alpha step/dt and q = -lead/(v T1), a branch changes over after T1 log(1 + q), and at the end is
-        behind by v T2 (1 - exp(-(time left)/T2)). All is continuous up to the first derivative; the second one is
-        (1/T2 - 1/T1)/step times something not negative and at most alpha dt.
-        """
-        speed = self.alpha * step / self.dt_s
-        turns = self.lead * speed < 0
-        since = np.divide(self.lead, speed, out=np.zeros_like(self.lead), where=turns)
-        ratio = -since / self.first_s
-        left = self.dt_s - self.first_s * np.log1p(ratio)
-        turns &= left > 0
-        done = -np.expm1(-np.maximum(left, 0) / self.second_s)
-        lags = self.second_s * done
-        ends = np.where(turns, self.target + self.alpha * step - speed * lags, self.kept + self.follows * step)
-        rates = self.alpha * (1 - (lags - (1 - done) * since / (1 + ratio)) / self.dt_s)
-        return ends, np.where(turns, rates, self.follows)
-
-
 class AsymmetricInversion(Inversion):
     """Solves each step of :class:`~.forward.M10Forward` for its load.
 
     As long as no branch changes between charging and discharging within the step, that is a quadratic equation. A
     branch that does change over is, in terms of the load, convex if it rises faster than it falls, concave else
-    (see :class:`_ChangeOver`): Newton's method, from the answer without any change-over, then comes ever closer from
+    (see :class:`.ChangeOver`): Newton's method, from the answer without any change-over, then comes ever closer from
     one side. Where b or opposite branches spoil that, bisection takes a step instead.
     """
 
@@ -308,22 +262,27 @@ class AsymmetricInversion(Inversion):
         branches = of.kept + of.follows * step
         crossed = np.flatnonzero(((of.target + alpha * step - branches) * of.lead < 0).any(axis=0))
         if crossed.size:
-            discharging = of.lead[:, crossed] < 0
-            change_over = _ChangeOver(
-                lead=of.lead[:, crossed],
-                target=of.target[:, crossed],
-                alpha=alpha,
-                first_s=np.where(discharging, self._fall_s, self._rise_s),
-                second_s=np.where(discharging, self._rise_s, self._fall_s),
-                dt_s=dt_s,
-                kept=of.kept[:, crossed],
-                follows=of.follows[:, crossed],
-            )
-            bend = (alpha * dt_s * np.abs(1 / self._rise_s - 1 / self._fall_s)).sum(axis=0)
-            step[crossed], branches[:, crossed] = self._solved(
-                change_over, bend, slope[crossed], of.change[crossed], step[crossed], memory[LOAD, crossed]
-            )
+            step[crossed], branches[:, crossed] = self._solve_crossed(memory, crossed, dt_s, of, step[crossed])
         return step, branches
+
+    def _solve_crossed(
+        self, memory: FloatArray, crossed: IntArray, dt_s: float, of: _Equation, step: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """As :meth:`_step_of_load`, of the cells ``crossed`` (k,) of which a branch changes over, from ``step`` on."""
+        discharging = of.lead[:, crossed] < 0
+        change_over = ChangeOver(
+            lead=of.lead[:, crossed],
+            target=of.target[:, crossed],
+            alpha=self._alpha,
+            first_s=np.where(discharging, self._fall_s, self._rise_s),
+            second_s=np.where(discharging, self._rise_s, self._fall_s),
+            dt_s=dt_s,
+            kept=of.kept[:, crossed],
+            follows=of.follows[:, crossed],
+        )
+        change, load = of.change[crossed], memory[LOAD, crossed]
+        end = np.where(change > 0, np.maximum(self._reach[1] - load, 0.0), np.minimum(self._reach[0] - load, 0.0))
+        return change_over.solved(change, of.slope[crossed], self.model.b, step, end)
 
     def take_steps(self, std: float, own: float) -> None:
         """As :meth:`.Inversion.take_steps`: a reading is off by no more than half of its own step."""
@@ -452,50 +411,17 @@ class AsymmetricInversion(Inversion):
         held[LATELY] *= np.exp(-dt_s / LATELY_S)
         return held
 
+    def left_over(self, memory: FloatArray) -> FloatArray:
+        """The broken chains, and what the branches have beyond their targets."""
+        beyond = memory[BRANCHES] - self._alpha * memory[LOAD]
+        np.maximum(beyond, 0.0, out=beyond)
+        left: FloatArray = memory[BROKEN] + beyond[0]
+        left += beyond[1]
+        return left
+
     def settled(self, memory: FloatArray, band: float) -> BoolArray:
         found: BoolArray = np.abs(memory[4:7]).sum(axis=0) < band
         return found
-
-    def _solved(
-        self,
-        change_over: _ChangeOver,
-        bend: FloatArray,
-        slope: FloatArray,
-        change: FloatArray,
-        step: FloatArray,
-        load: FloatArray,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Steps (n,) of ``load``, and branches (2, n) after them, by Newton's method within a bracket.
-
-        Solves slope step + b step^2 + branches - kept = ``change``, from ``step`` on. The left side rises with the
-        step and is zero without one, so that the root lies between zero and the end of the loads within reach; that
-        end answers what is beyond it. ``bend`` bounds the second derivative of the branches times the step.
-        """
-        b, kept = self.model.b, change_over.kept[0] + change_over.kept[1]
-        up = change > 0
-        end = np.where(up, np.maximum(self._reach[1] - load, 0.0), np.minimum(self._reach[0] - load, 0.0))
-        low, high = np.minimum(end, 0.0), np.maximum(end, 0.0)
-        step = np.clip(step, low, high)
-        tried = step == end
-        for _ in range(EVALUATIONS - 1):
-            ends, rates = change_over.branches(step)
-            rate = slope + 2 * b * step + rates[0] + rates[1]
-            excess = (slope + b * step) * step + ends[0] + ends[1] - kept - change
-            low, high = np.where(excess > 0, low, step), np.where(excess > 0, step, high)
-            rises = rate > 1e-6
-            move = np.divide(-excess, rate, out=np.zeros_like(rate), where=rises)
-            newton = np.clip(step + move, low, high)
-            # What a step of Newton's leaves is the next term of Taylor's series.
-            next_term = (bend + np.abs(b * step)) * move**2
-            small = (next_term <= ACCURACY * rate * np.abs(step)) | (np.abs(move) <= ACCURACY)
-            solved = (rises & small) | (low == high)
-            if solved.all():
-                return newton, ends + rates * (newton - step)
-            inside = solved | (rises & (low < newton) & (newton < high))
-            to_end = rises & (newton == end) & ~tried
-            step = np.where(inside | to_end, newton, 0.5 * (low + high))
-            tried |= to_end
-        return step, change_over.branches(step)[0]
 
     def _branches(self, memory: FloatArray, dt_s: float | FloatArray, s: FloatArray) -> FloatArray:
         """Branches (2, n) after a step to load ``s``, through any change-over."""

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
-from ...compiled import Row, Rows, loop
+from ...compiled import Row, Rows, SpacedRows, loop
 from ..estimation import FAR, GAIN, PRESSURE, VARIANCE
 from ..materials import PaperModel
 from . import _onset as onset
@@ -180,7 +180,7 @@ def _give_back(
 
 
 @loop
-def unseen_of(memory: Rows, i: int, pressure: float, gain: float, unsure: float, numbers: Row) -> float:
+def unseen_of(memory: SpacedRows, i: int, pressure: float, gain: float, unsure: float, numbers: Row) -> float:
     """Standard deviation that turns between two frames leave in the ``pressure`` of cell ``i``."""
     last, before, third, sign = memory[LAST, i], memory[BEFORE_LAST, i], memory[THIRD_LAST, i], memory[SIGN, i]
     there = max(sign * (third - before), sign * (before - last), 0.0)
@@ -190,7 +190,7 @@ def unseen_of(memory: Rows, i: int, pressure: float, gain: float, unsure: float,
 
 
 @loop
-def take_over_of(memory: Rows, i: int, noise: float, by_model: Rows, of: Rows, numbers: Row) -> None:
+def take_over_of(memory: SpacedRows, i: int, noise: float, by_model: Rows, of: Rows, numbers: Row) -> None:
     """:func:`take_over` in cell ``i``, with what depends on its hypothesis in force."""
     left, extreme = memory[LEFT, i], memory[EXTREME, i]
     earlier = 0.0

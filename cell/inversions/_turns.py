@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray
-from ...compiled import Row, Rows, loop
+from ...compiled import Row, Rows, SpacedRows, loop
 from ..estimation import FAR, GAIN, LOADS, PRESSURE
 from ..materials import PaperModel
 from ._paper_steps import TurnWeights, fast_r
@@ -250,7 +250,7 @@ def turn_from_of(extreme: float, numbers: Row) -> float:
 
 
 @loop
-def look_at_steps_each(memory: Rows, noise: Row, numbers: Row) -> None:
+def look_at_steps_each(memory: SpacedRows, noise: Row, numbers: Row) -> None:
     """:func:`look_at_steps` as a loop over cells."""
     if not numbers[OWN_STEPS] > 0.0:
         return
@@ -262,7 +262,7 @@ def look_at_steps_each(memory: Rows, noise: Row, numbers: Row) -> None:
 
 
 @loop
-def seeming_of(memory: Rows, i: int, unsure: float, numbers: Row) -> float:
+def seeming_of(memory: SpacedRows, i: int, unsure: float, numbers: Row) -> float:
     """By how much the pressure of cell ``i``, of noise ``unsure``, may seem to go back though it has not turned."""
     drift = memory[DRIFT_KPA, i]
     if memory[SIGN, i] > 0.0:
@@ -274,7 +274,7 @@ def seeming_of(memory: Rows, i: int, unsure: float, numbers: Row) -> float:
 
 
 @loop
-def look_of(memory: Rows, i: int, std: float, of: Rows, numbers: Row) -> bool:
+def look_of(memory: SpacedRows, i: int, std: float, of: Rows, numbers: Row) -> bool:
     """:func:`look` at cell ``i``; whether it has gone back by a turn, or an earlier turn was noise."""
     rising, recovery = memory[RISING_KPA, i], memory[RECOVERY_KPA, i]
     pressure = rising * memory[RISING_IN_FORCE, i] + recovery * memory[RECOVERY_IN_FORCE, i]
@@ -302,7 +302,7 @@ def look_of(memory: Rows, i: int, std: float, of: Rows, numbers: Row) -> bool:
 
 
 @loop
-def refuted_of(memory: Rows, i: int, std: float, by_model: Rows, numbers: Row) -> bool:
+def refuted_of(memory: SpacedRows, i: int, std: float, by_model: Rows, numbers: Row) -> bool:
     """Whether the recovery model did not share the rise of cell ``i``, which is taken over or is to be."""
     begun = memory[LEFT, i] if memory[LEFT, i] < FAR else memory[EXTREME, i]  # the pressure then, sign turned
     rise, shared = begun + memory[RISING_KPA, i], begun + memory[RECOVERY_KPA, i]
@@ -311,7 +311,7 @@ def refuted_of(memory: Rows, i: int, std: float, by_model: Rows, numbers: Row) -
 
 
 @loop
-def begin_at_refuted_of(memory: Rows, i: int, of: Rows) -> None:
+def begin_at_refuted_of(memory: SpacedRows, i: int, of: Rows) -> None:
     """:func:`begin_at_refuted` in cell ``i``."""
     memory[PEAK, i] = of[AHEAD, i] - of[UNSURE, i]
     memory[EXTREME, i] = of[AHEAD, i] - of[UNSURE, i] * LESS
@@ -319,7 +319,7 @@ def begin_at_refuted_of(memory: Rows, i: int, of: Rows) -> None:
 
 
 @loop
-def confirm_of(memory: Rows, i: int, of: Rows, numbers: Row) -> bool:
+def confirm_of(memory: SpacedRows, i: int, of: Rows, numbers: Row) -> bool:
     """:func:`confirm` of cell ``i``, whose turn is unconfirmed, after :func:`look_of`."""
     least = of[NOISE, i] * of[CONFIRMING_SIGMAS, i]
     least += turn_from_of(memory[LEFT, i], numbers) * of[CONFIRMING_TURNS, i]

@@ -69,8 +69,9 @@ def main() -> None:
 
 def show(given: argparse.Namespace) -> None:
     """Serve the frames of a port as they come, or those of a recording at the speed at which they came."""
+    speed = 1.0 if given.port.endswith(".mcap") else None  # a board has its own pace
     with (
-        Skin.open(given.port, calibration=given.calibration, speed=1.0) as skin,
+        Skin.open(given.port, calibration=given.calibration, speed=speed) as skin,
         FoxgloveServer(skin.port_name, given.host, given.listen) as server,
     ):
         print(f"ws://{given.host}:{server.port}", flush=True)

@@ -1,0 +1,135 @@
+"""Names of ports: those that there are on this machine, and why one of them cannot be opened."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+from serial.tools import list_ports
+
+from ..errors import LinkError
+from ..rendezvous import announced_ports
+
+EMULATED_HERE = "ohmskin://"
+"""scheme of the address of a board that is emulated in this process"""
+
+
+def usb_serial_number(name: str) -> str | None:
+    """The serial number of the USB device behind the port ``name``; None where there is none."""
+    device = os.path.realpath(name)
+    return next((port.serial_number for port in list_ports.comports() if port.device == device), None)
+
+
+def ports_with(usb_serial: str) -> list[str]:
+    """The names of all ports of the USB device with this serial number."""
+    return [port.device for port in list_ports.comports() if port.serial_number == usb_serial]
+
+
+def serial_ports() -> list[str]:
+    """The names of the serial ports that the operating system lists. Pseudo-terminals are not among them."""
+    return [port.device for port in list_ports.comports()]
+
+
+def emulated_ports() -> list[str]:
+    """The names of the pseudo-terminals and sockets of the emulated boards on this machine."""
+    return [port.name for port in announced_ports() if port.is_listed]
+
+
+def is_numbered_terminal(name: str) -> bool:
+    """Whether ``name`` is a pseudo-terminal under its number, which the next one gets when this one is closed."""
+    return name.startswith("/dev/pts/")
+
+
+def is_linked_terminal(name: str) -> bool:
+    """Whether ``name`` is a link to a pseudo-terminal: the port of an emulated board."""
+    return os.path.islink(name) and os.path.realpath(name).startswith("/dev/pts/")
+
+
+def linked_terminals(directory: Path) -> list[str]:
+    """The links to pseudo-terminals in a directory."""
+    try:
+        return [str(path) for path in sorted(directory.iterdir()) if is_linked_terminal(str(path))]
+    except OSError:
+        return []
+
+
+def refuse_missing(name: str) -> None:
+    """Raise the LinkError of :func:`._port.open_port` where a look at ``name`` shows it, without opening anything.
+
+    So no device is there, or this user may not read and write it, or the scene of an ``ohmskin://`` address is no file.
+    Other addresses (``socket://...``) pass.
+    """
+    if name.startswith(EMULATED_HERE):
+        parts = urlsplit(name)
+        if not os.path.isfile(unquote(parts.netloc + parts.path)):
+            raise LinkError(f"{name}: no such scene")
+    elif "://" not in name:
+        if has_gone(name):
+            raise LinkError(f"{name}: {why_not_opened(name, FileNotFoundError(errno.ENOENT, 'no such port'))}")
+        if not os.access(name, os.R_OK | os.W_OK):
+            raise LinkError(f"{name}: {why_not_opened(name, PermissionError(errno.EACCES, 'permission denied'))}")
+
+
+def has_gone(name: str) -> bool:
+    """Whether there is no device of that name now; of addresses (``socket://...``) nobody can say without opening."""
+    return "://" not in name and not os.path.exists(name)
+
+
+def refuse_terminal(name: str) -> None:
+    """Raise LinkError where the pseudo-terminal ``name`` is somebody's terminal window.
+
+    An emulator that died may leave a link to a pseudo-terminal whose number a terminal window has taken since.
+    """
+    device = os.path.realpath(name)
+    if not device.startswith("/dev/pts/") or not os.path.exists(device):
+        return
+    number = os.stat(device).st_rdev
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            # The name in parentheses may contain anything; the fields after it begin with state, parent, group,
+            # session and terminal.
+            head, _, fields = (process / "stat").read_text(errors="replace").rpartition(")")
+        except OSError:
+            continue
+        if int(fields.split()[4]) == number:
+            who = f"process {process.name} ({head.partition('(')[2]})"
+            raise LinkError(f"{name}: is the terminal of {who}, not a board")
+
+
+def why_not_opened(name: str, error: Exception) -> str:
+    """Why an ``error`` has kept the port ``name`` from being opened, and what there is instead."""
+    match getattr(error, "errno", None):
+        case errno.ENOENT:
+            emulated = f"; emulated boards: {', '.join(emulated_ports())}" if emulated_ports() else ""
+            return f"no such port; serial ports present: {', '.join(serial_ports()) or 'none'}{emulated}"
+        case errno.EACCES | errno.EPERM:
+            return f"permission denied; {_why_forbidden(name)}; `ohmskin doctor {name}` says what to do"
+        case errno.EAGAIN | errno.EBUSY:
+            return "in use by another program, or by another Skin of this one"
+        case errno.EMFILE | errno.ENFILE:
+            return f"cannot be opened: {reason_of(error)}"
+    if os.path.isfile(name):
+        return "is no serial port but a file; recordings of ohmskin end in .mcap"
+    if os.path.exists(name) and not isinstance(error, ValueError):
+        return f"is no serial port ({reason_of(error)})"
+    return f"cannot be opened: {reason_of(error)}"
+
+
+def _why_forbidden(name: str) -> str:
+    status = os.stat(name)
+    try:
+        group = f"group '{Path(name).group()}'"
+    except KeyError:
+        group = f"group {status.st_gid}"
+    group_may = status.st_mode & stat.S_IRGRP and status.st_mode & stat.S_IWGRP
+    if group_may and status.st_gid not in (os.getegid(), *os.getgroups()):
+        return f"the port belongs to {group}, which this user is not in"
+    return f"the port belongs to {group}, and its mode {stat.filemode(status.st_mode)} keeps this user out"
+
+
+def reason_of(error: Exception) -> str:
+    """What the operating system says of an error."""
+    return getattr(error, "strerror", None) or str(error)
