@@ -61,7 +61,7 @@ CASES: tuple[tuple[str, str, int, int], ...] = (
     ("inverting-amplifier", "float", 12, 0),
 )
 """circuit, idle rows, ADC bits, saturated cells"""
-_APART_S = 1e3  # from packet to packet on the port's own clock, beside which no real time counts
+APART_S = 1e3  # from packet to packet on the port's own clock, beside which no real time counts
 _PROTOCOL_STEP_S = 0.05  # between the samples of the calibration
 _LARGEST_FLOATING = 32  # side beyond which boards with floating rows are left out: minutes
 
@@ -186,8 +186,8 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
     times = np.empty((frames, 5))
     found_ohm, valid = np.empty_like(cells), np.empty(cells.shape, dtype=np.bool_)
     found_kpa = np.empty_like(cells)
-    port = _port(packets, board)
-    with _skin_at(port, board, cell, name) as skin, _old_objects_kept():
+    port = port_of(packets, board)
+    with every_frame(port, board, cell, name) as skin, _old_objects_kept():
         for number, packet in enumerate(packets):
             start = process_time()
             (event,) = decode.feed(packet, number / FRAME_RATE_HZ)
@@ -199,7 +199,7 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
                 estimator.resolve(*reading.resolution)
             estimator.step(1.0 / FRAME_RATE_HZ if number else 0.0, reading.for_estimation)
             estimated = process_time()
-            port.work(_APART_S)  # the next frame comes
+            port.work(APART_S)  # the next frame comes
             taking = process_time()
             frame = skin.read(0.0)
             taken = process_time()
@@ -240,27 +240,27 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
 
 def _taking_queued(packets: list[bytes], board: Design, cell: Cell, name: str | None) -> float:
     """Processor time in s in which a reader takes all frames with their standard deviations, of which many wait."""
-    port = _port(packets, board)
-    with _skin_at(port, board, cell, name) as skin:
+    port = port_of(packets, board)
+    with every_frame(port, board, cell, name) as skin:
         start = process_time()
         for number in range(len(packets)):
             if number % QUEUED == 0:
-                port.work(QUEUED * _APART_S)
+                port.work(QUEUED * APART_S)
             _ = skin.read(0.0).pressure_std
         return process_time() - start
 
 
 def _times_as_fast(packets: list[bytes], board: Design, cell: Cell, name: str | None) -> float:
     """How many times as fast machine code takes the frames as array operations do, frame by frame in turn."""
-    by_arrays, by_code = (_port(packets, board) for _ in range(2))
+    by_arrays, by_code = (port_of(packets, board) for _ in range(2))
     took_s = np.zeros(2)
     with contextlib.ExitStack() as stack:
         with compiled.switched_off():
-            plain = stack.enter_context(_skin_at(by_arrays, board, cell, name))
-        quick = stack.enter_context(_skin_at(by_code, board, cell, name))
+            plain = stack.enter_context(every_frame(by_arrays, board, cell, name))
+        quick = stack.enter_context(every_frame(by_code, board, cell, name))
         for _ in packets:
             for one, (skin, port) in enumerate(((plain, by_arrays), (quick, by_code))):
-                port.work(_APART_S)
+                port.work(APART_S)
                 start = process_time()
                 _ = skin.read(0.0).pressure_std
                 took_s[one] += process_time() - start
@@ -284,13 +284,13 @@ def _old_objects_kept() -> Iterator[None]:
             gc.unfreeze()
 
 
-def _port(packets: list[bytes], board: Design) -> PacedPort:
+def port_of(packets: list[bytes], board: Design) -> PacedPort:
     """A port with the clock that real ports have: one of processor time takes ten times as long to look at."""
-    return PacedPort(packets, _APART_S, board, clock=monotonic)
+    return PacedPort(packets, APART_S, board, clock=monotonic)
 
 
 @contextlib.contextmanager
-def _skin_at(port: PacedPort, board: Design, cell: Cell, name: str | None) -> Iterator[Skin]:
+def every_frame(port: PacedPort, board: Design, cell: Cell, name: str | None) -> Iterator[Skin]:
     """A skin of whose frames the reader takes every one."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # that hardly a cell is valid is in the table

@@ -3,6 +3,9 @@
 The driver promises that a frame never costs more than ten usual ones. Five fingers that wander over the skin give the
 usual frame (median), and each of :data:`EVENTS` changes much at once. The recovery is deterministic. Each stream is
 therefore read twice, and of each frame the shorter processor time counts, so that a loaded machine does not.
+
+A skin that has rested costs less than one with fingers. What it costs to wake it, all cells at once, is stated in usual
+frames of the resting skin, packets to kPa with standard deviations.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ from ..arrays import FloatArray
 from ..cell import Cell
 from ..circuits import Design, adc_codes, scan
 from ..driver import CountReader
+from ._driver import APART_S, every_frame, packets_of, port_of
 
 LIMIT = 10.0
 """usual frames that a frame may cost"""
@@ -29,6 +33,13 @@ NOISE_STEPS = 0.5
 """standard deviation of the outputs' noise in ADC steps"""
 BEFORE, DURING, AFTER = 8, 12, 12
 """frames of an event"""
+ASLEEP, SETTLING = 50, 34
+"""frames at rest before a sleeping skin is pressed, and those in which its cells go to sleep"""
+WAKES = 1.5
+"""times their resistance at rest, of the example cells when they are pressed"""
+HOLD, TAP = "held", "tapped"
+LASTS = {HOLD: 30, TAP: 12}
+"""frames for which a sleeping skin is pressed: what is back within 0.1 s may have been a bad contact"""
 USUAL = 40
 """frames with wandering fingers"""
 
@@ -111,6 +122,8 @@ class WorstFrames:
     """longest of these frames, in usual ones"""
     events: dict[str, float]
     """longest frame of each event, in usual frames; frames after the first"""
+    asleep: dict[str, float]
+    """longest frame after a sleeping skin is pressed as a whole or released, in usual frames of the skin at rest"""
     back: dict[str, float]
     """percent of the cells valid in the last frame of the event, and in the last frame after it, the less of both"""
     wait: dict[str, int]
@@ -121,7 +134,7 @@ class WorstFrames:
     @property
     def worst(self) -> float:
         """Longest frame of all after the first, in usual frames."""
-        return max(self.wandering, *self.events.values())
+        return max(self.wandering, *self.events.values(), *self.asleep.values())
 
 
 def worst_frames(sizes: Iterable[int]) -> Iterator[WorstFrames]:
@@ -175,6 +188,7 @@ def worst_frames_of(name: str, board: Design) -> WorstFrames:
         usual_us=1e6 * usual,
         wandering=float(times[5:].max()) / usual,
         events=events,
+        asleep={name: _woken(board, lasts) for name, lasts in LASTS.items()},
         back=back,
         wait=wait,
         valid_percent=100.0 * float(valid[5:].mean()),
@@ -195,6 +209,22 @@ def _wandering(rest: FloatArray, draw: np.random.Generator) -> Iterator[FloatArr
             strength = 0.5 + 0.5 * np.sin(number / 8.0 + finger)
             load += strength * np.exp(-((row - at[0]) ** 2 + (column - at[1]) ** 2) / 2.0)
         yield rest / (1.0 + 2.0 * load)
+
+
+def _woken(board: Design, lasts: int) -> float:
+    """Longest frame after a sleeping skin is pressed as a whole for so many frames, in usual frames of it at rest."""
+    rest = np.full(board.array.shape, _REST_OHM)
+    packets = packets_of(board, np.array([rest] * ASLEEP + [WAKES * rest] * lasts + [rest] * AFTER))
+    times = np.full(len(packets), np.inf)
+    for _ in range(2):
+        port = port_of(packets, board)
+        with every_frame(port, board, Cell.example(), None) as skin:
+            for number in range(len(packets)):
+                port.work(APART_S)
+                start = process_time()
+                _ = skin.read(0.0).pressure_std
+                times[number] = min(times[number], process_time() - start)
+    return float(times[ASLEEP:].max() / np.median(times[SETTLING:ASLEEP]))
 
 
 def _read(board: Design, frames: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
@@ -224,15 +254,16 @@ def _read(board: Design, frames: list[FloatArray]) -> tuple[FloatArray, FloatArr
 def worst_table(rows: Iterable[WorstFrames]) -> Iterator[str]:
     """The boards as lines of text, as they come."""
     yield "longest call, counts to kPa, in usual frames of the same board; the first frame of all apart"
+    yield f"{HOLD}, {TAP}: a resting skin is pressed as a whole, in usual frames of a reader of the skin at rest"
     yield (
         f"'over': more than {LIMIT:g}; valid cells in percent with fingers, and at the end of each event; frames "
         "without any after an event"
     )
-    names = "".join(f"{name:>10}" for name in ("fingers", *EVENTS))
+    names = "".join(f"{name:>10}" for name in ("fingers", *EVENTS, *LASTS))
     columns = "   valid   afterwards   frames without"
     yield f"{'board':48}{'array':>9}{'first ms':>9}{'usual us':>9}{names}{columns}"
     for row in rows:
-        most = "".join(f"{value:>10.1f}" for value in (row.wandering, *row.events.values()))
+        most = "".join(f"{value:>10.1f}" for value in (row.wandering, *row.events.values(), *row.asleep.values()))
         afterwards = " ".join(f"{value:.0f}" for value in row.back.values())
         without = " ".join(str(frames) for frames in row.wait.values())
         size = f"{row.rows} x {row.columns}"

@@ -267,7 +267,7 @@ def test_a_press_right_after_taps_stays_for_as_long_as_it_is_held(volts: float) 
 
 
 @pytest.mark.parametrize(
-    ("noise", "error", "most_left"), [(0.006, 0.055, 0.05), (0.01, 0.085, 0.6), (0.015, 0.18, 0.8)]
+    ("noise", "error", "most_left"), [(0.006, 0.055, 0.05), (0.01, 0.085, 0.6), (0.015, 0.155, 0.8)]
 )
 def test_a_finger_that_rubs_to_and_fro_is_followed(noise: float, error: float, most_left: float) -> None:
     """A third of full scale for 90 ms (half of the height), every 0.4 s for 10 s, in such noise of a reading.
@@ -276,7 +276,7 @@ def test_a_finger_that_rubs_to_and_fro_is_followed(noise: float, error: float, m
     and the next rub adds to what seems to be held: half of full scale was left in 0.6 % of noise. Such noise scales
     with the conductance. If it were taken for constant, it would seem to be 2.5 times as large at 2.5 times the
     resistance at rest, and the errors would be 32 % of full scale in 1 % of noise. In 1.5 % successive readings tell of
-    a release together (23 % without).
+    a release together (23 % without, 16 % if they lower no limit of a turn).
     """
     dt, full, count = 1 / 60, EXAMPLE.full_scale_kpa, 3 * COUNT
     time, rng = np.arange(0, 18, dt)[:, None], np.random.default_rng(0)

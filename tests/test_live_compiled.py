@@ -283,12 +283,12 @@ def test_usual_frames_hand_loops_arrays_of_exactly_their_types(monkeypatch: pyte
 
     monkeypatch.setattr(Loop, "machine_code", checked)
     board, frames = bench.design(8, "inverting-amplifier", "ground", 12), FRAMES
-    port = bench._port(bench.packets_of(board, bench.pressed((8, 8), frames)[1]), board)
+    port = bench.port_of(bench.packets_of(board, bench.pressed((8, 8), frames)[1]), board)
     try:
-        with bench._skin_at(port, board, Cell.example(), None) as skin:
+        with bench.every_frame(port, board, Cell.example(), None) as skin:
             for number in range(frames):
                 watched = number > 20  # the noise is known, and all loops have run
-                port.work(bench._APART_S)
+                port.work(bench.APART_S)
                 _ = skin.read(0.0).pressure_std
     finally:
         for loop in compiled._offered:

@@ -77,7 +77,8 @@ class OneCell:
             if self.third_last - now.pressure > turns.FALLING * std * gains[True] or self.fallen > turns.RELEASED:
                 seeming = 0.0
         unsure = std * gains[self.rising]
-        turned = self.extreme - self._ahead(now) > rows.SURE * unsure + self._turn_from(self.extreme) + seeming
+        sure = turns.SURE_SEEN if self.fallen > turns.SEEN_FALLING else rows.SURE
+        turned = self.extreme - self._ahead(now) > sure * unsure + self._turn_from(self.extreme) + seeming
         least = turns.FALLING * unsure + turns.LIGHT_TURN * self.full + (seeming if self.rising else 0.0)
         turned = turned or self.recent_extreme - self._ahead(now) > least
         if self.left is not None:
@@ -116,6 +117,7 @@ class OneCell:
             unseen = takeover.BETWEEN * way * bend * gains[self.rising] + takeover.ROUND * self.full / fast
             if noticed and self.rising:
                 unseen += self._hidden(now.pressure, other.pressure)
+            self.fallen = 0.0
             self.onset.looks = 0 if noticed and not self.rising else self.onset.looks
             may_bear, self.onset.may_bear = self.onset.may_bear, 0.0
             now = self._gone_further(now, earlier)

@@ -123,7 +123,8 @@ class Estimator:
         """Do the work of frames by machine code, or by array operations."""
         self._compiled = machine_code
         noise = self._noise, self._noise.window, self._shared_noise
-        for part in (*noise, self._tremor, self._sleep, self._remembered, self._deviation, self._following):
+        followers = self._remembered, self._sparks, self._deviation, self._following
+        for part in (*noise, self._tremor, self._sleep, *followers):
             part.compiled = machine_code
         block = self._remembered.block
         block.line_before = block.line.copy()  # machine code has that from before the last step

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from ...compiled import FixedRow, Flags, Places, Row, Rows, loop
+from ...compiled import FixedRow, Flags, Places, Row, Rows, SpacedRows, loop
 from ._rows import GAIN, NOISE, PRESSURE, READING, STD, VARIANCE
 from ._smoothing import LEVEL
 
@@ -67,7 +67,7 @@ def take(r: Row, noise_at_rest: Row, cells: Places, line: Rows, taken: Rows, lea
 
 
 @loop
-def scatter(values: Rows, cells: Places, new: Rows) -> None:
+def scatter(values: SpacedRows, cells: Places, new: SpacedRows) -> None:
     """Write ``new`` (rows, m) over the ``values`` (rows, n) of ``cells`` (m,)."""
     for row in range(values.shape[0]):
         for i in range(cells.size):
@@ -119,7 +119,7 @@ def interpolated(x: float, at: Row, values: Row) -> float:
 
 @loop
 def show(
-    memory: Rows,
+    memory: SpacedRows,
     line: Rows,
     taken: Rows,
     added: Row,
@@ -225,7 +225,7 @@ def find_calm(cells: Places, mean: Row, noise_at_rest: Row, line: Rows, band: fl
 @loop
 def watch_over(
     asleep: Places,
-    memory: Rows,
+    memory: SpacedRows,
     mean: Row,
     noise_at_rest: Row,
     band: float,

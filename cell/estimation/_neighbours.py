@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import IntArray
+from ...arrays import IntArray, spaced
 
 REACH = 2
 """rows and columns to either side: a fingertip or a gripper's pad covers as much"""
@@ -34,6 +34,7 @@ class Neighbours:
             for near, (row, column) in zip(self._near, _OFFSETS, strict=True):
                 rows = slice(REACH + row, REACH + row + shape[0])
                 near[:] = padded[rows, REACH + column : REACH + column + shape[1]].ravel()
+        self._near = spaced(self._near)
 
     def among(self, cells: IntArray) -> IntArray:
         """Places (NEAR, m) of the neighbours of ``cells`` (m,) among these, m for one that is not; the first ALIKE of
@@ -43,4 +44,4 @@ class Neighbours:
             return self._near
         place = np.full(self._cells + 1, cells.size, dtype=np.intp)
         place[cells] = np.arange(cells.size)
-        return place.take(self._near.take(cells, axis=1))
+        return spaced(place.take(self._near.take(cells, axis=1)))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray
+from ...arrays import BoolArray, FloatArray, IntArray, spaced
 from . import _loops as loops
 from . import _smoothing as smoothing
 from ._inversion import Inversion
@@ -21,7 +21,10 @@ class Block:
     """What is remembered of the cells that are followed, side by side."""
 
     def __init__(self, cells: IntArray, memory: FloatArray, line: FloatArray) -> None:
-        """``cells`` (m,) are indices, ``memory`` (rows, m) is the inversion's, ``line`` (ROWS, m) the smoothing's."""
+        """``cells`` (m,) are indices, ``memory`` (rows, m) is the inversion's, ``line`` (ROWS, m) the smoothing's.
+
+        Rows of the memory need not follow each other without a gap.
+        """
         self.cells, self.memory, self.line = cells, memory, line
         self.line_before = line.copy()
         """the line after the last step; replaced, never changed. Machine code sets it when the next step begins"""
@@ -38,9 +41,14 @@ class Block:
         """For pickle and copy: the rows in ``scratch`` are parts of the line, and would become arrays of their own."""
         return type(self), (self.cells, self.memory, self.line), {"line_before": self.line_before}
 
+    def memory_of(self, place: IntArray) -> FloatArray:
+        """A copy of the memory (rows, k) of the cells at ``place`` (k,)."""
+        every = place.size == self.cells.size and bool((np.diff(place) > 0).all())
+        return spaced(self.memory if every else self.memory.take(place, axis=1))
+
     def take_back(self, place: IntArray, memory: FloatArray, line: FloatArray) -> None:
         """Let cells at ``place`` (k,) in the block remember ``memory`` (rows, k) and ``line`` (ROWS, k) again."""
-        self.memory = self.memory.copy()  # another array, as sign that it has changed
+        self.memory = self.memory[:]  # another array, as sign that it has changed
         _put(self.memory, place, memory)
         _put(self.line, place, line)
         self.line_before = self.line.copy()
@@ -51,7 +59,7 @@ class Remembered:
 
     def __init__(self, inversion: Inversion, cells: int) -> None:
         self._inversion = inversion
-        self.memory = inversion.begin(np.zeros(cells))
+        self.memory = spaced(inversion.begin(np.zeros(cells)))
         self.line = smoothing.begin(np.zeros(cells))
         self.followed = np.zeros(cells, dtype=np.bool_)
         """(n,) the cells that were chosen last"""
@@ -75,9 +83,9 @@ class Remembered:
         """Scatter the block's memory to that of all cells; no cell is followed until they are chosen anew."""
         block, self.block = self.block, self._no_block
         if block.cells.size == self.followed.size:
-            self.memory, self.line = np.ascontiguousarray(block.memory), block.line
+            self.memory, self.line = block.memory, block.line
         elif self.compiled:
-            loops.scatter.unchecked(self.memory, block.cells, np.ascontiguousarray(block.memory))
+            loops.scatter.unchecked(self.memory, block.cells, block.memory)
             loops.scatter.unchecked(self.line, block.cells, block.line)
         else:
             self.put(block.cells, block.memory, block.line)
@@ -127,7 +135,7 @@ class Remembered:
 
     def restore(self, state: dict[str, FloatArray]) -> None:
         """Continue from a saved :meth:`state`."""
-        self.memory, self.line = state["memory"], state["line"]
+        self.memory, self.line = spaced(state["memory"]), state["line"]
         self.follow(state["followed"] > 0)
         self.stale = True
 
@@ -135,7 +143,7 @@ class Remembered:
         if cells.size == self.memory.shape[1]:
             # Not copied, as :meth:`flush` takes it back. Another array, as sign that it may have changed.
             return Block(cells, self.memory[:], self.line[:])
-        return Block(cells, self.memory.take(cells, axis=1), self.line.take(cells, axis=1))
+        return Block(cells, spaced(self.memory.take(cells, axis=1)), self.line.take(cells, axis=1))
 
 
 def _put(values: FloatArray, cells: IntArray, new: FloatArray) -> None:

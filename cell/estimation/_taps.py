@@ -126,31 +126,31 @@ class Taps:
             return
         side = self._inversion.side
         noise = smoothing.noise_of(reading[np.newaxis], noise_at_rest)  # of lines that end in the readings
-        size = np.abs(jump)
-        lasts = np.abs(off) > LASTS * size
-        young &= lasts & (jump * side > 0)
-        moved = (_beside(reading, self._places) - self._around) * side
-        beside = _beside(noise, self._places)
+        young &= (np.abs(off) > LASTS * np.abs(jump)) & (jump * side > 0)
+        ends = None
+        if self._grid:
+            whole, *ends = self._lines(cells, reading[cells] - off, jump, reading, noise)
+            young &= ~whole
+        some = young.nonzero()[0]
+        if not some.size:
+            return
+        places, size = self._places.take(some, axis=1), np.abs(jump[some])
+        moved = (_beside(reading, places) - self._around.take(some, axis=1)) * side
+        beside = _beside(noise, places)
         with_it = moved > np.maximum(SHARED * size, CLEAR * beside)  # False where there is none
         along_column, along_row = with_it[0] | with_it[1], with_it[2] | with_it[3]
-        soon = age_s <= max(IN_LINE_S, dt_s) * _SOON
-        self._frames += lasts & soon & (along_column | along_row | (side < 0))
-        lasted = self._frames >= FRAMES
-        if self._grid:
-            whole, ends_column, ends_row = self._lines(cells, reading[cells] - off, jump, reading, noise)
-            young &= ~whole
-            lasted &= ~np.where(along_column, ends_column, ends_row)
-        if not np.count_nonzero(young):
-            return
         jointly = moved > np.maximum(SHARED * size, JOINTLY * self._unrest(reading, noise) * beside)
         spread = (jointly[0] | jointly[1]) & (jointly[2] | jointly[3])
-        self.known |= young & (spread | lasted)
-        if not np.count_nonzero(self.known):
-            return
+        soon = age_s[some] <= max(IN_LINE_S, dt_s) * _SOON
+        self._frames[some] += soon & (along_column | along_row | (side < 0))
+        lasted = self._frames[some] >= FRAMES
+        if ends is not None:
+            lasted &= ~np.where(along_column, ends[0][some], ends[1][some])
+        self.known[some] = spread | lasted
         for _ in range(2):  # a fingertip is hardly wider; further cells follow in the next frame
             loads = np.zeros(reading.size)
             loads[cells[self.known]] = 1.0
-            self.known |= young & ((_beside(loads, self._places) > 0) & with_it).any(axis=0)
+            self.known[some] |= ((_beside(loads, places) > 0) & with_it).any(axis=0)
 
     def _unrest(self, reading: FloatArray, noise: FloatArray) -> float:
         """Scatter of the readings (n,) since the jump over their noise (n,), at least 1; of :data:`ENOUGH` of them.

@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
-from ...compiled import Places, Row, Rows, loop
+from ...compiled import Places, Row, Rows, SpacedRows, loop
 from ._noise import CROSSED
 from ._rows import GAIN, NOISE, PRESSURE, READING, STD
 from ._smoothing import LEVEL, Looked
@@ -223,7 +223,7 @@ class Tremor:
 
 
 @loop
-def look_each(cells: Places, memory: Rows, beside: Row, kept: Rows) -> bool:
+def look_each(cells: Places, memory: SpacedRows, beside: Row, kept: Rows) -> bool:
     """:meth:`Tremor.look` as a loop over cells; ``kept`` (ROWS, n) is what is remembered, here and below."""
     for i in range(cells.size):
         cell, pressure_kpa = cells[i], memory[PRESSURE, i]
@@ -247,7 +247,7 @@ def seeming_rise(rise: float, most_kpa: float, steepest: float, waiting: float) 
 
 
 @loop
-def doubt_rises(cells: Places, memory: Rows, taken: Rows, seeming: float, kept: Rows, added: Row) -> None:
+def doubt_rises(cells: Places, memory: SpacedRows, taken: Rows, seeming: float, kept: Rows, added: Row) -> None:
     """:meth:`Tremor.variance` as a loop over cells. ``seeming`` is the rise in a window, per noise and squared gain."""
     for i in range(cells.size):
         cell, gain, pressure = cells[i], memory[GAIN, i], memory[PRESSURE, i]
@@ -260,7 +260,7 @@ def doubt_rises(cells: Places, memory: Rows, taken: Rows, seeming: float, kept: 
 
 
 @loop
-def doubt_each_fall(cells: Places, memory: Rows, taken: Rows, line: Rows, fall_kpa: float, kept: Rows) -> bool:
+def doubt_each_fall(cells: Places, memory: SpacedRows, taken: Rows, line: Rows, fall_kpa: float, kept: Rows) -> bool:
     """:meth:`Tremor.doubt_falls` as a loop over cells; whether one is in doubt."""
     found = False
     for i in range(cells.size):
@@ -278,7 +278,7 @@ def doubt_each_fall(cells: Places, memory: Rows, taken: Rows, line: Rows, fall_k
 
 @loop
 def end_window_each(
-    cells: Places, memory: Rows, taken: Rows, seeming: float, beside: Row, kept: Rows, missed: Row
+    cells: Places, memory: SpacedRows, taken: Rows, seeming: float, beside: Row, kept: Rows, missed: Row
 ) -> bool:
     """:meth:`Tremor.end_window` as a loop over cells.
 

@@ -21,7 +21,7 @@ import math
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
-from ...compiled import PlaceRows, Row, Rows, loop
+from ...compiled import Row, Rows, SpacedPlaces, SpacedRows, loop
 from ..estimation import PRESSURE
 from ..materials import M10Model
 from . import _meter as meter
@@ -119,7 +119,7 @@ def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, near: IntArray
 
 @loop
 def look_each(
-    memory: Rows, means: Row, noises: Row, near: PlaceRows, numbers: Row, way_numbers: Rows, seen: Rows
+    memory: SpacedRows, means: Row, noises: Row, near: SpacedPlaces, numbers: Row, way_numbers: Rows, seen: Rows
 ) -> None:
     """:func:`look` as a loop over cells, ``way_numbers`` being those of :mod:`._way`, ``seen`` (SEEN, m) anything."""
     a, b, k, full_r, owed = numbers[A], numbers[B], numbers[K], numbers[FULL_R], numbers[OWED]

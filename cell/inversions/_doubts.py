@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray
-from ...compiled import FlagRows, Row, Rows, loop
+from ...compiled import FlagRows, Row, Rows, SpacedRows, loop
 from ..estimation import FAR, PRESSURE, VARIANCE
 from . import _earlier as third
 from ._earlier import EARLIER, FALLEN, follow_of, likely_kpa_of
@@ -174,7 +174,7 @@ def _keep(of: MemoryRows, apart: FloatArray, begun: BoolArray, numbers: tuple[Fl
 
 
 @loop
-def keep_each(memory: Rows, of: Rows, flags: FlagRows, numbers: Row) -> None:
+def keep_each(memory: SpacedRows, of: Rows, flags: FlagRows, numbers: Row) -> None:
     """Keep the doubt where the other hypothesis has begun anew though it was apart by more than noise."""
     for i in range(memory.shape[1]):
         by_noise = of[UNSURE, i] * (LOST / LESS)
@@ -187,7 +187,7 @@ def keep_each(memory: Rows, of: Rows, flags: FlagRows, numbers: Row) -> None:
 
 @loop
 def begin_anew_each(
-    memory: Rows,
+    memory: SpacedRows,
     anew: Rows,
     of: Rows,
     flags: FlagRows,

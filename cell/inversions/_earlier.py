@@ -21,7 +21,7 @@ import math
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray
-from ...compiled import Row, Rows, loop
+from ...compiled import Row, Rows, SpacedRows, loop
 from ..estimation import FAR, PRESSURE, RESTED
 from ..materials import PaperModel
 from ._limits import USUAL_KPA
@@ -150,14 +150,14 @@ def likely_kpa(
 
 
 @loop
-def sign_before_of(memory: Rows, i: int) -> float:
+def sign_before_of(memory: SpacedRows, i: int) -> float:
     """1 if the pressure of cell ``i`` rose before an unconfirmed turn, or does if there is none; else -1."""
     sign = memory[SIGN, i]
     return float(-sign if memory[LEFT, i] < FAR else sign)
 
 
 @loop
-def follow_of(memory: Rows, i: int, forgotten_kpa: float, confirmed: bool, of: Rows, numbers: Row) -> None:
+def follow_of(memory: SpacedRows, i: int, forgotten_kpa: float, confirmed: bool, of: Rows, numbers: Row) -> None:
     """:func:`follow` in cell ``i``.
 
     The other hypothesis began ``forgotten_kpa`` anew; a turn has just been ``confirmed``.
@@ -187,7 +187,7 @@ def follow_of(memory: Rows, i: int, forgotten_kpa: float, confirmed: bool, of: R
 
 
 @loop
-def likely_kpa_of(memory: Rows, i: int, unsure: float, fallen: float, numbers: Row) -> float:
+def likely_kpa_of(memory: SpacedRows, i: int, unsure: float, fallen: float, numbers: Row) -> float:
     """:func:`likely_kpa` of cell ``i``."""
     grown = max(memory[PEAK, i] - memory[EARLIER_FROM_KPA, i], fallen, 0.0)
     errors = GROWN_ERRORS

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...arrays import FloatArray
-from ...compiled import Row, Rows, loop
+from ...compiled import Row, Rows, SpacedRows, loop
 
 _FOLLOWED = 1
 """the play whose movement is the path"""
@@ -118,7 +118,7 @@ class Bank:
 
 @loop
 def _run_each(
-    r: Rows, smoothing: Row, gone: Rows, width: Row, kept: Rows, smoothed: bool, memory: Rows, found: Rows
+    r: Rows, smoothing: Row, gone: Rows, width: Row, kept: Rows, smoothed: bool, memory: SpacedRows, found: Rows
 ) -> None:
     """:meth:`Bank.advance` and :meth:`Bank.features` for all readings ``r`` (n, m) but the first, cell by cell.
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from ...compiled import Places, Row, Rows, loop
+from ...compiled import Places, Row, Rows, SpacedRows, loop
 from ..estimation import GAIN, PRESSURE, SMOOTHED, STD, VARIANCE
 
 LOAD, BRANCH, BROKEN, ANCHOR, MOVED, BEFORE, ERROR, MISSED = 3, 4, 6, 7, 8, 9, 10, 13
@@ -43,7 +43,7 @@ def root(b: float, slope: float, change: float) -> float:
 
 
 @loop
-def solve(memory: Rows, taken: Rows, gone: Row, ramp: Row, numbers: Row, of: Rows, crossed: Places) -> int:
+def solve(memory: SpacedRows, taken: Rows, gone: Row, ramp: Row, numbers: Row, of: Rows, crossed: Places) -> int:
     """Steps of the load without change-over, into ``of``; how many cells have one, of which ``crossed`` tells.
 
     ``gone`` and ``ramp`` (6,) are weights as in :func:`._inverse._weights`.
@@ -112,7 +112,9 @@ def solve(memory: Rows, taken: Rows, gone: Row, ramp: Row, numbers: Row, of: Row
 
 
 @loop
-def change_over(memory: Rows, i: int, j: int, step: float, dt_s: float, numbers: Row, of: Rows) -> tuple[float, float]:
+def change_over(
+    memory: SpacedRows, i: int, j: int, step: float, dt_s: float, numbers: Row, of: Rows
+) -> tuple[float, float]:
     """:meth:`._change_over.ChangeOver.branches` of cell ``i`` and branch ``j``: where it ends, and its derivative."""
     alpha = numbers[ALPHA + j]
     target = alpha * memory[LOAD, i]
@@ -134,7 +136,7 @@ def change_over(memory: Rows, i: int, j: int, step: float, dt_s: float, numbers:
 
 
 @loop
-def solve_crossed(memory: Rows, crossed: Places, count: int, dt_s: float, numbers: Row, of: Rows) -> None:
+def solve_crossed(memory: SpacedRows, crossed: Places, count: int, dt_s: float, numbers: Row, of: Rows) -> None:
     """:meth:`._change_over.ChangeOver.solved`, for the first ``count`` of the cells ``crossed``."""
     b, accuracy = numbers[B], numbers[ACCURACY]
     bend = 0.0
@@ -199,7 +201,7 @@ def solve_crossed(memory: Rows, crossed: Places, count: int, dt_s: float, number
 
 
 @loop
-def finish(memory: Rows, taken: Rows, heals: float, forgets: float, numbers: Row, of: Rows) -> None:
+def finish(memory: SpacedRows, taken: Rows, heals: float, forgets: float, numbers: Row, of: Rows) -> None:
     """The memory after the steps, its limits and its errors: the rest of ``advance``, ``_limit`` and ``_err``.
 
     Of the broken chains a share ``heals``, of the way of late one ``forgets``.

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...arrays import FloatArray
-from ...compiled import Row, Rows, loop
+from ...compiled import Row, Rows, SpacedRows, loop
 from ..estimation import (
     DOUBT,
     HIDDEN,
@@ -85,7 +85,7 @@ def numbers_of(model: PaperModel, full_scale_kpa: float) -> dict[int, float]:
 
 def limit(of: MemoryRows, weights: TurnWeights, numbers: tuple[FloatArray, ...]) -> None:
     """Keep pressures within :data:`LOADS`, and what is remembered with them; changes the state of few cells."""
-    both, lowest, usual = of.both, numbers[LOWEST_KPA].item(), numbers[USUAL_KPA].item()
+    both, lowest, usual = of.pressures, numbers[LOWEST_KPA].item(), numbers[USUAL_KPA].item()
     if both.item(both.argmin()) < lowest or both.item(both.argmax()) > usual:
         limit_some(of.memory, weights, numbers)
 
@@ -156,7 +156,7 @@ def correct(
 
 
 @loop
-def limit_each(memory: Rows, ramp: Row, numbers: Row) -> None:
+def limit_each(memory: SpacedRows, ramp: Row, numbers: Row) -> None:
     """:func:`limit` as a loop over cells, with the ``ramp`` of the time step's weights."""
     lowest, usual, highest = numbers[LOWEST_KPA], numbers[USUAL_KPA], numbers[HIGHEST_KPA]
     for i in range(memory.shape[1]):
@@ -184,7 +184,7 @@ def limit_each(memory: Rows, ramp: Row, numbers: Row) -> None:
 
 
 @loop
-def correct_each(memory: Rows, taken: Rows, by_model: Rows, numbers: Row) -> None:
+def correct_each(memory: SpacedRows, taken: Rows, by_model: Rows, numbers: Row) -> None:
     """:func:`correct` as a loop over cells, for readings ``taken`` (4, m)."""
     pull = -PULL_SIGMAS * by_model[0, 1]
     for i in range(memory.shape[1]):

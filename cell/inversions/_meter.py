@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
-from ...compiled import PlaceRows, Rows, loop
+from ...compiled import Rows, SpacedPlaces, SpacedRows, loop
 from . import _together as together
 from . import _variances as variances
 from . import _way as way
@@ -181,7 +181,7 @@ def uncounted(rows: FloatArray, found: FloatArray, counted: FloatArray, owed: Fl
 
 @loop
 def see_of(
-    memory: Rows,
+    memory: SpacedRows,
     first: int,
     i: int,
     newest: float,
@@ -214,7 +214,7 @@ def see_of(
 
 @loop
 def tell_of(
-    memory: Rows,
+    memory: SpacedRows,
     first: int,
     i: int,
     noise: float,
@@ -222,7 +222,7 @@ def tell_of(
     largest: float,
     owed: float,
     seen: Rows,
-    near: PlaceRows,
+    near: SpacedPlaces,
     way_numbers: Rows,
 ) -> tuple[float, float]:
     """The second half of :func:`look` for cell ``i``, after all cells have been seen."""
@@ -239,7 +239,7 @@ def tell_of(
 
 @loop
 def uncounted_of(
-    memory: Rows, first: int, i: int, told: float, may: float, counted: float, owed: float
+    memory: SpacedRows, first: int, i: int, told: float, may: float, counted: float, owed: float
 ) -> tuple[float, float]:
     """:func:`uncounted` of cell ``i``."""
     way = min(max(memory[first + TOLD, i] + told - counted, -owed * told), owed * told)

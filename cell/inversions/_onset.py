@@ -33,7 +33,7 @@ import math
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray
-from ...compiled import Row, Rows, loop
+from ...compiled import Row, SpacedRows, loop
 from ..estimation import FAR, PRESSURE, RECENT, REST_VARIANCE, RESTED, VARIANCE
 from ..materials import PaperModel, lag
 from ._paper_steps import Constants, borne_before, fast_r, numbered, step_weights
@@ -260,7 +260,7 @@ def hidden_kpa(memory: FloatArray, pressure: FloatArray, extreme: FloatArray, sh
 
 
 @loop
-def hidden_kpa_of(memory: Rows, i: int, pressure: float, extreme: float, share: float) -> float:
+def hidden_kpa_of(memory: SpacedRows, i: int, pressure: float, extreme: float, share: float) -> float:
     """:func:`hidden_kpa` of cell ``i``."""
     rise = pressure + extreme
     if memory[LOOKS_AT_REST, i] < SETTLES or rise <= 0.0:
@@ -271,7 +271,7 @@ def hidden_kpa_of(memory: Rows, i: int, pressure: float, extreme: float, share: 
 
 
 @loop
-def look_each(memory: Rows, mean: Row, noise: Row, full_scale_kpa: float, numbers: Row) -> None:
+def look_each(memory: SpacedRows, mean: Row, noise: Row, full_scale_kpa: float, numbers: Row) -> None:
     """:func:`look` as a loop over cells."""
     none, etau2_kpa = NONE * full_scale_kpa, numbers[ETAU2_KPA]
     for i in range(mean.size):

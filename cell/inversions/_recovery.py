@@ -21,7 +21,7 @@ import math
 import numpy as np
 
 from ...arrays import FloatArray
-from ...compiled import Row, Rows, loop
+from ...compiled import Row, SpacedRows, loop
 from ..estimation import FAR, PRESSURE, RECENT, REST_VARIANCE, RESTED, VARIANCE
 from ..estimation import GAIN as GAIN_ROW
 from ..materials import PaperModel
@@ -205,7 +205,7 @@ def begin(memory: FloatArray, by_noise: FloatArray, most_kpa2: FloatArray) -> No
 
 
 @loop
-def taken_off_of(memory: Rows, i: int) -> float:
+def taken_off_of(memory: SpacedRows, i: int) -> float:
     """:func:`_taken_off` of cell ``i``."""
     released, before = memory[RELEASED_KPA, i], memory[TAKEN_BEFORE_KPA2, i]
     if released * released > TWICE * before:
@@ -214,7 +214,7 @@ def taken_off_of(memory: Rows, i: int) -> float:
 
 
 @loop
-def variance_at_turn_of(memory: Rows, i: int) -> float:
+def variance_at_turn_of(memory: SpacedRows, i: int) -> float:
     """:func:`variance_at_turn` of cell ``i``."""
     variance = memory[VARIANCE, i]
     if memory[RESTED, i] > 0.0:
@@ -224,7 +224,7 @@ def variance_at_turn_of(memory: Rows, i: int) -> float:
 
 
 @loop
-def begin_of(memory: Rows, i: int, by_noise: float, most_kpa2: float) -> None:
+def begin_of(memory: SpacedRows, i: int, by_noise: float, most_kpa2: float) -> None:
     """:func:`begin` in cell ``i``."""
     turned = memory[TURNED, i]
     if memory[RESTED, i] > 0.0:
@@ -236,7 +236,7 @@ def begin_of(memory: Rows, i: int, by_noise: float, most_kpa2: float) -> None:
 
 
 @loop
-def look_each(memory: Rows, mean: Row, noise: Row, count: Row, numbers: Row) -> None:
+def look_each(memory: SpacedRows, mean: Row, noise: Row, count: Row, numbers: Row) -> None:
     """:func:`look` as a loop over cells."""
     gain = numbers[GAIN]
     for i in range(mean.size):

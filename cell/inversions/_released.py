@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from ...arrays import FloatArray
-from ...compiled import Row, Rows, loop
+from ...compiled import Row, SpacedRows, loop
 from ..estimation import RECENT
 from ..materials import PaperModel
 from ._paper_steps import Constants, fast_r, numbered, step_weights
@@ -104,7 +104,7 @@ def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, numbers: tuple
 
 
 @loop
-def look_each(memory: Rows, mean: Row, noise: Row, numbers: Row) -> None:
+def look_each(memory: SpacedRows, mean: Row, noise: Row, numbers: Row) -> None:
     """:func:`look` as a loop over cells."""
     for i in range(mean.size):
         rising, r, extreme = memory[RISING_KPA, i], memory[STATE_END - 1, i], memory[EXTREME, i]

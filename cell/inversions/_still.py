@@ -19,7 +19,7 @@ import math
 import numpy as np
 
 from ...arrays import FloatArray
-from ...compiled import Row, Rows, loop
+from ...compiled import Row, SpacedRows, loop
 from ..estimation import FAR, PRESSURE, RECENT
 from ..materials import PaperModel
 from ._paper_steps import Constants, borne_before, numbered, step_weights
@@ -143,7 +143,7 @@ def look(
 
 
 @loop
-def look_each(memory: Rows, mean: Row, noise: Row, full_scale_kpa: float, numbers: Row) -> None:
+def look_each(memory: SpacedRows, mean: Row, noise: Row, full_scale_kpa: float, numbers: Row) -> None:
     """:func:`look` as a loop over cells."""
     for i in range(mean.size):
         pressure = memory[PRESSURE, i]

@@ -20,7 +20,7 @@ import math
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
-from ...compiled import PlaceRows, Row, Rows, loop
+from ...compiled import Row, Rows, SpacedPlaces, SpacedRows, loop
 from ..estimation import FAR, GAIN, PRESSURE, RECENT, RESTED, VARIANCE
 from ..materials import PaperModel
 from . import _meter as meter
@@ -205,7 +205,14 @@ def _take_back(
 
 @loop
 def look_each(
-    memory: Rows, means: Row, noises: Row, steps: float, near: PlaceRows, numbers: Row, way_numbers: Rows, seen: Rows
+    memory: SpacedRows,
+    means: Row,
+    noises: Row,
+    steps: float,
+    near: SpacedPlaces,
+    numbers: Row,
+    way_numbers: Rows,
+    seen: Rows,
 ) -> None:
     """:func:`look` as a loop over cells, ``way_numbers`` being those of :mod:`._way`, ``seen`` (SEEN, m) anything."""
     largest, owed = numbers[LARGEST_R], numbers[OWED]
@@ -220,19 +227,19 @@ def look_each(
 
 
 @loop
-def noise_of(memory: Rows, i: int, noise: float, steps: float) -> float:
+def noise_of(memory: SpacedRows, i: int, noise: float, steps: float) -> float:
     """Standard deviation of a reading of cell ``i``, no less than by ``steps``."""
     return max(noise, by_steps_of(memory, i, steps))
 
 
 @loop
-def shown_of(memory: Rows, i: int) -> float:
+def shown_of(memory: SpacedRows, i: int) -> float:
     """The load of cell ``i``, none where it is taken for one at rest."""
     return 0.0 if memory[RESTED, i] > 0.0 else max(memory[PRESSURE, i], 0.0)
 
 
 @loop
-def see_of(memory: Rows, i: int, mean: float, noise: float, numbers: Row, way_numbers: Rows, seen: Rows) -> None:
+def see_of(memory: SpacedRows, i: int, mean: float, noise: float, numbers: Row, way_numbers: Rows, seen: Rows) -> None:
     """Take the last readings of cell ``i``, and write what it has ``seen`` (SEEN, m)."""
     sign, gone, back = memory[SIGN, i], mean - memory[EXTREME_R, i], 0.0
     turned, unseen = sign != memory[SIGN_BEFORE, i], mean - memory[LAST_R, i]
@@ -253,7 +260,7 @@ def see_of(memory: Rows, i: int, mean: float, noise: float, numbers: Row, way_nu
 
 
 @loop
-def take_back_of(memory: Rows, i: int, way: float, most: float, told: float, numbers: Row) -> None:
+def take_back_of(memory: SpacedRows, i: int, way: float, most: float, told: float, numbers: Row) -> None:
     """:func:`_take_back` of cell ``i``."""
     rise, fall, etau2, kept = numbers[RISE_R], numbers[FALL_R], numbers[ETAU2_KPA], numbers[KEPT_KPA]
     sign, pressure, r = memory[SIGN, i], memory[PRESSURE, i], memory[STATE_END - 1, i]

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
-from ...compiled import Row, Rows, loop
+from ...compiled import Row, Rows, SpacedRows, loop
 from ..estimation import FAR, GAIN, PRESSURE, VARIANCE
 from ..materials import PaperModel
 from . import _onset as onset
@@ -25,6 +25,7 @@ from ._turning_rows import (
     BEFORE_LAST,
     EARLIER_KPA,
     EXTREME,
+    FALLEN,
     FORGOTTEN_KPA,
     IN_FORCE,
     LAST,
@@ -116,7 +117,7 @@ def take_over(
     hidden = onset.hidden_kpa(some, pressure, extreme, numbers[FALL_PER_RISE])
     unseen += np.where(noticed & (sign > _ZERO), hidden, _ZERO)
     np.copyto(some[LOOKS_AT_REST], _ZERO, where=noticed & (sign < _ZERO))
-    some[MAY_BEAR_KPA] = 0.0
+    some[[MAY_BEAR_KPA, FALLEN]] = 0.0
     by_noise = noise * weights.by_model[0, RECOVERY]
     by_noise *= by_noise
     doubt = np.sqrt(before) + unseen
@@ -179,7 +180,7 @@ def _give_back(
 
 
 @loop
-def unseen_of(memory: Rows, i: int, pressure: float, gain: float, unsure: float, numbers: Row) -> float:
+def unseen_of(memory: SpacedRows, i: int, pressure: float, gain: float, unsure: float, numbers: Row) -> float:
     """Standard deviation that turns between two frames leave in the ``pressure`` of cell ``i``."""
     last, before, third, sign = memory[LAST, i], memory[BEFORE_LAST, i], memory[THIRD_LAST, i], memory[SIGN, i]
     there = max(sign * (third - before), sign * (before - last), 0.0)
@@ -189,7 +190,7 @@ def unseen_of(memory: Rows, i: int, pressure: float, gain: float, unsure: float,
 
 
 @loop
-def take_over_of(memory: Rows, i: int, noise: float, by_model: Rows, of: Rows, numbers: Row) -> None:
+def take_over_of(memory: SpacedRows, i: int, noise: float, by_model: Rows, of: Rows, numbers: Row) -> None:
     """:func:`take_over` in cell ``i``, with what depends on its hypothesis in force."""
     left, extreme = memory[LEFT, i], memory[EXTREME, i]
     earlier = 0.0
@@ -214,7 +215,7 @@ def take_over_of(memory: Rows, i: int, noise: float, by_model: Rows, of: Rows, n
             unseen += hidden_kpa_of(memory, i, pressure, extreme, numbers[FALL_PER_RISE])
         else:
             memory[LOOKS_AT_REST, i] = 0.0
-    memory[MAY_BEAR_KPA, i] = 0.0
+    memory[MAY_BEAR_KPA, i], memory[FALLEN, i] = 0.0, 0.0
     doubt = math.sqrt(before) + unseen
     by_noise = by_model[0, 1] * noise
     by_noise *= by_noise

@@ -24,7 +24,7 @@ import math
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
-from ...compiled import PlaceRows, Rows, loop
+from ...compiled import Rows, SpacedPlaces, SpacedRows, loop
 from ..estimation import ALIKE
 from . import _variances as variances
 from ._variances import ALL_SERIES, READINGS, SCALES, SHARE, count_of, differences_of, scaled, take_of
@@ -97,14 +97,14 @@ def known(knows: FloatArray) -> FloatArray:
 
 @loop
 def look_of(
-    memory: Rows,
+    memory: SpacedRows,
     series: int,
     squares: int,
     loads: int,
     apart: int,
     i: int,
     tells: Rows,
-    near: PlaceRows,
+    near: SpacedPlaces,
     largest: float,
     looks: float,
     numbers: Rows,
@@ -143,7 +143,7 @@ def look_of(
 
 
 @loop
-def load_of(memory: Rows, row: int, i: int, tells: Rows, near: PlaceRows, begin: int, end: int) -> float:
+def load_of(memory: SpacedRows, row: int, i: int, tells: Rows, near: SpacedPlaces, begin: int, end: int) -> float:
     """What neighbours from ``begin`` to ``end`` know of the relative load of cell ``i``, which ``row`` sums up."""
     weighted, knows, cells = 0.0, 0.0, tells.shape[1]
     for k in range(begin, end):

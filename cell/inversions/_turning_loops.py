@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from ...compiled import FlagRows, Row, Rows, loop
+from ...compiled import FlagRows, Row, Rows, SpacedRows, loop
 from ..estimation import FAR, PRESSURE, STD
 from ._doubts import begin_anew_each
 from ._earlier import sign_before_of
@@ -31,7 +31,7 @@ UNCONFIRMED, PULLED, BEYOND = 1, 2, 4
 
 
 @loop
-def step(memory: Rows, after: Rows, numbers: Row) -> bool:
+def step(memory: SpacedRows, after: Rows, numbers: Row) -> bool:
     """Take hypotheses ``after`` (6, m) the step; whether a pressure is beyond its limits."""
     beyond = False
     for row in range(after.shape[0]):
@@ -44,7 +44,7 @@ def step(memory: Rows, after: Rows, numbers: Row) -> bool:
 
 
 @loop
-def take_turns(memory: Rows, taken: Rows, by_model: Rows, of: Rows, flags: FlagRows, numbers: Row) -> int:
+def take_turns(memory: SpacedRows, taken: Rows, by_model: Rows, of: Rows, flags: FlagRows, numbers: Row) -> int:
     """Take over the other hypothesis where the pressure has turned, and confirm earlier turns.
 
     Readings are ``taken`` (4, m).
@@ -78,7 +78,7 @@ def take_turns(memory: Rows, taken: Rows, by_model: Rows, of: Rows, flags: FlagR
 
 @loop
 def step_and_turn(
-    memory: Rows,
+    memory: SpacedRows,
     after: Rows,
     taken: Rows,
     by_model: Rows,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...arrays import FloatArray
-from ...compiled import Rows, loop
+from ...compiled import Rows, SpacedRows, loop
 from ..estimation import FAR, GAIN, PRESSURE, SMOOTHED
 from ._paper_steps import TurnWeights
 
@@ -80,7 +80,7 @@ def by_steps(memory: FloatArray, steps: float | FloatArray) -> FloatArray:
 
 
 @loop
-def by_steps_of(memory: Rows, i: int, steps: float) -> float:
+def by_steps_of(memory: SpacedRows, i: int, steps: float) -> float:
     """:func:`by_steps` of cell ``i``."""
     scale: float = memory[STATE_END - 1, i] + 1.0
     return scale * scale * steps
@@ -118,7 +118,6 @@ class MemoryRows:
         self.may_bear, self.fallen = memory[MAY_BEAR_KPA], memory[FALLEN]
         self.state = memory[STATE]
         self.hypotheses, self.pressures, self.r = self.state[:6], self.state[:2], self.state[6]
-        self.both = self.pressures.reshape(-1)
         self.change = np.empty((6, cells))
         self.changes_by_model = self.change[:2], self.change[2:4], self.change[4:]
         self.share = np.empty((2, cells))
@@ -161,7 +160,7 @@ class MemoryRows:
 
 
 @loop
-def take_each(memory: Rows, taken: Rows) -> None:
+def take_each(memory: SpacedRows, taken: Rows) -> None:
     """:meth:`MemoryRows.take` as a loop over cells, for readings ``taken`` (4, m)."""
     for i in range(memory.shape[1]):
         memory[THIRD_LAST, i] = memory[BEFORE_LAST, i]
@@ -171,7 +170,7 @@ def take_each(memory: Rows, taken: Rows) -> None:
 
 
 @loop
-def take_gains_of(memory: Rows, i: int, by_model: Rows, of: Rows) -> None:
+def take_gains_of(memory: SpacedRows, i: int, by_model: Rows, of: Rows) -> None:
     """Write into ``of`` (BESIDE, m), for cell ``i``, what depends on its hypothesis in force and on the time step."""
     rising, recovery = memory[RISING_IN_FORCE, i], memory[RECOVERY_IN_FORCE, i]
     memory[GAIN, i] = by_model[0, 0] * rising + by_model[0, 1] * recovery
@@ -183,7 +182,7 @@ def take_gains_of(memory: Rows, i: int, by_model: Rows, of: Rows) -> None:
 
 
 @loop
-def take_gains_each(memory: Rows, by_model: Rows, of: Rows) -> None:
+def take_gains_each(memory: SpacedRows, by_model: Rows, of: Rows) -> None:
     """:meth:`MemoryRows.take_gains` as a loop over cells."""
     for i in range(memory.shape[1]):
         take_gains_of(memory, i, by_model, of)

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray
-from ...compiled import Row, Rows, loop
+from ...compiled import Row, Rows, SpacedRows, loop
 from ..estimation import FAR, GAIN, LOADS, PRESSURE
 from ..materials import PaperModel
 from ._paper_steps import TurnWeights, fast_r
@@ -79,13 +79,17 @@ falls, whatever the share: smooth loads of little noise turn so. By as many, and
 have gone back from a recent extreme for a turn"""
 RELEASED = 3.0
 """sum of Page's test (:mod:`._released`) from which a fall is a release, whatever the share"""
+SEEN_FALLING, SURE_SEEN = 1.0, 2.0
+"""sum of that test from which means of readings show a fall, too; and standard deviations of the smoothed noise, in the
+place of :data:`._turning_rows.SURE`, by which a pressure must have gone back then: two tests tell of the same fall. If
+it was none, the model that is left takes it back at once"""
 
 TURN_KPA, LIGHT_KPA, LEAST_KPA, EXACT_KPA, CLEAR_RISE_KPA, CLEAR_FALL_KPA, FALL_SHARE, STEPS, OWN_STEPS = range(10, 19)
 """places of numbers, behind those of :mod:`._limits`: what makes a turn, and a light one; the least pressure, below
 which nothing turns; rounding; rises and falls that are clear; :data:`SHARED_FALL` as the recovery model answers it; and
 the standard deviations of r at rest by the steps of all readings that it follows from, and of its own, 0: unknown"""
-_ZERO, _FAR, _SURE, _LESS, _TURN_SHARE, _SHARED, _FALLING, _RELEASED = (
-    np.array(x) for x in (0.0, FAR, SURE, LESS, TURN_SHARE, SHARED, FALLING, RELEASED)
+_ZERO, _FAR, _SURE, _LESS, _TURN_SHARE, _SHARED, _FALLING, _RELEASED, _SEEN_FALLING, _LESS_SURE = (
+    np.array(x) for x in (0.0, FAR, SURE, LESS, TURN_SHARE, SHARED, FALLING, RELEASED, SEEN_FALLING, SURE - SURE_SEEN)
 )
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
@@ -175,7 +179,10 @@ def gone_back(of: MemoryRows, numbers: tuple[FloatArray, ...]) -> BoolArray:
     In recovery the latter fades as the error of the memory does, so that this may seem no turn twice.
     """
     turn_from(of.extreme, of.nearby, numbers)
-    of.nearby += np.multiply(of.unsure, _SURE, of.spare)
+    sure = np.multiply(np.greater(of.fallen, _SEEN_FALLING, of.where), _LESS_SURE, of.spare)
+    np.subtract(_SURE, sure, sure)
+    sure *= of.unsure
+    of.nearby += sure
     of.nearby += of.threshold
     turned: BoolArray = np.greater(np.subtract(of.extreme, of.ahead, of.spare), of.nearby, of.where)
     np.multiply(of.unsure, _FALLING, of.nearby)
@@ -243,7 +250,7 @@ def turn_from_of(extreme: float, numbers: Row) -> float:
 
 
 @loop
-def look_at_steps_each(memory: Rows, noise: Row, numbers: Row) -> None:
+def look_at_steps_each(memory: SpacedRows, noise: Row, numbers: Row) -> None:
     """:func:`look_at_steps` as a loop over cells."""
     if not numbers[OWN_STEPS] > 0.0:
         return
@@ -255,7 +262,7 @@ def look_at_steps_each(memory: Rows, noise: Row, numbers: Row) -> None:
 
 
 @loop
-def seeming_of(memory: Rows, i: int, unsure: float, numbers: Row) -> float:
+def seeming_of(memory: SpacedRows, i: int, unsure: float, numbers: Row) -> float:
     """By how much the pressure of cell ``i``, of noise ``unsure``, may seem to go back though it has not turned."""
     drift = memory[DRIFT_KPA, i]
     if memory[SIGN, i] > 0.0:
@@ -267,7 +274,7 @@ def seeming_of(memory: Rows, i: int, unsure: float, numbers: Row) -> float:
 
 
 @loop
-def look_of(memory: Rows, i: int, std: float, of: Rows, numbers: Row) -> bool:
+def look_of(memory: SpacedRows, i: int, std: float, of: Rows, numbers: Row) -> bool:
     """:func:`look` at cell ``i``; whether it has gone back by a turn, or an earlier turn was noise."""
     rising, recovery = memory[RISING_KPA, i], memory[RECOVERY_KPA, i]
     pressure = rising * memory[RISING_IN_FORCE, i] + recovery * memory[RECOVERY_IN_FORCE, i]
@@ -284,7 +291,8 @@ def look_of(memory: Rows, i: int, std: float, of: Rows, numbers: Row) -> bool:
         stepped = by_steps_of(memory, i, numbers[STEPS]) * memory[UNDITHERED, i]
         if other > max(stepped, std) * of[OTHER_GAIN, i] * STILL:
             seeming += max(stepped - std, 0.0) * memory[GAIN, i] * (SURE + LESS)
-    least = turn_from_of(memory[EXTREME, i], numbers) + unsure * SURE
+    sure = SURE_SEEN if memory[FALLEN, i] > SEEN_FALLING else SURE
+    least = turn_from_of(memory[EXTREME, i], numbers) + unsure * sure
     gone_back = memory[EXTREME, i] - ahead > least + seeming
     least = numbers[LIGHT_KPA] + unsure * FALLING
     if sign > 0.0:
@@ -294,7 +302,7 @@ def look_of(memory: Rows, i: int, std: float, of: Rows, numbers: Row) -> bool:
 
 
 @loop
-def refuted_of(memory: Rows, i: int, std: float, by_model: Rows, numbers: Row) -> bool:
+def refuted_of(memory: SpacedRows, i: int, std: float, by_model: Rows, numbers: Row) -> bool:
     """Whether the recovery model did not share the rise of cell ``i``, which is taken over or is to be."""
     begun = memory[LEFT, i] if memory[LEFT, i] < FAR else memory[EXTREME, i]  # the pressure then, sign turned
     rise, shared = begun + memory[RISING_KPA, i], begun + memory[RECOVERY_KPA, i]
@@ -303,7 +311,7 @@ def refuted_of(memory: Rows, i: int, std: float, by_model: Rows, numbers: Row) -
 
 
 @loop
-def begin_at_refuted_of(memory: Rows, i: int, of: Rows) -> None:
+def begin_at_refuted_of(memory: SpacedRows, i: int, of: Rows) -> None:
     """:func:`begin_at_refuted` in cell ``i``."""
     memory[PEAK, i] = of[AHEAD, i] - of[UNSURE, i]
     memory[EXTREME, i] = of[AHEAD, i] - of[UNSURE, i] * LESS
@@ -311,7 +319,7 @@ def begin_at_refuted_of(memory: Rows, i: int, of: Rows) -> None:
 
 
 @loop
-def confirm_of(memory: Rows, i: int, of: Rows, numbers: Row) -> bool:
+def confirm_of(memory: SpacedRows, i: int, of: Rows, numbers: Row) -> bool:
     """:func:`confirm` of cell ``i``, whose turn is unconfirmed, after :func:`look_of`."""
     least = of[NOISE, i] * of[CONFIRMING_SIGMAS, i]
     least += turn_from_of(memory[LEFT, i], numbers) * of[CONFIRMING_TURNS, i]

@@ -20,7 +20,7 @@ import math
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray
-from ...compiled import Rows, loop
+from ...compiled import Rows, SpacedRows, loop
 
 SCALES = 4
 """lengths of blocks: one, two, four and eight times the readings from one look to the next"""
@@ -162,7 +162,7 @@ def count(squares: FloatArray, product: FloatArray, shares: FloatArray) -> None:
 
 @loop
 def look_of(
-    memory: Rows,
+    memory: SpacedRows,
     series: int,
     squares: int,
     i: int,
@@ -187,7 +187,7 @@ def look_of(
 
 
 @loop
-def forget_of(memory: Rows, squares: int, i: int) -> None:
+def forget_of(memory: SpacedRows, squares: int, i: int) -> None:
     """Let the mean squares of cell ``i``, which begin with row ``squares`` of ``memory``, begin anew."""
     for row in range(squares, squares + ALL_SQUARES):
         memory[row, i] = 0.0
@@ -201,7 +201,7 @@ def scaled(change: float, std: float, largest: float) -> float:
 
 
 @loop
-def differences_of(memory: Rows, row: int, i: int, block: float) -> tuple[float, float, float]:
+def differences_of(memory: SpacedRows, row: int, i: int, block: float) -> tuple[float, float, float]:
     """:func:`differences` of cell ``i`` for blocks of one length, whose last mean is in ``row``, and the next block."""
     last = memory[row, i]
     change = block - last
@@ -212,7 +212,7 @@ def differences_of(memory: Rows, row: int, i: int, block: float) -> tuple[float,
 
 @loop
 def take_of(
-    memory: Rows,
+    memory: SpacedRows,
     row: int,
     i: int,
     moved: float,
@@ -232,7 +232,7 @@ def take_of(
 
 
 @loop
-def count_of(memory: Rows, row: int, i: int, product: float, by_noise: float, share: float) -> None:
+def count_of(memory: SpacedRows, row: int, i: int, product: float, by_noise: float, share: float) -> None:
     """Count a ``product`` in a ``row`` of cell ``i``, to which noise gives ``by_noise`` more than is written there."""
     before = memory[row, i]
     room = max(before * GROWS + (by_noise * GROWS + AT_ONCE), AT_ONCE)

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...arrays import FloatArray
-from ...compiled import Rows, loop
+from ...compiled import Rows, SpacedRows, loop
 from ._variances import DOWN, LOOKS_IN_BLOCK, READINGS, SCALES, SHARE, UP
 
 MEMORY_S, LEAST_SHARE = 1.5, 1.0 / 64.0
@@ -257,7 +257,7 @@ def weights_of(own: float, beside: float, scatter: float) -> tuple[float, float]
 
 
 @loop
-def told_by_own_of(memory: Rows, squares: int, i: int, numbers: Rows) -> float:
+def told_by_own_of(memory: SpacedRows, squares: int, i: int, numbers: Rows) -> float:
     """:func:`told_by_own` of cell ``i``, whose mean squares begin with row ``squares`` of ``memory``."""
     alone = 0.0
     for scale in range(SCALES):
@@ -269,7 +269,7 @@ def told_by_own_of(memory: Rows, squares: int, i: int, numbers: Rows) -> float:
 
 @loop
 def tell_of(
-    memory: Rows,
+    memory: SpacedRows,
     squares: int,
     squares_beside: int,
     apart: int,

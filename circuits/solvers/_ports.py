@@ -18,9 +18,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...arrays import BoolArray, FloatArray
 from ._dissection import Tree, dissect
-from ._elimination import ULP, Rounded, eliminate_leading
+from ._elimination import ULP, Rounded, eliminate_leading, inverted
 
 IDEAL_WIRE = 1e40  # 0 ohm, relative to the largest conductance beside it; errors are far below rounding
 LARGEST_PART = 1e14  # S; largest conductance of a part outside the grid (load, lead, Rref/(1 + A))
@@ -90,10 +90,8 @@ class Stream:
 
 def _ports(conductance: FloatArray, lines: Lines, *, transfer_only: bool) -> Rounded:
     """Port conductances (frames, N + M, N + M) in S, or if ``transfer_only`` their (frames, N, M) transfer block."""
-    rows = conductance.shape[1]
     if has_ideal_lines(lines):
-        network, relative = _ideal_lines(*capped(conductance, lines), lines.exit)
-        return Rounded(network[:, :rows, rows:] if transfer_only else network, relative)
+        return (_ideal_transfer if transfer_only else _ideal_lines)(*capped(conductance, lines), lines.exit)
     network, relative = dissect(*_reversed_rows(conductance, lines), transfer_only)
     return Rounded(network[:, ::-1, ::-1], relative)
 
@@ -135,28 +133,63 @@ def _ideal_lines(cells: FloatArray, row: FloatArray, column: FloatArray, exits: 
     ``exits`` (columns,) is an ideal wire.
     """
     frames, rows, columns = cells.shape
-    lead, ended = row[:, 0], np.zeros(columns, dtype=np.bool_) if exits is None else np.isfinite(exits)
-    total = lead + cells.sum(axis=-1)
-    total[total == 0] = 1.0
-    share = cells / total[..., None]
+    to_rows, across, relative = _without_rows(cells, row)
+    ended = _ended(exits, columns)
     near, far = rows + np.flatnonzero(ended), rows + columns + np.arange(ended.sum())
     both = rows + columns + len(far)
     network = np.zeros((frames, both, both))
     middle = slice(rows, rows + columns)
-    network[:, :rows, middle] = lead[:, None] * share
-    network[:, middle, :rows] = np.swapaxes(network[:, :rows, middle], 1, 2)
-    network[:, middle, middle] = np.swapaxes(cells, 1, 2) @ share
-    np.einsum("...ii->...i", network)[...] = 0.0
+    network[:, :rows, middle] = to_rows
+    network[:, middle, :rows] = np.swapaxes(to_rows, 1, 2)
+    network[:, middle, middle] = across
     network[:, far, near] = network[:, near, far] = column[0, ended]
     stay = np.arange(rows + columns)
     stay[near] = far
     order = np.concatenate([near, stay])
-    # Rounding: a sum over the columns of a row, a quotient, a product, and a sum over the rows.
-    relative = np.full(frames, ULP * (rows + columns + 4.0))
     if not len(near):
         return Rounded(network, relative)
     network, eliminated = eliminate_leading(network[:, order[:, None], order], len(near))
     return Rounded(network, relative + eliminated)
+
+
+def _ideal_transfer(cells: FloatArray, row: FloatArray, column: FloatArray, exits: FloatArray | None) -> Rounded:
+    """The block of :func:`_ideal_lines` between rows and columns: nothing else is set up, in half the time."""
+    _, rows, columns = cells.shape
+    to_rows, across, relative = _without_rows(cells, row)
+    ended = _ended(exits, columns)
+    if not ended.any():
+        return Rounded(to_rows, relative)
+    to_columns = np.where(ended, 0.0, across[:, ended])
+    to_columns[:, np.arange(ended.sum()), np.flatnonzero(ended)] = column[0, ended]
+    near_to_rows = to_rows[..., ended]
+    outside = near_to_rows.sum(axis=1) + to_columns.sum(axis=-1)
+    inverse, eliminated = inverted(across[:, ended][..., ended], outside, rows + columns)
+    transfer = near_to_rows @ (inverse @ to_columns)
+    transfer += np.where(ended, 0.0, to_rows)
+    return Rounded(transfer, relative + eliminated)
+
+
+def _without_rows(cells: FloatArray, row: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Eliminate the nodes of rows with ideal lines, behind their leads.
+
+    Returns:
+        S from the rows' terminals to the columns (frames, N, M), between columns (frames, M, M), and the relative error
+        (frames,) of both by rounding: a sum over the columns of a row, a quotient, a product, a sum over the rows.
+
+    """
+    frames, rows, columns = cells.shape
+    lead = row[:, 0]
+    total = lead + cells.sum(axis=-1)
+    total[total == 0] = 1.0
+    share = cells / total[..., None]
+    across = np.swapaxes(cells, 1, 2) @ share
+    np.einsum("...ii->...i", across)[...] = 0.0
+    return lead[:, None] * share, across, np.full(frames, ULP * (rows + columns + 4.0))
+
+
+def _ended(exits: FloatArray | None, columns: int) -> BoolArray:
+    """(columns,) whether a column has a resistive exit."""
+    return np.zeros(columns, dtype=np.bool_) if exits is None else np.isfinite(exits)
 
 
 def _largest_finite(values: FloatArray, most: float) -> float:

@@ -39,8 +39,10 @@ NUMBA_SWITCH = "NUMBA_DISABLE_JIT"
 Row = Annotated[FloatArray, "float64[::1]"]
 Rows = Annotated[FloatArray, "float64[:, ::1]"]
 Places = Annotated[IntArray, "intp[::1]"]
-PlaceRows = Annotated[IntArray, "intp[:, ::1]"]
 Flags = Annotated[BoolArray, "boolean[::1]"]
+# Rows that need not follow each other without a gap, since there are many of them (`ohmskin.arrays.spaced`).
+SpacedRows = Annotated[FloatArray, "float64[:, :]"]
+SpacedPlaces = Annotated[IntArray, "intp[:, :]"]
 FlagRows = Annotated[BoolArray, "boolean[:, ::1]"]
 Codes = Annotated[CodeArray, "uint32[::1]"]
 # The same for arrays that the loop does not write to, and that nobody may write to (flags.writeable is False).
