@@ -6,7 +6,8 @@ cell between two fingers neither joins nor parts them from frame to frame. Finge
 valley between them (:mod:`._watershed`). :mod:`._tracks` gives the contacts their ids.
 
 On boards with few ADC steps a touch is hardly ever beyond five standard deviations of one cell's pressure. There a
-sudden joint rise of neighbouring readings makes a contact, too (:mod:`._rises`). It lasts while the pressures do.
+joint rise of neighbouring readings makes a contact, too, sudden or within seconds (:mod:`._rises`). It lasts while the
+pressures do.
 
 Rest resistances drift, by temperature and age, and a rise of resistance is a load to the driver. A contact therefore
 begins where the pressure exceeds what drift may have made of it: a part that has grown in each untouched cell by no

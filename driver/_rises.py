@@ -1,9 +1,11 @@
-"""Sudden loads on coarse boards: a joint significance test of the rises of neighbouring cells (matched filter).
+"""Loads on coarse boards: a joint significance test of the rises of neighbouring cells (matched filter).
 
 A pressure has a wide deviation on boards with few ADC steps, since past loads, bad contacts and steps leave much open.
 Whether a cell is touched *just now* is a smaller question: by how much its reading has risen within the last moment,
 against the noise of the readings. What the material remembers hardly changes in that time. A fingertip also lifts
 several neighbours at once, so that the weighted sum of their rises tells far more than one cell does.
+
+Presses that take longer than a moment are looked for as well, in means over blocks of frames (:mod:`._slow_rises`).
 
 The test asks for a rise of cells beside the row of a cell, too, and of cells beside its column. Electrical faults have
 the shape of the wiring instead: one cell, or a line. What most cells of a line have in common is subtracted, since a
@@ -22,7 +24,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, scatter
-from ._around import ACROSS, highest_around, sums_around, with_direct_neighbours
+from ._around import ACROSS, highest_around, sums_around, with_all_neighbours, with_direct_neighbours
+from ._slow_rises import SlowRises
 
 NOW_S, APART_S, BEFORE_S = 0.01, 0.02, 0.06
 """readings of the last moment are compared with earlier ones: length of the first, pause, length of the second. A
@@ -76,9 +79,9 @@ class JointRise(NamedTuple):
     """What a frame's joint rises are made of; (rows, columns) each."""
 
     middle: BoolArray
-    """cells that have risen, together with neighbours along both axes"""
+    """cells that have suddenly risen, together with neighbours along both axes"""
     risen: BoolArray
-    """these and their neighbours, as far as they have risen"""
+    """these and those that have risen so within seconds, and their neighbours, as far as they have risen"""
     fallen: BoolArray
     """cells that have fallen together with their neighbours"""
 
@@ -92,9 +95,15 @@ class Rises:
         self._side = 1.0 if loads_raise else -1.0
         self._sums: deque[_Sum] = deque()
 
+        self._slow = SlowRises(shape)
+        self._fallen_s = np.full(shape, -np.inf)
+        """(rows, columns) when the cell, or one beside it, has last fallen together with its neighbours"""
+
     def forget(self) -> None:
         """Begin anew: rest resistances have changed."""
         self._sums.clear()
+        self._slow.forget()
+        self._fallen_s.fill(-np.inf)
 
     def look(self, time_s: float, reading: FloatArray, noise: FloatArray) -> JointRise | None:
         """Take the readings of the next frame.
@@ -112,6 +121,34 @@ class Rises:
         if self._sums and time_s - self._sums[-1].time_s > LONGEST_S:
             self.forget()
         reading, noise = _of_conductance(reading, noise, self._side)
+        found = self._look_now(time_s, reading, noise)
+        if found is not None and found.fallen.any():
+            self._fallen_s[with_all_neighbours(found.fallen)] = time_s
+        slowly = self._look_back(time_s, reading, noise)
+        if slowly is None:
+            return found
+        if found is None:
+            none = np.zeros(self.shape, dtype=np.bool_)
+            return JointRise(none, slowly, none)
+        return found._replace(risen=found.risen | slowly)
+
+    def _look_back(self, time_s: float, reading: FloatArray, noise: FloatArray) -> BoolArray | None:
+        """(rows, columns) cells that have risen together within seconds, and still do; None: none have.
+
+        What such a rise shows of a rim is faint, and stays for seconds where a finger has passed. So cells beside its
+        middle count from :data:`MIDDLE` on.
+        """
+        risen = None
+        for since_s, rise in self._slow.take(time_s, reading, noise):
+            rise[(rise > 0.0) & (self._fallen_s >= since_s)] = 0.0
+            weighted = sums_around(rise).whole
+            found = _together(rise, MIDDLE) if weighted.item(weighted.argmax()) > TOGETHER * STD_OF_WHOLE else None
+            if found is not None:
+                risen = found[1] if risen is None else risen | found[1]
+        return risen
+
+    def _look_now(self, time_s: float, reading: FloatArray, noise: FloatArray) -> JointRise | None:
+        """As :meth:`look`, of the last moment and of conductances."""
         self._add(time_s, reading)
         places = self._places(time_s)
         if places is None:
@@ -125,7 +162,7 @@ class Rises:
         rise[now.missing > before.missing] = 0.0
         weighted = sums_around(rise).whole / STD_OF_WHOLE
         fallen = weighted < -FALLEN
-        found = self._together(rise) if weighted.item(weighted.argmax()) > TOGETHER else None
+        found = _together(rise, SHARED) if weighted.item(weighted.argmax()) > TOGETHER else None
         if found is None:
             return JointRise(fallen & False, fallen & False, fallen) if fallen.any() else None
         middle, risen = found
@@ -167,35 +204,40 @@ class Rises:
         """Number of the last sum up to that time, but ``most`` at most, and 0 where all are later."""
         return max(min(bisect_right(self._sums, time_s, key=attrgetter("time_s")) - 1, most), 0)
 
-    def _together(self, rise: FloatArray) -> tuple[BoolArray, BoolArray] | None:
-        """Cells in the middle of joint rises, and those with their neighbours that have risen as well.
 
-        ``rise`` (rows, columns) is in standard deviations.
-        """
-        own = rise - self._in_common(rise)
-        own /= max(scatter(own), 1.0)
-        own[(own <= OWN * rise) & (own > 0)] = 0.0
-        highest = highest_around(own)
-        sums = sums_around(own)
-        least_aside = np.maximum(ASIDE, SHARED * own) * STD_OF_OTHERS
-        together = (own > np.maximum(EACH, MIDDLE * highest)) & (sums.whole > TOGETHER * STD_OF_WHOLE)
-        together &= (sums.other_rows > least_aside) & (sums.other_columns > least_aside)
-        if not together.any():
-            return None
-        return together, with_direct_neighbours(together) & (own > np.maximum(EACH, SHARED * highest))
+def _together(rise: FloatArray, least_beside: float) -> tuple[BoolArray, BoolArray] | None:
+    """Cells in the middle of joint rises, and those with their neighbours that have risen as well.
 
-    def _in_common(self, rise: FloatArray) -> FloatArray:
-        """(rows, columns) what most cells of a cell's row or of its column have risen by, at least 0.
+    Args:
+        rise: (rows, columns) in standard deviations.
+        least_beside: share of the largest rise in the 3 x 3 cells around it that a neighbour has risen by at least.
 
-        The lower quartile, for a fingertip covers half of a short line.
-        """
-        common = np.zeros(self.shape)
-        rows, columns = self.shape
-        if rows >= LEAST_LINE:
-            np.maximum(common, np.partition(rise, rows // 4, axis=0)[rows // 4], out=common)
-        if columns >= LEAST_LINE:
-            np.maximum(common, np.partition(rise, columns // 4, axis=1)[:, columns // 4, None], out=common)
-        return common
+    """
+    own = rise - _in_common(rise)
+    own /= max(scatter(own), 1.0)
+    own[(own <= OWN * rise) & (own > 0)] = 0.0
+    highest = highest_around(own)
+    sums = sums_around(own)
+    least_aside = np.maximum(ASIDE, SHARED * own) * STD_OF_OTHERS
+    together = (own > np.maximum(EACH, MIDDLE * highest)) & (sums.whole > TOGETHER * STD_OF_WHOLE)
+    together &= (sums.other_rows > least_aside) & (sums.other_columns > least_aside)
+    if not together.any():
+        return None
+    return together, with_direct_neighbours(together) & (own > np.maximum(EACH, least_beside * highest))
+
+
+def _in_common(rise: FloatArray) -> FloatArray:
+    """(rows, columns) what most cells of a cell's row or of its column have risen by, at least 0.
+
+    The lower quartile, for a fingertip covers half of a short line.
+    """
+    common = np.zeros(rise.shape)
+    rows, columns = rise.shape
+    if rows >= LEAST_LINE:
+        np.maximum(common, np.partition(rise, rows // 4, axis=0)[rows // 4], out=common)
+    if columns >= LEAST_LINE:
+        np.maximum(common, np.partition(rise, columns // 4, axis=1)[:, columns // 4, None], out=common)
+    return common
 
 
 def _of_conductance(reading: FloatArray, noise: FloatArray, side: float) -> tuple[FloatArray, FloatArray]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import astuple
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from ohmskin.arrays import FloatArray
 from ohmskin.bench import _fingers as played
 from ohmskin.bench import _taps as bench
 from ohmskin.bench._driver import design
-from ohmskin.driver import Contact, ContactTracker
+from ohmskin.driver import Contact, ContactTracker, Skin
 from ohmskin.driver._bridging import bridge
 from ohmskin.driver._contacts import DRIFT_PER_S, MISSING_S, START_SHARE, ContactsOfFrames, PressureView
 from ohmskin.driver._later import Later
@@ -28,6 +29,8 @@ DRIFT_KPA = 2.0
 
 STD = 1e-5
 """of R/R0 by noise: far below 1, so that conductances change by as much as resistances do"""
+COARSE_STD = 0.01
+"""of R/R0 by noise: more than rest resistances drift by in seconds"""
 
 
 def bump(row: float, column: float, peak: float, sigma: float = 0.8, shape: tuple[int, int] = SHAPE) -> FloatArray:
@@ -105,11 +108,11 @@ def test_contacts_move_with_the_pressures(seed: int, down: int, right: int) -> N
 # -- joint rises ---------------------------------------------------------------------------------------------------
 
 
-def felt(readings: FloatArray, rate_hz: float = 100.0) -> list[bool]:
+def felt(readings: FloatArray, rate_hz: float = 100.0, std: float = STD) -> list[bool]:
     """Whether joint rises were found, in readings (frames, rows, columns) in their standard deviations."""
-    rises, noise = Rises(readings.shape[1:]), np.full(readings.shape[1:], STD)
-    found = [rises.look(k / rate_hz, STD * reading, noise) for k, reading in enumerate(readings)]
-    return [one is not None and bool(one[0].any()) for one in found]
+    rises, noise = Rises(readings.shape[1:]), np.full(readings.shape[1:], std)
+    found = [rises.look(k / rate_hz, std * reading, noise) for k, reading in enumerate(readings)]
+    return [one is not None and bool(one.risen.any()) for one in found]
 
 
 @pytest.mark.parametrize("rate_hz", [25.0, 100.0, 1000.0])
@@ -149,6 +152,101 @@ def test_readings_that_flip_by_a_step_make_no_joint_rise() -> None:
     """The resolution counts as noise: a step has 3.5 standard deviations. Each frame another quarter of the cells."""
     steps = np.random.default_rng(4).random((2000, 12, 12)) < 0.25
     assert not any(felt(3.46 * steps))
+
+
+@pytest.mark.parametrize("rate_hz", [20.0, 100.0])
+def test_a_slow_press_within_the_noise_of_a_reading_is_a_joint_rise(rate_hz: float) -> None:
+    """A press of four standard deviations that takes two seconds: no moment differs from the one before by more than
+    a fifth of one."""
+    quiet, pressing = round(6.0 * rate_hz), round(2.0 * rate_hz)
+    course = np.concatenate((np.zeros(quiet), np.linspace(0.0, 1.0, pressing), np.ones(pressing)))
+    for seed in range(10):
+        readings = np.random.default_rng(seed).normal(0, 1, (course.size, 8, 8))
+        readings += course[:, None, None] * bump(3.0 + 0.1 * seed, 4.0, 4.0, 1.0, (8, 8))
+        seen = felt(readings, rate_hz, COARSE_STD)
+        assert not any(seen[:quiet])
+        assert any(seen[quiet:])
+
+
+def test_steps_that_last_make_no_joint_rise() -> None:
+    """Readings without dither stay on a code for a second and then go to the next one: no mean lessens that error."""
+    draw, frames = np.random.default_rng(5), 4000
+    changes = draw.random((frames, 8, 8)) < 0.01
+    assert not any(felt(3.46 * (np.cumsum(changes, axis=0) % 2), std=COARSE_STD))
+
+
+@pytest.mark.parametrize(("per_s", "found"), [(0.0025, False), (0.03, True)])
+def test_what_rest_resistances_drift_by_is_no_slow_rise(per_s: float, found: bool) -> None:
+    warmer = np.arange(1200)[:, None, None] / 100.0 * bump(3.4, 4.2, per_s / COARSE_STD, 1.0, (8, 8))
+    assert any(felt(np.random.default_rng(6).normal(warmer, 1), std=COARSE_STD)) is found
+
+
+@pytest.mark.parametrize("left", [0.2, 0.4])
+@pytest.mark.parametrize("hold_s", [0.15, 0.6, 2.0])
+def test_what_a_slow_press_leaves_in_the_material_is_no_rise(hold_s: float, left: float) -> None:
+    """A press that takes 0.3 s; where it was released, part of its rise of eight deviations fades in six seconds."""
+    rate_hz, press_s = 100.0, 4.0
+    time_s = np.arange(0.0, 14.0, 1.0 / rate_hz) - press_s
+    course = np.interp(time_s, [0.0, 0.3, 0.3 + hold_s, 0.4 + hold_s], [0.0, 1.0, 1.0, left])
+    gone = time_s > 0.5 + hold_s
+    course[gone] *= np.exp(-(time_s[gone] - 0.5 - hold_s) / 6.0)
+    for seed in range(4):
+        noise = np.random.default_rng(seed).normal(0, 1, (time_s.size, 8, 8))
+        seen = np.array(felt(noise + course[:, None, None] * bump(3.3, 4.1, 8.0, 1.0, (8, 8)), rate_hz, COARSE_STD))
+        assert seen[~gone].any()
+        assert not seen[gone].any()
+
+
+COARSE = """
+[skin.design.array]
+rows = 6
+columns = 6
+[skin.design.readout]
+circuit = "voltage-divider"
+reference_resistance = 22e3
+[skin.design.drive]
+voltage = 3.3
+idle_rows = "{idle_rows}"
+[skin.design.adc]
+bits = 8
+range = [0.0, 3.3]
+[skin.cell]
+rest_resistance_ohm = 26e3
+full_scale_kpa = 22.0
+[skin.cell.model]
+kind = "paper"
+e1_kpa = 45.0
+e2_kpa = 90.0
+e3_kpa = 300.0
+eta2_kpa_s = 540.0
+eta3_kpa_s = 21000.0
+eu1_kpa = 27.272727
+eu2_kpa_per_s = 40.0
+etau2_kpa = 120.0
+[skin.spread]
+rest_percent = 4.0
+[board]
+frame_rate = 40
+noise = 0.004
+[[contact]]
+bump = {{ center = [1.6, 1.8], sigma_cells = 0.9 }}
+load_kpa = [[0, 0], [3, 0], [5, 14], [9, 14], [9.3, 0]]
+"""
+"""noise of 0.3 steps of the ADC, which are a kPa each at rest and two under the press"""
+
+
+@pytest.mark.parametrize("idle_rows", ["float", "ground"])
+def test_a_slow_press_of_a_coarse_board_is_a_contact_while_it_is_held(idle_rows: str, tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text(COARSE.format(idle_rows=idle_rows))
+    with Skin.open(f"ohmskin://{tmp_path / 'scene.toml'}?clock=fast&duration=12&seed=1", delivery="lossless") as skin:
+        skin.tare(40)
+        frames = [(frame.device_time, frame.contacts) for frame in skin]
+    assert not any(contacts for time_s, contacts in frames if time_s < 3.0 or time_s > 10.3)
+    held = [contacts for time_s, contacts in frames if 4.5 < time_s < 9.0]
+    found = [contacts[0] for contacts in held if contacts]
+    assert len(found) > 0.9 * len(held)
+    places = np.array([(contact.y_mm, contact.x_mm) for contact in found]) / (1e3 * skin.pitch_m)
+    assert np.abs(np.median(places, axis=0) - (1.6, 1.8)).max() < 0.4
 
 
 @pytest.mark.parametrize("size", [5.0, 30.0, 1000.0])

@@ -1,0 +1,142 @@
+"""Loads that come on within seconds, on coarse boards: rises of means over blocks of frames.
+
+A reading of few ADC steps hardly tells a press that takes a second from its noise, frame by frame. Means over blocks of
+frames do, as far as noise carries the reading over the edges of the steps (dither, averaged). How far it does, the
+scatter of a cell's readings within the blocks shows: what of their stated noise does not scatter, no mean lessens.
+
+A block is compared with others seconds before it. Meanwhile a rest resistance may have drifted, and a load that has
+gone has left something in the material: less than it was itself.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..arrays import FloatArray, scatter
+
+BLOCK_S, BLOCKS_OF_LONG = 0.08, 5
+"""length of a short block, and how many of them make a long one"""
+APART, BEFORE = 2, 6
+"""blocks that are passed over before the last one, and blocks before these with which it is compared: in a pause of two
+blocks a press of some blocks has come down for the most part"""
+BLOCKS = BEFORE + APART + 1
+LEFT = 0.7
+"""of the largest rise of one of the blocks before: with less, a load has gone that had been there"""
+CHANCE = 2.0
+"""standard deviations by which the scatter of few readings may be too small"""
+DRIFT_PER_S = 0.003
+"""relative change of a rest resistance in a second: warming up takes minutes. A finger presses much faster"""
+ROUNDING_S = 1e-9
+"""of times of frames; those that are a whole block later belong to the next one"""
+
+
+class SlowRise(NamedTuple):
+    """How a block of frames differs from those seconds before."""
+
+    since_s: float
+    """time from which on nothing may have been released: the end of the blocks with which the last one is compared"""
+    rise: FloatArray
+    """(rows, columns) in standard deviations: those of noise, or of all cells if these scatter by more; 0 where a cell
+    was not read in each of the frames"""
+
+
+class SlowRises:
+    """The last blocks of two lengths."""
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        """Begin."""
+        self._sum, self._squares = np.zeros((2, *shape))
+        self._frames, self._start_s = 0, 0.0
+        self._short, self._long = _Blocks(shape), _Blocks(shape)
+
+    def forget(self) -> None:
+        """Begin anew: rest resistances have changed."""
+        self._frames = self._short.ended = self._long.ended = 0
+
+    def take(self, time_s: float, reading: FloatArray, noise: FloatArray) -> list[SlowRise]:
+        """Take the next frame, and compare the blocks that have ended before it.
+
+        Args:
+            time_s: of the frame, increasing.
+            reading: (rows, columns) relative changes of conductance, positive in the direction of a load; NaN where
+                the cell was not read.
+            noise: (rows, columns) standard deviation of one reading, by noise and by the steps of the ADC.
+
+        """
+        found = []
+        if self._frames and time_s - self._start_s >= BLOCK_S - ROUNDING_S:
+            found = self._end_block(noise)
+        if not self._frames:
+            self._start_s = time_s
+            self._sum.fill(0.0)
+            self._squares.fill(0.0)
+        self._frames += 1
+        self._sum += reading
+        self._squares += reading * reading
+        return found
+
+    def _end_block(self, noise: FloatArray) -> list[SlowRise]:
+        short, long, frames, self._frames = self._short, self._long, self._frames, 0
+        mean = self._sum / frames
+        scatter = self._squares - mean * self._sum
+        short.add(self._start_s, frames, frames - 1, mean, np.maximum(scatter, 0.0, out=scatter))
+        found = [short.compare(noise)] if short.ended >= BLOCKS else []
+        if short.ended % BLOCKS_OF_LONG == 0:
+            long.add(*short.last())
+            if long.ended >= BLOCKS:
+                found.append(long.compare(noise))
+        return found
+
+
+class _Blocks:
+    """The last blocks of one length, the oldest first."""
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self.ended = 0
+        """blocks that have ended up to now"""
+        self._start_s = np.zeros(BLOCKS)
+        self._frames, self._degrees = np.zeros((2, BLOCKS), dtype=np.int64)
+        """frames in each block; degrees of freedom of its squares"""
+        self._means, self._squares = np.zeros((2, BLOCKS, *shape))
+        """of readings, NaN where a cell was not read in every frame; sums of squared distances from means"""
+
+    def add(self, start_s: float, frames: int, degrees: int, mean: FloatArray, squares: FloatArray) -> None:
+        """Add the next block."""
+        for kept in (self._start_s, self._frames, self._degrees, self._means, self._squares):
+            kept[:-1] = kept[1:]
+        self._start_s[-1], self._frames[-1], self._degrees[-1] = start_s, frames, degrees
+        self._means[-1], self._squares[-1] = mean, squares
+        self.ended += 1
+
+    def last(self) -> tuple[float, int, int, FloatArray, FloatArray]:
+        """The last blocks as one long block, as :meth:`add` takes it; means that differ are no scatter."""
+        last = slice(-BLOCKS_OF_LONG, None)
+        frames, degrees, squares = self._frames[last], self._degrees[last].sum(), self._squares[last].sum(axis=0)
+        return self._start_s[-BLOCKS_OF_LONG], int(frames.sum()), int(degrees), self._mean(last), squares
+
+    def _mean(self, blocks: slice) -> FloatArray:
+        """(rows, columns) mean over all frames of the blocks."""
+        frames = self._frames[blocks]
+        return np.tensordot(frames / frames.sum(), self._means[blocks], 1)
+
+    def compare(self, noise: FloatArray) -> SlowRise:
+        """By how much the last block has risen; ``noise`` as for :meth:`SlowRises.take`."""
+        before, frames = slice(BEFORE), int(self._frames[:BEFORE].sum())
+        scatters, degrees = self._squares.sum(axis=0), max(int(self._degrees.sum()), 1)
+        scatters /= degrees
+        # What does not scatter within a block may be another error in the next block.
+        variance = 2.0 * np.maximum(noise * noise - scatters * (1.0 + CHANCE * math.sqrt(2.0 / degrees)), 0.0)
+        variance += scatters * (1.0 / int(self._frames[-1]) + 1.0 / frames)
+        mean = self._mean(before)
+        std = np.sqrt(variance)
+        rise: FloatArray = self._means[-1] - mean
+        std *= max(scatter(rise / std), 1.0)
+        gone = rise < LEFT * (self._means[before].max(axis=0) - mean)
+        drift = DRIFT_PER_S * (self._start_s[-1] - self._start_s[BEFORE // 2])
+        rise -= np.minimum(np.maximum(rise, -drift), drift)
+        rise /= std
+        rise[(gone & (rise > 0.0)) | np.isnan(scatters)] = 0.0
+        return SlowRise(float(self._start_s[BEFORE]), rise)
