@@ -160,15 +160,14 @@ LONG = round(2.0 * _shared_steps.HELD_S / DT_S)
 def kept(readings: FloatArray, compiled: bool) -> FloatArray:
     """(frames, 8) what is left of the ``readings`` (frames, 8) of a column that is awake, frame by frame."""
     need("needs numba" if compiled and not load_loops(*_shared_steps.LOOPS) else None)
-    rest, held_s, every, none = np.zeros(8), np.zeros(8), np.ones(8, dtype=np.bool_), np.zeros(1)
+    rest, held_s, every, untold = np.zeros(8), np.zeros(8), np.ones(8, dtype=np.bool_), np.ones(1)
     found, last, scales = [], readings[0], (OWN, STEPS, 1.0, DT_S)
     for reading in readings:
         r = reading.copy()
         if compiled:
-            given = r, last, rest, held_s, every, every, none, np.zeros(9)
-            _shared_steps.keep_each.code(*given, *scales, r.copy())
+            _shared_steps.keep_each.code(r, last, rest, held_s, every, every, untold, *scales, r.copy())
         else:
-            _shared_steps.keep(r, last, rest, held_s, every, every, none == 0.0, *scales)
+            _shared_steps.keep(r, last, rest, held_s, every, every, untold > 0.0, *scales)
         found.append(r)
         last = r
     return np.array(found)

@@ -27,12 +27,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
-from ...compiled import Flags, Row, loop
+from ...compiled import Flags, Row, Rows, loop
 from . import _shared_steps as shared_steps
 from ._noise import NoiseMeter
 
@@ -61,6 +61,12 @@ AT_ONCE, CERTAIN = 5.0, 2.0 * LOADED
 
 TESTS, OWN, SHARED = range(3)
 """places of the test's sums"""
+COUNTS, SUMS, FRAMES, UNTOLD = range(4)
+"""rows of what is known of each column, see :meth:`SharedNoise._name_rows`"""
+WEIGHTS, PER_STD, LEFT = range(3)
+"""rows of what follows from the number of cells that tell, see there"""
+LEAST_VARIANCE, NEAR, FAR, SHARE, SIDE_PER_NOISE = range(5)
+"""places of numbers that depend on the frame, see :func:`subtract_each`"""
 
 _ZERO, _ONE = np.array(0.0), np.array(1.0)
 
@@ -105,27 +111,34 @@ class SharedNoise:
         """columns that have been tested so far, and sums of their variances: of own noise, and of shared noise"""
         self._reference = np.zeros(cells)
         """(n,) mean of the readings of sleeping cells"""
-        self._counts = np.full(self._shape[1], -1.0)
-        """(columns,) sleeping cells in the last frame; negative: not known"""
-        self._sums = np.zeros(self._shape[1])
-        """(columns,) departures of the mean of sleeping cells in the direction of loads, summed up; standard deviations
-        of its noise. Beyond :data:`LOADED` the cells are to wake"""
-        self._frames = np.zeros(self._shape[1])
-        """(columns,) since the sum was zero"""
-        self._per_std = np.zeros(self._shape[0] + 1)
-        """by number of cells: own noise over the noise of their mean, 0 where that is not trusted"""
-        self._weights = np.zeros(0)
-        """by number of cells: share of their mean that is shared noise"""
+        self._columns, self._by_number = np.zeros((4, self._shape[1])), np.zeros((3, self._shape[0] + 1))
+        self._name_rows()
+        self._counts[...] = -1.0
+        self._numbers = np.zeros(5)
+        """of the present frame, for machine code"""
         self._tell_now = np.zeros(0, dtype=np.bool_)
         """(n,) the cells that ``_tellers`` are made of"""
-        self._left = np.zeros(0)
-        """by number of cells: what is left of the ratio if that is taken out"""
         self._tellers = self._tellers_of(np.zeros(cells, dtype=np.bool_))
         self._all_read = np.ones(cells, dtype=np.bool_)
         self.mean_std = np.ones(cells)
         """(n,) noise of the readings whose mean is watched, over that of the readings that wake a cell at once"""
         self.compiled = False
         """whether the loop is there as machine code"""
+
+    def _name_rows(self) -> None:
+        self._counts, self._sums, self._frames, self._untold = self._columns
+        """rows (columns,), each a part of one array, which the loops take: sleeping cells in the last frame, negative:
+        not known; departures of their mean in the direction of loads, summed up in standard deviations of its noise,
+        beyond :data:`LOADED` of which the cells are to wake; frames since the sum was zero; and for machine code, 1
+        where sleeping cells are too few to tell, else 0"""
+        self._weights, self._per_std, self._left = self._by_number
+        """rows (rows + 1,), by number of cells: share of their mean that is shared noise; own noise over the noise of
+        their mean, 0 where that is not trusted; and what is left of the ratio if that is taken out"""
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Continue from a pickle or a copy, in which rows would be arrays of their own."""
+        self.__dict__.update(state)
+        self._name_rows()
 
     def suppose(self, own_std: float, all_std: float, *, scales_columns: bool = False) -> None:
         """Take the deviations of r at rest by the steps of own readings, and by those of all; of none: 0.
@@ -145,9 +158,9 @@ class SharedNoise:
         self.ratio = ratio
         cells = np.arange(self._shape[0] + 1.0)
         trusted = (cells >= LEAST_CELLS) & (self._test[TESTS] >= TESTED)
-        self._weights = np.where(trusted, cells * ratio / (cells * ratio + 1.0), 0.0)
-        self._left = np.where(trusted, ratio / (cells * ratio + 1.0), ratio)
-        self._per_std = np.where(trusted, np.sqrt(cells / np.maximum(cells * ratio + 1.0, 1.0)), 0.0)
+        self._weights[...] = np.where(trusted, cells * ratio / (cells * ratio + 1.0), 0.0)
+        self._left[...] = np.where(trusted, ratio / (cells * ratio + 1.0), ratio)
+        self._per_std[...] = np.where(trusted, np.sqrt(cells / np.maximum(cells * ratio + 1.0, 1.0)), 0.0)
         self._tell_now = np.zeros(0, dtype=np.bool_)  # the tellers are made anew
         self._counts[:] = -1.0
 
@@ -214,7 +227,7 @@ class SharedNoise:
         scales = max(self._noise.own, resolution), resolution * math.sqrt(1.0 + self.ratio), self._side, dt_s
         kept = without, self._last, reference, self._held_s, read, awake
         if self.compiled:
-            shared_steps.keep_each.unchecked(*kept, self._counts, self._per_std, *scales, watched)
+            shared_steps.keep_each.unchecked(*kept, self._untold, *scales, watched)
             return
         untold = self._per_std.take(self._counts.astype(np.intp)) == 0.0
         cells = shared_steps.keep(*kept, untold, *scales)
@@ -223,11 +236,12 @@ class SharedNoise:
     def _by_machine_code(
         self, r: FloatArray, read: BoolArray, awake: BoolArray, testing: bool, near: float, far: float, share: float
     ) -> tuple[bool, FloatArray, FloatArray]:
-        without, watched = np.empty((2, r.size))
-        least_variance = self._least_variance if testing else math.inf
-        kept = self._reference, self._weights, self._counts, self._test, self._sums, self._frames
-        limits, scales = (least_variance, near, far, share, self._side_per_noise), (self._per_std, self._last)
-        changed = subtract_each.unchecked(r, read, awake, *kept, *limits, *scales, without, watched)
+        found, numbers = np.empty((2, r.size)), self._numbers
+        numbers[LEAST_VARIANCE] = self._least_variance if testing else math.inf
+        numbers[NEAR], numbers[FAR], numbers[SHARE], numbers[SIDE_PER_NOISE] = near, far, share, self._side_per_noise
+        kept = self._reference, self._columns, self._by_number, self._test
+        changed = subtract_each.unchecked(r, read, awake, self._last, *kept, numbers, found)
+        without, watched = found
         return changed, without, watched
 
     @property
@@ -378,7 +392,8 @@ class SharedNoise:
         ratio, scales_columns = state["shared_of_array"][:2].tolist()
         self._scales_columns, self._test = bool(scales_columns), state["shared_of_array"][2:].copy()
         self._begin(ratio)
-        self._counts, self._sums, self._frames = (state[f"shared_{name}"] for name in ("counts", "sums", "frames"))
+        for row, name in ((COUNTS, "counts"), (SUMS, "sums"), (FRAMES, "frames")):
+            self._columns[row] = state[f"shared_{name}"]
         self.mean_std = np.sqrt((1.0 + ratio) / (1.0 + self._noise.excess))
 
 
@@ -387,67 +402,56 @@ def subtract_each(
     r: Row,
     read: Flags,
     awake: Flags,
-    reference: Row,
-    weights: Row,
-    counts: Row,
-    test: Row,
-    sums: Row,
-    frames: Row,
-    least_variance: float,
-    near: float,
-    far: float,
-    share: float,
-    side_per_noise: float,
-    per_std: Row,
     last: Row,
-    without: Row,
-    watched: Row,
+    reference: Row,
+    columns: Rows,
+    by_number: Rows,
+    test: Row,
+    numbers: Row,
+    found: Rows,
 ) -> bool:
-    """:meth:`SharedNoise.subtract` as a loop over cells, into ``without`` and ``watched`` (n,).
+    """:meth:`SharedNoise.subtract` as a loop over cells.
 
     Args:
         r: (n,) readings.
         read: (n,) which of them are.
         awake: (n,) which cells do not sleep.
-        reference: (n,) mean of the readings of sleeping cells, changed.
-        weights: (rows + 1,) by number of cells, share of their mean that is shared noise.
-        counts: (columns,) sleeping cells in the last frame, changed.
-        test: (3,) the test's sums, changed.
-        sums: (columns,) departures in the direction of loads, summed up, changed.
-        frames: (columns,) since a sum was zero, changed.
-        least_variance: of readings of a column that are tested; infinite: none are.
-        near: departure from the mean beyond which a reading counts for no more.
-        far: the same, from the reference.
-        share: of a reading in the reference.
-        side_per_noise: sign that a load gives to r, over own noise.
-        per_std: (rows + 1,) by number of cells, own noise over the noise of their mean; 0: not trusted.
         last: (n,) readings of the last frame without shared noise.
-        without: (n,) readings without shared noise.
-        watched: (n,) the same, but of sleeping cells as they were read.
+        reference: (n,) mean of the readings of sleeping cells, changed.
+        columns: (4, columns) rows of :meth:`SharedNoise._name_rows`, changed.
+        by_number: (3, rows + 1) rows of :meth:`SharedNoise._name_rows`.
+        test: (3,) the test's sums, changed.
+        numbers: (5,) variance of readings of a column that are tested, infinite: none are; departure from the mean
+            beyond which a reading counts for no more; the same from the reference; share of a reading in the reference;
+            and sign that a load gives to r, over own noise.
+        found: (2, n) readings without shared noise; and the same, but of sleeping cells as they were read; written.
 
     Returns:
         Whether other numbers of cells sleep than in the last frame, or some are to wake.
     """
-    columns, changed = counts.size, False
-    for column in range(columns):
+    changed, side_per_noise = False, numbers[SIDE_PER_NOISE]
+    near, far, share = numbers[NEAR], numbers[FAR], numbers[SHARE]
+    for column in range(columns.shape[1]):
         count, total = 0, 0.0
-        for i in range(column, r.size, columns):
+        for i in range(column, r.size, columns.shape[1]):
             if read[i] and not awake[i]:
                 count += 1
                 total += min(max(r[i] - reference[i], -far), far)
         centre = total / max(count, 1)
         low, high, total = centre - near, centre + near, 0.0
-        for i in range(column, r.size, columns):
+        for i in range(column, r.size, columns.shape[1]):
             if read[i] and not awake[i]:
                 total += min(max(r[i] - reference[i], low), high)
         mean, own_variance = total / max(count, 1), 0.0
-        off = mean * per_std[count] * side_per_noise
-        sums[column] = max(sums[column] + off - ALLOWED, 0.0) if per_std[count] > 0.0 else 0.0
-        frames[column] = frames[column] + 1.0 if sums[column] > 0.0 else 0.0
+        per_std = by_number[PER_STD, count]
+        off = mean * per_std * side_per_noise
+        summed = max(columns[SUMS, column] + off - ALLOWED, 0.0) if per_std > 0.0 else 0.0
+        columns[FRAMES, column] = columns[FRAMES, column] + 1.0 if summed > 0.0 else 0.0
         if off > AT_ONCE:
-            sums[column] = CERTAIN
-        doubted, loaded = sums[column] > DOUBTED, sums[column] > LOADED
-        for i in range(column, r.size, columns):
+            summed = CERTAIN
+        columns[SUMS, column], columns[UNTOLD, column] = summed, 1.0 if per_std == 0.0 else 0.0
+        doubted, loaded = summed > DOUBTED, summed > LOADED
+        for i in range(column, r.size, columns.shape[1]):
             others, rest, asleep = count, total, not awake[i]
             if asleep and read[i]:
                 off = r[i] - reference[i]
@@ -459,18 +463,18 @@ def subtract_each(
                 own_variance += off * off
             own = r[i]
             if read[i] and not loaded:
-                own -= (r[i] + 1.0) * (rest / max(others, 1) * weights[others])
+                own -= (r[i] + 1.0) * (rest / max(others, 1) * by_number[WEIGHTS, others])
                 if doubted and not asleep:
                     own = min(max(last[i], min(own, r[i])), max(own, r[i]))
-            without[i] = own
-            watched[i] = r[i] if asleep else own
+            found[0, i] = own
+            found[1, i] = r[i] if asleep else own
         own_variance /= max(count - 1, 1)
-        if count > LEAST_CELLS and own_variance + mean * mean > least_variance:
+        if count > LEAST_CELLS and own_variance + mean * mean > numbers[LEAST_VARIANCE]:
             test[TESTS] += 1.0
             test[OWN] += own_variance
             test[SHARED] += mean * mean - own_variance / count
-        changed |= loaded or counts[column] != count
-        counts[column] = count
+        changed |= loaded or columns[COUNTS, column] != count
+        columns[COUNTS, column] = count
     return changed
 
 

@@ -94,20 +94,15 @@ def keep_each(
     held_s: Row,
     read: Flags,
     awake: Flags,
-    counts: Row,
-    per_std: Row,
+    untold: Row,
     own: float,
     steps: float,
     side: float,
     dt_s: float,
     watched: Row,
 ) -> None:
-    """:func:`keep` as a loop; also changes ``watched`` (n,).
-
-    Sleeping cells of a column, of which there are ``counts`` (columns,), tell where ``per_std`` (rows + 1,) of their
-    number is above zero.
-    """
-    columns, bound = counts.size, min(MOST * steps, LIMIT)
+    """:func:`keep` as a loop; also changes ``watched`` (n,). ``untold`` (columns,) is 1 where it is true, else 0."""
+    columns, bound = untold.size, min(MOST * steps, LIMIT)
     if r.size < TELLING * columns:
         return
     for column in range(columns):
@@ -125,9 +120,9 @@ def keep_each(
         if not some_awake:
             continue
         shared = 0.0
-        if per_std[int(counts[column])] == 0.0 and level < 0.0:
+        if untold[column] > 0.0 and level < 0.0:
             shared = max(min(level + own, 0.0), -bound)
-        elif per_std[int(counts[column])] == 0.0:
+        elif untold[column] > 0.0:
             shared = max(min(level - own, 2.0 * bound - (level - own)), 0.0)
         for i in range(column, r.size, columns):
             off = side * (r[i] - reference[i]) / (1.0 + reference[i]) if read[i] else np.inf
