@@ -123,12 +123,13 @@ def test_a_light_touch_on_a_cell_that_recovers_leaves_no_load(cell: Cell) -> Non
     assert worst < 3.5
 
 
-@pytest.mark.parametrize("noise", [2e-4, 1e-3])
+@pytest.mark.parametrize("noise", [1e-3, 3e-3])
 def test_a_load_that_swings_slowly_does_not_seem_to_tremble(noise: float) -> None:
     """20 s of 40 +- 27 % of full scale at 0.3 Hz, far beyond the noise, on an m10 cell at 40 frames per second.
 
     Long blocks of readings see it, and hide tremors. Were it taken for one, its deviation would grow to half of full
-    scale within 10 s, and whatever holds the cell would be no contact.
+    scale within 10 s, and whatever holds the cell would be no contact. In 0.3 % of noise it would if noise were to
+    leave room for a tremor beside a swing that the inverse follows.
     """
     dt, cell = 0.025, EXAMPLE.replace(model=SAFE_M10)
     time = np.arange(dt, 24, dt)[:, None]

@@ -350,14 +350,17 @@ def test_a_slow_press_that_only_neighbours_together_tell_of_is_found(where: str,
 
 @pytest.mark.parametrize(("idle_rows", "bits", "noise_mv"), [("ground", 8, 4.0), ("float", 8, 4.0)])
 def test_boards_of_8_bits_with_dividers_find_taps(idle_rows: str, bits: int, noise_mv: float) -> None:
-    """At 1000 frames per second; without the joint test half of the taps, and none with floating rows."""
+    """At 1000 frames per second; without the joint test half of the taps, and none with floating rows.
+
+    Of 32 taps of other draws (seeds 1 to 4) with floating rows 27 are found; of these eight one is at the limit.
+    """
     board = design(8, "voltage-divider", idle_rows, bits)
     rng = np.random.default_rng(11)
     taps = bench.random_taps(8, (8, 8), rng)
     ohm = bench.resistances(taps, (8, 8), 1000.0, bench.REST_S + bench.EVERY_S * 8)
     seen = list(bench.contacts_of(board, ohm, noise_mv, 1000.0, rng))
     first_s, _ = bench.match(taps, seen, 1e3 * bench._pitch_m(board), 1e-3)
-    assert np.isfinite(first_s).sum() >= 6
+    assert np.isfinite(first_s).sum() >= (6 if idle_rows == "ground" else 5)
 
 
 # -- cells that are not read -----------------------------------------------------------------------------------------

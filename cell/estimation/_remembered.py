@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray, spaced
+from ...arrays import BoolArray, FloatArray, IntArray, columns, spaced
 from . import _loops as loops
 from . import _smoothing as smoothing
 from ._inversion import Inversion
@@ -44,7 +44,7 @@ class Block:
     def memory_of(self, place: IntArray) -> FloatArray:
         """A copy of the memory (rows, k) of the cells at ``place`` (k,)."""
         every = place.size == self.cells.size and bool((np.diff(place) > 0).all())
-        return spaced(self.memory if every else self.memory.take(place, axis=1))
+        return spaced(self.memory if every else columns(self.memory, place))
 
     def take_back(self, place: IntArray, memory: FloatArray, line: FloatArray) -> None:
         """Let cells at ``place`` (k,) in the block remember ``memory`` (rows, k) and ``line`` (ROWS, k) again."""
@@ -118,7 +118,7 @@ class Remembered:
 
     def hold(self, cells: IntArray, unread_s: FloatArray) -> None:
         """Bring up the memory of ``cells`` (m,) that were not read for ``unread_s`` (m,): as if the load had stayed."""
-        _put(self.memory, cells, self._inversion.hold(self.memory.take(cells, axis=1), unread_s))
+        _put(self.memory, cells, self._inversion.hold(columns(self.memory, cells), unread_s))
 
     def left_over(self) -> FloatArray:
         """(n,) r that earlier loads have left in cells, see :meth:`._inversion.Inversion.left_over`."""
@@ -143,7 +143,7 @@ class Remembered:
         if cells.size == self.memory.shape[1]:
             # Not copied, as :meth:`flush` takes it back. Another array, as sign that it may have changed.
             return Block(cells, self.memory[:], self.line[:])
-        return Block(cells, spaced(self.memory.take(cells, axis=1)), self.line.take(cells, axis=1))
+        return Block(cells, spaced(columns(self.memory, cells)), self.line.take(cells, axis=1))
 
 
 def _put(values: FloatArray, cells: IntArray, new: FloatArray) -> None:

@@ -9,6 +9,9 @@ How far the load goes is told by :mod:`._meter`, in r, from the readings less th
 is subtracted from the way. Of the rest, the share k counts as broken chains, and the load as so much smaller. The
 standard deviation contains a share of that, since the way is known to about as much, and the way that there may be
 beside what is told from noise. Both errors are of one sign, and are added as amounts until the chains have healed.
+
+A load that swings slowly and widely goes to and fro, too, and an inverse follows it: it counts more of the way than is
+told. What noise leaves room for beside such a motion is no more in doubt than beside a load that is held.
 """
 
 from __future__ import annotations
@@ -39,6 +42,8 @@ BEARS = 3.0
 CAUTION = way.Caution(may_from=2.4, told=3.0, does=5.0, of_most=0.1, most_share=1.0 / 48.0, hidden=1.0, alone_from=4.0)
 """chains take much longer to heal than a tremor to be told: what is told by chance adds up for as long, and widens the
 deviation of loads that are held still"""
+FOLLOWED = 0.6
+"""of the way that is told in the time that it counts for: an inverse that has counted so much more follows the load"""
 LEAST_SLOPE = 0.05
 """least slope dr/ds, over r of full scale"""
 
@@ -51,12 +56,14 @@ BROKEN_BEFORE = METER + len(meter.NAMES)
 A, B, K, FULL_KPA, FULL_R, KEPT, OWED = range(7)
 """places of the numbers: of the model; full scale in kPa and in r; share of broken chains that do not heal from one
 look to the next; and :func:`._meter.owed_looks`"""
+LEAST_WAY = 1e-12
+"""of r: keeps a way of none from dividing"""
 BEARING = together.TELLS
 SEEN = together.TELLS + 1
 """rows of what a look at all cells sees before any of them is told: what they tell their neighbours, and the load"""
 EDGE = meter.edge(READINGS)
-_SERIES = METER + meter.SERIES
-_ZERO = np.array(0.0)
+_SERIES, _TOLD = METER + meter.SERIES, METER + meter.TOLD
+_ZERO, _ONE, _LEAST_WAY = (np.array(x) for x in (0.0, 1.0, LEAST_WAY))
 
 
 def constants(model: M10Model, dt_s: float, full_scale_kpa: float, full_scale_r: float) -> meter.Constants:
@@ -97,9 +104,12 @@ def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, near: IntArray
     found = meter.look(rows, newest, noise, bears * slope, edges, near, (largest, owed, numbers.way))
     counted = (broken - memory[BROKEN_BEFORE] * kept) * (slope / k)
     told, may = meter.uncounted(rows, found, counted, owed)
+    unfollowed = memory[_TOLD] / np.maximum(found[0] * (owed * FOLLOWED), _LEAST_WAY)  # not above 0
+    unfollowed += _ONE
+    np.maximum(unfollowed, _ZERO, out=unfollowed)
     per_way = k / slope
     breaks = np.minimum(told * per_way / slope, bears)
-    memory[MISSED] += np.maximum(may - told, _ZERO) * per_way + UNSURE * slope * breaks
+    memory[MISSED] += np.maximum(may - told, _ZERO) * unfollowed * per_way + UNSURE * slope * breaks
     for row in (LOAD, ANCHOR, FURTHEST):
         memory[row] -= breaks
     memory[PRESSURE] -= breaks * full_kpa
@@ -126,10 +136,12 @@ def look_each(
         slope = max(a + 2.0 * b * load, LEAST_SLOPE * full_r)
         told, may = tell_of(memory, METER, i, noises[i], bears * slope, slope * LARGEST, owed, seen, near, way_numbers)
         counted = (broken - memory[BROKEN_BEFORE, i] * numbers[KEPT]) * (slope / k)
+        counts = max(told * (owed * FOLLOWED), LEAST_WAY)
         told, may = uncounted_of(memory, METER, i, told, may, counted, owed)
+        unfollowed = max(memory[_TOLD, i] / counts + 1.0, 0.0)
         per_way = k / slope
         breaks = min(told * per_way / slope, bears)
-        memory[MISSED, i] += max(may - told, 0.0) * per_way + UNSURE * slope * breaks
+        memory[MISSED, i] += max(may - told, 0.0) * unfollowed * per_way + UNSURE * slope * breaks
         for row in (LOAD, ANCHOR, FURTHEST):
             memory[row, i] -= breaks
         load = memory[LOAD, i]

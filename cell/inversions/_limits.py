@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...arrays import FloatArray, columns
 from ...compiled import Row, Rows, SpacedRows, loop
 from ..estimation import (
     DOUBT,
@@ -95,7 +95,7 @@ def limit_some(memory: FloatArray, weights: TurnWeights, numbers: tuple[FloatArr
     pressures = memory[STATE][:2]
     beyond = (pressures < numbers[LOWEST_KPA]) | (pressures > numbers[USUAL_KPA])
     some = np.flatnonzero(beyond.any(axis=0))
-    of = MemoryRows(memory.take(some, axis=1))
+    of = MemoryRows(columns(memory, some))
     _limit_each(of, weights, numbers)
     for row in _CHANGED:  # one by one: NumPy takes far longer for all at once where there are many cells
         memory[row, some] = of.memory[row]

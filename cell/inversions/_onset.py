@@ -32,7 +32,7 @@ import math
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...arrays import BoolArray, FloatArray, columns
 from ...compiled import Row, SpacedRows, loop
 from ..estimation import FAR, PRESSURE, RECENT, REST_VARIANCE, RESTED, VARIANCE
 from ..materials import PaperModel, lag
@@ -165,7 +165,7 @@ def look(
     rests = (recovers & (looks >= _SETTLES)).nonzero()[0]
     if not rests.size:
         return
-    some = memory.take(rests, axis=1)
+    some = columns(memory, rests)
     _compare(some, mean[rests], noise[rests], full_scale_kpa, numbers)
     memory[:, rests] = some
 

@@ -20,7 +20,7 @@ import math
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...arrays import FloatArray, columns
 from ...compiled import Row, SpacedRows, loop
 from ..estimation import FAR, PRESSURE, RECENT, REST_VARIANCE, RESTED, VARIANCE
 from ..estimation import GAIN as GAIN_ROW
@@ -151,7 +151,7 @@ def look(
     rests = calm.nonzero()[0]
     if not rests.size:
         return
-    some, left_over = memory.take(rests, axis=1), left_over[rests] * _GOES_ON
+    some, left_over = columns(memory, rests), left_over[rests] * _GOES_ON
     share = some[REST_VARIANCE] / (some[REST_VARIANCE] + by_noise[rests] + left_over * left_over)
     error = pressure[rests] * share
     some[REST_VARIANCE] *= 1.0 - share

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ...arrays import FloatArray, IntArray
+from ...arrays import FloatArray, IntArray, columns
 from ...compiled import Row, Rows, SpacedRows, loop
 from ..estimation import FAR, GAIN, PRESSURE, VARIANCE
 from ..materials import PaperModel
@@ -94,7 +94,7 @@ def take_over(
         weights: of the time step.
         numbers: as above.
     """
-    some = memory.take(turned, axis=1)
+    some = columns(memory, turned)
     left, extreme, sign = some[LEFT], some[EXTREME].copy(), some[SIGN]
     again = left < _FAR
     noise = std.take(turned) if std.size > 1 else std
