@@ -305,6 +305,22 @@ def test_holds_that_tremble_by_less_than_a_turn_do_not_grow(dt: float, share: fl
     assert left < 0.04
 
 
+@pytest.mark.xfail(strict=True, reason="what noticed turns leave unexplained is taken back: such holds fade")
+def test_holds_that_tremble_by_noticed_turns_do_not_fade_within_half_a_minute() -> None:
+    """Sines of 1.5 to 8 Hz and 4 % of the load rms, of which the estimator notices many a turn, but not every one."""
+    dt = 0.01
+    time, hertz = np.arange(1, round(32.0 / dt)) * dt, np.geomspace(1.5, 8.0, 6)
+    tremor = 0.04 * np.sqrt(2) * np.sin(2 * np.pi * hertz * time[:, None] + hertz) * (time > 1.5)[:, None]
+    held = 0.4 * FULL * np.interp(time, [1.0, 1.3], [0.0, 1.0])
+    error, over = judged(held[:, None] * (1.0 + tremor), dt, 1e-3)
+    late = time > 20.0
+    found = np.sqrt((error[late] ** 2).mean()) / FULL
+    within = f"{100 * (over[late] < 2).mean():.0f} % within 2 sd, worst {over[late].max():.1f}"
+    print(f"error {100 * found:.1f} % FS rms, {within}")
+    assert (over[late] < 2).mean() > 0.95
+    assert over[late].max() < 5.0
+
+
 @pytest.mark.parametrize("noise", [1e-4, 1e-3])
 def test_a_load_that_grows_slowly_after_it_fell_is_within_the_deviations(noise: float) -> None:
     """The cell still recovers from the fall, and the load that grows reads as one that goes on falling."""
