@@ -94,7 +94,6 @@ class Rises:
         self.shape = shape
         self._side = 1.0 if loads_raise else -1.0
         self._sums: deque[_Sum] = deque()
-
         self._slow = SlowRises(shape)
         self._fallen_s = np.full(shape, -np.inf)
         """(rows, columns) when the cell, or one beside it, has last fallen together with its neighbours"""

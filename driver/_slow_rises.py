@@ -81,8 +81,8 @@ class SlowRises:
     def _end_block(self, noise: FloatArray) -> list[SlowRise]:
         short, long, frames, self._frames = self._short, self._long, self._frames, 0
         mean = self._sum / frames
-        scatter = self._squares - mean * self._sum
-        short.add(self._start_s, frames, frames - 1, mean, np.maximum(scatter, 0.0, out=scatter))
+        squares = np.maximum(self._squares - mean * self._sum, 0.0)
+        short.add(self._start_s, frames, frames - 1, mean, squares)
         found = [short.compare(noise)] if short.ended >= BLOCKS else []
         if short.ended % BLOCKS_OF_LONG == 0:
             long.add(*short.last())
