@@ -9,6 +9,8 @@ import subprocess
 import sys
 import textwrap
 from pathlib import Path
+from types import FunctionType
+from typing import cast
 
 import numpy as np
 import pytest
@@ -128,6 +130,17 @@ def test_a_loop_that_makes_arrays_is_compiled_as_well() -> None:
     code, rows = added.machine_code(), np.array([[1.0, 2.0], [3.0, 4.0]])
     assert code is not None, added.failure
     assert code(rows) == 10.0**2 + 14.0**2
+
+
+def test_a_loop_that_was_compiled_for_another_one_first_is_compiled_for_its_own_callers_too() -> None:
+    rows = np.array([[1.0, 2.0], [3.0, 4.0]])
+    helper = loop(first_of.function)
+    plain = cast(FunctionType, added.function)
+    user = loop(FunctionType(plain.__code__, {**plain.__globals__, "first_of": helper}, plain.__name__))
+    user.function.__annotations__.update(plain.__annotations__)
+    assert user.machine_code() is not None, user.failure
+    assert helper.machine_code() is helper.code is not helper.function
+    assert helper.code(rows, 1) == 3.0
 
 
 def test_a_compiler_that_does_not_know_an_undocumented_option_compiles_without(monkeypatch: pytest.MonkeyPatch) -> None:

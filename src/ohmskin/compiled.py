@@ -146,9 +146,7 @@ class Loop(Generic[P, R]):
             _waiting.append(self)
             try:
                 with _lock:
-                    self.code = self.unchecked = self._compile()
-                if _switch() != _CHECKED:
-                    self.unchecked = _without_dispatcher(self.code)
+                    self._compile()
             except Exception as error:  # of any part of the compiler
                 self.failure = f"{type(error).__name__}: {error}"
             finally:
@@ -158,14 +156,17 @@ class Loop(Generic[P, R]):
         return self.unchecked if unchecked else self.code
 
     def _compile(self) -> Any:
-        """The function as Numba compiled it, kept on disk if there is a place for it."""
+        """The function as Numba compiled it, for calls and for other loops, kept on disk if there is a place for it."""
         if self._compiled is None:
             try:
-                self._compiled = self._compiled_by_numba(keep=True)
+                compiled = self._compiled_by_numba(keep=True)
             except Exception:  # no folder to write to, a full disk, a damaged file
-                self._compiled = self._compiled_by_numba(keep=False)
-            if not self._compiled.stats.cache_hits:
+                compiled = self._compiled_by_numba(keep=False)
+            if not compiled.stats.cache_hits:
                 _tell_of_the_wait()
+            self.code = compiled
+            self.unchecked = compiled if _switch() == _CHECKED else _without_dispatcher(compiled)
+            self._compiled = compiled  # last: other threads take it for a sign that the others are there
         return self._compiled
 
     def _compiled_by_numba(self, *, keep: bool) -> Any:
