@@ -7,8 +7,9 @@ slope dr/ds for each unit of the way.
 
 How far the load goes is told by :mod:`._meter`, in r, from the readings less the branches. What the inverse has counted
 is subtracted from the way. Of the rest, the share k counts as broken chains, and the load as so much smaller. The
-standard deviation contains a share of that, since the way is known to about as much, and the way that there may be
-beside what is told from noise. Both errors are of one sign, and are added as amounts until the chains have healed.
+standard deviation contains what of that the way may be wrong by, and the way that there may be beside what is told from
+noise. Both errors are of one sign, and are added as amounts until the chains have healed. While chains are in doubt, a
+load that trembles is held where it is (:mod:`._steady`).
 
 A load that swings slowly and widely goes to and fro, too, and an inverse follows it: it counts more of the way than is
 told. What noise leaves room for beside such a motion is no more in doubt than beside a load that is held.
@@ -25,16 +26,18 @@ from ...compiled import Row, Rows, SpacedPlaces, SpacedRows, loop
 from ..estimation import PRESSURE
 from ..materials import M10Model
 from . import _meter as meter
+from . import _steady as steady
 from . import _together as together
 from . import _way as way
 from ._inverse_loops import ANCHOR, BRANCH, BROKEN, FURTHEST, LATELY, LOAD, MISSED
 from ._meter import see_of, tell_of, uncounted_of
+from ._steady import look_of as steady_of
 
 READINGS = 2
 """from one look to the next. Chains break by all of the way, and blocks of twice as many hide a third of that of a
 tremor of eight frames, and nearly all of that of five"""
 UNSURE = 0.2
-"""standard deviation over what is taken for broken"""
+"""standard deviation of the way over what is told of it: what is taken for broken may be wrong by so much of that"""
 LARGEST = 0.04
 """of full scale: how far a load may go from one look to the next without an edge"""
 BEARS = 3.0
@@ -47,20 +50,25 @@ FOLLOWED = 0.6
 LEAST_SLOPE = 0.05
 """least slope dr/ds, over r of full scale"""
 
-NAMES = (*meter.NAMES, "broken_before")
-"""names of the rows of the memory: those of :mod:`._meter`, and r of the broken chains at the last look"""
+NAMES = (*meter.NAMES, *steady.NAMES, "broken_before", "missed_before")
+"""names of the rows of the memory: those of :mod:`._meter` and of :mod:`._steady`; then r of the broken chains at the
+last look, and of those that may have broken unseen"""
 METER = LATELY + 1
 """first row"""
 ROWS = slice(METER, METER + len(meter.NAMES))
-BROKEN_BEFORE = METER + len(meter.NAMES)
-A, B, K, FULL_KPA, FULL_R, KEPT, OWED = range(7)
+STEADY = METER + len(meter.NAMES)
+STEADY_ROWS = slice(STEADY, STEADY + len(steady.NAMES))
+BROKEN_BEFORE, MISSED_BEFORE = STEADY_ROWS.stop, STEADY_ROWS.stop + 1
+A, B, K, FULL_KPA, FULL_R, KEPT, OWED, OF_STEADY = range(8)
 """places of the numbers: of the model; full scale in kPa and in r; share of broken chains that do not heal from one
-look to the next; and :func:`._meter.owed_looks`"""
+look to the next; :func:`._meter.owed_looks`; and the first of those of :mod:`._steady`"""
 LEAST_WAY = 1e-12
 """of r: keeps a way of none from dividing"""
 BEARING = together.TELLS
-SEEN = together.TELLS + 1
-"""rows of what a look at all cells sees before any of them is told: what they tell their neighbours, and the load"""
+EDGES = together.TELLS + 1
+SEEN = together.TELLS + 2
+"""rows of what a look at all cells sees before any of them is told: what they tell their neighbours, the load, and 1
+where it has an edge just now"""
 EDGE = meter.edge(READINGS)
 _SERIES, _TOLD = METER + meter.SERIES, METER + meter.TOLD
 _ZERO, _ONE, _LEAST_WAY = (np.array(x) for x in (0.0, 1.0, LEAST_WAY))
@@ -72,6 +80,7 @@ def constants(model: M10Model, dt_s: float, full_scale_kpa: float, full_scale_r:
         **{A: model.a, B: model.b, K: model.k, FULL_KPA: full_scale_kpa, FULL_R: full_scale_r},
         KEPT: math.exp(-READINGS * dt_s / model.tau_s),
         OWED: meter.owed_looks(dt_s, READINGS),
+        **{OF_STEADY + place: number for place, number in steady.constants(READINGS * dt_s).items()},
     }
     return meter.constants(numbers, dt_s, READINGS, CAUTION)
 
@@ -79,6 +88,7 @@ def constants(model: M10Model, dt_s: float, full_scale_kpa: float, full_scale_r:
 def begin(memory: FloatArray, r: FloatArray) -> None:
     """Begin with cells whose reading has been ``r`` (m,) for ever; changes their ``memory`` (rows, m)."""
     meter.begin(memory[ROWS], r - memory[BRANCH] - memory[BRANCH + 1])
+    steady.begin(memory[STEADY_ROWS], memory[LOAD])
     memory[BROKEN_BEFORE] = memory[BROKEN]
 
 
@@ -94,8 +104,9 @@ def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, near: IntArray
         near: (k, m) neighbours, see :class:`..estimation._neighbours.Neighbours`.
         numbers: :func:`constants`.
     """
-    a, b, k, full_kpa, full_r, kept, owed = numbers.each
+    a, b, k, full_kpa, full_r, kept, owed = numbers.each[:OF_STEADY]
     load, broken, rows = memory[LOAD], memory[BROKEN], memory[ROWS]
+    missed, missed_before = memory[MISSED], memory[MISSED_BEFORE]
     slope = np.maximum(a + 2.0 * b * load, LEAST_SLOPE * full_r)
     newest = mean - memory[BRANCH] - memory[BRANCH + 1]
     largest = slope * LARGEST
@@ -103,13 +114,21 @@ def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, near: IntArray
     edges = np.abs(newest - memory[_SERIES]) > noise * EDGE + largest
     found = meter.look(rows, newest, noise, bears * slope, edges, near, (largest, owed, numbers.way))
     counted = (broken - memory[BROKEN_BEFORE] * kept) * (slope / k)
+    way_told = found[0]
     told, may = meter.uncounted(rows, found, counted, owed)
-    unfollowed = memory[_TOLD] / np.maximum(found[0] * (owed * FOLLOWED), _LEAST_WAY)  # not above 0
+    unfollowed = memory[_TOLD] / np.maximum(way_told * (owed * FOLLOWED), _LEAST_WAY)  # not above 0
     unfollowed += _ONE
     np.maximum(unfollowed, _ZERO, out=unfollowed)
     per_way = k / slope
     breaks = np.minimum(told * per_way / slope, bears)
-    memory[MISSED] += np.maximum(may - told, _ZERO) * unfollowed * per_way + UNSURE * slope * breaks
+    missed_before *= kept
+    doubt = np.maximum(missed - missed_before, _ZERO) + np.maximum(may - told, _ZERO) * unfollowed * per_way
+    doubt += np.minimum(slope * breaks, way_told * per_way * UNSURE)
+    most = np.where(bears > _ZERO, broken / slope, _ZERO), bears - breaks
+    back, doubt = steady.look(memory[STEADY_ROWS], load, edges, slope, doubt, most, numbers.each[OF_STEADY:])
+    breaks += back
+    missed_before += doubt
+    missed[:] = missed_before
     for row in (LOAD, ANCHOR, FURTHEST):
         memory[row] -= breaks
     memory[PRESSURE] -= breaks * full_kpa
@@ -130,18 +149,27 @@ def look_each(
         bears = load if load > BEARS * noises[i] / full_r else 0.0
         edge = abs(newest - memory[_SERIES, i]) > noises[i] * EDGE + largest
         see_of(memory, METER, i, newest, noises[i], bears * slope, edge, largest, way_numbers, seen)
-        seen[BEARING, i] = bears
+        seen[BEARING, i], seen[EDGES, i] = bears, 1.0 if edge else 0.0
     for i in range(means.size):
         load, broken, bears = memory[LOAD, i], memory[BROKEN, i], seen[BEARING, i]
         slope = max(a + 2.0 * b * load, LEAST_SLOPE * full_r)
-        told, may = tell_of(memory, METER, i, noises[i], bears * slope, slope * LARGEST, owed, seen, near, way_numbers)
+        way_told, may = tell_of(
+            memory, METER, i, noises[i], bears * slope, slope * LARGEST, owed, seen, near, way_numbers
+        )
         counted = (broken - memory[BROKEN_BEFORE, i] * numbers[KEPT]) * (slope / k)
-        counts = max(told * (owed * FOLLOWED), LEAST_WAY)
-        told, may = uncounted_of(memory, METER, i, told, may, counted, owed)
-        unfollowed = max(memory[_TOLD, i] / counts + 1.0, 0.0)
+        told, may = uncounted_of(memory, METER, i, way_told, may, counted, owed)
+        unfollowed = max(memory[_TOLD, i] / max(way_told * (owed * FOLLOWED), LEAST_WAY) + 1.0, 0.0)
         per_way = k / slope
         breaks = min(told * per_way / slope, bears)
-        memory[MISSED, i] += max(may - told, 0.0) * unfollowed * per_way + UNSURE * slope * breaks
+        missed_before = memory[MISSED_BEFORE, i] * numbers[KEPT]
+        doubt = max(memory[MISSED, i] - missed_before, 0.0) + max(may - told, 0.0) * unfollowed * per_way
+        doubt += min(slope * breaks, way_told * per_way * UNSURE)
+        most_added = broken / slope if bears > 0.0 else 0.0
+        back, doubt = steady_of(
+            memory, STEADY, i, load, seen[EDGES, i] > 0.0, slope, doubt, most_added, bears - breaks, numbers, OF_STEADY
+        )
+        breaks += back
+        memory[MISSED, i] = memory[MISSED_BEFORE, i] = missed_before + doubt
         for row in (LOAD, ANCHOR, FURTHEST):
             memory[row, i] -= breaks
         load = memory[LOAD, i]

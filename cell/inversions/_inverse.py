@@ -68,8 +68,10 @@ which such a way is forgotten"""
 AT_A_TURN = 4.0
 """standard deviations by ADC steps of the way to a turn and back from it, of which they hide how far the load went. Two
 of them are those of a single turn. Loads that repeat turn at the same readings, so that their errors are alike"""
-OVERSHOOT = 0.5
-"""of that half width by noise: by how much it takes the furthest load of a press beyond where the load turned"""
+OVERSHOOT, TURNS_KNOWN = 0.5, 0.4
+"""of that half width by noise: by how much it takes the furthest load of a press beyond where the load turned; and the
+standard deviation of that. The longer a load stays near where it turns, the more readings reach beyond: errors of the
+turns of a tremor are alike"""
 
 
 def margin(model: AsymmetricModel | M10Model, full_scale_kpa: float) -> float:
@@ -112,6 +114,8 @@ class _Equation(NamedTuple):
     """(n,) whether the load left its play upwards the last time"""
     turned_r: FloatArray | float
     """(n,) standard deviation of r by the chains that ADC steps hide where it has left its play to the other side"""
+    missed: FloatArray | float
+    """(n,) r of chains that noise hides there, which is alike from turn to turn"""
 
 
 class AsymmetricInversion(Inversion):
@@ -228,6 +232,7 @@ class AsymmetricInversion(Inversion):
         follows = np.where(charging, alpha * ramp[:2], alpha * ramp[2:4])
         still = np.maximum(slope + follows[0] + follows[1], 1e-9)
         turned_r: FloatArray | float = 0.0
+        missed: FloatArray | float = 0.0
         by_noise = width = std * (STILL_SIGMAS / self.full_scale_kpa) * memory[GAIN]
         if self._steps:
             scale = r + 1.0
@@ -249,11 +254,15 @@ class AsymmetricInversion(Inversion):
             crossed_play = np.where(moves, np.where(up != went_up, m.k * gone_back, -(m.k * again)), 0.0)
             free += crossed_play
             change -= crossed_play
+            turned = moves & (up != went_up)
+            missed = np.where(turned, TURNS_KNOWN * m.k * by_noise, 0.0)
             if self._steps:
-                turned_r = np.where(moves & (up != went_up), AT_A_TURN * m.k * steps / still, 0.0)
+                turned_r = np.where(turned, AT_A_TURN * m.k * steps / still, 0.0)
             went_up = np.where(moves, up, went_up)
         slope = slope + np.where(up, breaking, -breaking)
-        return _Equation(target, lead, free, breaking, forgets, kept, follows, slope, change, width, went_up, turned_r)
+        return _Equation(
+            target, lead, free, breaking, forgets, kept, follows, slope, change, width, went_up, turned_r, missed
+        )
 
     def _step_of_load(self, memory: FloatArray, dt_s: float, of: _Equation) -> tuple[FloatArray, FloatArray]:
         """Steps (n,) of the load that solve the equation, and the branches (2, n) after them."""
@@ -315,6 +324,7 @@ class AsymmetricInversion(Inversion):
             loops.OVERSHOOT: OVERSHOOT,
             loops.STEPS: self._steps,
             loops.AT_A_TURN: AT_A_TURN * m.k,
+            loops.TURNS_KNOWN: TURNS_KNOWN * m.k,
             loops.BETWEEN: BETWEEN,
             loops.BY_TURNS: AROUND * m.k,
             loops.TO_AND_FRO: TO_AND_FRO * m.k,
@@ -358,7 +368,7 @@ class AsymmetricInversion(Inversion):
         errors[:2] += (BETWEEN * bend * of.follows * (1 - of.follows / np.maximum(self._alpha, 1e-9))) ** 2
         errors[2] += (AROUND * self.model.k * way) ** 2 + of.turned_r * of.turned_r
         memory[MISSED] *= 1 - heals
-        memory[MISSED] += TO_AND_FRO * self.model.k * way
+        memory[MISSED] += TO_AND_FRO * self.model.k * way + of.missed
         memory[BEFORE] = memory[MOVED]
         memory[MOVED] = step
         variance = (errors.sum(axis=0) + memory[MISSED] ** 2) * memory[GAIN] ** 2

@@ -18,18 +18,18 @@ WENT_UP, FURTHEST, LATELY = 14, 15, 16
 A, B, K, ALPHA, RISE_S, FALL_S = 0, 1, 2, 3, 5, 7
 FULL_KPA, FULL_R, HIGHEST, IN_DOUBT, DOUBT_KPA2, MOST_KPA2, LOWEST_END, HIGHEST_END = range(9, 17)
 STILL, BETWEEN, BY_TURNS, TO_AND_FRO, ACCURACY, EVALUATIONS, OVERSHOOT, STEPS, AT_A_TURN = range(17, 26)
-HELD_STEPS, MOVING_STEPS, MOVES = range(26, 29)
+HELD_STEPS, MOVING_STEPS, MOVES, TURNS_KNOWN = range(26, 30)
 """places of the estimator's numbers: of its model, with two branches; full scale; the largest loads that are believed,
 in general and while the memory is in doubt, which it is beyond a variance in kPa^2; the largest variance; the loads
 within reach; the constants of :mod:`._inverse`, those of turns times ``k``; and the standard deviation of r at rest by
 ADC steps"""
 
 FREE, BREAKING, FORGETS, KEPT, FOLLOWS, SLOPE, CHANGE, STEP, NEW_BRANCH, WIDTH, UP = 0, 1, 2, 4, 6, 8, 9, 10, 11, 13, 14
-TURNED = 15
+TURNED, HIDDEN = 15, 16
 """rows of what a step finds for each cell; two rows where there is one for each branch"""
-LOW, HIGH, NEWTON, NEXT, RATE, TRIED = 16, 17, 18, 19, 20, 22
+LOW, HIGH, NEWTON, NEXT, RATE, TRIED = 17, 18, 19, 20, 21, 23
 """rows of Newton's method, for the first cells instead"""
-ROWS = 23
+ROWS = 24
 
 
 @loop
@@ -74,7 +74,7 @@ def solve(memory: SpacedRows, taken: Rows, gone: Row, ramp: Row, numbers: Row, o
         if memory[LATELY, i] > numbers[MOVES] * width:
             width = numbers[MOVING_STEPS] * steps / still
         width = max(by_noise, width)
-        went_up, turned = up, 0.0
+        went_up, turned, hidden = up, 0.0, 0.0
         if k != 0.0:
             moves = abs(s0 + change / still - anchor) > width
             # A load that has turned has crossed its play, and broken chains there. One that goes on after noise took it
@@ -82,7 +82,7 @@ def solve(memory: SpacedRows, taken: Rows, gone: Row, ramp: Row, numbers: Row, o
             went_up = memory[WENT_UP, i] > 0.0
             if moves:
                 if up != went_up:
-                    turned = numbers[AT_A_TURN] * steps / still
+                    turned, hidden = numbers[AT_A_TURN] * steps / still, numbers[TURNS_KNOWN] * by_noise
                     gone_back = (memory[FURTHEST, i] - s0) * (1.0 if went_up else -1.0) - numbers[OVERSHOOT] * by_noise
                     crossed_play = k * min(max(gone_back, 0.0), 2.0 * width)
                     free += crossed_play
@@ -104,7 +104,8 @@ def solve(memory: SpacedRows, taken: Rows, gone: Row, ramp: Row, numbers: Row, o
             lead = target - memory[BRANCH + j, i]
             crosses |= (target + numbers[ALPHA + j] * step - branch) * lead < 0.0
         of[FREE, i], of[BREAKING, i], of[SLOPE, i], of[CHANGE, i] = free, breaking, slope, change
-        of[STEP, i], of[WIDTH, i], of[UP, i], of[TURNED, i] = step, width, 1.0 if went_up else 0.0, turned
+        of[STEP, i], of[WIDTH, i], of[UP, i] = step, width, 1.0 if went_up else 0.0
+        of[TURNED, i], of[HIDDEN, i] = turned, hidden
         if crosses:
             crossed[count] = i
             count += 1
@@ -251,7 +252,7 @@ def finish(memory: SpacedRows, taken: Rows, heals: float, forgets: float, number
         memory[ERROR + 2, i] = memory[ERROR + 2, i] * ((1.0 - heals) * (1.0 - heals)) + (
             by_turns * by_turns + of[TURNED, i] * of[TURNED, i]
         )
-        missed = memory[MISSED, i] * (1.0 - heals) + numbers[TO_AND_FRO] * way
+        missed = memory[MISSED, i] * (1.0 - heals) + (numbers[TO_AND_FRO] * way + of[HIDDEN, i])
         memory[MISSED, i] = missed
         memory[BEFORE, i] = memory[MOVED, i]
         memory[MOVED, i] = step
