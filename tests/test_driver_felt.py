@@ -168,6 +168,21 @@ def test_a_slow_press_within_the_noise_of_a_reading_is_a_joint_rise(rate_hz: flo
         assert any(seen[quiet:])
 
 
+@pytest.mark.parametrize("rate_hz", [40.0, 100.0])
+def test_what_quick_taps_leave_behind_is_no_slow_press(rate_hz: float) -> None:
+    """Taps of two standard deviations of a reading: single frames hardly show their ends, means over blocks do."""
+    time_s = np.arange(round(12.0 * rate_hz)) / rate_hz
+    since_s = np.maximum(time_s - 3.3, 0.0)
+    tapped = (since_s > 0.0) & (since_s % 0.5 < 0.15)
+    course = 2.0 * tapped + 6.0 * (1.0 - np.exp(-since_s / 3.0))
+    rises = 0
+    for seed in range(6):
+        readings = np.random.default_rng(seed).normal(0, 1, (course.size, 8, 8))
+        readings += course[:, None, None] * bump(3.0, 4.0, 1.0, 1.0, (8, 8))
+        rises += np.count_nonzero(np.array(felt(readings, rate_hz, COARSE_STD))[~tapped])
+    assert rises <= 1
+
+
 def test_steps_that_last_make_no_joint_rise() -> None:
     """Readings without dither stay on a code for a second and then go to the next one: no mean lessens that error."""
     draw, frames = np.random.default_rng(5), 4000
