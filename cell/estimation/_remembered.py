@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray, columns, spaced
+from ...arrays import BoolArray, FloatArray, IntArray, columns, spaced, spaced_columns
 from . import _loops as loops
 from . import _smoothing as smoothing
 from ._inversion import Inversion
@@ -44,7 +44,7 @@ class Block:
     def memory_of(self, place: IntArray) -> FloatArray:
         """A copy of the memory (rows, k) of the cells at ``place`` (k,)."""
         every = place.size == self.cells.size and bool((np.diff(place) > 0).all())
-        return spaced(self.memory if every else columns(self.memory, place))
+        return spaced(self.memory) if every else spaced_columns(self.memory, place)
 
     def take_back(self, place: IntArray, memory: FloatArray, line: FloatArray) -> None:
         """Let cells at ``place`` (k,) in the block remember ``memory`` (rows, k) and ``line`` (ROWS, k) again."""
@@ -143,7 +143,7 @@ class Remembered:
         if cells.size == self.memory.shape[1]:
             # Not copied, as :meth:`flush` takes it back. Another array, as sign that it may have changed.
             return Block(cells, self.memory[:], self.line[:])
-        return Block(cells, spaced(columns(self.memory, cells)), self.line.take(cells, axis=1))
+        return Block(cells, spaced_columns(self.memory, cells), self.line.take(cells, axis=1))
 
 
 def _put(values: FloatArray, cells: IntArray, new: FloatArray) -> None:

@@ -69,17 +69,34 @@ def spaced(rows: NDArray[N]) -> NDArray[N]:
     cells, all these numbers would share the few places of one set of the cache, and each would be fetched anew.
     """
     count, columns = rows.shape
-    lines = -(-columns // _LINE) | 1
-    copy: NDArray[N] = np.empty((count, lines * _LINE), dtype=rows.dtype)[:, :columns]
+    copy: NDArray[N] = np.empty((count, _apart(columns)), dtype=rows.dtype)[:, :columns]
     copy[...] = rows
     return copy
 
 
+def whole(rows: NDArray[N]) -> NDArray[N]:
+    """:func:`spaced` rows (n, m) with what is between them (n, more than m), without a gap; others as they are."""
+    padded = rows.base
+    if isinstance(padded, np.ndarray) and len(padded) == len(rows) and padded.strides == rows.strides:
+        begins, padded_begins = (each.__array_interface__["data"] for each in (rows, padded))
+        if begins == padded_begins:
+            return padded
+    return rows
+
+
 def columns(rows: FloatArray, places: IntArray) -> FloatArray:
     """The columns of ``rows`` (n, m) at ``places`` (k,), (n, k). Of :func:`spaced` rows NumPy would first copy all."""
-    whole = rows.base
-    if isinstance(whole, np.ndarray) and len(whole) == len(rows) and whole.strides == rows.strides:
-        begins, whole_begins = (each.__array_interface__["data"] for each in (rows, whole))
-        if begins == whole_begins:
-            rows = whole  # with what is between the rows, behind all places
-    return rows.take(places, axis=1)
+    return whole(rows).take(places, axis=1)
+
+
+def spaced_columns(rows: NDArray[N], places: IntArray) -> NDArray[N]:
+    """:func:`spaced` :func:`columns`, copied once: the first column of all fills the space between the rows."""
+    padded = np.zeros(_apart(places.size), dtype=np.intp)
+    padded[: places.size] = places
+    found: NDArray[N] = whole(rows).take(padded, axis=1)
+    return found[:, : places.size]
+
+
+def _apart(columns: int) -> int:
+    """Numbers from the begin of one row to that of the next: an odd number of cache lines."""
+    return (-(-columns // _LINE) | 1) * _LINE
