@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from test_cell_compiled import CELLS, DT_S
 
+from ohmskin import compiled
+from ohmskin.arrays import spaced
 from ohmskin.cell import Cell
 from ohmskin.cell.estimation._rows import PRESSURE
+from ohmskin.cell.estimation._smoothing import begin
 from ohmskin.cell.estimation._taps import EVEN, LEAST_LINE, SEEN, WHOLE, Taps
 
 SHAPE = (12, 10)
@@ -86,3 +89,41 @@ def test_a_press_of_the_whole_skin_makes_no_memory_of_all_cells_anew(monkeypatch
         pressure = step(0.5 * estimator.inversion.full_scale_r)
     assert estimator._sleep.awake.all()
     assert (pressure > 0.3 * cell.full_scale_kpa).all()
+
+
+@pytest.mark.skipif(compiled.why_not() is not None, reason="the extra 'fast' is not in use")
+@pytest.mark.parametrize("kind", CELLS)
+def test_a_load_is_held_by_machine_code_as_by_array_operations(kind: str) -> None:
+    """In the memory of a skin, of whose other cells nothing changes, whatever the rows hold that are not kept."""
+    estimator, (memory, _) = CELLS[kind].estimator((5,)), moved(kind)
+    inversion, kept = estimator.inversion, estimator.inversion.held_rows
+    compiled.load(*inversion.loops_used())
+    gaps_s, places = np.array([0.02, 0.02, 0.1, 3.0, 0.005]), np.array([6, 2, 3, 9, 0])
+    whole = spaced(np.full((len(memory), 11), -7.0))
+    expected = whole.copy()
+    expected[:, places] = inversion.hold(memory, gaps_s)
+    whole[:, places] = np.nan
+    whole[np.ix_(kept, places)] = memory[kept]
+    inversion.hold_compiled(whole, places, gaps_s)
+    np.testing.assert_array_equal(whole, expected)
+
+
+@pytest.mark.parametrize("by_loops", [False, True])
+@pytest.mark.parametrize("kind", CELLS)
+def test_a_step_needs_no_other_rows_than_a_held_load(kind: str, by_loops: bool) -> None:
+    """What a tap has led to is worked out from those alone."""
+    if by_loops and compiled.why_not() is not None:
+        pytest.skip("the extra 'fast' is not in use")
+    estimator, (memory, r) = CELLS[kind].estimator((5,)), moved(kind)
+    inversion, std = estimator.inversion, np.full(5, 1e-4)
+    compiled.load(*inversion.loops_used())
+    partly = np.full(memory.shape, np.nan)
+    partly[inversion.held_rows] = memory[inversion.held_rows]
+    after = []
+    for each in (memory, partly):
+        if by_loops:
+            taken = np.array([r, std, r, std])
+            after.append(inversion.advance_compiled(each, taken, begin(r), DT_S))
+        else:
+            after.append(inversion.advance(each, DT_S, r, std, lambda: std))
+    np.testing.assert_array_equal(after[1][inversion.held_rows], after[0][inversion.held_rows])

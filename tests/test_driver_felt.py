@@ -242,7 +242,7 @@ etau2_kpa = 120.0
 rest_percent = 4.0
 [board]
 frame_rate = 40
-noise = 0.004
+noise = {noise_volts}
 [[contact]]
 bump = {{ center = [1.6, 1.8], sigma_cells = 0.9 }}
 load_kpa = [[0, 0], [3, 0], [5, 14], [9, 14], [9.3, 0]]
@@ -250,9 +250,11 @@ load_kpa = [[0, 0], [3, 0], [5, 14], [9, 14], [9.3, 0]]
 """noise of 0.3 steps of the ADC, which are a kPa each at rest and two under the press"""
 
 
-@pytest.mark.parametrize("idle_rows", ["float", "ground"])
-def test_a_slow_press_of_a_coarse_board_is_a_contact_while_it_is_held(idle_rows: str, tmp_path: Path) -> None:
-    (tmp_path / "scene.toml").write_text(COARSE.format(idle_rows=idle_rows))
+@pytest.mark.parametrize(("idle_rows", "noise_volts"), [("float", 0.004), ("float", 0.001), ("ground", 0.004)])
+def test_a_slow_press_of_a_coarse_board_is_a_contact_while_it_is_held(
+    idle_rows: str, noise_volts: float, tmp_path: Path
+) -> None:
+    (tmp_path / "scene.toml").write_text(COARSE.format(idle_rows=idle_rows, noise_volts=noise_volts))
     with Skin.open(f"ohmskin://{tmp_path / 'scene.toml'}?clock=fast&duration=12&seed=1", delivery="lossless") as skin:
         skin.tare(40)
         frames = [(frame.device_time, frame.contacts) for frame in skin]

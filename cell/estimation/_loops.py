@@ -74,6 +74,17 @@ def scatter(values: SpacedRows, cells: Places, new: SpacedRows) -> None:
             values[row, cells[i]] = new[row, i]
 
 
+@loop
+def copy(
+    values: SpacedRows, rows: Places, cells: Places, found: SpacedRows, found_rows: Places, found_cells: Places
+) -> None:
+    """Write ``rows`` (k,) of ``values`` at ``cells`` (m,) to those of ``found`` at ``found_cells`` (m,)."""
+    for k in range(rows.size):
+        row, found_row = rows[k], found_rows[k]
+        for i in range(cells.size):
+            found[found_row, found_cells[i]] = values[row, cells[i]]
+
+
 MODEL_VARIANCE, WITHIN, SURE, FULL, MUCH, MUCH_NOISE, NO_LOAD, TINY = range(8)
 HIDDEN, PER_SIGMAS, STATED, SIGMAS, HIDDEN_SHARE, RISE_KPA, FALL_KPA, RESTS, DOUBT_KPA2, LIGHT_KPA2, DOUBTED_KPA2 = (
     range(8, 19)
@@ -261,4 +272,4 @@ def watch_over(
         variance[cell] = own + pressure * pressure if numbers[STATED] > 0.0 else math.nan
 
 
-ALL = read, watch, renew_means, take, scatter, show, add_asleep, find_calm, watch_over
+ALL = read, watch, renew_means, take, scatter, copy, show, add_asleep, find_calm, watch_over

@@ -8,13 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray, columns, spaced, spaced_columns
+from ...arrays import BoolArray, FloatArray, IntArray, columns, put_columns, spaced, spaced_columns
 from . import _loops as loops
 from . import _smoothing as smoothing
 from ._inversion import Inversion
-
-FEW = 64
-"""cells whose memory is written for all rows at once"""
 
 
 class Block:
@@ -46,11 +43,9 @@ class Block:
         every = place.size == self.cells.size and bool((np.diff(place) > 0).all())
         return spaced(self.memory) if every else spaced_columns(self.memory, place)
 
-    def take_back(self, place: IntArray, memory: FloatArray, line: FloatArray) -> None:
-        """Let cells at ``place`` (k,) in the block remember ``memory`` (rows, k) and ``line`` (ROWS, k) again."""
+    def changed(self) -> None:
+        """To be called when ``memory`` and ``line`` have been written to between two steps."""
         self.memory = self.memory[:]  # another array, as sign that it has changed
-        _put(self.memory, place, memory)
-        _put(self.line, place, line)
         self.line_before = self.line.copy()
 
 
@@ -98,27 +93,32 @@ class Remembered:
 
     def wake(self, cells: IntArray) -> None:
         """Let sleeping ``cells`` (m,) be followed, on lines that have read as at rest for ever."""
-        _put(self.line, cells, self._at_rest[1])  # their memory is that of rest since they sleep, see :meth:`rest`
+        put_columns(
+            self.line, cells, self._at_rest[1]
+        )  # their memory is that of rest since they sleep, see :meth:`rest`
         self.stale = True
 
     def rest(self, cells: IntArray) -> None:
         """Let ``cells`` (m,) go to sleep: they remember nothing but rest. To be called after :meth:`flush`."""
-        _put(self.memory, cells, self._at_rest[0])
+        put_columns(self.memory, cells, self._at_rest[0])
 
     def put(self, cells: IntArray, memory: FloatArray, line: FloatArray) -> None:
         """Let ``cells`` (k,) remember ``memory`` (rows, k) and ``line`` (ROWS, k), outside of the block."""
-        _put(self.memory, cells, memory)
-        _put(self.line, cells, line)
+        put_columns(self.memory, cells, memory)
+        put_columns(self.line, cells, line)
 
     def interrupt(self, cells: IntArray) -> None:
         """Let the next reading of ``cells`` (m,) begin a new line, whatever it is. To be called after :meth:`flush`."""
         line = self.line[:, cells]
         smoothing.interrupt(line)
-        _put(self.line, cells, line)
+        put_columns(self.line, cells, line)
 
     def hold(self, cells: IntArray, unread_s: FloatArray) -> None:
         """Bring up the memory of ``cells`` (m,) that were not read for ``unread_s`` (m,): as if the load had stayed."""
-        _put(self.memory, cells, self._inversion.hold(columns(self.memory, cells), unread_s))
+        if self.compiled:
+            self._inversion.hold_compiled(self.memory, cells, unread_s)
+        else:
+            put_columns(self.memory, cells, self._inversion.hold(columns(self.memory, cells), unread_s))
 
     def left_over(self) -> FloatArray:
         """(n,) r that earlier loads have left in cells, see :meth:`._inversion.Inversion.left_over`."""
@@ -144,20 +144,3 @@ class Remembered:
             # Not copied, as :meth:`flush` takes it back. Another array, as sign that it may have changed.
             return Block(cells, self.memory[:], self.line[:])
         return Block(cells, spaced_columns(self.memory, cells), self.line.take(cells, axis=1))
-
-
-def _put(values: FloatArray, cells: IntArray, new: FloatArray) -> None:
-    """Write ``new`` (rows, m), or (rows, 1) for all alike, over the ``values`` (rows, n) of some cells (m,).
-
-    Row by row if there are many: NumPy takes 15 times as long for all rows at once where there are thousands of cells,
-    and a third where there are a few. (For the same reason columns are read by ``take`` and ``compress``.)
-    """
-    if cells.size <= FEW:
-        values[:, cells] = new
-        return
-    alike = new.shape[1] == 1  # a number is written in half the time of an array of one
-    if alike and cells.size == values.shape[1]:
-        values[...] = new
-        return
-    for row, written in zip(values, new[:, 0].tolist() if alike else new, strict=True):
-        row[cells] = written

@@ -22,14 +22,14 @@ import math
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
-from ...compiled import Row, Rows, SpacedPlaces, SpacedRows, loop
+from ...compiled import Places, Row, Rows, SpacedPlaces, SpacedRows, loop
 from ..estimation import FAR, GAIN, PRESSURE, RECENT, RESTED, VARIANCE
 from ..materials import PaperModel
 from . import _meter as meter
 from . import _together as together
 from . import _way as way
+from ._meter import HELD, HELD_FOR_EVER, tell_of, uncounted_of
 from ._meter import see_of as tell_neighbours_of
-from ._meter import tell_of, uncounted_of
 from ._onset import CLEAR_KPA
 from ._paper_steps import fast_r
 from ._turning_rows import (
@@ -366,6 +366,19 @@ def take_back_of(memory: SpacedRows, i: int, way: float, most: float, told: floa
     after = min(after * after, max(doubt, shown * shown))
     memory[VARIANCE, i] += after - doubt
     memory[TURNED, i] = after
+
+
+@loop
+def begin_each(memory: SpacedRows, places: Places) -> None:
+    """:func:`begin` for the cells at ``places`` (k,), with the r that they remember."""
+    for row in range(METER, BEFORE + LATE_LOOKS):
+        for k in range(places.size):
+            memory[row, places[k]] = 0.0
+    for k in range(places.size):
+        i = places[k]
+        memory[METER + HELD, i] = HELD_FOR_EVER
+        memory[SIGN_BEFORE, i] = memory[SIGN, i]
+        memory[LAST_R, i] = memory[EXTREME_R, i] = memory[STATE_END - 1, i]
 
 
 LOOPS = (look_each,)
