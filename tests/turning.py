@@ -535,7 +535,7 @@ class Sway:
             explained, self.extreme = mean - self.extreme, mean
         late, all_back = min(int(np.ceil(sway.LATE_S / (4 * dt))), sway.LATE_LOOKS), 0.0
         now = self.unexplained[-1] + mean - self.last - explained
-        if turned:  # explains all that r went since the extreme; of that the meter knows what is older than `late` looks
+        if turned:  # explains all that r went since the extreme; what is older than `late` looks, the meter knows
             if self.back >= late:
                 all_back = 2 * abs(now - self.way.seen[-1])
             back = min(self.back, sway.LATE_LOOKS)
