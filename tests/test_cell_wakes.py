@@ -9,6 +9,8 @@ from test_cell_compiled import CELLS, DT_S
 from ohmskin import compiled
 from ohmskin.arrays import spaced
 from ohmskin.cell import Cell
+from ohmskin.cell.estimation._loops import copy, scatter
+from ohmskin.cell.estimation._remembered import Remembered
 from ohmskin.cell.estimation._rows import PRESSURE
 from ohmskin.cell.estimation._smoothing import begin
 from ohmskin.cell.estimation._taps import EVEN, LEAST_LINE, SEEN, WHOLE, Taps
@@ -127,3 +129,30 @@ def test_a_step_needs_no_other_rows_than_a_held_load(kind: str, by_loops: bool) 
         else:
             after.append(inversion.advance(each, DT_S, r, std, lambda: std))
     np.testing.assert_array_equal(after[1][inversion.held_rows], after[0][inversion.held_rows])
+
+
+@pytest.mark.skipif(compiled.why_not() is not None, reason="the extra 'fast' is not in use")
+@pytest.mark.parametrize("kind", CELLS)
+def test_cells_that_are_followed_in_turn_remember_the_same_by_machine_code(kind: str) -> None:
+    """Some cells stay from block to block, some come and go; in between the block's memory is replaced by another."""
+    rng, cells = np.random.default_rng(0), 30
+    by_loops, by_arrays = (Remembered(CELLS[kind].estimator((cells,)).inversion, cells) for _ in range(2))
+    by_loops.compiled = compiled.load(copy, scatter)
+    assert by_loops.compiled
+    for share in (0.2, 0.3, 0.3, 1.0, 0.6, 0.0, 0.5, 1.0, 1.0, 0.2, 0.9, 0.9):
+        wanted = rng.random(cells) < share
+        if share == 0.5:
+            by_loops.flush()
+        memory, line = rng.random((len(by_loops.memory), wanted.sum())), rng.random((len(by_loops.line), wanted.sum()))
+        for each in (by_loops, by_arrays):
+            np.testing.assert_array_equal(each.follow(wanted), np.flatnonzero(wanted))
+        np.testing.assert_array_equal(by_loops.block.memory, by_arrays.block.memory)
+        np.testing.assert_array_equal(by_loops.block.line, by_arrays.block.line)
+        np.testing.assert_array_equal(by_loops.block.line_before, by_arrays.block.line)
+        for each in (by_loops, by_arrays):
+            each.block.memory = spaced(memory)
+            each.block.line = line.copy()
+    by_loops.flush()
+    by_arrays.flush()
+    np.testing.assert_array_equal(by_loops.memory, by_arrays.memory)
+    np.testing.assert_array_equal(by_loops.line, by_arrays.line)

@@ -340,8 +340,9 @@ class Estimator:
         wanted = awake if known is None else awake & known
         if not remembered.stale and np.array_equal(wanted, remembered.followed):
             return
-        self._flush()
+        self._deviation.flush()
         if known is not None or self._gaps.open:
+            remembered.flush()
             self._part(wanted)
         cells = remembered.follow(wanted)
         self._sleep.follow(cells)

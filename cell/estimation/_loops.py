@@ -2,7 +2,7 @@
 
 Each loop does what array operations of :mod:`._inversion`, :mod:`._sleep`, :mod:`._smoothing` or :mod:`._deviation` do,
 operation for operation and in the same order, so that the results agree to the last bit. What happens in few frames
-(cells that wake, gaps, sparks) has no loop.
+(cells that wake, gaps, sparks) has no loop, but for the copies of what a whole skin may remember.
 """
 
 from __future__ import annotations

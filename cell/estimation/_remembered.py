@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray, columns, put_columns, spaced, spaced_columns
+from ...arrays import BoolArray, FloatArray, IntArray, columns, put_columns, spaced, spaced_anything, spaced_columns
 from . import _loops as loops
 from . import _smoothing as smoothing
 from ._inversion import Inversion
@@ -67,10 +67,15 @@ class Remembered:
         self.block = self._no_block
 
     def follow(self, wanted: BoolArray) -> IntArray:
-        """Gather the cells that are ``wanted`` (n,); returns their indices (m,). To be called after :meth:`flush`."""
-        self.followed = wanted.copy()
+        """Gather the cells that are ``wanted`` (n,); returns their indices (m,). Those of before are scattered."""
         cells = np.flatnonzero(wanted)
-        self.block = self._gathered(cells)
+        few = max(cells.size, self.block.cells.size) < wanted.size  # else blocks are the memory of all cells
+        if self.compiled and few and self.block.cells.size:
+            self.block = self._changed_over(cells, wanted)
+        else:
+            self.flush()
+            self.block = self._gathered(cells)
+        self.followed = wanted.copy()
         self.stale = False
         return cells
 
@@ -93,9 +98,8 @@ class Remembered:
 
     def wake(self, cells: IntArray) -> None:
         """Let sleeping ``cells`` (m,) be followed, on lines that have read as at rest for ever."""
-        put_columns(
-            self.line, cells, self._at_rest[1]
-        )  # their memory is that of rest since they sleep, see :meth:`rest`
+        # Their memory is that of rest since they sleep, see :meth:`rest`.
+        put_columns(self.line, cells, self._at_rest[1])
         self.stale = True
 
     def rest(self, cells: IntArray) -> None:
@@ -138,6 +142,23 @@ class Remembered:
         self.memory, self.line = spaced(state["memory"]), state["line"]
         self.follow(state["followed"] > 0)
         self.stale = True
+
+    def _changed_over(self, cells: IntArray, wanted: BoolArray) -> Block:
+        """The block of ``cells`` (m,), which are ``wanted`` (n,), after another one, with which it shares most cells.
+
+        These go from block to block. In the memory of all, each number of a cell is far from the next.
+        """
+        before, followed = self.block, self.followed[cells]
+        stay = wanted[before.cells]
+        kept, left = stay.nonzero()[0], (~stay).nonzero()[0]
+        same, new = followed.nonzero()[0], (~followed).nonzero()[0]
+        memory, line = spaced_anything(len(self.memory), cells.size), np.empty((len(self.line), cells.size))
+        for of_all, old, now in (self.memory, before.memory, memory), (self.line, before.line, line):
+            rows = np.arange(len(of_all))
+            loops.copy.unchecked(old, rows, left, of_all, rows, before.cells[left])
+            loops.copy.unchecked(old, rows, kept, now, rows, same)
+            loops.copy.unchecked(of_all, rows, cells[new], now, rows, new)
+        return Block(cells, memory, line)
 
     def _gathered(self, cells: IntArray) -> Block:
         if cells.size == self.memory.shape[1]:
