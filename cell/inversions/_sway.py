@@ -5,9 +5,9 @@ rise by more than a fall, so that r climbs with each to and fro. An inverse that
 that for a load which grows. How far readings go to and fro tells by how much r climbs (:mod:`._way`). Motion that the
 inverse has noticed is left out: r beyond the largest since the load turned is a rise, and r below it, once a turn is
 noticed, a fall. A turn is noticed late, and explains in hindsight all that r went since. The meter is therefore told
-what is unexplained some looks later, and never sees what a turn explains meanwhile. Presses and taps leave nothing then,
-and neither do loads that tremble so far that all turns are noticed. Under what remains, r drifts as either model says,
-half of the time each.
+what is unexplained some looks later, and never sees what a turn explains meanwhile. Presses and taps leave nothing
+then, and neither do loads that tremble so far that all turns are noticed. Under what remains, r drifts as either model
+says, half of the time each.
 
 What the rest makes of the pressure is subtracted from both hypotheses and from what they are compared with, so that it
 is no turn. The standard deviation contains a share of that, since the way is known to about as much, and the way that
