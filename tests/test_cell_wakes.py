@@ -9,7 +9,7 @@ from test_cell_compiled import CELLS, DT_S
 from ohmskin import compiled
 from ohmskin.arrays import spaced
 from ohmskin.cell import Cell
-from ohmskin.cell.estimation._loops import copy, scatter
+from ohmskin.cell.estimation._loops import copy
 from ohmskin.cell.estimation._remembered import Remembered
 from ohmskin.cell.estimation._rows import PRESSURE
 from ohmskin.cell.estimation._smoothing import begin
@@ -137,7 +137,7 @@ def test_cells_that_are_followed_in_turn_remember_the_same_by_machine_code(kind:
     """Some cells stay from block to block, some come and go; in between the block's memory is replaced by another."""
     rng, cells = np.random.default_rng(0), 30
     by_loops, by_arrays = (Remembered(CELLS[kind].estimator((cells,)).inversion, cells) for _ in range(2))
-    by_loops.compiled = compiled.load(copy, scatter)
+    by_loops.compiled = compiled.load(copy)
     assert by_loops.compiled
     for share in (0.2, 0.3, 0.3, 1.0, 0.6, 0.0, 0.5, 1.0, 1.0, 0.2, 0.9, 0.9):
         wanted = rng.random(cells) < share

@@ -67,14 +67,6 @@ def take(r: Row, noise_at_rest: Row, cells: Places, line: Rows, taken: Rows, lea
 
 
 @loop
-def scatter(values: SpacedRows, cells: Places, new: SpacedRows) -> None:
-    """Write ``new`` (rows, m) over the ``values`` (rows, n) of ``cells`` (m,)."""
-    for row in range(values.shape[0]):
-        for i in range(cells.size):
-            values[row, cells[i]] = new[row, i]
-
-
-@loop
 def copy(
     values: SpacedRows, rows: Places, cells: Places, found: SpacedRows, found_rows: Places, found_cells: Places
 ) -> None:
@@ -272,4 +264,4 @@ def watch_over(
         variance[cell] = own + pressure * pressure if numbers[STATED] > 0.0 else math.nan
 
 
-ALL = read, watch, renew_means, take, scatter, copy, show, add_asleep, find_calm, watch_over
+ALL = read, watch, renew_means, take, copy, show, add_asleep, find_calm, watch_over

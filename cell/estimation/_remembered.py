@@ -1,7 +1,8 @@
 """The memory of all cells, and the block of those that are followed at present (gather, work, scatter).
 
 A skin is large and few of its cells are pressed. Work of a frame is done for those only, side by side in a block. A
-block is gathered from the memory of all cells when other cells are to be followed, and scattered back before.
+block is gathered from the memory of all cells when other cells are to be followed, and scattered back before. By
+machine code cells that are followed further go from block to block.
 """
 
 from __future__ import annotations
@@ -85,8 +86,10 @@ class Remembered:
         if block.cells.size == self.followed.size:
             self.memory, self.line = block.memory, block.line
         elif self.compiled:
-            loops.scatter.unchecked(self.memory, block.cells, block.memory)
-            loops.scatter.unchecked(self.line, block.cells, block.line)
+            every = np.arange(block.cells.size)
+            for of_all, old in (self.memory, block.memory), (self.line, block.line):
+                rows = np.arange(len(of_all))
+                loops.copy.unchecked(old, rows, every, of_all, rows, block.cells)
         else:
             self.put(block.cells, block.memory, block.line)
         self.stale = True
