@@ -47,6 +47,9 @@ OWN = 0.3
 """least share of a cell's rise that is its own: the rest it has in common with most cells of its row or column"""
 FALLEN = 4.0
 """standard deviations below zero of the weighted sum by which a touch may have ended; the pressure decides"""
+FALLEN_IN_BLOCKS = 3.0
+"""the same in means over blocks of frames. What has risen from before on is then no slow press. Each block is asked
+once, and each place for itself, so that a chance hides hardly a press"""
 ROUNDING_S = 1e-9
 """of times of frames; readings of exactly the lengths above belong to them"""
 LONGEST_S = 1.0
@@ -96,7 +99,7 @@ class Rises:
         self._sums: deque[_Sum] = deque()
         self._slow = SlowRises(shape)
         self._fallen_s = np.full(shape, -np.inf)
-        """(rows, columns) when the cell, or one beside it, has last fallen together with its neighbours"""
+        """(rows, columns) when the cell has last fallen together with its neighbours, or suddenly one beside it has"""
 
     def forget(self) -> None:
         """Begin anew: rest resistances have changed."""
@@ -137,11 +140,14 @@ class Rises:
         What such a rise shows of a rim is faint, and stays for seconds where a finger has passed. So cells beside its
         middle count from :data:`MIDDLE` on.
         """
+        changes = self._slow.take(time_s, reading, noise)
+        if changes is None:
+            return None
+        self._fallen_s[_weighted(changes.lately) < -FALLEN_IN_BLOCKS] = time_s
         risen = None
-        for since_s, rise in self._slow.take(time_s, reading, noise):
+        for since_s, rise in changes.rises:
             rise[(rise > 0.0) & (self._fallen_s >= since_s)] = 0.0
-            weighted = sums_around(rise).whole
-            found = _together(rise, MIDDLE) if weighted.item(weighted.argmax()) > TOGETHER * STD_OF_WHOLE else None
+            found = _together(rise, _weighted(rise), MIDDLE)
             if found is not None:
                 risen = found[1] if risen is None else risen | found[1]
         return risen
@@ -159,9 +165,9 @@ class Rises:
         if max(rise.item(rise.argmax()), -rise.item(rise.argmin())) < EACH:
             return None
         rise[now.missing > before.missing] = 0.0
-        weighted = sums_around(rise).whole / STD_OF_WHOLE
+        weighted = _weighted(rise)
         fallen = weighted < -FALLEN
-        found = _together(rise, SHARED) if weighted.item(weighted.argmax()) > TOGETHER else None
+        found = _together(rise, weighted, SHARED)
         if found is None:
             return JointRise(fallen & False, fallen & False, fallen) if fallen.any() else None
         middle, risen = found
@@ -204,14 +210,22 @@ class Rises:
         return max(min(bisect_right(self._sums, time_s, key=attrgetter("time_s")) - 1, most), 0)
 
 
-def _together(rise: FloatArray, least_beside: float) -> tuple[BoolArray, BoolArray] | None:
-    """Cells in the middle of joint rises, and those with their neighbours that have risen as well.
+def _weighted(rise: FloatArray) -> FloatArray:
+    """(rows, columns) weighted sums of rises, which are in standard deviations, over 3 x 3 cells, in theirs."""
+    return sums_around(rise).whole / STD_OF_WHOLE
+
+
+def _together(rise: FloatArray, weighted: FloatArray, least_beside: float) -> tuple[BoolArray, BoolArray] | None:
+    """Cells in the middle of joint rises, and those with their neighbours that have risen as well; None: none have.
 
     Args:
         rise: (rows, columns) in standard deviations.
+        weighted: :func:`_weighted` of it.
         least_beside: share of the largest rise in the 3 x 3 cells around it that a neighbour has risen by at least.
 
     """
+    if weighted.item(weighted.argmax()) <= TOGETHER:
+        return None  # what cells have risen by on their own, beyond their lines, makes no larger sums
     own = rise - _in_common(rise)
     own /= max(scatter(own), 1.0)
     own[(own <= OWN * rise) & (own > 0)] = 0.0

@@ -23,6 +23,8 @@ APART, BEFORE = 2, 6
 """blocks that are passed over before the last one, and blocks before these with which it is compared: in a pause of two
 blocks a press of some blocks has come down for the most part"""
 BLOCKS = BEFORE + APART + 1
+JUST_BEFORE = slice(BLOCKS - 1 - APART, BLOCKS - APART)
+"""the block with which the last one is compared to see whether a tap has ended"""
 LEFT = 0.7
 """of the largest rise of one of the blocks before: with less, a load has gone that had been there"""
 CHANCE = 2.0
@@ -43,6 +45,15 @@ class SlowRise(NamedTuple):
     was not read in each of the frames"""
 
 
+class SlowChanges(NamedTuple):
+    """What a block that has ended tells."""
+
+    lately: FloatArray
+    """(rows, columns) change from the short block but one before it, in standard deviations as in :class:`SlowRise`"""
+    rises: list[SlowRise]
+    """of the short block, and of the long one where that has ended, too"""
+
+
 class SlowRises:
     """The last blocks of two lengths."""
 
@@ -56,8 +67,8 @@ class SlowRises:
         """Begin anew: rest resistances have changed."""
         self._frames = self._short.ended = self._long.ended = 0
 
-    def take(self, time_s: float, reading: FloatArray, noise: FloatArray) -> list[SlowRise]:
-        """Take the next frame, and compare the blocks that have ended before it.
+    def take(self, time_s: float, reading: FloatArray, noise: FloatArray) -> SlowChanges | None:
+        """Take the next frame, and compare the blocks that have ended before it; None: none has, or too few have.
 
         Args:
             time_s: of the frame, increasing.
@@ -66,7 +77,7 @@ class SlowRises:
             noise: (rows, columns) standard deviation of one reading, by noise and by the steps of the ADC.
 
         """
-        found = []
+        found = None
         if self._frames and time_s - self._start_s >= BLOCK_S - ROUNDING_S:
             found = self._end_block(noise)
         if not self._frames:
@@ -78,17 +89,20 @@ class SlowRises:
         self._squares += reading * reading
         return found
 
-    def _end_block(self, noise: FloatArray) -> list[SlowRise]:
+    def _end_block(self, noise: FloatArray) -> SlowChanges | None:
         short, long, frames, self._frames = self._short, self._long, self._frames, 0
         mean = self._sum / frames
         squares = np.maximum(self._squares - mean * self._sum, 0.0)
         short.add(self._start_s, frames, frames - 1, mean, squares)
-        found = [short.compare(noise)] if short.ended >= BLOCKS else []
+        ended = [short]
         if short.ended % BLOCKS_OF_LONG == 0:
             long.add(*short.last())
-            if long.ended >= BLOCKS:
-                found.append(long.compare(noise))
-        return found
+            ended.append(long)
+        if short.ended < BLOCKS:
+            return None
+        return SlowChanges(
+            short.compare(noise, JUST_BEFORE), [blocks.rise(noise) for blocks in ended if blocks.ended >= BLOCKS]
+        )
 
 
 class _Blocks:
@@ -122,9 +136,13 @@ class _Blocks:
         frames = self._frames[blocks]
         return np.tensordot(frames / frames.sum(), self._means[blocks], 1)
 
-    def compare(self, noise: FloatArray) -> SlowRise:
+    def rise(self, noise: FloatArray) -> SlowRise:
         """By how much the last block has risen; ``noise`` as for :meth:`SlowRises.take`."""
-        before, frames = slice(BEFORE), int(self._frames[:BEFORE].sum())
+        return SlowRise(float(self._start_s[BEFORE]), self.compare(noise, slice(0, BEFORE)))
+
+    def compare(self, noise: FloatArray, before: slice) -> FloatArray:
+        """(rows, columns) change of the last block from blocks ``before``, in standard deviations; no drift is one."""
+        frames = int(self._frames[before].sum())
         scatters, degrees = self._squares.sum(axis=0), max(int(self._degrees.sum()), 1)
         scatters /= degrees
         # What does not scatter within a block may be another error in the next block.
@@ -132,11 +150,11 @@ class _Blocks:
         variance += scatters * (1.0 / int(self._frames[-1]) + 1.0 / frames)
         mean = self._mean(before)
         std = np.sqrt(variance)
-        rise: FloatArray = self._means[-1] - mean
-        std *= max(scatter(rise / std), 1.0)
-        gone = rise < LEFT * (self._means[before].max(axis=0) - mean)
-        drift = DRIFT_PER_S * (self._start_s[-1] - self._start_s[BEFORE // 2])
-        rise -= np.minimum(np.maximum(rise, -drift), drift)
-        rise /= std
-        rise[(gone & (rise > 0.0)) | np.isnan(scatters)] = 0.0
-        return SlowRise(float(self._start_s[BEFORE]), rise)
+        change: FloatArray = self._means[-1] - mean
+        std *= max(scatter(change / std), 1.0)
+        gone = change < LEFT * (self._means[before].max(axis=0) - mean)
+        drift = DRIFT_PER_S * (self._start_s[-1] - self._start_s[(before.start + before.stop) // 2])
+        change -= np.minimum(np.maximum(change, -drift), drift)
+        change /= std
+        change[(gone & (change > 0.0)) | np.isnan(scatters)] = 0.0
+        return change

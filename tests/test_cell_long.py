@@ -289,7 +289,7 @@ def test_holds_that_waver_are_followed(noise: float, rms: float) -> None:
     assert over.max() < 5.0
 
 
-@pytest.mark.parametrize(("dt", "share", "rms"), [(0.01, 0.01, 0.05), (0.005, 0.01, 0.05), (0.005, 0.02, 0.08)])
+@pytest.mark.parametrize(("dt", "share", "rms"), [(0.01, 0.01, 0.05), (0.005, 0.01, 0.05), (0.005, 0.02, 0.09)])
 def test_holds_that_tremble_by_less_than_a_turn_do_not_grow(dt: float, share: float, rms: float) -> None:
     """Sines of 1.5 to 8 Hz: means of the readings tell how far they go, and with it what the cell keeps of them."""
     time, hertz = np.arange(1, round(12.0 / dt)) * dt, np.geomspace(1.5, 8.0, 6)
@@ -305,12 +305,10 @@ def test_holds_that_tremble_by_less_than_a_turn_do_not_grow(dt: float, share: fl
     assert left < 0.04
 
 
-@pytest.mark.xfail(strict=True, reason="what noticed turns leave unexplained is taken back: such holds fade")
 def test_holds_that_tremble_by_noticed_turns_do_not_fade_within_half_a_minute() -> None:
     """Sines of 1.5 to 8 Hz and 4 % of the load rms, of which the estimator notices many a turn, but not every one.
 
-    docs/estimator.md states this limit with the figures that the test prints, and why it is there. Strict, so that an
-    estimator that holds such loads makes the test fail, until the mark and that statement are gone.
+    What a turn explains in hindsight must not be taken back as if it had gone unnoticed.
     """
     dt = 0.01
     time, hertz = np.arange(1, round(32.0 / dt)) * dt, np.geomspace(1.5, 8.0, 6)
@@ -321,6 +319,27 @@ def test_holds_that_tremble_by_noticed_turns_do_not_fade_within_half_a_minute() 
     found = np.sqrt((error[late] ** 2).mean()) / FULL
     within = f"{100 * (over[late] < 2).mean():.0f} % within 2 sd, worst {over[late].max():.1f}"
     print(f"error {100 * found:.1f} % FS rms, {within}")
+    assert found < 0.15
+    assert (over[late] < 2).mean() > 0.95
+    assert over[late].max() < 5.0
+
+
+@pytest.mark.parametrize("share", [0.04, 0.07])
+def test_a_grip_that_trembles_stays_where_it_is_for_half_a_minute(share: float) -> None:
+    """All cells tremble together at 3.3 Hz, those at the edge of the grip under a fifth of its load.
+
+    The doubt in a light cell's memory becomes as large as its load, yet the falls of a tremor are no release.
+    """
+    dt, profile = 0.005, np.outer([0.5, 1.0, 1.0, 0.6], [0.4, 1.0, 0.9, 0.5])
+    time = np.arange(1, round(30.0 / dt)) * dt
+    tremor = share * np.sqrt(2) * np.sin(2 * np.pi * 3.3 * time) * (time > 1.5)
+    held = 0.4 * FULL * np.interp(time, [1.0, 1.3], [0.0, 1.0]) * (1.0 + tremor)
+    error, over = judged(held[:, None, None] * profile, dt, 1e-3)
+    late = time > 15.0
+    found = np.sqrt((error[late] ** 2).mean()) / FULL
+    within = f"{100 * (over[late] < 2).mean():.0f} % within 2 sd, worst {over[late].max():.1f}"
+    print(f"error {100 * found:.1f} % FS rms, {within}")
+    assert found < 0.05
     assert (over[late] < 2).mean() > 0.95
     assert over[late].max() < 5.0
 

@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 from test_cell_compiled import CELLS, DT_S
 
+from ohmskin import compiled
+from ohmskin.arrays import spaced
 from ohmskin.cell import Cell
+from ohmskin.cell.estimation._loops import copy
+from ohmskin.cell.estimation._remembered import Remembered
 from ohmskin.cell.estimation._rows import PRESSURE
+from ohmskin.cell.estimation._smoothing import begin
 from ohmskin.cell.estimation._taps import EVEN, LEAST_LINE, SEEN, WHOLE, Taps
 
 SHAPE = (12, 10)
@@ -86,3 +91,68 @@ def test_a_press_of_the_whole_skin_makes_no_memory_of_all_cells_anew(monkeypatch
         pressure = step(0.5 * estimator.inversion.full_scale_r)
     assert estimator._sleep.awake.all()
     assert (pressure > 0.3 * cell.full_scale_kpa).all()
+
+
+@pytest.mark.skipif(compiled.why_not() is not None, reason="the extra 'fast' is not in use")
+@pytest.mark.parametrize("kind", CELLS)
+def test_a_load_is_held_by_machine_code_as_by_array_operations(kind: str) -> None:
+    """In the memory of a skin, of whose other cells nothing changes, whatever the rows hold that are not kept."""
+    estimator, (memory, _) = CELLS[kind].estimator((5,)), moved(kind)
+    inversion, kept = estimator.inversion, estimator.inversion.held_rows
+    compiled.load(*inversion.loops_used())
+    gaps_s, places = np.array([0.02, 0.02, 0.1, 3.0, 0.005]), np.array([6, 2, 3, 9, 0])
+    whole = spaced(np.full((len(memory), 11), -7.0))
+    expected = whole.copy()
+    expected[:, places] = inversion.hold(memory, gaps_s)
+    whole[:, places] = np.nan
+    whole[np.ix_(kept, places)] = memory[kept]
+    inversion.hold_compiled(whole, places, gaps_s)
+    np.testing.assert_array_equal(whole, expected)
+
+
+@pytest.mark.parametrize("by_loops", [False, True])
+@pytest.mark.parametrize("kind", CELLS)
+def test_a_step_needs_no_other_rows_than_a_held_load(kind: str, by_loops: bool) -> None:
+    """What a tap has led to is worked out from those alone."""
+    if by_loops and compiled.why_not() is not None:
+        pytest.skip("the extra 'fast' is not in use")
+    estimator, (memory, r) = CELLS[kind].estimator((5,)), moved(kind)
+    inversion, std = estimator.inversion, np.full(5, 1e-4)
+    compiled.load(*inversion.loops_used())
+    partly = np.full(memory.shape, np.nan)
+    partly[inversion.held_rows] = memory[inversion.held_rows]
+    after = []
+    for each in (memory, partly):
+        if by_loops:
+            taken = np.array([r, std, r, std])
+            after.append(inversion.advance_compiled(each, taken, begin(r), DT_S))
+        else:
+            after.append(inversion.advance(each, DT_S, r, std, lambda: std))
+    np.testing.assert_array_equal(after[1][inversion.held_rows], after[0][inversion.held_rows])
+
+
+@pytest.mark.skipif(compiled.why_not() is not None, reason="the extra 'fast' is not in use")
+@pytest.mark.parametrize("kind", CELLS)
+def test_cells_that_are_followed_in_turn_remember_the_same_by_machine_code(kind: str) -> None:
+    """Some cells stay from block to block, some come and go; in between the block's memory is replaced by another."""
+    rng, cells = np.random.default_rng(0), 30
+    by_loops, by_arrays = (Remembered(CELLS[kind].estimator((cells,)).inversion, cells) for _ in range(2))
+    by_loops.compiled = compiled.load(copy)
+    assert by_loops.compiled
+    for share in (0.2, 0.3, 0.3, 1.0, 0.6, 0.0, 0.5, 1.0, 1.0, 0.2, 0.9, 0.9):
+        wanted = rng.random(cells) < share
+        if share == 0.5:
+            by_loops.flush()
+        memory, line = rng.random((len(by_loops.memory), wanted.sum())), rng.random((len(by_loops.line), wanted.sum()))
+        for each in (by_loops, by_arrays):
+            np.testing.assert_array_equal(each.follow(wanted), np.flatnonzero(wanted))
+        np.testing.assert_array_equal(by_loops.block.memory, by_arrays.block.memory)
+        np.testing.assert_array_equal(by_loops.block.line, by_arrays.block.line)
+        np.testing.assert_array_equal(by_loops.block.line_before, by_arrays.block.line)
+        for each in (by_loops, by_arrays):
+            each.block.memory = spaced(memory)
+            each.block.line = line.copy()
+    by_loops.flush()
+    by_arrays.flush()
+    np.testing.assert_array_equal(by_loops.memory, by_arrays.memory)
+    np.testing.assert_array_equal(by_loops.line, by_arrays.line)

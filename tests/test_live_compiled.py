@@ -57,6 +57,9 @@ class Pair:
             in_single = design.array.rows * design.array.columns > MOST_IN_DOUBLE
             self.close = CLOSE_IN_SINGLE if in_single and self.loops._recover._board.lead_like else CLOSE
             self._count(self.loops._recover._loops, monkeypatch)
+            # Ladders in both: the closed form of array operations is compared in test_frame_transfer.py.
+            assert isinstance(self.arrays._recover, AmplifiedLive)
+            self.arrays._recover._board.models._uniform = None
 
     def _count(self, loops: UsualFrames, monkeypatch: pytest.MonkeyPatch) -> None:
         for name in ("about", "independent"):

@@ -251,3 +251,16 @@ def test_a_divider_tells_the_steps_of_all_its_readings() -> None:
     expected = np.sqrt(square / 12.0)
     np.testing.assert_allclose(at.all_steps_std, expected, rtol=0.3)
     assert np.all(at.all_steps_std >= at.step_std)
+
+
+def test_steps_that_scale_no_columns_are_errors_of_each_cell() -> None:
+    """Where idle rows float, all readings make a cell's error: of its own step an estimator would know too little."""
+    cell, random = Cell.example(), np.random.default_rng(0)
+    ohm = cell.rest_resistance_ohm * np.exp(random.normal(0.0, 0.03, (40, 6, 6)))
+    own, of_all = 0.006 * random.uniform(0.9, 1.1, (6, 6)), 0.032 * random.uniform(0.9, 1.1, (6, 6))
+    each, together = cell.estimator((6, 6)), cell.estimator((6, 6))
+    each.resolve(of_all, ohm[0])
+    together.resolve(own, ohm[0], of_all, scales_columns=False)
+    for frame in ohm:
+        np.testing.assert_array_equal(together.step(0.025, frame), each.step(0.025, frame))
+        np.testing.assert_array_equal(together.std_kpa, each.std_kpa)

@@ -277,6 +277,9 @@ class OneCell:
         ago = 1.5 * dt
         pressure = gain * (mean - self.now.x2 * np.exp(ago / m.t2_s) - self.now.x3 * np.exp(ago / m.t3_s))
         by_noise = (gain * noise) ** 2 / 4
+        left = self.now.pressure + self.taken_off
+        if self.released - left < recovery.FELL * left:
+            return
         if max(pressure**2, self.now.pressure**2) >= recovery.REST_SIGMAS**2 * (self.rest_variance + by_noise):
             return
         fallen = max(self.third_last - self.now.pressure - recovery.STEADY * gain * noise, 0.0)
@@ -521,7 +524,7 @@ class Sway:
 
     def __init__(self, r: float) -> None:
         self.last, self.extreme, self.rising, self.held = r, r, True, 10**6
-        self.unexplained, self.told, self.may, self.way = 0.0, 0.0, 0.0, Way()
+        self.unexplained, self.back, self.told, self.may, self.way = [0.0] * 20, 0, 0.0, 0.0, Way()
 
     def look(
         self, dt: float, mean: float, noise: float, rising: bool, full_r: float, leaps: bool, bears: bool
@@ -530,19 +533,27 @@ class Sway:
         turned, explained = rising != self.rising, 0.0
         if turned or (mean > self.extreme if rising else mean < self.extreme):
             explained, self.extreme = mean - self.extreme, mean
-        self.unexplained += mean - self.last - explained
+        late, all_back = min(int(np.ceil(sway.LATE_S / (4 * dt))), sway.LATE_LOOKS), 0.0
+        now = self.unexplained[-1] + mean - self.last - explained
+        if turned:  # explains all that r went since the extreme; what is older than `late` looks, the meter knows
+            if self.back >= late:
+                all_back = 2 * abs(now - self.way.seen[-1])
+            back = min(self.back, sway.LATE_LOOKS)
+            self.unexplained[len(self.unexplained) - back :] = [now] * back
+        self.unexplained.append(now)
+        self.back = 0 if turned or explained else self.back + 1
         self.last, self.rising = mean, rising
         self.held += 1
         if leaps or abs(explained) > variances.CLEAR * noise / np.sqrt(2) + sway.LARGEST * full_r:
             self.held = 0
+        if self.held <= late:
             self.way.forget()
-        told, most = self.way.look(dt, self.unexplained, noise, sway.LARGEST * full_r)
-        back = abs(explained) if turned else 0.0
+        told, most = self.way.look(dt, self.unexplained[-1 - late], noise, sway.LARGEST * full_r)
         owed = way.MEMORY_S / (4 * dt)
         if not bears or self.held < owed:
             told = most = 0.0
-        of_told = float(np.clip(self.told + told - back, -owed * told, owed * told))
-        of_most = float(np.clip(self.may + most - back, -owed * most, owed * most))
+        of_told = float(np.clip(self.told + told - all_back, -owed * told, owed * told))
+        of_most = float(np.clip(self.may + most - all_back, -owed * most, owed * most))
         self.told, self.may = min(of_told, 0.0), min(of_most, 0.0)
         return max(of_told, 0.0), max(of_most, 0.0), told
 

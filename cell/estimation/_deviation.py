@@ -66,8 +66,10 @@ class Asleep(NamedTuple):
         """The same without ``cells`` (m,) of so many; None: no cell is left."""
         kept = np.ones(of, dtype=np.bool_)
         kept[cells] = False
-        kept = kept[self.cells]
-        return Asleep(*(values.compress(kept) for values in self)) if np.count_nonzero(kept) else None
+        places = kept[self.cells].nonzero()[0]
+        if not places.size:
+            return None
+        return Asleep(self.cells.take(places), self.per_reading.take(places), self.hidden_kpa.take(places))
 
     def add_to(self, variance: FloatArray, reading: FloatArray, *, compiled: bool) -> None:
         """Add what the present readings (n,) leave open to variances (n,) in kPa^2."""

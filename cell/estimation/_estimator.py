@@ -238,9 +238,10 @@ class Estimator:
                 a column of a divider. A load that is held must not seem to fall when one of these steps. None: no
                 more than ``step_std``.
             scales_columns: whether steps of other readings scale all conductances of a column alike, as on a divider
-                whose idle rows are driven.
+                whose idle rows are driven. Else each cell has errors of its own by them, as where idle rows float.
         """
-        at_rest, found = self._at_rest(step_std, resistance_ohm)
+        of_each = step_std if all_steps_std is None or scales_columns else all_steps_std
+        at_rest, found = self._at_rest(of_each, resistance_ohm)
         if not found.any():
             return
         of_all = 0.0
@@ -339,8 +340,9 @@ class Estimator:
         wanted = awake if known is None else awake & known
         if not remembered.stale and np.array_equal(wanted, remembered.followed):
             return
-        self._flush()
+        self._deviation.flush()
         if known is not None or self._gaps.open:
+            remembered.flush()
             self._part(wanted)
         cells = remembered.follow(wanted)
         self._sleep.follow(cells)

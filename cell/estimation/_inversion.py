@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray
+from ...arrays import BoolArray, FloatArray, IntArray, columns, put_columns
 from ...compiled import Loop
 from . import _loops as loops
 from ._rows import GAIN, NOISE, PRESSURE, READING, SMOOTHED, STD
@@ -134,9 +134,19 @@ class Inversion(ABC):
         """The memory (rows, m) after ``dt_s``, one number or (m,), in which the pressure stayed."""
         return memory
 
+    def hold_compiled(self, memory: FloatArray, places: IntArray, dt_s: FloatArray) -> None:
+        """:meth:`hold` for the cells at ``places`` (k,) of a ``memory`` (rows, m), which changes; ``dt_s`` (k,).
+
+        By loops where a whole skin may be concerned at once.
+        """
+        put_columns(memory, places, self.hold(columns(memory, places), dt_s))
+
     @property
     def held_rows(self) -> IntArray:
-        """Rows of the memory that :meth:`hold` needs, the pressure first; it writes the others anew."""
+        """Rows of the memory that :meth:`hold` and :meth:`advance` need, the pressure first.
+
+        The former writes the others anew, and the latter leaves them.
+        """
         return np.arange(len(self.rows))
 
     def settled(self, memory: FloatArray, band: float) -> BoolArray:

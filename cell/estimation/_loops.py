@@ -2,7 +2,7 @@
 
 Each loop does what array operations of :mod:`._inversion`, :mod:`._sleep`, :mod:`._smoothing` or :mod:`._deviation` do,
 operation for operation and in the same order, so that the results agree to the last bit. What happens in few frames
-(cells that wake, gaps, sparks) has no loop.
+(cells that wake, gaps, sparks) has no loop, but for the copies of what a whole skin may remember.
 """
 
 from __future__ import annotations
@@ -67,11 +67,14 @@ def take(r: Row, noise_at_rest: Row, cells: Places, line: Rows, taken: Rows, lea
 
 
 @loop
-def scatter(values: SpacedRows, cells: Places, new: SpacedRows) -> None:
-    """Write ``new`` (rows, m) over the ``values`` (rows, n) of ``cells`` (m,)."""
-    for row in range(values.shape[0]):
+def copy(
+    values: SpacedRows, rows: Places, cells: Places, found: SpacedRows, found_rows: Places, found_cells: Places
+) -> None:
+    """Write ``rows`` (k,) of ``values`` at ``cells`` (m,) to those of ``found`` at ``found_cells`` (m,)."""
+    for k in range(rows.size):
+        row, found_row = rows[k], found_rows[k]
         for i in range(cells.size):
-            values[row, cells[i]] = new[row, i]
+            found[found_row, found_cells[i]] = values[row, cells[i]]
 
 
 MODEL_VARIANCE, WITHIN, SURE, FULL, MUCH, MUCH_NOISE, NO_LOAD, TINY = range(8)
@@ -261,4 +264,4 @@ def watch_over(
         variance[cell] = own + pressure * pressure if numbers[STATED] > 0.0 else math.nan
 
 
-ALL = read, watch, renew_means, take, scatter, show, add_asleep, find_calm, watch_over
+ALL = read, watch, renew_means, take, copy, show, add_asleep, find_calm, watch_over

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import IntArray, spaced
+from ...arrays import IntArray, spaced, spaced_columns, whole
 
 REACH = 2
 """rows and columns to either side: a fingertip or a gripper's pad covers as much"""
@@ -44,4 +44,5 @@ class Neighbours:
             return self._near
         place = np.full(self._cells + 1, cells.size, dtype=np.intp)
         place[cells] = np.arange(cells.size)
-        return spaced(place.take(self._near.take(cells, axis=1)))
+        found: IntArray = place.take(whole(spaced_columns(self._near, cells)))
+        return found[:, : cells.size]

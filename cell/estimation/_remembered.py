@@ -1,20 +1,18 @@
 """The memory of all cells, and the block of those that are followed at present (gather, work, scatter).
 
 A skin is large and few of its cells are pressed. Work of a frame is done for those only, side by side in a block. A
-block is gathered from the memory of all cells when other cells are to be followed, and scattered back before.
+block is gathered from the memory of all cells when other cells are to be followed, and scattered back before. By
+machine code cells that are followed further go from block to block.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray, columns, spaced
+from ...arrays import BoolArray, FloatArray, IntArray, columns, put_columns, spaced, spaced_anything, spaced_columns
 from . import _loops as loops
 from . import _smoothing as smoothing
 from ._inversion import Inversion
-
-FEW = 64
-"""cells whose memory is written for all rows at once"""
 
 
 class Block:
@@ -44,13 +42,11 @@ class Block:
     def memory_of(self, place: IntArray) -> FloatArray:
         """A copy of the memory (rows, k) of the cells at ``place`` (k,)."""
         every = place.size == self.cells.size and bool((np.diff(place) > 0).all())
-        return spaced(self.memory if every else columns(self.memory, place))
+        return spaced(self.memory) if every else spaced_columns(self.memory, place)
 
-    def take_back(self, place: IntArray, memory: FloatArray, line: FloatArray) -> None:
-        """Let cells at ``place`` (k,) in the block remember ``memory`` (rows, k) and ``line`` (ROWS, k) again."""
+    def changed(self) -> None:
+        """To be called when ``memory`` and ``line`` have been written to between two steps."""
         self.memory = self.memory[:]  # another array, as sign that it has changed
-        _put(self.memory, place, memory)
-        _put(self.line, place, line)
         self.line_before = self.line.copy()
 
 
@@ -72,10 +68,15 @@ class Remembered:
         self.block = self._no_block
 
     def follow(self, wanted: BoolArray) -> IntArray:
-        """Gather the cells that are ``wanted`` (n,); returns their indices (m,). To be called after :meth:`flush`."""
-        self.followed = wanted.copy()
+        """Gather the cells that are ``wanted`` (n,); returns their indices (m,). Those of before are scattered."""
         cells = np.flatnonzero(wanted)
-        self.block = self._gathered(cells)
+        few = max(cells.size, self.block.cells.size) < wanted.size  # else blocks are the memory of all cells
+        if self.compiled and few and self.block.cells.size:
+            self.block = self._changed_over(cells, wanted)
+        else:
+            self.flush()
+            self.block = self._gathered(cells)
+        self.followed = wanted.copy()
         self.stale = False
         return cells
 
@@ -85,8 +86,10 @@ class Remembered:
         if block.cells.size == self.followed.size:
             self.memory, self.line = block.memory, block.line
         elif self.compiled:
-            loops.scatter.unchecked(self.memory, block.cells, block.memory)
-            loops.scatter.unchecked(self.line, block.cells, block.line)
+            every = np.arange(block.cells.size)
+            for of_all, old in (self.memory, block.memory), (self.line, block.line):
+                rows = np.arange(len(of_all))
+                loops.copy.unchecked(old, rows, every, of_all, rows, block.cells)
         else:
             self.put(block.cells, block.memory, block.line)
         self.stale = True
@@ -98,27 +101,31 @@ class Remembered:
 
     def wake(self, cells: IntArray) -> None:
         """Let sleeping ``cells`` (m,) be followed, on lines that have read as at rest for ever."""
-        _put(self.line, cells, self._at_rest[1])  # their memory is that of rest since they sleep, see :meth:`rest`
+        # Their memory is that of rest since they sleep, see :meth:`rest`.
+        put_columns(self.line, cells, self._at_rest[1])
         self.stale = True
 
     def rest(self, cells: IntArray) -> None:
         """Let ``cells`` (m,) go to sleep: they remember nothing but rest. To be called after :meth:`flush`."""
-        _put(self.memory, cells, self._at_rest[0])
+        put_columns(self.memory, cells, self._at_rest[0])
 
     def put(self, cells: IntArray, memory: FloatArray, line: FloatArray) -> None:
         """Let ``cells`` (k,) remember ``memory`` (rows, k) and ``line`` (ROWS, k), outside of the block."""
-        _put(self.memory, cells, memory)
-        _put(self.line, cells, line)
+        put_columns(self.memory, cells, memory)
+        put_columns(self.line, cells, line)
 
     def interrupt(self, cells: IntArray) -> None:
         """Let the next reading of ``cells`` (m,) begin a new line, whatever it is. To be called after :meth:`flush`."""
         line = self.line[:, cells]
         smoothing.interrupt(line)
-        _put(self.line, cells, line)
+        put_columns(self.line, cells, line)
 
     def hold(self, cells: IntArray, unread_s: FloatArray) -> None:
         """Bring up the memory of ``cells`` (m,) that were not read for ``unread_s`` (m,): as if the load had stayed."""
-        _put(self.memory, cells, self._inversion.hold(columns(self.memory, cells), unread_s))
+        if self.compiled:
+            self._inversion.hold_compiled(self.memory, cells, unread_s)
+        else:
+            put_columns(self.memory, cells, self._inversion.hold(columns(self.memory, cells), unread_s))
 
     def left_over(self) -> FloatArray:
         """(n,) r that earlier loads have left in cells, see :meth:`._inversion.Inversion.left_over`."""
@@ -139,25 +146,25 @@ class Remembered:
         self.follow(state["followed"] > 0)
         self.stale = True
 
+    def _changed_over(self, cells: IntArray, wanted: BoolArray) -> Block:
+        """The block of ``cells`` (m,), which are ``wanted`` (n,), after another one, with which it shares most cells.
+
+        These go from block to block. In the memory of all, each number of a cell is far from the next.
+        """
+        before, followed = self.block, self.followed[cells]
+        stay = wanted[before.cells]
+        kept, left = stay.nonzero()[0], (~stay).nonzero()[0]
+        same, new = followed.nonzero()[0], (~followed).nonzero()[0]
+        memory, line = spaced_anything(len(self.memory), cells.size), np.empty((len(self.line), cells.size))
+        for of_all, old, now in (self.memory, before.memory, memory), (self.line, before.line, line):
+            rows = np.arange(len(of_all))
+            loops.copy.unchecked(old, rows, left, of_all, rows, before.cells[left])
+            loops.copy.unchecked(old, rows, kept, now, rows, same)
+            loops.copy.unchecked(of_all, rows, cells[new], now, rows, new)
+        return Block(cells, memory, line)
+
     def _gathered(self, cells: IntArray) -> Block:
         if cells.size == self.memory.shape[1]:
             # Not copied, as :meth:`flush` takes it back. Another array, as sign that it may have changed.
             return Block(cells, self.memory[:], self.line[:])
-        return Block(cells, spaced(columns(self.memory, cells)), self.line.take(cells, axis=1))
-
-
-def _put(values: FloatArray, cells: IntArray, new: FloatArray) -> None:
-    """Write ``new`` (rows, m), or (rows, 1) for all alike, over the ``values`` (rows, n) of some cells (m,).
-
-    Row by row if there are many: NumPy takes 15 times as long for all rows at once where there are thousands of cells,
-    and a third where there are a few. (For the same reason columns are read by ``take`` and ``compress``.)
-    """
-    if cells.size <= FEW:
-        values[:, cells] = new
-        return
-    alike = new.shape[1] == 1  # a number is written in half the time of an array of one
-    if alike and cells.size == values.shape[1]:
-        values[...] = new
-        return
-    for row, written in zip(values, new[:, 0].tolist() if alike else new, strict=True):
-        row[cells] = written
+        return Block(cells, spaced_columns(self.memory, cells), self.line.take(cells, axis=1))

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray
+from ...arrays import BoolArray, FloatArray, IntArray, columns, put_columns, spaced_anything
+from . import _loops as loops
 from . import _smoothing as smoothing
 from ._gaps import Gaps
 from ._inversion import Inversion
@@ -40,6 +41,9 @@ IN_DOUBT = 0.5
 """of a jump that may be a spark: its standard deviation"""
 
 
+_LINE = np.arange(smoothing.ROWS)
+
+
 class Sparks:
     """Cells whose reading jumped a moment ago, with all that was remembered of them before."""
 
@@ -48,7 +52,9 @@ class Sparks:
         self._taps = Taps(inversion, shape)
         self._inversion, self._noise, self._gaps = inversion, noise, gaps
         self._kept = inversion.held_rows
-        """of the memory, as far as putting it back needs them"""
+        """(kept,) rows of the memory, as far as putting it back needs them"""
+        self._compact = np.arange(self._kept.size)
+        """(kept,) where these are in what is remembered of jumps"""
         self.large_r = LARGE_JUMP * inversion.full_scale_r
         """r from which a jump may be a spark"""
         self.compiled = False
@@ -120,7 +126,8 @@ class Sparks:
             some = np.flatnonzero(back)
             back[some] = self._were_sparks(block, some, place[some], dt, reading, noise)
         if back.any():
-            block.take_back(place[back], self._held(back), self._line.compress(back, axis=1))
+            self._remember_again(block.memory, block.line, place[back], back)
+            block.changed()
         if over.any():
             self._keep(~over)
 
@@ -152,7 +159,7 @@ class Sparks:
         """
         full_kpa, reading, noise = self._inversion.full_scale_kpa, reading[place], noise[place]
         before, top = self._memory[PRESSURE, some], block.memory[PRESSURE, place]
-        tapped = self._tapped(block.memory_of(place), dt, reading, noise)
+        tapped = self._tapped(self._memory_of(block, place), dt, reading, noise)
         off = np.abs(reading - self._line[smoothing.LEVEL, some]) - CLEAR * noise
         off_if_tapped = np.abs(tapped - before)
         moved = np.abs(top - before)
@@ -161,6 +168,14 @@ class Sparks:
         either = found & (off_if_tapped < plausible) & (tapped > -LARGE_JUMP * full_kpa)
         self._gaps.doubt(self.cells[some][either], off_if_tapped[either])
         return found
+
+    def _memory_of(self, block: Block, place: IntArray) -> FloatArray:
+        """(rows, k) what the cells at ``place`` (k,) in the block remember, as far as a step needs it."""
+        if not self.compiled:
+            return block.memory_of(place)
+        memory = spaced_anything(len(self._inversion.rows), place.size)
+        loops.copy.unchecked(block.memory, self._kept, place, memory, self._kept, np.arange(place.size))
+        return memory
 
     def _tapped(self, memory: FloatArray, dt: float, reading: FloatArray, noise: FloatArray) -> FloatArray:
         """(k,) kPa by what cells remember of taps, ``memory`` (rows, k), which changes; see :meth:`_were_sparks`."""
@@ -193,7 +208,7 @@ class Sparks:
             return
         back = gone & ~self._taps.known
         cells = self.cells[back]
-        remembered.put(cells, self._held(back), self._line.compress(back, axis=1))
+        self._remember_again(remembered.memory, remembered.line, cells, back)
         pressure[cells] = self._memory[PRESSURE, back]
         self._keep(~gone)
 
@@ -211,11 +226,26 @@ class Sparks:
         beyond = ~self._taps.known & (np.abs(now - full_kpa / 2) > BEYOND * full_kpa)
         pressure[self.cells[beyond]] = self._memory[PRESSURE, beyond]
 
-    def _held(self, some: BoolArray) -> FloatArray:
-        """What the marked cells remembered before their jumps (rows, m), after the time since, the load held."""
-        memory = np.zeros((len(self._inversion.rows), np.count_nonzero(some)))
-        memory[self._kept] = self._memory.compress(some, axis=1)
-        return self._inversion.hold(memory, self._age_s[some])
+    def _remember_again(self, memory: FloatArray, line: FloatArray, places: IntArray, some: BoolArray) -> None:
+        """Put back what ``some`` of the jumps' cells remembered before, after the time since, the load held.
+
+        Args:
+            memory: (rows, m), changed.
+            line: (ROWS, m), changed.
+            places: (k,) of these cells there.
+            some: which jumps, k of all.
+        """
+        jumps = some.nonzero()[0]
+        age_s = self._age_s[jumps]
+        if self.compiled:
+            loops.copy.unchecked(self._memory, self._compact, jumps, memory, self._kept, places)
+            self._inversion.hold_compiled(memory, places, age_s)
+            loops.copy.unchecked(self._line, _LINE, jumps, line, _LINE, places)
+            return
+        held = np.zeros((len(self._inversion.rows), jumps.size))
+        held[self._kept] = self._memory.take(jumps, axis=1)
+        put_columns(memory, places, self._inversion.hold(held, age_s))
+        put_columns(line, places, self._line.take(jumps, axis=1))
 
     def _add(self, block: Block, place: IntArray, jump: FloatArray) -> None:
         """Keep what is remembered of the cells at ``place`` (k,) in the block, from before their ``jump`` (k,)."""
@@ -224,12 +254,21 @@ class Sparks:
         self._taps.add(block.cells[place], before, anew=not (self._age_s <= TOGETHER_S).any())
         self.cells = np.concatenate([self.cells, block.cells[place]])
         self._age_s = np.concatenate([self._age_s, np.zeros(place.size)])
-        memory, line = block.memory[self._kept], block.line_before
+        line = block.line_before
         if place.size < block.cells.size:  # taking as many columns takes several times as long as a copy
-            memory, line = memory.take(place, axis=1), line.take(place, axis=1)
+            line = line.take(place, axis=1)
+        memory = self._before(block, place)
         self._memory = np.concatenate([self._memory, memory], axis=1) if self._memory.size else memory
         self._line = np.concatenate([self._line, line], axis=1)
         self._jump = np.concatenate([self._jump, jump])
+
+    def _before(self, block: Block, place: IntArray) -> FloatArray:
+        """(kept, k) what the cells at ``place`` (k,) in the block remember, as far as it is kept."""
+        if self.compiled:
+            memory = np.empty((self._kept.size, place.size))
+            loops.copy.unchecked(block.memory, self._kept, place, memory, self._compact, np.arange(place.size))
+            return memory
+        return columns(block.memory, place)[self._kept]
 
     def _keep(self, kept: BoolArray) -> None:
         self.cells, self._age_s, self._jump = self.cells[kept], self._age_s[kept], self._jump[kept]

@@ -112,7 +112,7 @@ def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, near: IntArray
     largest = slope * LARGEST
     bears = np.where(load > BEARS * noise / full_r, load, _ZERO)
     edges = np.abs(newest - memory[_SERIES]) > noise * EDGE + largest
-    found = meter.look(rows, newest, noise, bears * slope, edges, near, (largest, owed, numbers.way))
+    found = meter.look(rows, newest, noise, bears * slope, edges, near, meter.Limits(largest, owed, _ZERO), numbers.way)
     counted = (broken - memory[BROKEN_BEFORE] * kept) * (slope / k)
     way_told = found[0]
     told, may = meter.uncounted(rows, found, counted, owed)
@@ -148,7 +148,7 @@ def look_each(
         newest, largest = means[i] - memory[BRANCH, i] - memory[BRANCH + 1, i], slope * LARGEST
         bears = load if load > BEARS * noises[i] / full_r else 0.0
         edge = abs(newest - memory[_SERIES, i]) > noises[i] * EDGE + largest
-        see_of(memory, METER, i, newest, noises[i], bears * slope, edge, largest, way_numbers, seen)
+        see_of(memory, METER, i, newest, noises[i], bears * slope, edge, 0.0, largest, way_numbers, seen)
         seen[BEARING, i], seen[EDGES, i] = bears, 1.0 if edge else 0.0
     for i in range(means.size):
         load, broken, bears = memory[LOAD, i], memory[BROKEN, i], seen[BEARING, i]

@@ -61,6 +61,17 @@ _ZERO, _ONE, _LEAST_LOAD = (np.array(x) for x in (0.0, 1.0, LEAST_LOAD))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
+class Limits(NamedTuple):
+    """When the way is told; without axes, or (m,)."""
+
+    largest: FloatArray
+    """how far a load may go from one look to the next without an edge"""
+    owed: FloatArray
+    """:func:`owed_looks`"""
+    late: FloatArray
+    """looks by which the readings come later than the edges"""
+
+
 class Constants(NamedTuple):
     """Numbers of a material whose cells keep something of the way; they depend on the time between frames."""
 
@@ -101,7 +112,8 @@ def look(
     load: FloatArray,
     edges: BoolArray,
     near: IntArray,
-    numbers: tuple[FloatArray, FloatArray, way.Constants],
+    limits: Limits,
+    of_way: way.Constants,
 ) -> FloatArray:
     """Take the readings of m cells since the last look; changes their ``rows``.
 
@@ -112,20 +124,21 @@ def look(
         load: (m,) the load that goes to and fro, in their unit.
         edges: (m,) where it has an edge just now.
         near: (k, m) neighbours, see :class:`..estimation._neighbours.Neighbours`.
-        numbers: how far a load may go from one look to the next without an edge; :func:`owed_looks`; and those of
-            :mod:`._way`.
+        limits: of the load's motion, and when the way is told.
+        of_way: numbers of :mod:`._way`.
 
     Returns:
         (2, m) way since the last look as far as it is told from noise; and way that may be, no less.
     """
-    largest, owed, of_way = numbers
+    largest, owed, late = limits
     held = rows[HELD]
     held += _ONE
     np.copyto(held, _ZERO, where=edges)
+    forgotten = held <= late
     tells = np.empty((together.TELLS, load.size))
     per_variance = load / (noise * noise)
     known = load * per_variance
-    per_variance *= held > _ONE
+    per_variance *= held > late + _ONE
     np.multiply(per_variance, newest - rows[SERIES], tells[together.WEIGHTED])
     np.multiply(per_variance, load, tells[together.KNOWN])
     loads = rows[_LOADS]
@@ -145,9 +158,9 @@ def look(
     side[1] += change[2]
     squares = rows[_SQUARES].reshape(2, variances.ALL_SQUARES, -1)
     shares = ends * of_way.shares
-    variances.take(squares, product, _BY_NOISE, side, shares, edges)
+    variances.take(squares, product, _BY_NOISE, side, shares, forgotten)
     apart = rows[_APART]
-    together.compare(apart, bends, knows, shares, edges)
+    together.compare(apart, bends, knows, shares, forgotten)
     scatter = np.maximum(apart, _ZERO) + _ONE
     own, beside = way.weights(known, together.known(knows), scatter)
     alone = way.told_by_own(squares[0], of_way)
@@ -188,6 +201,7 @@ def see_of(
     noise: float,
     load: float,
     edge: bool,
+    late: float,
     largest: float,
     way_numbers: Rows,
     seen: Rows,
@@ -199,6 +213,7 @@ def see_of(
     held = memory[first + HELD, i] + 1.0
     if edge:
         held = 0.0
+    if held <= late:
         forget_of(memory, first + SQUARES, i)
         forget_of(memory, first + SQUARES_BESIDE, i)
         for row in range(first + APART, first + HELD):
@@ -208,7 +223,7 @@ def see_of(
     unseen = newest - memory[first + SERIES, i]
     looks = memory[first + LOOKS, i]
     look_of(memory, first + SERIES, first + SQUARES, i, looks, newest, noise, largest, way_numbers)
-    per_variance = load / (noise * noise) if held > 1.0 else 0.0
+    per_variance = load / (noise * noise) if held > late + 1.0 else 0.0
     seen[WEIGHTED, i], seen[KNOWN, i] = per_variance * unseen, per_variance * load
 
 

@@ -62,6 +62,9 @@ frame of a rest, and its deviation here is that of the usual error (:data:`PART`
 GOES_ON, STEADY = 4.0, 0.25
 """times what a pressure has fallen by in three frames: standard deviation of the load that is left while it falls; and
 the fall that is none, in standard deviations of a reading"""
+FELL = 0.75
+"""times what is left of a pressure, by which it must have fallen if the rest is to be an error of the memory: a load
+that trembles falls by less, however long it is held"""
 LIGHT = 0.1
 """share of the variance of the memory that a rest leaves, beside the squares of what was subtracted and of a load that
 may have begun (:mod:`._onset`): the released cell may have borne a light load after all. What was subtracted stays in
@@ -87,8 +90,8 @@ BOUND, E1_KPA, SETTLED_PER_KPA, ETAU2_KPA, LATELY, BEYOND = range(6, 12)
 """squared standard deviations of rest; of the model; how fast a peak goes down; how far a line may overshoot"""
 
 
-_ZERO, _ONE, _FAR, _BEFORE, _OLD, _PER_READING, _GOES_ON, _STEADY = (
-    np.array(x) for x in (0.0, 1.0, FAR, RECENT - 1.0, OLD, 1.0 / RECENT, GOES_ON, STEADY)
+_ZERO, _ONE, _FAR, _BEFORE, _OLD, _PER_READING, _GOES_ON, _STEADY, _FELL = (
+    np.array(x) for x in (0.0, 1.0, FAR, RECENT - 1.0, OLD, 1.0 / RECENT, GOES_ON, STEADY, FELL)
 )
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
@@ -148,6 +151,8 @@ def look(
     by_noise = by_noise * by_noise * _PER_READING
     bound = (variance + by_noise) * numbers[BOUND]
     calm &= (pressure * pressure < bound) & (shown * shown < bound)
+    left = shown + memory[TAKEN_OFF_KPA]
+    calm &= memory[RELEASED_KPA] - left >= left * _FELL
     rests = calm.nonzero()[0]
     if not rests.size:
         return
@@ -258,7 +263,9 @@ def look_each(memory: SpacedRows, mean: Row, noise: Row, count: Row, numbers: Ro
         left_over = max(memory[THIRD_LAST, i] - shown - by_noise * STEADY, 0.0) * GOES_ON
         by_noise = by_noise * by_noise * (1.0 / RECENT)
         bound = (memory[REST_VARIANCE, i] + by_noise) * numbers[BOUND]
-        if not (pressure * pressure < bound and shown * shown < bound):
+        left = shown + memory[TAKEN_OFF_KPA, i]
+        fell = memory[RELEASED_KPA, i] - left >= left * FELL
+        if not (fell and pressure * pressure < bound and shown * shown < bound):
             continue
         share = memory[REST_VARIANCE, i] / (memory[REST_VARIANCE, i] + by_noise + left_over * left_over)
         error = pressure * share

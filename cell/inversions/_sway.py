@@ -4,8 +4,10 @@ Motion that goes back by less than a turn, or than noise does, is never noticed 
 rise by more than a fall, so that r climbs with each to and fro. An inverse that goes by one of its two models takes
 that for a load which grows. How far readings go to and fro tells by how much r climbs (:mod:`._way`). Motion that the
 inverse has noticed is left out: r beyond the largest since the load turned is a rise, and r below it, once a turn is
-noticed, a fall. Presses and taps leave nothing then but the ways by which turns are noticed late. Meanwhile r drifts as
-either model says, half of the time each.
+noticed, a fall. A turn is noticed late, and explains in hindsight all that r went since. The meter is therefore told
+what is unexplained some looks later, and never sees what a turn explains meanwhile. Presses and taps leave nothing
+then, and neither do loads that tremble so far that all turns are noticed. Under what remains, r drifts as either model
+says, half of the time each.
 
 What the rest makes of the pressure is subtracted from both hypotheses and from what they are compared with, so that it
 is no turn. The standard deviation contains a share of that, since the way is known to about as much, and the way that
@@ -19,15 +21,15 @@ import math
 
 import numpy as np
 
-from ...arrays import FloatArray, IntArray
-from ...compiled import Row, Rows, SpacedPlaces, SpacedRows, loop
+from ...arrays import BoolArray, FloatArray, IntArray
+from ...compiled import Places, Row, Rows, SpacedPlaces, SpacedRows, loop
 from ..estimation import FAR, GAIN, PRESSURE, RECENT, RESTED, VARIANCE
 from ..materials import PaperModel
 from . import _meter as meter
 from . import _together as together
 from . import _way as way
+from ._meter import HELD, HELD_FOR_EVER, tell_of, uncounted_of
 from ._meter import see_of as tell_neighbours_of
-from ._meter import tell_of, uncounted_of
 from ._onset import CLEAR_KPA
 from ._paper_steps import fast_r
 from ._turning_rows import (
@@ -56,32 +58,44 @@ from ._turning_rows import (
 
 UNSURE = 0.3
 """standard deviation over what is subtracted"""
+LATE_S, LATE_LOOKS = 0.15, 8
+"""seconds, and looks at most, after which the meter is told what is unexplained: by then most turns are noticed"""
+TWICE = 2.0
+"""times what a turn explains after the meter was told of it: r went there, and goes back in what is unexplained"""
 LARGEST = 0.04
 """of full scale: how far a load may go without a turn that is noticed; what goes further from one look to the next
 is an edge. After one nothing is told for as long as the way is remembered"""
 
-NAMES = (*meter.NAMES, "sign_before", "last_r", "extreme_r", "unexplained_r")
+NAMES = (
+    *(*meter.NAMES, "sign_before", "last_r", "extreme_r", "unexplained_r", "looks_back"),
+    *(f"unexplained_r_{looks}_before" for looks in range(1, LATE_LOOKS + 1)),
+)
 """names of the rows of the memory: those of :mod:`._meter`; 1 where the load rose at the last look, -1 where it fell; r
-then, and the largest since the load turned, or the least; r less all by which it went beyond these"""
+then, and the largest since the load turned, or the least; r less all by which it went beyond these; looks since it went
+so last; and what was unexplained at earlier looks, as far as it is known now"""
 METER = CLEAR_KPA + 1
 """first row, behind those of :mod:`._onset`"""
 _METER = slice(METER, METER + len(meter.NAMES))
-SIGN_BEFORE, LAST_R, EXTREME_R, UNEXPLAINED_R = range(METER + len(meter.NAMES), METER + len(NAMES))
+SIGN_BEFORE, LAST_R, EXTREME_R, UNEXPLAINED_R, LOOKS_BACK, BEFORE = range(
+    METER + len(meter.NAMES), METER + len(NAMES) - LATE_LOOKS + 1
+)
+_BEFORE, _SERIES = slice(BEFORE, BEFORE + LATE_LOOKS), METER + meter.SERIES
 ROWS = slice(METER, METER + len(NAMES))
 """all of them; :func:`begin` writes them"""
 RISE_R, FALL_R, PER_E2, PER_E3, ETAU2_KPA, SETTLED_PER_KPA, OF_U, OF_2, OF_3, KEPT_KPA = range(10)
-OWED, LARGEST_R, LARGEST_KPA, LOAD_R = range(10, 14)
+OWED, LARGEST_R, LARGEST_KPA, LOAD_R, LATE = range(10, 15)
 """places of the numbers: r per kPa of a fast rise and of a fast fall; constants of the model; shares of the lags that
 pass from one look to the next; kPa kept per r of the way; looks that the way counts for, and how far a load may go
-unnoticed, in r and in kPa; r per kPa of a load that goes to and fro"""
+unnoticed, in r and in kPa; r per kPa of a load that goes to and fro; looks after which the meter is told"""
 BACK = together.TELLS
 SEEN = together.TELLS + 1
 """rows of what a look at all cells sees before any of them is told: what they tell their neighbours, and way in r of
-turns that have just been noticed"""
+turns that were noticed too late for the meter not to see it"""
 EDGE = meter.edge(RECENT)
 _EDGE = np.array(EDGE)
-_ZERO, _HALF, _ONE, _UNSURE = (np.array(x) for x in (0.0, 0.5, 1.0, UNSURE))
+_ZERO, _HALF, _ONE, _UNSURE, _TWICE = (np.array(x) for x in (0.0, 0.5, 1.0, UNSURE, TWICE))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
+_LOOKS_BEFORE = np.arange(1.0, LATE_LOOKS + 1.0)[:, None]
 
 
 def constants(model: PaperModel, dt_s: float, full_scale_kpa: float) -> meter.Constants:
@@ -102,6 +116,7 @@ def constants(model: PaperModel, dt_s: float, full_scale_kpa: float) -> meter.Co
         LARGEST_R: LARGEST * full_scale_kpa * rise_r,
         LARGEST_KPA: LARGEST * full_scale_kpa,
         LOAD_R: 0.5 * (rise_r + fall_r),
+        LATE: min(math.ceil(LATE_S / between_s), LATE_LOOKS),
     }
     return meter.constants(numbers, dt_s, RECENT, way.Caution())
 
@@ -111,7 +126,8 @@ def begin(memory: FloatArray, r: FloatArray) -> None:
     meter.begin(memory[_METER], 0.0)
     memory[SIGN_BEFORE] = memory[SIGN]
     memory[[LAST_R, EXTREME_R]] = r
-    memory[UNEXPLAINED_R] = 0.0
+    memory[[UNEXPLAINED_R, LOOKS_BACK]] = 0.0
+    memory[_BEFORE] = 0.0
 
 
 def look(
@@ -141,15 +157,19 @@ def look(
     unseen -= gone
     unexplained += unseen
     memory[LAST_R], memory[SIGN_BEFORE] = mean, sign
-    largest, owed = numbers.each[LARGEST_R], numbers.each[OWED]
+    largest, owed, late = numbers.each[LARGEST_R], numbers.each[OWED], numbers.each[LATE]
+    newest, back = _explained_in_hindsight(memory, turned, late)
+    looks_back = memory[LOOKS_BACK]
+    looks_back += _ONE
+    np.copyto(looks_back, _ZERO, where=ahead)
     edges = np.abs(gone) > noise * _EDGE + largest
     recent = memory[LAST : THIRD_LAST + 1]
     apart = np.maximum(np.abs(memory[PRESSURE] - recent[0]), np.abs(recent[0] - recent[2]))
     edges |= apart > noise * _EDGE * memory[GAIN] + numbers.each[LARGEST_KPA]
     shown = np.where(memory[RESTED] > _ZERO, _ZERO, np.maximum(memory[PRESSURE], _ZERO))
     rows, load = memory[_METER], shown * numbers.each[LOAD_R]
-    found = meter.look(rows, unexplained, noise, load, edges, near, (largest, owed, numbers.way))
-    remains = meter.uncounted(rows, found, np.abs(gone) * turned, owed)
+    found = meter.look(rows, newest, noise, load, edges, near, meter.Limits(largest, owed, late), numbers.way)
+    remains = meter.uncounted(rows, found, back, owed)
     told, more = remains
     more -= told
     np.maximum(more, _ZERO, out=more)
@@ -165,6 +185,30 @@ def look(
     variance = memory[VARIANCE]
     variance += after - doubt
     doubt[...] = after
+
+
+def _explained_in_hindsight(memory: FloatArray, turned: BoolArray, late: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Let turns (m,) explain what r went since the extreme; changes the rows :data:`BEFORE` of the ``memory``.
+
+    Args:
+        memory: (rows, m) of the cells.
+        turned: (m,) where a turn has just been noticed.
+        late: looks after which the meter is told.
+
+    Returns:
+        (m,) what is unexplained as of ``late`` looks before; and (m,) way in r that the meter has seen and goes back.
+    """
+    unexplained, before, looks_back = memory[UNEXPLAINED_R], memory[_BEFORE], memory[LOOKS_BACK]
+    back = np.zeros_like(unexplained)
+    if np.count_nonzero(turned):
+        np.copyto(before, unexplained, where=turned & (looks_back >= _LOOKS_BEFORE))
+        np.subtract(unexplained, memory[_SERIES], out=back, where=turned & (looks_back >= late))
+        np.abs(back, out=back)
+        back *= _TWICE
+    newest = before[int(late) - 1].copy()
+    before[1:] = before[:-1]
+    before[0] = unexplained
+    return newest, back
 
 
 def _take_back(
@@ -241,22 +285,40 @@ def shown_of(memory: SpacedRows, i: int) -> float:
 @loop
 def see_of(memory: SpacedRows, i: int, mean: float, noise: float, numbers: Row, way_numbers: Rows, seen: Rows) -> None:
     """Take the last readings of cell ``i``, and write what it has ``seen`` (SEEN, m)."""
-    sign, gone, back = memory[SIGN, i], mean - memory[EXTREME_R, i], 0.0
+    sign, gone = memory[SIGN, i], mean - memory[EXTREME_R, i]
     turned, unseen = sign != memory[SIGN_BEFORE, i], mean - memory[LAST_R, i]
-    if turned or gone * sign > 0.0:
+    ahead = turned or gone * sign > 0.0
+    if ahead:
         memory[EXTREME_R, i] = mean
-        back = abs(gone) if turned else 0.0
     else:
         gone = 0.0
     unseen -= gone
     memory[LAST_R, i], memory[SIGN_BEFORE, i] = mean, sign
     memory[UNEXPLAINED_R, i] += unseen
+    newest, seen[BACK, i] = explained_in_hindsight_of(memory, i, turned, numbers[LATE])
+    memory[LOOKS_BACK, i] = 0.0 if ahead else memory[LOOKS_BACK, i] + 1.0
     apart = max(abs(memory[PRESSURE, i] - memory[LAST, i]), abs(memory[LAST, i] - memory[THIRD_LAST, i]))
     edge = apart > noise * EDGE * memory[GAIN, i] + numbers[LARGEST_KPA]
     edge |= abs(gone) > noise * EDGE + numbers[LARGEST_R]
-    seen[BACK, i] = back
-    newest, load = memory[UNEXPLAINED_R, i], shown_of(memory, i) * numbers[LOAD_R]
-    tell_neighbours_of(memory, METER, i, newest, noise, load, edge, numbers[LARGEST_R], way_numbers, seen)
+    load = shown_of(memory, i) * numbers[LOAD_R]
+    late, largest = numbers[LATE], numbers[LARGEST_R]
+    tell_neighbours_of(memory, METER, i, newest, noise, load, edge, late, largest, way_numbers, seen)
+
+
+@loop
+def explained_in_hindsight_of(memory: SpacedRows, i: int, turned: bool, late: float) -> tuple[float, float]:
+    """:func:`_explained_in_hindsight` of cell ``i``."""
+    unexplained, looks_back, back = memory[UNEXPLAINED_R, i], memory[LOOKS_BACK, i], 0.0
+    if turned:
+        for before in range(min(int(looks_back), LATE_LOOKS)):
+            memory[BEFORE + before, i] = unexplained
+        if looks_back >= late:
+            back = abs(unexplained - memory[_SERIES, i]) * TWICE
+    newest = memory[BEFORE + int(late) - 1, i]
+    for before in range(LATE_LOOKS - 1, 0, -1):
+        memory[BEFORE + before, i] = memory[BEFORE + before - 1, i]
+    memory[BEFORE, i] = unexplained
+    return newest, back
 
 
 @loop
@@ -302,6 +364,19 @@ def take_back_of(memory: SpacedRows, i: int, way: float, most: float, told: floa
     after = min(after * after, max(doubt, shown * shown))
     memory[VARIANCE, i] += after - doubt
     memory[TURNED, i] = after
+
+
+@loop
+def begin_each(memory: SpacedRows, places: Places) -> None:
+    """:func:`begin` for the cells at ``places`` (k,), with the r that they remember."""
+    for row in range(METER, BEFORE + LATE_LOOKS):
+        for k in range(places.size):
+            memory[row, places[k]] = 0.0
+    for k in range(places.size):
+        i = places[k]
+        memory[METER + HELD, i] = HELD_FOR_EVER
+        memory[SIGN_BEFORE, i] = memory[SIGN, i]
+        memory[LAST_R, i] = memory[EXTREME_R, i] = memory[STATE_END - 1, i]
 
 
 LOOPS = (look_each,)

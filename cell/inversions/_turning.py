@@ -127,6 +127,7 @@ class TurningInversion(Inversion):
         super().__init__(full_scale_kpa, full_r, credible=credible_readings(full_scale_kpa * rise_r), exact=exact)
         self._weights = ByStep(turn_weights, model)
         self._taken_over = taken_over(model)
+        self._to_hold = np.array([1 / model.e2_kpa, 1 / model.e3_kpa, model.eu1_kpa, model.etau2_kpa, model.e1_kpa])
         self._begin_gain = float(step_weights(model, 0.01).gain[0])
         self._of = MemoryRows(np.zeros((len(self.rows), 0)))
         self._beside = Beside(self._of.memory)
@@ -333,7 +334,7 @@ class TurningInversion(Inversion):
 
     def hold(self, memory: FloatArray, dt_s: float | FloatArray) -> FloatArray:
         m = self.model
-        gone, _ = lag.weights(dt_s, np.array([[m.tu_s], [m.t2_s], [m.t3_s], [m.t3_s]]))
+        gone = lag.forgotten(dt_s, np.array([[m.tu_s], [m.t2_s], [m.t3_s], [m.t3_s]]))
         held = memory.copy()
         state = held[STATE]
         # A hypothesis that begins where the one in force is does so after the gap, too.
@@ -350,6 +351,12 @@ class TurningInversion(Inversion):
         onset.begin_anew(held)
         sway.begin(held, state[6])
         return held
+
+    def hold_compiled(self, memory: FloatArray, places: IntArray, dt_s: FloatArray) -> None:
+        m = self.model
+        gone = np.array([lag.forgotten(dt_s, time_constant_s) for time_constant_s in (m.tu_s, m.t2_s, m.t3_s, m.t3_s)])
+        loops.hold_lags_each.unchecked(memory, places, gone, self._to_hold)
+        loops.hold_each.unchecked(memory, places, gone, self._taken_over.dot(memory[STATE].take(places, axis=1)))
 
     @property
     def held_rows(self) -> IntArray:

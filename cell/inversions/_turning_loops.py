@@ -9,18 +9,31 @@ from __future__ import annotations
 
 import math
 
-from ...compiled import FlagRows, Row, Rows, SpacedRows, loop
-from ..estimation import FAR, PRESSURE, STD
+from ...compiled import FlagRows, Places, Row, Rows, SpacedRows, loop
+from ..estimation import FAR, PRESSURE, STD, VARIANCE
 from ._doubts import begin_anew_each
 from ._earlier import sign_before_of
 from ._limits import LOWEST_KPA, PULLED_KPA, USUAL_KPA, correct_each, limit_each
+from ._still import STILL_X2, STILL_X3
+from ._sway import begin_each
 from ._takeover import take_over_of
 from ._turning_rows import (
     CONFIRMED,
     EARLIER_KPA,
+    FORGOTTEN_KPA,
     LEFT,
+    LOOKS_AT_REST,
+    MAY_BEAR_KPA,
+    RECOVERY_IN_FORCE,
+    RECOVERY_KPA,
+    RECOVERY_X3,
+    RISING_IN_FORCE,
     RISING_KPA,
+    RISING_X3,
+    SETTLED,
     SIGN,
+    STATE_END,
+    X2,
     take_each,
     take_gains_each,
 )
@@ -28,6 +41,8 @@ from ._turns import begin_at_refuted_of, confirm_of, look_of, refuted_of
 
 UNCONFIRMED, PULLED, BEYOND = 1, 2, 4
 """what a frame has found: turns that are or were unconfirmed; pressures that may need a pull; some beyond limits"""
+PER_E2, PER_E3, EU1_KPA, ETAU2_KPA, E1_KPA = range(5)
+"""places of the constants of the model that :func:`hold_lags_each` takes, of two of them the inverse"""
 
 
 @loop
@@ -97,4 +112,44 @@ def step_and_turn(
     return take_turns(memory, taken, by_model, of, flags, numbers)
 
 
-ALL = take_each, take_gains_each, step_and_turn, limit_each, correct_each, begin_anew_each
+@loop
+def hold_lags_each(memory: SpacedRows, places: Places, gone: Rows, numbers: Row) -> None:
+    """Bring up the lags of cells at ``places`` (k,) after a gap in which they forget ``gone`` (4, k) of the past."""
+    for k in range(places.size):
+        i = places[k]
+        rising, recovery = memory[RISING_KPA, i], memory[RECOVERY_KPA, i]
+        memory[SETTLED, i] += (rising - memory[SETTLED, i]) * gone[0, k]
+        memory[X2, i] += (recovery * numbers[PER_E2] - memory[X2, i]) * gone[1, k]
+        memory[RISING_X3, i] += (rising * numbers[PER_E3] - memory[RISING_X3, i]) * gone[2, k]
+        memory[RECOVERY_X3, i] += (recovery * numbers[PER_E3] - memory[RECOVERY_X3, i]) * gone[3, k]
+        if memory[SIGN, i] > 0.0:
+            r = rising / numbers[EU1_KPA] + (rising - memory[SETTLED, i]) / numbers[ETAU2_KPA]
+        else:
+            r = recovery / numbers[E1_KPA] + memory[X2, i] + memory[RECOVERY_X3, i]
+        memory[STATE_END - 1, i] = r
+
+
+@loop
+def hold_each(memory: SpacedRows, places: Places, gone: Rows, change: Rows) -> None:
+    """The rest of the memory of cells at ``places`` (k,) after :func:`hold_lags_each`.
+
+    ``change`` (6, k) is how hypotheses must change to begin where the other one is.
+    """
+    for k in range(places.size):
+        i = places[k]
+        apart = memory[RISING_KPA, i] != memory[RECOVERY_KPA, i]
+        of_rising = 0.0 if apart else memory[RECOVERY_IN_FORCE, i]
+        of_recovery = 0.0 if apart else memory[RISING_IN_FORCE, i]
+        for row in range(0, 6, 2):
+            memory[RISING_KPA + row, i] += change[row, k] * of_rising
+            memory[RECOVERY_KPA + row, i] += change[row + 1, k] * of_recovery
+        memory[STILL_X2, i] *= 1.0 - gone[1, k]
+        memory[STILL_X3, i] *= 1.0 - gone[2, k]
+        memory[FORGOTTEN_KPA, i] = 0.0
+        memory[VARIANCE, i] -= memory[MAY_BEAR_KPA, i] * memory[MAY_BEAR_KPA, i]
+        for row in range(MAY_BEAR_KPA, LOOKS_AT_REST + 1):
+            memory[row, i] = 0.0
+    begin_each(memory, places)
+
+
+ALL = hold_lags_each, hold_each, take_each, take_gains_each, step_and_turn, limit_each, correct_each, begin_anew_each

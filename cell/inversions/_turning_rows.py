@@ -36,10 +36,10 @@ UNDITHERED = 35
 MAY_BEAR_KPA, LOOKS_AT_REST = 36, 37
 """first rows of :mod:`._onset`: standard deviation by a load that may have begun to rise while the cell recovers; looks
 since the recovering cell was taken for one at rest, negative where such a load was taken over"""
-RELEASED_KPA, TAKEN_BEFORE_KPA2 = 124, 125
+RELEASED_KPA, TAKEN_BEFORE_KPA2 = 133, 134
 """rows of :mod:`._recovery` behind those of :mod:`._sway`: pressure from which a recovering cell has fallen; and square
 of what earlier rests have subtracted"""
-HIGHEST_MEAN_KPA, FALLEN = 126, 127
+HIGHEST_MEAN_KPA, FALLEN = 135, 136
 """rows of :mod:`._released`: the largest pressure of late by means of readings; and by how many standard deviations
 means have been below it, summed up"""
 

@@ -31,6 +31,16 @@ class ByStep(Generic[M, T]):
         return type(self), self._made_from
 
 
+def forgotten(dt_s: ArrayLike, time_constant_s: ArrayLike) -> FloatArray:
+    """What a lag forgets in one step, see :func:`weights`."""
+    share: FloatArray = -np.expm1(-_lengths(dt_s, time_constant_s))
+    return share
+
+
+def _lengths(dt_s: ArrayLike, time_constant_s: ArrayLike) -> FloatArray:
+    return np.asarray(np.asarray(dt_s, dtype=np.float64) / np.asarray(time_constant_s, dtype=np.float64))
+
+
 def weights(dt_s: ArrayLike, time_constant_s: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """``gone`` and ``ramp`` of one step: x1 = x0 + (u0 - x0) gone + (u1 - u0) ramp.
 
@@ -38,7 +48,7 @@ def weights(dt_s: ArrayLike, time_constant_s: ArrayLike) -> tuple[FloatArray, Fl
     step's end. Both keep full relative precision from dt/T = 1e-300 to infinity, so that an hour-long lag
     sampled at 10 kHz does not drift. Shapes follow the arguments.
     """
-    z = np.asarray(np.asarray(dt_s, dtype=np.float64) / np.asarray(time_constant_s, dtype=np.float64))
+    z = _lengths(dt_s, time_constant_s)
     gone = -np.expm1(-z)
     series = z / 2 * (1 - z / 3 * (1 - z / 4 * (1 - z / 5)))  # 1 - gone/z cancels; below 1e-3 this is exact
     ramp = np.where(z < 1e-3, series, 1 - gone / np.maximum(z, 1e-3))

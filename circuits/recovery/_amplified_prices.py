@@ -11,7 +11,7 @@ from ._amplified_board import AmplifiedBoard
 from ._frame_account import FIRST_FRAMES, USUAL_FRAMES
 from ._heavy_leads import MOST_CELLS
 
-_LARGE = 256  # cells from which on line attenuation is a closed form of array operations
+_LARGE = 256  # cells from which on line attenuation is a closed form, without machine code; both pay alike
 
 
 class AmplifiedPrices:

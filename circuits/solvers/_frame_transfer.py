@@ -1,10 +1,11 @@
 """Line attenuation and exact port conductances of one grid, frame by frame, as a live path evaluates them.
 
 Array operations on one small grid spend their time on calls. So both models also run as loops over the nodes
-(:mod:`ohmskin.compiled`). Loops and array operations agree up to rounding, as none of them subtracts.
+(:mod:`ohmskin.compiled`). Loops and array operations of one formula agree up to rounding, as none of
+them subtracts.
 
-* Line attenuation of small grids is that of ladders (:func:`.by_ladders`) in both forms. Its closed form is an
-  approximation, and faster only on large grids: these are done as by :func:`.attenuate`.
+* Line attenuation is that of ladders (:func:`.by_ladders`). Array operations take the closed form for large grids, as
+  :func:`.attenuate` does: an approximation to 1e-7 or so, which takes them a fraction of the time.
 * Exact port conductances come from star-mesh transforms (:func:`_star_mesh`), otherwise from the array operations of
   :mod:`._exact` and :mod:`._ports`.
 """
@@ -24,11 +25,13 @@ from ._exact import exact_transfer
 from ._ports import Lines, capped, has_ideal_lines, port_conductances, transfer_conductances
 
 _BY_LADDERS = 256
-"""cells up to which profiles come from ladders"""
+"""cells up to which array operations take profiles from ladders"""
 _LARGEST = 500_000
 """products of a solution by star-mesh transforms; more take longer than array operations"""
 _LARGEST_WITH_IDEAL_LINES = 100_000
 """the same where array operations eliminate one node for each line"""
+_ABREAST = 8
+"""rows whose ladders are solved place by place together: each place waits for a quotient of the place beyond it"""
 
 
 class AttenuatedFrame(NamedTuple):
@@ -57,12 +60,13 @@ class FrameTransfer:
         self._turned = columns > rows  # then rows and columns change places: a node has as few neighbours as possible
         self._star_mesh = _star_mesh.machine_code() if self.is_small else None
         self._attenuate = None
-        self._uniform = None  # wires for the closed form; None: always by ladders
+        self._uniform = None  # wires for the closed form of array operations; None: always by ladders
         if self._wires is not None:
             self._attenuate = _attenuate.machine_code()
             parts = self._wires.row, self._wires.column, self._wires.to_driver, self._wires.to_amplifier
             self._fixed_wires = tuple(read_only(part) for part in parts)
-            self._uniform = self._wires.uniform if rows * columns > _BY_LADDERS else None
+            if self._attenuate is None and rows * columns > _BY_LADDERS:
+                self._uniform = self._wires.uniform
 
     @property
     def is_compiled(self) -> bool:
@@ -73,21 +77,25 @@ class FrameTransfer:
         """Line attenuation at finite cells (N, M) in S; None where a line is broken or the drive underflows on one."""
         if self._wires is None:
             return None
+        if self._attenuate is None:
+            return self._attenuated_by_arrays(conductance, self._wires)
+        row, column, to_driver, to_amplifier = self._fixed_wires
+        cells, transfer, error = np.ascontiguousarray(conductance), np.empty(self._shape), np.empty(self._shape)
+        is_known = self._attenuate(cells, row, column, to_driver, to_amplifier, transfer, error)
+        return AttenuatedFrame(transfer, error) if is_known else None
+
+    def _attenuated_by_arrays(self, conductance: FloatArray, wires: Wires) -> AttenuatedFrame | None:
+        """As :meth:`attenuated`, by array operations."""
         returned = inf
         if self._uniform is not None and conductance.max() <= LARGEST_IN_SINGLE:
             close, bound = closed_form(conductance, self._uniform)
             returned = float(bound)
             if returned <= CLOSED_FORM_LIMIT:
                 return AttenuatedFrame(close.transfer, close.error)
-        if self._attenuate is None:
-            known = by_ladders(conductance[None], self._wires, returned=np.array([returned]))
-            if not np.isfinite(known.rounded).all():
-                return None
-            return AttenuatedFrame(known.transfer[0], known.error[0])
-        row, column, to_driver, to_amplifier = self._fixed_wires
-        cells, transfer, error = np.ascontiguousarray(conductance), np.empty(self._shape), np.empty(self._shape)
-        is_known = self._attenuate(cells, row, column, to_driver, to_amplifier, returned, transfer, error)
-        return AttenuatedFrame(transfer, error) if is_known else None
+        known = by_ladders(conductance[None], wires, returned=np.array([returned]))
+        if not np.isfinite(known.rounded).all():
+            return None
+        return AttenuatedFrame(known.transfer[0], known.error[0])
 
     def exact(self, conductance: FloatArray) -> FloatArray:
         """Exact transfer conductances (N, M) in S of cells (N, M) in S."""
@@ -197,7 +205,6 @@ def _attenuate(
     column: FixedRows,
     to_driver: FixedRows,
     to_amplifier: FixedRows,
-    most_returned: float,
     transfer: Rows,
     error: Rows,
 ) -> bool:
@@ -209,7 +216,6 @@ def _attenuate(
         column: (N, M) ohm of the wire behind each crosspoint.
         to_driver: (N, M) ohm from each crosspoint to the row's driver.
         to_amplifier: (N, M) ohm from each crosspoint to the column's amplifier.
-        most_returned: a bound on |R| |C|.
         transfer: (N, M), written to.
         error: (N, M), written to.
 
@@ -218,15 +224,18 @@ def _attenuate(
     profile, beyond = np.empty((rows, columns)), np.empty((rows, columns))
     gain, above = np.empty((rows, columns)), np.empty((rows, columns))
     lowest = least = 1.0
-    for i in range(rows):
-        rest = 0.0
+    for first in range(0, rows, _ABREAST):
+        after = min(first + _ABREAST, rows)
         for j in range(columns - 1, -1, -1):
-            beyond[i, j] = rest + cells[i, j]
-            profile[i, j] = 1.0 / (row[i, j] * beyond[i, j] + 1.0)
-            rest = beyond[i, j] * profile[i, j]
+            for i in range(first, after):
+                rest = beyond[i, j + 1] * profile[i, j + 1] if j + 1 < columns else 0.0
+                beyond[i, j] = rest + cells[i, j]
+                profile[i, j] = 1.0 / (row[i, j] * beyond[i, j] + 1.0)
         for j in range(1, columns):
-            profile[i, j] *= profile[i, j - 1]
-        lowest = min(lowest, profile[i, columns - 1])
+            for i in range(first, after):
+                profile[i, j] *= profile[i, j - 1]
+        for i in range(first, after):
+            lowest = min(lowest, profile[i, columns - 1])
     for i in range(rows):  # all columns abreast, as they lie in memory
         for j in range(columns):
             above[i, j] = cells[i, j]
@@ -242,7 +251,6 @@ def _attenuate(
         return False
     relative = ULP * columns * (4.0 - 5.0 * np.log(lowest)) + ULP * rows * (4.0 - 5.0 * np.log(least)) + 4.0 * ULP
     returned = (1.0 + relative - lowest) * (1.0 + relative - least)
-    returned = min(returned, most_returned)
     certain = SLACK * (1.0 + relative) ** 2 / max(1.0 - returned, 1e-60)
     most = 1.0 + relative
     row_square, column_square = np.zeros(rows), np.zeros(columns)
