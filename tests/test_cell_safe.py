@@ -201,7 +201,7 @@ def test_holds_that_tremble_for_a_minute_do_not_fade(hertz: float, share: float)
     print(f"{100 * left:.0f} % of the load left, {100 * within:.1f} % within 2 sd of {wide:.2f} kPa")
     assert 0.9 < left < 1.1
     assert within > 0.93
-    assert wide < 0.3 * cell.full_scale_kpa
+    assert wide < 0.4 * cell.full_scale_kpa
 
 
 @pytest.mark.parametrize("frames", [5, 8])

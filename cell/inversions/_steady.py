@@ -34,7 +34,7 @@ SWINGS, LEAST_SWING = 3.0, 0.02
 """times the swing, and of full scale: a load that is farther from its mean moves. A sine goes 1.6 times as far"""
 DRIFT_PER_S = 0.005
 """of full scale: standard deviation of how far a load that is held drifts in a second"""
-UNSURE, KEPT = 0.2, 0.1
+UNSURE, KEPT = 0.2, 0.2
 """standard deviation over what is taken back; and share of the doubt about chains that remains while a load is held"""
 SURPRISE = 4.0
 """times the doubt: as much more there is where a load that hardly swings takes the level along, if it goes as far"""
