@@ -182,6 +182,12 @@ def written_out_alike(load: np.ndarray, dt: float, noise: float, rng: np.random.
             inversion.recover(memory, RecentReadings(dt, mean, np.full(cells, 2 * noise), count.astype(float), alone))
             for one, *taken in zip(one_by_one, mean.tolist(), count.tolist(), strict=True):
                 one.recover(dt, taken[0], 2 * noise, taken[1])
+        every = inversion.sways_in(dt)
+        if noise and number % every == 0 and len(readings) == 4:
+            mean, count = np.mean(readings[-every:], axis=0), np.zeros(cells)
+            inversion.sway(memory, RecentReadings(dt, mean, np.full(cells, 2 * noise), count, alone))
+            for one, of_one in zip(one_by_one, mean.tolist(), strict=True):
+                one.look(dt, of_one, 2 * noise)
             np.testing.assert_allclose(memory[0], [one.now.pressure for one in one_by_one], rtol=1e-8, atol=1e-8)
             fallen = [one.fallen for one in one_by_one]
             np.testing.assert_allclose(memory[turning_rows.FALLEN], fallen, rtol=1e-6, atol=1e-8)

@@ -212,6 +212,9 @@ class OneCell:
         self._release(dt, mean, noise)
         self._compare(dt, mean, noise)
         self._begin(dt, mean, noise)
+
+    def look(self, dt: float, mean: float, noise: float) -> None:
+        """Take the ``mean`` of the readings since the last look, each uncertain by ``noise``: do they go to and fro?"""
         full_r, bears = self._fast_r()[0] * self.full, not self.rested and self.now.pressure > 0
         unseen = self.sway.look(dt, mean, noise, self.rising, full_r, self._leaps(dt, noise), bears)
         self._take_back(dt, *unseen)
@@ -220,7 +223,8 @@ class OneCell:
         """Whether the pressure has just gone further than unnoticed."""
         gain = self._solved(Hypothesis(0, 0, 0, 0), self.rising, dt, 1.0).pressure
         apart = max(abs(self.now.pressure - self.last), abs(self.last - self.third_last))
-        return bool(apart > sway.EDGE * noise * gain + sway.LARGEST * self.full)
+        edge = variances.CLEAR * np.sqrt(2 / sway.readings(dt))
+        return bool(apart > edge * noise * gain + sway.unnoticed(dt) * self.full)
 
     def _fast_r(self) -> tuple[float, float]:
         """R per kPa of a fast rise and of a fast fall."""
@@ -235,7 +239,7 @@ class OneCell:
         recovers = (p / m.e2_kpa - x2) / m.t2_s + (p / m.e3_kpa - x3) / m.t3_s
         sinks = (settled - p) / m.etau2_kpa / m.tu_s
         # Half of the way goes each way; so does half of the time, in which r drifts as the other model says.
-        drifts = (recovers / fall - sinks / rise) * 4 * dt / 2 * (1 if self.rising else -1)
+        drifts = (recovers / fall - sinks / rise) * sway.readings(dt) * dt / 2 * (1 if self.rising else -1)
         kept = (1 / fall - 1 / rise) / 2
         shown = 0.0 if self.rested else max(p, 0.0)
         kpa = unseen * kept + drifts * min(unseen / told, 1.0) if unseen > 0 else 0.0
@@ -529,11 +533,12 @@ class Sway:
     def look(
         self, dt: float, mean: float, noise: float, rising: bool, full_r: float, leaps: bool, bears: bool
     ) -> tuple[float, ...]:
-        """Take the ``mean`` of the last four readings: the way less that of turns, at most that, and all of it."""
+        """Take the ``mean`` of the last readings: the way less that of turns, at most that, and all of it."""
+        count, largest = sway.readings(dt), sway.unnoticed(dt) * full_r
         turned, explained = rising != self.rising, 0.0
         if turned or (mean > self.extreme if rising else mean < self.extreme):
             explained, self.extreme = mean - self.extreme, mean
-        late, all_back = min(int(np.ceil(sway.LATE_S / (4 * dt))), sway.LATE_LOOKS), 0.0
+        late, all_back = min(int(np.ceil(sway.LATE_S / (count * dt))), sway.LATE_LOOKS), 0.0
         now = self.unexplained[-1] + mean - self.last - explained
         if turned:  # explains all that r went since the extreme; what is older than `late` looks, the meter knows
             if self.back >= late:
@@ -544,12 +549,12 @@ class Sway:
         self.back = 0 if turned or explained else self.back + 1
         self.last, self.rising = mean, rising
         self.held += 1
-        if leaps or abs(explained) > variances.CLEAR * noise / np.sqrt(2) + sway.LARGEST * full_r:
+        if leaps or abs(explained) > variances.CLEAR * noise * np.sqrt(2 / count) + largest:
             self.held = 0
         if self.held <= late:
             self.way.forget()
-        told, most = self.way.look(dt, self.unexplained[-1 - late], noise, sway.LARGEST * full_r)
-        owed = way.MEMORY_S / (4 * dt)
+        told, most = self.way.look(count, dt, self.unexplained[-1 - late], noise, largest)
+        owed = way.MEMORY_S / (count * dt)
         if not bears or self.held < owed:
             told = most = 0.0
         of_told = float(np.clip(self.told + told - all_back, -owed * told, owed * told))
@@ -570,13 +575,14 @@ class Way:
         self.bends = dict.fromkeys((1, 2, 4, 8), 1.0)
         self.sides = {(length, side, order): 0.5 for length in (1, 2, 4, 8) for side in (1, -1) for order in (1, 2)}
 
-    def look(self, dt: float, mean: float, noise: float, largest: float) -> tuple[float, float]:
-        """Take the ``mean`` of four readings, uncertain by ``noise`` each: way that is told, and the most of it."""
+    def look(self, count: int, dt: float, mean: float, noise: float, largest: float) -> tuple[float, float]:
+        """Take the ``mean`` of ``count`` readings of such ``noise``: way that is told, and the most of it."""
+        noise *= np.sqrt(4 / count)
         self.seen.append(mean)
-        told, most, rest, rest_of_most, caution = 0.0, 0.0, 1.0, 1.0, way.Caution()
+        told, most, rest, rest_of_most, caution = 0.0, 0.0, 1.0, 1.0, sway.caution(dt)
         bound = np.inf
         for length in (1, 2, 4, 8):
-            share = float(np.clip(4 * dt * length / way.MEMORY_S, way.LEAST_SHARE, caution.most_share))
+            share = float(np.clip(count * dt * length / way.MEMORY_S, way.LEAST_SHARE, caution.most_share))
             if len(self.seen) % length == 0:
                 self._compare(length, share, noise, largest)
             up, down, up_again, down_again = (self.sides[length, side, order] for order in (1, 2) for side in (1, -1))
@@ -587,7 +593,7 @@ class Way:
             this, fast = self._way(length, moved, bends, noise)
             does = float(np.clip((clear - caution.told) / (caution.does - caution.told), 0, 1))
             told, rest = told + rest * does * this, rest * (1 - does)
-            hides = min(caution.hidden + way.HIDES_AT_FAST * (way.FAST_HZ * 4 * dt * length) ** 2, way.MOST_HIDDEN)
+            hides = min(caution.hidden + way.HIDES_AT_FAST * (way.FAST_HZ * count * dt * length) ** 2, way.MOST_HIDDEN)
             may = float(np.clip(clear / caution.told, 0, 1))
             most += rest_of_most * may * (this + fast * (hides - 1))
             rest_of_most *= 1 - may

@@ -99,8 +99,7 @@ class Following:
             self._tremor.doubt_falls(cells, memory, looked, self._fall_kpa)
         if self._sparks.cells.size:
             self._accept_taps(block)
-        if self._inversion.recovers and frame % self._inversion.recent == 0:
-            self._inversion.recover(memory, self._recent(block, dt, noise, block.line_before))
+        self._look_back(block, dt, noise, block.line_before, frame)
         if frame % RECENT == 0:
             self._look_for_tremor(block, noise, ends_window=frame % WINDOW == 0)
         added = None
@@ -133,8 +132,7 @@ class Following:
             self._tremor.doubt_falls_compiled(cells, memory, taken, line, self._fall_kpa)
         if self._sparks.cells.size:
             self._accept_taps(block)
-        if self._inversion.recovers and frame % self._inversion.recent == 0:
-            self._inversion.recover_compiled(memory, self._recent(block, dt, taken[NOISE], line))
+        self._look_back(block, dt, taken[NOISE], line, frame)
         if frame % RECENT == 0:
             self._look_for_tremor_compiled(block, ends_window=frame % WINDOW == 0)
         added = np.zeros(cells.size)
@@ -172,11 +170,26 @@ class Following:
             if missed is not None:
                 self._inversion.miss(memory, missed)
 
-    def _recent(self, block: Block, dt: float, noise: FloatArray, line: FloatArray) -> RecentReadings:
-        """The last readings of the block, of the ``noise`` (m,), for its inversion; ``line`` (ROWS, m) smooths them."""
+    def _look_back(self, block: Block, dt: float, noise: FloatArray, line: FloatArray, frame: int) -> None:
+        """Let the inversion take the means of the last readings that are due; changes the block's memory.
+
+        Readings are uncertain by ``noise`` (m,), and smoothed by ``line`` (ROWS, m).
+        """
+        inversion, recent = self._inversion, None
+        if inversion.recovers and frame % inversion.recent == 0:
+            recent = self._recent(block, dt, noise, line, inversion.recent)
+            (inversion.recover_compiled if self.compiled else inversion.recover)(block.memory, recent)
+        every = inversion.sways_in(dt)
+        if every and frame % every == 0:
+            if recent is None or every != inversion.recent:
+                recent = self._recent(block, dt, noise, line, every)
+            (inversion.sway_compiled if self.compiled else inversion.sway)(block.memory, recent)
+
+    def _recent(self, block: Block, dt: float, noise: FloatArray, line: FloatArray, count: int) -> RecentReadings:
+        """The last ``count`` readings of the block, for its inversion; the others as in :meth:`_look_back`."""
         if block.near is None:
             block.near = self._neighbours.among(block.cells)
-        mean = self._noise.window.mean_of_recent(block.cells, self._inversion.recent)
+        mean = self._noise.window.mean_of_recent(block.cells, count)
         return RecentReadings(dt, mean, noise, line[smoothing.COUNT], block.near)
 
     def _gains(self, dt: float) -> smoothing.Gains:

@@ -45,7 +45,7 @@ _ONE, _NO_LOAD_SIGMAS = np.array(1.0), np.array(NO_LOAD_SIGMAS)
 
 
 class RecentReadings(NamedTuple):
-    """The last :attr:`Inversion.recent` readings of m cells."""
+    """The last readings of m cells: as many as there were frames since the last call that took them."""
 
     dt_s: float
     """between frames"""
@@ -158,6 +158,15 @@ class Inversion(ABC):
     ) -> None:
         """Correct what cells remember by their readings of late; changes ``memory`` (rows, m) after :meth:`advance`."""
 
+    def sways_in(self, dt_s: float) -> int:
+        """Frames from one call of :meth:`sway` to the next, where frames follow each other after ``dt_s``; 0: none."""
+        return 0
+
+    def sway(  # noqa: B027 - without a memory nothing of a way is kept
+        self, memory: FloatArray, recent: RecentReadings
+    ) -> None:
+        """Take back what is kept of loads that go to and fro unnoticed; changes ``memory`` after :meth:`recover`."""
+
     def left_over(self, memory: FloatArray) -> FloatArray:
         """(m,) r that earlier loads have left, beyond what the present load leads to if it stays; 0 where unknown."""
         return np.zeros(memory.shape[1])
@@ -213,6 +222,10 @@ class Inversion(ABC):
     def recover_compiled(self, memory: FloatArray, recent: RecentReadings) -> None:
         """:meth:`recover` by machine code, where an inversion has loops for that."""
         self.recover(memory, recent)
+
+    def sway_compiled(self, memory: FloatArray, recent: RecentReadings) -> None:
+        """:meth:`sway` by machine code, where an inversion has loops for that."""
+        self.sway(memory, recent)
 
     def loops_used(self) -> tuple[Loop[..., Any], ...]:
         """All loops that :meth:`advance_compiled` calls."""

@@ -58,13 +58,20 @@ from ._turning_rows import (
 
 UNSURE = 0.3
 """standard deviation over what is subtracted"""
+BLOCK_S = 0.11
+"""seconds of readings from one look to the next, at most. A tremor goes to and fro in a quarter of a second: means of
+more readings hide it, and slow boards have fewer"""
+CAUTION, CAUTION_OF_FEW = way.Caution(), way.Caution(of_most=0.3, most_share=1.0 / 16.0)
+"""the second one for looks at fewer than :data:`..estimation.RECENT` readings. Their means are noisier, so that more
+blocks are averaged, and less of what chance leaves room for is likely: holds on coarse boards would seem to tremble"""
+LARGEST, LARGEST_PER_S = 0.04, 0.6
+"""of full scale, and of full scale a second: how far a load may go from one look to the next, beyond which it is an
+edge. After one nothing is told for as long as the way is remembered. From one frame of a slow board to the next a
+tremor goes as far as a press does on a fast one"""
 LATE_S, LATE_LOOKS = 0.15, 8
 """seconds, and looks at most, after which the meter is told what is unexplained: by then most turns are noticed"""
 TWICE = 2.0
 """times what a turn explains after the meter was told of it: r went there, and goes back in what is unexplained"""
-LARGEST = 0.04
-"""of full scale: how far a load may go without a turn that is noticed; what goes further from one look to the next
-is an edge. After one nothing is told for as long as the way is remembered"""
 
 NAMES = (
     *(*meter.NAMES, "sign_before", "last_r", "extreme_r", "unexplained_r", "looks_back"),
@@ -83,24 +90,42 @@ _BEFORE, _SERIES = slice(BEFORE, BEFORE + LATE_LOOKS), METER + meter.SERIES
 ROWS = slice(METER, METER + len(NAMES))
 """all of them; :func:`begin` writes them"""
 RISE_R, FALL_R, PER_E2, PER_E3, ETAU2_KPA, SETTLED_PER_KPA, OF_U, OF_2, OF_3, KEPT_KPA = range(10)
-OWED, LARGEST_R, LARGEST_KPA, LOAD_R, LATE = range(10, 15)
+OWED, LARGEST_R, LARGEST_KPA, LOAD_R, LATE, EDGE = range(10, 16)
 """places of the numbers: r per kPa of a fast rise and of a fast fall; constants of the model; shares of the lags that
 pass from one look to the next; kPa kept per r of the way; looks that the way counts for, and how far a load may go
-unnoticed, in r and in kPa; r per kPa of a load that goes to and fro; looks after which the meter is told"""
+unnoticed, in r and in kPa; r per kPa of a load that goes to and fro; looks after which the meter is told; and
+:func:`._meter.edge`"""
 BACK = together.TELLS
 SEEN = together.TELLS + 1
 """rows of what a look at all cells sees before any of them is told: what they tell their neighbours, and way in r of
 turns that were noticed too late for the meter not to see it"""
-EDGE = meter.edge(RECENT)
-_EDGE = np.array(EDGE)
 _ZERO, _HALF, _ONE, _UNSURE, _TWICE = (np.array(x) for x in (0.0, 0.5, 1.0, UNSURE, TWICE))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 _LOOKS_BEFORE = np.arange(1.0, LATE_LOOKS + 1.0)[:, None]
 
 
+def readings(dt_s: float) -> int:
+    """From one look to the next, where frames follow each other after ``dt_s``: as few as half or a quarter of all."""
+    count = RECENT
+    while count > 1 and count * dt_s > BLOCK_S:
+        count //= 2
+    return count
+
+
+def caution(dt_s: float) -> way.Caution:
+    """How sure the way must be, for looks at so many readings."""
+    return CAUTION if readings(dt_s) == RECENT else CAUTION_OF_FEW
+
+
+def unnoticed(dt_s: float) -> float:
+    """How far a load may go unnoticed from one look to the next, of full scale."""
+    return max(LARGEST, LARGEST_PER_S * readings(dt_s) * dt_s)
+
+
 def constants(model: PaperModel, dt_s: float, full_scale_kpa: float) -> meter.Constants:
     """The numbers for frames that follow each other after ``dt_s``."""
-    m, between_s, (rise_r, fall_r) = model, RECENT * dt_s, fast_r(model)
+    m, count, (rise_r, fall_r) = model, readings(dt_s), fast_r(model)
+    between_s, largest_kpa = count * dt_s, unnoticed(dt_s) * full_scale_kpa
     numbers = {
         RISE_R: rise_r,
         FALL_R: fall_r,
@@ -112,13 +137,14 @@ def constants(model: PaperModel, dt_s: float, full_scale_kpa: float) -> meter.Co
         OF_2: between_s / m.t2_s,
         OF_3: between_s / m.t3_s,
         KEPT_KPA: 0.5 * (rise_r - fall_r) / (rise_r * fall_r),
-        OWED: meter.owed_looks(dt_s, RECENT),
-        LARGEST_R: LARGEST * full_scale_kpa * rise_r,
-        LARGEST_KPA: LARGEST * full_scale_kpa,
+        OWED: meter.owed_looks(dt_s, count),
+        LARGEST_R: largest_kpa * rise_r,
+        LARGEST_KPA: largest_kpa,
         LOAD_R: 0.5 * (rise_r + fall_r),
         LATE: min(math.ceil(LATE_S / between_s), LATE_LOOKS),
+        EDGE: meter.edge(count),
     }
-    return meter.constants(numbers, dt_s, RECENT, way.Caution())
+    return meter.constants(numbers, dt_s, count, caution(dt_s))
 
 
 def begin(memory: FloatArray, r: FloatArray) -> None:
@@ -135,7 +161,7 @@ def look(
 ) -> None:
     """Take the last readings of m cells; changes their ``memory`` (rows, m).
 
-    To be called every :data:`..estimation.RECENT` frames.
+    To be called every :func:`readings` frames.
 
     Args:
         memory: of the cells.
@@ -162,10 +188,11 @@ def look(
     looks_back = memory[LOOKS_BACK]
     looks_back += _ONE
     np.copyto(looks_back, _ZERO, where=ahead)
-    edges = np.abs(gone) > noise * _EDGE + largest
+    edge = noise * numbers.each[EDGE]
+    edges = np.abs(gone) > edge + largest
     recent = memory[LAST : THIRD_LAST + 1]
     apart = np.maximum(np.abs(memory[PRESSURE] - recent[0]), np.abs(recent[0] - recent[2]))
-    edges |= apart > noise * _EDGE * memory[GAIN] + numbers.each[LARGEST_KPA]
+    edges |= apart > edge * memory[GAIN] + numbers.each[LARGEST_KPA]
     shown = np.where(memory[RESTED] > _ZERO, _ZERO, np.maximum(memory[PRESSURE], _ZERO))
     rows, load = memory[_METER], shown * numbers.each[LOAD_R]
     found = meter.look(rows, newest, noise, load, edges, near, meter.Limits(largest, owed, late), numbers.way)
@@ -298,8 +325,8 @@ def see_of(memory: SpacedRows, i: int, mean: float, noise: float, numbers: Row, 
     newest, seen[BACK, i] = explained_in_hindsight_of(memory, i, turned, numbers[LATE])
     memory[LOOKS_BACK, i] = 0.0 if ahead else memory[LOOKS_BACK, i] + 1.0
     apart = max(abs(memory[PRESSURE, i] - memory[LAST, i]), abs(memory[LAST, i] - memory[THIRD_LAST, i]))
-    edge = apart > noise * EDGE * memory[GAIN, i] + numbers[LARGEST_KPA]
-    edge |= abs(gone) > noise * EDGE + numbers[LARGEST_R]
+    edge = apart > noise * numbers[EDGE] * memory[GAIN, i] + numbers[LARGEST_KPA]
+    edge |= abs(gone) > noise * numbers[EDGE] + numbers[LARGEST_R]
     load = shown_of(memory, i) * numbers[LOAD_R]
     late, largest = numbers[LATE], numbers[LARGEST_R]
     tell_neighbours_of(memory, METER, i, newest, noise, load, edge, late, largest, way_numbers, seen)

@@ -13,7 +13,7 @@ side (``docs/design.md``, "Inside an estimator"). In every frame, in this order:
 :mod:`._earlier`    a third hypothesis: that the load turned earlier
 ==================  =================================================================================
 
-And every :data:`..estimation.RECENT` frames, of the mean of as many readings:
+And every few frames, of the mean of as many readings (:data:`..estimation.RECENT`, and :func:`._sway.readings`):
 
 ==================  =================================================================================
 :mod:`._recovery`   whether a released cell bears no load, and what it remembers then
@@ -261,22 +261,32 @@ class TurningInversion(Inversion):
 
     def recover(self, memory: FloatArray, recent: RecentReadings) -> None:
         """Ask what means of readings tell, in the order of the list above."""
-        dt_s, mean, noise, count, near = recent
+        dt_s, mean, noise, count, _ = recent
         turns.look_at_steps(memory, noise, self._numbers.each)
         recovery.look(memory, mean, noise, count, self._recovery.of(dt_s).each)
         released.look(memory, mean, noise, self._released.of(dt_s).each)
         still.look(memory, mean, noise, self.full_scale_kpa, self._still.of(dt_s).each)
         onset.look(memory, mean, noise, self.full_scale_kpa, self._onset.of(dt_s).each)
-        sway.look(memory, mean, noise, self._numbers.row[turns.STEPS], near, self._sway.of(dt_s))
 
     def recover_compiled(self, memory: FloatArray, recent: RecentReadings) -> None:
         """:meth:`recover` by loops."""
-        dt_s, mean, noise, count, near = recent
+        dt_s, mean, noise, count, _ = recent
         turns.look_at_steps_each.unchecked(memory, noise, self._numbers.row)
         recovery.look_each.unchecked(memory, mean, noise, count, self._recovery.of(dt_s).row)
         released.look_each.unchecked(memory, mean, noise, self._released.of(dt_s).row)
         still.look_each.unchecked(memory, mean, noise, self.full_scale_kpa, self._still.of(dt_s).row)
         onset.look_each.unchecked(memory, mean, noise, self.full_scale_kpa, self._onset.of(dt_s).row)
+
+    def sways_in(self, dt_s: float) -> int:
+        return 0 if self.exact else sway.readings(dt_s)
+
+    def sway(self, memory: FloatArray, recent: RecentReadings) -> None:
+        dt_s, mean, noise, _, near = recent
+        sway.look(memory, mean, noise, self._numbers.row[turns.STEPS], near, self._sway.of(dt_s))
+
+    def sway_compiled(self, memory: FloatArray, recent: RecentReadings) -> None:
+        """:meth:`sway` by loops."""
+        dt_s, mean, noise, _, near = recent
         of = self._sway.of(dt_s)
         seen = np.empty((sway.SEEN, mean.size))
         sway.look_each.unchecked(memory, mean, noise, self._numbers.row[turns.STEPS], near, of.row, of.way.rows, seen)

@@ -323,7 +323,7 @@ def tell_of(
             rest_of_most *= 1.0 - may
         length *= 2.0
     untold = max(min(most, most_by_shortest) - told, 0.0) * of_own
-    untold += max(most_beside - told, 0.0) * (1.0 - of_own) * numbers[CAUTION, OF_MOST]
+    untold += max(most_beside - told, 0.0) * ((1.0 - of_own) * numbers[CAUTION, OF_MOST])
     return told, told + untold
 
 
