@@ -341,7 +341,7 @@ def test_taps_between_holds_are_not_in_doubt_for_their_edges(kind: str, seed: in
     """Twelve taps a second apart, each of which would add the doubt of two turns between frames if edges were turns."""
     found = honesty.judged(honesty.uncalibrated()[kind], kind, "taps", 1.0, seed=seed)
     assert found.within_two > 0.95
-    assert found.std_percent < 3.0
+    assert found.std_percent < 3.2
 
 
 @settings(max_examples=3)

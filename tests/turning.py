@@ -282,7 +282,7 @@ class OneCell:
         pressure = gain * (mean - self.now.x2 * np.exp(ago / m.t2_s) - self.now.x3 * np.exp(ago / m.t3_s))
         by_noise = (gain * noise) ** 2 / 4
         left = self.now.pressure + self.taken_off
-        if self.released - left < recovery.FELL * left:
+        if self.released - left < recovery.FELL * left and self.released > 0:
             return
         if max(pressure**2, self.now.pressure**2) >= recovery.REST_SIGMAS**2 * (self.rest_variance + by_noise):
             return

@@ -187,6 +187,7 @@ class Estimator:
             self._choose(known)
         block = self._remembered.block
         if block.cells.size:
+            self._following.expect(self._usual_s or dt)
             self._following.advance(block, dt, r, self._frames, self._pressure)
             if watched is not None:
                 self._by_shared = self._variance_by_shared(r)

@@ -23,6 +23,8 @@ from ._tremor import Tremor
 from ._window import RECENT, WINDOW
 
 _ZERO = np.zeros(1)
+UNUSUAL = 0.1
+"""relative change of the time between frames from which looks are made for another one"""
 
 
 def _no_doubt() -> FloatArray:
@@ -47,8 +49,19 @@ class Following:
         """pressure per r of a fast fall; 0: fast falls are answered as all loads are"""
         self._smoothed_for = (-1.0, -1.0)
         self._smoothed_by = smoothing.gains_for(1.0, 1.0)
+        self._sways_for_s = 0.0
+        """time between frames for which looks at loads that go to and fro are made"""
         self.compiled = False
         """whether the loops are there as machine code"""
+
+    def expect(self, usual_s: float) -> None:
+        """State how long after each other frames come, in the mean of late.
+
+        The length of a look stays while that is so within a tenth: frames that jitter, or of which one is lost, must
+        not change it.
+        """
+        if abs(usual_s - self._sways_for_s) > UNUSUAL * self._sways_for_s:
+            self._sways_for_s = usual_s
 
     def advance(self, block: Block, dt: float, r: FloatArray, frame: int, pressure: FloatArray) -> None:
         """Take the readings ``r`` (n,) of a frame.
@@ -179,10 +192,11 @@ class Following:
         if inversion.recovers and frame % inversion.recent == 0:
             recent = self._recent(block, dt, noise, line, inversion.recent)
             (inversion.recover_compiled if self.compiled else inversion.recover)(block.memory, recent)
-        every = inversion.sways_in(dt)
+        usual_s = self._sways_for_s
+        every = inversion.sways_in(usual_s)
         if every and frame % every == 0:
-            if recent is None or every != inversion.recent:
-                recent = self._recent(block, dt, noise, line, every)
+            if recent is None or every != inversion.recent or usual_s != dt:
+                recent = self._recent(block, usual_s, noise, line, every)
             (inversion.sway_compiled if self.compiled else inversion.sway)(block.memory, recent)
 
     def _recent(self, block: Block, dt: float, noise: FloatArray, line: FloatArray, count: int) -> RecentReadings:

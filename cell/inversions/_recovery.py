@@ -64,7 +64,8 @@ GOES_ON, STEADY = 4.0, 0.25
 the fall that is none, in standard deviations of a reading"""
 FELL = 0.75
 """times what is left of a pressure, by which it must have fallen if the rest is to be an error of the memory: a load
-that trembles falls by less, however long it is held"""
+that trembles falls by less, however long it is held. Where recovery began without a fall, as by a rise that was
+refuted, nothing is known of that"""
 LIGHT = 0.1
 """share of the variance of the memory that a rest leaves, beside the squares of what was subtracted and of a load that
 may have begun (:mod:`._onset`): the released cell may have borne a light load after all. What was subtracted stays in
@@ -151,8 +152,8 @@ def look(
     by_noise = by_noise * by_noise * _PER_READING
     bound = (variance + by_noise) * numbers[BOUND]
     calm &= (pressure * pressure < bound) & (shown * shown < bound)
-    left = shown + memory[TAKEN_OFF_KPA]
-    calm &= memory[RELEASED_KPA] - left >= left * _FELL
+    left, released = shown + memory[TAKEN_OFF_KPA], memory[RELEASED_KPA]
+    calm &= (released - left >= left * _FELL) | (released <= _ZERO)
     rests = calm.nonzero()[0]
     if not rests.size:
         return
@@ -263,8 +264,8 @@ def look_each(memory: SpacedRows, mean: Row, noise: Row, count: Row, numbers: Ro
         left_over = max(memory[THIRD_LAST, i] - shown - by_noise * STEADY, 0.0) * GOES_ON
         by_noise = by_noise * by_noise * (1.0 / RECENT)
         bound = (memory[REST_VARIANCE, i] + by_noise) * numbers[BOUND]
-        left = shown + memory[TAKEN_OFF_KPA, i]
-        fell = memory[RELEASED_KPA, i] - left >= left * FELL
+        left, released = shown + memory[TAKEN_OFF_KPA, i], memory[RELEASED_KPA, i]
+        fell = released - left >= left * FELL or released <= 0.0
         if not (fell and pressure * pressure < bound and shown * shown < bound):
             continue
         share = memory[REST_VARIANCE, i] / (memory[REST_VARIANCE, i] + by_noise + left_over * left_over)

@@ -4,8 +4,8 @@ The chains that a tremor breaks add up for as long as they take to heal. After a
 the load, and no count of them is that good. Nothing in the readings tells such an error from a load that drifts. One
 that grows or fades by as much as chains are in doubt, and for as long, is rare, though, while most loads are held. So
 the mean of the load is kept at a level: what it has gone from there is taken back within a second, but no more in a
-second than is in doubt. A load that drifts by more takes the level along, and one that goes farther than it swings
-begins a new one.
+second than two standard deviations of what comes into doubt. A load that drifts by more takes the level along, and one
+that goes farther than it swings begins a new one.
 
 What is in doubt of a load that is held is how far it has drifted itself, rather than how many chains have broken. Where
 one that hardly swings takes the level along, chains are the more in doubt.

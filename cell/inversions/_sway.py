@@ -78,8 +78,8 @@ NAMES = (
     *(f"unexplained_r_{looks}_before" for looks in range(1, LATE_LOOKS + 1)),
 )
 """names of the rows of the memory: those of :mod:`._meter`; 1 where the load rose at the last look, -1 where it fell; r
-then, and the largest since the load turned, or the least; r less all by which it went beyond these; looks since it went
-so last; and what was unexplained at earlier looks, as far as it is known now"""
+then, and the largest since the load turned, or the least; r less all by which it went beyond these; looks since r went
+beyond these; and what was unexplained at earlier looks, as far as it is known now"""
 METER = CLEAR_KPA + 1
 """first row, behind those of :mod:`._onset`"""
 _METER = slice(METER, METER + len(meter.NAMES))
@@ -105,7 +105,7 @@ _LOOKS_BEFORE = np.arange(1.0, LATE_LOOKS + 1.0)[:, None]
 
 
 def readings(dt_s: float) -> int:
-    """From one look to the next, where frames follow each other after ``dt_s``: as few as half or a quarter of all."""
+    """From one look to the next, for frames ``dt_s`` apart: :data:`..estimation.RECENT`, a half or a quarter of it."""
     count = RECENT
     while count > 1 and count * dt_s > BLOCK_S:
         count //= 2
