@@ -16,6 +16,7 @@ from ohmskin.cell.estimation._smoothing import begin
 from ohmskin.cell.estimation._taps import EVEN, LEAST_LINE, SEEN, WHOLE, Taps
 
 SHAPE = (12, 10)
+NEEDS_LOOPS = pytest.mark.skipif(compiled.why_not() is not None, reason="the extra 'fast' is not in use")
 
 
 def moved(kind: str) -> tuple[np.ndarray, np.ndarray]:
@@ -93,7 +94,7 @@ def test_a_press_of_the_whole_skin_makes_no_memory_of_all_cells_anew(monkeypatch
     assert (pressure > 0.3 * cell.full_scale_kpa).all()
 
 
-@pytest.mark.skipif(compiled.why_not() is not None, reason="the extra 'fast' is not in use")
+@NEEDS_LOOPS
 @pytest.mark.parametrize("kind", CELLS)
 def test_a_load_is_held_by_machine_code_as_by_array_operations(kind: str) -> None:
     """In the memory of a skin, of whose other cells nothing changes, whatever the rows hold that are not kept."""
@@ -131,7 +132,7 @@ def test_a_step_needs_no_other_rows_than_a_held_load(kind: str, by_loops: bool) 
     np.testing.assert_array_equal(after[1][inversion.held_rows], after[0][inversion.held_rows])
 
 
-@pytest.mark.skipif(compiled.why_not() is not None, reason="the extra 'fast' is not in use")
+@NEEDS_LOOPS
 @pytest.mark.parametrize("kind", CELLS)
 def test_cells_that_are_followed_in_turn_remember_the_same_by_machine_code(kind: str) -> None:
     """Some cells stay from block to block, some come and go; in between the block's memory is replaced by another."""

@@ -236,13 +236,13 @@ class Estimator:
             resistance_ohm: (shape) the readings in ohm for which that holds. Where one of them is not finite the median
                 of the others is taken; if all are not, nothing happens.
             all_steps_std: (shape) as ``step_std``, by the steps of all readings that a conductance follows from, as in
-                a column of a divider. A load that is held must not seem to fall when one of these steps. None: no
-                more than ``step_std``.
+                a column of a divider. A load that is held must not seem to fall when one of these steps. Where
+                idle rows float it is taken in place of ``step_std``. None: no more than ``step_std``.
             scales_columns: whether steps of other readings scale all conductances of a column alike, as on a divider
                 whose idle rows are driven. Else each cell has errors of its own by them, as where idle rows float.
         """
-        of_each = step_std if all_steps_std is None or scales_columns else all_steps_std
-        at_rest, found = self._at_rest(of_each, resistance_ohm)
+        each_has_all_steps = all_steps_std is not None and not scales_columns
+        at_rest, found = self._at_rest(all_steps_std if each_has_all_steps else step_std, resistance_ohm)
         if not found.any():
             return
         of_all = 0.0

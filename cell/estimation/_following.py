@@ -195,9 +195,10 @@ class Following:
         usual_s = self._sways_for_s
         every = inversion.sways_in(usual_s)
         if every and frame % every == 0:
-            if recent is None or every != inversion.recent or usual_s != dt:
-                recent = self._recent(block, usual_s, noise, line, every)
-            (inversion.sway_compiled if self.compiled else inversion.sway)(block.memory, recent)
+            if recent is None or every != inversion.recent:
+                recent = self._recent(block, dt, noise, line, every)
+            sway = inversion.sway_compiled if self.compiled else inversion.sway
+            sway(block.memory, recent._replace(dt_s=usual_s))
 
     def _recent(self, block: Block, dt: float, noise: FloatArray, line: FloatArray, count: int) -> RecentReadings:
         """The last ``count`` readings of the block, for its inversion; the others as in :meth:`_look_back`."""

@@ -152,8 +152,7 @@ def begin(memory: FloatArray, r: FloatArray) -> None:
     meter.begin(memory[_METER], 0.0)
     memory[SIGN_BEFORE] = memory[SIGN]
     memory[[LAST_R, EXTREME_R]] = r
-    memory[[UNEXPLAINED_R, LOOKS_BACK]] = 0.0
-    memory[_BEFORE] = 0.0
+    memory[UNEXPLAINED_R : _BEFORE.stop] = 0.0
 
 
 def look(

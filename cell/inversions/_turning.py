@@ -278,7 +278,7 @@ class TurningInversion(Inversion):
         onset.look_each.unchecked(memory, mean, noise, self.full_scale_kpa, self._onset.of(dt_s).row)
 
     def sways_in(self, dt_s: float) -> int:
-        return 0 if self.exact else sway.readings(dt_s)
+        return sway.readings(dt_s)
 
     def sway(self, memory: FloatArray, recent: RecentReadings) -> None:
         dt_s, mean, noise, _, near = recent
