@@ -157,3 +157,18 @@ def test_cells_that_are_followed_in_turn_remember_the_same_by_machine_code(kind:
     by_arrays.flush()
     np.testing.assert_array_equal(by_loops.memory, by_arrays.memory)
     np.testing.assert_array_equal(by_loops.line, by_arrays.line)
+
+
+@pytest.mark.parametrize("kind", CELLS)
+def test_a_state_is_restored_whatever_is_followed_then(kind: str) -> None:
+    """Nothing that is remembered when a state is restored goes into it."""
+    rng, every = np.random.default_rng(0), np.arange(8)
+    remembered = Remembered(CELLS[kind].estimator((8,)).inversion, 8)
+    remembered.begin(every, rng.random(8))
+    saved = {name: value.copy() for name, value in remembered.state().items()}
+    remembered.follow(every < 5)
+    remembered.block.memory += 1.0
+    remembered.restore(saved)
+    remembered.flush()
+    np.testing.assert_array_equal(remembered.memory, saved["memory"])
+    np.testing.assert_array_equal(remembered.line, saved["line"])

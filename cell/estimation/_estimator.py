@@ -241,8 +241,8 @@ class Estimator:
             scales_columns: whether steps of other readings scale all conductances of a column alike, as on a divider
                 whose idle rows are driven. Else each cell has errors of its own by them, as where idle rows float.
         """
-        each_has_all_steps = all_steps_std is not None and not scales_columns
-        at_rest, found = self._at_rest(all_steps_std if each_has_all_steps else step_std, resistance_ohm)
+        of_each = all_steps_std if all_steps_std is not None and not scales_columns else step_std
+        at_rest, found = self._at_rest(of_each, resistance_ohm)
         if not found.any():
             return
         of_all = 0.0

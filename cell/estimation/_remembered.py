@@ -141,7 +141,8 @@ class Remembered:
         return {"memory": self.memory, "line": self.line, "followed": self.followed}
 
     def restore(self, state: dict[str, FloatArray]) -> None:
-        """Continue from a saved :meth:`state`."""
+        """Continue from a saved :meth:`state`; what was remembered until now is forgotten."""
+        self.block = self._no_block
         self.memory, self.line = spaced(state["memory"]), state["line"]
         self.follow(state["followed"] > 0)
         self.stale = True

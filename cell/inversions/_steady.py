@@ -37,7 +37,8 @@ DRIFT_PER_S = 0.005
 UNSURE, KEPT = 0.2, 0.2
 """standard deviation over what is taken back; and share of the doubt about chains that remains while a load is held"""
 SURPRISE = 4.0
-"""times the doubt: as much more there is where a load that hardly swings takes the level along, if it goes as far"""
+"""times the doubt of a look: where a load that hardly swings leaves the band and takes the level along, its doubt may
+grow by as much, but by no more than it went beyond the band"""
 
 LOOK_S, MEAN_SHARE, DOUBT_SHARE, BACK_SHARE, BAND_S = range(5)
 """places of what depends on the time between looks: that time; the share of a look in the means; the share of what the

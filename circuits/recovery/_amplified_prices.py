@@ -11,7 +11,9 @@ from ._amplified_board import AmplifiedBoard
 from ._frame_account import FIRST_FRAMES, USUAL_FRAMES
 from ._heavy_leads import MOST_CELLS
 
-_LARGE = 256  # cells from which on line attenuation is a closed form, without machine code; both pay alike
+# Cells above which line attenuation is worked out by ladders with the extra fast, and in closed form without it.
+# One price serves both, so that what a frame finds does not depend on the extra.
+_LARGE = 256
 
 
 class AmplifiedPrices:
