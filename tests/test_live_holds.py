@@ -18,8 +18,9 @@ from ohmskin.cell import Cell, M10Model
 from ohmskin.cell.estimation import _shared_steps
 from ohmskin.circuits import adc_codes, scan_batch
 from ohmskin.compiled import load as load_loops
-from ohmskin.driver import CountReader, LinkEnded, Skin
+from ohmskin.driver import CountReader, Skin
 from ohmskin.driver._systematic import SystematicError
+from ohmskin.errors import LinkEnded
 
 RATE_HZ, TARE_S, BEGIN_S, EDGE_S, HOLD_S, JUDGED_S = 25.0, 0.6, 1.0, 0.06, 32.0, 2.0
 ROWS, COLUMNS = np.array([1, 3, 4, 6]), np.array([2, 5, 1, 4])
@@ -306,7 +307,7 @@ sine = {{ mean_kpa = 0.0, amplitude_kpa = 0.34, frequency_hz = 5.3, start_s = 5.
             pass
     sequence, shown, std = (np.array(values) for values in zip(*frames, strict=True))
     with np.load(truth) as file:
-        load = file["pressure"][np.searchsorted(file["sequence"], sequence)]
+        load = file["pressure_kpa"][np.searchsorted(file["sequence"], sequence)]
     held = load > 0.5
     within = (np.abs(shown - load) <= 2.0 * std)[held].mean()
     print(f"{bits} bits: {100 * within:.1f} % of the errors within 2 sd, median sd {np.median(std[held]):.2f} kPa")
