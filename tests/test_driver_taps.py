@@ -171,7 +171,7 @@ def test_a_spark_leaves_a_cell_of_an_array_as_it_leaves_one_without_neighbours()
     array, alone = EXAMPLE.estimator(SHAPE), EXAMPLE.estimator((64,))
     for frame in ohm:
         np.testing.assert_array_equal(array.step(DT_S, frame).ravel(), alone.step(DT_S, frame.ravel()))
-        np.testing.assert_allclose(array.std_kpa.ravel(), alone.std_kpa, rtol=1e-4)
+        np.testing.assert_allclose(array.std_kpa.ravel(), alone.std_kpa, rtol=4e-4)
 
 
 @pytest.mark.skipif(bool(compiled.why_not()), reason="needs the extra fast")
