@@ -6,7 +6,8 @@ pressed on them can do as well, and a bridge lets two lines read as if each had 
 tell what a frame does not (fault detection with a model of the process, Isermann 2006):
 
 * **No load does so.** The cells of a line fall together below whatever they have been, and below rest by far, though
-  loads raise their resistance (bridged lines); or they rise together beyond what any load gives.
+  loads raise their resistance (bridged lines); or they rise together beyond what any load gives. Where one reading is
+  too rough to say so, the mean of further ones does.
 * **Loads do not keep so.** Readings from some place of a line to its end rise at once by one and the same factor, and
   keep to that factor, as the load of the line changes it (1 / (1 - r G') with the sum G' of the conductances that are
   read). Under a load this material would creep. That it does not is told after a second or more, where the readings
@@ -53,6 +54,8 @@ FIRST_VERDICT_S, LAST_VERDICT_S = 1.0, 8.0
 """after a change of a line for which creep is compared"""
 CLEAR = 5.0
 """standard deviations of a reading, or of what decides, that noise does not reach"""
+STEPS = 2.0
+"""standard deviations by ADC steps that no reading is off by: rounding errs by the square root of 3 of them at most"""
 LEAST_CREEP = 0.002
 """times the change, root mean square, that must decide: the creep is not known better"""
 RESTED = 0.1
@@ -111,6 +114,8 @@ class _Change:
     """of later looks, since the change"""
     changes: list[tuple[float, float]] = field(default_factory=list)
     """from ``before``, likewise, and what the line's load makes of it if the line is cracked"""
+    heights: list[float] = field(default_factory=list)
+    """of most of the cells above the limit below which no load takes them, likewise"""
 
     @property
     def line(self) -> str:
@@ -126,6 +131,22 @@ class _Change:
         low, most = self.limits
         beyond = (now < low[self.cells]) if self.size < 0.0 else (now - self.before[self.cells] > most)
         return bool(beyond.sum() >= MOST * np.isfinite(now).sum() > 0)
+
+    def stays_low(self, since_s: float, log: FloatArray, noise: float, steps: float) -> bool | None:
+        """Whether most of the cells have been, in the mean, where no load takes them; None: not told yet.
+
+        Cells may share their errors, as in a column of a divider: only other looks make these smaller.
+        ``noise`` and ``steps`` are standard deviations of one reading, by what averages out and by what does not.
+        """
+        above = np.sort((log - self.limits[0])[self.cells])
+        height = above.item(math.ceil(MOST * len(above)) - 1)  # NaN, where too many are not read
+        if not height < 0.0:
+            return False
+        self.heights.append(height)
+        looks = len(self.heights)
+        if sum(self.heights) / looks + CLEAR * noise / math.sqrt(looks) + STEPS * steps < 0.0:
+            return True
+        return False if since_s > LAST_VERDICT_S else None
 
     def follow(self, since_s: float, log: FloatArray, std: FloatArray) -> bool:
         """Note what has become of the change. False where it is no longer that of a cracked line."""
@@ -269,8 +290,11 @@ class LineFaults:
                 faulty.append(suspect)
                 continue
             verdict: bool | None = False
-            if suspect.size > 0.0 and suspect.follow(time_s - began_s, log, std):
-                verdict = suspect.verdict(self._creep, *(_median(part[suspect.cells]) for part in (noise, steps)))
+            of_one = _median(noise[suspect.cells]), _median(steps[suspect.cells])
+            if suspect.size < 0.0:
+                verdict = suspect.stays_low(time_s - began_s, log, *of_one)
+            elif suspect.follow(time_s - began_s, log, std):
+                verdict = suspect.verdict(self._creep, *of_one)
             if verdict:
                 faulty.append(suspect)
             elif verdict is None:
@@ -301,9 +325,7 @@ class LineFaults:
                 if not (abs(_median(change[~cells & ~taken])) < ASIDE * abs(size)):
                     continue
                 suspect, std = _Change(cells, before, size, (lowest, self._creep.most)), np.hypot(*_std_of(reading))
-                if not suspect.no_load(log, std):
-                    if size < 0.0:
-                        continue
+                if size > 0.0 and not suspect.no_load(log, std):
                     still = abs(_median((before - earlier)[cells])) < RESTED * size
                     rested = _median((before - self._least)[cells]) < RESTED * size
                     if not (still and rested and _agree(change[cells], size, std[cells])):
