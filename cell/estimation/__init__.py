@@ -7,6 +7,7 @@ The constants below are thresholds that an inversion shares with the rest of its
 """
 
 from ._conditions import Conditions
+from ._dither import undithered, undithered_of
 from ._estimator import Estimator
 from ._held import longest_s
 from ._inversion import (
@@ -55,4 +56,6 @@ __all__ = [
     "RecentReadings",
     "credible_readings",
     "longest_s",
+    "undithered",
+    "undithered_of",
 ]

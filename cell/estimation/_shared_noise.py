@@ -224,7 +224,11 @@ class SharedNoise:
     ) -> None:
         """Take steps that no sleeping cells tell out of the readings of held cells, see :mod:`._shared_steps`."""
         resolution = self._noise.typical_resolution
-        scales = max(self._noise.own, resolution), resolution * math.sqrt(1.0 + self.ratio), self._side, dt_s
+        if not resolution > 0.0:
+            return
+        own = max(self._noise.own, resolution)
+        steps = resolution * math.sqrt(1.0 + self.ratio) * shared_steps.constant(own / resolution)
+        scales = own, steps, self._side, dt_s
         kept = without, self._last, reference, self._held_s, read, awake
         if self.compiled:
             shared_steps.keep_each.unchecked(*kept, self._untold, *scales, watched)

@@ -11,7 +11,8 @@ that is its reading at rest, and what earlier loads have left. Recovery that tak
   the interval. Other cells are left alone: a tap would lose the part of its rise that its column has in common.
 
 Only cells that stand out from the third least one are changed. A load that comes to the others is not hidden. A shared
-part beyond what steps make is a load.
+part beyond what steps make is a load. Steps that noise makes random are none of this: a reading that is kept would
+follow the least of them, one after the other, and a hold would fade.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import Flags, Row, loop
+from ._dither import undithered_of
 
 TELLING = 3
 """which of the least readings of a column tells what is shared; of one or two, a bad contact would be taken for it"""
@@ -33,6 +35,16 @@ HELD_S = 0.4
 """seconds of standing out after which a cell counts as held"""
 COUNTS_OFF = 3.0
 """seconds of a load that a second without it counts off"""
+
+
+def constant(ratio: float) -> float:
+    """Share of the steps that stays from frame to frame, for noise of ``ratio`` times that of the steps alone.
+
+    The square of what noise leaves of them in a mean: what is wrongly kept of noise errs to one side for as long as the
+    load is held, while what is not kept of a step is in the deviation.
+    """
+    left = undithered_of(ratio)
+    return left * left
 
 
 def keep(

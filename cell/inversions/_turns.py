@@ -8,13 +8,11 @@ not share is no rise, and is refuted.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray
 from ...compiled import Row, Rows, SpacedRows, loop
-from ..estimation import FAR, GAIN, LOADS, PRESSURE
+from ..estimation import FAR, GAIN, LOADS, PRESSURE, undithered, undithered_of
 from ..materials import PaperModel
 from ._paper_steps import TurnWeights, fast_r
 from ._turning_rows import (
@@ -58,11 +56,6 @@ large by about as many; with more, the end of a tap of few frames would be misse
 STILL = 1.5
 """standard deviations of the reading by which a load that seems to have fallen must be above none. Such a fall may be
 steps of the ADC, of any reading that the resistance follows from; most loads that fall are released"""
-DITHER = math.pi**2 / 24.0
-"""steps that noise makes random are noise, which the smoothing averages away. What they leave in a mean is less by
-exp(-2 pi^2 v / q^2), for noise of variance v and steps of q (Widrow, Kollar: Quantization Noise, 2008). A fourth of
-that exponent is this constant times v over the variance q^2 / 12 of the steps; (1 + x / 4)^-4 bounds exp(-x), and
-machine code rounds it as NumPy does. A passing finger so turns when its load does, at 8 bits, too"""
 SHARED, CLEAR_RISE = 0.2, 0.05
 """share of a rise by which the recovery model must have risen, too, or else the rise is refuted; and how large, of full
 scale, a rise must be to be refuted. Where a cell recovers under a light hold, the rising model takes the recovery for a
@@ -140,10 +133,7 @@ def look(of: MemoryRows, std: FloatArray, numbers: tuple[FloatArray, ...]) -> No
 def look_at_steps(memory: FloatArray, noise: FloatArray, numbers: tuple[FloatArray, ...]) -> None:
     """Take the ``noise`` (m,) of a reading, steps and all: what it leaves of steps; changes ``memory`` (rows, m)."""
     if numbers[OWN_STEPS].item() > 0.0:
-        ratio = noise / by_steps(memory, numbers[OWN_STEPS])
-        left = 1.0 / (1.0 + np.maximum(ratio * ratio - 1.0, _ZERO) * DITHER)
-        left *= left
-        memory[UNDITHERED] = left * left
+        memory[UNDITHERED] = undithered(noise / by_steps(memory, numbers[OWN_STEPS]))
 
 
 def _seeming(of: MemoryRows, numbers: tuple[FloatArray, ...]) -> FloatArray:
@@ -255,10 +245,7 @@ def look_at_steps_each(memory: SpacedRows, noise: Row, numbers: Row) -> None:
     if not numbers[OWN_STEPS] > 0.0:
         return
     for i in range(noise.size):
-        ratio = noise[i] / by_steps_of(memory, i, numbers[OWN_STEPS])
-        left = 1.0 / (1.0 + max(ratio * ratio - 1.0, 0.0) * DITHER)
-        left *= left
-        memory[UNDITHERED, i] = left * left
+        memory[UNDITHERED, i] = undithered_of(noise[i] / by_steps_of(memory, i, numbers[OWN_STEPS]))
 
 
 @loop
