@@ -98,7 +98,8 @@ class Converter:
     ) -> None:
         """Set up the circuit's inverse and the estimator; without ``cell`` pressures are NaN.
 
-        ``rest_changes`` are those of a recording: times, and the (cells,) rest resistances for frames after them.
+        ``rest_changes`` are those of a recording: times on the time scale of the estimator, and the (cells,) rest
+        resistances for frames after them.
         ``accuracy`` is the relative uncertainty up to which cells are valid, see :class:`CountReader`.
         ``calibration`` gives each cell its rest resistance, as long as no tare gives another one, and its gain.
 
@@ -130,7 +131,8 @@ class Converter:
                 raise InputError("a tare of {} cells; this skin has {} x {}".format(ohm.size, *design.array.shape))
         self._rest_changes = deque(rest_changes)
         self.on_rest: list[Callable[[FloatArray | None, float | None], None]] = []
-        """told of new rest resistances and of the time of the last frame before them: for recorders"""
+        """told of new rest resistances and of the estimator's time of the last frame before them: for recorders. No two
+        frames have the same, as they have the same time of arrival where they came together."""
         self._starts = self._starts_told = 0
         """times that the estimator has begun without memory, and as many as the last frame knew of"""
         self._creep: Creep | None = None
@@ -182,7 +184,7 @@ class Converter:
             if self._judged is None:
                 self._counters.untared = self._why_to_tare()
             for tell in tuple(self.on_rest):
-                tell(rest_ohm, None if self._last is None else self._last.monotonic_time)
+                tell(rest_ohm, None if self._last is None else self._last.time_s)
 
     def hand_over(self) -> MeasurementPast:
         """What is remembered of frames so far, for a recording that begins with the next frame.
@@ -281,6 +283,9 @@ class Converter:
             return self._measured.get(frame.index)
 
     def _convert(self, frame: RawFrame) -> Measurement:
+        while self._rest_changes and frame.time_s > self._rest_changes[0][0]:
+            rest = self._rest_changes.popleft()[1]
+            self.use_rest(None if rest is None else rest.reshape(self.design.array.shape))
         gap_s = 0.0 if self._last_s is None else round(frame.time_s - self._last_s, CLOCK_DIGITS)
         self._last, self._last_s = frame, frame.time_s if self._last_s is None else self._last_s + gap_s
         reading = self._read(frame.counts)
@@ -290,9 +295,6 @@ class Converter:
             counters.unsolved += 1
         if self._judged is not None:
             self._judge(reading)
-        while self._rest_changes and frame.monotonic_time > self._rest_changes[0][0]:
-            rest = self._rest_changes.popleft()[1]
-            self.use_rest(None if rest is None else rest.reshape(self.design.array.shape))
         if gap_s > KEEP_STATE_S:
             self._estimator = self._new_estimator()
         reading = self._without_faulty_lines(frame.time_s, reading)

@@ -125,9 +125,9 @@ class Recording:
         self._event({"event": "port gone"})
 
     def rest_changed(self, rest_ohm: FloatArray | None, after_s: float | None) -> None:
-        """Note new rest resistances (rows, columns), for frames later than ``after_s`` on the monotonic clock."""
+        """Note new rest resistances (rows, columns), for frames later than ``after_s`` on the estimator's time."""
         rest = None if rest_ohm is None else base64.b64encode(rest_ohm.astype("<f8").tobytes()).decode()
-        self._event({"event": "rest", "rest_ohm": rest, "after": None if after_s is None else after_s.hex()})
+        self._event({"event": "rest", "rest_ohm": rest, "after_s": None if after_s is None else after_s.hex()})
 
     def frame(self, frame: Frame) -> None:
         """Have a decoded frame written, for viewers. Does not wait: left out when the disk is far behind."""

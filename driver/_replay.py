@@ -99,7 +99,7 @@ class RestSchedule:
 
     def __init__(self) -> None:
         self.changes: list[tuple[float, FloatArray | None]] = []
-        """time on the monotonic clock after which they hold, and (cells,) ohm; None: those of the data sheet"""
+        """time of the estimator after which they hold, and (cells,) ohm; None: those of the data sheet"""
 
 
 class ReplayPort:
@@ -267,7 +267,7 @@ def _event(data: bytes, path: Path) -> dict[str, Any]:
 def _rest_change(event: Mapping[str, Any], path: Path) -> tuple[float, FloatArray | None]:
     """The time after which rest resistances hold, and these; InputError."""
     try:
-        after = -math.inf if event["after"] is None else float.fromhex(event["after"])
+        after = -math.inf if event["after_s"] is None else float.fromhex(event["after_s"])
         if event["rest_ohm"] is None:
             return after, None
         ohm = np.frombuffer(base64.b64decode(event["rest_ohm"], validate=True), dtype="<f8").astype(np.float64)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import secrets
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from math import inf
 from pathlib import Path
@@ -57,6 +57,7 @@ def emulate(
     truth: Path | None = None,
     family: str = "ohmskin",
     hand: Hand | None = None,
+    ready: Callable[[], None] = lambda: None,
     stop: Stop,
 ) -> Outcome:
     """Run a board on ``port`` for ``duration_s`` of board time or until ``stop``, and write the truth file then.
@@ -70,6 +71,7 @@ def emulate(
         truth: file for every frame as it truly was; None: none.
         family: whose protocol the board speaks, a key of :data:`ohmskin.wire.BOARDS`.
         hand: presses beside the scene's contacts.
+        ready: called when the board is there, and nothing of what was asked for is refused any more.
         stop: asks for the end.
 
     Raises:
@@ -96,6 +98,7 @@ def emulate(
         outcome = Outcome()
         pace: _Pace = _RealPace(device, outcome) if clock == "real" else _FastPace(device)
         session = _Session(device, port, pace, auto_reset=scene.line.auto_reset)
+        ready()
         end_us = duration_s * 1e6
         while device.board.next_us < end_us and not stop.is_set():
             session.exchange()

@@ -398,6 +398,7 @@ def test_a_port_without_permission_names_the_group(
         (["{scene}", "--link", "{tmp}/no/skin"], "no/skin: cannot be linked: No such file or directory"),
         (["{scene}", "--link", "{scene}"], "scene.toml: exists and is no symbolic link"),
         (["{scene}", "--truth", "{tmp}/no/t.npz"], "no/t.npz: cannot be written: No such file or directory"),
+        (["{scene}", "--board", "flexitac"], "the family has 16 x 32, 12 x 32"),
         (["{scene}", "--tcp", "4711x"], "'4711x' is no address; expected HOST:PORT or :PORT"),
         (["{scene}", "--tcp", "localhost:70000"], "'localhost:70000' is no address"),
         (["{scene}", "--tcp", "192.0.2.1:1"], "192.0.2.1:1: cannot listen there"),
@@ -413,7 +414,8 @@ def test_bad_input_of_the_command_is_one_line_and_leaves_nothing(
 ) -> None:
     places = {"scene": scene_file, "tmp": scene_file.parent}
     assert run(["emulate", *(argument.format(**places) for argument in arguments)]) == 2
-    _, errors = capfd.readouterr()
+    printed, errors = capfd.readouterr()
+    assert printed == ""  # no port that a script would open
     assert message in errors
     assert errors.startswith("ohmskin: ")
     assert errors.count("\n") == 1

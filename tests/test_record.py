@@ -103,6 +103,26 @@ def test_a_tare_in_the_middle_is_replayed_where_it_was(tmp_path: Path) -> None:
     assert [same(frame, again[frame.sequence]) for frame in live] == [True] * 90
 
 
+@pytest.mark.parametrize("burst", [1, 64])
+def test_tares_among_frames_that_came_together_are_replayed_where_they_were(tmp_path: Path, burst: int) -> None:
+    """Also by the recording of a replay. Frames that came together may have one time of arrival, as at a fast clock."""
+    path, copied = tmp_path / "tare.mcap", tmp_path / "copy.mcap"
+    said = pieces(range(90), last=True)
+    together = [b"".join(said[k : k + burst]) for k in range(2, len(said), burst)]
+    with Skin(Script(*said[:2], *together), delivery="lossless", record=path) as skin:
+        live = list(islice(skin, 20))
+        skin.tare(10, force=True)
+        live += islice(skin, 15)
+        skin.undo_tare()
+        live += list(skin)
+    with Skin.open(str(path), record=copied) as skin:
+        assert len(list(skin)) == 90
+    for one in (path, copied):
+        again = {frame.sequence: frame for frame in replayed(one)}
+        assert [frame.sequence for frame in again.values() if frame.estimator_restarted] == [0, 30, 45]
+        assert [same(frame, again[frame.sequence]) for frame in live] == [True] * 80
+
+
 def test_reconnection_losses_and_noise_are_replayed(tmp_path: Path) -> None:
     path = tmp_path / "life.mcap"
     first = Script(*pieces(range(5)), b"noise\0", *pieces(range(8, 12))[2:], last=gone)

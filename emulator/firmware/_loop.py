@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import secrets
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from math import inf
 from pathlib import Path
@@ -57,6 +57,7 @@ def emulate_firmware(
     settings: BoardSettings | None = None,
     engine: Engine = AVR8JS,
     hand: Hand | None = None,
+    ready: Callable[[], None] = lambda: None,
     stop: Stop,
 ) -> Outcome:
     """Run a firmware board on ``port`` for ``duration_s`` of board time or until ``stop``; then write the truth file.
@@ -71,6 +72,7 @@ def emulate_firmware(
         settings: of the board; None: frame rate and serial number of the scene.
         engine: emulator of the processor.
         hand: presses beside the scene's contacts.
+        ready: called when the board is there, and nothing of what was asked for is refused any more.
         stop: ends the run.
 
     Raises:
@@ -88,6 +90,7 @@ def emulate_firmware(
             scene, settings=settings, engine=engine, seed=seed, boot_id=boot_id, hand=hand, record=record
         ) as board:
             converter = _Converter(board, port, seed)
+            ready()
             start = time.monotonic()
             while board.time_s < duration_s and not stop.is_set():
                 converter.exchange()

@@ -611,8 +611,8 @@ def _told(rng: random.Random) -> bytes:
     lines = [
         {"format": "1", "board": "ohmskin", "given": given, "pitch": (0.004).hex(), "estimator": "static"},
         {"event": "joined", "past": past},
-        {"event": "rest", "rest_ohm": rest, "after": (5.0).hex()},
-        {"event": "rest", "rest_ohm": None, "after": None},
+        {"event": "rest", "rest_ohm": rest, "after_s": (5.0).hex()},
+        {"event": "rest", "rest_ohm": None, "after_s": None},
         {"event": "port gone"},
     ]
     return "\n".join(map(json.dumps, lines)).encode()

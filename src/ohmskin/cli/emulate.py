@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from math import inf
 from pathlib import Path
 from typing import cast
@@ -71,11 +72,11 @@ def command(
         check_scene(scene)
         AVR8JS.require()
     with stop_on_signals() as stop, _port(link, tcp, rfc2217) as port:
-        click.echo(banner(scene, port, family))
         clock_name = cast("ClockName", clock)
+        ready = partial(click.echo, banner(scene, port, family))  # who reads the name of the port may open it
         if engine == "firmware":
             outcome = emulate_firmware(
-                scene, port, clock=clock_name, duration_s=duration, seed=seed, truth=truth, stop=stop
+                scene, port, clock=clock_name, duration_s=duration, seed=seed, truth=truth, ready=ready, stop=stop
             )
         else:
             outcome = emulate(
@@ -86,6 +87,7 @@ def command(
                 seed=seed,
                 truth=truth,
                 family=family,
+                ready=ready,
                 stop=stop,
             )
         for note in outcome.notes():
