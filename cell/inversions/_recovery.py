@@ -4,8 +4,8 @@ The noise at a turn leaves an error in the memory, which later shows as a load a
 recovers. The readings cannot tell such an error from a light load: both recover along the same curve for seconds. But
 most released cells bear no load. As long as the pressure of a recovering cell differs from none by no more than the
 error of its memory explains, we take the difference for that error and subtract it. The filter averages the readings of
-the whole rest, which is much longer than the smoothing may average. While a load still falls, the rest of it counts as
-noise of the readings (:data:`GOES_ON`), and the cell is not yet taken for one at rest.
+the whole rest, which is much longer than the smoothing may average. While the pressure still falls, the load that may
+be left counts as noise of the readings (:data:`GOES_ON`), and the cell is not yet taken for one at rest.
 
 A light load that is subtracted by mistake comes back as the error of the memory fades. Three rules limit the harm:
 

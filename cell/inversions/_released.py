@@ -1,11 +1,11 @@
 """Detection of releases within the noise of single readings, from means of readings: Page's test (CUSUM).
 
 After taps that have left several times the resistance at rest, noise is as many times larger. A release then takes the
-rising model back by only three standard deviations of the smoothed readings. A fall of the recovery model is no
-evidence by itself, since it falls under a held load as well (:data:`._turns.SHARED_FALL`). Successive readings together
-give the evidence. Their means are inverted with the rising model and compared with the largest mean of late. Page's
-test adds up by how many standard deviations the means lie below it. Overshoots and chance restarts of the smoothing's
-line have no part in these means.
+rising model back by only three standard deviations of the smoothed readings. That alone is no evidence of a release: a
+fall of the rising model may be an error up to a share of the fall of the recovery model, and the recovery model falls
+under a held load as well (:data:`._turns.SHARED_FALL`). Successive readings together give the evidence. Their means are
+inverted with the rising model and compared with the largest mean of late. Page's test adds up by how many standard
+deviations the means lie below it. Overshoots and chance restarts of the smoothing's line have no part in these means.
 
 The largest mean fades towards the present one, since errors of the memory fade, too; a release is faster than that.
 """
