@@ -25,7 +25,7 @@ rate later needs no further pull; its standard deviation fades instead of ending
 
 A load that fell to a part of itself and then grows slowly needs a pull as well, since the recovery model lets it fall
 to none. The hypothesis of :mod:`._earlier` has followed that load. If most of its pressure was there when the recovery
-began, it is taken over, since a held load is more likely than one that goes on at the hidden rate.
+began, this load is taken over, since a held load is more likely than one that goes on at the hidden rate.
 
 T. L. Lai: "Sequential changepoint detection in quality control and dynamical systems", J. R. Statist. Soc. B 57 (1995).
 """
