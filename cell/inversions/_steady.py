@@ -1,11 +1,11 @@
 """Drift correction of trembling loads in ``m10`` cells: the mean load is pulled back to a level within a band.
 
-The error of the chains that a tremor breaks adds up for as long as they take to heal. After a minute a tenth of these
-chains is as much as the load, and no count of them is that good. The readings cannot tell such an error from a load
-that drifts. But a load that grows or fades by as much as the chains are uncertain, and for as long, is rare, while most
-loads are held. The mean of the load is therefore kept at a level: its deviation is taken back within a second, but in a
-second by no more than two standard deviations of the chains that become uncertain in that time (the band). A load that
-drifts by more takes the level along. A load that goes farther than it swings begins a new level.
+The chains that a tremor breaks add up for as long as they take to heal. After a minute a tenth of these chains is as
+much as the load, and no count of them is that good. The readings cannot tell such an error from a load that drifts. But
+a load that grows or fades by as much as the chains are uncertain, and for as long, is rare, while most loads are held.
+The mean of the load is therefore kept at a level: its deviation is taken back within a second, but in a second by no
+more than two standard deviations of the chains that become uncertain in that time (the band). A load that drifts by
+more takes the level along. A load that goes farther than it swings begins a new level.
 
 The standard deviation of a held load is then that of its own drift rather than that of the broken chains. Where a load
 that hardly swings takes the level along, the chains are more uncertain than assumed, and the standard deviation grows.
