@@ -79,7 +79,7 @@ class EquilibriumInversion(Inversion):
         full_r = equilibrium_gain(model, full_scale_kpa, rest)
         load = np.linspace(0, REACH, REACH * (POINTS - 1) + 1)
         curve = equilibrium_curve(model, full_scale_kpa, rest, load)
-        # For contacts, which add to the conductance, the table has conductance over that at rest; otherwise r.
+        # A contact's r falls with the load: its table is one of -r, which rises.
         self._sign = -1.0 if isinstance(model, ContactModel) else 1.0
         curve = np.maximum.accumulate(self._sign * curve)
         rises = np.concatenate(([True], np.diff(curve) > 0))
@@ -87,8 +87,7 @@ class EquilibriumInversion(Inversion):
         slope = np.gradient(self._load, self._curve) if self._curve.size > 1 else np.zeros_like(self._curve)
         steepest = np.full(slope.size, STEEPEST / max(abs(full_r), 1e-12))
         if isinstance(model, ContactModel):
-            # Only near rest would a contact's slope have no limit; under load it is the true noise gain of a hard
-            # press.
+            # A contact's slope diverges only near rest, and is limited there; under load it is the true noise gain.
             steepest[np.argmin(np.abs(slope)) :] = np.inf
         self._slope = np.minimum(np.abs(slope), steepest)
         self._rest_of_curve = rest
