@@ -444,8 +444,8 @@ class AsymmetricInversion(Inversion):
     def _loads_within_reach(self) -> tuple[float, float]:
         """Least and largest load that the solver looks for.
 
-        With b, no load lies beyond the top or the bottom of the parabola. Without b the range follows from credible
-        readings.
+        With b, no load lies beyond the top or the bottom of the parabola. The other limits follow from credible
+        readings, and from :data:`LOADS` unless readings are taken as exact.
         """
         m = self.model
         widest = self.credible[1] / max(m.a - m.k, 1e-9)

@@ -64,8 +64,8 @@ that begins while the cell recovers raises them less alike: a share of 0.5 would
 SHARED_FALL, CLEAR_FALL = 0.3, 0.02
 """a fall of the rising model may be a fading error of its memory, or an overshoot of the smoothing, up to this share of
 the fall of the recovery model (as the rising model answers it), counted from a fall of CLEAR_FALL of full scale on.
-After a long or hard load the resistance falls so fast under a held load that the recovery model takes it for a release,
-while the rising model is almost constant. A release takes both models back"""
+Where the memory of the cell is large, the resistance under a held load falls so fast that the recovery model takes it
+for a release, while the rising model is almost constant. A release takes both models back"""
 FALLING = 6.0
 """standard deviations of the smoothed noise. A pressure that goes back by more in three frames is that of a falling
 load, whatever :data:`SHARED_FALL` says: smooth loads of little noise turn so. A pressure that has gone back by more,
