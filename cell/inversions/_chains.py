@@ -6,10 +6,10 @@ farther. The chains that break meanwhile raise r, and an inverse that does not k
 k over the slope dr/ds for each unit of the way.
 
 :mod:`._meter` estimates the way, in r, from the readings less the branches. The way that the inverse has counted is
-subtracted. k times the rest counts as broken chains, and the load as so much smaller. The standard deviation includes
-the error of this estimate, and the chains of the further way that noise may hide. Both errors have one sign, and are
-added as amounts until the chains have healed. While chains are uncertain, a load that trembles is held where it is
-(:mod:`._steady`).
+subtracted. The rest, converted to load, times k counts as broken chains, and the load as so much smaller. The standard
+deviation includes the error of this estimate, and the chains of the further way that noise may hide. Both errors have
+one sign, and are added as amounts until the chains have healed. While chains are uncertain, a load that trembles is
+held where it is (:mod:`._steady`).
 
 A load that swings slowly and widely goes to and fro, too, but an inverse follows it, and counts more of the way than
 the meter tells. The further way that noise may hide then counts less (:data:`FOLLOWED`).
