@@ -1,4 +1,4 @@
-"""Readings to pressures: one :class:`..estimation.Inversion` for each material and method.
+"""Inverse models from resistance to pressure: one :class:`..estimation.Inversion` for each material and method.
 
 ====================  ==========================================================================================
 :mod:`._static`       without memory: the equilibrium curve of a model, or the calibrated cubic
@@ -8,15 +8,15 @@
 :mod:`._learned`      linear maps of the memories in :mod:`._features`, as calibration learned them
 ====================  ==========================================================================================
 
-Loads that go to and fro within the noise leave more in either kind of cell than their inverse notices:
+A load that goes to and fro within the noise leaves an error in either kind of cell that the inverse does not notice:
 
 ====================  ==========================================================================================
 :mod:`._variances`    Allan and Hadamard variances of readings
-:mod:`._way`          how far such a load goes, by these variances
-:mod:`._together`     the same, by the cross variance of a cell's neighbours
-:mod:`._meter`        own readings and neighbours together, and how much of that way has not been counted yet
-:mod:`._sway`         what the way leaves in the paper's cell
-:mod:`._chains`       what it leaves in ``m10`` cells: chains that break unnoticed
+:mod:`._way`          the path length of the load (its "way", up and down), from these variances
+:mod:`._together`     the same, from the cross variance of a cell's neighbours
+:mod:`._meter`        own readings and neighbours combined; the part of the way that the inverse has not counted yet
+:mod:`._sway`         the error that the way leaves in the paper's cell
+:mod:`._chains`       the error that the way leaves in ``m10`` cells: chains that break unnoticed
 ====================  ==========================================================================================
 """
 

@@ -1,18 +1,18 @@
-"""Chains of ``m10`` cells that a load breaks unnoticed, by going to and fro within what noise and ADC steps hide.
+"""Correction of ``m10`` cells for tremor within noise and ADC steps, which breaks conductive chains unnoticed.
 
-Motion breaks conductive chains in proportion to the way of the load, up or down: ``D' = k |s'| - D/tau``. An inverse
-counts the way of smoothed readings beyond a play as wide as the noise. A load that trembles goes farther than that. The
-chains that break meanwhile raise r, and an inverse that does not know of them shows a load which grows, by k over the
-slope dr/ds for each unit of the way.
+Motion breaks conductive chains in proportion to the path length (the "way") of the load, up or down: ``D' = k |s'| -
+D/tau``. An inverse counts the way of smoothed readings beyond a play as wide as the noise. A load that trembles goes
+farther. The chains that break meanwhile raise r, and an inverse that does not know of them shows a load that grows, by
+k over the slope dr/ds for each unit of the way.
 
-How far the load goes is told by :mod:`._meter`, in r, from the readings less the branches. What the inverse has counted
-is subtracted from the way. Of the rest, the share k counts as broken chains, and the load as so much smaller. The
-standard deviation contains what of that the way may be wrong by, and the way that there may be beside what is told from
-noise. Both errors are of one sign, and are added as amounts until the chains have healed. While chains are in doubt, a
-load that trembles is held where it is (:mod:`._steady`).
+:mod:`._meter` estimates the way, in r, from the readings less the branches. The way that the inverse has counted is
+subtracted. The rest, converted to load, times k counts as broken chains, and the load as so much smaller. The standard
+deviation includes the error of this estimate, and the chains of the further way that noise may hide. Both errors have
+one sign, and are added as amounts until the chains have healed. While chains are uncertain, a load that trembles is
+held where it is (:mod:`._steady`).
 
-A load that swings slowly and widely goes to and fro, too, and an inverse follows it: it counts more of the way than is
-told. What noise leaves room for beside such a motion is no more in doubt than beside a load that is held.
+A load that swings slowly and widely goes to and fro, too, but an inverse follows it, and counts more of the way than
+the meter tells. The further way that noise may hide then counts less (:data:`FOLLOWED`).
 """
 
 from __future__ import annotations
@@ -34,25 +34,26 @@ from ._meter import see_of, tell_of, uncounted_of
 from ._steady import look_of as steady_of
 
 READINGS = 2
-"""from one look to the next. Chains break by all of the way, and blocks of twice as many hide a third of that of a
-tremor of eight frames, and nearly all of that of five"""
+"""readings from one look to the next. All of the way breaks chains; blocks of twice as many readings hide a third of
+the way of a tremor with a period of eight frames, and nearly all of it at a period of five"""
 UNSURE = 0.2
-"""standard deviation of the way over what is told of it: what is taken for broken may be wrong by so much of that"""
+"""standard deviation of the way over the way that is told; that of the chains taken for broken follows from it"""
 LARGEST = 0.04
-"""of full scale: how far a load may go from one look to the next without an edge"""
+"""of full scale: the farthest that a load may go from one look to the next without an edge"""
 BEARS = 3.0
-"""standard deviations of a reading, in r over that of full scale: a load of less has nothing to go back"""
+"""standard deviations of a reading, in r over r at full scale: a smaller load counts as none, and cannot tremble"""
 CAUTION = way.Caution(may_from=2.4, told=3.0, does=5.0, of_most=0.1, most_share=1.0 / 48.0, hidden=1.0, alone_from=4.0)
-"""chains take much longer to heal than a tremor to be told: what is told by chance adds up for as long, and widens the
-deviation of loads that are held still"""
+"""stricter than the default: chains take much longer to heal than a tremor takes to be told, so that a way told by
+chance adds up for as long, and widens the standard deviation of still loads"""
 FOLLOWED = 0.6
-"""of the way that is told in the time that it counts for: an inverse that has counted so much more follows the load"""
+"""share of the way that is told while the mean squares remember: an inverse that has counted so much more than is told
+follows the load"""
 LEAST_SLOPE = 0.05
 """least slope dr/ds, over r of full scale"""
 
 NAMES = (*meter.NAMES, *steady.NAMES, "broken_before", "missed_before")
-"""names of the rows of the memory: those of :mod:`._meter` and of :mod:`._steady`; then r of the broken chains at the
-last look, and of those that may have broken unseen"""
+"""names of the rows of the memory: those of :mod:`._meter` and of :mod:`._steady`; then, at the last look, r of the
+broken chains, and r of chains that may have broken unseen"""
 METER = LATELY + 1
 """first row"""
 ROWS = slice(METER, METER + len(meter.NAMES))
@@ -60,22 +61,22 @@ STEADY = METER + len(meter.NAMES)
 STEADY_ROWS = slice(STEADY, STEADY + len(steady.NAMES))
 BROKEN_BEFORE, MISSED_BEFORE = STEADY_ROWS.stop, STEADY_ROWS.stop + 1
 A, B, K, FULL_KPA, FULL_R, KEPT, OWED, OF_STEADY = range(8)
-"""places of the numbers: of the model; full scale in kPa and in r; share of broken chains that do not heal from one
-look to the next; :func:`._meter.owed_looks`; and the first of those of :mod:`._steady`"""
+"""places of the numbers: of the model; full scale in kPa and in r; share of the broken chains that is left at the next
+look; :func:`._meter.owed_looks`; and the first place of those of :mod:`._steady`"""
 LEAST_WAY = 1e-12
-"""of r: keeps a way of none from dividing"""
+"""of r: avoids division by zero"""
 BEARING = together.TELLS
 EDGES = together.TELLS + 1
 SEEN = together.TELLS + 2
-"""rows of what a look at all cells sees before any of them is told: what they tell their neighbours, the load, and 1
-where it has an edge just now"""
+"""rows of the array between the two passes of a look over the cells: first those that the neighbours read
+(:mod:`._together`), then the load, and 1 if it has an edge just now; and the number of rows"""
 EDGE = meter.edge(READINGS)
 _SERIES, _TOLD = METER + meter.SERIES, METER + meter.TOLD
 _ZERO, _ONE, _LEAST_WAY = (np.array(x) for x in (0.0, 1.0, LEAST_WAY))
 
 
 def constants(model: M10Model, dt_s: float, full_scale_kpa: float, full_scale_r: float) -> meter.Constants:
-    """The numbers for frames that follow each other after ``dt_s``."""
+    """The numbers that :func:`look` takes, for frames ``dt_s`` apart."""
     numbers = {
         **{A: model.a, B: model.b, K: model.k, FULL_KPA: full_scale_kpa, FULL_R: full_scale_r},
         KEPT: math.exp(-READINGS * dt_s / model.tau_s),
@@ -116,7 +117,7 @@ def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, near: IntArray
     counted = (broken - memory[BROKEN_BEFORE] * kept) * (slope / k)
     way_told = found[0]
     told, may = meter.uncounted(rows, found, counted, owed)
-    unfollowed = memory[_TOLD] / np.maximum(way_told * (owed * FOLLOWED), _LEAST_WAY)  # not above 0
+    unfollowed = memory[_TOLD] / np.maximum(way_told * (owed * FOLLOWED), _LEAST_WAY)  # the balance is never above 0
     unfollowed += _ONE
     np.maximum(unfollowed, _ZERO, out=unfollowed)
     per_way = k / slope
@@ -132,7 +133,7 @@ def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, near: IntArray
     for row in (LOAD, ANCHOR, FURTHEST):
         memory[row] -= breaks
     memory[PRESSURE] -= breaks * full_kpa
-    broken += (a + b * (2.0 * load + breaks)) * breaks  # the static response to what the load was before, and is
+    broken += (a + b * (2.0 * load + breaks)) * breaks  # static response of the load before less after
     memory[BROKEN_BEFORE] = broken
 
 
@@ -140,7 +141,7 @@ def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, near: IntArray
 def look_each(
     memory: SpacedRows, means: Row, noises: Row, near: SpacedPlaces, numbers: Row, way_numbers: Rows, seen: Rows
 ) -> None:
-    """:func:`look` as a loop over cells, ``way_numbers`` being those of :mod:`._way`, ``seen`` (SEEN, m) anything."""
+    """:func:`look` as a loop over cells; ``way_numbers``: those of :mod:`._way`; ``seen`` (SEEN, m): a work array."""
     a, b, k, full_r, owed = numbers[A], numbers[B], numbers[K], numbers[FULL_R], numbers[OWED]
     for i in range(means.size):
         load = memory[LOAD, i]

@@ -13,38 +13,39 @@ import numpy as np
 from ...arrays import FloatArray
 
 ACCURACY = 1e-11
-"""of full scale, to which a step with a change-over is solved"""
+"""of full scale: accuracy of a step with a change-over"""
 EVALUATIONS = 16
-"""of the model, at most, in a step with a change-over: a frame costs no more. Newton's method needs two or three
-at high sample rates, six where a step is many time constants long; bisection halves what is left otherwise"""
+"""largest number of evaluations of the model in a step with a change-over, which bounds the cost of a frame. Newton's
+method needs two or three at high sample rates, six where a step is many time constants long; otherwise bisection halves
+the bracket"""
 
 
 @dataclass(frozen=True)
 class ChangeOver:
-    """A step of n cells of which a branch may change between charging and discharging; (2, n) are by branch."""
+    """A step of n cells in which a branch may change between charging and discharging; arrays (2, n) are by branch."""
 
     lead: FloatArray
-    """(2, n) by which the branches were behind their targets at first"""
+    """(2, n) targets less branches at the start"""
     target: FloatArray
-    """(2, n) what they followed at first"""
+    """(2, n) targets at the start"""
     alpha: FloatArray
     """(2, 1) targets over load"""
     first_s: FloatArray
-    """(2, n) time constants at first"""
+    """(2, n) time constants at the start"""
     second_s: FloatArray
-    """(2, n) and after a change-over"""
+    """(2, n) time constants after a change-over"""
     dt_s: float
     kept: FloatArray
-    """(2, n) where the branches would end without change-over if the load stayed"""
+    """(2, n) branches at the end, without change-over, if the load stayed"""
     follows: FloatArray
-    """(2, n) and how much further per step of load"""
+    """(2, n) change of that per unit step of the load"""
 
     def branches(self, step: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Branches (2, n) at the end of a step (n,) of load, and their derivatives by it.
+        """Branches (2, n) at the end of a step (n,) of the load, and their derivatives by the step.
 
-        With v = alpha step/dt and q = -lead/(v T1), a branch changes over after T1 log(1 + q), and at the end is
-        behind by v T2 (1 - exp(-(time left)/T2)). All is continuous up to the first derivative; the second one is
-        (1/T2 - 1/T1)/step times something not negative and at most alpha dt.
+        With v = alpha step/dt and q = -lead/(v T1), a branch changes over after T1 log(1 + q). At the end it is behind
+        its target by v T2 (1 - exp(-(time left)/T2)). The result and its first derivative are continuous. The second
+        derivative is (1/T2 - 1/T1)/step times a factor between 0 and alpha dt.
         """
         speed = self.alpha * step / self.dt_s
         turns = self.lead * speed < 0
@@ -63,8 +64,8 @@ class ChangeOver:
     ) -> tuple[FloatArray, FloatArray]:
         """Solve slope step + b step^2 + branches - kept = change.
 
-        The left side rises with the step and is zero without one, so that the root lies between zero and the end of the
-        loads within reach; that end answers what is beyond it.
+        The left side rises with the step and is zero at zero, so that the root lies between zero and the end of the
+        range of loads. If the root lies beyond that end, the end is the answer.
 
         Args:
             change: (n,) r that the step has to explain.
@@ -88,7 +89,7 @@ class ChangeOver:
             rises = rate > 1e-6
             move = np.divide(-excess, rate, out=np.zeros_like(rate), where=rises)
             newton = np.clip(step + move, low, high)
-            # What a step of Newton's leaves is the next term of Taylor's series.
+            # The error after a Newton step is the next term of the Taylor series.
             next_term = (bend + np.abs(b * step)) * move**2
             small = (next_term <= ACCURACY * rate * np.abs(step)) | (np.abs(move) <= ACCURACY)
             solved = (rises & small) | (low == high)
@@ -101,6 +102,6 @@ class ChangeOver:
         return step, self.branches(step)[0]
 
     def _bend(self) -> FloatArray:
-        """Bound of the second derivative of both branches by the step, times the step."""
+        """Bound of the sum of both branches' second derivatives by the step, times the step."""
         bend: FloatArray = (self.alpha * self.dt_s * np.abs(1 / self.first_s - 1 / self.second_s)).sum(axis=0)
         return bend

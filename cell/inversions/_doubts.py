@@ -1,8 +1,8 @@
-"""Doubt about the two hypotheses on the paper's cell: as long as either may be right, their distance is a deviation.
+"""Model uncertainty of the paper's cell: while either hypothesis may be right, their distance is a standard deviation.
 
-Near the extreme of the pressure the other hypothesis begins anew, again and again, where the one in force is: the
-pressure may turn just there. Where it has been apart by more than noise before, the pressure went back and forth
-unnoticed, and the doubt stays. Extremes fade as errors of the memory may.
+As long as the pressure is near its extreme, the other hypothesis begins anew in each frame where the one in force is,
+since the pressure may turn just there. If the two were apart by more than noise explains, the pressure went to and fro
+unnoticed, and their distance stays in the variance. Extremes fade as fast as errors of the memory may.
 """
 
 from __future__ import annotations
@@ -42,29 +42,29 @@ from ._turning_rows import (
 from ._turns import EXACT_KPA, LESS, TURN_KPA
 
 EITHER = 0.5
-"""standard deviation over the difference of the two hypotheses: either may be right until the pressure has turned"""
+"""standard deviation over the difference of the two hypotheses, since either may be right until a turn is noticed"""
 LOST, GONE = 1.5, 0.7
-"""standard deviations of the smoothed noise by which the hypotheses must have been apart for a doubt to stay, and the
-share of the variance that a new beginning takes away"""
+"""if a restart of the other hypothesis takes away more than the share GONE of the variance, and the hypotheses were
+apart by more than LOST standard deviations of the smoothed noise, the difference stays in the variance"""
 CREEP = 0.003
-"""of full scale: what a recent extreme fades by in a second, beside what an error of two standard deviations of the
-memory fades by. A load that goes back faster has turned, however large it is: holds by a hand waver by less than what
-makes a turn otherwise"""
+"""of full scale per second: rate at which a recent extreme fades, in addition to the fading of an error of two standard
+deviations of the memory. A load that goes back faster has turned, however large it is: a load held by a hand wavers by
+less than the usual limit of a turn"""
 HELD_PER_S = 0.03
-"""of full scale: by how much a pressure that is held may seem to go back in a second. A load that goes back faster has
+"""of full scale per second: rate at which a held pressure may seem to go back. A load that goes back faster has
 turned"""
 GOES_BACK = 6.0
-"""standard deviations of the memory, at most a turn, per share of its variance that fades in a frame, by which the peak
-goes down. As an error of the memory fades, the pressure of a load that is held seems to go back"""
+"""the peak goes down in each frame by GOES_BACK, times the standard deviation of the memory (at most a turn), times the
+share of its variance that fades in the frame: as an error of the memory fades, a held pressure seems to go back"""
 AGAIN = 0.5
-"""share by which the other hypothesis begins anew at a frame, within one standard deviation of the extreme.
-Beginning at every extreme would take noise for part of the press, beginning late would miss some of the release; half
-and half, the two errors about cancel"""
+"""share by which the other hypothesis is moved to the one in force in a frame, within one standard deviation of the
+peak. A restart at every frame there would take noise for a part of the press, and a late restart would miss a part of
+the release; with half of each, the two errors about cancel"""
 CREEPS = CREEP / (3.0 * HELD_PER_S)
-"""share of what a held pressure may seem to go back by in three frames that a recent extreme fades by in one"""
+"""fading of a recent extreme in one frame, over the most that a held pressure may seem to go back in three frames"""
 
 CLEAR_KPA2 = 28
-"""place of a number, behind those of :mod:`._takeover`: a variance that is more than rounding"""
+"""place of a constant, behind those of :mod:`._takeover`: a variance beyond rounding errors"""
 _ZERO, _ONE, _FAR, _LESS, _PER_LESS, _EITHER, _EARLIER, _AGAIN, _GOES_BACK, _KEPT = (
     np.array(x) for x in (0.0, 1.0, FAR, LESS, 1.0 / LESS, EITHER, EARLIER, AGAIN, GOES_BACK, 1.0 - GONE)
 )
@@ -72,12 +72,12 @@ _ZERO, _ONE, _FAR, _LESS, _PER_LESS, _EITHER, _EARLIER, _AGAIN, _GOES_BACK, _KEP
 
 
 def numbers_of(full_scale_kpa: float) -> dict[int, float]:
-    """The number of the place above."""
+    """The constant of the place above."""
     return {CLEAR_KPA2: (1.0 - GONE) * (NEAR * full_scale_kpa) ** 2}
 
 
 def held_kpa(dt_s: float, full_scale_kpa: float) -> float:
-    """By how much a pressure that is held may seem to go back in three frames."""
+    """The most in kPa that a held pressure may seem to go back in three frames."""
     return 3.0 * dt_s * (HELD_PER_S * full_scale_kpa)
 
 
@@ -89,14 +89,14 @@ def begin_anew(
     *,
     unconfirmed: bool,
 ) -> None:
-    """Begin the other hypothesis where the one in force is, as long as the pressure is near its extreme.
+    """Restart the other hypothesis where the one in force is, as long as the pressure is near its extreme.
 
     Args:
         of: the cells.
         taken_over: :func:`._paper_steps.taken_over`.
         held_kpa: :func:`held_kpa`.
         numbers: as above.
-        unconfirmed: whether turns are, or were until ``of.confirmed`` marked them.
+        unconfirmed: whether turns are unconfirmed, or were until ``of.confirmed`` marked them.
     """
     gone_back = np.subtract(of.third_last, of.pressure, of.spare)
     gone_back *= of.sign
@@ -122,7 +122,7 @@ def begin_anew(
 
 
 def renew_variance(of: MemoryRows, held_kpa: float, numbers: tuple[FloatArray, ...], *, unconfirmed: bool) -> None:
-    """Count the distance of the hypotheses as deviation, and let extremes fade; as and after :func:`begin_anew`."""
+    """Add the squared distance of the hypotheses to the variance, and fade extremes; after :func:`begin_anew`."""
     np.subtract(_ONE, of.fade, of.nearby)
     np.sqrt(of.doubt, of.spare)
     fades = np.multiply(of.nearby, of.spare, of.threshold)
@@ -133,7 +133,7 @@ def renew_variance(of: MemoryRows, held_kpa: float, numbers: tuple[FloatArray, .
     of.nearby *= _GOES_BACK
     of.nearby *= of.held
     of.peak -= of.nearby
-    of.variance -= of.doubt + of.may_bear * of.may_bear  # by which the hypotheses were apart in the last frame
+    of.variance -= of.doubt + of.may_bear * of.may_bear  # leaves the squared distance in the last frame
     of.doubt *= of.fade
     apart = np.subtract(of.rising_kpa, of.recovery_kpa, of.spare)
     np.abs(apart, out=apart)
@@ -145,12 +145,12 @@ def renew_variance(of: MemoryRows, held_kpa: float, numbers: tuple[FloatArray, .
         np.copyto(earlier, _ZERO, where=of.left < _FAR)
     apart += earlier
     apart *= apart
-    # Whether the variance is large, and little of it is left.
+    # A restart has taken away most of a clear variance.
     np.maximum(apart, numbers[CLEAR_KPA2], out=of.nearby)
     np.multiply(of.variance, _KEPT, of.threshold)
     begun = np.greater(of.threshold, of.nearby, of.where)
     if unconfirmed:
-        begun &= ~of.confirmed  # what the model that was left says has been decided
+        begun &= ~of.confirmed  # a confirmed turn settles which model was right
     if np.count_nonzero(begun):
         _keep(of, apart, begun, numbers)
     np.add(apart, of.doubt, of.variance)
@@ -158,12 +158,12 @@ def renew_variance(of: MemoryRows, held_kpa: float, numbers: tuple[FloatArray, .
 
 
 def _keep(of: MemoryRows, apart: FloatArray, begun: BoolArray, numbers: tuple[FloatArray, ...]) -> None:
-    """Where the other hypothesis has ``begun`` anew though it was apart by more than noise, the doubt stays.
+    """Keep the distance in the variance where a restart has ``begun`` though it was more than noise explains.
 
-    The pressure then went back and forth by too little for two turns to be noticed. What that leaves is always of the
-    same sign, and adds up like amounts rather than like variances. Changes ``of.doubt``. On a coarse converter that may
-    happen at each step at rest, so the doubt has an end: full scale. Half of it would be the deviation of any load, but
-    a memory that is lost shows up to 1.1 times full scale where there is no load.
+    The pressure then went to and fro by too little for two turns to be noticed. The errors that this leaves all have
+    the same sign, and add up as amounts rather than as variances. Changes ``of.doubt``. On a coarse converter this may
+    happen at each step at rest, so that the standard deviation is limited to full scale. Half of full scale would cover
+    any load, but a memory that is lost shows up to 1.1 times full scale where there is no load.
     """
     lost = of.variance - apart
     by_noise = of.unsure * (LOST / LESS)
@@ -175,7 +175,7 @@ def _keep(of: MemoryRows, apart: FloatArray, begun: BoolArray, numbers: tuple[Fl
 
 @loop
 def keep_each(memory: SpacedRows, of: Rows, flags: FlagRows, numbers: Row) -> None:
-    """Keep the doubt where the other hypothesis has begun anew though it was apart by more than noise."""
+    """:func:`_keep` as a loop over cells."""
     for i in range(memory.shape[1]):
         by_noise = of[UNSURE, i] * (LOST / LESS)
         lost = 0.0
@@ -197,8 +197,7 @@ def begin_anew_each(
 ) -> None:
     """:func:`begin_anew` and :func:`renew_variance` as loops over cells.
 
-    ``anew`` (6, m) is by how much the hypotheses change if they begin where the other one is; ``held_kpa`` by how much
-    a pressure that is held may seem to go back in three frames.
+    ``anew`` (6, m) is the change of each hypothesis if it begins where the other one is.
     """
     begun_anywhere = False
     for i in range(memory.shape[1]):
@@ -230,7 +229,7 @@ def begin_anew_each(
         if flags[HELD, i]:
             memory[PEAK, i] -= fades * min(error_kpa, numbers[TURN_KPA]) * GOES_BACK
         may_bear = memory[MAY_BEAR_KPA, i] * memory[MAY_BEAR_KPA, i]
-        memory[VARIANCE, i] -= memory[TURNED, i] + may_bear  # by which the hypotheses were apart in the last frame
+        memory[VARIANCE, i] -= memory[TURNED, i] + may_bear  # leaves the squared distance in the last frame
         memory[TURNED, i] *= of[FADE, i]
         apart = abs(memory[RISING_KPA, i] - memory[RECOVERY_KPA, i]) * EITHER
         if memory[LEFT, i] >= FAR:
@@ -240,10 +239,10 @@ def begin_anew_each(
             apart += likely_kpa_of(memory, i, noise, fallen, numbers) * EARLIER
         apart *= apart
         of[SPARE, i] = apart
-        # Whether the variance is large, and little of it is left.
+        # A restart has taken away most of a clear variance.
         begun = memory[VARIANCE, i] * (1.0 - GONE) > max(apart, numbers[CLEAR_KPA2])
         if unconfirmed and flags[CONFIRMED, i]:
-            begun = False  # what the model that was left says has been decided
+            begun = False  # a confirmed turn settles which model was right
         flags[WHERE, i] = begun
         begun_anywhere |= begun
     if begun_anywhere:

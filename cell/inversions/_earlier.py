@@ -1,17 +1,20 @@
-"""A third hypothesis about the paper's cell: that the load turned earlier, which the model in force says to go on.
+"""A third hypothesis about the paper's cell: the load turned earlier, though the model in force says that it goes on.
 
-Where a held load lets r drift faster in the recovery model, a load that begins to fall slowly bends r by less than
-that, and the rising model takes it for one that goes on slowly. The other hypothesis, which begins anew at each new
-extreme, forgets how far the load has fallen. The third one began when r bent. It differs from the other hypothesis by
-some kPa, which fade as errors of its model do (the slow branch neglected). No load falls and rises at the same time:
-where the pressure of this hypothesis rises by more than a turn and noise, it begins anew, too. A press that rises
-quickly therefore begins it at each frame. By how much the rising model's pressure grows counts from there, but for
-frames in which this hypothesis seems to rise. In recovery all this holds with rises and falls exchanged.
+Where r under a held load drifts faster in the recovery model than in the rising model, a load that begins to fall
+slowly bends r by less than this drift. The rising model then takes the load for one that goes on slowly. The other
+hypothesis, which begins anew at each new extreme, loses how far the load has fallen. The third hypothesis keeps it: it
+began when r bent. We store the difference between the third and the other hypothesis, in kPa; it fades as errors of its
+model do (the slow branch neglected).
 
-Of a smooth turn the model in force notices nothing for some frames. The pressure goes back by too little, so that the
-other hypothesis begins anew once more, after the turn. What it forgets by that in frames in which the pressure goes
-back is told apart: when the turn is noticed, it was a part of the fall, and is given back. A load that is held falls by
-almost none, and what it forgot for long is no part of its release.
+No load falls and rises at the same time. Where the pressure of the third hypothesis rises by more than a turn and
+noise, it therefore begins anew, too; in a quick press it does so at each frame. The growth of the rising model's
+pressure counts from there, except for frames in which the third hypothesis seems to rise. In recovery all this holds
+with rises and falls exchanged.
+
+The model in force notices a smooth turn some frames late. Until then the pressure goes back by so little that the other
+hypothesis begins anew once more, after the turn. The part of the fall that it loses by this, in frames in which the
+pressure goes back, is counted separately (the forgotten pressure) and given back when the turn is noticed. Under a held
+load this part is almost none, and older parts fade quickly, since they are no part of the release.
 """
 
 from __future__ import annotations
@@ -49,28 +52,29 @@ from ._turning_rows import (
 from ._turns import LIGHT_TURN, turn_from, turn_from_of
 
 EARLIER, MIDWAY = 0.7, 0.5
-"""standard deviation over what an earlier turn would make: none of that is wrong, or all (the root mean square). And
-share of it that is taken back when a turn is noticed"""
+"""standard deviation over the change of pressure by an earlier turn: all of this change is real, or none (the root mean
+square). And the share of the change that is taken when a turn is noticed"""
 GROWN, GROWN_SIGMAS, GROWN_ERRORS, FALLEN = 0.5, 1.5, 0.2, 2.0
-"""light turns, standard deviations of the smoothed noise, and of the memory, by which the pressure must have grown for
-an earlier turn to be as likely as none; and how much more a fall counts than growth. Constant loads are common. A load
-that falls at just the rate that makes the rising model's pressure constant is not"""
+"""an earlier turn is as likely as none when the pressure has grown by GROWN light turns + GROWN_SIGMAS standard
+deviations of the smoothed noise + GROWN_ERRORS of the memory; a fall counts FALLEN times as much as growth. Growth is
+asked for since constant loads are common, while a load that falls at just the rate at which the rising model's pressure
+stays constant is rare"""
 GROWN_RELEASED = 1.5
-"""the third of these in recovery: errors of the memory are largest there, and fade"""
+"""GROWN_ERRORS in recovery, where errors of the memory are largest, and fade"""
 OF_FALL, LASTS = 4.0, 6.0
-"""of what the model in force goes back by in a frame: no more is given back of what the other hypothesis forgot in it.
-And by how much sooner that is no part of a turn than an error of the memory fades: within about half a second"""
+"""the forgotten pressure of a frame counts up to OF_FALL times the fall of the model in force in that frame; and it
+fades LASTS times as fast as the variance of the memory, within about half a second"""
 
 GROWN_KPA, SURE_RISING, SURE_RECOVERY, TURN_RECOVERY = range(19, 23)
-"""places of numbers, behind those of :mod:`._turns`: :data:`GROWN`; standard deviations of the model in force by which
-the pressure of this hypothesis rises for sure, where that model is the rising and the recovery model; and what a turn
-of the latter is in this hypothesis"""
+"""places of the constants, behind those of :mod:`._turns`: :data:`GROWN` in kPa; standard deviations of the model in
+force by which the pressure of the third hypothesis must rise to rise for sure, with the rising model in force and with
+the recovery model; and a turn of the third hypothesis over one of the recovery model"""
 _ZERO, _ONE, _FAR, _OF_FALL, _LASTS = (np.array(x) for x in (0.0, 1.0, FAR, OF_FALL, LASTS))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
 def numbers_of(model: PaperModel, full_scale_kpa: float) -> dict[int, float]:
-    """Numbers of the places above."""
+    """Constants of the places above."""
     rise_r, fall_r = fast_r(model)
     ratio = rise_r / fall_r
     return {
@@ -82,21 +86,21 @@ def numbers_of(model: PaperModel, full_scale_kpa: float) -> dict[int, float]:
 
 
 def rose_before(of: MemoryRows) -> BoolArray:
-    """(m,) where the pressure rose before a turn that is not confirmed yet, or does if there is none."""
+    """(m,) whether the pressure rose before the unconfirmed turn; without one, whether it rises now."""
     rose: BoolArray = (of.sign > _ZERO) == (of.left >= _FAR)
     return rose
 
 
 def fade(of: MemoryRows, weights: TurnWeights) -> None:
-    """Let what the third hypothesis differs by fade for a time step."""
+    """Let the difference of the third hypothesis from the other one fade for a time step."""
     rising_fade, recovery_fade = weights.fades
     of.earlier *= np.where(rose_before(of), recovery_fade, rising_fade)
 
 
 def follow(of: MemoryRows, numbers: tuple[FloatArray, ...], *, unconfirmed: bool) -> None:
-    """Follow the third hypothesis, where the other one has just begun ``of.change`` anew.
+    """Follow the third hypothesis after the other one has changed by ``of.change``, beginning anew.
 
-    ``unconfirmed``: turns may be, and ``of.confirmed`` marks those that no longer are.
+    ``unconfirmed``: turns may be unconfirmed, and ``of.confirmed`` marks those that have just been confirmed.
     """
     rose = rose_before(of)
     sign = np.where(rose, 1.0, -1.0)
@@ -105,7 +109,7 @@ def follow(of: MemoryRows, numbers: tuple[FloatArray, ...], *, unconfirmed: bool
     of.earlier += forgotten
     _count_forgotten(of, forgotten, sign)
     other = np.where(rose, of.recovery_kpa, -of.rising_kpa)
-    # no load falls below none, or rises beyond the usual
+    # no load falls below none or rises beyond the usual
     np.minimum(of.earlier, other + np.where(rose, _ZERO, numbers[USUAL_KPA]), out=of.earlier)
     ahead = np.subtract(other, of.earlier, of.spare)
     np.minimum(of.earlier_least, ahead, out=of.earlier_least)
@@ -124,7 +128,7 @@ def follow(of: MemoryRows, numbers: tuple[FloatArray, ...], *, unconfirmed: bool
 
 
 def _count_forgotten(of: MemoryRows, forgotten: FloatArray, sign: FloatArray) -> None:
-    """Count what was ``forgotten`` (m,) kPa in a frame in which the pressure goes back, which had ``sign`` (m,)."""
+    """Count the ``forgotten`` (m,) kPa of a frame in which the pressure goes back from its direction ``sign`` (m,)."""
     fallen = (of.last - of.pressure) * sign
     of.forgotten += np.minimum(forgotten, fallen * _OF_FALL)
     of.forgotten *= np.maximum(_ONE - (_ONE - of.fade) * _LASTS, _ZERO)
@@ -134,10 +138,12 @@ def _count_forgotten(of: MemoryRows, forgotten: FloatArray, sign: FloatArray) ->
 def likely_kpa(
     memory: FloatArray, unsure: FloatArray, fallen: FloatArray, numbers: tuple[FloatArray, ...]
 ) -> FloatArray:
-    """(m,) kPa by which an earlier turn would take the pressure back, as far as the load does not seem constant.
+    """(m,) kPa by which an earlier turn would take the pressure back, times its weight.
 
-    ``unsure`` (m,) is the standard deviation of the pressures by noise. By ``fallen`` (m,) the pressure has gone back,
-    which no constant load does either. Cells that are taken for cells at rest bear none.
+    The weight is small while the load seems constant: with g = growth (or ``fallen``) over the growth at which an
+    earlier turn is as likely as none (:data:`GROWN`), it is g^2/(g^2 + 1). ``unsure`` (m,) is the standard deviation of
+    the pressures by noise; ``fallen`` (m,) is how far the pressure has gone back, which a constant load does not. Cells
+    that are taken for cells at rest bear no load.
     """
     grown = np.maximum(np.maximum(memory[PEAK] - memory[EARLIER_FROM_KPA], fallen), _ZERO)
     released = memory[SIGN] < _ZERO
@@ -151,7 +157,7 @@ def likely_kpa(
 
 @loop
 def sign_before_of(memory: SpacedRows, i: int) -> float:
-    """1 if the pressure of cell ``i`` rose before an unconfirmed turn, or does if there is none; else -1."""
+    """1 if the pressure of cell ``i`` rose before the unconfirmed turn (without one: rises now), else -1."""
     sign = memory[SIGN, i]
     return float(-sign if memory[LEFT, i] < FAR else sign)
 
@@ -160,7 +166,7 @@ def sign_before_of(memory: SpacedRows, i: int) -> float:
 def follow_of(memory: SpacedRows, i: int, forgotten_kpa: float, confirmed: bool, of: Rows, numbers: Row) -> None:
     """:func:`follow` in cell ``i``.
 
-    The other hypothesis began ``forgotten_kpa`` anew; a turn has just been ``confirmed``.
+    The other hypothesis has just changed by ``forgotten_kpa``, beginning anew; ``confirmed``: a turn has just been.
     """
     sign, by_noise = sign_before_of(memory, i), of[UNSURE, i]
     least = turn_from_of(memory[EXTREME, i], numbers)

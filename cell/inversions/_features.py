@@ -1,10 +1,14 @@
-"""Features of a learned estimator: the reading, and how it differs from a bank of memories of it.
+"""Features of a learned estimator: the reading, and a bank of lags, plays (backlash) and path lengths.
 
 The first feature is the last reading as it is, so that a fast press is answered at once. There are three kinds of
-memories. Lags hold the reading some seconds ago, smoothed; they tell of creep and recovery. Plays leave a slack of some
-width between the reading and its follower; they tell of hysteresis, that is, which way the reading was last going.
-Paths add up how far the reading has moved, either way, and fade; they tell how many conductive chains motion broke. All
-are cheap, stable for any input, and at zero for a cell that has been read at one value for ever.
+memories:
+
+- Lags are low-pass filters of the reading; they tell of creep and recovery.
+- Plays follow the reading with a backlash of some width (play operators); they tell of hysteresis, that is, in which
+  direction the reading last moved.
+- Paths sum up how far the reading has moved, up or down, and fade; they tell how many conductive chains motion broke.
+
+All are cheap and stable for any input. Their features are zero for a cell that has had one reading for ever.
 """
 
 from __future__ import annotations
@@ -19,7 +23,7 @@ from ...arrays import FloatArray
 from ...compiled import Row, Rows, SpacedRows, loop
 
 _FOLLOWED = 1
-"""the play whose movement is the path"""
+"""index of the play whose motion the paths sum up"""
 
 
 @dataclass(frozen=True)
@@ -27,15 +31,15 @@ class Bank:
     """The memories; a frame of cells of any shape has features (count, *shape)."""
 
     smoothing_s: float
-    """lag of the smoothed reading, which the other memories follow"""
+    """time constant in seconds of the smoothed reading, which the other memories follow"""
     lags_s: tuple[float, ...]
     plays: tuple[float, ...]
-    """half widths of the slacks, as normalised resistance"""
+    """half widths of the plays, as normalised resistance"""
     paths_s: tuple[float, ...] = ()
-    """times in which the path length of the follower behind the narrowest slack but one fades; narrower ones follow
-    noise, too"""
+    """time constants with which path lengths fade; the path is that of the second narrowest play, since the narrowest
+    one follows noise, too"""
     smoothed: bool = False
-    """whether the first feature is the smoothed reading, as earlier versions learned from"""
+    """whether the first feature is the smoothed reading, as in earlier versions"""
 
     @cached_property
     def count(self) -> int:
@@ -62,7 +66,7 @@ class Bank:
         return memory[self.rows - len(self.paths_s) :]
 
     def advance(self, memory: FloatArray, dt_s: float, r: FloatArray) -> None:
-        """Let the reading go to ``r``; a glitch of one sample is passed over (median of three). Changes ``memory``."""
+        """Take the reading ``r``; a median of three skips a glitch of one sample. Changes ``memory``."""
         before, last = memory[1], memory[2]
         median = np.maximum(np.minimum(before, last), np.minimum(np.maximum(before, last), r))
         memory[0:2] = memory[1:3].copy()
@@ -194,7 +198,7 @@ def _constants(bank: Bank, dt_s: float, dimensions: int) -> _Constants:
 
 
 def _table(rows: list[FloatArray], columns: int) -> FloatArray:
-    """Rows as an array (rows, columns), though there be no rows, or no columns."""
+    """Rows as an array (rows, columns), even without rows or columns."""
     return np.array(rows, dtype=np.float64).reshape(len(rows), columns)
 
 

@@ -1,8 +1,8 @@
-"""The exact inverse of a cell with asymmetric branches: no switch, no thresholds.
+"""Exact step-by-step inverse of a cell model with asymmetric relaxation branches: no switch of models, no thresholds.
 
-Where the resistance of a step rises with the load at its end, whatever the step (``margin`` positive), a reading
-has exactly one load, and the inverse is as exact as the model. Real carbon-black silicone that answers unloading
-with a rise of resistance has no such cell; there the inverse is refused.
+If the resistance at the end of a step rises with the load there, for every step (:func:`margin` positive), each reading
+has exactly one load, and the inverse is as exact as the model. The margin is not positive for cells whose resistance
+rises while they are unloaded, as real carbon-black silicone may; this inverse then refuses the model.
 """
 
 from __future__ import annotations
@@ -46,38 +46,39 @@ LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED, WENT_UP, FURTHEST
     15,
     16,
 )
-"""rows of the memory, before those of :mod:`._chains`: the anchor is the load behind a play as wide as the noise; then
-come the last two steps of the load, variances in r of what is remembered of the branches and of the broken chains, the
-r of chains that may have broken unseen, 1 if the load left its play upwards, else 0, the load up to which chains have
-broken then, and how far it has gone of late"""
+"""rows of the memory, before those of :mod:`._chains`: the load; r of the branches and of the broken chains; the
+anchor, which is the load behind a play (backlash) as wide as the noise; the last two steps of the load; variances in r
+of the remembered branches and broken chains; r of chains that may have broken unseen; 1 if the load last left its play
+upwards, else 0; the load up to which chains have broken since; and how far the load has gone of late"""
 BETWEEN, AROUND, TO_AND_FRO = 0.58, 0.5, 0.6
-"""the first, of a bend of the load (its change of change between frames), makes the standard deviation of a lag over
-ramp (1 - ramp), as the load may go straight or by a step. The others, of its way in the frame after a turn, make the
-standard deviation of the way to and fro between two frames, and what is to be expected of that way: turns err to the
-same side, so this part adds up. Taken from vibrations and slips, whose drops are faster than a frame"""
+"""error by the motion of the load between two frames. BETWEEN times the bend of the load (its second difference between
+frames) times ramp (1 - ramp) is the standard deviation of a lag, since the load may go straight or by a step. AROUND
+times the way of the load in the frame after a turn is the standard deviation of its way to and fro between two frames;
+TO_AND_FRO times it is the expected way, which adds up, since all turns err to the same side. Taken from vibrations and
+slips, whose drops are faster than a frame"""
 STILL_SIGMAS = 3.0
-"""half width of that play, in standard deviations by noise, which breaks no chains within it"""
+"""half width of the play of the anchor, in standard deviations by noise; motion within it breaks no chains"""
 HELD_STEPS, MOVING_STEPS = 3.3, 1.85
-"""the same by ADC steps, of a load that is held, and of one that moves. A reading is off by half a step at most, which
-is hardly less than the latter. Where readings of a held load flip between two codes, smoothing overshoots, and branches
-give way until they flip back. A load that moves may go back by little more than a step, as beside where a finger that
-rubs turns"""
+"""half width of the play in standard deviations by ADC steps, for a held load and for one that moves. A reading is off
+by half a step at most, which is hardly less than the latter. Where readings of a held load flip between two codes, the
+smoothing overshoots, and the branches relax until the readings flip back. A load that moves may go back by little more
+than a step, as beside the place where a rubbing finger turns"""
 MOVES, LATELY_S = 1.5, 0.12
-"""times the half width of a held load's play by ADC steps: a load moves that has gone as far of late; and seconds in
-which such a way is forgotten"""
+"""a load moves if its recent way is more than MOVES times the half width of a held load's play by ADC steps; LATELY_S
+is the time constant in seconds with which the recent way fades"""
 AT_A_TURN = 4.0
-"""standard deviations by ADC steps of the way to a turn and back from it, of which they hide how far the load went. Two
-of them are those of a single turn. Loads that repeat turn at the same readings, so that their errors are alike"""
+"""standard deviation, in standard deviations by ADC steps, of the way to a turn and back that the steps hide. Two of
+them are those of a single turn. Repeated loads turn at the same readings, so that their errors are alike"""
 OVERSHOOT, TURNS_KNOWN = 0.5, 0.4
-"""of that half width by noise: by how much it takes the furthest load of a press beyond where the load turned; and the
-standard deviation of that. The longer a load stays near where it turns, the more readings reach beyond: errors of the
+"""of the half width of the play by noise: how far noise takes the furthest load of a press beyond the turn; and the
+standard deviation of that. The longer a load stays near its turn, the more readings reach beyond: the errors of the
 turns of a tremor are alike"""
 
 
 def margin(model: AsymmetricModel | M10Model, full_scale_kpa: float) -> float:
     """Least slope dr/ds of a fast step, over the slope at equilibrium; positive where the inverse is unique.
 
-    A fast unloading step leaves the branches where they are and breaks chains: a + 2 b s - k.
+    The least slope is a + 2 b s - k: a fast unloading step leaves the branches unchanged and breaks chains.
     """
     m = as_m10(model, full_scale_kpa) if isinstance(model, AsymmetricModel) else model
     settled = max(m.a + m.b + m.alpha1 + m.alpha2, 1e-9)
@@ -85,46 +86,47 @@ def margin(model: AsymmetricModel | M10Model, full_scale_kpa: float) -> float:
 
 
 class _Equation(NamedTuple):
-    """The equation for the step of n loads, as long as no branch changes over: slope step + b step^2 = change.
+    """The quadratic equation for the step x of n loads, as long as no branch changes over.
 
-    ``slope`` is without the branches, which follow by ``follows`` per step.
+    (slope + the sum of ``follows``) x + b x^2 = change.
     """
 
     target: FloatArray
-    """(2, n) what the branches follow at first"""
+    """(2, n) target alpha s of each branch at the start"""
     lead: FloatArray
-    """(2, n) by which they are behind it"""
+    """(2, n) target less branch at the start"""
     free: FloatArray
-    """(n,) r of the chains broken before that have not healed"""
+    """(n,) r of the chains that were broken before and have not healed"""
     breaking: FloatArray | float
-    """(n,) r of the chains that a unit of load breaks"""
+    """(n,) r of the chains that a unit of motion of the load breaks"""
     forgets: FloatArray
-    """(2, n) share of the lead that a branch makes up for in the step"""
+    """(2, n) share of the lead that the branch gains in the step"""
     kept: FloatArray
-    """(2, n) where the branches end if the load stays"""
+    """(2, n) branches at the end if the load stays"""
     follows: FloatArray
-    """(2, n) and how much further per step of load"""
+    """(2, n) change of that per unit step of the load"""
     slope: FloatArray
     """(n,) dr/ds of the static response and the breaking chains"""
     change: FloatArray
-    """(n,) r that the step has to explain"""
+    """(n,) change of r that the step must explain"""
     width: FloatArray
-    """(n,) half width of the play in which a load counts as still"""
+    """(n,) half width of the play within which a load counts as still"""
     went_up: BoolArray
-    """(n,) whether the load left its play upwards the last time"""
+    """(n,) whether the load last left its play upwards"""
     turned_r: FloatArray | float
-    """(n,) standard deviation of r by the chains that ADC steps hide where it has left its play to the other side"""
+    """(n,) standard deviation of r by chains that ADC steps hide where the load has just turned; else 0"""
     missed: FloatArray | float
-    """(n,) r of chains that noise hides there, which is alike from turn to turn"""
+    """(n,) r of chains that noise hides there; this error is alike from turn to turn"""
 
 
 class AsymmetricInversion(Inversion):
     """Solves each step of :class:`~.forward.M10Forward` for its load.
 
-    As long as no branch changes between charging and discharging within the step, that is a quadratic equation. A
-    branch that does change over is, in terms of the load, convex if it rises faster than it falls, concave else
-    (see :class:`.ChangeOver`): Newton's method, from the answer without any change-over, then comes ever closer from
-    one side. Where b or opposite branches spoil that, bisection takes a step instead.
+    As long as no branch changes between charging and discharging within the step, the load is the root of a quadratic
+    equation. A branch that does change over is a convex function of the load if it rises faster than it falls,
+    otherwise a concave one (see :class:`.ChangeOver`). Newton's method, begun at the root without change-over, then
+    converges monotonically from one side. Where b or branches of opposite curvature prevent this, a bisection step is
+    taken instead.
     """
 
     rows = (
@@ -153,11 +155,11 @@ class AsymmetricInversion(Inversion):
         credible = credible_readings(steepest)
         self._constants_s = np.concatenate([self._rise_s, self._fall_s, [[m.tau_s], [LATELY_S]]])
         full_r = m.a + m.b + m.alpha1 + m.alpha2
-        # With b < 0 the answer grows ever steeper towards the load where a fast step has no slope left.
+        # With b < 0 the inverse grows ever steeper towards the load at which a fast step has zero slope.
         self._highest = min(LOADS[1], max(1.0, 0.4 * (m.a - m.k) / -m.b)) if m.b < 0 else LOADS[1]
         super().__init__(full_scale_kpa, full_r, credible=credible, exact=exact)
         self._most_kpa = full_scale_kpa / 2
-        """standard deviation of a load of which nothing is known: no larger one is stated"""
+        """largest standard deviation stated, that of a load of which nothing is known"""
         self._reach = self._loads_within_reach()
         self._weights = ByStep(_weights, self.model)
         self._steps = 0.0
@@ -245,8 +247,8 @@ class AsymmetricInversion(Inversion):
         if not self.exact and m.k:
             moves = np.abs(s0 + change / still - memory[ANCHOR]) > width
             breaking = np.where(moves, breaking, 0.0)
-            # A load that has turned has crossed its play, and broken chains there. One that goes on after noise took it
-            # back has broken them before, up to where it was.
+            # A load that has turned has crossed its play, and broken chains there. A load that goes on after noise took
+            # it back has broken the chains up to its furthest point before.
             went_up = memory[WENT_UP] > 0
             gone_back = (memory[FURTHEST] - s0) * np.where(went_up, 1.0, -1.0) - OVERSHOOT * by_noise
             gone_back = np.clip(gone_back, 0.0, 2.0 * width)
@@ -265,7 +267,7 @@ class AsymmetricInversion(Inversion):
         )
 
     def _step_of_load(self, memory: FloatArray, dt_s: float, of: _Equation) -> tuple[FloatArray, FloatArray]:
-        """Steps (n,) of the load that solve the equation, and the branches (2, n) after them."""
+        """Steps (n,) of the load that solve the equation, and branches (2, n) after them."""
         alpha, slope = self._alpha, of.slope
         step = _root(self.model.b, slope + of.follows[0] + of.follows[1], of.change)
         branches = of.kept + of.follows * step
@@ -277,7 +279,7 @@ class AsymmetricInversion(Inversion):
     def _solve_crossed(
         self, memory: FloatArray, crossed: IntArray, dt_s: float, of: _Equation, step: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """As :meth:`_step_of_load`, of the cells ``crossed`` (k,) of which a branch changes over, from ``step`` on."""
+        """:meth:`_step_of_load` for the cells ``crossed`` (k,), of which a branch changes over; begins at ``step``."""
         discharging = of.lead[:, crossed] < 0
         change_over = ChangeOver(
             lead=of.lead[:, crossed],
@@ -303,7 +305,7 @@ class AsymmetricInversion(Inversion):
         return *loops.ALL, *looks
 
     def _numbers_of_inverse(self) -> FloatArray:
-        """What the loops take."""
+        """The numbers that the loops take, by place."""
         m, full = self.model, self.full_scale_kpa
         numbers = {
             **{loops.A: m.a, loops.B: m.b, loops.K: m.k, loops.ALPHA: m.alpha1, loops.ALPHA + 1: m.alpha2},
@@ -352,14 +354,15 @@ class AsymmetricInversion(Inversion):
         step: FloatArray,
         std: FloatArray,
     ) -> None:
-        """Follow the standard deviations of what is remembered; changes ``memory``.
+        """Update the variances of the remembered branches and chains; changes ``memory``.
 
-        What a load does between two frames is not seen: it may go straight or by a step, and turn in between. How much
-        this may be, its bends from frame to frame tell. What is remembered wrong is forgotten as what is remembered.
+        The motion of the load between two frames is not seen: it may go straight or by a step, and turn in between. The
+        second difference of the load from frame to frame tells how much this may be. An error of the memory fades as
+        the memory does.
         """
         still = STILL_SIGMAS * std * memory[GAIN] / self.full_scale_kpa
         bend = np.maximum(np.abs(step - memory[MOVED]) - still, 0.0)
-        # A load that turned may have gone on beforehand, and come back, by as much as it moves in a frame.
+        # Before it turned, the load may have gone on and come back by as much as it moves in a frame.
         turned = (-np.sign(step) * memory[[MOVED, BEFORE]] > still / STILL_SIGMAS).any(axis=0)
         way = np.maximum(np.abs(step) - still, 0.0) * turned
         errors = memory[ERRORS]
@@ -375,7 +378,7 @@ class AsymmetricInversion(Inversion):
         memory[VARIANCE] = np.minimum(variance, self._most_kpa**2)
 
     def miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:
-        """Motion within the noise breaks chains, which seems to be a load that rises."""
+        """Motion within the noise breaks chains, which looks like a load that rises."""
         memory[MISSED] += rise_kpa / memory[GAIN]
 
     def recover(self, memory: FloatArray, recent: RecentReadings) -> None:
@@ -388,10 +391,10 @@ class AsymmetricInversion(Inversion):
         chains.look_each.unchecked(memory, recent.mean, recent.noise, recent.near, of.row, of.way.rows, seen)
 
     def _limit(self, memory: FloatArray, r: FloatArray, std: FloatArray) -> None:
-        """Keep loads within what is believed, and correct the memory to the reading ``r`` (n,) instead.
+        """Keep loads within credible limits, and correct the memory to the reading ``r`` (n,) instead.
 
-        Where the model needs a pull, it remembers less; where it needs too large a load, it has missed broken chains.
-        While the memory is in doubt, less is too large.
+        Where the model needs a negative load, its branches and chains are reduced. Where it needs too large a load, it
+        has missed broken chains. While the memory is uncertain, the upper limit is lower.
         """
         allowed = -(3 * std / self.full_scale_r + 0.01)
         load = memory[LOAD]
@@ -409,7 +412,7 @@ class AsymmetricInversion(Inversion):
         if beyond.any():
             load[beyond] = s = highest[beyond]
             left = r[beyond] - (self.model.a + self.model.b * s) * s - memory[4:7, beyond].sum(axis=0)
-            # No load that is believed explains so much: chains have broken unseen.
+            # No credible load explains so much r: chains have broken unseen.
             if self.model.k > 0:
                 memory[BROKEN, beyond] += np.maximum(left, 0.0)
 
@@ -422,7 +425,7 @@ class AsymmetricInversion(Inversion):
         return held
 
     def left_over(self, memory: FloatArray) -> FloatArray:
-        """The broken chains, and what the branches have beyond their targets."""
+        """r of the broken chains, and of the branches beyond their targets."""
         beyond = memory[BRANCHES] - self._alpha * memory[LOAD]
         np.maximum(beyond, 0.0, out=beyond)
         left: FloatArray = memory[BROKEN] + beyond[0]
@@ -434,14 +437,15 @@ class AsymmetricInversion(Inversion):
         return found
 
     def _branches(self, memory: FloatArray, dt_s: float | FloatArray, s: FloatArray) -> FloatArray:
-        """Branches (2, n) after a step to load ``s``, through any change-over."""
+        """Branches (2, n) after a step to load ``s``, with any change-over."""
         before, after = self._alpha * memory[LOAD], self._alpha * s
         return lag.asymmetric(memory[BRANCHES], before, after, dt_s, self._rise_s, self._fall_s)
 
     def _loads_within_reach(self) -> tuple[float, float]:
-        """Loads beyond which none is looked for.
+        """Least and largest load that the solver looks for.
 
-        Beyond the top or the bottom of a curve with b is no load. A step is finite anyway: readings are credible.
+        With b, no load lies beyond the top or the bottom of the parabola. The other limits follow from credible
+        readings, and from :data:`LOADS` unless readings are taken as exact.
         """
         m = self.model
         widest = self.credible[1] / max(m.a - m.k, 1e-9)
@@ -453,16 +457,16 @@ class AsymmetricInversion(Inversion):
 
 
 def _weights(model: M10Model, dt_s: float) -> tuple[FloatArray, FloatArray]:
-    """(6,) what lags forget in ``dt_s``, and their answers to a ramp.
+    """(6,) shares that lags forget in ``dt_s``, and (6,) their responses to a ramp.
 
-    Of the two branches as they rise, and as they fall, of the broken chains, and of the way of late.
+    The lags: the two branches as they rise, and as they fall; the broken chains; the recent way.
     """
     m = model
     return lag.weights(dt_s, np.array([m.rise1_s, m.rise2_s, m.fall1_s, m.fall2_s, m.tau_s, LATELY_S]))
 
 
 def _root(b: float, slope: FloatArray, change: FloatArray) -> FloatArray:
-    """The small root of b x^2 + slope x = change; where there is none, the top of the parabola."""
+    """The root of b x^2 + slope x = change nearer to zero; where there is none, the vertex of the parabola."""
     if b:
         change = np.minimum(change, slope**2 / (-4 * b)) if b < 0 else np.maximum(change, slope**2 / (-4 * b))
     root: FloatArray = 2 * change / (slope + np.sqrt(np.maximum(slope**2 + 4 * b * change, 0)))

@@ -19,16 +19,16 @@ A, B, K, ALPHA, RISE_S, FALL_S = 0, 1, 2, 3, 5, 7
 FULL_KPA, FULL_R, HIGHEST, IN_DOUBT, DOUBT_KPA2, MOST_KPA2, LOWEST_END, HIGHEST_END = range(9, 17)
 STILL, BETWEEN, BY_TURNS, TO_AND_FRO, ACCURACY, EVALUATIONS, OVERSHOOT, STEPS, AT_A_TURN = range(17, 26)
 HELD_STEPS, MOVING_STEPS, MOVES, TURNS_KNOWN = range(26, 30)
-"""places of the estimator's numbers: of its model, with two branches; full scale; the largest loads that are believed,
-in general and while the memory is in doubt, which it is beyond a variance in kPa^2; the largest variance; the loads
-within reach; the constants of :mod:`._inverse`, those of turns times ``k``; and the standard deviation of r at rest by
-ADC steps"""
+"""places of the estimator's numbers: of its model, with two branches; full scale in kPa and in r; the largest credible
+load, in general and while the memory is uncertain; the variance in kPa^2 above which the memory is uncertain; the
+largest variance; the range of loads that the solver searches; the constants of :mod:`._inverse` (those of turns times
+``k``) and of :mod:`._change_over`; and the standard deviation of r at rest by ADC steps"""
 
 FREE, BREAKING, FORGETS, KEPT, FOLLOWS, SLOPE, CHANGE, STEP, NEW_BRANCH, WIDTH, UP = 0, 1, 2, 4, 6, 8, 9, 10, 11, 13, 14
 TURNED, HIDDEN = 15, 16
-"""rows of what a step finds for each cell; two rows where there is one for each branch"""
+"""rows of the work array for each cell; two rows where there is one for each branch"""
 LOW, HIGH, NEWTON, NEXT, RATE, TRIED = 17, 18, 19, 20, 21, 23
-"""rows of Newton's method, for the first cells instead"""
+"""rows of Newton's method; their columns count the cells with a change-over"""
 ROWS = 24
 
 
@@ -44,9 +44,9 @@ def root(b: float, slope: float, change: float) -> float:
 
 @loop
 def solve(memory: SpacedRows, taken: Rows, gone: Row, ramp: Row, numbers: Row, of: Rows, crossed: Places) -> int:
-    """Steps of the load without change-over, into ``of``; how many cells have one, of which ``crossed`` tells.
+    """Solve for steps of the load without change-over, into ``of``; returns the number of cells written to ``crossed``.
 
-    ``gone`` and ``ramp`` (6,) are weights as in :func:`._inverse._weights`.
+    In these cells a branch changes over. ``gone`` and ``ramp`` (6,) are weights as in :func:`._inverse._weights`.
     """
     a, b, k = numbers[A], numbers[B], numbers[K]
     count = 0
@@ -77,8 +77,8 @@ def solve(memory: SpacedRows, taken: Rows, gone: Row, ramp: Row, numbers: Row, o
         went_up, turned, hidden = up, 0.0, 0.0
         if k != 0.0:
             moves = abs(s0 + change / still - anchor) > width
-            # A load that has turned has crossed its play, and broken chains there. One that goes on after noise took it
-            # back has broken them before, up to where it was.
+            # A load that has turned has crossed its play, and broken chains there. A load that goes on after noise took
+            # it back has broken the chains up to its furthest point before.
             went_up = memory[WENT_UP, i] > 0.0
             if moves:
                 if up != went_up:
@@ -154,7 +154,7 @@ def solve_crossed(memory: SpacedRows, crossed: Places, count: int, dt_s: float, 
             of[TRIED, n] = of[LOW, n]
         of[STEP, i] = min(max(of[STEP, i], of[LOW, n]), of[HIGH, n])
         if of[STEP, i] == of[TRIED, n]:
-            of[TRIED, n] = math.inf  # the end has been tried
+            of[TRIED, n] = math.inf  # the end of the bracket has been tried
     for left in range(int(numbers[EVALUATIONS]) - 1, -1, -1):
         all_solved = True
         for n in range(count):
@@ -175,7 +175,7 @@ def solve_crossed(memory: SpacedRows, crossed: Places, count: int, dt_s: float, 
             rises = rate > 1e-6
             move = -excess / rate if rises else 0.0
             newton = min(max(step + move, low), high)
-            # What a step of Newton's leaves is the next term of Taylor's series.
+            # The error after a Newton step is the next term of the Taylor series.
             next_term = (bend + abs(b * step)) * (move * move)
             small = next_term <= accuracy * rate * abs(step) or abs(move) <= accuracy
             solved = (rises and small) or low == high
@@ -203,9 +203,9 @@ def solve_crossed(memory: SpacedRows, crossed: Places, count: int, dt_s: float, 
 
 @loop
 def finish(memory: SpacedRows, taken: Rows, heals: float, forgets: float, numbers: Row, of: Rows) -> None:
-    """The memory after the steps, its limits and its errors: the rest of ``advance``, ``_limit`` and ``_err``.
+    """Write the memory after the steps, limit it, and update its variances: ``advance``, ``_limit`` and ``_err``.
 
-    Of the broken chains a share ``heals``, of the way of late one ``forgets``.
+    In the step, the share ``heals`` of the broken chains heals, and the recent way fades by the share ``forgets``.
     """
     a, b, k, full_kpa = numbers[A], numbers[B], numbers[K], numbers[FULL_KPA]
     for i in range(memory.shape[1]):
@@ -223,7 +223,7 @@ def finish(memory: SpacedRows, taken: Rows, heals: float, forgets: float, number
         if load >= highest:
             load = highest
             left = r - (a + b * load) * load - (one + other + broken)
-            if k > 0.0:  # No load that is believed explains so much: chains have broken unseen.
+            if k > 0.0:  # No credible load explains so much r: chains have broken unseen.
                 broken += max(left, 0.0)
         if k != 0.0:
             memory[WENT_UP, i] = of[UP, i]
@@ -238,7 +238,7 @@ def finish(memory: SpacedRows, taken: Rows, heals: float, forgets: float, number
 
         still = numbers[STILL] * std * gain / full_kpa
         bend = max(abs(step - memory[MOVED, i]) - still, 0.0)
-        # A load that turned may have gone on beforehand, and come back, by as much as it moves in a frame.
+        # Before it turned, the load may have gone on and come back by as much as it moves in a frame.
         sign = 1.0 if step > 0.0 else (-1.0 if step < 0.0 else 0.0)
         little = still / numbers[STILL]
         turned = -sign * memory[MOVED, i] > little or -sign * memory[BEFORE, i] > little

@@ -1,4 +1,4 @@
-"""Estimators learned at calibration: what they are (tables of CELL.toml), and how they run."""
+"""Learned estimators: linear maps of random Fourier features; their tables in CELL.toml, and how they run."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ Numbers = Annotated[tuple[Finite, ...], Field(strict=False, min_length=1, max_le
 Positives = Annotated[tuple[Positive, ...], Field(strict=False, max_length=64)]
 
 CLIP = 3.5
-"""standard deviations to which a feature is limited: beyond, nothing was learned"""
+"""standard deviations at which a feature is clipped, since nothing was learned beyond"""
 DRIFT = 1.5
-"""by which a standard deviation exceeds the error held out at calibration: creep goes on for hours after it"""
+"""factor on the standard deviation of held-out data at calibration, since creep goes on for hours after it"""
 UNKNOWN_DRIFT = 0.6
-"""share of the drift seen at calibration that is taken for the standard deviation of the drift afterwards"""
+"""standard deviation of the drift after calibration, over the drift during it"""
 STEEPER = 2.0
-"""times the mean slope of load over resistance, that a curve may have where nobody recorded it"""
+"""largest slope of load over resistance outside the recording, over the mean slope"""
 SATURATED = 5.0
-"""times the mean slope, that the slope at the end of a static curve counts as at most"""
+"""largest slope at the end of a static curve, over the mean slope; a steeper end counts as this"""
 BEYOND = 1.2
-"""times the largest load learned from, that is answered at most: calibration may have missed full scale"""
+"""largest load that is answered, over the largest load learned from: calibration may have missed full scale"""
 FADES = 0.25
-"""range of the recorded readings, beyond it, over which the share of the static curve fades"""
+"""distance beyond the recorded readings over which the share of the static curve fades, over their range"""
 CREDIBLE = 3.0
-"""ranges of the readings learned from, by which a credible reading may lie outside"""
+"""largest distance of a credible reading from the readings learned from, over their range"""
 STILL = 0.01
 """a cell is estimated afresh when a feature has moved by this many standard deviations since the last time"""
 POINTS = 1025
@@ -52,20 +52,20 @@ class Limits(Section):
 
 
 class Seen(Section):
-    """What the calibration recording was like: with what readings and loads standard deviations hold."""
+    """The conditions of the calibration recording, under which the standard deviations hold."""
 
     noise: NotNegative = 0.0
-    """of a reading from sample to sample, relative to it"""
+    """noise of a reading from sample to sample, relative to the reading"""
     step_s: NotNegative = 0.0
     """usual time between samples"""
     speed_kpa_per_s: NotNegative = 0.0
     """rms change of the load in a second"""
     longest_load_s: NotNegative = 0.0
-    """how long the cell was loaded at most; 0: in files of earlier versions"""
+    """longest time for which the cell was loaded; 0: in files of earlier versions"""
 
 
 class Reached(Section):
-    """Range of each feature in what a map was learned from, as normalised resistance.
+    """Range of each feature in the data that a map was learned from, as normalised resistance.
 
     Beyond the range nothing is known of the cell. A feature that lies outside by some resistance may stand for a load
     of :data:`STEEPER` times what this resistance is at equilibrium, and the standard deviation grows by that load.
@@ -75,7 +75,7 @@ class Reached(Section):
     highest: Numbers
 
     def excess(self, features: FloatArray) -> FloatArray:
-        """(m,) by how much the features (count, m) leave their ranges, of the feature that does so most."""
+        """(m,) the largest distance of any of the features (count, m) from its range."""
         low, high = self.columns
         return np.asarray(np.maximum(np.maximum(low - features, features - high).max(axis=0), 0.0))
 
@@ -101,16 +101,16 @@ class StaticCurve(Section):
         x = self.reading(r)
         if self.reached is None:
             return np.asarray(np.polynomial.Polynomial(self.coefficients)(x))
-        # A cubic may turn back, above all beyond the readings that it was fitted to: an overload would read as none.
+        # A cubic may turn back, above all beyond the readings it was fitted to: an overload would then read as no load.
         low, high = self.reached.lowest[0], self.reached.highest[0]
         reading, load = _monotone(self.coefficients, low, high)
         slope = (load[-1] - load[0]) / max(high - low, 1e-12)
         return np.asarray(np.interp(x, reading, load) + slope * (x - _clip(x, low, high)))
 
     def doubt(self, r: FloatArray) -> FloatArray:
-        """Standard deviation, normalised load, that readings beyond the range of the recording add.
+        """Standard deviation, as normalised load, that readings beyond the range of the recording add.
 
-        Towards more load it grows with the slope that the cubic has there: readings that saturate tell little.
+        Towards more load it grows with the slope of the cubic at that end: where readings saturate, they tell little.
         """
         if self.reached is None:
             return np.zeros_like(r)
@@ -124,13 +124,13 @@ class StaticCurve(Section):
         self.load(np.zeros(1))
 
     def reading(self, r: FloatArray) -> FloatArray:
-        """What the cubic is one of."""
+        """The argument of the cubic: r, or log(R0/R)."""
         return -np.log(np.maximum(1 + r, 1e-6)) if self.logarithmic else r
 
 
 @lru_cache(maxsize=256)
 def _monotone(coefficients: tuple[float, ...], low: float, high: float) -> tuple[FloatArray, FloatArray]:
-    """Readings (:data:`POINTS`,) from ``low`` to ``high``, and the loads there of the monotone curve next to a cubic.
+    """Readings (:data:`POINTS`,) from ``low`` to ``high``, and loads of the monotone curve closest to a cubic there.
 
     This is isotonic regression, in the direction in which the cubic goes from one end to the other.
     """
@@ -159,7 +159,7 @@ def _column(values: tuple[float, ...]) -> FloatArray:
 
 
 class Learned(Section):
-    """A linear map of features, their cosines along fixed random directions, and the first one's powers.
+    """A linear map of features, powers of the first one, and random Fourier features (cosines along random directions).
 
     The directions follow from ``seed``, so that all cells of a skin share them and the file stays short.
     """
@@ -178,22 +178,22 @@ class Learned(Section):
     weights: Numbers
     """1, features, square and cube of the first feature, cosines -> normalised load"""
     error_weights: Numbers
-    """the same -> expected absolute error of it"""
+    """the same terms -> expected absolute error of the load"""
     std_factor: Positive
-    """from expected absolute error to a standard deviation that held-out data bore out"""
+    """standard deviation over expected absolute error, as confirmed by held-out data"""
     std_floor: NotNegative
     limits: Limits
     reached: Reached | None = None
-    """between which values the features lay that were learned from; None: in files of earlier versions"""
+    """range of the features that were learned from; None: in files of earlier versions"""
     static_share: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """share of the answer that is the static curve's; the rest is the map's"""
+    """weight of the static curve in the answer; the rest is the map's"""
     beyond_recorded: bool = False
     """whether the map is followed to readings that were simulated and not recorded, since its model explains the
     resistance; otherwise a straight line goes on from the recorded ones"""
 
     @property
     def bank(self) -> Bank:
-        """The memories that make the features."""
+        """The memories from which the features are made."""
         return Bank(self.smoothing_s, self.lags_s, self.plays, self.paths_s, self.smoothed)
 
     @model_validator(mode="after")
@@ -235,13 +235,13 @@ class Terms:
         return z
 
     def features(self, standardised: FloatArray) -> FloatArray:
-        """The features (count, m) that are so many standard deviations from their means."""
+        """The inverse of :meth:`standardised`, for (count, m)."""
         found: FloatArray = standardised * self.scale[:, None]
         found += self.mean[:, None]
         return found
 
     def __call__(self, standardised: FloatArray) -> NDArray[np.floating]:
-        """All terms (m, terms) of standardised features (count, m), which are limited to :data:`CLIP`."""
+        """All terms (m, terms) of standardised features (count, m), which are clipped at :data:`CLIP`."""
         z = _clip(standardised.T, -CLIP, CLIP).astype(self._dtype)
         first = z[:, :1]
         cosines = self._amplitude * np.cos(z @ self._directions + self._phases)
@@ -254,10 +254,10 @@ def _clip(values: FloatArray, low: FloatArray | float, high: FloatArray | float)
 
 
 def _followed_between(learned: Learned, curve: StaticCurve) -> tuple[FloatArray, FloatArray] | None:
-    """Lowest and highest features (count, 1) to which a map is followed; None: to any, in files of earlier versions.
+    """Lowest and highest features (count, 1) to which a map is followed; None: no limit, in files of earlier versions.
 
-    The map knows little beyond the readings of the recording, and nothing beyond the other features learned from: there
-    it goes on with the slope at equilibrium.
+    The map knows little beyond the recorded readings, and nothing beyond the range of the other features. Beyond these
+    limits the answer goes on with the slope at equilibrium.
     """
     if learned.reached is None:
         return None
@@ -268,7 +268,7 @@ def _followed_between(learned: Learned, curve: StaticCurve) -> tuple[FloatArray,
 
 
 def credible_range(reached: Reached | None) -> tuple[float, float]:
-    """r beyond which a reading is of no load: :data:`CREDIBLE` ranges of the readings that were learned from away."""
+    """Range of credible r: up to :data:`CREDIBLE` times the range of the readings learned from, beyond this range."""
     if reached is None:
         return -1.0, np.inf
     low, high = reached.lowest[0], reached.highest[0]
@@ -277,7 +277,7 @@ def credible_range(reached: Reached | None) -> tuple[float, float]:
 
 
 class LearnedInversion(Inversion):
-    """Runs a :class:`Learned` map beside the static curve; a cell that has not moved keeps its last answer."""
+    """Runs a :class:`Learned` map and the static curve; a cell whose features have not moved keeps its last answer."""
 
     def __init__(
         self,
@@ -363,7 +363,7 @@ class LearnedInversion(Inversion):
         return _clip(load, learned.limits.lowest, learned.limits.highest), std
 
     def _static_share(self, reading: FloatArray) -> FloatArray | float:
-        """Share of the static curve; it fades beyond the recorded readings where the map is followed there."""
+        """Weight of the static curve; it fades beyond the recorded readings if the map is followed there."""
         learned, recorded = self.learned, self._curve.reached
         if recorded is None or not learned.beyond_recorded:
             return learned.static_share

@@ -1,8 +1,8 @@
-"""Limits of what both hypotheses about the paper's cell may remember, so that nothing can add up.
+"""Limits (saturation, anti-windup) of the memory of both hypotheses about the paper's cell: errors cannot add up.
 
-Pressures stay within :data:`..estimation.LOADS`, and the memory follows the limited pressure. While the memory is in
-doubt, a pressure beyond full scale is an error of the memory rather than a load. No load is negative either: a memory
-that would need one is corrected to what the reading says at none.
+Pressures stay within :data:`..estimation.LOADS`, and the memory follows the limited pressure. While the memory is
+uncertain, a pressure beyond the usual load is an error of the memory rather than a load. No load is negative either: a
+memory that would need a negative pressure (a pull) is corrected to the one that the reading implies at no load.
 """
 
 from __future__ import annotations
@@ -47,28 +47,29 @@ from ._turning_rows import (
 )
 
 NEAR = 1e-3
-"""of full scale: a pressure that is as good as none"""
+"""of full scale: a smaller pressure counts as none"""
 MOST_LOST = 1.0
-"""of full scale: no larger standard deviation is stated for what the memory may have lost"""
+"""of full scale: largest standard deviation stated for what the memory may have lost"""
 PULL_SIGMAS = 0.7
-"""standard deviations of the reading below none, from which a pressure is an error of the memory. They include what the
-smoothing has not noticed: its line overshoots for a moment where a fast release ends"""
+"""standard deviations of the reading: a pressure below none by more is an error of the memory. These standard
+deviations include changes that the smoothing has not noticed yet: its line overshoots for a moment where a fast release
+ends"""
 
 LOWEST_KPA, USUAL_KPA, HIGHEST_KPA, PULLED_KPA, DOUBT_KPA2, UNKNOWN_KPA2, MOST_LOST_KPA2 = range(7)
-"""places of numbers: the least pressure that is looked for, the largest that is believed in doubt, and the largest; the
-pressure below which a cell may need a pull; variances from which a memory is in doubt, of a load of which nothing is
-known but that it is no more than usual, and of :data:`MOST_LOST`"""
+"""places of the constants: the least pressure allowed, the largest while the memory is uncertain, and the largest; the
+pressure below which the memory may have to be corrected; and variances: from which a memory counts as uncertain, of a
+load of which nothing is known but that it is no more than usual, and of :data:`MOST_LOST`"""
 SETTLED_PER_KPA, ETAU2_KPA, E1_KPA = range(7, 10)
-"""places of the model's numbers: by how much the rising model's state exceeds a pressure that comes at once, in kPa
-each; its second modulus times viscosity; the first modulus of recovery"""
+"""places of the model's constants: 1 + etau2/Eu1, by which a pressure enters the settled state of the rising model
+where this model begins; etau2; and E1 of recovery"""
 
 _CHANGED = *range(STATE.start, STATE.stop), TURNED, EXTREME
-"""rows that change where a pressure is limited"""
+"""rows that :func:`limit` changes"""
 _ZERO = np.array(0.0)
 
 
 def numbers_of(model: PaperModel, full_scale_kpa: float) -> dict[int, float]:
-    """Numbers of the places above."""
+    """Constants of the places above."""
     return {
         LOWEST_KPA: LOADS[0] * full_scale_kpa,
         USUAL_KPA: USUAL * full_scale_kpa,
@@ -84,7 +85,7 @@ def numbers_of(model: PaperModel, full_scale_kpa: float) -> dict[int, float]:
 
 
 def limit(of: MemoryRows, weights: TurnWeights, numbers: tuple[FloatArray, ...]) -> None:
-    """Keep pressures within :data:`LOADS`, and what is remembered with them; changes the state of few cells."""
+    """Keep pressures, and the memory with them, within the limits; changes the state of few cells."""
     both, lowest, usual = of.pressures, numbers[LOWEST_KPA].item(), numbers[USUAL_KPA].item()
     if both.item(both.argmin()) < lowest or both.item(both.argmax()) > usual:
         limit_some(of.memory, weights, numbers)
@@ -102,7 +103,7 @@ def limit_some(memory: FloatArray, weights: TurnWeights, numbers: tuple[FloatArr
 
 
 def _limit_each(of: MemoryRows, weights: TurnWeights, numbers: tuple[FloatArray, ...]) -> None:
-    """What :func:`limit_some` does to cells that all have a pressure beyond the usual."""
+    """:func:`limit_some` for cells that all have a pressure beyond the usual."""
     state, r, p = of.state, of.r, numbers[USUAL_KPA]
     excess = np.clip(of.pressures, numbers[LOWEST_KPA], numbers[HIGHEST_KPA]) - of.pressures
     state[:6] += weights.ramp[:, None] * np.tile(excess, (3, 1))
@@ -111,7 +112,7 @@ def _limit_each(of: MemoryRows, weights: TurnWeights, numbers: tuple[FloatArray,
         return
     np.minimum(of.pressures, p, where=beyond, out=of.pressures)
     np.maximum(of.doubt, numbers[UNKNOWN_KPA2], where=(beyond & (of.in_force > 0)).any(axis=0), out=of.doubt)
-    # The reading falls more slowly than a load that rises or is held allows: it is recovery that explains it.
+    # The reading falls more slowly than a rising or held load allows: the recovery model explains it.
     refuted = beyond[RISING] & ~beyond[RECOVERY] & (of.in_force[RISING] > 0)
     np.copyto(of.extreme, REFUTED, where=refuted)
     np.copyto(state[2], p * numbers[SETTLED_PER_KPA] - numbers[ETAU2_KPA] * r, where=beyond[RISING])
@@ -121,18 +122,18 @@ def _limit_each(of: MemoryRows, weights: TurnWeights, numbers: tuple[FloatArray,
 def correct(
     of: MemoryRows, std: FloatArray, doubt: FloatArray, weights: TurnWeights, numbers: tuple[FloatArray, ...]
 ) -> None:
-    """Where the hypothesis in force needs a pull, let it remember less instead; changes state and pressure.
+    """Where the hypothesis in force needs a negative pressure (a pull), correct its memory instead; changes ``of``.
 
-    In recovery noise that the smoothing passes on makes up for a pull of :data:`SURE` deviations.
+    In recovery a pull of up to :data:`SURE` standard deviations of the smoothed noise is allowed.
 
-    No load leaves a resistance below that at rest. A reading that is lower nevertheless (a bad line, a cell that has
-    become warm) makes a memory that no load has made, and a reading at rest again shows a load then. What is missing
-    counts as standard deviation.
+    No load leaves a resistance below that at rest. If a reading is lower nevertheless (a bad line, a cell that has
+    become warm), the correction leaves a memory that no load has made, and a later reading at rest shows a load. What
+    the reading lacks therefore counts as standard deviation.
 
     Args:
         of: the cells.
-        std: (m,) what noise leaves in the reading.
-        doubt: (m,) also what the smoothing may not have noticed yet.
+        std: (m,) standard deviation of the smoothed reading by noise.
+        doubt: (m,) the same, with changes that the smoothing may not have noticed yet.
         weights: of the time step.
         numbers: as above.
     """

@@ -1,16 +1,17 @@
-"""The meter of the way: how far the loads of an array's cells go to and fro, and how much of that is not counted yet.
+"""Meter of tremor: path length ("way") of each cell's load within the noise, and the part not counted by the inverse.
 
-A load that trembles goes to and fro by less than noise lets an inverse follow. What the way of that does to a cell, the
-inverse knows by its material. This module tells the way: by the variances of each cell's own readings (:mod:`._way`),
-and by what the cells beside have in common with it (:mod:`._together`), each weighted by how well it knows it. Where a
-cell's own readings leave no doubt that its load goes to and fro, as beside a finger that rubs, they are believed alone.
+A load that trembles moves by less than the noise lets an inverse follow. How this motion changes a cell depends on the
+material, and is left to the inverse. This module estimates the way, in two manners: from the variances of each cell's
+own readings (:mod:`._way`), and from the motion that the cells beside have in common with it (:mod:`._together`). Both
+are weighted by how well they know it. Own readings alone are believed where they leave no doubt that the load goes to
+and fro, as beside a finger that rubs.
 
-Edges of a load, as of presses and taps, are followed by the inverse itself. After one nothing is told for as long as
-the mean squares remember it. Of what is told there remains what the inverse has not counted meanwhile
-(:func:`uncounted`). The mean squares tell a motion later than an inverse counts it, so that what is counted too early
-or too late is carried over for as long.
+The inverse itself follows edges of a load, as of presses and taps. After an edge no way is told for as long as the mean
+squares remember it. From the way that is told we subtract what the inverse has counted meanwhile (:func:`uncounted`).
+The mean squares see a motion later than the inverse counts it, so that what is counted too early or too late is carried
+over for as long.
 
-All is in units of whatever quantity is read: r, or the load. Rows are those of a part of the memory of an inversion.
+All is in the unit of the quantity that is read, r or the load. The rows are a part of the memory of an inversion.
 """
 
 from __future__ import annotations
@@ -39,9 +40,9 @@ NAMES = (
     *together.APART,
     *("held", "told", "may"),
 )
-"""names of the rows of the memory: looks; series and mean squares of :mod:`._variances`, own ones and those of
-neighbours; what :mod:`._together` sums up, and how far both groups are apart; looks since an edge; the way that is
-told, and that which may be, less what is counted"""
+"""names of the rows of the memory: number of looks; series and mean squares of :mod:`._variances`, own ones and those
+of neighbours; loads and differences of the two groups of :mod:`._together`; looks since an edge; the balance of the way
+that is told less what is counted, and of the way that may be"""
 LOOKS, SERIES = 0, 1
 SERIES_BESIDE = SERIES + variances.ALL_SERIES
 SQUARES = SERIES + 3 * variances.ALL_SERIES
@@ -52,11 +53,11 @@ HELD, TOLD, MAY = range(APART + SCALES, len(NAMES))
 _SERIES, _SQUARES = slice(SERIES, SQUARES), slice(SQUARES, LOADS)
 _LOADS, _APART = slice(LOADS, APART), slice(APART, HELD)
 HELD_FOR_EVER = 1e6
-"""looks"""
+"""looks: stands for no edge so far"""
 LEAST_LOAD = 1e-3
-"""keeps a load of none from dividing"""
+"""avoids division by zero"""
 _BY_NOISE = np.array([1.0, 0.0])[:, None, None]
-"""(2, 1, 1) what noise makes of own mean squares, and of mean products"""
+"""(2, 1, 1) mean by noise of own squares, and of products of two groups with independent noise"""
 _ZERO, _ONE, _LEAST_LOAD = (np.array(x) for x in (0.0, 1.0, LEAST_LOAD))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
@@ -69,11 +70,11 @@ class Limits(NamedTuple):
     owed: FloatArray
     """:func:`owed_looks`"""
     late: FloatArray
-    """looks by which the readings come later than the edges"""
+    """looks by which the readings lag behind the edges"""
 
 
 class Constants(NamedTuple):
-    """Numbers of a material whose cells keep something of the way; they depend on the time between frames."""
+    """Numbers of a material in whose cells the way leaves an error; they depend on the time between frames."""
 
     row: FloatArray
     """for machine code"""
@@ -83,18 +84,18 @@ class Constants(NamedTuple):
 
 
 def constants(numbers: dict[int, float], dt_s: float, readings: int, caution: way.Caution) -> Constants:
-    """The ``numbers`` by their places, for frames that follow each other after ``dt_s``, and those of the way."""
+    """The ``numbers`` by their places, and those of :mod:`._way`, for frames ``dt_s`` apart."""
     row, each = numbered(numbers)
     return Constants(row, each, way.constants(dt_s, readings, caution))
 
 
 def edge(readings: int) -> float:
-    """Standard deviations of a reading by which means of so many ``readings`` differ by noise at most."""
+    """The largest difference by noise of two means of ``readings`` readings, in standard deviations of a reading."""
     return variances.CLEAR * math.sqrt(2.0 / readings)
 
 
 def owed_looks(dt_s: float, readings: int) -> float:
-    """Looks that the way counts for: frames follow each other after ``dt_s``, with ``readings`` from look to look."""
+    """Looks that the mean squares remember, for frames ``dt_s`` apart and ``readings`` from look to look."""
     return way.MEMORY_S / (readings * dt_s)
 
 
@@ -119,16 +120,16 @@ def look(
 
     Args:
         rows: (as :data:`NAMES`, m) of the memory.
-        newest: (m,) mean of the readings, less the motion that is not to be told.
+        newest: (m,) mean of the readings, less the motion that the inverse has explained.
         noise: (m,) standard deviation of one of them.
-        load: (m,) the load that goes to and fro, in their unit.
+        load: (m,) the load that goes to and fro, in the unit of the readings.
         edges: (m,) where it has an edge just now.
         near: (k, m) neighbours, see :class:`..estimation._neighbours.Neighbours`.
-        limits: of the load's motion, and when the way is told.
+        limits: largest motion without an edge, and when the way is told.
         of_way: numbers of :mod:`._way`.
 
     Returns:
-        (2, m) way since the last look as far as it is told from noise; and way that may be, no less.
+        (2, m) way since the last look that is told from noise; and the way that may be, no less.
     """
     largest, owed, late = limits
     held = rows[HELD]
@@ -152,7 +153,7 @@ def look(
     ends = variances.ends_of_blocks(looks)
     kept = rows[_SERIES].reshape(3, variances.ALL_SERIES, -1)
     change = variances.differences(kept, series, noises, most, ends, of_way.std)
-    product = change[0::2] * change[:2]  # own ones squared, and those of both groups
+    product = change[0::2] * change[:2]  # own squares, and products of the two groups
     bends = change[1:, SCALES:].copy()
     side = change[:2]
     side[1] += change[2]
@@ -175,9 +176,9 @@ def look(
 
 
 def uncounted(rows: FloatArray, found: FloatArray, counted: FloatArray, owed: FloatArray) -> FloatArray:
-    """(2, m) what is ``found`` (2, m) by :func:`look` and not ``counted`` (m,) otherwise; changes ``rows``.
+    """(2, m) ways ``found`` (2, m) by :func:`look` less the way ``counted`` (m,) by the inverse; changes ``rows``.
 
-    What is counted beyond is carried over, for as many looks as the way counts for, ``owed``.
+    A way that was counted too much or not yet found is carried over, up to ``owed`` times the way found in a look.
     """
     balance = rows[TOLD : MAY + 1]
     balance += found
@@ -208,7 +209,7 @@ def see_of(
 ) -> None:
     """The first half of :func:`look` for cell ``i``, whose rows begin with ``first``.
 
-    What it tells its neighbours goes into ``seen`` (TELLS, m).
+    Writes what its neighbours need into ``seen`` (TELLS, m).
     """
     held = memory[first + HELD, i] + 1.0
     if edge:
@@ -240,7 +241,7 @@ def tell_of(
     near: SpacedPlaces,
     way_numbers: Rows,
 ) -> tuple[float, float]:
-    """The second half of :func:`look` for cell ``i``, after all cells have been seen."""
+    """The second half of :func:`look` for cell ``i``, after the first half of all cells."""
     relative, looks = largest / max(load, LEAST_LOAD), memory[first + LOOKS, i]
     squares, beside, apart = first + SQUARES, first + SQUARES_BESIDE, first + APART
     known = told_beside_of(

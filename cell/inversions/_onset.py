@@ -1,27 +1,31 @@
-"""Slow presses of cells that recover: quickest change detection of the moment at which the load began to rise.
+"""Slow presses of cells that recover: quickest change detection (Page's test, CUSUM) of the onset of a load.
 
-Under a load the paper's cell forgets sooner than at rest. A small load therefore lets the resistance of a cell that
-still recovers fall *faster*: the recovery model would need a pull, which passes for an error of what it remembers, and
-is taken out of its memory again and again. Only a fast press raises the resistance by more than that.
+Under a load the paper's cell forgets sooner than at rest. A small load therefore lets the resistance of a recovering
+cell fall *faster*. The recovery model then needs a negative pressure (a pull). A pull passes for an error of the
+memory, and is taken out of the memory again and again (:mod:`._limits`). Only a fast press raises the resistance by
+more than the cell forgets.
 
-Two hypotheses are compared while a cell recovers. Under the first one it bears nothing: the readings follow what it
-remembered when they last gave no sign of a load, as far as that memory is known and noise allows. Under the second one
-a load has risen since that moment, at whatever rate. The statistic is the pull that the first hypothesis needs
-altogether. Where it needs none, the moment is moved to the present, as in Page's test (CUSUM). An error of the memory
-needs a pull once, while a load needs more and more of it. Where the pull is clear, the second hypothesis is taken over.
-Before, its load counts as standard deviation in proportion to how likely it has become.
+Two hypotheses are compared while a cell recovers:
 
-At some rate, a load raises the resistance by just what the cell forgets sooner. Such a load is hidden: the readings are
-those of a cell at rest until the rate changes. When it emerges, the rising model begins too late. The less of the rise
-the recovery model shares, the nearer the rate is to the hidden one, and the more likely the load began before. Its
-pressure is then between that of the rising model and what it would be if the load had begun with the recovery. A load
-that was hidden and is then held needs a pull, too, and so does a light touch. Where the pull is clear, how far a load
-may have risen unseen therefore counts as standard deviation. A load that comes to the hidden rate needs no more pull:
-its doubt fades, and does not end at once.
+1. The cell bears nothing. The readings follow from the memory at the last moment without a sign of a load, as far as
+   that memory is known and noise allows.
+2. A load has risen since that moment, at whatever rate.
+
+The statistic is the whole pull that hypothesis 1 needs. Where it needs none, the moment is moved to the present, as in
+Page's test. An error of the memory needs a pull once, while a load needs an ever larger one. When the pull is clear and
+still grows, hypothesis 2 is taken over. Before, its load counts as standard deviation, weighted by how likely it is.
+
+A load can hide: at one rate of rise it raises the resistance by just what the cell forgets sooner. The readings are
+then those of a cell at rest until the rate changes. When the load emerges, the rising model begins too late. The
+smaller the share of the rise that the recovery model shows, the nearer is the rate to this hidden rate, and the more
+likely the load began before. Its pressure then lies between that of the rising model and that of a load which began
+with the recovery. A load that was hidden and is then held needs a pull, too, and so does a light touch. Where the pull
+is clear, the load that may have risen unseen therefore counts as standard deviation. A load that comes to the hidden
+rate later needs no further pull; its standard deviation fades instead of ending at once.
 
 A load that fell to a part of itself and then grows slowly needs a pull as well, since the recovery model lets it fall
-to none. The hypothesis of :mod:`._earlier` has followed that load. Where most of its pressure was there when the
-recovery began, it is taken over: one that is held is more likely than one that goes on at the hidden rate.
+to none. The hypothesis of :mod:`._earlier` has followed that load. If most of its pressure was there when the recovery
+began, this load is taken over, since a held load is more likely than one that goes on at the hidden rate.
 
 T. L. Lai: "Sequential changepoint detection in quality control and dynamical systems", J. R. Statist. Soc. B 57 (1995).
 """
@@ -58,29 +62,34 @@ from ._turning_rows import (
 )
 
 SETTLES = 7.0
-"""looks from which what a cell at rest remembers is known: by then the smoothing has passed the release"""
+"""looks at a cell at rest after which its memory is known: by then the smoothing has passed the release"""
 HIDDEN_SHARE = 0.7
-"""standard deviation over what a rise that was hidden would make"""
+"""standard deviation over the pressure that a hidden rise would add"""
 MODEL = 0.06
-"""share of the variance of the memory that no averaging of readings removes: its error fades otherwise than the filter
-of :mod:`._recovery` reckons with. Of rests after taps in up to 3 mV none needs a pull of :data:`CLEAR_SIGMAS` then"""
+"""share of the variance of the memory that no averaging of readings removes, since its error does not fade just as the
+filter of :mod:`._recovery` assumes. With this share no rest after taps, in noise of up to 3 mV, needs a pull of
+:data:`CLEAR_SIGMAS`"""
 SOME_SIGMAS, CLEAR_SIGMAS, MORE_SIGMAS = 0.5, 3.0, 4.0
-"""standard deviations of the pull from which a load is possible, and from which the pull is clear; and those of noise
-by which it must grow after that for the load to be taken over. A light touch that has ended leaves a pull, too"""
+"""standard deviations of the pull above which a load is possible, and above which the pull is clear; and standard
+deviations of noise by which a clear pull must grow further for the load to be taken over: a light touch that has ended
+leaves a pull, too"""
 AVERAGED = 0.25
-"""least weight of the last look in the pull: a pull is averaged as long as noise makes more of it than the memory"""
+"""least weight of the last look in the average of the pull, which averages as long as noise exceeds the memory's
+error"""
 COINCIDENCE = 0.25
-"""of the load: a pull that is no larger is none. The load would have to follow the hidden rate for all the time"""
+"""share of the load of hypothesis 2: a smaller pull counts as none, since the load would have to follow the hidden rate
+all the time"""
 NONE, CLEAR = 0.002, 0.01
-"""of full scale: a pull that is none, and a load that is worth taking over"""
+"""of full scale: a smaller pull counts as none; a smaller load is not taken over"""
 EITHER = 0.6
-"""standard deviation over a load that is taken over, since it may have begun later"""
+"""standard deviation of a load that is taken over, over the load: it may have begun later"""
 HIDES_S, HIDDEN = 2.0, 0.4
-"""how long a load may have risen at the hidden rate; and standard deviation over such a load where the pull is clear"""
+"""seconds for which a load may have risen at the hidden rate; and standard deviation over such a load where the pull is
+clear"""
 HELD = 0.7
-"""share of a load that must have been there when recovery began, for the load to have been held since"""
+"""share of a load that must have been there when recovery began for it to count as held since"""
 LASTS_S = 3.0
-"""time in which the doubt about a load fades that has come to the hidden rate"""
+"""seconds, time constant with which the standard deviation by a load fades that has come to the hidden rate"""
 BOUND = REST_SIGMAS**2
 PER_SIGMA = 1.0 / (CLEAR_SIGMAS - SOME_SIGMAS)
 _ZERO, _ONE, _FAR, _REFUTED, _SETTLES, _AVERAGED, _PER_SIGMA, _BOUND = (
@@ -94,20 +103,20 @@ NAMES = (
 )
 """names of the rows of the memory, from :data:`._turning_rows.MAY_BEAR_KPA` on"""
 EARLIEST_KPA, BEGUN_KPA, EARLIEST_SETTLED, BEGUN_SETTLED, EXPECTED_X2, EXPECTED_X3, PULL_KPA, CLEAR_KPA = range(38, 46)
-"""rows: the rising model that began with the recovery, and the one that began at the moment; their second states; what
-the branches bear if nothing has risen since the moment; the pull, and what it was when it became clear, else none"""
+"""rows: pressures of the rising model begun with the recovery and of the one begun at the moment; their settled states;
+r of the branches if no load has risen since the moment; the pull, and the pull when it became clear (0: not yet)"""
 
 GAIN_KPA, FADES_2, FADES_3, BACK_2, BACK_3, GONE, RAMP, RISING_GAIN_KPA, HIDDEN_2, HIDDEN_3, LASTS = range(11)
-"""places of what depends on the time between frames: kPa per r in recovery; share of what the branches bear that is
-left at the next look; by how much more they bore when the mean of the readings was right; weights of the rising model
-from one look to the next, and kPa per r then; kPa that a load rises to within :data:`HIDES_S` at the hidden rate, per r
-that either branch bears; share of a doubt that lasts until the next look. And constants:"""
+"""places of the numbers that depend on the time between frames: kPa per r in recovery; share of the r of each branch
+that is left at the next look; r of each branch in the middle of the averaged readings, over its present r; weights of
+the rising model from one look to the next, and kPa per r then; kPa that a load reaches within :data:`HIDES_S` at the
+hidden rate, per r of either branch; share of a standard deviation that is left at the next look. Then constants:"""
 ETAU2_KPA, SETTLED_PER_KPA = 11, 12
-"""of the model; second state of the rising model, per kPa"""
+"""of the model; and settled state of the rising model per kPa where this model begins"""
 
 
 def constants(model: PaperModel, dt_s: float) -> Constants:
-    """What :func:`look` takes, for frames ``dt_s`` apart; places as above."""
+    """The numbers that :func:`look` takes, for frames ``dt_s`` apart; places as above."""
     look_s, (back_2, back_3) = RECENT * dt_s, borne_before(model, 0.5 * (RECENT - 1) * dt_s)
     gone, ramp = (float(weight) for weight in lag.weights(look_s, model.tu_s))
     unseen = HIDES_S / fast_r(model)[0]
@@ -120,7 +129,8 @@ def constants(model: PaperModel, dt_s: float) -> Constants:
         GONE: gone,
         RAMP: ramp,
         RISING_GAIN_KPA: float(step_weights(model, look_s).gain[0]),
-        # A load p near none makes r' = p' (1 / Eu1 + 1 / etau2) - r / Tu, and at rest each branch makes r' = -r / T.
+        # A small load p: r' = p' (1 / Eu1 + 1 / etau2) - r / Tu. At rest, each branch: r' = -r / T. The hidden rate
+        # equates them.
         HIDDEN_2: unseen * (1.0 / model.tu_s - 1.0 / model.t2_s),
         HIDDEN_3: unseen * (1.0 / model.tu_s - 1.0 / model.t3_s),
         LASTS: math.exp(-look_s / LASTS_S),
@@ -173,7 +183,7 @@ def look(
 def _compare(
     memory: FloatArray, mean: FloatArray, noise: FloatArray, full_scale_kpa: float, numbers: tuple[FloatArray, ...]
 ) -> None:
-    """Compare the two hypotheses, and take over the second one where it is clear; as :func:`look`, of some cells."""
+    """Compare the two hypotheses, and take over the second one where it is clear; :func:`look` for some cells."""
     load = memory[BEGUN_KPA]
     by_model = memory[REST_VARIANCE] + memory[TURNED] * MODEL
     by_noise = noise * numbers[GAIN_KPA]
@@ -222,9 +232,9 @@ def _compare(
 def _take_over(
     memory: FloatArray, more: BoolArray, risen: FloatArray, hidden: FloatArray, numbers: tuple[FloatArray, ...]
 ) -> None:
-    """Let loads ``risen`` (m,) in kPa bear on those of m cells whose pull is ``more`` (m,) than clear.
+    """Let loads ``risen`` (m,) in kPa bear on those of m cells whose clear pull has grown ``more`` (m,).
 
-    ``hidden`` (m,) is the standard deviation in kPa of what they may have risen by before. Changes ``memory``.
+    ``hidden`` (m,) is the standard deviation in kPa of an earlier rise at the hidden rate. Changes ``memory``.
     """
     doubt = risen * EITHER
     doubt = memory[TURNED] + doubt * doubt + hidden * hidden
@@ -246,8 +256,8 @@ def hidden_kpa(memory: FloatArray, pressure: FloatArray, extreme: FloatArray, sh
 
     Args:
         memory: (rows, m) of the cells.
-        pressure: (m,) to which their load has risen.
-        extreme: (m,) from which it has risen, with its sign turned.
+        pressure: (m,) to which the load has risen.
+        extreme: (m,) minus the pressure from which it has risen.
         share: pressure of the rising model after a fast change, over that of the recovery model.
     """
     rise = pressure + extreme

@@ -1,8 +1,8 @@
-"""The paper's cell discretised exactly: what one time step does to the states of its two linear models, (3) and (8).
+"""Exact discretisation (ramp-invariant) of the two linear models of the paper's cell, equations (3) and (8).
 
 Each lag is stepped exactly for a pressure that is linear over the step (:mod:`..materials._lag`). The equation for the
-pressure at the end of the step is then linear, and so is its inverse. Both inverses are stable (their zeros lie in the
-left half plane): errors of what is remembered fade in the material's own time.
+pressure at the end of the step is then linear, and so is its inverse. Both inverses are stable, since the zeros of the
+models lie in the left half plane: errors of the memory fade with time constants of the material.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from ..materials import PaperModel, lag
 
 
 def fast_r(model: PaperModel) -> tuple[float, float]:
-    """R per kPa of a fast change, in the rising and in the recovery model."""
+    """Change of r per kPa of a fast change, in the rising and in the recovery model."""
     return 1 / model.eu1_kpa + 1 / model.etau2_kpa, 1 / model.e1_kpa
 
 
 class StepWeights(NamedTuple):
-    """What one time step does: the state is [pressure, settled, x2, x3] before it, r the reading after it."""
+    """Weights of one time step, with the state [pressure, settled, x2, x3] before it and the reading r after it."""
 
     free: FloatArray
-    """(3, 4) the state -> what settled, x2, x3 become if the pressure drops to zero over the step"""
+    """(3, 4) the state -> settled, x2, x3 after the step if the pressure drops to zero over the step"""
     ramp: FloatArray
-    """(3, 1) by which they rise per kPa of pressure after the step"""
+    """(3, 1) rise of settled, x2, x3 per kPa of pressure after the step"""
     answer: FloatArray
-    """(2, 4) settled, x2, x3 as if free, and r -> pressure after the step in the rising and in the recovery model"""
+    """(2, 4) settled, x2, x3 by ``free``, and r -> pressure after the step in the rising and in the recovery model"""
     gain: FloatArray
-    """(2,) pressure per r of the two"""
+    """(2,) pressure per r in the two models"""
     fade: FloatArray
-    """(2,) share of a variance of the memory that is left after the step"""
+    """(2,) share of a variance of the memory that is left after the step, in the two models"""
 
 
 def step_weights(model: PaperModel, dt_s: float) -> StepWeights:
@@ -48,13 +48,13 @@ def step_weights(model: PaperModel, dt_s: float) -> StepWeights:
     rising = 1 / (1 / m.eu1_kpa + (1 - ramp[0]) / m.etau2_kpa)
     falling = 1 / (1 / m.e1_kpa + ramps[1] + ramps[2])
     answer = np.array([[rising / m.etau2_kpa, 0, 0, rising], [0, -falling, -falling, falling]])
-    # An error of the memory fades as the inverse's zeros say; the slow branch holds a few percent of it only.
+    # An error of the memory fades with the zeros of the model; the slow branch, a few percent of it, is neglected.
     zeros = np.array([1 - 1 / (m.etau2_kpa / m.eu1_kpa + 1), 1 + m.e1_kpa / m.e2_kpa]) / np.array([m.tu_s, m.t2_s])
     return StepWeights(free, ramps[:, None], answer, np.array([rising, falling]), np.exp(-2 * dt_s * zeros))
 
 
 def borne_before(model: PaperModel, age_s: float) -> tuple[float, float]:
-    """By how much more the two branches bore ``age_s`` ago, if they only fade; bounded, lest it overflows."""
+    """r of the two branches ``age_s`` ago over their present r, if they only fade; bounded, to avoid overflow."""
     return math.exp(min(age_s / model.t2_s, 50.0)), math.exp(min(age_s / model.t3_s, 50.0))
 
 
@@ -74,12 +74,12 @@ def numbered(numbers: dict[int, float]) -> Constants:
 
 
 class TurnWeights(NamedTuple):
-    """What one time step does to both hypotheses; rows and columns as :data:`._turning_rows.HYPOTHESES`."""
+    """Weights of one time step of both hypotheses; rows and columns as :data:`._turning_rows.HYPOTHESES`."""
 
     step: FloatArray
     """(6, 7) hypotheses before the step, with the reading after it -> hypotheses after it"""
     ramp: FloatArray
-    """(6,) by which they rise per kPa of their own pressure after the step"""
+    """(6,) rise of each per kPa of its own pressure after the step"""
     by_model: FloatArray
     """(3, 2) in the rising and in the recovery model: pressure per r, the same of the other model, and the share of a
     variance of the memory that is left after the step"""
@@ -88,7 +88,7 @@ class TurnWeights(NamedTuple):
 
 
 def turn_weights(model: PaperModel, dt_s: float) -> TurnWeights:
-    """The weights for steps of ``dt_s``: :func:`step_weights`, with the pressure after the step put in."""
+    """The weights for steps of ``dt_s``: :func:`step_weights`, with the pressure after the step inserted."""
     w = step_weights(model, dt_s)
     step, ramp = np.zeros((6, 7)), np.zeros(6)
     states = np.array([[0, 2, -1, 4], [1, -1, 3, 5]])  # where the state [pressure, settled, x2, x3] is; -1: nowhere
@@ -107,7 +107,7 @@ def turn_weights(model: PaperModel, dt_s: float) -> TurnWeights:
 
 
 def taken_over(model: PaperModel) -> FloatArray:
-    """(6, 7) by which hypotheses must change to begin where the other one is, resistance and pressure continuous."""
+    """(6, 7) change by which each hypothesis begins where the other one is, resistance and pressure continuous."""
     m = model
     anew = np.zeros((6, 7))
     anew[0, 1] = anew[1, 0] = 1.0

@@ -1,17 +1,19 @@
-"""Released cells: a Kalman filter of what a recovering cell remembers, under the hypothesis that it bears no load.
+"""Released cells: a scalar Kalman filter of the error of the memory, under the hypothesis that the cell bears no load.
 
-What noise leaves in the memory at a turn shows as a load afterwards, and fades in the material's own time only. The
-readings cannot tell such an error from a light load: both recover along the same curve for seconds. What can be said is
-that most released cells bear no load. As long as the pressure of a recovering cell does not differ from none by more
-than the error of its memory explains, the difference is therefore taken for that error. Readings of the whole rest are
-averaged for this, which is much longer than the smoothing may average. A load that still falls is not none yet: what
-may be left of it counts as noise of the readings (:data:`GOES_ON`), and the cell is not taken for one at rest so far.
+The noise at a turn leaves an error in the memory, which later shows as a load and fades only as fast as the material
+recovers. The readings cannot tell such an error from a light load: both recover along the same curve for seconds. But
+most released cells bear no load. As long as the pressure of a recovering cell differs from none by no more than the
+error of its memory explains, we take the difference for that error and subtract it. The filter averages the readings of
+the whole rest, which is much longer than the smoothing may average. While the pressure still falls, the load that may
+be left counts as noise of the readings (:data:`GOES_ON`), and the cell is not yet taken for one at rest.
 
-A light load that is taken for none in this way comes back as the error of the memory fades. Three rules keep that
-honest. The standard deviation does not shrink while the cell recovers, and at the next turn what was subtracted is part
-of it. The filter trusts the memory the more the more it has read, and nothing is subtracted without end. A pressure
-that rises by no more than what the error may fade by (:data:`DRIFTS`), and what was subtracted comes back by, is no
-turn: the model of a rising load would take the recovery for a load that grows.
+A light load that is subtracted by mistake comes back as the error of the memory fades. Three rules limit the harm:
+
+1. The stated standard deviation does not shrink while the cell recovers, and at the next turn it includes the pressure
+   that was subtracted.
+2. The filter trusts the memory the more the more it has read, so that it does not go on subtracting.
+3. A rise is no turn if the fading error (:data:`DRIFTS`) and the return of the subtracted pressure explain it. The
+   rising model would otherwise take the recovery for a load that grows.
 """
 
 from __future__ import annotations
@@ -50,45 +52,47 @@ from ._turning_rows import (
 )
 
 PART = 0.3
-"""of the variance that is stated for the memory at a release: that of the usual error. The rest covers rare ones"""
+"""share of the variance stated for the memory at a release that the usual error has; the rest covers rare errors"""
 MOST = 0.2
-"""of full scale: a memory that is known no better is lost, and rest is no better guess than a load"""
+"""of full scale: if the standard deviation of the memory is larger, rest is no better a guess than a load"""
 REST_SIGMAS = 2.0
-"""standard deviations by which the pressure of a cell at rest may differ from none"""
+"""standard deviations by which the pressure of a cell at rest may differ from zero"""
 RESTED_SIGMAS = 5.0
-"""standard deviations of the smoothed noise and of the memory at which a load and none are as likely in a released
-cell. More than in any cell (:data:`..estimation._inversion.NO_LOAD_SIGMAS`): the error of the memory shows in every
-frame of a rest, and its deviation here is that of the usual error (:data:`PART`) only"""
+"""standard deviations, of smoothed noise and memory together, at which a load and no load are equally likely in a
+released cell. More than in other cells (:data:`..estimation._inversion.NO_LOAD_SIGMAS`): the error of the memory shows
+in every frame of a rest, and its standard deviation here is only that of the usual error (:data:`PART`)"""
 GOES_ON, STEADY = 4.0, 0.25
-"""times what a pressure has fallen by in three frames: standard deviation of the load that is left while it falls; and
-the fall that is none, in standard deviations of a reading"""
+"""standard deviation of the load that is left while it still falls, over its fall in three frames; and the fall that
+does not count, in standard deviations of a reading"""
 FELL = 0.75
-"""times what is left of a pressure, by which it must have fallen if the rest is to be an error of the memory: a load
-that trembles falls by less, however long it is held. Where recovery began without a fall, as by a rise that was
-refuted, nothing is known of that"""
+"""times what is left of the pressure: it must have fallen by so much for the remainder to be an error of the memory. A
+load that trembles falls by less, however long it is held. Where recovery began without a fall, as after a refuted rise,
+this condition is not asked for"""
 LIGHT = 0.1
-"""share of the variance of the memory that a rest leaves, beside the squares of what was subtracted and of a load that
-may have begun (:mod:`._onset`): the released cell may have borne a light load after all. What was subtracted stays in
-doubt, while it fades, until a larger load than that is released: the falls of a tremor are no new signs of rest"""
+"""share of the variance of the memory that stays after a rest, since the released cell may have borne a light load
+after all. The squares of the subtracted pressure and of a load that may have begun (:mod:`._onset`) are added. The
+subtracted pressure stays in the variance, while it fades, until a clearly larger load is released: the falls of a
+tremor are no new signs of rest"""
 TWICE = 4.0
-"""times the square of what was subtracted: that of a load which is larger for sure"""
+"""square of a load that is larger than the subtracted pressure for sure, over the square of that pressure"""
 DRIFTS = 2.0
-"""standard deviations of the memory's error that may seem to be a turn as the error fades"""
+"""standard deviations of the memory: so large a change of pressure may look like a turn as the error fades"""
 OVERSHOOT = 3.0
-"""standard deviations of a reading by which the smoothing's line may go beyond a rising load that stops: readings must
-depart from it by some before a new line begins. No fall that is less is a turn for sure"""
+"""standard deviations of a reading by which the line of the smoothing may overshoot where a rising load stops: readings
+must depart from the line by some standard deviations before a new line begins. A smaller fall may be no turn"""
 OLD = 3.0 * RECENT
-"""readings of a line from which this is reckoned with: the end of a shorter one is as uncertain itself"""
+"""readings of a line from which the overshoot is allowed for; the end of a shorter line is as uncertain anyway"""
 PEAK_FADES = 0.15
-"""share of the way, from one look to the next, by which the peak goes down to the extreme. The largest of the noisy
-first pressures of a press may exceed all later ones; the other hypothesis would begin there, however long the hold"""
+"""share of the distance to the extreme by which the peak goes down from one look to the next. The noisy first pressures
+of a press may exceed all later ones; the other hypothesis would otherwise begin there, however long the load is held"""
 
 GAIN, FADES, BACK_2, BACK_3, DRIFT_SHARE, RISING_DRIFT_SHARE = range(6)
-"""places of what depends on the time between frames: kPa per r in recovery; share of a variance of the memory that is
-left at the next look; by how much more the two branches bore when the mean of the readings was right; share of the
-way that a drift goes until the next look, in recovery and under a load that rises. Then constants:"""
+"""places of the numbers that depend on the time between frames: kPa per r in recovery; share of a variance of the
+memory that is left at the next look; the r of the two branches in the middle of the readings of the mean, over their
+present r; share of its way that a drift goes until the next look, in recovery and under a rising load. Then
+constants:"""
 BOUND, E1_KPA, SETTLED_PER_KPA, ETAU2_KPA, LATELY, BEYOND = range(6, 12)
-"""squared standard deviations of rest; of the model; how fast a peak goes down; how far a line may overshoot"""
+""":data:`REST_SIGMAS` squared; three of the model; :data:`PEAK_FADES`; :data:`OVERSHOOT`"""
 
 
 _ZERO, _ONE, _FAR, _BEFORE, _OLD, _PER_READING, _GOES_ON, _STEADY, _FELL = (
@@ -98,7 +102,7 @@ _ZERO, _ONE, _FAR, _BEFORE, _OLD, _PER_READING, _GOES_ON, _STEADY, _FELL = (
 
 
 def constants(model: PaperModel, dt_s: float) -> Constants:
-    """What :func:`look` takes, for frames ``dt_s`` apart; places as above."""
+    """The numbers that :func:`look` takes, for frames ``dt_s`` apart; places as above."""
     weights = step_weights(model, dt_s)
     gain_kpa, (rising_fade, fade) = float(weights.gain[-1]), weights.fade.tolist()
     back_2, back_3 = borne_before(model, 0.5 * (RECENT - 1) * dt_s)
@@ -176,7 +180,7 @@ def look(
 
 
 def _taken_off(memory: FloatArray) -> FloatArray:
-    """(m,) kPa^2 of what rests have subtracted, the last one and those since the last clear release."""
+    """(m,) square in kPa^2 of the pressure that rests have subtracted: the last one, or those since a clear release."""
     released, before = memory[RELEASED_KPA], memory[TAKEN_BEFORE_KPA2]
     before = np.where(released * released > TWICE * before, _ZERO, before)
     taken: FloatArray = np.maximum(memory[TAKEN_OFF_KPA] * memory[TAKEN_OFF_KPA], before)
@@ -184,7 +188,7 @@ def _taken_off(memory: FloatArray) -> FloatArray:
 
 
 def variance_at_turn(memory: FloatArray) -> FloatArray:
-    """(m,) kPa^2 of the memory of cells that have just turned, less what a rest has averaged away."""
+    """(m,) variance in kPa^2 of the memory of cells that have just turned, less the part that a rest averaged away."""
     variance = memory[VARIANCE]
     left_over = variance * LIGHT + _taken_off(memory)
     left_over += memory[MAY_BEAR_KPA] * memory[MAY_BEAR_KPA]
@@ -198,7 +202,7 @@ def begin(memory: FloatArray, by_noise: FloatArray, most_kpa2: FloatArray) -> No
 
     Args:
         memory: of the cells.
-        by_noise: (m,) variance in kPa^2 that the noise of the turn's own reading leaves. All of it is usual.
+        by_noise: (m,) variance in kPa^2 by the noise of the turn's own reading; all of it belongs to the usual error.
         most_kpa2: without axes, the square of :data:`MOST` in kPa.
     """
     turned = memory[TURNED]

@@ -1,13 +1,13 @@
-"""Releases of the paper's cell that noise hides from single readings, told by means of readings (Page's test).
+"""Detection of releases within the noise of single readings, from means of readings: Page's test (CUSUM).
 
-Where taps have left several times the resistance at rest, noise is as many times larger. A release then takes the
-rising model back by three standard deviations of the smoothed readings. That is no sign of a release by itself, since
-under a load that is held the recovery model falls as well (:data:`._turns.SHARED_FALL`). Successive readings tell
-together. Their means are inverted with the rising model, and compared with the largest of late. Page's test (CUSUM)
-adds up by how many standard deviations they are below it. Lines that overshoot, or begin anew by chance, have no part
-in that.
+After taps that have left several times the resistance at rest, noise is as many times larger. A release then takes the
+rising model back by only three standard deviations of the smoothed readings. That alone is no evidence of a release: a
+fall of the rising model may be an error up to a share of the fall of the recovery model, and the recovery model falls
+under a held load as well (:data:`._turns.SHARED_FALL`). Successive readings together give the evidence. Their means are
+inverted with the rising model and compared with the largest mean of late. Page's test adds up by how many standard
+deviations the means lie below it. Overshoots and chance restarts of the smoothing's line have no part in these means.
 
-The largest mean fades towards the present one, since errors of the memory fade, too. A release is faster.
+The largest mean fades towards the present one, since errors of the memory fade, too; a release is faster than that.
 """
 
 from __future__ import annotations
@@ -25,30 +25,30 @@ from ._turning_rows import EXTREME, FALLEN, HIGHEST_MEAN_KPA, RECOVERY_KPA, RISI
 from ._turns import SHARED_FALL, TURN
 
 LESS = 1.0
-"""standard deviations of a mean by which the largest of some means counts for less"""
+"""standard deviations of a mean that are subtracted from a new largest mean, since it is partly noise"""
 ALLOWED = 0.75
-"""standard deviations by which a mean may be below the largest without adding to the sum"""
+"""standard deviations by which a mean may lie below the largest without adding to the sum (the allowance of CUSUM)"""
 LASTS_S = 0.5
-"""time in which the largest mean fades"""
+"""seconds, time constant with which the largest mean fades towards the present one"""
 LOUD = 0.05
-"""of full scale: standard deviation of a mean from which nothing is summed up. A resistance is a reciprocal of a
-current, and in so much noise single ones are far larger than the load makes them: all later ones would seem to fall"""
+"""of full scale: above this standard deviation of a mean nothing is summed up. A resistance is the reciprocal of a
+current, so that in so much noise single resistances are far too large, and all later ones would seem to fall"""
 
 NAMES = ("highest_mean", "fallen")
 """names of the rows of the memory, from :data:`._turning_rows.HIGHEST_MEAN_KPA` on"""
 GAIN_KPA, SINCE, FADES, NOISE_KPA = range(4)
-"""places of what depends on the time between frames: kPa per r in the rising model; share of the way to its
-equilibrium by which r has fallen, under a load that is held, since the mean of the readings was right; share of the way
-by which the largest mean fades until the next look; and kPa of a mean per deviation of a reading. Then constants:"""
+"""places of the numbers that depend on the time between frames: kPa per r in the rising model; share of the way to its
+equilibrium that r has gone, under a held load, since the middle of the readings of the mean; share by which the largest
+mean fades until the next look; and standard deviation in kPa of a mean over that in r of a reading. Then constants:"""
 PER_EU1, RISE_PER_FALL, FALL_SHARE, TURN_KPA, LOUD_KPA = range(4, 9)
-"""of the model; r of a fast rise over that of a fast fall; :data:`._turns.SHARED_FALL` as the recovery model answers
-it; a fall that is none; and :data:`LOUD`"""
+"""1/Eu1 of the model; r of a fast rise over that of a fast fall; :data:`._turns.SHARED_FALL` as the recovery model
+answers it; a fall that is none; and :data:`LOUD` in kPa"""
 _ZERO, _LESS, _ALLOWED = (np.array(x) for x in (0.0, LESS, ALLOWED))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
 def constants(model: PaperModel, dt_s: float, full_scale_kpa: float) -> Constants:
-    """What :func:`look` takes, for frames ``dt_s`` apart; places as above."""
+    """The numbers that :func:`look` takes, for frames ``dt_s`` apart; places as above."""
     (rise_r, fall_r), gain_kpa = fast_r(model), float(step_weights(model, dt_s).gain[0])
     numbers = {
         GAIN_KPA: gain_kpa,
@@ -67,8 +67,8 @@ def constants(model: PaperModel, dt_s: float, full_scale_kpa: float) -> Constant
 def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, numbers: tuple[FloatArray, ...]) -> None:
     """Take the last :data:`..estimation.RECENT` readings of m cells; changes their ``memory`` (rows, m).
 
-    A change of r takes both models back, the recovery model by more. What is beyond that a load makes that is held: of
-    it, the share that may be an error is allowed for.
+    A fast fall of r takes both models back, the recovery model by more (RISE_PER_FALL). A further fall of the recovery
+    model is that of a held load. Of this part, the share that may be an error of the rising model is not counted.
 
     Args:
         memory: of the cells.

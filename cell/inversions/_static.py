@@ -12,21 +12,21 @@ from ..materials import AsymmetricModel, ContactModel, M10Model, Model, PaperMod
 from ._learned import BEYOND, STEEPER, StaticCurve, credible_range
 
 POINTS, REACH = 1025, 3
-"""of the tabulated equilibrium curve from rest to full scale, and how many times full scale it reaches: an overload
-must not read as full scale"""
+"""points of the tabulated equilibrium curve from rest to full scale; and the end of the table over full scale, since an
+overload must not read as full scale"""
 SLOPES, FLAT = 33, 3.0
-"""points at which the effect of an error of R0 is tabulated, and how many times its mean the effect is at most"""
+"""points at which the effect of an error of R0 is tabulated; and the largest effect over its mean"""
 CONTACT_SHARE = 0.02
-"""standard deviation over the pressure, of a contact's answer"""
+"""standard deviation over the pressure, for the estimate of a contact"""
 CHAINS = 3
-"""row of the memory: r by chains that must have broken"""
+"""row of the memory: r of the chains that must have broken"""
 
 
 def rest_slope(model: Model, full_scale_kpa: float, rest_resistance_ohm: float) -> FloatArray:
-    """(:data:`SLOPES`,) pressure in kPa that a relative error of R0 is taken for, per unit of that error.
+    """(:data:`SLOPES`,) pressure in kPa that a relative error of R0 looks like, per unit of that error.
 
-    This is the slope dp/d(ln R) of the equilibrium curve, at pressures evenly from 0 to full scale. It is limited where
-    the curve is flat, since no estimator follows it there.
+    This is the slope dp/d(ln R) of the equilibrium curve, at evenly spaced pressures from 0 to full scale. It is
+    limited where the curve is flat, since no estimator follows it there.
     """
     load = np.linspace(0, 1, SLOPES)
     log_r = np.log1p(equilibrium_curve(model, full_scale_kpa, rest_resistance_ohm, load))
@@ -36,9 +36,9 @@ def rest_slope(model: Model, full_scale_kpa: float, rest_resistance_ohm: float) 
 
 
 def memory_share(model: Model) -> float:
-    """Standard deviation over the pressure, of an answer that ignores what the model remembers.
+    """Standard deviation over the pressure, for an estimate that ignores the memory of the model.
 
-    It is half of the range in which r may lie while the pressure is the same.
+    It is half of the range of r at the same pressure.
     """
     match model:
         case PaperModel():
@@ -55,12 +55,13 @@ def memory_share(model: Model) -> float:
 class EquilibriumInversion(Inversion):
     """The equilibrium of the model inverted, without memory: what a calibration curve gives.
 
-    Motion breaks chains of an `m10` cell, and r rises by as much. What a reading has beyond the largest answer to the
-    usual load must be broken chains, which heal in their own time. That much is subtracted from later readings.
-    Otherwise a cell that was tapped would show an overload for minutes.
+    Motion breaks chains of an `m10` cell, which raises r. If a reading exceeds the largest r of the usual load, the
+    excess must be broken chains, which heal with their own time constant. This excess is subtracted from later
+    readings. Otherwise a cell that was tapped would show an overload for minutes.
 
-    All cells share one curve of r. A contact under load conducts beside the cell's rest resistance, so its r depends on
-    that: conductances of contacts are first taken over to a cell with the median rest resistance.
+    All cells share one curve of r. A contact under load conducts in parallel to the cell's rest resistance, so that its
+    r depends on this resistance. Conductances of contacts are therefore first converted to a cell with the median rest
+    resistance.
     """
 
     def __init__(
@@ -78,7 +79,7 @@ class EquilibriumInversion(Inversion):
         full_r = equilibrium_gain(model, full_scale_kpa, rest)
         load = np.linspace(0, REACH, REACH * (POINTS - 1) + 1)
         curve = equilibrium_curve(model, full_scale_kpa, rest, load)
-        # Conductance over that at rest is what contacts add to; elsewhere the curve is a table of r.
+        # A contact's r falls with the load: its table is one of -r, which rises.
         self._sign = -1.0 if isinstance(model, ContactModel) else 1.0
         curve = np.maximum.accumulate(self._sign * curve)
         rises = np.concatenate(([True], np.diff(curve) > 0))
@@ -86,7 +87,7 @@ class EquilibriumInversion(Inversion):
         slope = np.gradient(self._load, self._curve) if self._curve.size > 1 else np.zeros_like(self._curve)
         steepest = np.full(slope.size, STEEPEST / max(abs(full_r), 1e-12))
         if isinstance(model, ContactModel):
-            # Only near rest is a contact's slope unlimited; that under load is the noise that a hard press has.
+            # A contact's slope diverges only near rest, and is limited there; under load it is the true noise gain.
             steepest[np.argmin(np.abs(slope)) :] = np.inf
         self._slope = np.minimum(np.abs(slope), steepest)
         self._rest_of_curve = rest
@@ -97,10 +98,10 @@ class EquilibriumInversion(Inversion):
             self._heals_s = model.tau_s
             statics = model.a * load + model.b * load**2
             self._most_r = float(statics[load <= USUAL].max()) + (model.alpha1 + model.alpha2) * USUAL
-            """r of the largest load that is believed, before a chain breaks: no branch is beyond what it follows"""
+            """r of the largest credible load without broken chains: no branch exceeds its target"""
         super().__init__(full_scale_kpa, full_r, exact=exact)
         self._shift = 1 / rest - 1 / rest_resistance_ohm
-        """S, to the conductance of a contact whose rest resistance is that of the curve"""
+        """in S, added to a contact's conductance to convert it to the rest resistance of the curve"""
 
     def normalise(self, resistance_ohm: FloatArray, per_ohm: FloatArray, r: FloatArray, *, compiled: bool) -> bool:
         if not isinstance(self.model, ContactModel):
@@ -109,7 +110,7 @@ class EquilibriumInversion(Inversion):
             np.divide(1.0, resistance_ohm, out=r)
             r += self._shift
             r *= self._rest_of_curve
-            np.copyto(r, np.nan, where=~np.isfinite(resistance_ohm) | (r <= 0))  # no contact and no cell conducts so
+            np.copyto(r, np.nan, where=~np.isfinite(resistance_ohm) | (r <= 0))  # no contact or cell conducts so
             np.divide(1.0, r, out=r)
         r -= 1.0
         return False
@@ -118,7 +119,7 @@ class EquilibriumInversion(Inversion):
         return self._at(r, np.zeros_like(r))
 
     def _at(self, r: FloatArray, chains: FloatArray) -> FloatArray:
-        """The memory (rows, m) at readings ``r`` (m,), of which broken chains are ``chains`` (m,) at least."""
+        """The memory (rows, m) at readings ``r`` (m,), of which at least ``chains`` (m,) is from broken chains."""
         if self._breaks:
             chains = np.maximum(chains, r - self._most_r)
             r = r - chains
@@ -156,7 +157,7 @@ class EquilibriumInversion(Inversion):
 
 
 STEEPEST = 20.0
-"""times the mean slope that the inverse of a curve may have; a contact's is infinite at rest"""
+"""largest slope of the inverse of a curve, over its mean slope; a contact's would be infinite at rest"""
 
 
 class StaticCurveInversion(Inversion):
@@ -172,7 +173,7 @@ class StaticCurveInversion(Inversion):
     ) -> None:
         self.curve = curve
         curve.prepare()
-        self.remembers = not curve.logarithmic  # as the curve of a contact is
+        self.remembers = not curve.logarithmic  # the curve of a contact is logarithmic
         credible = credible_range(None if curve.logarithmic else curve.reached)  # a contact may be open at rest
         super().__init__(full_scale_kpa, full_scale_r, credible=credible, exact=exact)
 

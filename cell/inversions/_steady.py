@@ -1,14 +1,14 @@
-"""Loads that tremble are held: what they seem to drift, while broken chains are in doubt, is taken for chains.
+"""Drift correction of trembling loads in ``m10`` cells: the mean load is pulled back to a level within a band.
 
-The chains that a tremor breaks add up for as long as they take to heal. After a minute a tenth of them is as much as
-the load, and no count of them is that good. Nothing in the readings tells such an error from a load that drifts. One
-that grows or fades by as much as chains are in doubt, and for as long, is rare, though, while most loads are held. So
-the mean of the load is kept at a level: what it has gone from there is taken back within a second, but no more in a
-second than two standard deviations of what comes into doubt. A load that drifts by more takes the level along, and one
-that goes farther than it swings begins a new one.
+The chains that a tremor breaks add up for as long as they take to heal. After a minute a tenth of these chains is as
+much as the load, and no count of them is that good. The readings cannot tell such an error from a load that drifts. But
+a load that grows or fades by as much as the chains are uncertain, and for as long, is rare, while most loads are held.
+The mean of the load is therefore kept at a level: its deviation is taken back within a second, but in a second by no
+more than two standard deviations of the chains that become uncertain in that time (the band). A load that drifts by
+more takes the level along. A load that goes farther than it swings begins a new level.
 
-What is in doubt of a load that is held is how far it has drifted itself, rather than how many chains have broken. Where
-one that hardly swings takes the level along, chains are the more in doubt.
+The standard deviation of a held load is then that of its own drift rather than that of the broken chains. Where a load
+that hardly swings takes the level along, the chains are more uncertain than assumed, and the standard deviation grows.
 """
 
 from __future__ import annotations
@@ -21,28 +21,31 @@ from ...arrays import BoolArray, FloatArray
 from ...compiled import Row, SpacedRows, loop
 
 NAMES = ("mean_load", "held_load", "swing", "doubt_per_s")
-"""names of the rows of the memory: mean of the load of late; the level that it is held at; mean of how far the load is
-from its mean; and r by which broken chains come to be in doubt, in a second"""
+"""names of the rows of the memory: recent mean of the load; the level at which it is held; mean distance of the load
+from its mean; and standard deviation in r per second by which broken chains become uncertain"""
 MEAN, HELD, SWING, DOUBT = range(len(NAMES))
 MEAN_S, DOUBT_S = 0.5, 1.0
-"""seconds that the mean of the load and the other two means remember"""
+"""time constants in seconds of the mean of the load, and of the other two means"""
 BACK_S = 1.0
-"""seconds in which the mean is taken back to the level"""
+"""seconds within which the mean is taken back to the level"""
 SIGMAS = 2.0
-"""standard deviations of the doubt: by so much the load may be taken back in the same time"""
+"""half width of the band, in standard deviations of the chains that become uncertain in :data:`BACK_S`"""
 SWINGS, LEAST_SWING = 3.0, 0.02
-"""times the swing, and of full scale: a load that is farther from its mean moves. A sine goes 1.6 times as far"""
+"""a load moves if it is farther from its mean than SWINGS times the swing, plus LEAST_SWING of full scale. A sine goes
+1.6 times as far as its mean distance"""
 DRIFT_PER_S = 0.005
-"""of full scale: standard deviation of how far a load that is held drifts in a second"""
+"""of full scale: standard deviation of the drift of a held load in a second"""
 UNSURE, KEPT = 0.2, 0.2
-"""standard deviation over what is taken back; and share of the doubt about chains that remains while a load is held"""
+"""standard deviation of the load that is taken back, over this load; and share of the uncertainty of the chains that
+remains while a load is held"""
 SURPRISE = 4.0
-"""times the doubt of a look: where a load that hardly swings leaves the band and takes the level along, its doubt may
-grow by as much, but by no more than it went beyond the band"""
+"""times the mean uncertainty of a look: the most by which the standard deviation grows where a load that hardly swings
+leaves the band and takes the level along; it grows by no more than the load went beyond the band"""
 
 LOOK_S, MEAN_SHARE, DOUBT_SHARE, BACK_SHARE, BAND_S = range(5)
-"""places of what depends on the time between looks: that time; the share of a look in the means; the share of what the
-mean has gone that is taken back at a look; and the seconds in which doubt makes the most that it may have gone"""
+"""places of the numbers that depend on the time between looks: this time; the shares of a look in the mean of the load
+and in the other means; the share of the deviation from the level that is taken back at a look; and the seconds of
+growing uncertainty that make half the band"""
 _ZERO, _SWINGS, _LEAST_SWING, _UNSURE, _KEPT, _SURPRISE, _DRIFT = (
     np.array(x) for x in (0.0, SWINGS, LEAST_SWING, UNSURE, KEPT, SURPRISE, DRIFT_PER_S)
 )
@@ -50,7 +53,7 @@ _ZERO, _SWINGS, _LEAST_SWING, _UNSURE, _KEPT, _SURPRISE, _DRIFT = (
 
 
 def constants(look_s: float) -> dict[int, float]:
-    """The numbers by their places, for looks that follow each other after ``look_s``."""
+    """The numbers by their places, for looks ``look_s`` apart."""
     return {
         LOOK_S: look_s,
         MEAN_SHARE: -math.expm1(-look_s / MEAN_S),
@@ -81,13 +84,13 @@ def look(
         rows: (as :data:`NAMES`, m) of the memory, changed.
         load: (m,) of full scale.
         edges: (m,) where it has an edge just now.
-        slope: (m,) of r over the load.
-        doubt: (m,) standard deviation of the chains broken since the last look, in r.
-        most: (m,) most load that may be added, and most that may be taken back.
+        slope: (m,) dr/ds of the load s.
+        doubt: (m,) standard deviation in r of the chains broken since the last look.
+        most: (m,) the most load that may be added, and (m,) the most that may be taken back.
         numbers: :func:`constants`, each.
 
     Returns:
-        (m,) load to take back, negative where it is to be added; and (m,) the doubt that remains, in r.
+        (m,) load to take back, negative where it is to be added; and (m,) the standard deviation in r that remains.
     """
     look_s, mean_share, doubt_share, back_share, band_s = numbers
     mean, held, swing, per_s = rows

@@ -1,15 +1,17 @@
-"""Light touches on cells that recover: whether the load is again what it was before.
+"""Light touches on cells that recover: a hypothesis test of an unchanged load against one that grows.
 
-The paper's cell answers a rise by more than a fall. Near none a touch may therefore be noticed as a turn, and its
-release not. The rising model then stays in force, and takes the recovery for a load that grows, by up to a twentieth of
-full scale. Neither hypothesis tells: the recovery model begins anew where the pressure is as long as that goes up.
+The paper's cell answers a rise by more than a fall. Near no load a touch may therefore be noticed as a turn while its
+release is not. The rising model then stays in force, and takes the recovery for a load that grows, by up to a twentieth
+of full scale. The two usual hypotheses cannot correct this: while the pressure goes up, the recovery model begins anew
+where the pressure is.
 
-A third hypothesis is therefore followed while the rising model is in force: that the load is what it was when the
-recovery model was, and that the cell remembers what it remembered then. Its prediction of the readings needs no
-inverse. As long as the readings keep their distance from it while the rising model's pressure grows, the load would
-have to grow exactly as the recovery fades. The growth is therefore refuted when it is clear: the
-recovery model is taken over again, with that load. A load that grows takes the readings away from the prediction, and
-under a light load that is held the resistance falls faster than it. Both begin the comparison anew.
+While the rising model is in force, we therefore follow a third hypothesis: that the load is again what it was when the
+recovery model was last in force, and that the cell still has the memory of that time. It predicts the readings without
+any inverse. If the readings keep their distance from this prediction while the rising model's pressure grows, the load
+would have to grow exactly as fast as the recovery fades. A clear growth of this kind is refuted: the recovery model is
+taken over again, with the load of the third hypothesis. A load that really grows takes the readings away from the
+prediction. Under a light held load the resistance falls faster than predicted. In both cases the comparison begins
+anew.
 """
 
 from __future__ import annotations
@@ -36,35 +38,36 @@ from ._turning_rows import (
 )
 
 FLAT = 0.3
-"""share of the growth by which the readings may leave the prediction, as the recovery model answers that"""
+"""share of the growth by which the distance to the prediction (in kPa of the recovery model) may change"""
 SURE = 3.0
-"""standard deviations of the mean of readings by which they may do so, too, and by which a growth is none"""
+"""standard deviations of the mean of readings by which this distance may change in addition"""
 LIGHT_TOUCH = 0.03
-"""of full scale: how far the readings may be from the prediction, as the recovery model answers that. Larger loads fall
-by enough to be noticed"""
+"""of full scale: largest distance of the readings from the prediction, in kPa of the recovery model. The release of a
+larger load is noticed anyway"""
 CLEAR = 0.01
-"""of full scale: growth that is refuted. Of a growth that noise hides more than :data:`FLAT` of, nothing can be said"""
+"""of full scale: a larger growth is refuted, unless noise hides more than the share :data:`FLAT` of it"""
 FLAT_PRESS, CLEAR_PRESS = 0.05, 0.1
-"""as :data:`FLAT` and :data:`CLEAR`, of growth that began beyond a light touch or was found by :mod:`._onset`: a load
-may rise for a while by about as much as the recovery fades, but hardly by just as much for long"""
+"""as :data:`FLAT` and :data:`CLEAR`, for a growth that began beyond a light touch or was found by :mod:`._onset`: a
+load may for a while rise about as fast as the recovery fades, but hardly just as fast for long"""
 _ZERO, _FAR, _SURE = (np.array(x) for x in (0.0, FAR, SURE / math.sqrt(RECENT)))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 NAMES = ("still_kpa", "still_x2", "still_x3", "off_kpa_before", "pressure_before")
 """names of the rows of the memory"""
 STILL_KPA, STILL_X2, STILL_X3, OFF_BEFORE, PRESSURE_BEFORE = range(28, 33)
-"""rows: the load that may be the same again; r that the two branches bear beyond what they would under it for ever.
-Then, from when the comparison began: how far the readings were from the prediction, and the pressure"""
+"""rows: the load of the third hypothesis; r of the two branches beyond their equilibrium under this load. Then values
+of when the comparison began: the distance of the readings from the prediction, and the pressure"""
 
 GAIN_KPA, FADES_2, FADES_3, BACK_2, BACK_3 = range(5)
-"""places of what depends on the time between frames: kPa per r in recovery; share of what the branches bear that is
-left at the next look; by how much more they bore when the mean of the readings was right. Then constants:"""
+"""places of the numbers that depend on the time between frames: kPa per r in recovery; share of the r of each branch
+that is left at the next look; r of each branch in the middle of the averaged readings, over its present r. Then
+constants:"""
 PER_KPA, PER_KPA_2, PER_KPA_3, PER_KPA_AT_ONCE = range(5, 9)
-"""r per kPa of a load for ever: all of it; what the two branches bear; what comes at once"""
+"""r per kPa of a load at equilibrium: in all, of each branch, and the part that comes at once"""
 
 
 def constants(model: PaperModel, dt_s: float) -> Constants:
-    """What :func:`look` takes, for frames ``dt_s`` apart; places as above."""
+    """The numbers that :func:`look` takes, for frames ``dt_s`` apart; places as above."""
     look_s, (back_2, back_3) = RECENT * dt_s, borne_before(model, 0.5 * (RECENT - 1) * dt_s)
     numbers = {
         GAIN_KPA: float(step_weights(model, dt_s).gain[-1]),
@@ -81,12 +84,12 @@ def constants(model: PaperModel, dt_s: float) -> Constants:
 
 
 def begin(memory: FloatArray) -> None:
-    """Begin with cells that bear no load and remember none; changes their ``memory`` (rows, m)."""
+    """Begin with cells that bear no load and have no memory of one; changes their ``memory`` (rows, m)."""
     memory[OFF_BEFORE] = FAR
 
 
 def hold(memory: FloatArray, left_2: FloatArray, left_3: FloatArray) -> None:
-    """Let what the branches bear fade in a gap that leaves these shares of it; changes ``memory`` (rows, m)."""
+    """Let the r of the branches fade in a gap, which leaves these shares of it; changes ``memory`` (rows, m)."""
     memory[STILL_X2] *= left_2
     memory[STILL_X3] *= left_3
 

@@ -1,18 +1,19 @@
-"""Loads of the paper's cell that go to and fro unnoticed: what an inverse keeps of that is taken back.
+"""Correction of the paper's cell for tremor within the noise: ratchet effect of a load that goes to and fro unnoticed.
 
-Motion that goes back by less than a turn, or than noise does, is never noticed as turns. The paper's cell answers a
-rise by more than a fall, so that r climbs with each to and fro. An inverse that goes by one of its two models takes
-that for a load which grows. How far readings go to and fro tells by how much r climbs (:mod:`._way`). Motion that the
-inverse has noticed is left out: r beyond the largest since the load turned is a rise, and r below it, once a turn is
-noticed, a fall. A turn is noticed late, and explains in hindsight all that r went since. The meter is therefore told
-what is unexplained some looks later, and never sees what a turn explains meanwhile. Presses and taps leave nothing
-then, and neither do loads that tremble so far that all turns are noticed. Under what remains, r drifts as either model
-says, half of the time each.
+Motion that goes back by less than a turn, or than noise, is never noticed as turns. The paper's cell answers a rise by
+more than a fall, so that r climbs with each to and fro. An inverse by one of the two models takes this for a load that
+grows. The path length of the readings (the "way", :mod:`._way`) tells by how much r climbs.
 
-What the rest makes of the pressure is subtracted from both hypotheses and from what they are compared with, so that it
-is no turn. The standard deviation contains a share of that, since the way is known to about as much, and the way that
-there may be beside what is told from noise. Both errors are of one sign, and are added as amounts. A load that grows is
-not touched: it goes one way.
+Motion that the inverse has noticed must be left out. While the load rises, r beyond its largest value since the last
+turn is explained by the rise; after a turn has been noticed, r below it is explained by the fall. A turn is noticed
+late, and then explains all that r went since the extreme. The meter therefore gets the unexplained motion some looks
+later, and never sees motion that a turn explains meanwhile. Presses and taps then leave nothing, and neither do tremors
+so wide that all turns are noticed. Under the remaining motion, r drifts half of the time by either model.
+
+The pressure that the remaining motion makes is subtracted from both hypotheses and from the extremes with which they
+are compared, so that the correction is no turn. The standard deviation gains a share of the correction, since the way
+is known to about this share, and the pressure of the further way that noise may hide. Both errors have one sign, and
+are added as amounts. A load that grows is left alone, since it goes one way.
 """
 
 from __future__ import annotations
@@ -57,31 +58,33 @@ from ._turning_rows import (
 )
 
 UNSURE = 0.3
-"""standard deviation over what is subtracted"""
+"""standard deviation of the pressure that is subtracted, over this pressure"""
 BLOCK_S = 0.11
-"""seconds of readings from one look to the next, at most. A tremor goes to and fro in a quarter of a second: means of
-more readings hide it, and slow boards have fewer"""
+"""seconds from one look to the next, at most. A tremor goes to and fro in a quarter of a second, and means over a
+longer time hide it; slow boards take fewer readings"""
 CAUTION, CAUTION_OF_FEW = way.Caution(), way.Caution(of_most=1.0, most_share=1.0 / 16.0)
 """the second one for looks at fewer than :data:`..estimation.RECENT` readings. Their means are noisier, so that more
-blocks are averaged. All that chance leaves room for is in doubt: turns lie between frames, and a way that is missed
-adds up to one side for as long as the load is held. With 0.3 of it, half of the errors of a minute were beyond two
-deviations"""
+blocks are averaged. The whole way that chance leaves room for counts as standard deviation (of_most = 1): turns lie
+between frames, and a missed way adds up to one side for as long as the load is held. With of_most = 0.3, half of the
+errors after a minute were beyond two standard deviations"""
 LARGEST, LARGEST_PER_S = 0.04, 0.6
-"""of full scale, and of full scale a second: how far a load may go from one look to the next, beyond which it is an
-edge. After one nothing is told for as long as the way is remembered. From one frame of a slow board to the next a
-tremor goes as far as a press does on a fast one"""
+"""of full scale, and of full scale per second: a load that goes farther from one look to the next has an edge. After an
+edge no way is told for as long as the mean squares remember. The limit grows with the time between looks, since a
+tremor goes as far in a frame of a slow board as a press does on a fast one"""
 LATE_S, LATE_LOOKS = 0.15, 8
-"""seconds, and looks at most, after which the meter is told what is unexplained: by then most turns are noticed"""
+"""seconds, and looks at most, after which the meter gets the unexplained motion: by then most turns are noticed"""
 TWICE = 2.0
-"""times what a turn explains after the meter was told of it: r went there, and goes back in what is unexplained"""
+"""the way that the meter sees by mistake, over the motion that a late turn explains: r went there, and the unexplained
+motion goes back"""
 
 NAMES = (
     *(*meter.NAMES, "sign_before", "last_r", "extreme_r", "unexplained_r", "looks_back"),
     *(f"unexplained_r_{looks}_before" for looks in range(1, LATE_LOOKS + 1)),
 )
-"""names of the rows of the memory: those of :mod:`._meter`; 1 where the load rose at the last look, -1 where it fell; r
-then, and the largest since the load turned, or the least; r less all by which it went beyond these; looks since r went
-beyond these; and what was unexplained at earlier looks, as far as it is known now"""
+"""names of the rows of the memory: those of :mod:`._meter`; 1 if the load rose at the last look, -1 if it fell; r then;
+the largest r since the load turned up, or the least since it turned down (the extreme); the unexplained r, which is r
+less all of its progress beyond the extreme; looks since r last went beyond the extreme; and the unexplained r at
+earlier looks, as known now"""
 METER = CLEAR_KPA + 1
 """first row, behind those of :mod:`._onset`"""
 _METER = slice(METER, METER + len(meter.NAMES))
@@ -90,24 +93,25 @@ SIGN_BEFORE, LAST_R, EXTREME_R, UNEXPLAINED_R, LOOKS_BACK, BEFORE = range(
 )
 _BEFORE, _SERIES = slice(BEFORE, BEFORE + LATE_LOOKS), METER + meter.SERIES
 ROWS = slice(METER, METER + len(NAMES))
-"""all of them; :func:`begin` writes them"""
+"""all rows of this module; :func:`begin` writes them"""
 RISE_R, FALL_R, PER_E2, PER_E3, ETAU2_KPA, SETTLED_PER_KPA, OF_U, OF_2, OF_3, KEPT_KPA = range(10)
 OWED, LARGEST_R, LARGEST_KPA, LOAD_R, LATE, EDGE = range(10, 16)
-"""places of the numbers: r per kPa of a fast rise and of a fast fall; constants of the model; shares of the lags that
-pass from one look to the next; kPa kept per r of the way; looks that the way counts for, and how far a load may go
-unnoticed, in r and in kPa; r per kPa of a load that goes to and fro; looks after which the meter is told; and
+"""places of the numbers: r per kPa of a fast rise and of a fast fall; constants of the model; the time between looks
+over each time constant; kPa that remain per r of the way; :func:`._meter.owed_looks`; how far a load may go unnoticed,
+in r and in kPa; r per kPa of a load that goes to and fro; looks after which the meter gets the unexplained motion; and
 :func:`._meter.edge`"""
 BACK = together.TELLS
 SEEN = together.TELLS + 1
-"""rows of what a look at all cells sees before any of them is told: what they tell their neighbours, and way in r of
-turns that were noticed too late for the meter not to see it"""
+"""rows of the array between the two passes of a look over the cells: first those that the neighbours read
+(:mod:`._together`), then the way in r that the meter has seen although a late turn explains it; and the number of
+rows"""
 _ZERO, _HALF, _ONE, _UNSURE, _TWICE = (np.array(x) for x in (0.0, 0.5, 1.0, UNSURE, TWICE))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 _LOOKS_BEFORE = np.arange(1.0, LATE_LOOKS + 1.0)[:, None]
 
 
 def readings(dt_s: float) -> int:
-    """From one look to the next, for frames ``dt_s`` apart: :data:`..estimation.RECENT`, a half or a quarter of it."""
+    """Readings from one look to the next, for frames ``dt_s`` apart: :data:`..estimation.RECENT` or a part of it."""
     count = RECENT
     while count > 1 and count * dt_s > BLOCK_S:
         count //= 2
@@ -115,17 +119,17 @@ def readings(dt_s: float) -> int:
 
 
 def caution(dt_s: float) -> way.Caution:
-    """How sure the way must be, for looks at so many readings."""
+    """How sure the way must be, for frames ``dt_s`` apart."""
     return CAUTION if readings(dt_s) == RECENT else CAUTION_OF_FEW
 
 
 def unnoticed(dt_s: float) -> float:
-    """How far a load may go unnoticed from one look to the next, of full scale."""
+    """The farthest, of full scale, that a load may go from one look to the next without an edge."""
     return max(LARGEST, LARGEST_PER_S * readings(dt_s) * dt_s)
 
 
 def constants(model: PaperModel, dt_s: float, full_scale_kpa: float) -> meter.Constants:
-    """The numbers for frames that follow each other after ``dt_s``."""
+    """The numbers that :func:`look` takes, for frames ``dt_s`` apart."""
     m, count, (rise_r, fall_r) = model, readings(dt_s), fast_r(model)
     between_s, largest_kpa = count * dt_s, unnoticed(dt_s) * full_scale_kpa
     numbers = {
@@ -168,7 +172,7 @@ def look(
         memory: of the cells.
         mean: (m,) of as many readings.
         noise: (m,) standard deviation of one of them.
-        steps: standard deviation of r at rest by steps of the ADC, of any reading that the resistance follows from.
+        steps: standard deviation of r at rest by ADC steps, of all readings that r follows from.
         near: (k, m) neighbours, see :class:`..estimation._neighbours.Neighbours`.
         numbers: :func:`constants`.
     """
@@ -209,22 +213,22 @@ def look(
     after += more
     after *= after
     np.minimum(after, np.maximum(doubt, shown * shown), out=after)
-    np.copyto(after, doubt, where=more <= _ZERO)  # the square of a root is not always what it was
+    np.copyto(after, doubt, where=more <= _ZERO)  # rounding: the square of a root may differ
     variance = memory[VARIANCE]
     variance += after - doubt
     doubt[...] = after
 
 
 def _explained_in_hindsight(memory: FloatArray, turned: BoolArray, late: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Let turns (m,) explain what r went since the extreme; changes the rows :data:`BEFORE` of the ``memory``.
+    """Let turns (m,) explain the motion of r since the extreme; changes the rows from :data:`BEFORE` on.
 
     Args:
         memory: (rows, m) of the cells.
         turned: (m,) where a turn has just been noticed.
-        late: looks after which the meter is told.
+        late: looks after which the meter gets the unexplained motion.
 
     Returns:
-        (m,) what is unexplained as of ``late`` looks before; and (m,) way in r that the meter has seen and goes back.
+        (m,) unexplained r ``late`` looks ago; and (m,) way in r that the meter has seen although a turn explains it.
     """
     unexplained, before, looks_back = memory[UNEXPLAINED_R], memory[_BEFORE], memory[LOOKS_BACK]
     back = np.zeros_like(unexplained)
@@ -242,7 +246,9 @@ def _explained_in_hindsight(memory: FloatArray, turned: BoolArray, late: FloatAr
 def _take_back(
     memory: FloatArray, way: FloatArray, told: FloatArray, shown: FloatArray, numbers: tuple[FloatArray, ...]
 ) -> FloatArray:
-    """Subtract from pressures ``shown`` (m,) what a ``way`` (m,) of r makes of them, of a way ``told`` (m,) in all.
+    """Subtract the pressure that an uncounted ``way`` (m,) of r has made, of a way ``told`` (m,) since the last look.
+
+    Pressures stay above none: ``shown`` (m,) is the most that is subtracted.
 
     Returns:
         (m,) kPa that are subtracted.
@@ -286,7 +292,7 @@ def look_each(
     way_numbers: Rows,
     seen: Rows,
 ) -> None:
-    """:func:`look` as a loop over cells, ``way_numbers`` being those of :mod:`._way`, ``seen`` (SEEN, m) anything."""
+    """:func:`look` as a loop over cells; ``way_numbers``: those of :mod:`._way`; ``seen`` (SEEN, m): a work array."""
     largest, owed = numbers[LARGEST_R], numbers[OWED]
     for i in range(means.size):
         see_of(memory, i, means[i], noise_of(memory, i, noises[i], steps), numbers, way_numbers, seen)
@@ -300,19 +306,19 @@ def look_each(
 
 @loop
 def noise_of(memory: SpacedRows, i: int, noise: float, steps: float) -> float:
-    """Standard deviation of a reading of cell ``i``, no less than by ``steps``."""
+    """Standard deviation of a reading of cell ``i``, no less than that by ADC ``steps``."""
     return max(noise, by_steps_of(memory, i, steps))
 
 
 @loop
 def shown_of(memory: SpacedRows, i: int) -> float:
-    """The load of cell ``i``, none where it is taken for one at rest."""
+    """The load of cell ``i`` in kPa; none if the cell is taken for one at rest."""
     return 0.0 if memory[RESTED, i] > 0.0 else max(memory[PRESSURE, i], 0.0)
 
 
 @loop
 def see_of(memory: SpacedRows, i: int, mean: float, noise: float, numbers: Row, way_numbers: Rows, seen: Rows) -> None:
-    """Take the last readings of cell ``i``, and write what it has ``seen`` (SEEN, m)."""
+    """The first pass of a look at cell ``i``; writes its column of ``seen`` (SEEN, m)."""
     sign, gone = memory[SIGN, i], mean - memory[EXTREME_R, i]
     turned, unseen = sign != memory[SIGN_BEFORE, i], mean - memory[LAST_R, i]
     ahead = turned or gone * sign > 0.0
@@ -351,7 +357,7 @@ def explained_in_hindsight_of(memory: SpacedRows, i: int, turned: bool, late: fl
 
 @loop
 def take_back_of(memory: SpacedRows, i: int, way: float, most: float, told: float, numbers: Row) -> None:
-    """:func:`_take_back` of cell ``i``."""
+    """:func:`_take_back` of cell ``i``, and the rest of :func:`look`: adds to its variance."""
     rise, fall, etau2, kept = numbers[RISE_R], numbers[FALL_R], numbers[ETAU2_KPA], numbers[KEPT_KPA]
     sign, pressure, r = memory[SIGN, i], memory[PRESSURE, i], memory[STATE_END - 1, i]
     if sign > 0.0:
@@ -396,7 +402,7 @@ def take_back_of(memory: SpacedRows, i: int, way: float, most: float, told: floa
 
 @loop
 def begin_each(memory: SpacedRows, places: Places) -> None:
-    """:func:`begin` for the cells at ``places`` (k,), with the r that they remember."""
+    """:func:`begin` for the cells at ``places`` (k,), with the r in their memory."""
     for row in range(METER, BEFORE + LATE_LOOKS):
         for k in range(places.size):
             memory[row, places[k]] = 0.0

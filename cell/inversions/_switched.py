@@ -17,12 +17,12 @@ STATE_ROWS, R_ROW = [PRESSURE, 5, 6, 7], 3
 
 
 class SwitchWeights(NamedTuple):
-    """What one time step does to the memory of :class:`SwitchedInversion`; row ``r`` holds the reading after it."""
+    """Weights of one time step of the memory of :class:`SwitchedInversion`; its row ``r``: the reading after it."""
 
     step: FloatArray
     """(5, 9) memory -> pressure in the rising and the recovery model; settled, x2, x3 if the pressure drops to 0"""
     ramp: FloatArray
-    """(3, 1) by which settled, x2 and x3 rise per kPa of pressure after the step"""
+    """(3, 1) rise of settled, x2 and x3 per kPa of pressure after the step"""
     smoothing: float
     """share by which the lag behind the derivative follows the reading"""
 
@@ -38,11 +38,12 @@ def switch_weights(model: PaperModel, dt_s: float) -> SwitchWeights:
 
 
 class SwitchedInversion(Inversion):
-    """The paper's estimator (P8): invert the rising or the recovery model, as dr/dt and two thresholds say.
+    """The paper's estimator (P8): invert the rising or the recovery model, selected by dr/dt and two thresholds.
 
-    It is the baseline, and no default: wrong choices of the model add up. The paper leaves open how dr/dt is taken and
-    what happens at a change of models. Here dr/dt is (r - l)/T, with l the reading behind a lag T = ``derivative_s``;
-    between the thresholds the last model stays; pressure and resistance are continuous at a change.
+    This is the baseline, and no default: the errors of wrong choices of the model add up. The paper leaves open how
+    dr/dt is computed and what happens at a change of models. Here dr/dt = (r - l)/T, where l is the reading behind a
+    lag T = ``derivative_s``. Between the thresholds the last model stays. Pressure and resistance are continuous at a
+    change.
     """
 
     rows = ("pressure", "gain", "variance", "r", "rising", "settled", "x2", "x3", "lagged_r")

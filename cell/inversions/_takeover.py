@@ -1,7 +1,8 @@
-"""What a turn of the pressure leaves where the other hypothesis about the paper's cell is taken over, and its doubt.
+"""Model switch at a turn of the pressure: the other hypothesis about the paper's cell is taken over, with its variance.
 
-The turn falls between two frames, and is noticed later still. How far the load went meanwhile is not known: that stays
-in the standard deviation until it fades. What the other hypothesis forgot of it is given back (:mod:`._earlier`).
+The turn falls between two frames, and is noticed later still. How far the load went in between is unknown, and stays in
+the standard deviation until the error fades. The part of a fall that the other hypothesis lost where it began anew too
+late is given back (:mod:`._earlier`).
 """
 
 from __future__ import annotations
@@ -54,24 +55,25 @@ from ._turning_rows import (
 from ._turns import LESS, TURN
 
 ROUND = 2e-3
-"""of full scale: an error of the pressure at a slow turn, which is noticed late"""
+"""of full scale: standard deviation of the pressure by a slow turn, which is noticed late"""
 FAST = 2.0
-"""turns by which the pressure changes in the frame of a turn, from which the turn is noticed at once"""
+"""times :data:`._turns.TURN`: if the pressure changes by more in the frame of a turn, the turn is noticed at once.
+Beyond, the error :data:`ROUND` is divided by how many times more the pressure changes"""
 BETWEEN = 0.3
-"""of the way of a load in a frame: how far beyond the frames it turned. Between none and half; the root mean square"""
+"""of the way of a load in a frame: standard deviation of how far beyond the readings the load went before it turned.
+That is between none and half; the root mean square"""
 JUST_BEGUN = 3.0
-"""times the way of a frame: how far a load may go in a frame, since it may have begun to move in the midst of the one
-before"""
+"""times the way of a load in a frame: the most that it may go in the next frame, since it may have begun to move in the
+middle of the first one"""
 FALL_PER_RISE, BEND, FAST_KPA, ROUND_KPA, MOST_RESTED_KPA2 = range(23, 28)
-"""places of numbers, behind those of :mod:`._earlier`: r of a fast fall over that of a fast rise, and by how much the
-latter exceeds the former per kPa; what the constants above make of full scale; and the variance of
-:data:`._recovery.MOST`"""
+"""places of the constants, behind those of :mod:`._earlier`: r per kPa of a fast fall over that of a fast rise; the
+difference of both; :data:`FAST` and :data:`ROUND` in kPa; and the variance of :data:`._recovery.MOST`"""
 _ZERO, _FAR, _SURE, _LESS, _JUST_BEGUN = (np.array(x) for x in (0.0, FAR, SURE, LESS, JUST_BEGUN))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
 def numbers_of(model: PaperModel, full_scale_kpa: float) -> dict[int, float]:
-    """Numbers of the places above."""
+    """Constants of the places above."""
     rise_r, fall_r = fast_r(model)
     return {
         FALL_PER_RISE: fall_r / rise_r,
@@ -90,7 +92,7 @@ def take_over(
     Args:
         memory: (rows, m) of the cells, changed.
         turned: indices of cells.
-        std: (m,) or (1,) what noise leaves in the reading.
+        std: (m,) or (1,) standard deviation of the smoothed reading by noise.
         weights: of the time step.
         numbers: as above.
     """
@@ -109,7 +111,7 @@ def take_over(
     pressure = some[RISING_KPA] * some[RISING_IN_FORCE]
     pressure += some[RECOVERY_KPA] * some[RECOVERY_IN_FORCE]
     unsure = noise * gain
-    # When the pressure turned is as doubtful as it was in the last frame whether it had turned.
+    # The moment of the turn is as uncertain as it was in the last frame whether the pressure had turned.
     before = recovery.variance_at_turn(some)
     rounded = numbers[FAST_KPA] / np.maximum(np.abs(pressure - some[LAST]), numbers[FAST_KPA])
     unseen = _unseen(some, pressure, gain, unsure, numbers) + rounded * numbers[ROUND_KPA]
@@ -122,7 +124,7 @@ def take_over(
     by_noise *= by_noise
     doubt = np.sqrt(before) + unseen
     doubt = np.minimum(doubt * doubt + by_noise, numbers[UNKNOWN_KPA2])
-    some[TURNED] = some[VARIANCE] = doubt  # the distance of the hypotheses is in it
+    some[TURNED] = some[VARIANCE] = doubt  # includes the distance of the hypotheses
     recovery.begin(some, by_noise, numbers[MOST_RESTED_KPA2])
     some[RELEASED_KPA] = np.where(noticed & (sign < _ZERO), extreme, _ZERO)
     if np.count_nonzero(earlier):
@@ -145,10 +147,10 @@ def _unseen(
 ) -> FloatArray:
     """(m,) standard deviation in kPa that turns between two frames leave in ``pressure`` (m,), known to ``unsure``.
 
-    The extreme itself falls between two frames. How far it was beyond them is up to half of the way that the load went
-    in a frame before or after, whichever is less. On that way r goes up by one model and down by the other. All turns
-    err to the same side, so these errors add up like amounts rather than like variances. A way that noise, or a
-    converter that flips between two codes, would go as well is no way of the load.
+    The extreme falls between two frames. It exceeds the readings by up to half of the way that the load went in the
+    frame before or after, whichever is less. On that way r goes up by one model and down by the other. The errors of
+    all turns have the same sign, so that they add up as amounts rather than as variances. A way that noise explains, or
+    a converter that flips between two codes, does not count.
     """
     last, before, third = memory[LAST : THIRD_LAST + 1]
     there = np.maximum(memory[SIGN] * (third - before), memory[SIGN] * (before - last))
@@ -161,9 +163,9 @@ def _unseen(
 def _give_back(
     memory: FloatArray, pressure: FloatArray, kpa: FloatArray, numbers: tuple[FloatArray, ...]
 ) -> FloatArray:
-    """Let the ``pressure`` (m,) of the hypothesis taken over go further by ``kpa`` (m,); changes its ``memory``.
+    """Move the ``pressure`` (m,) of the hypothesis taken over further by ``kpa`` (m,); changes its ``memory``.
 
-    The deviation counts these already.
+    The standard deviation counts this amount already.
 
     Returns:
         (m,) kPa.
@@ -191,7 +193,7 @@ def unseen_of(memory: SpacedRows, i: int, pressure: float, gain: float, unsure: 
 
 @loop
 def take_over_of(memory: SpacedRows, i: int, noise: float, by_model: Rows, of: Rows, numbers: Row) -> None:
-    """:func:`take_over` in cell ``i``, with what depends on its hypothesis in force."""
+    """:func:`take_over` in cell ``i``, with the weights of its hypothesis in force."""
     left, extreme = memory[LEFT, i], memory[EXTREME, i]
     earlier = 0.0
     if left >= FAR:
@@ -206,7 +208,7 @@ def take_over_of(memory: SpacedRows, i: int, noise: float, by_model: Rows, of: R
     gain = memory[GAIN, i]
     pressure = memory[RISING_KPA, i] * rising + memory[RECOVERY_KPA, i] * recovers
     unsure = noise * gain
-    # When the pressure turned is as doubtful as it was in the last frame whether it had turned.
+    # The moment of the turn is as uncertain as it was in the last frame whether the pressure had turned.
     before = variance_at_turn_of(memory, i)
     rounded = numbers[FAST_KPA] / max(abs(pressure - memory[LAST, i]), numbers[FAST_KPA]) * numbers[ROUND_KPA]
     unseen = unseen_of(memory, i, pressure, gain, unsure, numbers) + rounded
@@ -220,7 +222,7 @@ def take_over_of(memory: SpacedRows, i: int, noise: float, by_model: Rows, of: R
     by_noise = by_model[0, 1] * noise
     by_noise *= by_noise
     turned = min(doubt * doubt + by_noise, numbers[UNKNOWN_KPA2])
-    memory[TURNED, i] = memory[VARIANCE, i] = turned  # the distance of the hypotheses is in it
+    memory[TURNED, i] = memory[VARIANCE, i] = turned  # includes the distance of the hypotheses
     begin_of(memory, i, by_noise, numbers[MOST_RESTED_KPA2])
     memory[RELEASED_KPA, i] = extreme if left >= FAR and extreme < REFUTED and sign < 0.0 else 0.0
     if earlier > 0.0:

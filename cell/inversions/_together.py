@@ -1,20 +1,22 @@
 """Tremors that neighbouring cells share, told by the cross variance of two groups of them (two independent detectors).
 
-Cells of one contact tremble together, and in proportion to their load. A light cell's own readings hardly tell a tremor
-of a few percent from noise, while those of its neighbours do: what weighs is the squared load of all of them. Their
-readings are therefore combined to the relative change of the load, each weighted by what it knows of it (a matched
-filter). What is common in a column of the readings may be noise, though, as of a divider whose idle rows are driven,
-and the noise of a sum is not known well. So there are two sums: of the neighbours in the cell's own column and in every
-second one beside, and of those in the columns between. Noise has no part in the mean of the product of both, a tremor
-has: the product of their differences stands for the square in the variances of :mod:`._variances`.
+Cells of one contact tremble together, and in proportion to their load. The own readings of a lightly loaded cell hardly
+tell a tremor of a few percent from noise. All its neighbours together can: their information grows with the sum of
+their squared loads. Their readings are therefore combined to an estimate of the relative change of the load, each
+weighted by its signal over its noise variance (a matched filter).
 
-Within a group noise may be common to cells as well, and neighbours of another contact move in another way. What each
-group tells is therefore known less well than by the noise of single readings. How far both are apart tells by how much:
-a tremor that they share has no part in the difference, all else has.
+Motion that a column of the readings has in common may be noise, though, as in a divider whose idle rows are driven. And
+the noise of a sum is not known well. We therefore form two sums: one of the neighbours in the cell's own column and in
+every second column beside it, and one of those in the columns between. Noise has no part in the mean product of both
+sums, while a tremor has. This product of their differences takes the place of the square in :mod:`._variances`.
 
-Both tell of the load of a cell what its own readings tell as well. They are weighted by how well they know it. What is
-told beside is far better known for most cells, and has the smaller weight where a cell bears far more than the cells
-around.
+Within a group, too, cells may share noise, and neighbours under another contact move in another way. Each group
+therefore knows less than the noise of single readings suggests. The difference of the two groups tells by how much: a
+tremor that they share cancels in it, all else does not.
+
+The groups estimate the same motion of the load as the cell's own readings. The two estimates are weighted by inverse
+variance (:func:`._way.weights`). The neighbours know far more for most cells; own readings have the larger weight where
+a cell bears far more than the cells around.
 """
 
 from __future__ import annotations
@@ -30,33 +32,33 @@ from . import _variances as variances
 from ._variances import ALL_SERIES, READINGS, SCALES, SHARE, count_of, differences_of, scaled, take_of
 
 LEAST = 1e-9
-"""reciprocal variance of a relative change of the load below which a group knows nothing"""
+"""reciprocal variance of the relative change of the load: a group with less knows nothing"""
 
 GROUPS = "alike", "between"
 SERIES = tuple(f"{name}_{group}" for group in GROUPS for name in variances.SERIES)
 LOADS = tuple(f"load_{group}" for group in GROUPS)
 APART = tuple(f"apart_{1 << scale}" for scale in range(SCALES))
-"""names of rows of the memory: a series for each group, and its relative load, summed up. Mean products of both are as
-:data:`._variances.SQUARES`. For each length of block, mean square of how far second differences of both groups are
-apart, over the variance by noise of single readings, and beyond that"""
+"""names of rows of the memory: a series for each group; the relative load of each group, integrated from its changes;
+and for each block length the mean square of the difference of both groups' second differences, in units of the variance
+by noise of single readings and less the part of noise. Mean products are as :data:`._variances.SQUARES`"""
 WEIGHTED, KNOWN = range(2)
-"""rows of what cells tell: change of r times the change of r with the relative load, over the variance by noise; and
-the square of the latter over this variance"""
+"""rows that the neighbours read, with the change of r since the last look, dr/dl of the relative load l, and the
+variance of r by noise: change times dr/dl over variance; and (dr/dl)^2 over variance"""
 TELLS = 2
 _ZERO, _LEAST = np.array(0.0), np.array(LEAST)
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
 def look(loads: FloatArray, tells: FloatArray, near: IntArray) -> FloatArray:
-    """Sum up what neighbours tell of the relative load of m cells.
+    """Combine the readings of neighbours to the relative load of m cells.
 
     Args:
         loads: (as :data:`LOADS`, m) of the memory, changed.
-        tells: (TELLS, m) of each cell, none of those whose load has an edge just now.
+        tells: (TELLS, m) of each cell; 0 for cells whose load has an edge just now.
         near: (k, m) neighbours, see :class:`..estimation._neighbours.Neighbours`.
 
     Returns:
-        (2, m) reciprocal variances by noise of the relative change of the load that both groups read; none is 0.
+        (2, m) reciprocal variances by noise of the relative change of the load from each group; always positive.
     """
     beside = np.zeros((TELLS, tells.shape[1] + 1))
     beside[:, :-1] = tells
@@ -71,12 +73,12 @@ def look(loads: FloatArray, tells: FloatArray, near: IntArray) -> FloatArray:
 
 
 def compare(apart: FloatArray, bends: FloatArray, knows: FloatArray, shares: FloatArray, forgotten: BoolArray) -> None:
-    """Take how far second differences of both groups are apart.
+    """Take the difference of both groups' second differences into its mean square.
 
     Args:
         apart: (as :data:`APART`, m) of the memory, changed.
         bends: (2, SCALES, m) second differences of each group, over their deviation by noise of single readings.
-        knows: (2, m) what :func:`look` found.
+        knows: (2, m) what :func:`look` returned.
         shares: (SCALES, m) of these differences in the mean squares.
         forgotten: (m,) cells whose mean squares begin anew.
     """
@@ -89,7 +91,7 @@ def compare(apart: FloatArray, bends: FloatArray, knows: FloatArray, shares: Flo
 
 
 def known(knows: FloatArray) -> FloatArray:
-    """(m,) reciprocal variance of the relative change that mean products know, for :func:`look`; 0: nothing."""
+    """(m,) reciprocal variance of the relative change from mean products, for those of :func:`look`; 0: unknown."""
     both: FloatArray = np.sqrt(knows[0] * knows[1])
     both *= np.minimum(knows[0], knows[1]) > _LEAST
     return both
@@ -109,7 +111,7 @@ def look_of(
     looks: float,
     numbers: Rows,
 ) -> float:
-    """Take what neighbours tell cell ``i``; returns :func:`known`.
+    """Take the readings of the neighbours of cell ``i``; returns :func:`known`.
 
     Series, mean products, relative loads and :data:`APART` begin with these rows of ``memory`` (rows, m).
     """
@@ -144,7 +146,7 @@ def look_of(
 
 @loop
 def load_of(memory: SpacedRows, row: int, i: int, tells: Rows, near: SpacedPlaces, begin: int, end: int) -> float:
-    """What neighbours from ``begin`` to ``end`` know of the relative load of cell ``i``, which ``row`` sums up."""
+    """Add the relative change from neighbours ``begin`` to ``end`` of cell ``i`` to ``row``; returns what they know."""
     weighted, knows, cells = 0.0, 0.0, tells.shape[1]
     for k in range(begin, end):
         cell = near[k, i]

@@ -1,29 +1,31 @@
 """The paper's cell inverted by two hypotheses about when the pressure last turned (multiple-model estimation).
 
-The paper's cell has two linear models and changes from one to the other where the pressure turns. Inverting either is
-algebra (:mod:`._paper_steps`). What is hard is to know which model holds. This module has the order of a frame, and
-what an estimator asks of an inversion. Each question has a module of its own, with array operations and loops side by
-side (``docs/design.md``, "Inside an estimator"). In every frame, in this order:
+The paper's cell has two linear models, one for a rising load and one for recovery, and changes from one to the other
+where the pressure turns (changes its direction). Inverting either model is algebra (:mod:`._paper_steps`); the hard
+question is which model holds. This module has the order of a frame and the interface to the estimator. Each question
+has a module of its own, with array operations and loops side by side (``docs/design.md``, "Inside an estimator"). In
+every frame, in this order:
 
 ==================  =================================================================================
-:mod:`._limits`     limits of what both hypotheses remember
-:mod:`._turns`      whether the pressure has turned, and whether a turn was none
-:mod:`._takeover`   what a turn leaves where the other hypothesis is taken over, and its doubt
-:mod:`._doubts`     the other hypothesis begins anew; the distance of both counts as deviation
+:mod:`._limits`     limits of the pressure and of the memory of both hypotheses
+:mod:`._turns`      whether the pressure has turned, and whether an earlier turn was a false alarm
+:mod:`._takeover`   the change to the other hypothesis at a turn, and the error that the turn leaves
+:mod:`._doubts`     restarts of the other hypothesis; the distance of both as standard deviation
 :mod:`._earlier`    a third hypothesis: that the load turned earlier
 ==================  =================================================================================
 
-And every few frames, of the mean of as many readings (:data:`..estimation.RECENT`, and :func:`._sway.readings`):
+And every few frames, from the mean of the readings since the last time (:data:`..estimation.RECENT` readings, or
+:func:`._sway.readings`):
 
 ==================  =================================================================================
-:mod:`._recovery`   whether a released cell bears no load, and what it remembers then
+:mod:`._recovery`   whether a released cell bears no load; if so, corrects its memory
 :mod:`._released`   whether a load has been released within the noise
 :mod:`._still`      whether a load that seems to grow is only the recovery after a light touch
 :mod:`._onset`      whether a load has begun to rise while the cell recovers
-:mod:`._sway`       what loads that go to and fro within the noise leave in the memory
+:mod:`._sway`       the error that loads leave which go to and fro within the noise
 ==================  =================================================================================
 
-The numbers of all of them are in one row, each at a place that its module names.
+The constants that the modules of a frame need are in one row; each module names its places in that row.
 """
 
 from __future__ import annotations
@@ -87,23 +89,24 @@ from ._turning_rows import (
 )
 
 UNSEEN = 1.5
-"""standard deviations of a reading within which a load may go to and fro in a frame unseen"""
+"""standard deviations of a reading: a load may go to and fro by so much in a frame without being noticed"""
 
 
 class TurningInversion(Inversion):
     """The exact inverse of the paper's cell, changed from one model to the other where the *pressure* turns.
 
-    The sign of dr/dt, by which the paper goes, misreads slow ramps and quick presses: the resistance also falls while a
-    load is held. Whether the pressure turned can be asked of the model in force, whose own inverse then goes back.
-    Noise delays the answer. Two hypotheses are therefore followed at the same time: that the model in force still
-    holds, and that the pressure turned where it was last near its extreme. When the first one's pressure has gone back
-    from the extreme by more than noise does, the second one is taken over, and nothing is lost by the delay.
+    The paper goes by the sign of dr/dt. That sign misreads slow ramps and quick presses, since the resistance also
+    falls while a load is held. We ask the model in force instead: has the pressure by its own inverse gone back? Noise
+    delays the answer. Two hypotheses are therefore followed at the same time: that the model in force still holds, and
+    that the pressure turned where it was last near its extreme. When the pressure of the first hypothesis has gone back
+    from the extreme by more than noise explains, the second hypothesis is put in force (taken over). It has followed
+    the load all the time, so that the delay loses nothing.
 
-    Nothing can add up: the pressure is limited to ``LOADS``, the memory follows the limited pressure, and a memory that
-    would need a negative pressure is corrected to what the reading says at none.
+    Errors cannot add up without limit. The pressure is limited to ``LOADS``, the memory follows the limited pressure,
+    and a memory that would need a negative pressure is corrected to the one that the reading implies at no load.
 
-    Within a step both hypotheses are linear in what they remember and in the reading. A step of both is therefore one
-    matrix product. ``tests/turning.py`` writes the same estimator out for one cell.
+    Within a step both hypotheses are linear in their memory and in the reading, so that a step of both is one matrix
+    product. ``tests/turning.py`` writes the same estimator out for one cell.
     """
 
     rows = (
@@ -150,7 +153,7 @@ class TurningInversion(Inversion):
         self._sway = ByStep(partial(sway.constants, full_scale_kpa=full_scale_kpa), model)
 
     def _numbers_of(self, steps: float, own: float) -> Constants:
-        """The numbers of all modules; ``steps`` and ``own`` as :data:`._turns.STEPS` and :data:`._turns.OWN_STEPS`."""
+        """The constants of all modules; ``steps`` and ``own``: :data:`._turns.STEPS` and :data:`._turns.OWN_STEPS`."""
         of = self.model, self.full_scale_kpa
         parts = (
             *(limits.numbers_of(*of), turns.numbers_of(*of, exact=self.exact, steps=(steps, own))),
@@ -159,7 +162,7 @@ class TurningInversion(Inversion):
         return numbered({place: number for part in parts for place, number in part.items()})
 
     def take_steps(self, std: float, own: float) -> None:
-        """As :meth:`.Inversion.take_steps`: for falls of loads that are held, see :data:`._turns.STILL`."""
+        """As :meth:`.Inversion.take_steps`: ADC steps may look like the fall of a held load (:data:`._turns.STILL`)."""
         self._numbers = self._numbers_of(std, own)
 
     def held_kpa(self, r: FloatArray) -> FloatArray:
@@ -199,7 +202,7 @@ class TurningInversion(Inversion):
         """Take over the other hypothesis where the pressure has turned, and confirm earlier turns.
 
         Returns:
-            Whether a turn was unconfirmed before. Then ``of.confirmed`` marks those that no longer are.
+            Whether any turn is or was unconfirmed. If so, ``of.confirmed`` marks those that have just been confirmed.
         """
         numbers = self._numbers.each
         of.take_gains(weights)
@@ -260,7 +263,7 @@ class TurningInversion(Inversion):
         return memory
 
     def recover(self, memory: FloatArray, recent: RecentReadings) -> None:
-        """Ask what means of readings tell, in the order of the list above."""
+        """Answer the questions that need means of readings, in the order of the list above."""
         dt_s, mean, noise, count, _ = recent
         turns.look_at_steps(memory, noise, self._numbers.each)
         recovery.look(memory, mean, noise, count, self._recovery.of(dt_s).each)
@@ -297,9 +300,9 @@ class TurningInversion(Inversion):
         return released if np.count_nonzero(released) else None
 
     def hides_kpa2(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
-        """A released cell shows what clearly differs from rest; noise and memory both may make the difference.
+        """A released cell shows a pressure only if it differs from rest by more than noise and the memory's error.
 
-        How little noise there is does not matter. The error of the memory was made by the noise of all taps so far.
+        Low noise now does not help: the error of the memory comes from the noise of all taps so far.
         """
         noise_kpa2 = noise_kpa * noise_kpa
         rests = noise_kpa2 + memory[REST_VARIANCE]
@@ -313,7 +316,7 @@ class TurningInversion(Inversion):
         if np.count_nonzero(doubted):
             noise_kpa2 += memory[TURNED]
             noise_kpa2 *= self._rests
-            # The rise is in doubt, and no load that was clearly shown before it.
+            # The rise is in doubt. A load that was clearly shown before the rise is not.
             loaded = memory[LEFT] < noise_kpa * -recovery.RESTED_SIGMAS - self._light_load_kpa
             np.minimum(noise_kpa2, np.where(loaded, self._light_load_kpa2, self._doubted_load_kpa2), out=noise_kpa2)
             np.maximum(hides, noise_kpa2, out=hides, where=doubted)
@@ -323,14 +326,15 @@ class TurningInversion(Inversion):
         return hides
 
     def miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:
-        """A load to and fro within the noise seems to rise: r goes up by one model, and would go down by the other."""
+        """A load that goes to and fro within the noise seems to rise: r goes up by one model and down, by less, by the
+        other."""
         before = memory[TURNED]
         after = np.minimum((np.sqrt(before) + rise_kpa) ** 2, self._numbers.each[limits.MOST_LOST_KPA2])
         memory[VARIANCE] += after - before
         memory[TURNED] = after
 
     def within_frame(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
-        """A load that bent may as well have turned within the frame: no reading tells of the turn yet."""
+        """A load whose rate has changed may have turned within the frame: no reading shows the turn yet."""
         bend: FloatArray = memory[LAST] * self._two
         np.subtract(memory[PRESSURE], bend, out=bend)
         bend += memory[BEFORE_LAST]
@@ -347,7 +351,7 @@ class TurningInversion(Inversion):
         gone = lag.forgotten(dt_s, np.array([[m.tu_s], [m.t2_s], [m.t3_s], [m.t3_s]]))
         held = memory.copy()
         state = held[STATE]
-        # A hypothesis that begins where the one in force is does so after the gap, too.
+        # Hypotheses that agreed before the gap agree after it, too.
         apart = state[0] != state[1]
         pressures = state[[0, 1, 0, 1]] * np.array([[1.0], [1 / m.e2_kpa], [1 / m.e3_kpa], [1 / m.e3_kpa]])
         state[2:6] += (pressures - state[2:6]) * gone

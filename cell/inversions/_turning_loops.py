@@ -1,8 +1,8 @@
-"""The turns of a frame of :class:`._turning.TurningInversion` as loops over cells for :mod:`ohmskin.compiled`.
+"""The frame of :class:`._turning.TurningInversion` as loops over cells for :mod:`ohmskin.compiled`.
 
-The loops do what the array operations do, in the same order. Those of each idea are beside its array operations:
-:mod:`._turns`, :mod:`._takeover`, :mod:`._earlier`, :mod:`._doubts` and :mod:`._limits`. Between them come two matrix
-products, which NumPy does, and the limits of few cells, which stay array operations.
+The loops do what the array operations do, in the same order. The loops of each question are beside its array
+operations: :mod:`._turns`, :mod:`._takeover`, :mod:`._earlier`, :mod:`._doubts` and :mod:`._limits`. The two matrix
+products of a frame stay with NumPy.
 """
 
 from __future__ import annotations
@@ -40,14 +40,15 @@ from ._turning_rows import (
 from ._turns import begin_at_refuted_of, confirm_of, look_of, refuted_of
 
 UNCONFIRMED, PULLED, BEYOND = 1, 2, 4
-"""what a frame has found: turns that are or were unconfirmed; pressures that may need a pull; some beyond limits"""
+"""bits of what a frame has found: a turn is or was unconfirmed; a pressure is negative, so that the memory may have to
+be corrected; a pressure is beyond its limits"""
 PER_E2, PER_E3, EU1_KPA, ETAU2_KPA, E1_KPA = range(5)
-"""places of the constants of the model that :func:`hold_lags_each` takes, of two of them the inverse"""
+"""places of the model's constants that :func:`hold_lags_each` takes; the first two are reciprocals"""
 
 
 @loop
 def step(memory: SpacedRows, after: Rows, numbers: Row) -> bool:
-    """Take hypotheses ``after`` (6, m) the step; whether a pressure is beyond its limits."""
+    """Write the hypotheses ``after`` (6, m) the step; return whether a pressure is beyond its limits."""
     beyond = False
     for row in range(after.shape[0]):
         for i in range(after.shape[1]):
@@ -65,7 +66,7 @@ def take_turns(memory: SpacedRows, taken: Rows, by_model: Rows, of: Rows, flags:
     Readings are ``taken`` (4, m).
 
     Returns:
-        Sum of UNCONFIRMED if a cell had turned unconfirmed, and of PULLED if one needs a pull.
+        UNCONFIRMED if a turn is or was unconfirmed, and PULLED if a pressure is negative, combined by "or".
     """
     found = 0
     rising_fade, recovery_fade = math.sqrt(by_model[2, 0]), math.sqrt(by_model[2, 1])
@@ -105,7 +106,7 @@ def step_and_turn(
     """:func:`step`, unless its pressures are ``limited`` already, and :func:`take_turns`.
 
     Returns:
-        What the latter does, or BEYOND where pressures are to be limited before.
+        As :func:`take_turns`, or BEYOND if pressures must be limited first.
     """
     if not limited and step(memory, after, numbers):
         return BEYOND
@@ -114,7 +115,7 @@ def step_and_turn(
 
 @loop
 def hold_lags_each(memory: SpacedRows, places: Places, gone: Rows, numbers: Row) -> None:
-    """Bring up the lags of cells at ``places`` (k,) after a gap in which they forget ``gone`` (4, k) of the past."""
+    """Step the lags of cells at ``places`` (k,) over a gap in which they forget the shares ``gone`` (4, k)."""
     for k in range(places.size):
         i = places[k]
         rising, recovery = memory[RISING_KPA, i], memory[RECOVERY_KPA, i]
@@ -133,7 +134,7 @@ def hold_lags_each(memory: SpacedRows, places: Places, gone: Rows, numbers: Row)
 def hold_each(memory: SpacedRows, places: Places, gone: Rows, change: Rows) -> None:
     """The rest of the memory of cells at ``places`` (k,) after :func:`hold_lags_each`.
 
-    ``change`` (6, k) is how hypotheses must change to begin where the other one is.
+    ``change`` (6, k) is the change by which each hypothesis begins anew where the other one is.
     """
     for k in range(places.size):
         i = places[k]

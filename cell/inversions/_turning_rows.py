@@ -1,4 +1,4 @@
-"""The memory of :class:`._turning.TurningInversion`: its rows by number and by name, and what a frame writes beside it.
+"""The memory of :class:`._turning.TurningInversion`: its rows by number and by name, and work arrays of a frame.
 
 Rows that only one of :mod:`._sway`, :mod:`._still`, :mod:`._onset` and :mod:`._recovery` uses are named there.
 """
@@ -13,60 +13,62 @@ from ..estimation import FAR, GAIN, PRESSURE, SMOOTHED
 from ._paper_steps import TurnWeights
 
 LAST, BEFORE_LAST, THIRD_LAST, TURNED, SIGN, EXTREME, PEAK, LEFT = range(3, 11)
-"""rows: the pressures of the last three frames; variance from turns not known to the point, which fades; 1 rising, -1
-in recovery; the largest sign times pressure since the last turn, less some standard deviations of noise and less one;
-the extreme that was left at an unconfirmed turn, else :data:`FAR`"""
+"""rows: the pressures of the last three frames; the variance in kPa^2 that turns at uncertain times have left in the
+memory, which fades; the sign, 1 rising and -1 in recovery; the largest sign times pressure since the last turn, less
+some standard deviations of noise (extreme) and less one (peak); and the extreme that was left at an unconfirmed turn,
+else :data:`FAR`"""
 RISING_IN_FORCE, RECOVERY_IN_FORCE = 11, 12
 RISING_KPA, RECOVERY_KPA, SETTLED, X2, RISING_X3, RECOVERY_X3, STATE_END = 13, 14, 15, 16, 17, 18, 20
 """rows of the state: it begins with the pressures of the two hypotheses, and ends with the reading"""
 DRIFT_KPA, DRIFT_END_KPA, TAKEN_OFF_KPA = 22, 23, 24
-"""rows of :mod:`._recovery`, beside two of :mod:`..estimation._loops`: by how much a fading error may let the pressure
-seem to turn, now and at last; pressure that was subtracted since the release"""
+"""rows of :mod:`._recovery`, beside two of :mod:`..estimation._loops`: by how much an error of the memory that fades
+may make the pressure seem to turn, by now and in the end; and the pressure that was subtracted since the release"""
 EARLIER_KPA, EARLIER_LEAST_KPA, EARLIER_FROM_KPA = 25, 26, 27
-"""rows of :mod:`._earlier`: by how much the other hypothesis would be further back if
-the load had turned earlier; its least since then by that account, and the pressure when it began, both times the sign
-before that turn"""
+"""rows of :mod:`._earlier`: by how much the other hypothesis would be further back if the load had turned earlier; and,
+both times the sign before that turn, the least pressure of this third hypothesis since it began, and the pressure in
+force when it began, plus what the pressure went in frames in which the third hypothesis seemed to rise"""
 RECENT_EXTREME = 33
-"""row behind those of :mod:`._still`: the extreme, which fades as fast as an error of the memory may"""
+"""row behind those of :mod:`._still`: an extreme that fades as fast as an error of the memory may"""
 FORGOTTEN_KPA = 34
 """row of :mod:`._earlier`: by how much the other hypothesis would be further back if it had not begun anew in the last
-frames, in which the pressure went back"""
+frames in which the pressure went back"""
 UNDITHERED = 35
-"""row of :mod:`._turns`: share of the steps of readings that noise does not make random"""
+"""row of :mod:`._turns`: share of the quantisation error that noise does not make random (does not dither)"""
 MAY_BEAR_KPA, LOOKS_AT_REST = 36, 37
-"""first rows of :mod:`._onset`: standard deviation by a load that may have begun to rise while the cell recovers; looks
-since the recovering cell was taken for one at rest, negative where such a load was taken over"""
+"""first rows of :mod:`._onset`: standard deviation by a load that may have begun to rise while the cell recovers; and
+the number of looks since the recovering cell was taken for one at rest, negative where such a load was taken over"""
 RELEASED_KPA, TAKEN_BEFORE_KPA2 = 133, 134
-"""rows of :mod:`._recovery` behind those of :mod:`._sway`: pressure from which a recovering cell has fallen; and square
-of what earlier rests have subtracted"""
+"""rows of :mod:`._recovery` behind those of :mod:`._sway`: the pressure from which a recovering cell has fallen; and
+the square of the pressure that earlier rests have subtracted"""
 HIGHEST_MEAN_KPA, FALLEN = 135, 136
-"""rows of :mod:`._released`: the largest pressure of late by means of readings; and by how many standard deviations
-means have been below it, summed up"""
+"""rows of :mod:`._released`: the largest pressure of late by means of readings; and the statistic of Page's test, the
+sum of the standard deviations by which means have been below it"""
 
 IN_FORCE, STATE = slice(RISING_IN_FORCE, RECOVERY_IN_FORCE + 1), slice(RISING_KPA, STATE_END)
-"""1 in the row of the hypothesis in force; the state of both hypotheses, :data:`HYPOTHESES`"""
+"""rows of which one is 1, that of the hypothesis in force; rows of the state of both hypotheses, :data:`HYPOTHESES`"""
 RISING, RECOVERY = 0, 1
 HYPOTHESES = ("rising_pressure", "recovery_pressure", "settled", "x2", "rising_x3", "recovery_x3", "r")
-"""pressure, own state, and slow branch of the rising and of the recovery model in turn; the reading of both"""
+"""pressure, own state and slow branch, each of the rising and then of the recovery model; the reading of both"""
 
 UNSURE, THRESHOLD, SPARE, NOISE, AHEAD, NEARBY = range(6)
 NOT_RISING, NOT_RECOVERY, CONFIRMING_SIGMAS, CONFIRMING_TURNS = range(6, 10)
 GAIN_IN_FORCE, OTHER_GAIN, FADE = range(10, 13)
 BESIDE = 13
-"""rows beside the memory: intermediate results; 1 in the row of the hypothesis that is not in force; how far that one
-must have gone back for a turn to be certain, in standard deviations, and in turns of pressures that are known exactly;
-what depends on the hypothesis in force. Then the number of rows"""
+"""rows beside the memory. First intermediate results; then two rows of which one is 1, that of the hypothesis not in
+force; then how far this hypothesis must have gone back to confirm a turn, in standard deviations and in turns of
+exactly known pressures; then weights of the hypothesis in force. Last, the number of rows"""
 WHERE, HELD, CONFIRMED, FLAGS = range(4)
 """rows of flags, and their number"""
 
 REFUTED = 0.5 * FAR
-"""kPa: stands for the extreme of a hypothesis that the reading refutes. It is beyond all pressures, so that any of them
-is a turn, and below the extreme that means "none", so that the turn is certain"""
+"""kPa: marks the extreme of a hypothesis that the readings refute. It is beyond all pressures, so that any pressure
+makes a turn, and below :data:`FAR`, which means "none", so that the turn counts as confirmed"""
 SURE = 3.0
-"""standard deviations of the smoothed noise by which a pressure must have gone back for a turn"""
+"""standard deviations, by the noise of the smoothed readings, by which a pressure must have gone back for a turn"""
 CONFIRMED_RISE, CONFIRMED_FALL = 2.0, 1.0
-"""turns by which the model that was left must have gone back by its own account, too; until then the turn may yet be
-found to have been noise. A cell that seems to be pressed again while it recovers more likely bears no load"""
+"""turns by which the pressure of the model that was left must have gone back, too, to confirm a rise and a fall. Until
+then the turn may prove to be a false alarm. A rise must show more: a cell that seems to be pressed again while it
+recovers more likely bears no load"""
 
 _CONFIRMED = np.array([CONFIRMED_FALL, CONFIRMED_RISE])
 _ZERO, _SURE = np.array(0.0), np.array(SURE)
@@ -87,7 +89,7 @@ def by_steps_of(memory: SpacedRows, i: int, steps: float) -> float:
 
 
 class Beside:
-    """What the loops write beside one ``memory`` (rows, m)."""
+    """Work arrays of the loops beside one ``memory`` (rows, m)."""
 
     def __init__(self, memory: FloatArray) -> None:
         cells = memory.shape[1]
@@ -95,15 +97,15 @@ class Beside:
         self.change = np.empty((6, cells))
         self.rows, self.flags = np.empty((BESIDE, cells)), np.empty((FLAGS, cells), dtype=np.bool_)
         self.weights: TurnWeights | None = None
-        """that ``rows`` were made with; None: with none"""
+        """weights with which ``rows`` were written; None: not written yet"""
 
     def __reduce__(self) -> tuple[type[Beside], tuple[FloatArray]]:
-        """For pickle and copy: the state is a part of the memory, which would become an array of its own."""
+        """For pickle and copy: ``state`` is a view of the memory, and would become an array of its own."""
         return type(self), (self.memory,)
 
 
 class MemoryRows:
-    """The rows of one ``memory`` (rows, m) by name, and arrays for intermediate results."""
+    """The rows of one ``memory`` (rows, m) by name, and work arrays."""
 
     def __init__(self, memory: FloatArray) -> None:
         self.memory = memory
@@ -131,13 +133,13 @@ class MemoryRows:
         self._gain, self.other_gain, self.fade = self.of_model
         self.flags = np.empty((FLAGS, cells), dtype=np.bool_)
         self.rises = memory[RISING_IN_FORCE]
-        """1 where the rising model is in force, else none"""
+        """1 where the rising model is in force, else 0"""
         self.where, self.held, self.confirmed = self.flags
         self.none = np.zeros(cells, dtype=np.bool_)
         self._weights: TurnWeights | None = None
 
     def __reduce__(self) -> tuple[type[MemoryRows], tuple[FloatArray]]:
-        """For pickle and copy: rows of the memory are parts of it, which would become arrays of their own."""
+        """For pickle and copy: the rows are views of the memory, and would become arrays of their own."""
         return type(self), (self.memory,)
 
     def take(self, r: FloatArray) -> None:
@@ -147,7 +149,7 @@ class MemoryRows:
         self.r[...] = r
 
     def take_gains(self, weights: TurnWeights, *, anew: bool = False) -> None:
-        """What depends on the hypothesis in force; ``anew``: another one may be in force than in the last frame."""
+        """Take the weights of the hypothesis in force; ``anew``: it may be another one than in the last frame."""
         if weights is self._weights and not anew:
             return
         weights.by_model.dot(self.in_force, self.of_model)

@@ -1,9 +1,9 @@
-"""Whether the pressure of the paper's cell has turned, as the model in force sees it, and whether a turn was none.
+"""Detection of turning points: has the pressure of the paper's cell turned, and was an earlier turn a false alarm?
 
-A pressure has turned when it has gone back from its extreme by more than noise and what fades in the memory make of a
-load that is held. That the other hypothesis is then taken over is not the end of it: until the model that was left has
-gone back, too, by its own account, the turn may yet be found to have been noise. A rise that the recovery model does
-not share is no rise, and is refuted.
+The pressure has turned when it has gone back from its extreme by more than noise and fading errors of the memory can
+make of a held load. The other hypothesis is then taken over, but the turn stays unconfirmed until the pressure of the
+model that was left has gone back, too. Until then the turn may be taken back as a false alarm. A rise that the recovery
+model does not share is refuted.
 """
 
 from __future__ import annotations
@@ -45,42 +45,43 @@ from ._turning_rows import (
 )
 
 TURN, LIGHT_TURN, TURN_SHARE = 0.01, 0.002, 0.02
-"""how far a pressure that is known exactly must have gone back for a turn: the second of full scale and the third of
-the extreme, but no more than the first of full scale. Errors of the memory grow with the load, and look like turns as
-they fade. Near none, a larger limit would miss light taps, and the paper's cell keeps a part of each that is missed"""
+"""how far a pressure that is known exactly must have gone back for a turn: LIGHT_TURN of full scale + TURN_SHARE of the
+extreme, but at most TURN of full scale. Errors of the memory grow with the load, and look like turns as they fade. Near
+no load a larger limit would miss light taps, and each missed tap leaves an error in the memory"""
 EXACTLY = 1e-9
-"""of full scale: rounding"""
+"""of full scale: rounding error"""
 LESS = 2.0
-"""standard deviations of the smoothed noise by which an extreme counts for less. The largest of many readings is too
-large by about as many; with more, the end of a tap of few frames would be missed"""
+"""standard deviations of the smoothed noise that are subtracted from an extreme. The largest of many noisy readings is
+too large by about so much; if more were subtracted, the end of a tap of few frames would be missed"""
 STILL = 1.5
-"""standard deviations of the reading by which a load that seems to have fallen must be above none. Such a fall may be
-steps of the ADC, of any reading that the resistance follows from; most loads that fall are released"""
+"""standard deviations of the reading. A fall to a load of more than this may be caused by ADC steps, of any reading
+that the resistance follows from; a fall to less is a release, as most falls are"""
 SHARED, CLEAR_RISE = 0.2, 0.05
-"""share of a rise by which the recovery model must have risen, too, or else the rise is refuted; and how large, of full
-scale, a rise must be to be refuted. Where a cell recovers under a light hold, the rising model takes the recovery for a
-load that grows, while the recovery model is almost constant. A press raises both models by about as much. A press of
-some seconds that begins while the cell recovers raises them less alike: a share of 0.5 would refute some of these"""
+"""a rise is refuted if the recovery model has risen by less than the share SHARED of it, and if it is larger than
+CLEAR_RISE of full scale. Where a cell recovers under a light hold, the rising model takes the recovery for a load that
+grows, while the recovery model is almost constant. A press raises both models by about as much. A press of some seconds
+that begins while the cell recovers raises them less alike: a share of 0.5 would refute some of these presses"""
 SHARED_FALL, CLEAR_FALL = 0.3, 0.02
-"""share of a fall of the recovery model, as the rising model answers it, up to which a fall of the rising model may be
-an error of its memory that fades, or a line that overshot; and the fall, of full scale, from which this is so. Where
-much is remembered, the resistance under a load that is held falls so fast that the recovery model takes it for a
-release, while the rising model is almost constant. A release takes both models back"""
+"""a fall of the rising model may be a fading error of its memory, or an overshoot of the smoothing, up to this share of
+the fall of the recovery model (as the rising model answers it), counted from a fall of CLEAR_FALL of full scale on.
+Where the memory of the cell is large, the resistance under a held load falls so fast that the recovery model takes it
+for a release, while the rising model is almost constant. A release takes both models back"""
 FALLING = 6.0
-"""standard deviations of the smoothed noise by which a pressure that goes back in three frames is that of a load that
-falls, whatever the share: smooth loads of little noise turn so. By as many, and :data:`LIGHT_TURN`, a pressure must
-have gone back from a recent extreme for a turn"""
+"""standard deviations of the smoothed noise. A pressure that goes back by more in three frames is that of a falling
+load, whatever :data:`SHARED_FALL` says: smooth loads of little noise turn so. A pressure that has gone back by more,
+plus :data:`LIGHT_TURN`, from the recent extreme has turned"""
 RELEASED = 3.0
-"""sum of Page's test (:mod:`._released`) from which a fall is a release, whatever the share"""
+"""statistic of Page's test (:mod:`._released`) above which a fall is a release, whatever :data:`SHARED_FALL` says"""
 SEEN_FALLING, SURE_SEEN = 1.0, 2.0
-"""sum of that test from which means of readings show a fall, too; and standard deviations of the smoothed noise, in the
-place of :data:`._turning_rows.SURE`, by which a pressure must have gone back then: two tests tell of the same fall. If
-it was none, the model that is left takes it back at once"""
+"""statistic of that test above which means of readings show a fall, too; and the standard deviations of the smoothed
+noise that then suffice for a turn, in the place of :data:`._turning_rows.SURE`, since two tests show the same fall. If
+that is a false alarm, the model that is left takes it back at once"""
 
 TURN_KPA, LIGHT_KPA, LEAST_KPA, EXACT_KPA, CLEAR_RISE_KPA, CLEAR_FALL_KPA, FALL_SHARE, STEPS, OWN_STEPS = range(10, 19)
-"""places of numbers, behind those of :mod:`._limits`: what makes a turn, and a light one; the least pressure, below
-which nothing turns; rounding; rises and falls that are clear; :data:`SHARED_FALL` as the recovery model answers it; and
-the standard deviations of r at rest by the steps of all readings that it follows from, and of its own, 0: unknown"""
+"""places of the constants, behind those of :mod:`._limits`: pressures in kPa of a turn and of a light turn; the least
+pressure, below which nothing turns; the rounding error; clear rises and falls; :data:`SHARED_FALL` as the recovery
+model answers it; and standard deviations of r at rest by the ADC steps of all readings that r follows from, and of the
+cell's own reading (0: unknown)"""
 _ZERO, _FAR, _SURE, _LESS, _TURN_SHARE, _SHARED, _FALLING, _RELEASED, _SEEN_FALLING, _LESS_SURE = (
     np.array(x) for x in (0.0, FAR, SURE, LESS, TURN_SHARE, SHARED, FALLING, RELEASED, SEEN_FALLING, SURE - SURE_SEEN)
 )
@@ -90,12 +91,12 @@ _ZERO, _FAR, _SURE, _LESS, _TURN_SHARE, _SHARED, _FALLING, _RELEASED, _SEEN_FALL
 def numbers_of(
     model: PaperModel, full_scale_kpa: float, *, exact: bool, steps: tuple[float, float]
 ) -> dict[int, float]:
-    """Numbers of the places above; ``exact``: readings are taken as they are; ``steps``: :data:`STEPS` and next."""
+    """Constants of the places above; ``exact``: readings are taken as they are; ``steps``: of the last two places."""
     rise_r, fall_r = fast_r(model)
     return {
         TURN_KPA: TURN * full_scale_kpa,
         LIGHT_KPA: LIGHT_TURN * full_scale_kpa,
-        # What is below zero is an error that fades, and no turn.
+        # A pressure below zero is an error that fades, and no turn.
         LEAST_KPA: LOADS[0] * full_scale_kpa if exact else 0.0,
         EXACT_KPA: EXACTLY * full_scale_kpa,
         CLEAR_RISE_KPA: CLEAR_RISE * full_scale_kpa,
@@ -115,10 +116,10 @@ def turn_from(extreme: FloatArray, limit: FloatArray, numbers: tuple[FloatArray,
 
 
 def look(of: MemoryRows, std: FloatArray, numbers: tuple[FloatArray, ...]) -> None:
-    """Look at the hypothesis in force, for readings that noise leaves ``std`` (m,) in.
+    """Evaluate the hypothesis in force, for smoothed readings with a standard deviation ``std`` (m,) by noise.
 
-    Writes the pressure, its standard deviation by noise, how far it is ahead in its direction, and how far it may seem
-    to have gone back without a turn, as threshold.
+    Writes the pressure; its standard deviation by noise (``unsure``); sign times pressure (``ahead``); and the part of
+    a fall that may be seen without a turn (``threshold``).
     """
     np.multiply(of.pressures, of.in_force, of.share)
     np.add(of.rising_share, of.recovery_share, of.pressure)
@@ -131,7 +132,7 @@ def look(of: MemoryRows, std: FloatArray, numbers: tuple[FloatArray, ...]) -> No
 
 
 def look_at_steps(memory: FloatArray, noise: FloatArray, numbers: tuple[FloatArray, ...]) -> None:
-    """Take the ``noise`` (m,) of a reading, steps and all: what it leaves of steps; changes ``memory`` (rows, m)."""
+    """Find how far the ``noise`` (m,) of a reading, ADC steps included, dithers the steps; changes ``memory``."""
     if numbers[OWN_STEPS].item() > 0.0:
         memory[UNDITHERED] = undithered(noise / by_steps(memory, numbers[OWN_STEPS]))
 
@@ -139,8 +140,9 @@ def look_at_steps(memory: FloatArray, noise: FloatArray, numbers: tuple[FloatArr
 def _seeming(of: MemoryRows, numbers: tuple[FloatArray, ...]) -> FloatArray:
     """(m,) kPa by which pressures may seem to go back though the load has not turned.
 
-    Under a load that rises this is no more than a share of what the recovery model has gone back by, and none where the
-    pressure has gone back by more than noise in the last three frames, or the means of readings have.
+    In recovery this is the drift by a fading error of the memory. Under a rising load it is also limited to a share of
+    the fall of the recovery model. It is none where the pressure has gone back by more than noise in the last three
+    frames, or where Page's test of the means shows a fall.
     """
     shared: FloatArray = np.subtract(of.extreme, of.recovery_kpa, of.spare)
     shared -= numbers[CLEAR_FALL_KPA]
@@ -156,7 +158,7 @@ def _seeming(of: MemoryRows, numbers: tuple[FloatArray, ...]) -> FloatArray:
 
 
 def _doubt_falls(of: MemoryRows, std: FloatArray, steps: FloatArray) -> None:
-    """Let a load that seems to fall, and not to none, fall by more than steps of the ADC; changes the threshold."""
+    """Raise the threshold by the ADC steps where a rising load seems to fall, but not to none."""
     other = (of.pressures * of.not_in_force).sum(axis=0)
     stepped = by_steps(of.memory, steps) * of.undithered
     falls = (of.sign > 0.0) & (other > np.maximum(stepped, std) * of.other_gain * STILL)
@@ -164,9 +166,10 @@ def _doubt_falls(of: MemoryRows, std: FloatArray, steps: FloatArray) -> None:
 
 
 def gone_back(of: MemoryRows, numbers: tuple[FloatArray, ...]) -> BoolArray:
-    """(m,) where pressures have gone back by a turn, from the extreme or, by less, from the recent one.
+    """(m,) where pressures have gone back by a turn from the extreme, or by a light turn from the recent extreme.
 
-    In recovery the latter fades as the error of the memory does, so that this may seem no turn twice.
+    The recent extreme fades as the error of the memory does. In recovery the threshold, which allows for the same
+    error, is therefore not added to it.
     """
     turn_from(of.extreme, of.nearby, numbers)
     sure = np.multiply(np.greater(of.fallen, _SEEN_FALLING, of.where), _LESS_SURE, of.spare)
@@ -183,7 +186,7 @@ def gone_back(of: MemoryRows, numbers: tuple[FloatArray, ...]) -> BoolArray:
 
 
 def other_gone_back(of: MemoryRows, std: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """How far the other hypothesis is behind the extreme that was left, and its standard deviation by noise."""
+    """How far the other hypothesis has gone back from the extreme that was left, and its deviation by noise."""
     np.multiply(of.pressures, of.not_in_force, of.share)
     back = np.add(of.rising_share, of.recovery_share, of.spare)
     back *= of.sign
@@ -196,15 +199,15 @@ def refuted(
 ) -> BoolArray:
     """(m,) where a rise is refuted that has just ``turned`` the pressure (m,), or is not confirmed yet.
 
-    The recovery model then does not share the rise (:data:`SHARED`). The largest of many noisy pressures makes a
-    turn, so that the share seems larger than it is by :data:`LESS` deviations. The recovery model stays in force,
-    or comes back into force, with all that it remembers. The rising model begins anew where the pressure is. By
-    how much the two differed stays in the standard deviation.
+    A rise is refuted if the recovery model does not share it (:data:`SHARED`). A turn is found at the largest of many
+    noisy pressures, so that the share seems too large by :data:`LESS` standard deviations. The recovery model stays in
+    force, or comes back into force, with its own memory. The rising model begins anew where the pressure is. The
+    difference of the two stays in the standard deviation.
     """
     taken = of.left < _FAR
     refuted: BoolArray = taken | turned
     refuted &= taken == (of.sign > _ZERO)
-    begun = np.where(taken, of.left, of.extreme)  # the pressure then, with its sign turned
+    begun = np.where(taken, of.left, of.extreme)  # minus the pressure at which the rise began
     rise, shared = begun + of.rising_kpa, begun + of.recovery_kpa
     rising_gain, recovery_gain = weights.by_model[0]
     refuted &= shared < rise * _SHARED + std * (LESS * recovery_gain)
@@ -213,16 +216,17 @@ def refuted(
 
 
 def begin_at_refuted(of: MemoryRows, refuted: BoolArray) -> None:
-    """Take the pressure for the extreme where a rise was ``refuted`` (m,)."""
+    """Set the extremes to the present pressure where a rise was ``refuted`` (m,)."""
     np.copyto(of.peak, of.ahead - of.unsure, where=refuted)
     np.copyto(of.extreme, of.ahead - of.unsure * _LESS, where=refuted)
     np.copyto(of.recent_extreme, of.extreme, where=refuted)
 
 
 def confirm(of: MemoryRows, back: FloatArray, noise: FloatArray, numbers: tuple[FloatArray, ...]) -> None:
-    """Confirm turns of which the model that was left says so, too: no noise goes back by what is a turn in both.
+    """Confirm turns that the model that was left shows, too: noise does not make a turn in both models.
 
-    ``back`` and ``noise`` (m,) are those of :func:`other_gone_back`. Marks in ``of.confirmed`` what was confirmed.
+    ``back`` and ``noise`` (m,) are those of :func:`other_gone_back`. Marks in ``of.confirmed`` which turns were
+    confirmed.
     """
     noise *= of.confirming_sigmas
     turn_from(of.left, of.nearby, numbers)
@@ -250,7 +254,7 @@ def look_at_steps_each(memory: SpacedRows, noise: Row, numbers: Row) -> None:
 
 @loop
 def seeming_of(memory: SpacedRows, i: int, unsure: float, numbers: Row) -> float:
-    """By how much the pressure of cell ``i``, of noise ``unsure``, may seem to go back though it has not turned."""
+    """:func:`_seeming` of cell ``i``, whose pressure has the standard deviation ``unsure`` by noise."""
     drift = memory[DRIFT_KPA, i]
     if memory[SIGN, i] > 0.0:
         shared = memory[EXTREME, i] - memory[RECOVERY_KPA, i] - numbers[CLEAR_FALL_KPA]
@@ -262,7 +266,7 @@ def seeming_of(memory: SpacedRows, i: int, unsure: float, numbers: Row) -> float
 
 @loop
 def look_of(memory: SpacedRows, i: int, std: float, of: Rows, numbers: Row) -> bool:
-    """:func:`look` at cell ``i``; whether it has gone back by a turn, or an earlier turn was noise."""
+    """:func:`look` at cell ``i``; returns whether it has gone back by a turn, or an earlier turn was a false alarm."""
     rising, recovery = memory[RISING_KPA, i], memory[RECOVERY_KPA, i]
     pressure = rising * memory[RISING_IN_FORCE, i] + recovery * memory[RECOVERY_IN_FORCE, i]
     sign = memory[SIGN, i]
@@ -290,8 +294,8 @@ def look_of(memory: SpacedRows, i: int, std: float, of: Rows, numbers: Row) -> b
 
 @loop
 def refuted_of(memory: SpacedRows, i: int, std: float, by_model: Rows, numbers: Row) -> bool:
-    """Whether the recovery model did not share the rise of cell ``i``, which is taken over or is to be."""
-    begun = memory[LEFT, i] if memory[LEFT, i] < FAR else memory[EXTREME, i]  # the pressure then, sign turned
+    """Whether the recovery model does not share the rise of cell ``i``, which has been taken over or is about to be."""
+    begun = memory[LEFT, i] if memory[LEFT, i] < FAR else memory[EXTREME, i]  # minus the pressure at which it began
     rise, shared = begun + memory[RISING_KPA, i], begun + memory[RECOVERY_KPA, i]
     clear = rise > numbers[CLEAR_RISE_KPA] + std * (SURE * by_model[0, 0])
     return bool(clear and shared < rise * SHARED + std * (LESS * by_model[0, 1]))

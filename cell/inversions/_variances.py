@@ -1,16 +1,16 @@
 """Allan and Hadamard variances of readings, for blocks of several lengths, averaged recursively.
 
-Where means of successive blocks of readings differ by more than noise lets them, the load moves: half the mean square
-of these differences is the Allan variance. Where it goes on in one direction, as in presses and in creep, the
-differences of these differences are small (Hadamard variance). A load that trembles has both, up and down: mean squares
-of either direction are kept apart.
+If means of successive blocks of readings differ by more than noise explains, the load moves: half the mean square of
+these first differences is the Allan variance. If the load goes on in one direction, as in presses and in creep, the
+second differences are small (Hadamard variance). A load that trembles has large differences of both orders, up and
+down; the mean squares of upward and downward differences are therefore kept apart.
 
-An edge of a load stands alone, while a tremor goes on. No squared second difference counts for much more than those of
-noise where it is told whether a load trembles, and no single difference may raise a mean square by much.
+An edge of a load is a single event, while a tremor goes on. The mean squares are therefore robust: a squared second
+difference up or down is clipped near the level of noise (:data:`MOST`), and no single difference may raise a mean
+square by much (:data:`GROWS`, :data:`AT_ONCE`).
 
-What a series of means tells are products of its differences. Two series that tremble together, with independent noise,
-tell the same by products of one's differences with the other's. Noise makes none of that in the mean
-(:mod:`._together`).
+The same code takes products of the differences of two series that tremble together and have independent noise. Noise
+has no part in the mean of such products (cross variance, :mod:`._together`).
 """
 
 from __future__ import annotations
@@ -23,31 +23,34 @@ from ...arrays import BoolArray, FloatArray
 from ...compiled import Rows, SpacedRows, loop
 
 SCALES = 4
-"""lengths of blocks: one, two, four and eight times the readings from one look to the next"""
+"""number of block lengths: one, two, four and eight times the readings from one look to the next"""
 GROWS, AT_ONCE = 1.0, 0.25
-"""of the mean square so far, and of the variance of noise: by no more does a single squared difference raise it"""
+"""a single squared difference raises a mean square by at most GROWS times the mean square so far (noise included), plus
+AT_ONCE times the variance of noise"""
 MOST = 8.0
-"""times the variance of noise: no squared second difference counts for more where it is told whether a load trembles"""
+"""times the variance of noise: limit of a squared second difference in the mean squares up and down, which tell whether
+a load trembles"""
 CLEAR = 3.0
-"""standard deviations of a difference by noise, beside the largest motion that may go unnoticed: no more counts"""
+"""standard deviations of a difference by noise: a difference is clipped at so many, plus the largest unnoticed
+motion"""
 
 SERIES = tuple(f"{name}_{1 << scale}" for name in ("mean", "mean_before") for scale in range(SCALES))
-"""names of the rows of a series: for each length of block in looks, mean of the last one, and of the one before"""
+"""names of the rows of a series: for each block length in looks, the mean of the last block, and of the one before"""
 SQUARES = tuple(
     f"{name}_{1 << scale}" for name in ("bends", "up", "bends_up", "down", "bends_down") for scale in range(SCALES)
 )
-"""names of the rows of mean squares, over the variances by noise and beyond what noise makes: of second differences, of
-differences upwards, of second differences upwards, and of both downwards"""
+"""names of the rows of mean squares, in units of the variance by noise and less the part of noise: of second
+differences; of first differences upwards; of second differences upwards; and of both downwards"""
 ALL_SERIES, ALL_SQUARES = len(SERIES), len(SQUARES)
 BENDS, UP, DOWN = 0, SCALES, 3 * SCALES
 SHARE, READINGS = 0, 1
-"""rows of the numbers that depend on the time between frames (SCALES,): share of a block in the mean squares, and
-readings in it. More are those of :mod:`._way`"""
+"""rows (SCALES,) of the numbers that depend on the time between frames: share of a block in the mean squares, and
+readings in a block; further rows are those of :mod:`._way`"""
 LOOKS_IN_BLOCK = 2.0 ** np.arange(SCALES)[:, None]
 _BEFORE_END = LOOKS_IN_BLOCK.astype(np.intp) - 1
 """bits of the number of looks that are 0 at the end of a block"""
 _ROOM = np.repeat([1.0, 0.5], (SCALES, 4 * SCALES))[:, None] * GROWS + AT_ONCE
-"""(rows of SQUARES, 1) by which one difference may raise a mean square that is that of noise"""
+"""(rows of SQUARES, 1) by which one difference may raise a mean square at the level of noise"""
 _ZERO, _HALF, _ONE, _CLEAR, _MOST, _LEAST, _AT_ONCE = (
     np.array(x) for x in (0.0, 0.5, 1.0, CLEAR, MOST, -MOST, AT_ONCE)
 )
@@ -55,7 +58,7 @@ _ZERO, _HALF, _ONE, _CLEAR, _MOST, _LEAST, _AT_ONCE = (
 
 
 def ends_of_blocks(looks: FloatArray) -> BoolArray:
-    """(SCALES, m) where blocks end after so many ``looks`` (m,)."""
+    """(SCALES, m) where blocks of each length end after ``looks`` (m,) looks."""
     ends: BoolArray = looks.astype(np.intp) & _BEFORE_END == 0
     return ends
 
@@ -73,14 +76,14 @@ def differences(
     Args:
         series: of the memory.
         newest: means of the readings since the last look.
-        noise: (k, m) standard deviation of one of them.
-        largest: (k, m) way that a load may go without being noticed otherwise.
+        noise: (k, m) standard deviation of a reading.
+        largest: (k, m) largest motion that may go unnoticed.
         ends: :func:`ends_of_blocks`.
         noise_of_differences: (2 * SCALES, 1) standard deviations of first and second differences, over that of a
             reading.
 
     Returns:
-        (k, 2 * SCALES, m) first differences of blocks of each length, and second ones, over their deviation by noise.
+        (k, 2 * SCALES, m) first, then second differences of blocks, over their standard deviations by noise.
     """
     means, befores = series[:, :SCALES], series[:, SCALES:]
     blocks = np.empty_like(means)
@@ -118,7 +121,7 @@ def take(
     Args:
         squares: of the memory.
         product: (j, 2 * SCALES, m) of first and second differences.
-        by_noise: (j, 1, 1) what noise makes of that in the mean.
+        by_noise: (j, 1, 1) mean of these products by noise.
         side: (j, 2 * SCALES, m) positive where they go up, negative where down.
         shares: (SCALES, m) of the products.
         forgotten: (m,) cells whose mean squares begin anew.
@@ -144,10 +147,10 @@ def take(
 
 
 def count(squares: FloatArray, product: FloatArray, shares: FloatArray) -> None:
-    """Take a ``product`` of differences (SCALES, m), changed, of which noise makes 1 in the mean, into mean squares.
+    """Take a ``product`` of differences (SCALES, m), changed, whose mean by noise is 1, into mean squares.
 
     Args:
-        squares: (SCALES, m) of the memory, beyond what noise makes, changed.
+        squares: (SCALES, m) of the memory, less the part of noise, changed.
         product: to take.
         shares: (SCALES, m) of it.
     """
@@ -172,7 +175,7 @@ def look_of(
     largest: float,
     numbers: Rows,
 ) -> None:
-    """Take the ``mean`` of the last readings of cell ``i``, whose series and mean squares begin with these rows."""
+    """Take the ``mean`` of the last readings of cell ``i``; its series and mean squares begin with these rows."""
     block, length = mean, 1
     for scale in range(SCALES):
         if int(looks) & (length - 1):
@@ -188,21 +191,21 @@ def look_of(
 
 @loop
 def forget_of(memory: SpacedRows, squares: int, i: int) -> None:
-    """Let the mean squares of cell ``i``, which begin with row ``squares`` of ``memory``, begin anew."""
+    """Reset the mean squares of cell ``i``, which begin with row ``squares`` of ``memory``."""
     for row in range(squares, squares + ALL_SQUARES):
         memory[row, i] = 0.0
 
 
 @loop
 def scaled(change: float, std: float, largest: float) -> float:
-    """A difference over its standard deviation by noise, within limits."""
+    """A difference over its standard deviation by noise, clipped."""
     limit = largest / std + CLEAR
     return min(max(change / std, -limit), limit)
 
 
 @loop
 def differences_of(memory: SpacedRows, row: int, i: int, block: float) -> tuple[float, float, float]:
-    """:func:`differences` of cell ``i`` for blocks of one length, whose last mean is in ``row``, and the next block."""
+    """:func:`differences` of cell ``i`` for one block length, whose last mean is in ``row``; and the longer block."""
     last = memory[row, i]
     change = block - last
     bend = memory[row + SCALES, i] - last + change
@@ -222,7 +225,7 @@ def take_of(
     by_noise: float,
     share: float,
 ) -> None:
-    """:func:`take` of cell ``i`` for blocks of one length, whose first mean square is in ``row``."""
+    """:func:`take` of cell ``i`` for one block length, whose first mean square is in ``row``."""
     count_of(memory, row + BENDS, i, bent - by_noise, 1.0, share)
     bent, by_noise = min(max(bent, -MOST), MOST), 0.5 * by_noise
     count_of(memory, row + UP, i, (moved if moved_side > 0.0 else 0.0) - by_noise, 0.5, share)
@@ -233,7 +236,7 @@ def take_of(
 
 @loop
 def count_of(memory: SpacedRows, row: int, i: int, product: float, by_noise: float, share: float) -> None:
-    """Count a ``product`` in a ``row`` of cell ``i``, to which noise gives ``by_noise`` more than is written there."""
+    """Take a ``product``, less its mean by noise, into the mean in ``row`` of cell ``i``, limited by ``by_noise``."""
     before = memory[row, i]
     room = max(before * GROWS + (by_noise * GROWS + AT_ONCE), AT_ONCE)
     memory[row, i] = before + min((product - before) * share, room)

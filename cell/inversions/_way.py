@@ -1,17 +1,17 @@
-"""The way that a load goes to and fro within the noise, told by the variances of successive means of the readings.
+"""Path length of a load that goes to and fro within the noise, estimated from Allan and Hadamard variances of readings.
 
-Cells that answer a rise by more than a fall, or whose conductive chains motion breaks, are moved by each to and fro of
-the load, though readings average it away. How fast they are moved follows from the way that the load goes: the sum of
-all that it goes up and down.
+Two kinds of cell are changed by each to and fro of the load, although readings average the motion away: cells that
+answer a rise by more than a fall, and cells whose conductive chains motion breaks. The change follows from the path
+length of the load (the "way"): the sum of all that it goes up and down.
 
-Mean squares of first and second differences of blocks of readings (:mod:`._variances`) tell the way. Blocks of several
-lengths are compared: short ones see all of the way, long ones tell a weak tremor from the noise. The shortest ones that
-are clear are believed. From one block to the next the load may go to and fro as well: second differences tell how much.
-The shortest blocks hide least: what they and their noise leave room for bounds the way, however long the blocks are
-that tell it. So a load that swings slowly and widely may not also tremble by several times as much.
+The way is estimated from mean squares of first and second differences of blocks of readings (:mod:`._variances`).
+Blocks of several lengths are compared: short blocks see all of the way, long ones can tell a weak tremor from noise.
+The shortest blocks that are clear are believed. Within a block the load may go to and fro as well; second differences
+show how much. The shortest blocks hide least. The way that they and their noise leave room for is an upper bound,
+whichever blocks tell the way: a load that swings slowly and widely cannot also tremble by several times as much.
 
-An edge of a load stands alone, while a tremor goes on. Whether a load trembles is therefore told by second differences
-that go up as well as down. How far it goes is told by mean squares.
+An edge of a load is a single event, while a tremor goes on. Whether a load trembles is therefore decided by second
+differences that go up as well as down; how far it goes, by the mean squares.
 """
 
 from __future__ import annotations
@@ -26,62 +26,64 @@ from ...compiled import Rows, SpacedRows, loop
 from ._variances import DOWN, LOOKS_IN_BLOCK, READINGS, SCALES, SHARE, UP
 
 MEMORY_S, LEAST_SHARE = 1.5, 1.0 / 64.0
-"""seconds that the mean squares remember, and the least share of a block in them"""
+"""seconds over which the mean squares average, and the least share of a block in them"""
 SIDE = 3.0
-"""times the lesser of both sides: their sum counts for no more"""
+"""limit of the sum of the mean squares up and down, over the smaller of the two"""
 MAY = 2.0
-"""such standard deviations beyond what is seen: as much the mean squares may be"""
+"""standard deviations by which the true mean squares may exceed those seen"""
 OF_SIDES = 1.6
-"""such a standard deviation by chance, over the variance of noise and the root of the share of a block: of twice the
-mean square to one side, to which half of all differences go"""
+"""standard deviation by chance of twice the mean square to one side (half of all differences go to one side), over the
+variance of noise and the square root of the share of a block"""
 ALONE = 2.0
-"""standard deviations beyond :attr:`Caution.alone_from` from which own readings alone are believed"""
+"""standard deviations beyond :attr:`Caution.alone_from` over which the weight of own readings grows to 1"""
 NOISE_KNOWN = 0.15
-"""relative standard deviation of the variance of noise: steps of an ADC are not white, and go by the reading"""
+"""relative standard deviation of the variance of noise, since ADC steps are not white noise and depend on the
+reading"""
 WAY, BEND = 0.84, 0.5
-"""way of a load from one block to the next, over the square root of the mean square of differences and of this share of
-that of second differences: within a tenth for sines of up to a third of a period per block, and for random motion"""
+"""way of a load from one block to the next = WAY sqrt(D1 + BEND D2), with the mean squares D1 and D2 of first and
+second differences. This holds within a tenth for sines of up to a third of a period per block, and for random motion"""
 FAST = 1.5
-"""of that share: with it alone, second differences tell as much of motion of which they are largest, and less of slow
-motion, which blocks do not hide"""
+"""times :data:`BEND`: WAY sqrt(FAST BEND D2), from second differences alone, is as long for motion with the largest
+second differences, and shorter for slow motion, which blocks do not hide"""
 MOST_HIDDEN, FAST_HZ = 6.0, 4.0
-"""times the way that long blocks see: as long it may be; and frequency of the tremors that this is reckoned for"""
+"""largest ratio of the way that may be to the way that long blocks see; and frequency in Hz of the tremors that this
+ratio is meant for"""
 HIDES_AT_FAST = 7.4
-"""way of a sine over that which blocks of its period see. Those of a share of its period hide the square of that share:
-the means see less of it, and it turns the more often between them"""
+"""way of a sine over that which blocks of its period see. For blocks of a share x of its period the excess is x^2 times
+that: the means see less of the sine, and it turns more often between them"""
 
 HIDES, CAUTION, ALONE_FROM = 2, 3, 4
-"""rows of the numbers that depend on the time between frames, behind those of :mod:`._variances`; two of them are those
-of :class:`Caution`"""
+"""rows of the numbers that depend on the time between frames, behind those of :mod:`._variances`: ratio of hidden way,
+the first four of :class:`Caution`, and its ``alone_from``"""
 MAY_FROM, TOLD, DOES, OF_MOST = range(4)
-"""places of these in that row"""
+"""places in the row :data:`CAUTION`"""
 _PER_LOOK = WAY / LOOKS_IN_BLOCK
 _ZERO, _HALF, _ONE, _TWO, _FOUR = (np.array(x) for x in (0.0, 0.5, 1.0, 2.0, 4.0))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
 class Caution(NamedTuple):
-    """How sure the way must be, by what an error costs: one that fades slowly adds up for longer.
+    """How sure the way must be, by the cost of an error: an error that fades slowly adds up for longer.
 
-    The first three are standard deviations of what is known of the mean square of second differences to either side,
-    beyond that of noise.
+    The first three are thresholds of the statistic: the mean square of second differences (to the side where it is
+    smaller) beyond that of noise, in standard deviations of what is known of it.
     """
 
     may_from: float = 0.0
-    """from which a load may tremble"""
+    """above this a load may tremble"""
     told: float = 1.8
-    """from which it seems to"""
+    """above this it seems to tremble: the way begins to be told"""
     does: float = 3.2
-    """from which it does"""
+    """above this it trembles for sure"""
     of_most: float = 0.5
-    """standard deviation over the most that a way may be beyond what is told, where the neighbours tell it"""
+    """standard deviation of the untold way over the most that it may be, where the neighbours tell it"""
     most_share: float = 1.0 / 8.0
     """largest share of a block in the mean squares"""
     hidden: float = 1.2
-    """times the way that short blocks see: as long it may be, since it turns between them"""
+    """ratio of the way that may be to the way that short blocks see, since the load turns between them"""
     alone_from: float = math.inf
-    """such standard deviations from which own readings are believed whatever the neighbours tell: the load of a single
-    cell may tremble, or move to and fro beside it. Infinity: never, where turns that pass unseen leave the same"""
+    """above this statistic own readings are believed whatever the neighbours tell: the load of a single cell may
+    tremble, or move to and fro beside it. Infinity: never, where turns that pass unseen leave the same error"""
 
 
 class Constants(NamedTuple):
@@ -89,16 +91,16 @@ class Constants(NamedTuple):
 
     caution: Caution
     rows: FloatArray
-    """(5, SCALES) for machine code: share of a block in the mean squares, readings in it, how much of the way blocks
-    may hide, the first four of the caution, and from when own readings are believed alone"""
+    """(5, SCALES) for machine code: share of a block in the mean squares; readings in a block; largest ratio of the way
+    to that which blocks see; the first four of the caution; and ``alone_from``"""
     shares: FloatArray
     """(SCALES, 1)"""
     hides: FloatArray
     """(SCALES, 1)"""
     by_chance: FloatArray
-    """(SCALES, 1) variance of the difference of mean squares from noise"""
+    """(SCALES, 1) variance by chance of the mean squares, noise being known"""
     by_chance_and_noise: FloatArray
-    """(SCALES, 1) the same where noise is known by its measure only"""
+    """(SCALES, 1) the same, with the uncertainty of the measured noise"""
     noise: FloatArray
     """(2 * SCALES, 1) variances of first and second differences, over that of a reading"""
     std: FloatArray
@@ -106,7 +108,7 @@ class Constants(NamedTuple):
 
 
 def constants(dt_s: float, readings: int, caution: Caution) -> Constants:
-    """The numbers for frames that follow each other after ``dt_s``, with so many ``readings`` from look to look."""
+    """The numbers for frames ``dt_s`` apart, with so many ``readings`` from look to look."""
     in_block = LOOKS_IN_BLOCK * readings
     block_s = in_block * dt_s
     share = np.clip(block_s / MEMORY_S, LEAST_SHARE, caution.most_share)
@@ -118,27 +120,28 @@ def constants(dt_s: float, readings: int, caution: Caution) -> Constants:
 
 
 def weights(own: FloatArray, beside: FloatArray, scatter: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Shares of mean squares of own differences and of mean products beside, by inverse variance.
+    """Weights of own mean squares and of the mean products of neighbours, by inverse variance.
 
     Args:
-        own: (m,) reciprocal variance of the relative change of the load by noise, by own readings.
-        beside: (m,) by those beside, see :func:`._together.look`.
-        scatter: (SCALES, m) variance of what those beside tell, over that by noise.
+        own: (m,) reciprocal variance by noise of the relative change of the load, from own readings.
+        beside: (m,) the same from neighbours, see :func:`._together.known`.
+        scatter: (SCALES, m) variance of the neighbours' estimate, over that by noise.
 
     Returns:
-        (SCALES, m) share of own ones, and (SCALES, m) share of those beside, which tells the unit of the own load.
+        (SCALES, m) weight of own mean squares; and (SCALES, m) weight of the products, times their conversion to the
+        unit of own mean squares.
     """
     # A mean product has half of the variance of a mean square.
     ratio = np.divide(own, beside, out=np.zeros_like(own), where=beside > _ZERO)
     share = ratio * scatter
     share *= share
     share = _ONE / (share * _HALF + _ONE)
-    share *= ratio > _ZERO  # what bears nothing, or has no neighbour, is told by its own readings
+    share *= ratio > _ZERO  # without load or neighbours, own readings only
     return _ONE - share, share * ratio
 
 
 def told_by_own(squares: FloatArray, numbers: Constants) -> FloatArray:
-    """(m,) 0 to 1: whether own mean ``squares`` (as :data:`._variances.SQUARES`, m) alone are believed."""
+    """(m,) weight, 0 to 1, with which own mean ``squares`` (as :data:`._variances.SQUARES`, m) alone are believed."""
     lesser = np.minimum(squares[UP + SCALES : DOWN], squares[DOWN + SCALES :])
     lesser /= np.sqrt(numbers.by_chance_and_noise)
     alone: FloatArray = lesser.max(axis=0)
@@ -157,19 +160,18 @@ def tell(
     noise: FloatArray,
     numbers: Constants,
 ) -> FloatArray:
-    """How far loads go to and fro.
+    """Estimate the way of loads.
 
     Args:
-        squares: (as :data:`._variances.SQUARES`, m) mean squares, of own differences and of those beside in the shares
-            below.
-        own: (SCALES, m) share of own ones.
-        beside: (SCALES, m) the same of those beside, which know the noise.
-        scatter: (SCALES, m) variance of what those beside tell, over that by noise.
+        squares: (as :data:`._variances.SQUARES`, m) mean squares and products, weighted as below.
+        own: (SCALES, m) weight of own mean squares.
+        beside: (SCALES, m) weight of the products of neighbours, whose mean by noise is known to be none.
+        scatter: (SCALES, m) variance of the neighbours' estimate, over that by noise.
         noise: (m,) standard deviation of a reading.
         numbers: :func:`constants`.
 
     Returns:
-        (2, m) way since the last look as far as it is told from noise; and way that may be, no less.
+        (2, m) way since the last look that is told from noise; and the way that may be, no less.
     """
     by_chance = numbers.by_chance
     by_chance_beside = beside * scatter
@@ -183,7 +185,7 @@ def tell(
     sides = lesser[:SCALES] * SIDE
     sides += 0.5 * SIDE - 1.0
     np.minimum(ups[:SCALES] + downs[:SCALES], sides, out=sides)
-    # Beyond what is seen there may be: none, what neighbours leave room for, what chance and noise leave room for.
+    # Mean squares beyond those seen: none; what neighbours leave room for; what chance and noise leave room for.
     beyond = np.zeros((3, *clear.shape))
     np.sqrt(by_chance_beside, out=beyond[1])
     beyond[2] = sure
@@ -224,8 +226,8 @@ def _ways(
     """Ways for mean squares of first and second differences, over their ``variance`` by noise; changes both.
 
     Returns:
-        (..., SCALES, m) way per look; and the longest that it may be: of the part of the motion that turns within some
-        blocks, blocks see only one in ``hides`` (SCALES, 1).
+        (..., SCALES, m) way per look; and the longest that it may be: of the part of the motion that turns within a few
+        blocks, blocks see only the share 1/``hides`` (SCALES, 1).
     """
     moved *= variance[:SCALES]
     bends *= variance[SCALES:]
