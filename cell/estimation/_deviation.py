@@ -32,9 +32,9 @@ from ._smoothing import HIDDEN, SIGMAS, Looked
 TINY = 1e-30
 """avoids 0/0"""
 MODEL_ERROR = 0.005
-"""fraction of full scale: the least standard deviation without a calibration. It covers loads that an estimator neglects:
-loads so small that a cell sleeps under them, and turning points below a percent. It does not estimate the error of a
-model, which only a comparison with a recording can"""
+"""fraction of full scale: the least standard deviation without a calibration. It covers loads that an estimator
+neglects: loads so small that a cell sleeps under them, and turning points below a percent. It does not estimate the
+error of a model, which only a comparison with a recording can"""
 
 _ZERO, _TINY = np.array(0.0), np.array(TINY)
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
@@ -152,7 +152,7 @@ class Deviation:
         pressure: FloatArray = memory[PRESSURE]
         usual = USUAL * self._full_kpa
         if pressure.item(pressure.argmax()) > usual:
-            # A pressure far beyond full scale may just as well be an error of the memory.
+            # A pressure beyond full scale may just as well be an error of the memory.
             excess = np.maximum(pressure - self._full_kpa, 0.0)
             by_noise = looked.doubt_kpa(memory[GAIN], self._inversion.steepness_kpa)
             doubtful = total(added, memory[VARIANCE]) + by_noise**2 > self._doubt_kpa2
@@ -230,7 +230,7 @@ class Deviation:
         left_open: LeftOpen | None,
         added: tuple[FloatArray | None, ...],
     ) -> FloatArray:
-        """(shape) kPa^2: variances ``before`` the step, updated by sleeping and followed cells, plus those ``added``."""
+        """(shape) kPa^2: variances ``before`` the step, updated by sleeping and followed cells, plus ``added`` ones."""
         if left_open is not None and left_open.cells.size == before.size:
             variance = self._variance_of(left_open)
         else:

@@ -13,8 +13,8 @@ COUNTS_OFF = 3.0
 LOOK_S = 1.0
 """seconds between two evaluations of the pressures"""
 PER_DECADE = 0.2
-"""standard deviation of the unknown creep over the load, per decade of time beyond the recording. Simulated specimens of
-relays with fractional creep read 0.1 to 0.3 too much; few materials creep more"""
+"""standard deviation of the unknown creep over the load, per decade of time beyond the recording. Simulated specimens
+of relays with fractional creep read 0.1 to 0.3 too much; few materials creep more"""
 
 
 def longest_s(time_s: FloatArray, load: FloatArray) -> float:
