@@ -102,7 +102,7 @@ class Deviation:
         self._asleep: Asleep | None = None
         self._numbers = self._numbers_of_loops()
         self.compiled = False
-        """whether the loops are there as machine code"""
+        """whether compiled loops are in use"""
 
     def _numbers_of_loops(self) -> FloatArray:
         """The parameter array of :func:`._loops.show`."""

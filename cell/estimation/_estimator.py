@@ -107,7 +107,7 @@ class Estimator:
         self._usual_s = 0.0
         self._compiled = False
 
-    # -- machine code ------------------------------------------------------------------------------------------------
+    # -- compiled loops ----------------------------------------------------------------------------------------------
 
     def compile(self) -> bool:
         """Use compiled loops from now on, if the extra ``fast`` is installed.
@@ -129,7 +129,7 @@ class Estimator:
         for part in (*noise, self._tremor, self._sleep, *followers):
             part.compiled = machine_code
         block = self._remembered.block
-        block.line_before = block.line.copy()  # machine code has that from before the last step
+        block.line_before = block.line.copy()  # compiled loops keep the line from before the last step here
 
     def _loops(self) -> tuple[Loop[..., Any], ...]:
         """All loops that a frame calls."""
@@ -139,7 +139,7 @@ class Estimator:
         return *loops.ALL, *smoothing.LOOPS, *noise, *means, *tremor.LOOPS, *falls, *self.inversion.loops_used()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Continue from a pickle, perhaps in a process without machine code."""
+        """Continue from a pickle, perhaps in a process without compiled loops."""
         self.__dict__.update(state)
         if self._compiled:
             self.compile()

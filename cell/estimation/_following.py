@@ -52,7 +52,7 @@ class Following:
         self._sways_for_s = 0.0
         """time between frames to which the interval between calls of ``sway`` is adapted"""
         self.compiled = False
-        """whether the loops are there as machine code"""
+        """whether compiled loops are in use"""
 
     def expect(self, usual_s: float) -> None:
         """Set the recent mean of the time between frames.

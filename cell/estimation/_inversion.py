@@ -219,7 +219,7 @@ class Inversion(ABC):
         r -= _ONE
         return False
 
-    # -- machine code ------------------------------------------------------------------------------------------------
+    # -- compiled loops ----------------------------------------------------------------------------------------------
 
     def recover_compiled(self, memory: FloatArray, recent: RecentReadings) -> None:
         """:meth:`recover` by compiled loops, in inversions that have them."""

@@ -133,7 +133,7 @@ class NoiseMeter:
         self.resolution_by_all = 0.0
         """the same by the quantisation of all readings that its resistance is computed from; 0: not known"""
         self.compiled = False
-        """whether the loops are there as machine code"""
+        """whether compiled loops are in use"""
 
     def _name_rows(self) -> None:
         self._variance, self._crowd, self.on_line, self._blind, self.excess, self.resolution = self._cells

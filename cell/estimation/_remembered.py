@@ -62,7 +62,7 @@ class Remembered:
         self.stale = True
         """whether the followed cells have to be chosen anew"""
         self.compiled = False
-        """whether the loops are there as machine code"""
+        """whether compiled loops are in use"""
         self._at_rest = inversion.begin(np.zeros(1)), smoothing.begin(np.zeros(1), 1.0)
         self._no_block = self._gathered(np.zeros(0, dtype=np.intp))
         self.block = self._no_block

@@ -1,8 +1,9 @@
 """Common-mode rejection: noise that all cells of a column share is measured by cells at rest, and subtracted.
 
-On a divider whose idle rows are driven, the currents of a whole column flow through one reference resistor. Its voltage
-is the small difference between the supply and the sum over all readings of the column. Errors of this difference scale
-all conductances of the column alike, and are several times larger than the error of a cell's own reading.
+On a divider whose idle rows are driven, the currents of a whole column flow through one reference resistor. A
+conductance is proportional to s / (1 - S): s is the cell's reading as a share of the supply, S the sum of all readings
+of the column. 1 - S is small. Its errors scale all conductances of the column alike, and are several times larger than
+the error of the cell's own reading.
 
 Sleeping cells measure the shared part in every frame, since their resistance is that of rest. The mean of their
 departures is subtracted from all cells of the column. A load on all cells of a column moves them alike, too. The mean
@@ -117,7 +118,7 @@ class SharedNoise:
         self._name_rows()
         self._counts[...] = -1.0
         self._numbers = np.zeros(5)
-        """of the present frame, for machine code"""
+        """parameters of the present frame, for compiled loops"""
         self._tell_now = np.zeros(0, dtype=np.bool_)
         """(n,) the telling cells for which ``_tellers`` was computed"""
         self._tellers = self._tellers_of(np.zeros(cells, dtype=np.bool_))
@@ -125,7 +126,7 @@ class SharedNoise:
         self.mean_std = np.ones(cells)
         """(n,) noise of readings with shared noise (whose mean is monitored) over that of readings without"""
         self.compiled = False
-        """whether the loop is there as machine code"""
+        """whether the compiled loop is in use"""
 
     def _name_rows(self) -> None:
         self._counts, self._sums, self._frames, self._untold = self._columns

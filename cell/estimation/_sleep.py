@@ -43,7 +43,7 @@ class Sleep:
         """seconds and number of readings in the sum"""
         self._sharp = np.ones(cells)
         self.compiled = False
-        """whether the loops are there as machine code"""
+        """whether compiled loops are in use"""
 
     def watch(
         self,

@@ -34,7 +34,7 @@ class Window:
         self.seen = 0
         """number of frames that have been taken"""
         self.compiled = False
-        """whether the loop is there as machine code"""
+        """whether the compiled loop is in use"""
 
     def take(self, r: FloatArray) -> None:
         """Take the readings (n,) of a frame."""
