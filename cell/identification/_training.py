@@ -82,7 +82,10 @@ class NormalisedRecording:
 
     @property
     def limits(self) -> Limits:
-        """Limits of estimates: from the least recorded load (at most 0) to :data:`..inversions.BEYOND` full scales."""
+        """Limits of estimates: the least recorded load (at most 0), and a fifth more than the largest (at least 1).
+
+        The margin allows for a calibration that has missed full scale.
+        """
         low, high = np.percentile(self.load, [0.1, 99.9])
         return Limits(lowest=min(float(low), 0.0), highest=max(float(high), 1.0) * BEYOND)
 
