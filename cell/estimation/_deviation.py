@@ -269,7 +269,7 @@ class Deviation:
         return variance
 
     def state(self) -> dict[str, FloatArray]:
-        """What is remembered, by name. To be called after :meth:`flush`."""
+        """The state, by name. To be called after :meth:`flush`."""
         return {"variance": self._variance}
 
     def restore(self, state: dict[str, FloatArray]) -> None:

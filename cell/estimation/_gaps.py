@@ -115,7 +115,7 @@ class Gaps:
         self.doubtful = self.open or bool(self._left.any())
 
     def state(self) -> dict[str, FloatArray]:
-        """What is remembered, by name."""
+        """The state, by name."""
         return {"unread_s": self.unread_s, "gap_variance": self._left, "gap_shown": self.variance}
 
     def restore(self, state: dict[str, FloatArray]) -> None:

@@ -61,7 +61,7 @@ class Held:
         self.variance = (PER_DECADE * decades * self._mean_kpa) ** 2
 
     def state(self) -> dict[str, FloatArray]:
-        """What is remembered, by name."""
+        """The state, by name."""
         return {"held_s": self._time_s, "held_kpa": self._mean_kpa, "held_since": np.array([self._since_s])}
 
     def restore(self, state: dict[str, FloatArray]) -> None:

@@ -115,7 +115,7 @@ class Sleep:
         return not self.all_awake
 
     def follow(self, cells: IntArray) -> None:
-        """Note that ``cells`` (m,) are followed: no reading wakes them any more."""
+        """Note that ``cells`` (m,) are followed, and need no wake-up threshold."""
         self.all_awake = cells.size == self.awake.size
         self.wake_at[cells] = np.inf
 

@@ -20,9 +20,9 @@ class Burgers(Section):
     e2_kpa: Positive
     e3_kpa: Positive
     eta2_kpa_s: Positive
-    """of the faster branch"""
+    """viscosity of the faster branch"""
     eta3_kpa_s: Positive
-    """of the slower branch"""
+    """viscosity of the slower branch"""
 
     @property
     def t2_s(self) -> float:
