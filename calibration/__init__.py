@@ -1,4 +1,4 @@
-"""Calibration of the cells of a skin: guided presses with known loads to rest resistance and gain of each cell.
+"""Calibration of the cells of a skin: rest resistance and gain of each cell from guided presses with known loads.
 
 ::
 

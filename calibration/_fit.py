@@ -1,9 +1,9 @@
 """Rest resistance and gain of each cell by nonlinear least squares (Gauss-Newton) on windows of steady readings.
 
-A cell under the load p is taken to be the common cell under p/gain, with a rest resistance R0 of its own. Its model is
-run through all presses that it has borne, so that creep while a load is held, and what is left of earlier presses, are
-not mistaken for a gain. Two parameters per cell are fitted to ln R of the windows, all with the same weight: averaging
-leaves little noise, and what remains is the model's error, which is relative.
+A cell under the load p is modelled as the common cell under p/gain, with its own rest resistance R0. The model is
+simulated over all presses of the cell, so that creep under a held load, and the remainder of earlier presses, are not
+mistaken for a gain. The two parameters are fitted to ln R of all windows with equal weights: averaging leaves little
+noise, and the remaining error is that of the model, which is relative.
 """
 
 from __future__ import annotations
@@ -18,43 +18,44 @@ from ..cell import Cell
 from ._presses import Press, Rest
 
 STEP = 1e-4
-"""of ln R0 and ln gain, for derivatives by differences"""
+"""step of ln R0 and ln gain, for finite differences"""
 ROUNDS = 20
 ENOUGH = 1e-9
-"""change of ln R0 and ln gain at which the iteration ends"""
+"""convergence limit: change of ln R0 and ln gain in one iteration"""
 LARGEST_MOVE = 1.0
-"""of ln gain in one round"""
+"""largest change of ln gain in one iteration"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """What presses say of each cell. Arrays are (rows, columns); NaN for cells that were not pressed."""
+    """Fitted parameters and statistics of each cell. Arrays are (rows, columns); NaN for cells never pressed."""
 
     rest_ohm: FloatArray
     gain: FloatArray
     gain_std: FloatArray
-    """relative: standard error and scatter of the presses together"""
+    """relative standard deviation of the gain, by the scatter of the presses and by noise"""
     rest_std_kpa: FloatArray
+    """standard deviation of pressure by the readings at rest"""
     residual_kpa: FloatArray
-    """rms over the presses of a cell"""
+    """rms residual over the presses of a cell"""
     residual_share: FloatArray
-    """rms over the presses of a cell, of residual over load"""
+    """rms of residual over load, over the presses of a cell"""
     rest_change: FloatArray
-    """largest relative departure of a reading at rest from what the cell should have there, with its sign"""
+    """largest relative departure of a reading at rest from the fitted model, with its sign"""
     effect: FloatArray
     """largest relative change of the resistance under a load, as a magnitude"""
     noise: FloatArray
-    """relative standard deviation of the mean of a window while the load was held"""
+    """relative standard deviation of the mean of a window under load"""
     presses: IntArray
-    """presses with a reading"""
+    """number of presses with a reading"""
     unread: BoolArray
-    """a press left the cell without a valid reading"""
+    """whether the cell lacked a valid reading in one of its presses"""
     reversed: BoolArray
-    """a clearly larger load changed the resistance less than a smaller one"""
+    """whether a clearly larger load changed the resistance by less than a smaller load"""
 
     @classmethod
     def empty(cls, shape: tuple[int, int]) -> Fit:
-        """A fit that says nothing yet."""
+        """A fit without results."""
         return cls(
             rest_ohm=np.full(shape, np.nan),
             gain=np.full(shape, np.nan),
@@ -75,9 +76,9 @@ def fit_cells(cell: Cell, rest: Rest, presses: Sequence[Press]) -> Fit:
     """Fit every cell that was pressed.
 
     Args:
-        cell: the common model.
+        cell: the common cell model.
         rest: the skin before the first press.
-        presses: in the order of time; those with a fault count as loads that the cells remember.
+        presses: in the order of time. Presses with a fault are simulated, but their readings are not used.
 
     """
     fit = Fit.empty(_shape(rest))
@@ -93,7 +94,7 @@ def _shape(rest: Rest) -> tuple[int, int]:
 
 
 def _alike(presses: Sequence[Press]) -> Iterator[tuple[IntArray, list[Press]]]:
-    """Cells (k,) that have borne the same presses, and these presses."""
+    """Groups of cells (k,) with the same presses, and these presses."""
     borne: dict[int, list[int]] = {}
     for number, press in enumerate(presses):
         for index in press.cells.tolist():
@@ -141,8 +142,8 @@ class _Group:
     def _log_model(self, log_rest: FloatArray, log_gain: FloatArray) -> FloatArray:
         """(observations, k) ln R."""
         corners = np.concatenate([press.time_s for press in self._presses])
-        # A load that is held must be held to the last bit: the paper's model takes any fall for a release. So every
-        # corner is a step, and between corners the load is interpolated.
+        # A held load must be constant to the last bit, since the paper's model treats any fall as a release. Every
+        # corner is therefore a time step, and the load is interpolated between corners.
         times = np.unique(np.concatenate([self._time_s, corners]))
         load = np.zeros(len(times))
         for press in self._presses:
@@ -187,7 +188,7 @@ class _Group:
         fit.reversed[place] = self._reversed(change, held_known, noise, loads)
 
     def _reversed(self, change: FloatArray, held: BoolArray, noise: FloatArray, loads: FloatArray) -> BoolArray:
-        """(k,) whether a load 1.2 times another one changed the resistance less, by more than noise does."""
+        """(k,) whether a load above 1.2 times another changed R by less, beyond noise, or the opposite way."""
         found = np.zeros(len(self._cells), dtype=np.bool_)
         means = [_mean(change, held & (self._of_press == k)[:, None]) for k in range(len(loads))]
         for low, low_kpa in enumerate(loads):
@@ -212,7 +213,7 @@ def _two_unknowns(by_first: FloatArray, by_second: FloatArray, error: FloatArray
 
 
 def _mean(values: FloatArray, where: BoolArray) -> FloatArray:
-    """(k,) mean over the first axis of the chosen values; 0 where none is."""
+    """(k,) mean over the first axis of the values selected by ``where``; 0 if none is selected."""
     total = np.where(where, values, 0.0).sum(axis=0)
     mean: FloatArray = total / np.maximum(where.sum(axis=0), 1)
     return mean

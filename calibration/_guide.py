@@ -1,4 +1,4 @@
-"""Guided calibration of an open skin: what to press next, and progress that survives an interruption."""
+"""Interactive calibration of an open skin: instructions to the person who presses, and checkpoints for resumption."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from ._progress import Progress
 from ._watch import Event, HeldLongEnough, PressBegan, PressRefused, PressTaken, RestTaken, Watch
 
 IDENTITY_FRAMES = 200
-"""that may come before the board has said who it is"""
+"""largest number of frames before the board has sent its serial number"""
 PATIENCE_S = 600.0
-"""without a press, by the board's time"""
+"""longest time without an event, by the board's clock"""
 
 Tell = Callable[[str], None]
 
 
 class Guide:
-    """Leads a person, or follows a script, through a plan."""
+    """Guides a person, or a script, through a plan."""
 
     def __init__(
         self,
@@ -39,21 +39,21 @@ class Guide:
         resume: bool = False,
         keep_trace: bool = False,
     ) -> None:
-        """Begin a calibration, or go on with one.
+        """Begin a calibration, or resume one.
 
         Args:
-            skin: open, without calibration and with every frame delivered.
-            plan: what to press.
-            hold_s: for which each load is held.
-            rest_s: for which the unloaded skin is measured.
-            tell: is told each line for the person who presses.
-            progress: file to write after each press; None: none.
-            resume: begin with what ``progress`` holds.
-            keep_trace: keep the load over time, for a reference sensor.
+            skin: an open skin, without calibration, that delivers every frame.
+            plan: the presses.
+            hold_s: duration of each hold.
+            rest_s: duration of the rest measurement.
+            tell: called with each line for the person who presses.
+            progress: checkpoint file, written after each press; None: no file.
+            resume: continue from the content of ``progress``.
+            keep_trace: store the load over time, for a reference sensor.
 
         Raises:
-            InputError: the skin does not say what its cells are made of, a load is far beyond their full scale, or the
-                progress is of another calibration.
+            InputError: the skin has no data of its cells, a load is far beyond their full scale, or the checkpoint file
+                belongs to another calibration.
 
         """
         _hear_identity(skin)
@@ -84,14 +84,15 @@ class Guide:
 
     @property
     def trace(self) -> list[tuple[float, float]]:
-        """Time in s and largest load in kPa, of this and of earlier sittings."""
+        """Times in s and largest loads in kPa, including those before a resumption."""
         return [*self._trace, *self.watch.trace]
 
     def run(self) -> None:
-        """Follow the skin until all of the plan is done.
+        """Read the skin until the plan is done.
 
         Raises:
-            InputError: the skin is loaded at first; its stream ended, or nobody pressed, before the plan was done.
+            InputError: the skin is loaded in the rest measurement; its stream ended, or nobody pressed, before the plan
+                was done.
             LinkError, ProtocolError: as for reading the skin.
 
         """
@@ -173,7 +174,7 @@ class Guide:
 
 
 def _hear_identity(skin: Skin) -> None:
-    """Wait for the board to say its serial number, where its family has one: a driver may go ahead without."""
+    """Wait for the serial number of the board, if its family has one; the driver may start without it."""
     if not skin.family.has_description:
         return
     for _ in range(IDENTITY_FRAMES):
@@ -185,14 +186,14 @@ def _hear_identity(skin: Skin) -> None:
 
 
 class _Clock:
-    """Times that increase over reboots and sittings: the board's, from the host's time at its first frame on."""
+    """Clock that increases over reboots and resumptions: the board's time, from the host's time at the first frame."""
 
     def __init__(self, after_s: float) -> None:
         self._after_s = after_s
         self._offset_s: float | None = None
 
     def time_s(self, frame: Frame) -> float:
-        """S since the epoch, about."""
+        """Time of a frame in seconds, approximately since the epoch."""
         board_s = frame.monotonic_time if frame.device_time is None else frame.device_time
         if self._offset_s is None or frame.rebooted or frame.reconnected:
             begins_s = max(frame.host_time, self._after_s + 1.0)

@@ -1,4 +1,4 @@
-"""A press under way: its frames, and what becomes of them when the load is gone."""
+"""A press in progress: collects its frames, and turns them into a :class:`Press` when the load is gone."""
 
 from __future__ import annotations
 
@@ -12,76 +12,76 @@ from ._presses import Press
 from ._windows import corners, noise, window_mean
 
 BEGIN, END = 0.25, 0.5
-"""share of the load at which a press begins, and of its own largest value at which it ends"""
+"""a press begins at the first fraction of the planned load, and ends at the second fraction of its own largest load"""
 OTHERS = 0.5
-"""of the load on the target that no cell beside it may bear"""
+"""largest load on a cell outside the target, over the load on the target"""
 COVERED = 0.5
-"""share of the cells of a target that must bear a load"""
+"""least fraction of the cells of a target that must be under load"""
 STEADY = 0.1
-"""relative departure of the load from its mean over the second half of a hold"""
+"""largest relative departure of the load from its mean over the second half of a hold"""
 LEAST_HOLD = 0.8
-"""share of the hold that was asked for"""
+"""least duration of a hold, over the requested one"""
 HOLD_WINDOWS = 3
-"""in the second half of a hold"""
+"""number of averaging windows in the second half of a hold"""
 LONGEST_WINDOW_S = 10.0
-"""of the hold, counted back from its end: longer holds say nothing more"""
+"""longest evaluated part of a hold, counted back from its end; longer parts add no information"""
 MARGIN = 0.05
-"""of the measurement of rest, left out just before a press"""
+"""gap between the averaging window before a press and the press, over the duration of the rest measurement"""
 MOST_FRAMES = 100_000
 UNREAD_LOADS = 10.0
-"""times the largest load of the plan: what a cell without a reading counts for"""
+"""largest load of a cell, over the largest of the plan; a cell without a reading counts as this much"""
 
 
 class Hold:
-    """Frames from shortly before a press on."""
+    """The frames of a press, beginning shortly before it."""
 
     def __init__(self, plan: Plan, step: int, began_s: float) -> None:
-        """``began_s`` is the time of the frame with which the press was noticed, ``step`` that of the plan."""
+        """``step`` is the current step of the plan, ``began_s`` the time of the frame that revealed the press."""
         self._plan = plan
         self.step = step
         self.began_s = began_s
         self.highest_kpa = 0.0
-        """of the mean load on the target"""
+        """largest mean load on the target so far"""
         self.told = False
-        """the press lasts for longer than a touch"""
+        """whether the press has lasted longer than a touch, and has been reported"""
         self.long_enough = False
-        """the load may be taken off"""
+        """whether the load may be taken off"""
         self._frames: list[tuple[float, FloatArray]] = []
         self._loads: list[tuple[float, FloatArray]] = []
         self._largest = np.zeros(plan.shape[0] * plan.shape[1])
 
     def add(self, time_s: float, ohm: FloatArray, load_s: float, load_kpa: FloatArray) -> None:
-        """Take a frame: readings (cells,), and the smoothed load (cells,) with the time that it is of."""
+        """Take a frame: readings (cells,), and the smoothed load (cells,) with its time."""
         if len(self._frames) < MOST_FRAMES:
             self._frames.append((time_s, ohm))
             self._loads.append((load_s, self._limited(load_kpa)))
 
     def target(self) -> int:
-        """The target that was pressed most since the press was noticed."""
+        """The target with the largest load since the press was noticed."""
         if self._loads:
             self._largest = np.maximum(self._largest, self._loads[-1][1])
         return self._plan.pressed_target(self._largest)
 
     def total_kpa(self, target: int) -> float:
-        """Mean load on a target now."""
+        """Present mean load on a target."""
         return float(self._loads[-1][1][self._plan.targets[target]].mean())
 
     def _limited(self, load_kpa: FloatArray) -> FloatArray:
         return np.minimum(load_kpa, UNREAD_LOADS * max(self._plan.loads_kpa))
 
     def felt_kpa(self, target: int) -> float:
-        """Median of the mean load on a target while it was held."""
+        """Median over the hold of the mean load on a target."""
         return float(np.median(self._totals(target)[self._steady(target)]))
 
     def press(self, target: int, step: int, *, hold_s: float, rest_s: float, smoothed: int) -> Press:
-        """The press that has just ended, with what is wrong with it.
+        """The press that has just ended, with its fault if there is one.
 
         Args:
-            target: what was pressed.
-            step: of the plan, whose load it was.
-            hold_s: that was asked for.
-            rest_s: longest window before the press.
-            smoothed: frames over which loads are averages.
+            target: the pressed target.
+            step: the step of the plan that gives the load.
+            hold_s: requested duration of the hold.
+            rest_s: longest averaging window before the press.
+            smoothed: number of frames over which loads are averaged.
 
         """
         cells = self._plan.targets[target]
@@ -137,7 +137,7 @@ class Hold:
         return corners(np.array([time for time, _ in self._loads]), self._totals(target))
 
     def _edges_s(self, target: int) -> FloatArray:
-        """Edges of the windows while the load was held."""
+        """Edges of the averaging windows in the hold."""
         _, there, falls, _ = self._corners(target)
         begin = max(there + 0.5 * (falls - there), falls - LONGEST_WINDOW_S)
         return np.linspace(begin, falls, HOLD_WINDOWS + 1)
@@ -152,11 +152,11 @@ class Hold:
 
 
 def _unsteady(total: FloatArray, smoothed: int) -> str:
-    """A fault where a load (frames,) was not held still."""
+    """The fault of a load (frames,) that was not held still; else empty."""
     if len(total) < HOLD_WINDOWS:
         return f"{len(total)} frames came while the load was held; expected more"
     mean = float(total.mean())
-    # Neighbouring averages share most of their frames: their differences show less than their noise.
+    # Successive moving averages share most of their frames: their differences are smaller than their noise.
     noise_kpa = float(noise(total[:, None])[0]) * np.sqrt(smoothed)
     moved = float(np.abs(total - mean).max())
     return "the load was not held still" if moved > STEADY * mean + 6 * noise_kpa else ""

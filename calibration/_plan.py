@@ -1,4 +1,4 @@
-"""Plan of a calibration: which cells to press together, with which loads, in which order."""
+"""Plan of a calibration: groups of cells (targets) that are pressed together, the loads, and their order."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ from ..errors import InputError
 
 MOST_STEPS = 100
 GAINS = (0.25, 4.0)
-"""between which a gain is believed: beyond, the load, the area or the data of the cell are another's"""
+"""accepted range of gains; outside, the load, the area or the cell's data must be wrong"""
 LEAST_PRESSES = 2
-"""of each cell: one press alone says nothing of its own error"""
+"""least number of presses of each cell; a single press does not show its own error"""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Targets are pressed one after the other with the load of the first step, then with that of the second, ..."""
+    """All targets are pressed in turn with the load of the first step, then with that of the second, and so on."""
 
     shape: tuple[int, int]
     targets: tuple[IntArray, ...]
-    """cells that bear a load together, as sorted indices into the flattened array"""
+    """groups of cells that are pressed together, as sorted indices into the flattened array"""
     loads_kpa: tuple[float, ...]
-    """load of each step"""
+    """mean pressure in each step"""
 
     @classmethod
     def make(cls, shape: tuple[int, int], press: str, loads_kpa: Sequence[float]) -> Plan:
-        """A plan from the words of the command line.
+        """A plan from the options of the command line.
 
         Args:
             shape: (rows, columns) of the skin.
-            press: "each" cell by itself, "all" together under a plate, or "RxC": patches of so many rows and columns.
-            loads_kpa: mean pressure on each cell, of each step. One load alone is pressed twice.
+            press: "each" cell by itself, "all" together under a plate, or "RxC": patches of R rows and C columns.
+            loads_kpa: mean pressure on each cell in each step. A single load is pressed twice.
 
         Raises:
-            InputError: no load, or one that is not positive; or no such way to press.
+            InputError: there is no load, or one is not positive; ``press`` is unknown or does not fit the skin.
 
         """
         cls.check(press, loads_kpa)
@@ -55,7 +55,7 @@ class Plan:
 
     @staticmethod
     def check(press: str, loads_kpa: Sequence[float]) -> None:
-        """InputError for words that fit no skin; arguments as for :meth:`make`."""
+        """Raise InputError for options that are invalid for any skin; arguments as for :meth:`make`."""
         if not loads_kpa or not all(0 < load < np.inf for load in loads_kpa):
             raise InputError("a calibration needs loads above 0 kPa")
         if len(loads_kpa) > MOST_STEPS:
@@ -63,7 +63,7 @@ class Plan:
         _patch(press)
 
     def check_full_scale(self, full_scale_kpa: float) -> None:
-        """InputError for a load that cells of this full scale could only feel with a gain that is not believed."""
+        """Raise InputError for a load so large that it needs a gain outside :data:`GAINS` at this full scale."""
         largest = max(self.loads_kpa)
         if largest > GAINS[1] * full_scale_kpa:
             raise InputError(
@@ -72,7 +72,7 @@ class Plan:
             )
 
     def name(self, target: int) -> str:
-        """A target in words."""
+        """Name of a target for messages."""
         cells = self.targets[target]
         if len(cells) == self.shape[0] * self.shape[1]:
             return "all cells"
@@ -84,7 +84,7 @@ class Plan:
         return index // self.shape[1], index % self.shape[1]
 
     def pressed_target(self, load_kpa: FloatArray) -> int:
-        """The target that bears the largest mean of the loads (cells,)."""
+        """The target with the largest mean of the loads (cells,)."""
         order, first = self._in_order
         return int(np.argmax(np.add.reduceat(load_kpa[order], first)))
 
@@ -96,19 +96,19 @@ class Plan:
 
     @property
     def _in_order(self) -> tuple[IntArray, IntArray]:
-        """The cells of all targets one after the other, and the place of the first cell of each. All are as large."""
+        """The cells of all targets in sequence, and the index of each target's first cell. Targets have equal sizes."""
         size = len(self.targets[0])
         return np.concatenate(self.targets), np.arange(len(self.targets)) * size
 
     def outside(self, target: int) -> BoolArray:
-        """(cells,) mask of the cells that the target leaves alone."""
+        """(cells,) mask of the cells outside a target."""
         mask = np.ones(self.shape[0] * self.shape[1], dtype=np.bool_)
         mask[self.targets[target]] = False
         return mask
 
 
 def _patch(press: str) -> tuple[int, int] | None:
-    """(rows, columns) that bear a load together; None: all of the skin. InputError for other words."""
+    """(rows, columns) of a patch; None: the whole skin. InputError for an unknown ``press``."""
     if press == "all":
         return None
     patch = re.fullmatch(r"([1-9]\d{0,3})x([1-9]\d{0,3})", "1x1" if press == "each" else press)

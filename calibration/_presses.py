@@ -1,4 +1,4 @@
-"""What is measured for a calibration: the skin at rest, and presses with a known load. No I/O."""
+"""Measurements of a calibration: the skin at rest, and presses with known loads. No I/O."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class Rest:
     """The unloaded skin before the first press. Arrays are (rows, columns)."""
 
     time_s: float
-    """middle of the window"""
+    """middle of the averaging window"""
     resistance_ohm: FloatArray
     """mean; NaN where there was no valid reading"""
     std_ohm: FloatArray
@@ -30,29 +30,28 @@ class Rest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Press:
-    """One press: a load on some cells, held and taken off again."""
+    """One press: a load that is put on some cells, held, and taken off."""
 
     cells: IntArray
-    """(k,) cells that bore the load, as indices into the flattened array"""
+    """(k,) cells under the load, as indices into the flattened array"""
     time_s: FloatArray
-    """(n,) increasing: corners of the load over time"""
+    """(n,) increasing: times of the corners of the load, which is piecewise linear"""
     load_kpa: FloatArray
-    """(n,) load at the corners; straight lines between them, none before and after"""
+    """(n,) load at the corners; 0 before and after"""
     window_s: FloatArray
-    """(w,) middles of the windows over which readings were averaged: one just before the press, the others while it
-    was held"""
+    """(w,) middles of the averaging windows: one just before the press, the others while the load was held"""
     resistance_ohm: FloatArray
-    """(w, k) means; NaN where there was no valid reading"""
+    """(w, k) means over the windows; NaN where there was no valid reading"""
     std_ohm: FloatArray
     """(k,) standard deviation from frame to frame while the load was held"""
     frames: int
-    """averaged in each window"""
+    """number of frames in the last window under load"""
     step: int
-    """number of the step of the plan that it was meant for"""
+    """number of the step of the plan to which the press belongs"""
     felt_kpa: float
-    """mean load on the target while it was held, as the common cell model has it"""
+    """mean load on the target during the hold, as estimated with the common cell model"""
     fault: str = ""
-    """why its readings are not used. The cells remember such a press, too"""
+    """why the readings are not used; empty: they are. A press with a fault still changes the memory of the cells"""
 
     @property
     def held_kpa(self) -> float:

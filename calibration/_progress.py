@@ -1,4 +1,4 @@
-"""Progress of a calibration in a file, so that it can be interrupted and resumed: JSON, replaced after each press."""
+"""Checkpoint file of a calibration, for interruption and resumption: JSON, replaced atomically after each press."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ._presses import Press, Rest
 FORMAT = 1
 MOST_BYTES = 256 * 2**20
 MOST = 1_000_000
-"""numbers of a list"""
+"""largest length of a list"""
 
 _Text = Annotated[str, Field(max_length=1000)]
 _Ohm = Positive | None
@@ -60,23 +60,23 @@ class _File(Section):
 
 @dataclass(frozen=True)
 class Progress:
-    """What has been measured so far, and with which settings."""
+    """The measurements so far, and the settings of the calibration."""
 
     setup: dict[str, Any]
-    """texts and numbers that must be the same when the calibration is resumed"""
+    """settings (texts and numbers) that must be the same when the calibration is resumed"""
     rest: Rest
     presses: tuple[Press, ...]
     trace: tuple[tuple[float, float], ...]
-    """time in s and largest load in kPa; empty where no reference sensor is used"""
+    """times in s and largest loads in kPa; empty if no reference sensor is used"""
 
     @property
     def last_s(self) -> float:
-        """Time of the last that was measured."""
+        """Time of the last measurement."""
         ends = [float(press.time_s[-1]) for press in self.presses]
         return max([self.rest.time_s, *ends, *(time for time, _ in self.trace[-1:])])
 
     def save(self, path: Path) -> None:
-        """Replace the file; InputError when that fails."""
+        """Replace the file. Raises InputError if writing fails."""
         content = {
             "format": FORMAT,
             "setup": self.setup,
@@ -109,15 +109,15 @@ class Progress:
 
     @classmethod
     def load(cls, path: Path, setup: dict[str, Any], plan: Plan) -> Progress:
-        """Read what :meth:`save` wrote.
+        """Read a file written by :meth:`save`.
 
         Args:
-            path: of the file.
-            setup: that of the calibration which is to be resumed.
-            plan: likewise.
+            path: path of the file.
+            setup: settings of the calibration that is to be resumed.
+            plan: plan of that calibration.
 
         Raises:
-            InputError: the file cannot be read, is no progress, or is that of another calibration.
+            InputError: the file cannot be read, is invalid, or belongs to another calibration.
 
         """
         try:

@@ -1,4 +1,4 @@
-"""Loads by a reference sensor, aligned in time with what the skin felt: cross-correlation, then least squares."""
+"""Clock alignment of a reference sensor with the skin (cross-correlation, then least squares), and loads by it."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from ._presses import Press
 
 RASTER_S = 0.02
 MOST_SAMPLES = 10_000_000
-"""of the common raster: two days"""
+"""largest length of the common raster: two days"""
 LEAST_CORRELATION = 0.8
 LONGEST_DRIFT_PPM = 2000.0
 STILL = 0.1
-"""relative departure of the reference from its mean while a load is held"""
+"""largest relative departure of the reference from its mean while a load is held"""
 
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """The reference's clock on the skin's: skin time = reference time + ``offset_s`` + drift since ``middle_s``."""
+    """Clock model: skin time = t + ``offset_s`` + 1e-6 ``drift_ppm`` (t - ``middle_s``), t: reference time in s."""
 
     offset_s: float
     middle_s: float
     """reference time at which the offset holds"""
     drift_ppm: float
-    """by which the reference's clock is slow"""
+    """rate by which the reference's clock is slow"""
     correlation: float
-    """of the loads, once aligned; at most 1"""
+    """correlation of the two loads after alignment; at most 1"""
 
     def skin_time_s(self, reference_s: FloatArray) -> FloatArray:
         """Times of the reference on the skin's clock."""
@@ -50,7 +50,7 @@ class Alignment:
 
 
 def read_reference(path: str | Path) -> tuple[FloatArray, FloatArray]:
-    """Times in s and pressures in kPa of a CSV file with the columns ``time_s,pressure_kpa``; InputError."""
+    """Times in s and pressures in kPa from a CSV file with the columns ``time_s,pressure_kpa``. Raises InputError."""
     columns = read_columns(path, ("time_s", "pressure_kpa"))
     known = np.isfinite(columns["pressure_kpa"]) & np.isfinite(columns["time_s"])
     time_s, kpa = columns["time_s"][known], columns["pressure_kpa"][known]
@@ -64,12 +64,12 @@ def align(skin_s: FloatArray, skin_kpa: FloatArray, reference_s: FloatArray, ref
 
     Args:
         skin_s: (n,) increasing times on the skin's clock.
-        skin_kpa: (n,) what the skin felt, in any unit.
+        skin_kpa: (n,) load estimated by the skin, in any unit.
         reference_s: (m,) increasing times on the reference's clock.
-        reference_kpa: (m,)
+        reference_kpa: (m,) load by the reference.
 
     Raises:
-        InputError: the two do not show the same presses.
+        InputError: the two loads do not show the same presses, the drift is implausible, or a recording is too long.
 
     """
     length = max(np.ptp(skin_s), np.ptp(reference_s))
@@ -83,7 +83,7 @@ def align(skin_s: FloatArray, skin_kpa: FloatArray, reference_s: FloatArray, ref
             f"the reference does not show the presses that the skin felt: correlation {correlation:.2f}; "
             f"expected at least {LEAST_CORRELATION:g}"
         )
-    # Where both overlap, on the reference's clock.
+    # Interval in which both recordings overlap, on the reference's clock.
     first, last = max(reference_s[0], skin_s[0] - offset_s), min(reference_s[-1], skin_s[-1] - offset_s)
     middle = (first + last) / 2
     inside = (reference_s >= first) & (reference_s <= last)
@@ -111,9 +111,9 @@ def align(skin_s: FloatArray, skin_kpa: FloatArray, reference_s: FloatArray, ref
 def with_reference(
     presses: Sequence[Press], alignment: Alignment, reference_s: FloatArray, reference_kpa: FloatArray
 ) -> list[Press]:
-    """Presses with the loads that the reference shows, above its reading just before each press.
+    """Presses with loads by the reference, relative to its reading just before each press.
 
-    A press that the reference does not cover, or during whose hold its reading moves, gets a fault.
+    A press gets a fault if the reference does not cover it, or if the reference moves during the hold.
     """
     time_s = alignment.skin_time_s(reference_s)
     found = []
@@ -142,7 +142,7 @@ def _raster(time_s: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def _best_lag(skin: FloatArray, reference: FloatArray) -> tuple[int, float]:
-    """Samples by which the reference must be delayed to fit best, and the correlation there."""
+    """Delay of the reference in samples for the best fit to the skin, and the normalised correlation at that delay."""
     product = correlate(skin, reference, mode="full", method="fft")
     lags = correlation_lags(len(skin), len(reference), mode="full")
     best = int(np.argmax(product))

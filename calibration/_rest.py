@@ -1,4 +1,4 @@
-"""The skin at rest before the first press: its average, and signs that it is loaded."""
+"""Rest measurement of a skin before the first press: mean, noise, and checks that the skin is unloaded."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from ._presses import Rest
 from ._windows import noise, window_mean
 
 SHEET_FACTOR = 3.0
-"""factor between the typical cell and the data sheet that manufacture explains"""
+"""largest ratio between the median cell and the data sheet that manufacturing tolerances explain"""
 CELL_FACTOR = 2.0
-"""factor between one cell and the typical one"""
+"""largest ratio between one cell and the median cell"""
 REST_CHANGE, REST_CHANGE_STDS = 0.01, 6.0
-"""relative change of a resting cell during the measurement of rest, and so many standard errors besides"""
+"""largest relative change of a cell during the rest measurement, plus a number of standard errors"""
 
 
 def rest_of(frames: Sequence[tuple[float, FloatArray]]) -> Rest:
-    """The skin at rest, averaged over frames of (time in s, ohm of (rows, columns), NaN where not valid)."""
+    """The skin at rest, averaged over frames: (time in s, resistance in ohm (rows, columns), NaN where not valid)."""
     time_s = np.array([time for time, _ in frames])
     ohm = np.array([reading for _, reading in frames])
     half = max(len(ohm) // 2, 1)
@@ -31,7 +31,7 @@ def rest_of(frames: Sequence[tuple[float, FloatArray]]) -> Rest:
 
 
 def check_rest(rest: Rest, cell: Cell) -> None:
-    """Raises InputError where the skin does not look unloaded."""
+    """Raise InputError if the skin does not seem to be unloaded, or is not at rest."""
     measured: BoolArray = rest.measured
     if not measured.any():
         raise InputError("no cell has a valid reading")

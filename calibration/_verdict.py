@@ -1,4 +1,4 @@
-"""From a fit to a calibration: which cells are good, why the others are not, and whether the whole is refused."""
+"""Acceptance test of a fit: which cells are calibrated, why the others are not, and the resulting calibration."""
 
 from __future__ import annotations
 
@@ -20,22 +20,23 @@ from ._plan import GAINS, LEAST_PRESSES
 from ._presses import Press, Rest
 
 MOST_NOISE = 0.1
-"""relative noise of the measured effect of a load"""
+"""largest noise of a window mean, over the measured effect of a load"""
 MOST_REST_CHANGE = 0.03
-"""relative: a rest resistance that is off by 3 % is 4 to 6 % of full scale (docs/estimator.md)"""
+"""largest relative error of a rest resistance: 3 % correspond to 4 to 6 % of full scale (docs/estimator.md)"""
 NOISE_STDS = 4.0
-"""so many standard deviations of an averaged reading more"""
+"""allowance on top of ``MOST_REST_CHANGE``, in standard deviations of an averaged reading"""
 TOLERANCE = 0.1
-"""of the load, rms over the presses of a cell"""
+"""largest rms residual over the presses of a cell, over the load"""
 MOST_NAMED = 4
-"""cells that a message names"""
+"""number of cells that a message names"""
 UNKNOWN_GAIN_STD = 0.2
-"""relative, of cells without calibration where fewer than three others say how gains scatter"""
+"""relative standard deviation of the gain of cells without calibration, if fewer than three calibrated cells show the
+scatter of gains"""
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """A fit and what is wrong with it."""
+    """A fit, with the reasons why cells are not calibrated."""
 
     fit: Fit
     rest: Rest
@@ -53,7 +54,7 @@ class Verdict:
         return mask
 
     def text(self) -> str:
-        """What is wrong, in one line; empty where all is well."""
+        """All reasons in one line; empty if all cells are calibrated."""
         cells: dict[str, list[tuple[int, int]]] = {}
         for place, reason in self.reasons.items():
             cells.setdefault(reason.partition(":")[0], []).append(place)
@@ -76,14 +77,14 @@ class Verdict:
         """The calibration.
 
         Args:
-            design: whose inverse gave the resistances.
-            cell: the common model.
-            serial_number: of the board.
-            allow_partial: give cells without calibration the median gain of the others, and say so in its remarks.
-            date: None: now.
+            design: the design whose inverse gave the resistances.
+            cell: the common cell model.
+            serial_number: serial number of the board.
+            allow_partial: give cells without calibration the median gain of the others, with a remark.
+            date: date of the calibration; None: now.
 
         Raises:
-            InputError: a cell could not be calibrated, and ``allow_partial`` is not given; or no cell could.
+            InputError: a cell could not be calibrated, and ``allow_partial`` is False; or no cell could be calibrated.
 
         """
         good, text = self.good, self.text()
@@ -115,13 +116,13 @@ class Verdict:
 
 
 def calibrate_cells(cell: Cell, rest: Rest, presses: Sequence[Press], *, tolerance: float = TOLERANCE) -> Verdict:
-    """Fit rest resistance and gain of every cell, and judge each.
+    """Fit rest resistance and gain of every cell, and decide which cells are calibrated.
 
     Args:
-        cell: the common model.
+        cell: the common cell model.
         rest: the skin before the first press.
         presses: in the order of time.
-        tolerance: residual, as a share of the load, up to which a cell is good.
+        tolerance: largest rms residual of a calibrated cell, over the load.
 
     Raises:
         InputError: the tolerance is not positive.
@@ -141,7 +142,7 @@ def calibrate_cells(cell: Cell, rest: Rest, presses: Sequence[Press], *, toleran
 
 
 def _reason(fit: Fit, at: tuple[int, int], rest: Rest, tolerance: float) -> str:
-    """Why a cell is not calibrated; empty where it is. What stands behind a colon is about one cell alone."""
+    """Why a cell is not calibrated; empty if it is. The text after a colon concerns this cell alone."""
     presses, gain = int(fit.presses[at]), float(fit.gain[at])
     change, noise, effect = float(fit.rest_change[at]), float(fit.noise[at]), float(fit.effect[at])
     if not rest.measured[at]:

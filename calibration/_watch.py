@@ -1,17 +1,17 @@
-"""Watching a skin being calibrated: a state machine from frames to presses, without I/O.
+"""Press detection during a calibration: a state machine from frames to presses, without I/O.
 
 ==========  ========================================================  =======================================
-state       what happens                                              left when
+state       action                                                    ends when
 ==========  ========================================================  =======================================
 rest        readings of the unloaded skin are averaged                ``rest_s`` have passed
-waiting     the skin is expected to be pressed                        a cell bears a quarter of the load
-pressed     readings are kept                                         half of the load is gone
+waiting     waits for a press                                         a cell bears a quarter of the load
+pressed     readings are stored                                       half of the load is gone
 ==========  ========================================================  =======================================
 
-Loads are judged by the pressures of the common cell model (``cell.estimator``) over the rest resistances measured at
-first, above a baseline that follows them slowly between presses: a cell that has not yet recovered does not look
-pressed. Readings are averaged over as many frames as their noise demands; the windows of a press hold the readings
-themselves.
+Loads are estimated with the common cell model (``cell.estimator``) and the measured rest resistances. A baseline, which
+slowly follows the estimates between presses, is subtracted, so that a cell that is still recovering does not look
+pressed. For the detection, readings are averaged over as many frames as their noise requires. The windows of a press
+use the readings themselves.
 """
 
 from __future__ import annotations
@@ -32,17 +32,18 @@ from ._presses import Press, Rest
 from ._rest import check_rest, rest_of
 
 CLEAR = 5.0
-"""standard deviations of a smoothed load that a beginning press exceeds"""
+"""least load of a press that begins, in standard deviations of a smoothed load"""
 TOUCH = 0.2
-"""share of the hold up to which a load is a touch, or noise, and ignored"""
+"""fraction of the hold; shorter loads are touches or noise, and ignored"""
 MOST_SMOOTHED = 0.25
-"""share of the hold over which readings are averaged at most"""
+"""longest averaging time, over the hold"""
 BASELINE_RISE_S, BASELINE_FALL_S = 5.0, 0.3
-"""time constants by which the baseline follows the pressures between presses"""
+"""time constants with which the baseline follows rising and falling estimates between presses"""
 UNREAD_S = 0.2
-"""a cell that was read at rest and is not for so long is pressed too hard"""
+"""a cell that was read at rest, and is not read for longer than this, counts as pressed too hard"""
 OTHER_STEP = 0.4
-"""share of the distance to the present load, at which a press is taken to be of another step"""
+"""a press is assigned to another step if its (logarithmic) distance to that step's load is below this fraction of the
+distance to the present step's load"""
 AGAIN = "done again"
 
 
@@ -77,7 +78,7 @@ class PressTaken:
 
 @dataclass(frozen=True, slots=True)
 class PressRefused:
-    """A press has ended, and is not used: see its ``fault``."""
+    """A press has ended, and is not used; its ``fault`` says why."""
 
     target: int
     press: Press
@@ -87,7 +88,7 @@ Event = RestTaken | PressBegan | HeldLongEnough | PressTaken | PressRefused
 
 
 class Watch:
-    """Takes frames in the order of time, and says what happened on the skin."""
+    """Turns frames, in the order of time, into events on the skin."""
 
     def __init__(
         self,
@@ -99,26 +100,26 @@ class Watch:
         rest: Rest | None = None,
         presses: Iterable[Press] = (),
     ) -> None:
-        """Begin, or go on from the ``rest`` and ``presses`` of an earlier watch.
+        """Begin, or continue from the ``rest`` and ``presses`` of an earlier watch.
 
         Args:
             cell: the common cell model.
-            plan: what is to be pressed.
-            hold_s: for which a load must be held.
-            rest_s: over which the unloaded skin is averaged.
-            rest: of an earlier watch.
-            presses: likewise.
+            plan: the presses to expect.
+            hold_s: required duration of a hold.
+            rest_s: averaging time of the unloaded skin.
+            rest: rest measurement of an earlier watch.
+            presses: presses of an earlier watch.
 
         """
         self.cell, self.plan = cell, plan
         self.hold_s, self.rest_s = hold_s, rest_s
         self.rest = rest
         self.presses = list(presses)
-        """all of them, in the order of time; those with a fault are not used"""
+        """all presses, in the order of time; those with a fault are not used"""
         self.step = self._next_step()
-        """the step of the plan that is under way; None: all are done"""
+        """present step of the plan; None: all steps are done"""
         self.trace: list[tuple[float, float]] = []
-        """time in s, and the largest load on any cell in kPa as the common model has it: for a reference sensor"""
+        """time in s, and largest load on any cell in kPa by the common model; for the alignment with a reference"""
         self._first: list[tuple[float, FloatArray]] = []
         self._recent: deque[tuple[float, FloatArray, float, FloatArray]] = deque()
         self._hold: Hold | None = None
@@ -129,19 +130,19 @@ class Watch:
 
     @property
     def done(self) -> bool:
-        """Whether all of the plan is done."""
+        """Whether all steps of the plan are done."""
         return self.rest is not None and self.step is None
 
     def missing(self, step: int) -> list[int]:
-        """Targets that have no good press of a step yet."""
+        """Targets without a good press of a step."""
         done = {self._target_of(press) for press in self.presses if press.step == step and not press.fault}
         return [target for target in range(len(self.plan.targets)) if target not in done]
 
     def feed(self, time_s: float, resistance_ohm: FloatArray) -> list[Event]:
-        """Take the next frame, (rows, columns) ohm with NaN where not valid; what has happened.
+        """Take the next frame, (rows, columns) in ohm with NaN where not valid; returns the events.
 
         Raises:
-            InputError: the skin is loaded, too noisy, or not read, while it should rest.
+            InputError: in the rest measurement the skin is loaded, too noisy, or not read.
 
         """
         if self._time_s is not None and time_s <= self._time_s:
@@ -162,7 +163,7 @@ class Watch:
         return self._look_for_press(self._loads, time_s, load)
 
     def interrupt(self) -> None:
-        """The board was away: drop the press under way. Times may go on anywhere later."""
+        """Drop the press in progress, after the board was away. Later times may continue with any offset."""
         self._hold = None
         self._recent.clear()
         if self.rest is not None:
@@ -219,7 +220,7 @@ class Watch:
         if press.fault:
             self.presses.append(press)
             return PressRefused(target, press)
-        # A press that is done again takes the place of the one before, which the cells still remember.
+        # A repeated press replaces the earlier one, which stays in the list since it changed the cells' memory.
         for number, other in enumerate(self.presses):
             if other.step == step and not other.fault and self._target_of(other) == target:
                 self.presses[number] = replace(other, fault=AGAIN)
@@ -228,7 +229,7 @@ class Watch:
         return PressTaken(target, press)
 
     def _step_of(self, target: int, felt_kpa: float, present: int) -> int:
-        """The step that a press belongs to: the present one, unless earlier presses of the target say another load."""
+        """The step of a press: the present one, unless the load, compared with earlier presses, fits another better."""
         done = [press for press in self.presses if not press.fault and self._target_of(press) == target]
         if not done or felt_kpa <= 0:
             return present
@@ -246,19 +247,19 @@ class Watch:
 
 
 class _Loads:
-    """Pressures on the cells as the common cell has them, smoothed, above their baseline."""
+    """Loads on the cells by the common cell model: smoothed, and relative to a baseline."""
 
     def __init__(self, cell: Cell, plan: Plan, rest: Rest, hold_s: float, rest_s: float) -> None:
-        """Raises InputError where noise hides the smallest load."""
+        """Raises InputError if noise hides the smallest load."""
         typical = float(np.median(rest.resistance_ohm[rest.measured]))
         rest_ohm = np.where(rest.measured, rest.resistance_ohm, typical)
         least_kpa = min(plan.loads_kpa)
-        # The cell under the smallest load tells how large the noise is in kPa.
+        # The response of the cell to the smallest load converts the noise to kPa.
         loaded = cell.forward((1,)).step(1.0, least_kpa)[0] / cell.rest_resistance_ohm - 1
         share = float(np.median((rest.std_ohm / rest_ohm)[rest.measured])) / max(abs(loaded), 1e-12)
         frame_s = rest_s / max(rest.frames - 1, 1)
         self.smoothed = max(1, ceil((CLEAR * share / BEGIN) ** 2))
-        """frames over which readings are averaged"""
+        """number of frames over which readings are averaged"""
         if self.smoothed > 1 and self.smoothed * frame_s > MOST_SMOOTHED * hold_s:
             raise InputError(
                 f"the noise of a frame is {share * least_kpa:.2g} kPa, which hides a load of {least_kpa:g} kPa; use "
@@ -267,7 +268,7 @@ class _Loads:
         self.noise_kpa = share * least_kpa / np.sqrt(self.smoothed)
         """standard deviation of a smoothed load, of the typical cell at rest"""
         self.delay_s = (self.smoothed - 1) / 2 * frame_s
-        # Under much noise an estimator that follows the memory of the cell sees turns that are none.
+        # In strong noise, an estimator with memory would detect false turning points.
         name = "static" if self.smoothed > 1 else None
         self._estimator = cell.estimator(plan.shape, name, rest_resistance_ohm=rest_ohm)
         self._shape = plan.shape
@@ -282,8 +283,7 @@ class _Loads:
         """Take a frame (cells,).
 
         Returns:
-            The time that the smoothed load is of, and the load (cells,) in kPa; infinite for cells that are not read
-            any more.
+            The time of the smoothed load, and the load (cells,) in kPa; infinite for cells that are no longer read.
 
         """
         self._frames.append((time_s, ohm))
@@ -308,5 +308,5 @@ class _Loads:
         return middle_s, np.where(self._unread_s > UNREAD_S, np.inf, pressure - self._baseline_kpa)
 
     def released(self) -> None:
-        """A press has ended: what is felt now is what the cells still remember."""
+        """After a press, set the baseline to the present estimates, which are due to the memory of the cells."""
         self._baseline_kpa = self._pressure_kpa.copy()

@@ -1,4 +1,4 @@
-"""Averages, noise and corners of signals that were sampled frame by frame."""
+"""Mean, noise (successive differences) and edges of signals that were sampled frame by frame."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ..arrays import FloatArray
 
 
 def window_mean(values: FloatArray) -> FloatArray:
-    """Mean over the frames; NaN for a cell that misses a fifth of them or more."""
+    """Mean over the frames; NaN for a cell without readings in a fifth of them or more."""
     if not len(values):
         return np.full(values.shape[1:], np.nan)
     known = np.isfinite(values)
@@ -17,7 +17,7 @@ def window_mean(values: FloatArray) -> FloatArray:
 
 
 def noise(values: FloatArray) -> FloatArray:
-    """Standard deviation from frame to frame, by differences of neighbours, so that a trend does not count."""
+    """Standard deviation from frame to frame, by successive differences, so that a trend does not count."""
     if len(values) < 2:
         return np.zeros(values.shape[1:])
     squares = np.diff(values, axis=0) ** 2
@@ -28,10 +28,10 @@ def noise(values: FloatArray) -> FloatArray:
 
 
 def corners(time_s: FloatArray, load: FloatArray) -> FloatArray:
-    """Times (4,) at which a load begins to rise, is there, begins to fall, and is gone.
+    """Times (4,) of a load's trapezoid: begin and end of the rise, begin and end of the fall.
 
-    The rise is a line through its crossings of 10 and 90 %, the fall one through those of 90 and 50 %, where a press
-    ends.
+    The rise is the line through the crossings of 10 and 90 % of the load. The fall is the line through the crossings of
+    90 and 50 %, since a press ends at 50 %.
     """
     last_half = load[len(load) // 2 : -1] if len(load) > 4 else load
     level = float(np.median(last_half))
@@ -50,7 +50,7 @@ def corners(time_s: FloatArray, load: FloatArray) -> FloatArray:
 
 
 def _crossing(time_s: FloatArray, load: FloatArray, level: float, after: int) -> float:
-    """Time at which the load passes ``level`` between the frame before ``after`` and that frame."""
+    """Time at which the load crosses ``level`` between frames ``after`` - 1 and ``after``, by linear interpolation."""
     first, last = max(after - 1, 0), after
     change = load[last] - load[first]
     share = 1.0 if change == 0 else float(np.clip((level - load[first]) / change, 0.0, 1.0))

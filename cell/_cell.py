@@ -1,4 +1,4 @@
-"""CELL.toml: one identified cell, and the doors to its forward model and its estimators."""
+"""CELL.toml: the parameters of one identified piezoresistive cell; makes its forward model and its estimators."""
 
 from __future__ import annotations
 
@@ -47,26 +47,27 @@ ESTIMATORS: tuple[EstimatorName, ...] = get_args(EstimatorName)
 
 
 SUREST_PERCENT = 1.0
-"""of full scale: no held-out error below that is believed, as presses unlike those recorded are answered worse"""
+"""% of full scale: smaller held-out errors count as this much; presses unlike those recorded are estimated worse"""
 REST_ERROR = 0.02
-"""standard deviation of an R0 that is given, relative, unless the caller knows better; the project's own choice"""
+"""relative standard deviation of an R0 that the caller passes without stating its error; the project's own choice"""
 
 
 class Calibrated(Section):
-    """What ``ohmskin fit`` learned about estimating this cell."""
+    """The result of ``ohmskin fit``: the estimators learned for this cell, and their cross-validation errors."""
 
     default: EstimatorName
     reason: str
-    """why that one"""
+    """why this estimator is the default"""
     held_out_percent: dict[EstimatorName, float]
     """rms error on the worst fold of the recording after learning from what comes before it, % of full scale"""
     fold_percent: dict[EstimatorName, Numbers] = Field(default_factory=dict)
-    """the same on each fold"""
+    """the rms error on each fold, % of full scale"""
     pressed_percent: dict[EstimatorName, float] = Field(default_factory=dict)
-    """as ``held_out_percent``, while the cell is loaded only: rest is easy, and may be most of a recording"""
+    """as ``held_out_percent``, but only over samples under load: rest is easy, and may be most of a recording"""
     drift_percent: NotNegative = 0.0
-    """mean error of the static curve under load on the fold where it is largest, % of full scale: creep beyond what was
-    learned. It counts at most as three times the error of the inverse, which follows what its model explains"""
+    """mean error of the static curve under load on the fold where that error is largest, % of full scale. It measures
+    creep beyond the creep that was learned. It counts at most as three times the error of the inverse, which follows
+    the creep that its model explains"""
     seen: Seen = Seen()
     static: StaticCurve
     play: Learned | None = None
@@ -79,29 +80,29 @@ class Cell(Section):
     rest_resistance_ohm: Positive
     """R0, unloaded; a skin whose cells differ passes an array to :meth:`forward` and :meth:`estimator`"""
     full_scale_kpa: Positive
-    """the largest pressure the cell is meant for, and the unit of the normalised load"""
+    """the largest pressure that the cell is meant for; normalised loads are multiples of it"""
     model: Model
     estimators: Calibrated | None = None
-    """None: not calibrated, only what follows from the model can be had"""
+    """None: the cell is not calibrated, and only estimators that follow from the model are available"""
 
     @classmethod
     def load(cls, path: str | Path) -> Cell:
-        """Read CELL.toml; InputError with one located message if it is not a valid cell."""
+        """Read CELL.toml. Raises InputError, whose message locates the fault, if the file is not a valid cell."""
         return load(path, cls)
 
     @classmethod
     def example(cls) -> Cell:
-        """The shipped example: the paper's model with the project's own values, which meet P7."""
+        """The shipped example: the paper's model with the project's own parameters, which meet property P7."""
         with importlib.resources.as_file(importlib.resources.files(__package__) / "example.toml") as path:
             return cls.load(path)
 
     def save(self, path: str | Path, *, comment: str = "") -> None:
-        """Write CELL.toml, whole or not at all; ``comment`` goes to its head. Raises InputError."""
+        """Write CELL.toml atomically; ``comment`` goes to its head. Raises InputError."""
         write_toml(path, self.model_dump(exclude_none=True), comment=comment)
 
     @property
     def default_estimator(self) -> str:
-        """The estimator for this cell: the calibrated choice, else what its model allows."""
+        """The default estimator of this cell: the one that calibration chose, else the best that its model allows."""
         if self.estimators is not None:
             return self.estimators.default
         match self.model:
@@ -133,11 +134,11 @@ class Cell(Section):
             shape: of a frame.
             name: one of ``ESTIMATORS``; None: :attr:`default_estimator`.
             rest_resistance_ohm: R0, broadcast to ``shape``; None: the cell's.
-            noise: standard deviation of R/R0 at rest to begin with; it is then measured. None: that of the
-                calibration, if there is one. 0: readings are exact and taken as they are.
+            noise: first guess of the standard deviation of R/R0 at rest, until the noise has been measured. None: the
+                noise of the calibration, if there is one. 0: readings are exact and are not smoothed.
             rest_error: relative standard deviation of R0, which widens the stated deviations. None: for a calibrated
-                cell with an R0 that is given, :data:`REST_ERROR`; else 0, since errors that the calibration was judged
-                by include those of its own R0.
+                cell whose R0 is passed here, :data:`REST_ERROR`; else 0, since the held-out errors of a calibration
+                include the error of its own R0.
 
         Raises:
             InputError: no such estimator, or not one for this cell; R0 does not fit ``shape``; ``rest_error`` is not
@@ -160,7 +161,7 @@ class Cell(Section):
         return Estimator(inversion, shape, rest, conditions)
 
     def _inversion(self, name: str, rest_resistance_ohm: FloatArray, *, exact: bool) -> Inversion:
-        """The inversion of that name, for cells of which each has its ``rest_resistance_ohm`` (n,)."""
+        """The inversion ``name`` for n cells with the resistances at rest ``rest_resistance_ohm`` (n,)."""
         model, full, learned = self.model, self.full_scale_kpa, self.estimators
         full_r = equilibrium_gain(model, full, self.rest_resistance_ohm)
         match name:
@@ -194,7 +195,10 @@ class Cell(Section):
         return InputError(f"the estimator '{name}' inverts a cell of kind '{kind}'; this one is '{self.model.kind}'")
 
     def _conditions(self, name: str, noise: float | None) -> Conditions:
-        """What the calibration says of readings, loads, and of errors that an inverse cannot see in its readings."""
+        """The noise, speed of loads and model error found by calibration, for the estimator ``name``.
+
+        Only inverses get a model error: they cannot see it in their readings.
+        """
         learned = self.estimators
         if learned is None:
             return Conditions(noise=noise)

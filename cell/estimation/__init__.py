@@ -1,9 +1,9 @@
-"""A frame of an estimator, the same for every material: noise, rest, smoothing, bad contacts, gaps, deviations.
+"""Causal estimation of pressure from resistance, common to all materials: noise, smoothing, faults, uncertainty.
 
-:mod:`._estimator` has the order in which a frame passes the other modules. They know no model of a cell:
-:class:`Inversion` is the interface behind which a material turns readings into pressures. The subclasses are in
-:mod:`..inversions`. :mod:`._rows` names the rows of the arrays that are handed to them.
-The constants below are thresholds that an inversion shares with the rest of its frame.
+:mod:`._estimator` lists the steps of a frame and the module of each. These modules contain no model of a cell.
+:class:`Inversion` is the interface by which a material turns readings into pressures; its subclasses are in
+:mod:`..inversions`. :mod:`._rows` names the rows of the arrays that are passed to them.
+The constants exported here are thresholds that inversions share with the estimator.
 """
 
 from ._conditions import Conditions

@@ -1,12 +1,13 @@
-"""Standard deviation of the estimated pressures, as a sum of variances; and what pressure is shown.
+"""Uncertainty propagation: standard deviation of the estimated pressures as a sum of variances; shrinkage towards 0.
 
-The variance of a cell that is followed sums those of noise and of what the smoothing may not have noticed, of the
-inversion's memory, of motion within the frame, of the model, of R0, and of what :mod:`._following` adds: bad contacts
-and motion within the noise. A cell that sleeps may bear any load that its reading does not exclude.
+The variance of a followed cell sums several parts: noise, changes that the smoothing may not have noticed yet, the
+inversion's memory, motion within the frame, the model, R0, and the parts that :mod:`._following` adds (bad contacts,
+motion within the noise). A sleeping cell may carry any load that its reading does not exclude.
+Small pressures that noise alone could cause are shown closer to 0.
 
-A program that does not ask for the deviation of a frame is not to pay for it. A frame therefore leaves what the
-variances follow from (:class:`LeftOpen`), in arrays that never change again, and the sum is made when it is asked for,
-or when other cells are followed. Machine code makes the sum at once, since that costs it less than copies of these.
+Programs that do not read the deviation of a frame should not pay for it. Each frame therefore stores the inputs of its
+variances (:class:`LeftOpen`), in arrays that never change again. The sum is evaluated when it is asked for, or when
+other cells are to be followed. Compiled loops evaluate it at once, which costs them less than copying the inputs.
 """
 
 from __future__ import annotations
@@ -29,41 +30,41 @@ from ._sleep import AT_REST, Sleep
 from ._smoothing import HIDDEN, SIGMAS, Looked
 
 TINY = 1e-30
-"""keeps 0/0 from occurring"""
+"""avoids 0/0"""
 MODEL_ERROR = 0.005
-"""of full scale: the least standard deviation without a calibration. It covers what an estimator passes over: loads
-that let a cell sleep, turns below a percent. It is no estimate of a model's error, for nobody compared the model with a
-recording"""
+"""fraction of full scale: the least standard deviation without a calibration. It covers loads that an estimator
+neglects: loads so small that a cell sleeps under them, and turning points below a percent. It does not estimate the
+error of a model, which only a comparison with a recording can"""
 
 _ZERO, _TINY = np.array(0.0), np.array(TINY)
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
 class LeftOpen(NamedTuple):
-    """All that the variances of one frame follow from. Arrays never change again."""
+    """Inputs of the variances of one frame. Arrays never change again."""
 
     cells: IntArray
-    """(m,) that were followed"""
+    """(m,) cells that were followed"""
     memory: FloatArray
     """(SHARED, m) first rows of their memory after the frame"""
     looked: Looked | None
     """None: readings are exact"""
     added: FloatArray | None
-    """(m,) kPa^2 beside that of noise and memory"""
+    """(m,) kPa^2 in addition to the variances by noise and memory"""
 
 
 class Asleep(NamedTuple):
-    """What the readings of sleeping cells leave open. Arrays never change again."""
+    """Inputs of the variances of sleeping cells. Arrays never change again."""
 
     cells: IntArray
     """(m,)"""
     per_reading: FloatArray
-    """(m,) kPa of standard deviation per r: the load may be the reading's, though none is shown"""
+    """(m,) standard deviation in kPa per r: the reading may be due to a load, although 0 is shown"""
     hidden_kpa: FloatArray
-    """(m,) what the noise may hide beyond, as standard deviation"""
+    """(m,) standard deviation in kPa of a further load that the noise may hide"""
 
     def without(self, cells: IntArray, of: int) -> Asleep | None:
-        """The same without ``cells`` (m,) of so many; None: no cell is left."""
+        """The same without ``cells`` (k,), in an array of ``of`` cells; None: no cell remains."""
         kept = np.ones(of, dtype=np.bool_)
         kept[cells] = False
         places = kept[self.cells].nonzero()[0]
@@ -72,7 +73,7 @@ class Asleep(NamedTuple):
         return Asleep(self.cells.take(places), self.per_reading.take(places), self.hidden_kpa.take(places))
 
     def add_to(self, variance: FloatArray, reading: FloatArray, *, compiled: bool) -> None:
-        """Add what the present readings (n,) leave open to variances (n,) in kPa^2."""
+        """Add the variance of loads that the present readings (n,) do not exclude, to variances (n,) in kPa^2."""
         if compiled:
             loops.add_asleep.unchecked(variance, reading, self.cells, self.per_reading, self.hidden_kpa)
             return
@@ -84,7 +85,7 @@ class Asleep(NamedTuple):
 
 
 class Deviation:
-    """The variances of n cells in kPa^2, and what they follow from. Gaps and creep are added when one asks."""
+    """The variances of n cells in kPa^2, and their inputs. Gaps and creep are added when the variances are read."""
 
     def __init__(self, inversion: Inversion, conditions: Conditions, cells: int) -> None:
         self._inversion, self._full_kpa = inversion, inversion.full_scale_kpa
@@ -96,15 +97,15 @@ class Deviation:
         self._rest_at_kpa = np.linspace(0, self._full_kpa, rest_std_kpa.size)
         self._doubt_kpa2 = (DOUBT * self._full_kpa) ** 2
         self._variance = np.full(cells, np.nan)
-        """(n,) kPa^2 without the cells of ``_left_open``; gaps are not counted; replaced, never changed"""
+        """(n,) kPa^2 without gaps; out of date for the cells of ``_left_open``; replaced, never changed"""
         self._left_open: LeftOpen | None = None
         self._asleep: Asleep | None = None
         self._numbers = self._numbers_of_loops()
         self.compiled = False
-        """whether the loops are there as machine code"""
+        """whether compiled loops are in use"""
 
     def _numbers_of_loops(self) -> FloatArray:
-        """What :func:`._loops.show` takes."""
+        """The parameter array of :func:`._loops.show`."""
         full = self._full_kpa
         within, sure = self._inversion.bends
         numbers = {
@@ -133,7 +134,7 @@ class Deviation:
     # -- cells that are followed -------------------------------------------------------------------------------------
 
     def follow(self, cells: IntArray) -> None:
-        """Note that ``cells`` (m,) are followed, and sleep no more."""
+        """Note that ``cells`` (m,) are followed, and no longer sleep."""
         if self._asleep is not None:
             self._asleep = self._asleep.without(cells, self._variance.size)
 
@@ -142,7 +143,7 @@ class Deviation:
         self._left_open = LeftOpen(block.cells, block.memory[:SHARED].copy(), None, None)
 
     def show(self, block: Block, looked: Looked, added: FloatArray | None) -> FloatArray:
-        """Take a frame; ``added`` (m,) are variances in kPa^2 by what the inversion does not know of, None: none.
+        """Take a frame; ``added`` (m,) are variances in kPa^2 by effects outside the inversion, None: zero.
 
         Returns:
             (m,) pressures to show in kPa.
@@ -151,7 +152,7 @@ class Deviation:
         pressure: FloatArray = memory[PRESSURE]
         usual = USUAL * self._full_kpa
         if pressure.item(pressure.argmax()) > usual:
-            # A pressure that the cell is not meant for may as well be an error of the memory.
+            # A pressure beyond full scale may just as well be an error of the memory.
             excess = np.maximum(pressure - self._full_kpa, 0.0)
             by_noise = looked.doubt_kpa(memory[GAIN], self._inversion.steepness_kpa)
             doubtful = total(added, memory[VARIANCE]) + by_noise**2 > self._doubt_kpa2
@@ -172,7 +173,7 @@ class Deviation:
         return pressure
 
     def show_compiled(self, block: Block, added: FloatArray, pressure: FloatArray) -> None:
-        """:meth:`show` by machine code, which writes the pressures into those of all cells (n,)."""
+        """:meth:`show` by compiled loops, which write into ``pressure`` (n,) of all cells."""
         variance = self._variance.copy()
         loops.show.unchecked(
             *(block.memory, block.line, block.taken, added, self._numbers, self._rest_at_kpa, self._rest_variance),
@@ -190,7 +191,7 @@ class Deviation:
     # -- cells that sleep --------------------------------------------------------------------------------------------
 
     def watch_over(self, asleep: IntArray, remembered: Remembered, sleep: Sleep, noise: NoiseMeter) -> None:
-        """Renew the variances of cells (m,) that are ``asleep``, and the limits at which they wake, for the noise."""
+        """Update the variances of the cells ``asleep`` (m,), and their wake-up thresholds, to the present noise."""
         self._variance = self._variance.copy()
         if self.compiled:
             per_reading, hidden_kpa = np.empty((2, asleep.size))
@@ -211,12 +212,12 @@ class Deviation:
     def of_last_step(
         self, shape: tuple[int, ...], reading: FloatArray, *more: FloatArray | None
     ) -> Callable[[], FloatArray]:
-        """A function that gives the variances (shape) in kPa^2 of the last frame, whenever and in whatever thread.
+        """A function that returns the variances (shape) in kPa^2 of the last frame, at any time and in any thread.
 
         Args:
-            shape: of a frame.
-            reading: (n,) r of the frame, which never change again.
-            more: (n,) variances in kPa^2 to be added, which never change again; None: none.
+            shape: shape of a frame.
+            reading: (n,) r of the frame; never changes again.
+            more: (n,) further variances in kPa^2, which never change again; None: zero.
         """
         return partial(self._after, shape, self._variance, self._asleep, reading, self._left_open, more)
 
@@ -229,7 +230,7 @@ class Deviation:
         left_open: LeftOpen | None,
         added: tuple[FloatArray | None, ...],
     ) -> FloatArray:
-        """(shape) kPa^2, from variances (n,) in kPa^2: before the step, asleep, of the step, and others."""
+        """(shape) kPa^2: variances ``before`` the step, updated by sleeping and followed cells, plus ``added`` ones."""
         if left_open is not None and left_open.cells.size == before.size:
             variance = self._variance_of(left_open)
         else:
@@ -256,7 +257,7 @@ class Deviation:
         return variance
 
     def _own_variance(self, memory: FloatArray, std_kpa: FloatArray) -> FloatArray:
-        """(m,) variance in kPa^2 of cells whose readings are known to ``std_kpa`` (m,) of pressure."""
+        """(m,) variance in kPa^2 of cells whose readings leave a standard deviation ``std_kpa`` (m,) of pressure."""
         if not self.stated:
             return np.full(memory.shape[1], np.nan)
         variance: FloatArray = std_kpa * std_kpa
@@ -268,7 +269,7 @@ class Deviation:
         return variance
 
     def state(self) -> dict[str, FloatArray]:
-        """What is remembered, by name. To be called after :meth:`flush`."""
+        """The state, by name. To be called after :meth:`flush`."""
         return {"variance": self._variance}
 
     def restore(self, state: dict[str, FloatArray]) -> None:
@@ -282,10 +283,9 @@ def total(one: FloatArray | None, other: FloatArray) -> FloatArray:
 
 
 def _likely(pressure: FloatArray, hides_kpa2: FloatArray) -> FloatArray:
-    """(m,) pressures with those that noise alone could give shown nearer to none.
+    """(m,) pressures p, shrunk to p / (1 + (h / p^2)^2) with h = ``hides_kpa2`` (m,), as noise alone may be the cause.
 
-    Most cells carry no load: of a pressure whose square is below ``hides_kpa2`` (m,), no load is the likelier cause.
-    What is remembered stays as it is.
+    Most cells carry no load. Where p^2 < h, no load is more likely than a load. The memory of the cells is unchanged.
     """
     squared = pressure * pressure
     squared *= squared

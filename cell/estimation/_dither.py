@@ -1,6 +1,6 @@
-"""What noise leaves of the steps of an ADC in a mean of readings (dither).
+"""Dither: the fraction of an ADC's quantisation error that remains in a mean of noisy readings.
 
-Steps that noise makes random are noise themselves, which the smoothing averages away.
+Noise makes the quantisation error random. A random error is averaged away by the smoothing, like any noise.
 """
 
 from __future__ import annotations
@@ -13,14 +13,18 @@ from ...arrays import FloatArray
 from ...compiled import loop
 
 DITHER = math.pi**2 / 24.0
-"""noise of variance v and steps of q leave exp(-2 pi^2 v / q^2) of the steps in a mean (Widrow, Kollar: Quantization
-Noise, 2008). A fourth of that exponent is this constant times v over the variance q^2 / 12 of the steps;
-(1 + x / 4)^-4 bounds exp(-x), and machine code rounds it as NumPy does"""
+"""constant of the exponent. In a mean, noise of variance v leaves the fraction exp(-x) of the error of steps q, where
+x = 2 pi^2 v / q^2 (Widrow, Kollar: Quantization Noise, 2008). x / 4 is this constant times v over the variance
+q^2 / 12 of the quantisation error. We use the upper bound (1 + x / 4)^-4 of exp(-x), since compiled loops round it as
+NumPy does"""
 _ZERO, _ONE = np.array(0.0), np.array(1.0)
 
 
 def undithered(ratio: FloatArray) -> FloatArray:
-    """(m,) share of the steps that is left, for standard deviations (m,) of readings over those by steps alone."""
+    """(m,) fraction of the quantisation error that remains in a mean.
+
+    ``ratio`` (m,) is the standard deviation of readings over that by quantisation alone.
+    """
     left: FloatArray = _ONE / (_ONE + np.maximum(ratio * ratio - _ONE, _ZERO) * DITHER)
     left *= left
     left *= left

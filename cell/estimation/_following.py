@@ -1,7 +1,7 @@
-"""One frame of the cells that are followed: readings are smoothed, the inversion advances, doubts are added up.
+"""One frame of the followed cells: smooth the readings, advance the inversion, sum the variances.
 
-There are three forms of the work. Exact readings are not smoothed, and go to the inversion as they are. Noisy ones take
-array operations, or machine code, which does the same operation for operation.
+There are three implementations. Exact readings go to the inversion without smoothing. Noisy readings are handled by
+array operations, or by compiled loops, which do the same arithmetic operation for operation.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from ._window import RECENT, WINDOW
 
 _ZERO = np.zeros(1)
 UNUSUAL = 0.1
-"""relative change of the time between frames from which looks are made for another one"""
+"""relative change of the time between frames beyond which the interval between calls of ``sway`` is adapted"""
 
 
 def _no_doubt() -> FloatArray:
@@ -46,19 +46,19 @@ class Following:
         self._inversion, self._noise, self._tremor = inversion, noise, tremor
         self._sparks, self._deviation, self._neighbours = sparks, deviation, neighbours
         self._fall_kpa = float(inversion.steepness_kpa[1])
-        """pressure per r of a fast fall; 0: fast falls are answered as all loads are"""
+        """pressure per r of a fast fall; 0: the response to fast falls is that to all loads"""
         self._smoothed_for = (-1.0, -1.0)
         self._smoothed_by = smoothing.gains_for(1.0, 1.0)
         self._sways_for_s = 0.0
-        """time between frames for which looks at loads that go to and fro are made"""
+        """time between frames to which the interval between calls of ``sway`` is adapted"""
         self.compiled = False
-        """whether the loops are there as machine code"""
+        """whether compiled loops are in use"""
 
     def expect(self, usual_s: float) -> None:
-        """State how long after each other frames come, in the mean of late.
+        """Set the recent mean of the time between frames.
 
-        The length of a look stays while that is so within a tenth: frames that jitter, or of which one is lost, must
-        not change it.
+        Changes below a tenth (:data:`UNUSUAL`) are ignored, so that jitter or a lost frame does not change the interval
+        between calls of :meth:`._inversion.Inversion.sway`.
         """
         if abs(usual_s - self._sways_for_s) > UNUSUAL * self._sways_for_s:
             self._sways_for_s = usual_s
@@ -70,8 +70,8 @@ class Following:
             block: the cells that are followed, changed.
             dt: seconds since the last frame.
             r: (n,) normalised resistances.
-            frame: its number.
-            pressure: (n,) kPa to show, changed for the cells that are followed.
+            frame: number of the frame.
+            pressure: (n,) kPa to show; written for the followed cells.
         """
         if self.compiled:
             self._advance_by_machine_code(block, dt, r, frame, pressure)
@@ -156,13 +156,13 @@ class Following:
         self._deviation.show_compiled(block, added, pressure)
 
     def _accept_taps(self, block: Block) -> None:
-        """Let taps be no motion within the noise."""
+        """Tell the tremor detector that cells just tapped are under a load, not in motion within the noise."""
         cells = self._sparks.taps()
         if cells.size:
             self._tremor.accept(cells, block.memory[PRESSURE, np.searchsorted(block.cells, cells)])
 
     def _look_for_tremor(self, block: Block, noise: FloatArray, *, ends_window: bool) -> None:
-        """Doubt the rise of cells whose load goes to and fro within the ``noise`` (m,); changes their memory."""
+        """Doubt the rise of cells whose load oscillates within the ``noise`` (m,); changes their memory."""
         cells, memory = block.cells, block.memory
         beside = self._noise.beside_parabola(cells)
         self._tremor.look(cells, memory, beside)
@@ -173,7 +173,7 @@ class Following:
                 self._inversion.miss(memory, missed)
 
     def _look_for_tremor_compiled(self, block: Block, *, ends_window: bool) -> None:
-        """The same by machine code, for the readings that the block has taken."""
+        """:meth:`_look_for_tremor` by compiled loops, for the readings that the block has taken."""
         cells, memory = block.cells, block.memory
         beside = self._noise.beside_parabola(cells)
         self._tremor.look(cells, memory, beside)
@@ -184,9 +184,9 @@ class Following:
                 self._inversion.miss(memory, missed)
 
     def _look_back(self, block: Block, dt: float, noise: FloatArray, line: FloatArray, frame: int) -> None:
-        """Let the inversion take the means of the last readings that are due; changes the block's memory.
+        """Call ``recover`` and ``sway`` of the inversion when they are due; changes the block's memory.
 
-        Readings are uncertain by ``noise`` (m,), and smoothed by ``line`` (ROWS, m).
+        ``noise`` (m,) is the standard deviation of the readings, ``line`` (ROWS, m) the memory of their smoothing.
         """
         inversion, recent = self._inversion, None
         if inversion.recovers and frame % inversion.recent == 0:
@@ -201,14 +201,14 @@ class Following:
             sway(block.memory, recent._replace(dt_s=usual_s))
 
     def _recent(self, block: Block, dt: float, noise: FloatArray, line: FloatArray, count: int) -> RecentReadings:
-        """The last ``count`` readings of the block, for its inversion; the others as in :meth:`_look_back`."""
+        """The last ``count`` readings of the block, for its inversion; other arguments as in :meth:`_look_back`."""
         if block.near is None:
             block.near = self._neighbours.among(block.cells)
         mean = self._noise.window.mean_of_recent(block.cells, count)
         return RecentReadings(dt, mean, noise, line[smoothing.COUNT], block.near)
 
     def _gains(self, dt: float) -> smoothing.Gains:
-        """Of the smoothing, which the noise and the time between frames ask for."""
+        """Gains of the smoothing, for the present noise and time between frames."""
         if (self._noise.typical, dt) != self._smoothed_for:
             self._smoothed_for = self._noise.typical, dt
             window_s = smoothing.window_s(self._noise.typical / self._inversion.full_scale_r, dt)

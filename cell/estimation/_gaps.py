@@ -1,8 +1,8 @@
-"""Gaps: cells that were not read for a while, and the uncertainty of loads that nobody saw.
+"""Gaps in the readings: the uncertainty while a cell is not read, and afterwards.
 
-While a cell is not read, its load may change: the variance of its pressure grows from that of the last reading to that
-of a load of which nothing is known. After the gap the reading is known again, but loads within the gap may have left
-the cell with another memory. That doubt fades within :data:`AFTER_GAP_S`.
+While a cell is not read, its load may change. The variance of its pressure grows from that of the last reading towards
+that of an unknown load. After the gap the reading is known again, but unseen loads within the gap may have changed the
+memory of the cell. This second uncertainty falls to 1/e within :data:`AFTER_GAP_S`.
 """
 
 from __future__ import annotations
@@ -18,22 +18,23 @@ AFTER_GAP, AFTER_GAP_S = 0.3, 10.0
 """fraction of the uncertainty from a gap that remains after the first new reading, and the time in which that falls to
 1/e"""
 CHANGED_IN_GAP = 0.4
-"""share of a pressure's change over a long gap that is in doubt: presses that came and went may have left it behind"""
+"""standard deviation after a long gap over the change of pressure across it: presses that came and went in the gap may
+have left that change behind"""
 USUAL_STEPS = 3.0
-"""times the usual time between frames, up to which a frame counts as following the last one"""
+"""multiple of the usual time between frames; a longer pause is a gap"""
 SMALL = 1e-3
-"""of a load of which nothing is known: a smaller standard deviation no longer counts"""
+"""fraction of the standard deviation of an unknown load, below which the doubt is set to zero"""
 
 
 class Gaps:
-    """How long each of n cells has not been read, and the variance in kPa^2 that this adds."""
+    """Time for which each of n cells has not been read, and the variance in kPa^2 that gaps add."""
 
     def __init__(self, cells: int, full_scale_kpa: float, conditions: Conditions) -> None:
-        self._unknown_kpa = full_scale_kpa / 2  # standard deviation of a load of which nothing is known
+        self._unknown_kpa = full_scale_kpa / 2  # standard deviation of an unknown load
         self._speed_kpa_per_s = conditions.speed_kpa_per_s or full_scale_kpa
         self.unread_s = np.zeros(cells)
         self._left = np.zeros(cells)
-        """(n,) kPa^2 that gaps which have ended left behind; it fades"""
+        """(n,) kPa^2 that remain from gaps which have ended; decays"""
         self.variance = np.zeros(cells)
         """(n,) kPa^2, replaced and never changed"""
         self.open = False
@@ -52,7 +53,7 @@ class Gaps:
         return known is not None or self.open or dt > USUAL_STEPS * usual_s
 
     def pass_by(self, dt: float) -> None:
-        """Take a frame that gaps do not :meth:`concern`: what earlier ones left behind fades."""
+        """Take a frame that gaps do not :meth:`concern`: the variance from earlier gaps decays."""
         if self.doubtful:
             self._left *= _fade(dt)
             self.variance = self._left.copy()
@@ -80,15 +81,15 @@ class Gaps:
         return ended
 
     def doubt_memory(self, hidden_kpa: FloatArray, whole_kpa: FloatArray, change_kpa: FloatArray) -> None:
-        """Doubt the memory of cells whose gap has just ended: loads that nobody saw may have changed it.
+        """Add uncertainty to cells whose gap has just ended: unseen loads may have changed their memory.
 
-        A reading is the sum of load and memory, both on the same side of rest. So neither is larger than the whole
+        A reading is the sum of load and memory, both on the same side of rest. Hence neither is larger than the
         reading, and a cell that reads as at rest is at rest.
 
         Args:
             hidden_kpa: (n,) what :meth:`advance` returned.
             whole_kpa: (n,) pressure at equilibrium for the present reading.
-            change_kpa: (n,) by which the pressure differs from that before the gap.
+            change_kpa: (n,) absolute change of the pressure across the gap.
         """
         cells = np.flatnonzero(hidden_kpa > 0)
         hidden = hidden_kpa[cells]
@@ -97,14 +98,14 @@ class Gaps:
         self.doubt(cells, np.hypot(held, left_behind))
 
     def doubt(self, cells: IntArray, std_kpa: FloatArray) -> None:
-        """Add standard deviations (m,) in kPa for ``cells`` (m,), which fade as those after a gap."""
+        """Add standard deviations (m,) in kPa to ``cells`` (m,); they decay as those after a gap."""
         self._left[cells] += std_kpa**2
         self.variance = self.variance.copy()
         self.variance[cells] += std_kpa**2
         self._renew()
 
     def _end_if_small(self) -> None:
-        """End doubts that hardly count any more."""
+        """Set the variances to zero once all of them are negligible."""
         if self.variance.item(self.variance.argmax()) < (SMALL * self._unknown_kpa) ** 2:
             self._left[:] = 0.0
             self.doubtful = self.open
@@ -114,7 +115,7 @@ class Gaps:
         self.doubtful = self.open or bool(self._left.any())
 
     def state(self) -> dict[str, FloatArray]:
-        """What is remembered, by name."""
+        """The state, by name."""
         return {"unread_s": self.unread_s, "gap_variance": self._left, "gap_shown": self.variance}
 
     def restore(self, state: dict[str, FloatArray]) -> None:
@@ -124,5 +125,5 @@ class Gaps:
 
 
 def _fade(dt: float) -> float:
-    """Fraction of a variance that is left after ``dt``."""
+    """Fraction of a variance that remains after ``dt`` seconds."""
     return math.exp(-2 * dt / AFTER_GAP_S)

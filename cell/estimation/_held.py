@@ -1,4 +1,4 @@
-"""Creep under loads that are held for longer than any load of the calibration recording: the doubt that it adds."""
+"""Uncertainty by creep under loads that are held for longer than any load of the calibration recording."""
 
 from __future__ import annotations
 
@@ -7,40 +7,40 @@ import numpy as np
 from ...arrays import FloatArray
 
 LOADED = 0.05
-"""of full scale, from which a cell counts as loaded"""
+"""fraction of full scale above which a cell counts as loaded"""
 COUNTS_OFF = 3.0
-"""seconds of load that a second without load counts off"""
+"""seconds of load that one second without load subtracts"""
 LOOK_S = 1.0
-"""between two looks at the pressures"""
+"""seconds between two evaluations of the pressures"""
 PER_DECADE = 0.2
-"""standard deviation of the unknown creep, per decade of time beyond the recording, over the load. Specimens of relays
-with fractional creep read 0.1 to 0.3 too much; few materials creep more"""
+"""standard deviation of the unknown creep over the load, per decade of time beyond the recording. Simulated specimens
+of relays with fractional creep read 0.1 to 0.3 too much; few materials creep more"""
 
 
 def longest_s(time_s: FloatArray, load: FloatArray) -> float:
-    """How long the cell of a recording (n,) was loaded at most; time without load counts off as in :class:`Held`."""
+    """Longest time that a cell was loaded in a recording (n,); time without load is subtracted as in :class:`Held`."""
     step_s = np.diff(time_s, prepend=time_s[0])
     walk = np.cumsum(np.where(load > LOADED, step_s, -COUNTS_OFF * step_s))
     return float(np.max(walk - np.minimum(np.minimum.accumulate(walk), 0.0)))
 
 
 class Held:
-    """How long each of n cells has been loaded, its mean load over that time, and the variance that creep adds.
+    """Time for which each of n cells has been loaded, its mean load over that time, and the variance by creep.
 
-    A cell goes on to creep under a load for longer than anybody recorded, and an estimator takes the creep for load.
-    Time without load is counted off, :data:`COUNTS_OFF` times as fast, so that short pauses do not end a long load.
+    A cell under load creeps for longer than any recording lasts, and an estimator takes the further creep for load.
+    Time without load is subtracted :data:`COUNTS_OFF` times as fast, so that short pauses do not end a long load.
     """
 
     def __init__(self, cells: int, full_scale_kpa: float, recorded_s: float) -> None:
-        """``recorded_s``: how long the load of the calibration lasted at most; 0: unknown, and nothing is added."""
+        """``recorded_s``: longest time under load in the calibration; 0: unknown, and no variance is added."""
         self._loaded_kpa, self._recorded_s = LOADED * full_scale_kpa, recorded_s
         self._since_s = 0.0
         self._time_s, self._mean_kpa = np.zeros((2, cells))
         self.variance: FloatArray | None = None
-        """(n,) kPa^2, replaced and never changed; None: of no cell"""
+        """(n,) kPa^2, replaced and never changed; None: zero"""
 
     def advance(self, dt_s: float, pressure_kpa: FloatArray) -> None:
-        """Take pressures (n,) that were shown ``dt_s`` after the last ones; NaN before a cell was read."""
+        """Take the pressures (n,) of a frame, ``dt_s`` after the last one; NaN before a cell was read."""
         self._since_s += dt_s
         if self._since_s < LOOK_S or not self._recorded_s:
             return
@@ -61,7 +61,7 @@ class Held:
         self.variance = (PER_DECADE * decades * self._mean_kpa) ** 2
 
     def state(self) -> dict[str, FloatArray]:
-        """What is remembered, by name."""
+        """The state, by name."""
         return {"held_s": self._time_s, "held_kpa": self._mean_kpa, "held_since": np.array([self._since_s])}
 
     def restore(self, state: dict[str, FloatArray]) -> None:

@@ -1,8 +1,9 @@
-"""The interface between :class:`._estimator.Estimator` and a material: readings of cells to pressures, with a memory.
+"""Interface of a material to :class:`._estimator.Estimator`: inversion of a cell's hysteresis and creep, with memory.
 
-An estimator treats all materials alike: missing readings, noise, sleep, bad contacts, standard deviations. What differs
-from one material or method to the next is an :class:`Inversion`. It knows nothing of missing readings or of cells that
-sleep, and keeps no cells itself: the estimator hands it the memory of those cells that have just been read.
+The estimator handles everything that is common to all materials: missing readings, noise, sleep, bad contacts, standard
+deviations. An :class:`Inversion` holds all that depends on the material or the method. Missing readings and sleeping
+cells never reach an inversion. An inversion stores no cells itself: the estimator passes the memory of the cells that
+have just been read.
 """
 
 from __future__ import annotations
@@ -22,22 +23,23 @@ from ._smoothing import Looked
 from ._window import RECENT
 
 LOADS = (-0.5, 3.0)
-"""times full scale beyond which no load is looked for"""
+"""range of loads that an inversion searches, in multiples of full scale"""
 USUAL, DOUBT = 1.1, 0.1
-"""times full scale: no larger pressure is believed while its standard deviation by the memory is above the second"""
+"""multiples of full scale: pressures are limited to the first while their standard deviation exceeds the second"""
 UNKNOWN = 0.6
-"""of full scale: standard deviation of a load of which nothing is known but that it is no more than usual; two of it
+"""fraction of full scale: standard deviation of an unknown load that is at most :data:`USUAL`; two standard deviations
 cover all such loads"""
 MEMORIES = 30.0
-"""times the fast answer to full scale that r may reach: presses in quick succession add up"""
+"""multiple of the fast response to full scale that r may reach, since presses in quick succession add up"""
 
 NO_LOAD_SIGMAS = 2.0
-"""standard deviations of the noise at which a load and none are as likely"""
+"""standard deviations of the noise at which a load and no load are equally likely"""
 LIGHT_LOAD = 0.02
-"""of full scale: no larger load of a released cell is taken for the memory's error, unless the cell has been taken for
-one at rest"""
+"""fraction of full scale: larger loads of a released cell are not attributed to the memory's error, unless the cell has
+been classified as at rest"""
 DOUBTED_LOAD = 0.2
-"""of full scale: no larger load is taken for noise or for the memory's error while its rise is unconfirmed"""
+"""fraction of full scale: larger loads are not attributed to noise or to the memory's error while their rise is
+unconfirmed"""
 
 _NO_VARIANCE = np.zeros(1)
 _ONE, _NO_LOAD_SIGMAS = np.array(1.0), np.array(NO_LOAD_SIGMAS)
@@ -45,48 +47,49 @@ _ONE, _NO_LOAD_SIGMAS = np.array(1.0), np.array(NO_LOAD_SIGMAS)
 
 
 class RecentReadings(NamedTuple):
-    """The last readings of m cells: as many as there were frames since the last call that took them."""
+    """The last readings of m cells: those of all frames since the last call of the same method."""
 
     dt_s: float
-    """between frames"""
+    """time between frames"""
     mean: FloatArray
-    """(m,) of these readings"""
+    """(m,) mean of these readings"""
     noise: FloatArray
-    """(m,) standard deviation of one of them"""
+    """(m,) standard deviation of a single reading"""
     on_line: FloatArray
-    """(m,) readings since the smoothing last noticed a change"""
+    """(m,) number of readings since the smoothing last noticed a change"""
     near: IntArray
-    """(k, m) places of the neighbours of each cell, see :meth:`._neighbours.Neighbours.among`"""
+    """(k, m) indices of the neighbours of each cell, see :meth:`._neighbours.Neighbours.among`"""
 
 
 class Inversion(ABC):
-    """Normalised resistances r = R/R0 - 1 of cells to their pressures.
+    """Turns normalised resistances r = R/R0 - 1 of cells into their pressures.
 
-    The memory of m cells is an array (rows, m). Its first three rows are those of :mod:`._rows`: the pressure, the gain
-    by which noise enters it, and the variance by which the rest of the memory adds to it.
+    The memory of m cells is an array (rows, m). Its first three rows are those of :mod:`._rows`: the pressure, its gain
+    (pressure per r, by which noise enters), and its variance by the uncertainty of the memory.
     """
 
     rows: tuple[str, ...] = ("pressure", "gain", "variance")
-    """names of the memory's rows, the first three in every inversion"""
+    """names of the memory's rows; the first three are common to all inversions"""
     knows_errors = True
-    """False: only a calibration can say how far the pressures are off"""
+    """False: only a calibration can state the errors of the pressures"""
     remembers = True
-    """False: the resistance follows from the present load alone, so what came in a gap left nothing behind"""
+    """False: the resistance depends on the present load alone, so that loads within a gap leave nothing behind"""
     bends = 0.0, 0.0
-    """standard deviation of r by a turn within the frame, per kPa by which the load bent, and by how many standard
-    deviations of noise the load must have bent; 0: none. :meth:`within_frame` says the same to array operations"""
+    """for turning points within a frame: standard deviation of r per kPa of the load's second difference; and the least
+    second difference that counts, in standard deviations of noise; 0: no such variance. :meth:`within_frame` is the
+    same for array operations"""
     steepness_kpa = np.zeros(2)
-    """kPa per r by which a fast rise of the load and a fast fall are answered; 0: by the memory's gain"""
+    """pressure in kPa per r of a fast rise of the load, and of a fast fall; 0: the memory's gain"""
     recovers = False
     """whether :meth:`recover` does anything"""
     recent = RECENT
-    """frames from one call of it to the next"""
+    """frames from one call of :meth:`recover` to the next"""
     rests = 0.0
-    """squared standard deviations at which a load and none are as likely in cells that are taken for cells at rest; 0:
-    none are. :meth:`hides_kpa2` says the same to array operations"""
+    """squared standard deviations at which a load and no load are equally likely in cells classified as at rest; 0: no
+    cell is so classified. :meth:`hides_kpa2` is the same for array operations"""
     seeming = 0.0
-    """kPa by which motion as large as the noise may let a pressure seem to rise in a window of the noise meter, per
-    standard deviation of a reading and per squared gain; 0: it does not"""
+    """apparent rise of the pressure in kPa by motion as large as the noise, in a window of the noise meter, per
+    standard deviation of a reading and per squared gain; 0: no apparent rise"""
 
     def __init__(
         self,
@@ -96,18 +99,18 @@ class Inversion(ABC):
         credible: tuple[float, float] = (-1.0, np.inf),
         exact: bool,
     ) -> None:
-        """Say what every inversion must.
+        """Set the properties common to all inversions.
 
         Args:
             full_scale_kpa: the largest pressure that the cell is meant for.
             full_scale_r: r at equilibrium under full scale; negative where a load lowers the resistance.
-            credible: r beyond which no load can be the cause of a reading.
-            exact: whether readings are to be taken as they are, whatever their noise.
+            credible: range of r that loads can cause; readings beyond it are treated as missing.
+            exact: whether readings are taken as exact, without smoothing.
         """
         self.full_scale_kpa, self.credible, self.exact = full_scale_kpa, credible, exact
         self.full_scale_r, self.side = abs(full_scale_r), math.copysign(1.0, full_scale_r)
 
-    # -- what an inversion must say ----------------------------------------------------------------------------------
+    # -- required methods --------------------------------------------------------------------------------------------
 
     @abstractmethod
     def begin(self, r: FloatArray) -> FloatArray:
@@ -119,11 +122,11 @@ class Inversion(ABC):
     ) -> FloatArray:
         """The memory (rows, m) after the reading went to ``r`` (m,) in ``dt_s``.
 
-        ``std`` (m,) is what noise leaves in the reading, ``doubt()`` (m,) also what the smoothing may not have noticed
-        yet. May change ``memory`` itself.
+        ``std`` (m,) is the standard deviation of ``r`` by noise. ``doubt()`` (m,) also covers changes that the
+        smoothing may not have noticed yet. May change ``memory`` itself.
         """
 
-    # -- what an inversion may say -----------------------------------------------------------------------------------
+    # -- optional methods --------------------------------------------------------------------------------------------
 
     def held_kpa(self, r: FloatArray) -> FloatArray:
         """(m,) pressure of cells whose reading has been ``r`` (m,) for ever."""
@@ -131,21 +134,21 @@ class Inversion(ABC):
         return pressure
 
     def hold(self, memory: FloatArray, dt_s: float | FloatArray) -> FloatArray:
-        """The memory (rows, m) after ``dt_s``, one number or (m,), in which the pressure stayed."""
+        """The memory (rows, m) after ``dt_s``, one number or (m,), at constant pressure."""
         return memory
 
     def hold_compiled(self, memory: FloatArray, places: IntArray, dt_s: FloatArray) -> None:
-        """:meth:`hold` for the cells at ``places`` (k,) of a ``memory`` (rows, m), which changes; ``dt_s`` (k,).
+        """:meth:`hold` for the columns ``places`` (k,) of ``memory`` (rows, m), which changes; ``dt_s`` (k,).
 
-        By loops where a whole skin may be concerned at once.
+        Inversions override this method with loops where it may concern a whole skin at once.
         """
         put_columns(memory, places, self.hold(columns(memory, places), dt_s))
 
     @property
     def held_rows(self) -> IntArray:
-        """Rows of the memory that :meth:`hold` and :meth:`advance` need, the pressure first.
+        """Rows of the memory that :meth:`hold` and :meth:`advance` read, the pressure first.
 
-        The former writes the others anew, and the latter leaves them.
+        :meth:`hold` overwrites the other rows, :meth:`advance` leaves them unchanged.
         """
         return np.arange(len(self.rows))
 
@@ -156,52 +159,51 @@ class Inversion(ABC):
     def recover(  # noqa: B027 - without a memory nothing is remembered wrong
         self, memory: FloatArray, recent: RecentReadings
     ) -> None:
-        """Correct what cells remember by their readings of late; changes ``memory`` (rows, m) after :meth:`advance`."""
+        """Correct the memory (rows, m), in place, by the recent readings; called after :meth:`advance`."""
 
     def sways_in(self, dt_s: float) -> int:
-        """Frames from one call of :meth:`sway` to the next, where frames follow each other after ``dt_s``; 0: none."""
+        """Frames from one call of :meth:`sway` to the next, for frames every ``dt_s``; 0: no calls."""
         return 0
 
     def sway(  # noqa: B027 - without a memory nothing of a way is kept
         self, memory: FloatArray, recent: RecentReadings
     ) -> None:
-        """Take back what is kept of loads that go to and fro unnoticed; changes ``memory`` after :meth:`recover`."""
+        """Remove from ``memory`` what loads that oscillate unnoticed have left; called after :meth:`recover`."""
 
     def left_over(self, memory: FloatArray) -> FloatArray:
-        """(m,) r that earlier loads have left, beyond what the present load leads to if it stays; 0 where unknown."""
+        """(m,) excess of r, by earlier loads, over the equilibrium r of the present load; 0 where unknown."""
         return np.zeros(memory.shape[1])
 
     def released(self, memory: FloatArray) -> BoolArray | None:
-        """(m,) whether the load of a cell went down last, so that its memory may show as a load; None: of none."""
+        """(m,) whether the last change of a cell's load was a fall, so that memory may look like a load; None: none."""
         return None
 
     def hides_kpa2(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
-        """(m,) squared kPa at which a load and none are as likely, for a standard deviation by noise (m,)."""
+        """(m,) squared kPa at which a load and no load are equally likely, for a standard deviation by noise (m,)."""
         hides: FloatArray = noise_kpa * _NO_LOAD_SIGMAS
         hides *= hides
         return hides
 
     def most_seeming(self, memory: FloatArray, noise: FloatArray) -> FloatArray:
-        """(m,) kPa by which motion as large as the ``noise`` (m,) may at most let pressures seem to rise."""
+        """(m,) largest apparent rise of the pressure in kPa by motion as large as the ``noise`` (m,)."""
         gain = memory[GAIN]
         most: FloatArray = noise * self.seeming
         most *= gain * gain
         return most
 
     def miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:  # noqa: B027 - without a memory nothing is missed
-        """Count what cells may remember wrong where a rise (m,) may only have seemed to be one; changes ``memory``."""
+        """Add to ``memory`` the uncertainty of rises ``rise_kpa`` (m,) that may be apparent only."""
 
     def take_steps(self, std: float, own: float) -> None:  # noqa: B027 - without a memory no turn is looked for
-        """Take the standard deviation of r at rest by the steps of all readings that r follows from; 0: unknown.
+        """Set the standard deviation ``std`` of r at rest by the quantisation of all readings that r is computed from.
 
-        ``own`` is that by the steps of the cell's own reading.
+        ``own`` is the standard deviation by the quantisation of the cell's own reading. 0: unknown.
         """
 
     def within_frame(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
-        """(m,) variance in kPa^2 by what the load may have done since the last frame.
+        """(m,) variance in kPa^2 by motion of the load since the last frame.
 
-        ``memory`` has the first rows only, :data:`._rows.SHARED`; ``noise_kpa`` (m,) is the standard deviation by
-        noise.
+        ``memory`` has only the first :data:`._rows.SHARED` rows; ``noise_kpa`` (m,) is the standard deviation by noise.
         """
         return _NO_VARIANCE
 
@@ -209,7 +211,7 @@ class Inversion(ABC):
         """Write the normalised resistances of all cells (n,) into ``r`` (n,).
 
         Returns:
-            Whether all of them were found to be credible. False says nothing: they are to be looked at.
+            True if all of them are credible. False: not known, the caller has to check them.
         """
         if compiled:
             return loops.read.unchecked(resistance_ohm, per_ohm, r, *self.credible)
@@ -217,14 +219,14 @@ class Inversion(ABC):
         r -= _ONE
         return False
 
-    # -- machine code ------------------------------------------------------------------------------------------------
+    # -- compiled loops ----------------------------------------------------------------------------------------------
 
     def recover_compiled(self, memory: FloatArray, recent: RecentReadings) -> None:
-        """:meth:`recover` by machine code, where an inversion has loops for that."""
+        """:meth:`recover` by compiled loops, in inversions that have them."""
         self.recover(memory, recent)
 
     def sway_compiled(self, memory: FloatArray, recent: RecentReadings) -> None:
-        """:meth:`sway` by machine code, where an inversion has loops for that."""
+        """:meth:`sway` by compiled loops, in inversions that have them."""
         self.sway(memory, recent)
 
     def loops_used(self) -> tuple[Loop[..., Any], ...]:
@@ -232,7 +234,7 @@ class Inversion(ABC):
         return ()
 
     def advance_compiled(self, memory: FloatArray, taken: FloatArray, line: FloatArray, dt_s: float) -> FloatArray:
-        """:meth:`advance` by machine code, where an inversion has loops for that.
+        """:meth:`advance` by compiled loops, in inversions that have them.
 
         Args:
             memory: (rows, m) of the cells.
@@ -246,5 +248,5 @@ class Inversion(ABC):
 
 
 def credible_readings(steepest: float) -> tuple[float, float]:
-    """r beyond which no load that is looked for is the cause, for a fast answer of ``steepest`` to full scale."""
+    """Credible range of r, for a fast response ``steepest`` to full scale: see :data:`LOADS` and :data:`MEMORIES`."""
     return LOADS[0] * steepest, MEMORIES * steepest

@@ -1,8 +1,8 @@
-"""The work of a frame that every estimator shares, as loops over cells for :mod:`ohmskin.compiled`.
+"""Compiled loops (:mod:`ohmskin.compiled`) over cells for the part of a frame that all estimators share.
 
-Each loop does what array operations of :mod:`._inversion`, :mod:`._sleep`, :mod:`._smoothing` or :mod:`._deviation` do,
-operation for operation and in the same order, so that the results agree to the last bit. What happens in few frames
-(cells that wake, gaps, sparks) has no loop, but for the copies of what a whole skin may remember.
+Each loop repeats array operations of :mod:`._inversion`, :mod:`._sleep`, :mod:`._smoothing` or :mod:`._deviation`,
+operation for operation and in the same order, so that the results agree to the last bit. Rare events (cells that wake,
+gaps, sparks) have no loop, except for :func:`copy`, since the memory of a whole skin may have to be copied at once.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ._smoothing import LEVEL
 
 @loop
 def read(resistance: FixedRow, per_ohm: Row, r: Row, low: float, high: float) -> bool:
-    """Normalise resistances (n,) to ``r`` (n,); whether all are within ``low`` and ``high``."""
+    """Normalise resistances (n,) to ``r`` (n,); returns whether all are between ``low`` and ``high``."""
     for i in range(r.size):
         r[i] = resistance[i] * per_ohm[i] - 1.0
     outside = 0
@@ -27,7 +27,7 @@ def read(resistance: FixedRow, per_ohm: Row, r: Row, low: float, high: float) ->
 
 @loop
 def watch(r: Row, watched: Row, blurred: Row, total: Row, wake_at: Row) -> bool:
-    """Add readings ``watched`` (n,) to their sum; whether one of them, or of the readings ``r`` (n,), wakes its cell.
+    """Add readings ``watched`` (n,) to their sum; returns whether one of them, or of ``r`` (n,), wakes its cell.
 
     The noise of ``watched`` is ``blurred`` (n,) times that of ``r``.
     """
@@ -42,10 +42,10 @@ def watch(r: Row, watched: Row, blurred: Row, total: Row, wake_at: Row) -> bool:
 def renew_means(
     total: Row, summed: int, mean: Row, share: float, wake_at: Row, band: float, averaged: float, blurred: Row
 ) -> bool:
-    """Take sums (n,) of readings into their means, and begin new sums; whether one of the means wakes its cell.
+    """Update the means (n,) by the sums of readings, and reset the sums; returns whether a mean wakes its cell.
 
-    ``averaged`` is the standard deviation of a mean, over that of a reading; that of the readings is ``blurred`` (n,)
-    times that of those to which ``wake_at`` applies.
+    ``averaged`` is the standard deviation of a mean over that of a reading. The noise of the summed readings is
+    ``blurred`` (n,) times that of the readings to which ``wake_at`` applies.
     """
     woken = False
     for i in range(mean.size):
@@ -70,7 +70,7 @@ def take(r: Row, noise_at_rest: Row, cells: Places, line: Rows, taken: Rows, lea
 def copy(
     values: SpacedRows, rows: Places, cells: Places, found: SpacedRows, found_rows: Places, found_cells: Places
 ) -> None:
-    """Write ``rows`` (k,) of ``values`` at ``cells`` (m,) to those of ``found`` at ``found_cells`` (m,)."""
+    """Copy ``rows`` (k,) of ``values`` at ``cells`` (m,) to ``found_rows`` (k,) of ``found`` at ``found_cells``."""
     for k in range(rows.size):
         row, found_row = rows[k], found_rows[k]
         for i in range(cells.size):
@@ -81,27 +81,28 @@ MODEL_VARIANCE, WITHIN, SURE, FULL, MUCH, MUCH_NOISE, NO_LOAD, TINY = range(8)
 HIDDEN, PER_SIGMAS, STATED, SIGMAS, HIDDEN_SHARE, RISE_KPA, FALL_KPA, RESTS, DOUBT_KPA2, LIGHT_KPA2, DOUBTED_KPA2 = (
     range(8, 19)
 )
-"""places of numbers that :func:`show` and :func:`watch_over` take: variance in kPa^2 by the model; r per kPa of bend
-that a turn within the frame may leave, 0: none, and standard deviations of noise that are no bend; full scale,
-pressure, and noise in kPa from which more is done; standard deviations at which a load and none are as likely; keeps
-0/0 from occurring; standard deviations of a reading that hide a load, and the inverse number of those that an estimate
-is to cover; 1 if a standard deviation is stated; standard deviations that an estimate is to cover, and those of a
-reading that hide a load over them; pressure per r of a fast rise and of a fast fall; as NO_LOAD, of a cell taken for
-one at rest; variance in kPa^2 from which no pressure beyond the usual is shown; squared kPa beyond which the error of
-the memory hides no load of a released cell, and of one whose rise is unconfirmed"""
+"""indices into the parameter array of :func:`show` and :func:`watch_over`.
+
+MODEL_VARIANCE: variance in kPa^2 by the model. WITHIN, SURE: :attr:`._inversion.Inversion.bends`. FULL: full scale in
+kPa. MUCH, MUCH_NOISE: pressure and noise in kPa beyond which :func:`show` limits or shrinks pressures. NO_LOAD:
+:data:`._inversion.NO_LOAD_SIGMAS`. TINY: avoids 0/0. HIDDEN, SIGMAS: as in :mod:`._smoothing`; PER_SIGMAS: 1 / SIGMAS;
+HIDDEN_SHARE: HIDDEN / SIGMAS. STATED: 1 if a standard deviation is stated, else 0. RISE_KPA, FALL_KPA: pressure per r
+of a fast rise and of a fast fall. RESTS: :attr:`._inversion.Inversion.rests`. DOUBT_KPA2: variance in kPa^2 above which
+pressures are limited to MUCH. LIGHT_KPA2, DOUBTED_KPA2: squares of :data:`._inversion.LIGHT_LOAD` and
+:data:`._inversion.DOUBTED_LOAD` in kPa^2"""
 LAST, BEFORE_LAST = 3, 4
-"""rows of the pressures of the last two frames, where a turn within the frame is reckoned with"""
+"""rows of the memory with the pressures of the last two frames, in inversions with ``bends``"""
 TURNED, SIGN, LEFT, REST_VARIANCE, RESTED = 6, 7, 10, 20, 21
-"""rows where released cells are taken for cells at rest: variance in kPa^2 of the memory by its last turn; negative
-where the cell is released; below :data:`FAR` where the last turn is unconfirmed; variance in kPa^2 of the memory of a
-released cell; 1 where the cell is taken for one at rest"""
+"""rows of the memory in inversions with ``rests``: variance in kPa^2 of the memory by its last turning point; negative
+where the cell is released; below :data:`FAR` where the last turning point is unconfirmed; variance in kPa^2 of the
+memory of a released cell; 1 where the cell is classified as at rest"""
 FAR = 1e12
-"""kPa: no extreme that an unconfirmed turn has left"""
+"""value of the row LEFT in kPa where no turning point is unconfirmed"""
 
 
 @loop
 def interpolated(x: float, at: Row, values: Row) -> float:
-    """:func:`numpy.interp` of one number."""
+    """:func:`numpy.interp` for a single number."""
     last = at.size - 1
     if x >= at[last]:
         return float(values[last])
@@ -133,9 +134,9 @@ def show(
     pressure: Row,
     variance: Row,
 ) -> None:
-    """Pressures to show of ``cells`` (m,) into ``pressure`` (n,), and their variances in kPa^2 into ``variance`` (n,).
+    """Write the pressures to show of ``cells`` (m,) to ``pressure`` (n,), and variances in kPa^2 to ``variance`` (n,).
 
-    ``added`` (m,) holds the variance by jumps, and is changed.
+    ``added`` (m,) holds variances by effects outside the inversion, and is changed.
     """
     full, much, no_load = numbers[FULL], False, numbers[NO_LOAD]
     most_kpa, doubt_kpa2 = numbers[MUCH], numbers[DOUBT_KPA2]
@@ -172,7 +173,7 @@ def show(
             hides *= hides
             if doubted:
                 by_memory = (noise_kpa * noise_kpa + memory[TURNED, i]) * rests
-                # The pressure before the rise, with its sign turned, against that of noise and of a light load.
+                # LEFT is minus the pressure before the rise; compared with noise and a light load.
                 loaded = memory[LEFT, i] < -(noise_kpa * math.sqrt(rests) + math.sqrt(light_kpa2))
                 hides = max(hides, min(by_memory, light_kpa2 if loaded else doubted_kpa2))
             elif released:
@@ -196,22 +197,22 @@ def show(
 
 @loop
 def add_asleep(variance: Row, reading: Row, cells: Places, per_reading: Row, hidden_kpa: Row) -> None:
-    """Add to variances (n,) in kPa^2 what the readings (n,) of sleeping ``cells`` (m,) leave open."""
+    """:meth:`._deviation.Asleep.add_to` as a loop: variances of sleeping ``cells`` (m,) are added to ``variance``."""
     for i in range(cells.size):
         std = abs(reading[cells[i]]) * per_reading[i] + hidden_kpa[i]
         variance[cells[i]] += std * std
 
 
 ASLEEP_SIGMAS = 5.0
-"""standard deviations by which a single reading wakes a cell, and its mean"""
+"""standard deviations beyond which a single reading, or the mean, wakes a cell"""
 CALM_SIGMAS, LEVEL_BANDS = 0.4, 3.0
-"""standard deviations by which the mean of a cell may leave the band in which it counts as at rest; times that band, in
-which the smoothed reading must be"""
+"""a cell counts as at rest if its mean exceeds the band of rest by less than the first number of standard deviations,
+and its smoothed reading is within the second number times that limit"""
 
 
 @loop
 def noise_std(mean: float, at_rest: float) -> float:
-    """:meth:`._noise.NoiseMeter.std` of one cell."""
+    """:meth:`._noise.NoiseMeter.std` for one cell."""
     scale = max(mean, -0.9) + 1.0
     return scale * scale * at_rest
 
@@ -240,10 +241,10 @@ def watch_over(
     hidden_kpa: Row,
     variance: Row,
 ) -> None:
-    """Limits of r (n,) at which sleeping cells wake, and what is left open about the cells ``asleep`` (m,).
+    """Update the wake-up thresholds ``wake_at`` (n,) of r, and the variances, of the cells ``asleep`` (m,).
 
-    Arrays of all cells (n,) are changed at those that sleep. ``per_reading`` and ``hidden_kpa`` (m,) are those that
-    :func:`add_asleep` takes, ``variance`` (n,) in kPa^2 is that of a reading at rest.
+    Of the arrays (n,) only the entries of sleeping cells change. ``per_reading`` and ``hidden_kpa`` (m,) are written
+    for :func:`add_asleep`. ``variance`` (n,) in kPa^2 is for a reading at rest.
     """
     for i in range(asleep.size):
         cell = asleep[i]

@@ -1,9 +1,10 @@
-"""The share of the noise that scales with the conductance, told by readings of pressed cells (a variance function).
+"""Multiplicative noise: estimates the variance function of the readings by weighted least squares (pressed cells).
 
 Noise of a supply, of a resistive divider, or of the cell itself scales with the conductance. Its standard deviation in
-r is proportional to 1 + r, that of additive noise to (1 + r)^2. Readings of pressed cells tell how much of a board's
-noise is of either kind (Davidian and Carroll 1987). Taken for additive, noise of 1 % at rest would be 2.5 % at 2.5
-times the resistance at rest. So no more is taken for multiplicative than is clear.
+r is proportional to 1 + r; that of additive noise is proportional to (1 + r)^2. The scatter of pressed cells shows how
+much of a board's noise is of either kind (Davidian and Carroll 1987). The choice matters: at 2.5 times the resistance
+at rest, noise of 1 % of the resistance stays 1 % if it is multiplicative, and becomes 2.5 % if it is additive. Noise
+counts as additive, unless a multiplicative share is clear.
 """
 
 from __future__ import annotations
@@ -16,30 +17,31 @@ from ...arrays import FloatArray
 from ...compiled import loop
 
 CLEAR = 3.0
-"""standard deviations by which the multiplicative share of the noise must exceed none"""
+"""standard deviations by which the multiplicative share must exceed 0 to be believed"""
 LONGEST = 800.0
-"""information about that share, as of so many readings, beyond which older readings count for less"""
+"""largest weight of the readings seen so far; beyond it, older readings are discounted"""
 WEIGHT, FOUND, COMMON, LATELY, BY_REST = range(5)
-"""places of the sums: weights of readings; the same times the share that each tells; by how much an error of the noise
-at rest would change the latter, since the last time; the same of late, as long as that error lasts; and the variance
-that follows"""
+"""indices of the sums: weights of the readings; weights times the share that each reading indicates; change of the
+latter per relative error of the noise at rest, since the last :meth:`MultiplicativeNoise.find`; the same, discounted as
+that error is forgotten; variance by that error"""
 _ONE = np.array(1.0)  # NumPy makes an array of a float in every call
 
 
 class MultiplicativeNoise:
-    """The multiplicative share of the variance of own noise at rest."""
+    """Estimator of the multiplicative share of the variance of own noise at rest."""
 
     def __init__(self) -> None:
         self.share = 0.0
-        """as far as it is clear"""
+        """the share; 0 while it is not clear"""
         self.sums = np.zeros(5)
-        """that tell it, see :data:`WEIGHT`"""
+        """(5,) see :data:`WEIGHT`"""
 
     def tell(self, ratio: FloatArray, r: FloatArray, excess: FloatArray) -> None:
-        """Let readings of pressed cells tell the share (weighted least squares).
+        """Add readings of pressed cells to the sums (weighted least squares).
 
-        A square over its variance is 1 - (s - m) x, where s is the share, m what was taken for it, and x the
-        derivative. A single reading weighs no more than 1.
+        The expectation of a squared difference over its assumed variance is 1 - (s - m) x. Here s is the true share, m
+        the share assumed so far, and x minus the relative derivative of the variance with respect to the share. The
+        information of a single reading is at most 1.
 
         Args:
             ratio: (m,) squared third differences over their variance.
@@ -52,14 +54,14 @@ class MultiplicativeNoise:
         weight = slope / (slope * slope + _ONE)
         found = slope * self.share + _ONE - ratio
         sums = np.add.accumulate([weight * slope, weight * found, weight], axis=1)[:, -1]
-        sums[COMMON] /= math.sqrt(ratio.size)  # errors of several cells
+        sums[COMMON] /= math.sqrt(ratio.size)  # the errors of the cells' noise at rest are independent
         self.sums[: COMMON + 1] += sums
 
     def find(self, averaged: float, looks: int) -> None:
-        """Renew the share: none, where chance or an error of the noise at rest may be the cause.
+        """Update the share. It is 0 where chance, or an error of the noise at rest, may explain the readings.
 
-        ``averaged`` is the share of a look in the average of the noise at rest; ``looks`` have been taken since the
-        last time.
+        ``averaged`` is the weight of one look in the average of the noise at rest; ``looks`` is the number of looks
+        since the last call.
         """
         weight, found, common, lately, by_rest = self.sums.tolist()
         if not weight:
@@ -72,7 +74,7 @@ class MultiplicativeNoise:
         self.sums[:] = weight * less, found * less, 0.0, lately * less, by_rest * less * less
 
     def state(self) -> FloatArray:
-        """(6,) all that is remembered."""
+        """(6,) the state."""
         return np.array([self.share, *self.sums])
 
     def restore(self, state: FloatArray) -> None:
@@ -81,10 +83,10 @@ class MultiplicativeNoise:
 
 
 def additive(squares: FloatArray, multiplicative: float) -> FloatArray:
-    """(m,) variance of noise of which a share is ``multiplicative``, over what it would be if all were additive.
+    """(m,) variance of noise with a ``multiplicative`` share, over the variance if all of it were additive.
 
     Args:
-        squares: (m,) of 1 + r. Cells that read below rest have the noise of rest.
+        squares: (m,) squares of 1 + r. Below rest (squares < 1) the ratio is 1.
         multiplicative: share of the variance at rest.
     """
     part: FloatArray = multiplicative / np.maximum(squares, _ONE)
@@ -94,5 +96,5 @@ def additive(squares: FloatArray, multiplicative: float) -> FloatArray:
 
 @loop
 def additive_of(square: float, multiplicative: float) -> float:
-    """:func:`additive` of one cell."""
+    """:func:`additive` for one cell."""
     return multiplicative / max(square, 1.0) + (1.0 - multiplicative)

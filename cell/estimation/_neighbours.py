@@ -1,8 +1,8 @@
-"""Which cells of an array are near each other, as places in the block of those that are followed.
+"""Neighbours of each cell of an array, as indices into the block of followed cells.
 
-Noise may be common to the cells of a column, as on a divider whose idle rows are driven. The neighbours of a cell are
-therefore in two groups that share no column: those in its own column and in every second one beside, and those in the
-columns between.
+Noise may be common to the cells of a column, as on a divider whose idle rows are driven. The neighbours of a cell
+therefore form two groups that share no column: cells in its own column and every second column beside it, and cells in
+the columns between these.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ import numpy as np
 from ...arrays import IntArray, spaced, spaced_columns, whole
 
 REACH = 2
-"""rows and columns to either side: a fingertip or a gripper's pad covers as much"""
+"""rows and columns to either side; a fingertip or a gripper's pad covers about as many"""
 _FAR = range(-REACH, REACH + 1)
 _OFFSETS = sorted(((row, column) for row in _FAR for column in _FAR if row or column), key=lambda at: at[1] % 2)
 NEAR = len(_OFFSETS)
-"""neighbours of a cell that is nowhere near an edge"""
+"""number of neighbours of a cell far from the edges"""
 ALIKE = sum(column % 2 == 0 for _, column in _OFFSETS)
-"""of these come first: in the cell's own column, and in every second one beside"""
+"""number of neighbours in the cell's own column and every second column beside it; they come first"""
 
 
 class Neighbours:
-    """Of the cells of an array."""
+    """The neighbours of the cells of an array, up to :data:`REACH` rows and columns away."""
 
     def __init__(self, shape: tuple[int, ...]) -> None:
         """``shape`` is (rows, columns). Cells of an array with another number of axes have no neighbours."""
@@ -37,8 +37,9 @@ class Neighbours:
         self._near = spaced(self._near)
 
     def among(self, cells: IntArray) -> IntArray:
-        """Places (NEAR, m) of the neighbours of ``cells`` (m,) among these, m for one that is not; the first ALIKE of
-        each cell are in columns like its own.
+        """Places (NEAR, m) of the neighbours of ``cells`` (m,) within ``cells``; m where a neighbour is not in there.
+
+        The first :data:`ALIKE` rows are neighbours in the cell's own column and every second column beside it.
         """
         if cells.size == self._cells:
             return self._near

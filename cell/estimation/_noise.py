@@ -1,19 +1,20 @@
 """Noise measured from the readings themselves, by their third differences (a difference-based variance estimator).
 
-A load that moves smoothly leaves almost nothing in the third difference of successive readings; white noise of
-variance v leaves 20 v, the sum of the squared coefficients 1, -3, 3, -1. Boards measure currents, so that noise is
-about constant in conductance: the noise of the normalised resistance r is kept relative to (1 + r)^2.
+Smooth motion of a load contributes almost nothing to the third difference of successive readings. White noise of
+variance v contributes 20 v, since 20 is the sum of the squared coefficients 1, -3, 3, -1. Boards measure currents, so
+that noise is about constant in conductance. The noise of the normalised resistance r is therefore stored relative to
+(1 + r)^2.
 
-One cell that moves fast looks noisy. Differences across an edge of the load, which the smoothing has noticed, and
-those far beyond the noise are therefore passed over (a redescending M-estimator), unless nearly all of them are such:
-then the noise has risen. In an array most cells are at rest. There it is the median cell that tells whether noise has
-risen, and no cell is taken to be much noisier than that one.
+A cell under a fast load looks noisy. Two kinds of differences are therefore rejected (a redescending M-estimator):
+those across an edge of the load that the smoothing has noticed, and those far beyond the noise. If nearly all
+differences are outliers, the noise has risen, and they count. In an array most cells are at rest. There the median cell
+decides whether noise has risen, and no cell may be much noisier than the median cell.
 
-Other noise scales with the conductance. How much of it does is told by readings of pressed cells
+Other noise scales with the conductance. Its share is estimated from readings of pressed cells
 (:mod:`._multiplicative`).
 
-Third differences of successive frames overlap, and tell nearly the same. Those of every third frame are all but
-independent: averaging only these costs a quarter of the accuracy and a third of the time.
+Third differences of successive frames overlap and carry nearly the same information. Those of every third frame are
+almost independent: averaging only these costs a quarter of the accuracy and a third of the time.
 """
 
 from __future__ import annotations
@@ -29,61 +30,62 @@ from ._multiplicative import COMMON, FOUND, WEIGHT, MultiplicativeNoise, additiv
 from ._window import WINDOW, Window
 
 READINGS = 200
-"""over which the variance is averaged"""
+"""number of readings over which the variance is averaged"""
 EVERY = 3
-"""readings between two looks at the third difference, once the noise is known roughly"""
+"""frames between two looks (evaluations of the third difference), once the noise is known roughly"""
 SOON = READINGS // EVERY // 8
 """looks after which the noise is known roughly"""
 FIRST = 9
-"""looks after which the median of so many differences tells the noise of few cells; they are in one :data:`WINDOW`"""
+"""looks after which arrays of few cells take the median of as many differences; these lie in one :data:`WINDOW`"""
 OUTLIER = 9.0
-"""times the variance, from which a squared third difference is an outlier: three standard deviations"""
+"""multiple of the variance beyond which a squared third difference is an outlier: three standard deviations"""
 ACROSS = 3.0
-"""readings since the smoothing noticed an edge of the load. With fewer, the edge lies within the four readings of a
-third difference, which is then an outlier, however small"""
+"""least number of readings since the smoothing noticed an edge of the load. With fewer, the edge lies within the four
+readings of the third difference, which then counts as an outlier, however small"""
 UNCUT = 1.0274
 """variance of a normal variable over that of its values within three standard deviations"""
 CROWD_LOOKS = 24
-"""looks over which the share of outliers is averaged"""
+"""looks over which the fraction of outliers is averaged"""
 CROWDED, ALL_CROWDED = 0.75, 0.5
-"""share of outliers from which they tell of noise that has risen: of one cell, since taps at three hertz that a slow
-board reads leave half of the readings clean; and of the median cell of an array, since few cells move at a time"""
+"""fraction of outliers beyond which the noise has risen. First: of one cell, since taps at three hertz, read by a slow
+board, leave half of the readings clean. Second: of the median cell of an array, since few cells move at a time"""
 LEAST = 1e-6
-"""standard deviation of r below which readings are taken for exact"""
+"""standard deviation of r below which readings count as exact"""
 POOL = 6
-"""looks between two of the median cell"""
+"""looks between two updates of the median cell"""
 ABOVE_POOL = 4.0
-"""times the median variance of the array that a single cell may have"""
+"""largest variance of a single cell, over the median of the array"""
 MANY = 9
-"""cells from which the median of the array is trusted"""
+"""least number of cells for which the median of the array is trusted"""
 SHARED_LOOKS = 16
-"""looks at one cell that the median of a large array is worth at the beginning. By themselves the first differences of
-a cell may be near zero by chance, and any reading after them would seem to jump"""
+"""weight, in looks, of the first median of a large array as prior of each cell. Without this prior, the first
+differences of a cell may be near zero by chance, and any reading after them would seem to jump"""
 ENOUGH = 500
-"""cells whose median stands for that of more"""
+"""medians of larger arrays are taken over about this many cells"""
 KNOWN = 24
-"""looks from which the median cell tells how quiet the board is"""
+"""looks after which the noise of the median cell is known well enough for :attr:`NoiseMeter.quiet`"""
 EXPECTED_LOOKS = 4
-"""looks that the noise of an earlier recording is worth to few cells, until theirs is known; many tell it at once"""
+"""weight, in looks, of the noise of an earlier recording as prior for few cells, until their noise is known; many cells
+need no such prior"""
 FORGET = 1.002
-"""by which the least noise of the median cell grows from one look at it to the next, so that noise may rise for good"""
+"""growth of the least noise of the median cell from one update to the next, so that noise may rise for good"""
 MEDIAN_OF_SQUARES = 0.4549
 """median of the square of a normal variable of variance 1"""
 HALF_STEP = math.sqrt(3.0)
-"""half a step of an ADC over the standard deviation of an evenly distributed error, the resolution: no more is the
-standard deviation of readings that flip between two codes, and such readings show no motion"""
+"""half a quantisation step over the standard deviation of a uniformly distributed rounding error (the resolution). Half
+a step is the largest standard deviation of readings that flip between two codes; such readings show no motion"""
 CROSSED = 10.0
-"""times the variance of noise: a window that has more is crossed by an edge, which smoothing notices"""
+"""multiple of the variance of noise: a window with more contains an edge of the load, which the smoothing notices"""
 PRESSED = 0.2
-"""of r: from there on readings tell additive noise from multiplicative"""
+"""r beyond which readings can distinguish additive from multiplicative noise"""
 DITHERED = 4.0
-"""times the variance of the steps of the ADC, from which they are noise as any other: cells with less stay at one code
-when they are pressed, and would seem to have no noise"""
+"""multiple of the variance by quantisation, beyond which the steps of the ADC act as ordinary noise. Cells with less
+noise stay at one code when they are pressed, and would seem to have no noise"""
 INCOMPLETE = WINDOW - 4.0
-"""a cell that is blind for more frames to come has a reading that is not its own among the last four"""
+"""a cell that stays blind for more frames than this has a substituted reading among its last four"""
 
 VARIANCE, CROWD, ON_LINE, BLIND, EXCESS, RESOLUTION = range(6)
-"""rows of what is known of each cell, see :meth:`NoiseMeter._name_rows`"""
+"""rows of the state of each cell, see :meth:`NoiseMeter._name_rows`"""
 LEAST_VARIANCE = LEAST**2
 _ZERO, _ONE, _OUTLIER, _LEAST_VARIANCE = (np.array(x) for x in (0.0, 1.0, OUTLIER, LEAST_VARIANCE))
 _ACROSS, _UNCUT = np.array(ACROSS), np.array(UNCUT)
@@ -93,12 +95,12 @@ _ACROSS, _UNCUT = np.array(ACROSS), np.array(UNCUT)
 class NoiseMeter:
     """Standard deviation of the readings of n cells, from one reading to the next.
 
-    Noise below the step of an ADC does not show in the readings, and the step itself does only while they change.
-    Where the step is known it is therefore the least that is stated (:meth:`resolve`).
+    Noise below a quantisation step is not visible in the readings, and the step itself is visible only while they
+    change. The resolution (:meth:`resolve`) is therefore a lower bound of the stated noise.
     """
 
     def __init__(self, cells: int, expected: float = 0.0) -> None:
-        """``expected``: standard deviation of r at rest that an earlier recording had; 0 if there is none."""
+        """``expected``: standard deviation of r at rest in an earlier recording; 0: unknown."""
         self.window = Window(cells)
         """the last readings"""
         self._cells = np.zeros((6, cells))
@@ -106,10 +108,11 @@ class NoiseMeter:
         self._variance[...] = expected**2
         self.on_line[...] = np.inf
         self._passes_below = -1.0
-        """share of outliers below which those of a cell are passed over; negative: they count, as three deviations"""
+        """fraction of outliers below which a cell's outliers are rejected; negative: they count, clipped to three
+        standard deviations"""
         self._looks = 0
         self._expected = expected**2 if cells < MANY else 0.0
-        # The median of few cells is itself uncertain, and counts for less.
+        # The median of few cells is itself uncertain, and gets less weight.
         self._shared_looks = EXPECTED_LOOKS if self._expected else min(cells // MANY, SHARED_LOOKS)
         self._any_blind = 0
         self._squares, self._limit = np.empty((2, cells))
@@ -119,47 +122,49 @@ class NoiseMeter:
         self.at_rest = np.sqrt(self._variance + LEAST**2)
         """(n,) standard deviation of r of a cell at rest; renewed in place"""
         self.own = expected
-        """the part of it that no other cell of a column shares"""
+        """the part of :attr:`typical` that is not shared with other cells of a column"""
         self._shared = 0.0
-        """the same where nothing of it is taken out of the readings; 0: no noise is shared"""
+        """variance of shared noise before its subtraction, over that of own noise at rest; 0: no noise is shared"""
         self.quiet = np.inf
-        """the least that the median cell has had of late: what is more may be the load; infinite: not known"""
+        """least recent noise of the median cell; an excess over it may be motion of the load; infinite: not known"""
         self._multiplicative = MultiplicativeNoise()
         self.typical_resolution = 0.0
-        """standard deviation of r at rest that the steps of the ADC make, of the median cell; 0: not known"""
+        """standard deviation of the median cell's r at rest by the quantisation of its own reading; 0: not known"""
         self.resolution_by_all = 0.0
-        """the same by the steps of all readings that the median cell's resistance follows from; 0: not known"""
+        """the same by the quantisation of all readings that its resistance is computed from; 0: not known"""
         self.compiled = False
-        """whether the loops are there as machine code"""
+        """whether compiled loops are in use"""
 
     def _name_rows(self) -> None:
         self._variance, self._crowd, self.on_line, self._blind, self.excess, self.resolution = self._cells
-        """rows (n,), each a part of one array, which the loops take: variance of own noise at rest; share of outliers
-        among the differences of late; readings since the smoothing of a cell last noticed a change, which whoever
-        smooths sets in every frame; frames for which a cell's readings are not complete; variance at rest of what is
-        left of shared noise, over that of own noise, see :mod:`._shared_noise`; and the part of :attr:`at_rest` that
-        the steps of the ADC make, 0: not known"""
+        """rows (n,), views of one array that the loops take.
+
+        ``_variance``: variance of own noise at rest. ``_crowd``: recent fraction of outliers among the differences.
+        ``on_line``: readings since the smoothing of a cell last noticed a change; written by the smoothing. ``_blind``:
+        number of further frames for which the window contains substituted readings. ``excess``: variance at rest of the
+        remaining shared noise over that of own noise, see :mod:`._shared_noise`. ``resolution``: part of
+        :attr:`at_rest` by quantisation, 0: not known."""
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Continue from a pickle or a copy, in which rows would be arrays of their own."""
+        """Continue from a pickle or a copy; the rows have to be made views of ``_cells`` again."""
         self.__dict__.update(state)
         self._name_rows()
 
     @property
     def multiplicative(self) -> float:
-        """Share of the variance of own noise at rest that scales with the conductance, as far as it is clear."""
+        """Share of the variance of own noise at rest that scales with the conductance; 0 while it is not clear."""
         return self._multiplicative.share
 
     def resolve(self, resolution: FloatArray, by_all: float) -> None:
-        """Take the standard deviation (n,) of r at rest that the steps of the ADC make: of own readings, and of all."""
+        """Set the standard deviation of r at rest by quantisation: (n,) of own readings, and one number ``by_all``."""
         self.resolution[...], self.resolution_by_all = resolution, by_all
         self.typical_resolution = float(np.median(resolution))
         np.maximum(self.at_rest, resolution, out=self.at_rest)
 
     def share(self, ratio: float) -> None:
-        """Let all cells share noise of ``ratio`` times the variance of own noise at rest; 0: none is shared.
+        """Set the variance of shared noise over that of own noise at rest; 0: no noise is shared.
 
-        Shared noise scales conductances: in r it is proportional to 1 + r, where own noise is to (1 + r)^2.
+        Shared noise scales conductances: in r it is proportional to 1 + r. Own noise is proportional to (1 + r)^2.
         """
         scale = (1.0 + self._shared) / (1.0 + ratio)
         self._variance *= scale
@@ -169,7 +174,7 @@ class NoiseMeter:
         self.leave(ratio)
 
     def leave(self, excess: FloatArray | float) -> None:
-        """Take the part (n,) of shared noise that the readings have from now on, as :attr:`excess`."""
+        """Set :attr:`excess` (n,): the variance of shared noise that remains in the readings from now on."""
         self.excess[...] = excess
         if self._looks:
             self._find_typical()
@@ -182,7 +187,7 @@ class NoiseMeter:
         return scale
 
     def _blurred_more(self, scale: FloatArray, excess: FloatArray) -> FloatArray:
-        """The same, over ``scale`` (m,), which is 1 + r; ``excess`` (m,) of the same cells."""
+        """The same divided by ``scale`` (m,) = 1 + r; ``excess`` (m,) belongs to the same cells."""
         if not (self._shared or self.multiplicative):
             return scale
         squares = scale * scale
@@ -193,7 +198,7 @@ class NoiseMeter:
         """Take normalised resistances (n,); ``known`` (n,) marks those that were read, None: all."""
         self.window.take(r)
         if known is not None:
-            self._blind[~known] = WINDOW  # so many frames contain this reading
+            self._blind[~known] = WINDOW  # the window contains this reading for as many frames
             self._any_blind = WINDOW
         seen = self.window.seen
         due = self._looks < SOON or seen % EVERY == 0
@@ -211,7 +216,7 @@ class NoiseMeter:
         return self._looks < SOON or (self.window.seen + 1) % EVERY == 0
 
     def _guess(self, r: FloatArray) -> None:
-        """Take the median cell's change from the last reading for noise, until there are four readings."""
+        """Estimate the noise by the median change since the last frame, until there are four readings."""
         changes = (r - self.window.reading(1)) / (r + 1.0) ** 2
         self.typical = float(np.median(np.abs(changes))) / (2 * MEDIAN_OF_SQUARES) ** 0.5
         self.at_rest[:] = np.hypot(self.typical, LEAST)
@@ -265,7 +270,7 @@ class NoiseMeter:
         self._renew()
 
     def _tell(self, squares: FloatArray, r: FloatArray, counted: BoolArray) -> None:
-        """Let squared third differences of ``r`` tell how much noise is multiplicative; all (n,)."""
+        """Use squared third differences of ``r`` to estimate the multiplicative share of the noise; all (n,)."""
         tells = np.greater(r, PRESSED)
         if not np.count_nonzero(tells):
             return
@@ -277,19 +282,19 @@ class NoiseMeter:
 
     @property
     def _share(self) -> float:
-        """Of a look in the average."""
+        """Weight of a look in the average of the variance."""
         return max(1 / (self._looks + self._shared_looks), EVERY / READINGS)
 
     @property
     def _share_of_crowd(self) -> float:
-        """Of a look in the share of outliers."""
+        """Weight of a look in the average of the fraction of outliers."""
         return 1.0 / min(self._looks, CROWD_LOOKS)
 
     def _renew(self) -> None:
-        """Renew the standard deviations after a look."""
+        """Update all that depends on the variances, after a look."""
         if self._looks == FIRST and self._variance.size < MANY:
             self._raise()
-        if self._expected and self._looks == KNOWN:  # what was expected leaves the average again
+        if self._expected and self._looks == KNOWN:  # remove the prior from the average
             self._variance += EXPECTED_LOOKS / KNOWN * (self._variance - self._expected)
             np.maximum(self._variance, LEAST**2, out=self._variance)
         if self._looks % POOL == 1:
@@ -298,7 +303,7 @@ class NoiseMeter:
         self._state_std()
 
     def _state_std(self) -> None:
-        """Renew the standard deviations."""
+        """Update the standard deviations :attr:`at_rest`."""
         if self.compiled:
             resolved, last = self.typical_resolution > 0.0, self.window.reading()
             std_at_rest.unchecked(self._cells, resolved, last, self.multiplicative, self.at_rest)
@@ -313,7 +318,7 @@ class NoiseMeter:
             np.maximum(self.at_rest, self.resolution, out=self.at_rest)
 
     def _raise(self) -> None:
-        """Raise a variance whose first look was small by chance, so that readings after it seemed to be outliers."""
+        """Raise variances whose first look was small by chance, so that later readings seemed to be outliers."""
         differences = self.window.third_differences(FIRST)
         differences /= self._blurred(self.window.reading())
         middle = np.median(differences**2, axis=0) / MEDIAN_OF_SQUARES
@@ -333,16 +338,16 @@ class NoiseMeter:
             self.quiet = min(FORGET * self.quiet, least)
 
     def _find_typical(self) -> None:
-        """Renew the noise of the median cell, with what shared noise adds to its own."""
+        """Update the noise of the median cell: its own, and the remaining shared noise."""
         self.typical = self.own
         if self._shared:
             self.typical *= (1.0 + median(self.excess[:: 1 + self.excess.size // ENOUGH])) ** 0.5
 
     def beside_parabola(self, cells: IntArray) -> FloatArray:
-        """(m,) variance of the last :data:`WINDOW` readings of ``cells`` about parabolas, over the board's noise.
+        """(m,) variance of the last :data:`WINDOW` readings of ``cells`` about parabola fits, over the board's noise.
 
-        A vibration within the noise looks like noise, but the board has less. Parabolas take up what moves smoothly.
-        0 where that is not known.
+        A vibration within the noise looks like noise, but raises this ratio above 1. Parabolas absorb smooth motion.
+        0 where the ratio is not known.
         """
         present: FloatArray
         if self.window.seen < WINDOW or not math.isfinite(self.quiet):
@@ -371,7 +376,7 @@ class NoiseMeter:
         return np.asarray(scale)
 
     def state(self) -> dict[str, FloatArray]:
-        """All that is remembered."""
+        """The state, by name."""
         return {
             "noise_ring": self.window.ring,
             "noise_blind": self._blind,
@@ -414,10 +419,10 @@ def average(
     share_of_crowd: float,
     passes_below: float,
 ) -> None:
-    """:meth:`NoiseMeter._average`, of third differences (n,) that are not squared yet, as a loop over cells.
+    """:meth:`NoiseMeter._average` as a loop over cells, for third differences ``squares`` (n,) not squared yet.
 
-    ``cells`` (6, n) has the rows of :meth:`NoiseMeter._name_rows`. Adds to what is ``told`` (5,) of multiplicative
-    noise, as :meth:`.MultiplicativeNoise.tell`.
+    ``cells`` (6, n) has the rows of :meth:`NoiseMeter._name_rows`. Adds to the sums ``told`` (5,) of multiplicative
+    noise, as :meth:`.MultiplicativeNoise.tell` does.
     """
     uncut = UNCUT if passes_below > 0.0 else 1.0
     tell, weights, found, common = 0, 0.0, 0.0, 0.0
@@ -454,10 +459,10 @@ def average(
 
 @loop
 def std_at_rest(cells: Rows, resolved: bool, r: Row, multiplicative: float, std: Row) -> None:
-    """Standard deviations (n,) of r at rest from the variances of the noise, as a loop over cells.
+    """Write the standard deviations ``std`` (n,) of r at rest, from the variances of the noise, as a loop over cells.
 
-    ``cells`` (6, n) has the rows of :meth:`NoiseMeter._name_rows`, and the cells read ``r`` (n,). Of a reading,
-    ``multiplicative`` noise makes the less, the larger it is.
+    ``cells`` (6, n) has the rows of :meth:`NoiseMeter._name_rows`; ``r`` (n,) are the present readings. Relative to
+    (1 + r)^2, ``multiplicative`` and shared noise decrease with r.
     """
     for i in range(std.size):
         std[i] = math.sqrt(cells[VARIANCE, i] + LEAST_VARIANCE)
@@ -473,16 +478,16 @@ def std_at_rest(cells: Rows, resolved: bool, r: Row, multiplicative: float, std:
 def beside_each(
     places: Places, beside: Rows, last: Row, cells: Rows, quiet: float, multiplicative: float, present: Row
 ) -> None:
-    """The rest of :meth:`NoiseMeter.beside_parabola` as a loop over cells, into ``present`` (m,).
+    """The second part of :meth:`NoiseMeter.beside_parabola` as a loop over cells.
 
     Args:
         places: (m,) indices of the cells.
-        beside: (k, m) parts of the readings that parabolas do not take up.
+        beside: (k, m) components of the readings orthogonal to parabolas.
         last: (m,) the present readings.
         cells: (6, n) rows of :meth:`NoiseMeter._name_rows`.
         quiet: the board's noise.
-        multiplicative: share of own noise that is.
-        present: (m,), changed.
+        multiplicative: multiplicative share of own noise.
+        present: (m,) the result; written.
     """
     rows = beside.shape[0]
     for i in range(places.size):

@@ -1,26 +1,27 @@
-"""Noise that all cells of a column share, taken out of their readings (common-mode rejection).
+"""Common-mode rejection: noise that all cells of a column share is measured by cells at rest, and subtracted.
 
-On a divider whose idle rows are driven, the currents of a whole column flow through one reference resistor. How much
-of the supply is left for it is the small difference that all readings of the column leave. Errors of that difference
-scale all conductances of the column alike, and are several times larger than what the reading of a cell adds itself.
+On a divider whose idle rows are driven, the currents of a whole column flow through one reference resistor. A
+conductance is proportional to s / (1 - S): s is the cell's reading as a share of the supply, S the sum of all readings
+of the column. 1 - S is small. Its errors scale all conductances of the column alike, and are several times larger than
+the error of the cell's own reading.
 
-Cells that sleep tell the shared part in every frame: their resistance is that of rest. What they have in common is
-subtracted from all cells of the column. A load on all cells of a column moves them alike, too. So the mean of a
-sleeping cell is taken of readings from which nothing was subtracted, and such a load wakes the cells as if nobody had
-known of shared noise.
+Sleeping cells measure the shared part in every frame, since their resistance is that of rest. The mean of their
+departures is subtracted from all cells of the column. A load on all cells of a column moves them alike, too. The mean
+that wakes a sleeping cell is therefore taken of readings before the subtraction, so that such a load wakes the cells as
+if nothing were subtracted.
 
-Another cell of the column may be held meanwhile, and would seem to be released while the load that comes is taken for
-noise. But noise is white from frame to frame, and a load is not: a cumulative sum (Page's CUSUM) of what sleeping cells
-have in common, in the direction of loads, tells within a few frames. Then nothing is subtracted any more, and the
-cells wake. As long as that is in doubt, only so much is subtracted from a cell that is awake as brings it back to its
-last reading: noise moves that cell, a load on others does not. What such a load would make of the shared part is in
-doubt meanwhile (:meth:`SharedNoise.doubt`): the mean departure since the sum began to rise, which is the estimate of a
-change's size that belongs to Page's test.
+A second hazard: another cell of the column may be held while a load comes to the sleeping cells. If that load were
+subtracted as noise, the held cell would seem to be released. But noise is white from frame to frame, and a load is not.
+A cumulative sum (Page's CUSUM) of the sleeping cells' mean departure, in the direction of loads, detects such a load
+within a few frames. Subtraction then stops, and the cells wake. While the test is undecided, the subtraction may move
+the reading of an awake cell back to its last reading, but not beyond: noise moves that cell, a load on others does not.
+The variance meanwhile includes the load that the test suspects (:meth:`SharedNoise.doubt`). Its size is the mean
+departure since the sum began to rise, the usual estimate of a change's size in Page's test.
 
-The estimator is told of the circuit by two numbers only: the deviations of a conductance by the steps of its own
-reading, and by those of all readings (:meth:`._estimator.Estimator.resolve`). Noise takes the same ways as steps. That
-the columns do share it is tested first. Readings of a divider with floating rows depend on one another as well, but in
-other ways.
+Two numbers describe the circuit to the estimator: the standard deviations of a conductance by the quantisation steps of
+its own reading, and by those of all readings (:meth:`._estimator.Estimator.resolve`). Noise propagates as quantisation
+steps do. A test first verifies that the columns do share noise. Readings of a divider with floating rows depend on one
+another as well, but in another way.
 """
 
 from __future__ import annotations
@@ -37,66 +38,68 @@ from . import _shared_steps as shared_steps
 from ._noise import NoiseMeter
 
 LEAST_CELLS = 3
-"""sleeping cells of a column that tell its shared noise; of fewer, a bad contact would be taken for noise"""
+"""least number of sleeping cells that measure the shared noise of a column; with fewer, a bad contact would count as
+noise"""
 SURE = 4.0
-"""standard deviations beyond which a reading counts for no more: a bad contact, or a load that begins"""
+"""standard deviations at which a departure is clipped (winsorised): beyond, a bad contact or the begin of a load"""
 REFERENCE_S = 3.0
-"""time over which the mean of a sleeping cell is taken, from which its departures are counted"""
+"""time constant in seconds of the mean of a sleeping cell, from which its departures are counted"""
 TESTED = 200
-"""columns, summed over frames, that tell whether the columns do share noise"""
+"""number of samples (one column in one frame each) in the test whether columns share noise"""
 MOVED = 0.1
-"""of the variance of a step of the ADC, by which readings must scatter for the test"""
+"""fraction of the variance by quantisation, by which readings must scatter to enter the test"""
 REFUTED = 0.25
-"""of the variance that is supposed to be shared, over own: if less is found, the readings depend on one another in
-another way"""
+"""fraction of the expected shared variance (over own variance): if the test finds less, the readings depend on one
+another in another way"""
 ALLOWED = 0.75
-"""standard deviations that the mean departure of sleeping cells may have without adding to the sum that tells loads"""
+"""allowance of the CUSUM: mean departures of sleeping cells below as many standard deviations do not add to the sum"""
 LOADED = 6.0
-"""standard deviations of the sum beyond which they are loaded; noise alone comes there once in 10 000 frames"""
+"""threshold of the CUSUM in standard deviations: beyond, the cells are loaded; noise alone exceeds it once in 10 000
+frames"""
 DOUBTED, LIKELY = 0.5, 3.0
-"""those from which they may be, and those from which they most likely are: a load of 1.5 deviations makes such a sum
-exp(1.5 LIKELY) times as probable as noise does (log-likelihood ratio)"""
+"""sums beyond which the cells may be loaded, and beyond which they most likely are. A load of 1.5 standard deviations
+makes the second sum exp(1.5 LIKELY) times as probable as noise does (log-likelihood ratio)"""
 AT_ONCE, CERTAIN = 5.0, 2.0 * LOADED
-"""standard deviations of a mean departure that is a load by itself, and the sum that it makes"""
+"""standard deviations of a single mean departure that proves a load, and the value to which it sets the sum"""
 
 TESTS, OWN, SHARED = range(3)
-"""places of the test's sums"""
+"""indices of the test's sums"""
 COUNTS, SUMS, FRAMES, UNTOLD = range(4)
-"""rows of what is known of each column, see :meth:`SharedNoise._name_rows`"""
+"""rows of the state of each column, see :meth:`SharedNoise._name_rows`"""
 WEIGHTS, PER_STD, LEFT = range(3)
-"""rows of what follows from the number of cells that tell, see there"""
+"""rows of the tables by the number of telling cells, see :meth:`SharedNoise._name_rows`"""
 LEAST_VARIANCE, NEAR, FAR, SHARE, SIDE_PER_NOISE = range(5)
-"""places of numbers that depend on the frame, see :func:`subtract_each`"""
+"""indices of the parameters of a frame, see :func:`subtract_each`"""
 
 _ZERO, _ONE = np.array(0.0), np.array(1.0)
 
 
 class _Tellers(NamedTuple):
-    """Sleeping cells that were read, for the array operations."""
+    """The telling cells of a frame (sleeping cells that were read, and measure shared noise), for array operations."""
 
     counted: FloatArray
-    """(rows, columns) 1 where a cell tells"""
+    """(rows, columns) 1 where a cell tells, else 0"""
     number: FloatArray
-    """(columns,) cells of a column that tell"""
+    """(columns,) number of telling cells"""
     others: IntArray
-    """(rows, columns) cells of the column that tell, without the cell itself"""
+    """(rows, columns) number of telling cells in the column, without the cell itself"""
     divisor: FloatArray
-    """(columns,) the number, at least 1"""
+    """(columns,) ``number``, at least 1"""
     others_divisor: FloatArray
-    """(rows, columns) the others, at least 1"""
+    """(rows, columns) ``others``, at least 1"""
     per_std: FloatArray
-    """(columns,) own noise over the noise of their mean"""
+    """(columns,) own noise over the noise of the telling cells' mean"""
     allowed: FloatArray
     """(columns,) :data:`ALLOWED`, infinite where the mean is not trusted"""
 
 
 class SharedNoise:
-    """Takes shared noise out of the readings of n cells, and tells the noise meter what is left of it."""
+    """Subtracts shared noise from the readings of n cells, and passes the remaining part to the noise meter."""
 
     def __init__(self, shape: tuple[int, ...], noise: NoiseMeter, side: float = 1.0) -> None:
         """``shape`` is (rows, columns). Cells of an array with another number of axes share nothing.
 
-        ``side`` is the sign that a load gives to r.
+        ``side`` is the sign of r under a load.
         """
         cells, self._has_columns = math.prod(shape), len(shape) == 2
         self._shape = (shape[0], shape[1]) if self._has_columns else (cells, 1)
@@ -104,53 +107,57 @@ class SharedNoise:
         self.ratio = 0.0
         """variance of the shared noise over that of the own noise of a cell at rest; 0: nothing is shared"""
         self._held_s = np.zeros(cells)
-        """(n,) for how long cells have been held, see :mod:`._shared_steps`"""
+        """(n,) seconds for which cells have been held, see :mod:`._shared_steps`"""
         self._scales_columns = False
-        """whether the circuit lets errors of readings scale all conductances of a column alike"""
+        """whether errors of readings scale all conductances of a column alike in this circuit"""
         self._test = np.zeros(3)
-        """columns that have been tested so far, and sums of their variances: of own noise, and of shared noise"""
+        """number of samples in the test so far, and the sums of their variances of own noise and of shared noise"""
         self._reference = np.zeros(cells)
         """(n,) mean of the readings of sleeping cells"""
         self._columns, self._by_number = np.zeros((4, self._shape[1])), np.zeros((3, self._shape[0] + 1))
         self._name_rows()
         self._counts[...] = -1.0
         self._numbers = np.zeros(5)
-        """of the present frame, for machine code"""
+        """parameters of the present frame, for compiled loops"""
         self._tell_now = np.zeros(0, dtype=np.bool_)
-        """(n,) the cells that ``_tellers`` are made of"""
+        """(n,) the telling cells for which ``_tellers`` was computed"""
         self._tellers = self._tellers_of(np.zeros(cells, dtype=np.bool_))
         self._all_read = np.ones(cells, dtype=np.bool_)
         self.mean_std = np.ones(cells)
-        """(n,) noise of the readings whose mean is watched, over that of the readings that wake a cell at once"""
+        """(n,) noise of readings with shared noise (whose mean is monitored) over that of readings without"""
         self.compiled = False
-        """whether the loop is there as machine code"""
+        """whether the compiled loop is in use"""
 
     def _name_rows(self) -> None:
         self._counts, self._sums, self._frames, self._untold = self._columns
-        """rows (columns,), each a part of one array, which the loops take: sleeping cells in the last frame, negative:
-        not known; departures of their mean in the direction of loads, summed up in standard deviations of its noise,
-        beyond :data:`LOADED` of which the cells are to wake; frames since the sum was zero; and for machine code, 1
-        where sleeping cells are too few to tell, else 0"""
+        """rows (columns,), views of one array that the loops take.
+
+        ``_counts``: number of telling cells in the last frame, negative: not known. ``_sums``: CUSUM of their mean
+        departure in the direction of loads, in standard deviations of its noise; beyond :data:`LOADED` the cells wake.
+        ``_frames``: frames since the sum was zero. ``_untold``: 1 where the telling cells are too few, else 0; written
+        by compiled loops only."""
         self._weights, self._per_std, self._left = self._by_number
-        """rows (rows + 1,), by number of cells: share of their mean that is shared noise; own noise over the noise of
-        their mean, 0 where that is not trusted; and what is left of the ratio if that is taken out"""
+        """rows (rows + 1,), tables by the number of telling cells.
+
+        ``_weights``: share of their mean that is shared noise. ``_per_std``: own noise over the noise of their mean, 0
+        where the mean is not trusted. ``_left``: the part of :attr:`ratio` that remains after the subtraction."""
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Continue from a pickle or a copy, in which rows would be arrays of their own."""
+        """Continue from a pickle or a copy; the rows have to be made views of one array again."""
         self.__dict__.update(state)
         self._name_rows()
 
     def suppose(self, own_std: float, all_std: float, *, scales_columns: bool = False) -> None:
-        """Take the deviations of r at rest by the steps of own readings, and by those of all; of none: 0.
+        """Set the standard deviations of r at rest by the quantisation of own readings, and of all (0: no more).
 
-        ``scales_columns`` says that steps of other readings scale all conductances of a column alike.
+        ``scales_columns``: whether steps of other readings scale all conductances of a column alike.
         """
         self._scales_columns = scales_columns
         if self._has_columns and not self._test[TESTS] and all_std > own_std:
             self._share(all_std * all_std / (own_std * own_std) - 1.0)
 
     def _share(self, ratio: float) -> None:
-        """Let shared noise have a variance of ``ratio`` times that of own noise."""
+        """Set the variance of shared noise over that of own noise."""
         self._noise.share(ratio)
         self._begin(ratio)
 
@@ -161,7 +168,7 @@ class SharedNoise:
         self._weights[...] = np.where(trusted, cells * ratio / (cells * ratio + 1.0), 0.0)
         self._left[...] = np.where(trusted, ratio / (cells * ratio + 1.0), ratio)
         self._per_std[...] = np.where(trusted, np.sqrt(cells / np.maximum(cells * ratio + 1.0, 1.0)), 0.0)
-        self._tell_now = np.zeros(0, dtype=np.bool_)  # the tellers are made anew
+        self._tell_now = np.zeros(0, dtype=np.bool_)  # forces _tellers to be computed anew
         self._counts[:] = -1.0
 
     def sleep(self, cells: IntArray, mean: FloatArray) -> None:
@@ -176,18 +183,18 @@ class SharedNoise:
         awake: BoolArray,
         left_over: Callable[[], FloatArray] | None = None,
     ) -> tuple[FloatArray, FloatArray, IntArray | None]:
-        """Take the shared noise out of readings.
+        """Subtract the shared noise from readings.
 
         Args:
             dt_s: seconds since the last frame.
-            r: (n,) normalised resistances, which are not changed.
-            known: (n,) which of them were read; None: all.
+            r: (n,) normalised resistances, not changed.
+            known: (n,) which cells were read; None: all.
             awake: (n,) which cells do not sleep.
-            left_over: gives what earlier loads have left, (n,) of r; None: nothing.
+            left_over: returns the part of r (n,) that earlier loads have left; None: zero.
 
         Returns:
-            (n,) readings without shared noise; (n,) the same, but those of sleeping cells as they were read; and (m,)
-            sleeping cells that are to wake, since what they have in common is a load. None: no cells.
+            (n,) readings without shared noise; (n,) the same, but readings of sleeping cells unchanged; and (m,)
+            sleeping cells that are to wake, since their common departure is a load. None: no cells.
         """
         read = self._all_read if known is None else known
         own = self._noise.own
@@ -222,7 +229,7 @@ class SharedNoise:
         read: BoolArray,
         awake: BoolArray,
     ) -> None:
-        """Take steps that no sleeping cells tell out of the readings of held cells, see :mod:`._shared_steps`."""
+        """Remove steps that no sleeping cells measure from the readings of held cells, see :mod:`._shared_steps`."""
         resolution = self._noise.typical_resolution
         if not resolution > 0.0:
             return
@@ -250,12 +257,12 @@ class SharedNoise:
 
     @property
     def _least_variance(self) -> float:
-        """Of the readings of a column that tell something: others stay at one code of the ADC."""
+        """Least variance of the readings of a column in the test; with less, readings stay at one code of the ADC."""
         return MOVED * self._noise.typical_resolution**2
 
     @property
     def _side_per_noise(self) -> float:
-        """Sign that a load gives to r, over own noise: no less than the steps of the ADC make."""
+        """Sign of r under a load, over own noise; own noise is at least the quantisation error."""
         return self._side / max(self._noise.own, self._noise.typical_resolution)
 
     @property
@@ -276,7 +283,7 @@ class SharedNoise:
         second = np.minimum(np.maximum(off, centre - near_), centre + near_)
         second *= of.counted
         total = np.add.accumulate(second)[-1]
-        # What others tell of a sleeping cell: with its own reading in the mean, its own load would seem smaller.
+        # A sleeping cell is corrected by the mean of the others: its own reading in the mean would shrink its own load.
         common = total - second
         common /= of.others_divisor
         common *= self._weights.take(of.others)
@@ -300,7 +307,7 @@ class SharedNoise:
         return changed, without, np.where(awake, without, r)
 
     def _add_up(self, mean: FloatArray, of: _Tellers) -> float:
-        """Add the ``mean`` departure (columns,) of sleeping cells to the sums; the largest of these."""
+        """Add the ``mean`` departure (columns,) of sleeping cells to the CUSUMs; returns the largest sum."""
         off = mean * of.per_std
         off *= self._side_per_noise
         self._sums += off
@@ -315,9 +322,10 @@ class SharedNoise:
         return most
 
     def _keep(self, without: FloatArray, r: FloatArray, awake: BoolArray) -> None:
-        """Let cells that are ``awake`` (n,) keep their last readings where sleeping ones may be loaded.
+        """Keep the last readings of cells that are ``awake`` (n,) where sleeping cells of the column may be loaded.
 
-        As far as these are between the readings ``r`` (n,) and those ``without`` shared noise (n,), which are changed.
+        Last readings are clipped to the interval between the readings ``r`` (n,) and ``without`` (n,) shared noise.
+        Changes ``without``.
         """
         cells = (awake.reshape(self._shape) & (self._sums > DOUBTED)).ravel().nonzero()[0]
         if cells.size:
@@ -326,14 +334,14 @@ class SharedNoise:
             without[cells] = np.minimum(kept, np.maximum(own, read))
 
     def doubt(self, r: FloatArray, awake: BoolArray) -> tuple[IntArray, FloatArray] | None:
-        """What a load on sleeping cells, of which nobody knows yet, may have taken from the readings of others.
+        """Uncertainty of readings from which an undetected load on sleeping cells may have been subtracted.
 
         Args:
             r: (n,) readings of the last frame, without shared noise.
             awake: (n,) which cells do not sleep.
 
         Returns:
-            (m,) cells, and (m,) standard deviations of their r; None: of no cell.
+            (m,) cells, and (m,) standard deviations of their r; None: no cells.
         """
         undecided = (self._sums > DOUBTED) & (self._sums <= LOADED)
         if not np.count_nonzero(undecided):
@@ -350,7 +358,7 @@ class SharedNoise:
         return cells, noises
 
     def _tellers_of(self, tell: BoolArray) -> _Tellers:
-        """The cells (n,) that tell of shared noise, and what follows from which they are."""
+        """The telling cells ``tell`` (n,), with the quantities derived from them."""
         if not np.array_equal(tell, self._tell_now):
             counted = tell.reshape(self._shape).astype(np.float64)
             count = np.add.accumulate(counted)[-1]
@@ -362,7 +370,7 @@ class SharedNoise:
         return self._tellers
 
     def _take_test(self, tells: BoolArray, count: FloatArray, off: FloatArray, mean: FloatArray) -> None:
-        """Take the departures ``off`` (rows, columns) of sleeping cells into the test; ``mean`` (columns,) of them."""
+        """Add the departures ``off`` (rows, columns) of sleeping cells, with ``mean`` (columns,), to the test."""
         apart = np.where(tells, off - mean, 0.0)
         own = np.add.accumulate(apart * apart)[-1] / np.maximum(count - 1.0, 1.0)
         shared = mean * mean
@@ -372,7 +380,7 @@ class SharedNoise:
             self._test += 1.0, own[column], shared[column]
 
     def _tell(self, tell: BoolArray) -> None:
-        """Tell the noise meter what is left of the shared noise where the cells ``tell`` (n,) of it."""
+        """Pass the shared noise that remains to the noise meter, if ``tell`` (n,) are the telling cells."""
         tells = tell.reshape(self._shape)
         others = (np.count_nonzero(tells, axis=0) - tells).ravel()
         left = self._left.take(others)
@@ -380,7 +388,7 @@ class SharedNoise:
         self._noise.leave(left)
 
     def state(self) -> dict[str, FloatArray]:
-        """What is remembered, by name."""
+        """The state, by name."""
         return {
             "shared_reference": self._reference,
             "shared_held_s": self._held_s,
@@ -418,20 +426,20 @@ def subtract_each(
 
     Args:
         r: (n,) readings.
-        read: (n,) which of them are.
+        read: (n,) which cells were read.
         awake: (n,) which cells do not sleep.
         last: (n,) readings of the last frame without shared noise.
         reference: (n,) mean of the readings of sleeping cells, changed.
         columns: (4, columns) rows of :meth:`SharedNoise._name_rows`, changed.
         by_number: (3, rows + 1) rows of :meth:`SharedNoise._name_rows`.
         test: (3,) the test's sums, changed.
-        numbers: (5,) variance of readings of a column that are tested, infinite: none are; departure from the mean
-            beyond which a reading counts for no more; the same from the reference; share of a reading in the reference;
-            and sign that a load gives to r, over own noise.
-        found: (2, n) readings without shared noise; and the same, but of sleeping cells as they were read; written.
+        numbers: (5,) least variance of a column's readings in the test (infinite: no test); distance from the mean at
+            which departures are clipped; the same from the reference; weight of a reading in the reference; and sign
+            of r under a load, over own noise.
+        found: (2, n) readings without shared noise; and the same, but readings of sleeping cells unchanged; written.
 
     Returns:
-        Whether other numbers of cells sleep than in the last frame, or some are to wake.
+        Whether the numbers of sleeping cells differ from the last frame's, or some cells are to wake.
     """
     changed, side_per_noise = False, numbers[SIDE_PER_NOISE]
     near, far, share = numbers[NEAR], numbers[FAR], numbers[SHARE]

@@ -1,18 +1,23 @@
-"""Held loads kept through steps of the ADC that all cells of a column share (a play operator on an interval).
+"""Common-mode quantisation steps of a column, kept away from held loads (a play operator on an interval).
 
-On a divider whose idle rows are driven, a step of one reading scales all resistances of its column alike. With few bits
-that looks like the release of a load that is held there, and nearly all cells of the column are awake then, so that no
-sleeping cells tell the step (:mod:`._shared_noise`). But a cell reads no less than without load, whatever it bears:
-that is its reading at rest, and what earlier loads have left. Recovery that takes a minute would pass for a step.
+On a divider whose idle rows are driven, a quantisation step of one reading scales all resistances of its column alike.
+With few bits such a step looks like the release of a held load. If nearly all cells of the column are awake, too few
+cells sleep to measure the step (:mod:`._shared_noise`).
 
-* Where even the third least of a column's readings is below that, that much is shared, and is taken out.
-* Where it is above that, it may be shared or a load on all cells. The reading of a cell is then known to an interval:
-  with and without the shared part. A cell that has been held for a while keeps its last reading as far as that lies in
-  the interval. Other cells are left alone: a tap would lose the part of its rise that its column has in common.
+The readings have a lower bound instead: no cell reads less than its unloaded reading, whatever load it carries. The
+unloaded reading is the reading at rest plus the remainder of earlier loads. (Without that remainder, a recovery that
+takes a minute would look like a step.) The level of a column is the third smallest departure of a reading from the
+unloaded reading.
 
-Only cells that stand out from the third least one are changed. A load that comes to the others is not hidden. A shared
-part beyond what steps make is a load. Steps that noise makes random are none of this: a reading that is kept would
-follow the least of them, one after the other, and a hold would fade.
+* If the level is negative, the readings contain at least that much shared error, which is removed.
+* If the level is positive, it may be shared error or a load on all cells. Each reading is then known only to an
+  interval, whose ends are the readings with and without the level. A cell that has been held for a while keeps its last
+  reading, clipped to the interval. Other cells are not changed: a tap would lose the part of its rise that it shares
+  with its column.
+
+Only cells that stand out from the level are changed, so that new loads on the other cells are not hidden. A shared part
+larger than quantisation can cause is a load. Where noise makes the quantisation error random (dither), nothing is kept:
+a kept reading would follow the smallest of the random readings, and a hold would fade.
 """
 
 from __future__ import annotations
@@ -24,24 +29,26 @@ from ...compiled import Flags, Row, loop
 from ._dither import undithered_of
 
 TELLING = 3
-"""which of the least readings of a column tells what is shared; of one or two, a bad contact would be taken for it"""
+"""rank, from the smallest, of the departure that is the level of a column; a lower rank would let one or two bad
+contacts set the level"""
 STANDS_OUT = 4.0
-"""standard deviations of own noise above that reading from which on a cell bears a load of its own"""
+"""standard deviations of own noise above the level, beyond which a cell carries a load of its own"""
 MOST = 5.0
-"""standard deviations by the steps of all readings that a shared part has at most: equal cells step together"""
+"""largest shared part, in standard deviations by the quantisation of all readings: equal cells step together"""
 LIMIT = 0.5
-"""the largest shared part, whatever the steps are"""
+"""largest shared part of r, however large the quantisation steps are"""
 HELD_S = 0.4
 """seconds of standing out after which a cell counts as held"""
 COUNTS_OFF = 3.0
-"""seconds of a load that a second without it counts off"""
+"""seconds of standing out that one second without standing out subtracts"""
 
 
 def constant(ratio: float) -> float:
-    """Share of the steps that stays from frame to frame, for noise of ``ratio`` times that of the steps alone.
+    """Fraction of the quantisation error that is constant from frame to frame.
 
-    The square of what noise leaves of them in a mean: what is wrongly kept of noise errs to one side for as long as the
-    load is held, while what is not kept of a step is in the deviation.
+    ``ratio`` is the standard deviation of readings over that by quantisation alone. The result is the square of
+    :func:`.undithered_of`, as a cautious choice: keeping too much is a bias as long as the load is held, whereas a step
+    that is not kept is covered by the standard deviation.
     """
     left = undithered_of(ratio)
     return left * left
@@ -64,19 +71,19 @@ def keep(
 
     Args:
         r: (n,) normalised resistances.
-        last: (n,) those of the last frame.
-        reference: (n,) those that cells have without load: at rest, and what earlier loads have left.
+        last: (n,) normalised resistances of the last frame.
+        reference: (n,) unloaded readings: at rest, plus the remainder of earlier loads.
         held_s: (n,) seconds for which cells have been held.
         read: (n,) which cells have been read.
-        awake: (n,) which of them do not sleep.
-        untold: (columns,) where no sleeping cells tell what is shared.
-        own: standard deviation of r at rest by own noise and own steps.
-        steps: the same by the steps of all readings.
-        side: sign that a load gives to r.
+        awake: (n,) which cells do not sleep.
+        untold: (columns,) columns in which no sleeping cells measure the shared part.
+        own: standard deviation of r at rest by own noise and own quantisation.
+        steps: standard deviation of r at rest by the quantisation of all readings.
+        side: sign of r under a load.
         dt_s: seconds since the last frame.
 
     Returns:
-        (m,) cells that were changed.
+        (m,) cells whose reading was changed.
     """
     columns, bound = untold.size, min(MOST * steps, LIMIT)
     off = np.where(read, side * (r - reference) / (1.0 + reference), np.inf).reshape(-1, columns)

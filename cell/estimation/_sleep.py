@@ -1,6 +1,6 @@
-"""Sleep of cells at rest: only their mean is watched, until a reading or the mean leaves the noise.
+"""Sleep mode of cells at rest: only the mean is monitored, until a reading or the mean leaves the noise.
 
-Most cells of a large skin carry no load. A sleeping cell costs a few operations per frame, a cell that is followed some
+Most cells of a large skin carry no load. A sleeping cell costs a few operations per frame, a followed cell about a
 hundred.
 """
 
@@ -18,15 +18,15 @@ from ._noise import NoiseMeter
 from ._remembered import Block
 
 AT_REST = 0.005
-"""of full scale below which a cell may sleep"""
+"""fraction of full scale below which a cell may sleep"""
 WATCH_S = 0.5
-"""time over which the mean of a sleeping cell is taken"""
+"""time constant of the mean of a cell, in seconds"""
 MEANS = 8
-"""times in that time that the mean is renewed"""
+"""updates of the mean per time constant"""
 
 
 class Sleep:
-    """Which of n cells are awake, the mean of each cell's readings, and at what readings a sleeping cell wakes."""
+    """Which of n cells are awake, the mean of each cell's readings, and the thresholds that wake sleeping cells."""
 
     def __init__(self, cells: int, full_scale_r: float) -> None:
         self.band = AT_REST * full_scale_r
@@ -35,15 +35,15 @@ class Sleep:
         self.all_awake = False
         """whether all cells are followed, and none needs to be watched"""
         self.mean = np.zeros(cells)
-        """(n,) of r, over :data:`WATCH_S`"""
+        """(n,) mean of r with the time constant :data:`WATCH_S`"""
         self.wake_at = np.full(cells, np.inf)
-        """(n,) r from which a reading wakes its cell; infinite for cells that are awake"""
+        """(n,) absolute r beyond which a reading wakes its cell; infinite for cells that are awake"""
         self._sum = np.zeros(cells)
         self._sum_s, self._summed = 0.0, 0
-        """seconds and readings in the sum"""
+        """seconds and number of readings in the sum"""
         self._sharp = np.ones(cells)
         self.compiled = False
-        """whether the loops are there as machine code"""
+        """whether compiled loops are in use"""
 
     def watch(
         self,
@@ -56,16 +56,15 @@ class Sleep:
         """Take readings (n,), ``dt`` after the last ones.
 
         Args:
-            dt: in s.
-            r: of which a single one may wake its cell.
-            watched: as they were read, of which the mean is taken, and a single one may wake its cell, too; None: the
-                same.
-            blurred: (n,) standard deviation of the noise of those, over that of ``r``; None: the same.
-            loaded: (k,) sleeping cells that wake in any case; None: none.
+            dt: seconds since the last frame.
+            r: (n,) readings without shared noise; a single one may wake its cell.
+            watched: (n,) readings with shared noise. The mean is taken of these; a single one may wake its cell, too.
+                None: same as ``r``.
+            blurred: (n,) standard deviation of ``watched`` over that of ``r``; None: 1.
+            loaded: (k,) sleeping cells that wake in any case; None: no cells.
 
         Returns:
-            (m,) sleeping cells whose reading, or the mean of their readings, has left what noise does; they are awake
-            now. None: of no cell.
+            (m,) sleeping cells whose reading, or mean, has left the range of noise; they are awake now. None: no cells.
         """
         watched, blurred = r if watched is None else watched, self._sharp if blurred is None else blurred
         may_wake = self._add_up(r, watched, blurred)
@@ -92,16 +91,16 @@ class Sleep:
         return cells
 
     def _add_up(self, r: FloatArray, watched: FloatArray, blurred: FloatArray) -> bool:
-        """Add readings to the sum of which the mean is made; whether one of them may wake its cell."""
+        """Add readings to the sum for the mean; returns whether one of them may wake its cell."""
         if self.compiled:
             return loops.watch.unchecked(r, watched, blurred, self._sum, self.wake_at)
         self._sum += watched
         return not self.all_awake
 
     def _renew_means(self, averaged: float, blurred: FloatArray) -> bool:
-        """Take the sums into the means; whether one of these may wake its cell.
+        """Update the means by the sums; returns whether a mean may wake its cell.
 
-        ``averaged`` is the standard deviation of a mean, over that of a reading; for ``blurred`` see :meth:`watch`.
+        ``averaged`` is the standard deviation of a mean over that of a reading; for ``blurred`` see :meth:`watch`.
         """
         share, summed = -math.expm1(-self._sum_s / WATCH_S), self._summed
         self._sum_s, self._summed = 0.0, 0
@@ -116,12 +115,12 @@ class Sleep:
         return not self.all_awake
 
     def follow(self, cells: IntArray) -> None:
-        """Note that ``cells`` (m,) are followed: no reading wakes them any more."""
+        """Note that ``cells`` (m,) are followed, and need no wake-up threshold."""
         self.all_awake = cells.size == self.awake.size
         self.wake_at[cells] = np.inf
 
     def begin(self, cells: IntArray) -> None:
-        """Put ``cells`` (m,) to sleep; the limits at which they wake are to be set next."""
+        """Put ``cells`` (m,) to sleep; the caller sets their wake-up thresholds next."""
         self.awake[cells] = False
         self.all_awake = False
 
@@ -141,11 +140,11 @@ class Sleep:
 
     @property
     def clock(self) -> list[float]:
-        """Seconds and readings in the sum, to be saved."""
+        """Seconds and number of readings in the sum, to be saved."""
         return [self._sum_s, self._summed]
 
     def state(self) -> dict[str, FloatArray | BoolArray]:
-        """What is remembered beside :attr:`clock`, by name."""
+        """The state without :attr:`clock`, by name."""
         return {"mean": self.mean, "sum": self._sum, "awake": self.awake}
 
     def restore(self, state: dict[str, FloatArray], clock: list[float]) -> None:

@@ -1,11 +1,11 @@
-"""Smoothing without lag: an alpha-beta filter (discounted least squares of a line) that CUSUM tests start afresh.
+"""Smoothing without lag: an alpha-beta filter (discounted least squares of a line), restarted by CUSUM tests.
 
-A low-pass would answer late, and an inverse turns lateness into error. Here the newest point of a straight line fitted
-to the recent readings stands for the reading: ramps pass without lag. A reading far from the line, or a cumulative sum
-of smaller departures (Page's CUSUM), begins a new line, so that steps pass without lag too.
+A low-pass lags, and an inversion turns lag into error. Here a straight line is fitted to the recent readings, and its
+newest point replaces the reading: ramps pass without lag. A reading far from the line, or a cumulative sum of smaller
+departures (Page's CUSUM), starts a new line, so that steps pass without lag, too.
 
-Fitting the line is a Kalman filter of level and slope with exponential forgetting. Its gains depend only on the number
-of readings since the line began, and are tabulated.
+The fit is a Kalman filter of level and slope with exponential forgetting. Its gains depend only on the number of
+readings since the line began, and are tabulated.
 """
 
 from __future__ import annotations
@@ -21,25 +21,26 @@ from ...compiled import Flags, Places, Row, Rows, loop
 from ._rows import NOISE, READING, SMOOTHED, STD
 
 ALLOWED = 0.75
-"""standard deviations that a reading may be off without adding to the sum"""
+"""allowance of the CUSUM: departures from the line below this many standard deviations do not add to the sum"""
 SUM = 5.0
-"""standard deviations of the sum that begin a new line; a single reading that is 5.75 off does it at once"""
+"""threshold of the CUSUM in standard deviations; a single reading that is 5.75 off exceeds it at once"""
 FAR, NEAR = 3.5, 0.5
-"""standard deviations from which a reading begins a line by itself; the weight of a nearer one. After a run of small
-departures the last reading is a departure, too, by selection: it must not stand alone"""
+"""standard deviations beyond which a reading starts a new line alone; and the weight of a nearer reading, which starts
+it together with the old line. The reading that triggers the CUSUM after a run of small departures is itself a departure
+by selection, and must not stand alone"""
 STEEPEST = 15.0
-"""standard deviations of a reading by which readings usually change within the window"""
+"""usual change of the readings within the window, in standard deviations of a reading"""
 SHORTEST_S, LONGEST_S = 0.03, 3.0
-"""limits of the time in which the weight of a reading falls to 1/e"""
+"""limits of the window: the time in seconds in which the weight of a reading falls to 1/e"""
 LEVEL, SLOPE, COUNT, UP, DOWN, SUMS = *range(5), slice(3, 5)
-"""rows of the memory: the line now, its slope per second, readings since it began; sums of departures upwards and
-downwards"""
+"""rows of the memory: present level of the line; its slope per second; number of readings since it began; CUSUMs of
+departures upwards and downwards"""
 ROWS = 5
 HIDDEN, SIGMAS = 3.3, 3.0
-"""standard deviations of the noise by which a load may be off its reading; and of the estimate, which are to cover what
-a change could be that the smoothing has not noticed yet"""
+"""standard deviations of noise that may separate a reading from its noiseless value; and standard deviations of the
+estimate within which an unnoticed change of the load must lie"""
 LEAST_NOISE = 1e-9
-"""of r: keeps a division by the noise finite"""
+"""added to the standard deviation of r, to keep divisions by the noise finite"""
 FAR_SHARE = 1.0 - NEAR
 _ALLOWED, _SUM, _FAR, _FAR_SHARE = (np.array(x) for x in (ALLOWED, SUM, FAR, FAR_SHARE))
 _ZERO, _ONE = np.array(0.0), np.array(1.0)
@@ -48,17 +49,17 @@ _LEAST_NOISE, _HIDDEN, _PER_SIGMAS = (np.array(x) for x in (LEAST_NOISE, HIDDEN,
 
 
 class Smoothed(NamedTuple):
-    """What is made of a reading; all (m,). The next call with the same scratch overwrites ``level`` and ``begun``."""
+    """Smoothed readings; all (m,). The next call with the same scratch overwrites ``level`` and ``begun``."""
 
     level: FloatArray
     std: FloatArray
     """standard deviation of the level"""
     begun: BoolArray | None
-    """where the reading begins a new line; None: nowhere"""
+    """where the reading starts a new line; None: nowhere"""
 
 
 class Looked(NamedTuple):
-    """The readings of one frame as the smoothing took them. Arrays (m,), which never change again."""
+    """The readings of one frame, before and after smoothing. Arrays (m,), which never change again."""
 
     reading: FloatArray
     noise: FloatArray
@@ -71,12 +72,12 @@ class Looked(NamedTuple):
     def doubt_kpa(self, gain_kpa: FloatArray, steepness_kpa: FloatArray) -> FloatArray:
         """(m,) standard deviation in kPa of pressures that follow from the smoothed readings.
 
-        A fast change of the load may be answered by less or by more of r than the smoothed readings are inverted with.
+        The response of r to a fast change of the load may differ from the gain of the smoothed readings.
 
         Args:
             gain_kpa: (m,) pressure per r of the smoothed readings.
-            steepness_kpa: (2,) pressure per r of a fast rise and of a fast fall that the smoothing has not noticed yet;
-                0: the gain.
+            steepness_kpa: (2,) pressure per r of a fast rise, and of a fast fall, that the smoothing has not noticed
+                yet; 0: the gain.
         """
         doubt: FloatArray = self.reading - self.line[LEVEL]
         falls = doubt < _ZERO
@@ -89,8 +90,10 @@ class Looked(NamedTuple):
     def doubt(self) -> FloatArray:
         """(m,) standard deviation of the smoothed readings.
 
-        A change of the load that the line has not taken up is anything between the line and a little beyond the
-        reading, since noise may hide as much: errors up to there are to stay within :data:`SIGMAS` deviations.
+        The line may lag behind a change of the load. The true value then lies between the line and the reading, or
+        beyond the reading by as much as noise hides. Errors up to there stay within :data:`SIGMAS` standard deviations:
+
+            std = max((|reading - line| + HIDDEN noise) / SIGMAS, std of the line)
         """
         doubt: FloatArray = self.reading - self.line[LEVEL]
         np.abs(doubt, out=doubt)
@@ -117,11 +120,14 @@ class Scratch:
 
 
 class Gains(NamedTuple):
-    """By readings since the line began, the first one included; (n,) each, rows of ``rows`` (3, n)."""
+    """Kalman gains by the number of readings since the line began, starting with the first; (n,) each.
+
+    They are the rows of ``rows`` (3, n).
+    """
 
     level: FloatArray
     slope: FloatArray
-    """times the time between readings"""
+    """gain of the slope times the time between readings"""
     std: FloatArray
     """standard deviation of the level over that of a reading"""
     rows: FloatArray
@@ -129,10 +135,10 @@ class Gains(NamedTuple):
 
 @lru_cache(maxsize=1024)
 def window_s(noise: float, dt_s: float) -> float:
-    """The time in which the weight of a reading should fall to 1/e, for noise relative to the range of readings.
+    """The window T in seconds, for ``noise`` relative to the range of readings: weights fall to 1/e within T.
 
-    The variance of the line's end falls with the window as noise^2 dt/T, its bias from curvature grows as T^4: the
-    best window is proportional to (noise^2 dt)^(1/5). The factor is the project's own, from taps and presses.
+    The variance of the line's end falls as noise^2 dt/T. Its bias by curvature, squared, grows as T^4. The best window
+    is therefore proportional to (noise^2 dt)^(1/5). The factor is the project's own, from taps and presses.
     """
     best = 10.0 * (noise**2 * dt_s) ** 0.2
     steps = round(2 * math.log2(min(max(best, SHORTEST_S), LONGEST_S)))  # few different tables
@@ -141,15 +147,15 @@ def window_s(noise: float, dt_s: float) -> float:
 
 @lru_cache(maxsize=64)
 def gains(steps: float) -> Gains:
-    """Gains of a window of ``steps`` readings, in units of the time between readings (the slope's too).
+    """Gains of a window of ``steps`` readings. The unit of time is the time between readings, also for the slope.
 
-    The last entry is the limit for many readings. The gains of the Kalman filter are the covariances of its level and
-    slope, whose inverse is a sum over readings: the table takes no loop.
+    The last entry is the limit for many readings. The gains of the Kalman filter are entries of the covariance matrix
+    of level and slope. Its inverse, the information matrix, is a sum over readings, so that the table needs no loop.
     """
     age = np.arange(min(int(4 * steps) + 3, 4001), dtype=np.float64)
     weight = np.exp(-age / steps)
-    # Information of level and slope: discounted sums over the ages of the readings. A line through few readings is
-    # held flat by the usual slope.
+    # Information matrix of level and slope: discounted sums over the ages of the readings. A prior on the slope
+    # (STEEPEST) keeps lines through few readings flat.
     sum_0, sum_1, sum_2 = (np.cumsum(weight * age**power) for power in range(3))
     sum_2 += weight / min(STEEPEST / steps, 1.0) ** 2
     spread = sum_0 * sum_2 - sum_1**2
@@ -160,7 +166,7 @@ def gains(steps: float) -> Gains:
 
 
 def begin(level: FloatArray, readings: float = 0.0) -> FloatArray:
-    """The memory (ROWS, m) of cells whose level is known as well as from so many ``readings``."""
+    """The memory (ROWS, m) of cells whose level is as certain as after ``readings`` readings."""
     line = np.zeros((ROWS, *level.shape))
     line[LEVEL], line[COUNT] = level, readings
     return line
@@ -179,7 +185,7 @@ def noise_of(line: FloatArray, noise_at_rest: FloatArray) -> FloatArray:
 
 
 def interrupt(line: FloatArray) -> None:
-    """Let the next reading begin a new line, whatever it is; changes ``line``."""
+    """Make the next reading start a new line, whatever its value; changes ``line``."""
     line[SUMS] = np.inf
 
 
@@ -216,7 +222,7 @@ def advance(
 
 
 def _begin_again(m: Scratch, begun: BoolArray, r: FloatArray) -> None:
-    """New lines where ``begun``: a far reading begins one by itself, a near one together with the line so far."""
+    """Start new lines where ``begun``: at the reading if it is far from the old line, else at a mean of both."""
     near = np.less(np.abs(m.z, m.z), _FAR, m.near)
     near &= begun
     np.copyto(m.since, _ZERO, where=begun)
@@ -231,7 +237,7 @@ def _begin_again(m: Scratch, begun: BoolArray, r: FloatArray) -> None:
 
 @lru_cache(maxsize=1024)
 def gains_for(window: float, dt_s: float) -> Gains:
-    """Gains for a window on a grid of 10 %, so that time stamps that jitter share a table."""
+    """Gains for a window rounded to a grid of 10 %, so that jittering time stamps share a table."""
     steps = max(window / max(dt_s, 1e-9), 0.5)
     return gains(float(1.1 ** round(math.log(steps) / math.log(1.1))))
 
@@ -253,18 +259,18 @@ def advance_each(
 
     Args:
         line: (ROWS, m), changed.
-        before: (ROWS, m), to keep the line from before.
+        before: (ROWS, m), overwritten by the line before this frame.
         cells: (m,) their indices among all n cells.
-        on_line: (n,) for each cell the readings since its line began; written to if ``keeps``.
-        keeps: whether the noise meter looks at the next frame, since only then ``on_line`` is read.
-        dt_s: since the last readings.
+        on_line: (n,) number of readings since each cell's line began; written if ``keeps``.
+        keeps: whether to write ``on_line``, which is read only in frames in which the noise meter works.
+        dt_s: seconds since the last readings.
         gains: (3, n), ``rows`` of :class:`Gains`.
-        taken: (4, m) readings and their noise; given their smoothed values and the standard deviations of these.
-        begun: (m,) to mark where a new line begins.
-        large: jump from the line before, from which it may matter that a line begins.
+        taken: (4, m) readings and their noise; the smoothed readings and their standard deviations are written here.
+        begun: (m,) marks where a new line starts; written.
+        large: distance of a reading from the line before, beyond which a new line may be a spark.
 
     Returns:
-        Whether one begins, and a cell has jumped by more than that.
+        Whether a new line starts, and a reading is farther than ``large`` from the line before.
     """
     last = gains.shape[1] - 1
     any_begun, any_large = False, False

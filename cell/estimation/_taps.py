@@ -1,16 +1,16 @@
-"""Jumps of readings: contact sparks (intermittent electrical contacts) told from taps by what neighbouring cells do.
+"""Classification of jumps as taps or intermittent contacts ("sparks"), by the readings of neighbouring cells.
 
-A reading that jumps from one frame to the next may be a tap, or a bad contact for a moment. One reading cannot tell
-them apart while the jump lasts. An array can:
+A reading that jumps from one frame to the next may be a tap, or a momentary bad contact. A single reading cannot
+distinguish the two while the jump lasts. An array can:
 
-* Pressure spreads. The silicone shares a tap among cells side by side, so readings beside the jump move with it, in
-  the direction of a load. A bad contact within one cell moves that cell alone.
-* Other faults have the shape of the wiring. A bad line or connector moves whole lines; a crack moves the end of a line;
-  a disturbance of the converter moves readings that are converted one after another, in one frame.
+* Pressure spreads. The silicone distributes a tap over adjacent cells, so that readings beside the jump move with it,
+  in the direction of a load. A bad contact within one cell moves that cell alone.
+* Other faults have the shape of the wiring. A bad line or connector moves whole lines. A crack moves the end of a line.
+  A disturbance of the converter moves readings that are converted one after another, in one frame.
 
-A jump is therefore a load where neighbours along both axes move with it; where a neighbour of it is one; or where a
-neighbour along one axis moves with it for two frames, and the ends of that line have not moved as much. Nothing is
-concluded of lines that have moved as a whole, nor of jumps that no neighbour shares. Bad contacts add resistance: where
+A jump is therefore a load in three cases: neighbours along both axes move with it; a neighbour that moves with it is a
+load; or a neighbour along one axis moves with it for two frames, and the ends of that line have not moved as much.
+Lines that have moved as a whole, and jumps that no neighbour shares, stay undecided. Bad contacts add resistance: where
 loads lower it, a fall that lasts for two frames is a load as well.
 """
 
@@ -26,32 +26,34 @@ from ._inversion import Inversion
 from ._noise import ENOUGH
 
 SHARED = 0.05
-"""share of a jump by which a neighbour moves with it. Crosstalk by leads that nobody mentions is far less"""
+"""fraction of a jump beyond which a neighbour counts as moving with it. Crosstalk by unmodelled lead resistance is far
+less"""
 CLEAR = 8.0
-"""standard deviations of its reading by which a neighbour moves with a jump"""
+"""standard deviations of its reading beyond which a neighbour counts as moving with a jump"""
 JOINTLY = 4.0
-"""the same where neighbours along both axes move: fewer suffice, since noise hardly moves two cells at once"""
+"""the same if neighbours along both axes move: fewer suffice, since noise hardly moves two cells at once"""
 TOGETHER_S = 0.02
-"""time in which a fingertip comes down on all its cells: neighbours that move later tell nothing of a jump"""
+"""seconds in which a fingertip comes down on all its cells; neighbours that move later are no evidence about a jump"""
 IN_LINE_S = 0.005
-"""the same of neighbours along one axis only. A frame more is always waited for"""
+"""the same for neighbours along one axis only; the following frame counts in any case"""
 FRAMES = 2
-"""in which such a neighbour must have moved: a disturbance of the converter is over in the next one"""
+"""number of frames in which such a neighbour must have moved; a disturbance of the converter lasts for one frame"""
 LASTS = 0.5
-"""share of a jump that must be left for it to be under way"""
+"""fraction of a jump that must remain for the jump to be under way"""
 WHOLE, EVEN, SEEN = 0.85, 0.3, 3.0
-"""share of a line's cells that have moved from which the line itself may be bad; share of a jump's pressure, and
-standard deviations of its reading, by which a cell has then moved, since a bad line moves its cells alike. Not share of
-r: that of electrodes which touch is nearly -1 from a light load on, in the middle and at the rim of a finger alike"""
+"""limits for bad lines. A line may be bad if the first fraction of its cells has moved. A cell has moved if it exceeds
+the second fraction of the jump's pressure (a bad line moves its cells alike), and the third number of standard
+deviations of its reading. Pressure is compared, and not r: r of touching electrodes is nearly -1 from a light load on,
+in the middle and at the rim of a finger alike"""
 LEAST_LINE = 4
-"""cells of a line that may be called whole: a fingertip covers shorter ones"""
+"""least number of cells of a line that may count as bad; a fingertip covers shorter lines as a whole"""
 TINY = 1e-30
-"""keeps 0/0 from occurring"""
+"""avoids 0/0"""
 _SOON = 1 + 1e-9
 
 
 class Taps:
-    """Which of the jumps that may be sparks are known to be loads. Arrays are of the k jumps of the last moment."""
+    """Which of the k recent jumps are known to be loads. Arrays (k,) unless stated otherwise."""
 
     def __init__(self, inversion: Inversion, shape: tuple[int, ...]) -> None:
         """``shape`` is (rows, columns). Cells of an array with another number of axes have no neighbours."""
@@ -60,14 +62,14 @@ class Taps:
         cells = math.prod(shape)
         self._shape = (shape[0], shape[1]) if self._grid else (1, cells)
         self._neighbours = np.full((4, cells), cells, dtype=np.intp)
-        """(4, n) cells above, below, left and right of each cell; beyond the last cell where there is none"""
+        """(4, n) indices of the cells above, below, left and right of each cell; n where there is none"""
         if self._grid:
             padded = np.full((shape[0] + 2, shape[1] + 2), cells, dtype=np.intp)
             padded[1:-1, 1:-1] = np.arange(cells).reshape(shape)
             sides = padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:]
             self._neighbours = np.array([side.ravel() for side in sides])
         self._before = np.zeros(cells)
-        """(n,) readings before the jumps that may still turn out to be one tap"""
+        """(n,) readings before the jumps that may still belong to one tap"""
         self.forget_all()
 
     def forget_all(self) -> None:
@@ -75,7 +77,7 @@ class Taps:
         self.known = np.zeros(0, dtype=np.bool_)
         """whether the jump is known to be a load"""
         self._places = np.zeros((4, 0), dtype=np.intp)
-        """of the cells around the jumps; as many as there are cells where there is none"""
+        """(4, k) indices of the cells around the jumps; n where there is none"""
         self._around = np.zeros((4, 0))
         self._frames = np.zeros(0, dtype=np.intp)
 
@@ -83,9 +85,9 @@ class Taps:
         """Take jumps that have just begun.
 
         Args:
-            cells: (m,) that have jumped.
+            cells: (m,) cells that have jumped.
             before: (n,) readings of all cells before these jumps.
-            anew: whether no other jump is so young that it may belong to the same tap.
+            anew: True if no other jump is recent enough to belong to the same tap.
         """
         if anew:
             self._before = before
@@ -110,14 +112,14 @@ class Taps:
         reading: FloatArray,
         noise_at_rest: FloatArray,
     ) -> None:
-        """Find out which jumps are loads, in every frame in which there are any.
+        """Classify the jumps; called in every frame in which there are any.
 
         Args:
-            cells: that have jumped.
-            age_s: since they have.
-            jump: largest distance of r from that before the jump.
-            off: present distance.
-            dt_s: since the last frame.
+            cells: (k,) cells that have jumped.
+            age_s: (k,) seconds since the jump.
+            jump: (k,) largest distance of r from its value before the jump.
+            off: (k,) present distance.
+            dt_s: seconds since the last frame.
             reading: (n,) normalised resistances r of all cells.
             noise_at_rest: (n,) standard deviations of readings of cells at rest.
         """
@@ -147,16 +149,16 @@ class Taps:
         if ends is not None:
             lasted &= ~np.where(along_column, ends[0][some], ends[1][some])
         self.known[some] = spread | lasted
-        for _ in range(2):  # a fingertip is hardly wider; further cells follow in the next frame
+        for _ in range(2):  # spreads by two cells, about the width of a fingertip; others follow in the next frame
             loads = np.zeros(reading.size)
             loads[cells[self.known]] = 1.0
             self.known[some] |= ((_beside(loads, places) > 0) & with_it).any(axis=0)
 
     def _unrest(self, reading: FloatArray, noise: FloatArray) -> float:
-        """Scatter of the readings (n,) since the jump over their noise (n,), at least 1; of :data:`ENOUGH` of them.
+        """Robust scatter of the changes (n,) since the jump over the noise (n,), at least 1; of :data:`ENOUGH` cells.
 
-        A finger moves fewer than half of the cells, so the median is that of cells without a load. Where it is large,
-        the noise has just grown, or the whole skin moves.
+        A finger moves fewer than half of the cells, so that a median-based scatter is that of cells without a load. A
+        large scatter means that the noise has just grown, or that the whole skin moves.
         """
         some = slice(None, None, 1 + reading.size // ENOUGH)
         return max(scatter((reading[some] - self._before[some]) / np.maximum(noise[some], TINY)), 1.0)
@@ -164,12 +166,13 @@ class Taps:
     def _lines(
         self, cells: IntArray, before: FloatArray, jump: FloatArray, reading: FloatArray, noise: FloatArray
     ) -> tuple[BoolArray, BoolArray, BoolArray]:
-        """What the lines of ``cells`` (m,) have done, whose readings jumped from ``before`` (m,) by ``jump`` (m,).
+        """Movement of the lines of ``cells`` (m,), whose readings jumped from ``before`` (m,) by ``jump`` (m,).
 
-        ``reading`` (n,) is that of all cells, ``noise`` (n,) their standard deviation.
+        ``reading`` (n,) are the readings of all cells, ``noise`` (n,) their standard deviation.
 
         Returns:
-            (m,) cells whose row or column has moved as a whole; cells whose column has moved at an end; whose row has.
+            Masks (m,): the row or column of a cell has moved as a whole; an end of its column has moved; an end of its
+            row has moved.
 
         """
         rows, columns = self._shape
@@ -185,7 +188,7 @@ class Taps:
         for line, number in ((rises, row), (rises.T, column)):
             length = line.shape[1]
             if length >= LEAST_LINE:
-                # As many cells have moved where the least of the so many largest rises is one.
+                # WHOLE of the cells have moved if the smallest of that many largest rises exceeds the limit.
                 place = length - math.ceil(WHOLE * length)
                 whole |= np.partition(line, place, axis=1)[:, place][number] > least
             ends.append(np.maximum(line[:, 0], line[:, -1])[number] > least)
@@ -193,7 +196,7 @@ class Taps:
 
 
 def _beside(values: FloatArray, places: IntArray) -> FloatArray:
-    """(4, m) what ``values`` (n,) has at ``places`` (4, m); NaN at places n."""
+    """(4, m) ``values`` (n,) at ``places`` (4, m); NaN at index n."""
     padded = np.empty(values.size + 1)
     padded[:-1], padded[-1] = values, np.nan
-    return padded.take(places, mode="clip")  # in half the time of a look whether there are such places
+    return padded.take(places, mode="clip")  # takes half as long as a test whether there are such places

@@ -1,14 +1,15 @@
-"""Vibration and slip within the noise of the readings, and the uncertainty of the rises that they fake.
+"""Detection of vibration and slip below the noise (excess variance), and uncertainty of the rises that they mimic.
 
-Vibration and slip that turn within a frame, or by less than the noise, are never noticed as turns. A cell answers a
-fast rise by more than a fast fall, or breaks chains both ways, so that such motion seems to be a load that rises. What
-tells of it is that the readings scatter more than the board's noise about a smooth curve. An edge of a load does so as
-well, for one window of readings or two. A rise is therefore in doubt for the time being while one window shows motion,
-and for good where several windows in a row do.
+Turning points of vibration and slip go unnoticed if they lie within one frame, or are smaller than the noise. A cell
+responds more to a fast rise than to a fast fall, or breaks chains both ways. Unnoticed motion therefore looks like a
+rise of the load. The sign of such motion is an excess variance: the readings scatter about a smooth curve by more than
+the board's noise. An edge of a load has the same sign, in one window of readings or two. A rise is therefore in doubt
+temporarily while one window shows motion, and permanently if several consecutive windows do.
 
-Before a window is full, single readings tell: a load that falls within a frame leaves its reading below the line of
-those before, by little, since a fast fall is answered by little. What the cell would keep of such a fall, if the load
-came back, is in doubt from that frame on (a test of the normalised residual). Later windows confirm it, or it fades.
+Before a window is full, single readings are tested (normalised residual). A load that falls within a frame leaves its
+reading below the line through the readings before, but only slightly, since the response to a fast fall is small. If
+the load came back unnoticed, the cell would keep a false remainder of the fall. The size of that remainder is in doubt
+from this frame on. Later windows confirm the doubt, or it decays.
 """
 
 from __future__ import annotations
@@ -24,30 +25,32 @@ from ._rows import GAIN, NOISE, PRESSURE, READING, STD
 from ._smoothing import LEVEL, Looked
 
 HIDES, SURELY_HIDES = 1.25, 1.6
-"""variance of a cell's readings beside smooth motion, over that of the board's noise, in two windows: from the first
-on, a load may move within the noise; from the second on, it does"""
+"""variance ratio (variance of a cell's readings about a parabola, over that of the board's noise) in two consecutive
+windows: above the first limit, a load may move within the noise; above the second, it does"""
 SUSPECTS, SURELY_SUSPECTS = 2.0, 2.6
-"""the same of a single window, which noise alone exceeds in 4 and in 0.5 % of all windows"""
+"""variance ratio of a single window; noise alone exceeds these limits in 4 and in 0.5 % of all windows"""
 UNTOLD = 1.0
-"""rise that other windows of such motion have faked, over that of a window in which motion is certain: about half of
-them do not differ from noise. From slips of a few standard deviations of the noise"""
+"""apparent rise in windows without visible motion, over that of a window in which motion is certain: about half of the
+windows do not differ from noise. From slips of a few standard deviations of the noise"""
 SUSPICION = 0.5
-"""of a rise that is in doubt for the time being: its standard deviation"""
+"""standard deviation of a rise that is temporarily in doubt, over that rise"""
 
 FADES = 0.5
-"""share of such a doubt that the next window leaves, if nothing tells more"""
+"""fraction of a temporary doubt that remains after the next window, if that window shows no more"""
 MAY_FALL, FALLS = 1.75, 2.75
-"""standard deviations of what noise leaves between a reading and its line, by which a reading is below: from the first
-on, the load may have fallen, and from the second on, it most likely has. Noise alone exceeds them in 4 and 0.3 % of
-all frames"""
+"""distance of a reading below its line, in standard deviations of the residual: above the first limit, the load may
+have fallen; above the second, it most likely has. Noise alone exceeds them in 4 and 0.3 % of all frames"""
 FALLEN = 1.5
-"""of what a fall would leave behind: how much of it is in doubt. Noise may hide a part of the fall"""
+"""doubt about a fall over the remainder that the fall would leave; above 1, since noise may hide a part of the fall"""
 
 RISEN_FROM, LOOKED_AT, EDGE_KPA, WAITING_KPA, SUSPECTED, AMPLITUDE, BESIDE_BEFORE, UNREST_BEFORE = range(8)
-"""rows of what is remembered: kPa at the beginning of the window, and at the last look; the largest rise from one look
-to the next in this window, since an edge of a load is in one of them; rise of the windows before, in doubt until this
-one has told; the largest suspicion in this window, 0 to 1; amplitude of motion over that of the noise, as far as the
-readings show it; variance beside smooth motion in the last window, and the lesser one of the last two"""
+"""rows of the state.
+
+RISEN_FROM, LOOKED_AT: pressure in kPa at the beginning of the window, and at the last look. EDGE_KPA: largest rise from
+one look to the next in this window; an edge of a load lies between two looks. WAITING_KPA: rise in earlier windows that
+is in doubt until this window ends. SUSPECTED: largest suspicion in this window, 0 to 1. AMPLITUDE: estimated amplitude
+of the motion over that of the noise. BESIDE_BEFORE: variance ratio of the last window. UNREST_BEFORE: the lesser
+variance ratio of the last two windows"""
 ROWS = 8
 _SUSPICION, _MAY_FALL2, _ZERO, _ONE = (np.array(x) for x in (SUSPICION, MAY_FALL * MAY_FALL, 0.0, 1.0))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as a small operation.
@@ -62,18 +65,21 @@ def _share(ratio: FloatArray, low: float, high: float) -> FloatArray:
 
 
 class Tremor:
-    """How far the rises of n cells are in doubt. Methods take the indices of m cells, and arrays (m,) of theirs."""
+    """The uncertainty of recent rises of n cells. Methods take indices (m,) of cells, and arrays (m,) for these."""
 
     def __init__(self, cells: int) -> None:
         self._kept = np.zeros((ROWS, cells))
         self._kept[AMPLITUDE] = 1.0
         self.suspicious = False
-        """whether a rise is in doubt for the time being"""
+        """whether any rise is temporarily in doubt"""
         self.compiled = False
-        """whether the loops are there as machine code"""
+        """whether compiled loops are in use"""
 
     def look(self, cells: IntArray, memory: FloatArray, beside: FloatArray) -> None:
-        """Take the cells' memory, and the variance (m,) of readings beside smooth motion over that of the noise."""
+        """Update the suspicion from the cells' memory, and from the variance ratio ``beside`` (m,) of their readings.
+
+        The ratio is that of :meth:`._noise.NoiseMeter.beside_parabola`.
+        """
         if self.compiled:
             self.suspicious = look_each.unchecked(cells, memory, beside, self._kept)
             return
@@ -86,10 +92,11 @@ class Tremor:
         self._renew()
 
     def doubt_falls(self, cells: IntArray, memory: FloatArray, looked: Looked, fall_kpa: float) -> None:
-        """Doubt what the memory (rows, m) would keep of falls that readings ``looked`` at may be the only ones to show.
+        """Add doubt about falls that only the readings ``looked`` of this frame may show; uses the memory (rows, m).
 
-        ``fall_kpa`` is the pressure per r of a fast fall. Between a reading and the line that it has been taken into,
-        noise leaves its own variance less that of the line; the share that is left of a sudden change is as large.
+        ``fall_kpa`` is the pressure per r of a fast fall. The residual between a reading and its line after the update
+        has the variance of the noise minus that of the line. The line has absorbed the rest of a sudden change: the
+        residual is (variance of the residual / variance of the noise) times the change.
         """
         below = looked.line[LEVEL] - looked.reading
         squared = np.abs(below)
@@ -110,7 +117,7 @@ class Tremor:
     def doubt_falls_compiled(
         self, cells: IntArray, memory: FloatArray, taken: FloatArray, line: FloatArray, fall_kpa: float
     ) -> None:
-        """:meth:`doubt_falls` by machine code, for readings ``taken`` (4, m) into a ``line`` (ROWS, m)."""
+        """:meth:`doubt_falls` by compiled loops, for readings ``taken`` (4, m) and their ``line`` (ROWS, m)."""
         found = doubt_each_fall.unchecked(cells, memory, taken, line, fall_kpa, self._kept)
         self.suspicious = self.suspicious or found
 
@@ -122,11 +129,11 @@ class Tremor:
         Args:
             cells: (m,) indices.
             pressure_kpa: (m,) estimates.
-            most_kpa: (m,) by which motion as large as the noise may let them seem to rise in a window.
+            most_kpa: (m,) largest apparent rise in a window by motion as large as the noise.
             beside: (m,) as in :meth:`look`.
 
         Returns:
-            (m,) kPa of the rise that is in doubt for good; None: of no cell.
+            (m,) rise in kPa that is permanently in doubt; None: zero.
 
         """
         kept = self._kept
@@ -149,7 +156,7 @@ class Tremor:
         return missed
 
     def _unrest(self, cells: IntArray, beside: FloatArray) -> FloatArray:
-        """(m,) the lesser of the last two windows' variances, since a single edge is in one of them only."""
+        """(m,) the lesser variance ratio of the last two windows, since a single edge lies in only one of them."""
         before = self._kept[BESIDE_BEFORE, cells]
         found: FloatArray = np.minimum(beside, before)
         found[np.maximum(beside, before) > CROSSED] = 0.0
@@ -157,13 +164,13 @@ class Tremor:
         return found
 
     def accept(self, cells: IntArray, pressure_kpa: FloatArray) -> None:
-        """Take the pressures (m,) of cells for those of a load: nothing of their rise until now is in doubt."""
+        """Accept the present pressures (m,) as those of a load: clears all doubt about their rise."""
         kept = self._kept
         kept[RISEN_FROM, cells] = kept[LOOKED_AT, cells] = pressure_kpa
         kept[WAITING_KPA, cells] = kept[EDGE_KPA, cells] = 0.0
 
     def variance(self, cells: IntArray, pressure_kpa: FloatArray, most_kpa: FloatArray) -> FloatArray:
-        """(m,) kPa^2 of what is in doubt for the time being."""
+        """(m,) variance in kPa^2 of rises that are temporarily in doubt."""
         std = self._seeming_rise(cells, pressure_kpa, most_kpa)
         std *= self._kept[SUSPECTED].take(cells, mode="clip")  # a third of the time of [cells], here and below
         std += self._kept[WAITING_KPA].take(cells, mode="clip")
@@ -174,27 +181,27 @@ class Tremor:
     def add_variance(
         self, cells: IntArray, memory: FloatArray, taken: FloatArray, seeming: float, added: FloatArray
     ) -> None:
-        """Add :meth:`variance` to ``added`` (m,) by machine code, from the memory and the readings (4, m) of cells."""
+        """Add :meth:`variance` to ``added`` (m,) by compiled loops, from the memory and readings (4, m) of cells."""
         doubt_rises.unchecked(cells, memory, taken, seeming, self._kept, added)
 
     def end_window_compiled(
         self, cells: IntArray, memory: FloatArray, taken: FloatArray, seeming: float, beside: FloatArray
     ) -> FloatArray | None:
-        """:meth:`end_window` by machine code, with arguments as :meth:`add_variance`."""
+        """:meth:`end_window` by compiled loops, with arguments as :meth:`add_variance`."""
         missed = np.empty(cells.size)
         found = end_window_each.unchecked(cells, memory, taken, seeming, beside, self._kept, missed)
         return missed if found else None
 
     def forget(self, cells: IntArray) -> None:
-        """Let nothing be in doubt about cells that are put to sleep."""
+        """Clear all doubt about cells that are put to sleep."""
         for row in (SUSPECTED, WAITING_KPA, RISEN_FROM, LOOKED_AT, EDGE_KPA):
             self._kept[row, cells] = 0.0
 
     def _seeming_rise(self, cells: IntArray, pressure_kpa: FloatArray, most_kpa: FloatArray) -> FloatArray:
-        """(m,) kPa by which pressures have risen in this window beside loads.
+        """(m,) rise of the pressure in kPa in this window that unnoticed motion may explain.
 
-        What rose faster than motion within the noise may seem to is a load: an edge. Its steepest part is in no doubt,
-        and of the rest no more than is in doubt already.
+        A rise larger than motion within the noise can cause contains the edge of a load. Its steepest part is then
+        certain; the doubt about the rest is limited to the doubt from earlier windows.
         """
         rise: FloatArray = pressure_kpa - self._kept[RISEN_FROM].take(cells, mode="clip")
         np.maximum(rise, _ZERO, out=rise)
@@ -209,7 +216,7 @@ class Tremor:
         return rise
 
     def state(self) -> dict[str, FloatArray]:
-        """All that is remembered, by name."""
+        """The state, by name."""
         return {"tremor": self._kept}
 
     def restore(self, state: dict[str, FloatArray]) -> None:
@@ -218,13 +225,13 @@ class Tremor:
         self._renew()
 
     def _renew(self) -> None:
-        """Tell whether a rise is in doubt."""
+        """Update :attr:`suspicious`."""
         self.suspicious = bool(np.count_nonzero(self._kept[WAITING_KPA : SUSPECTED + 1]))
 
 
 @loop
 def look_each(cells: Places, memory: SpacedRows, beside: Row, kept: Rows) -> bool:
-    """:meth:`Tremor.look` as a loop over cells; ``kept`` (ROWS, n) is what is remembered, here and below."""
+    """:meth:`Tremor.look` as a loop over cells; ``kept`` (ROWS, n) is the state, here and below."""
     for i in range(cells.size):
         cell, pressure_kpa = cells[i], memory[PRESSURE, i]
         kept[EDGE_KPA, cell] = max(kept[EDGE_KPA, cell], pressure_kpa - kept[LOOKED_AT, cell])
@@ -240,7 +247,7 @@ def look_each(cells: Places, memory: SpacedRows, beside: Row, kept: Rows) -> boo
 
 @loop
 def seeming_rise(rise: float, most_kpa: float, steepest: float, waiting: float) -> float:
-    """:meth:`Tremor._seeming_rise` of one cell, which has risen by ``rise``, and by the ``steepest`` between looks."""
+    """:meth:`Tremor._seeming_rise` for one cell, which rose by ``rise``, and at most by ``steepest`` between looks."""
     if rise < most_kpa:
         return max(rise, 0.0)
     return min(max(rise - steepest, 0.0), most_kpa, waiting)
@@ -248,7 +255,7 @@ def seeming_rise(rise: float, most_kpa: float, steepest: float, waiting: float) 
 
 @loop
 def doubt_rises(cells: Places, memory: SpacedRows, taken: Rows, seeming: float, kept: Rows, added: Row) -> None:
-    """:meth:`Tremor.variance` as a loop over cells. ``seeming`` is the rise in a window, per noise and squared gain."""
+    """:meth:`Tremor.variance` as a loop over cells; ``seeming`` is :attr:`._inversion.Inversion.seeming`."""
     for i in range(cells.size):
         cell, gain, pressure = cells[i], memory[GAIN, i], memory[PRESSURE, i]
         most_kpa = kept[AMPLITUDE, cell] * (seeming * taken[NOISE, i] * (gain * gain))
@@ -261,7 +268,7 @@ def doubt_rises(cells: Places, memory: SpacedRows, taken: Rows, seeming: float, 
 
 @loop
 def doubt_each_fall(cells: Places, memory: SpacedRows, taken: Rows, line: Rows, fall_kpa: float, kept: Rows) -> bool:
-    """:meth:`Tremor.doubt_falls` as a loop over cells; whether one is in doubt."""
+    """:meth:`Tremor.doubt_falls` as a loop over cells; returns whether any cell is in doubt."""
     found = False
     for i in range(cells.size):
         below, noise, std = line[LEVEL, i] - taken[READING, i], taken[NOISE, i], taken[STD, i]
@@ -283,7 +290,7 @@ def end_window_each(
     """:meth:`Tremor.end_window` as a loop over cells.
 
     Returns:
-        Whether a rise is in doubt for good: then ``missed`` (m,) has it.
+        Whether a rise is permanently in doubt; if so, ``missed`` (m,) holds the rises.
     """
     found = False
     for i in range(cells.size):
@@ -311,4 +318,4 @@ def end_window_each(
 
 LOOPS = look_each, doubt_rises, end_window_each
 LOOPS_OF_FALLS = (doubt_each_fall,)
-"""those that only cells need which answer fast rises and fast falls differently"""
+"""loops for cells that respond differently to fast rises and fast falls"""

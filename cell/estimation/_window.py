@@ -1,4 +1,4 @@
-"""The last readings of all cells, in a ring buffer, and linear filters of them: differences, means, parabolas."""
+"""Ring buffer of the last readings of all cells, and linear filters of it: third differences, means, parabola fits."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from ...arrays import FloatArray, IntArray
 from ...compiled import Places, Row, Rows, loop
 
 WINDOW = 12
-"""readings that are kept, and compared with a parabola through them"""
+"""number of readings that are kept, and to which parabolas are fitted"""
 RECENT = 4
-"""frames between two looks at the window"""
+"""frames between two evaluations of the window"""
 
 
 def _rolled(rows: FloatArray) -> list[FloatArray]:
@@ -23,7 +23,7 @@ _THIRD[-4:] = np.array([1.0, -3.0, 3.0, -1.0]) / np.sqrt(20.0)
 _THIRD_DIFFERENCE = _rolled(_THIRD)
 _POWERS = np.vander(np.linspace(-1.0, 1.0, WINDOW), WINDOW, increasing=True)
 _BESIDE_PARABOLA = _rolled(np.linalg.qr(_POWERS)[0][:, 3:].T.copy())
-"""orthonormal rows; parabolas have no part in them, white noise has its variance in each"""
+"""orthonormal rows, orthogonal to all parabolas; white noise keeps its variance in each row"""
 
 
 class Window:
@@ -32,9 +32,9 @@ class Window:
     def __init__(self, cells: int) -> None:
         self.ring = np.zeros((WINDOW, cells))
         self.seen = 0
-        """readings that have been taken"""
+        """number of frames that have been taken"""
         self.compiled = False
-        """whether the loop is there as machine code"""
+        """whether the compiled loop is in use"""
 
     def take(self, r: FloatArray) -> None:
         """Take the readings (n,) of a frame."""
@@ -42,7 +42,7 @@ class Window:
         self.seen += 1
 
     def reading(self, age: int = 0) -> FloatArray:
-        """(n,) readings of so many frames ago; a part of the ring."""
+        """(n,) readings of ``age`` frames ago; a view of the ring."""
         reading: FloatArray = self.ring[(self.seen - 1 - age) % WINDOW]
         return reading
 
@@ -51,28 +51,28 @@ class Window:
         _THIRD_DIFFERENCE[self.seen % WINDOW].dot(self.ring, out)
 
     def third_differences(self, count: int) -> FloatArray:
-        """(count, n) the last ones, no more than WINDOW - 3."""
+        """(count, n) third differences that end at each of the last ``count`` frames, at most WINDOW - 3."""
         by_age = np.array([_THIRD_DIFFERENCE[(self.seen - age) % WINDOW] for age in range(count)])
         differences: FloatArray = by_age @ self.ring
         return differences
 
     def beside_parabola(self, cells: IntArray) -> tuple[FloatArray, FloatArray]:
-        """What parabolas leave of the readings of ``cells`` (m,).
+        """Residuals of the readings of ``cells`` (m,) about fitted parabolas.
 
         Returns:
-            (k, m) parts of the readings that no parabola has, in each of which white noise has its variance; and (m,)
-            the last readings.
+            (k, m) components of the readings orthogonal to all parabolas, in each of which white noise keeps its
+            variance; and (m,) the last readings.
         """
         ring = self.ring.take(cells, axis=1)
         return _BESIDE_PARABOLA[self.seen % WINDOW].dot(ring), ring[(self.seen - 1) % WINDOW]
 
     def change_before(self, cells: IntArray) -> FloatArray:
-        """(m,) change of the readings of ``cells`` from the last but two to the last but one."""
+        """(m,) change of the readings of ``cells`` from two frames ago to the previous frame."""
         change: FloatArray = self.reading(1)[cells] - self.reading(2)[cells]
         return change
 
     def mean_of_recent(self, cells: IntArray, count: int) -> FloatArray:
-        """(m,) mean of the last ``count`` readings of ``cells``, no more than :data:`WINDOW`."""
+        """(m,) mean of the last ``count`` readings of ``cells``; ``count`` is at most :data:`WINDOW`."""
         newest = (self.seen - 1) % WINDOW
         if self.compiled:
             mean = np.empty(cells.size)

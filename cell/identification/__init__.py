@@ -1,11 +1,11 @@
-"""System identification: from a recording to the parameters of a cell and to the estimator that suits it.
+"""System identification of a cell: a recording gives the parameters of its model, and the estimator that suits it.
 
 ====================  ==========================================================================================
-:mod:`._calibrate`    the whole of a calibration; :mod:`._report` prints and draws what it found
-:mod:`._recording`    recordings and their checks; :mod:`._protocol`: which presses to apply
-:mod:`._identify`     every kind of cell in :mod:`._kinds` fitted to a recording
-:mod:`._training`     learned estimators, from the recording and from simulated cells
-:mod:`._choice`       which estimator becomes the default, by its errors on the :mod:`._folds`
+:mod:`._calibrate`    the whole calibration; :mod:`._report` prints and draws the results
+:mod:`._recording`    recordings and their checks; :mod:`._protocol`: the presses to apply
+:mod:`._identify`     fits every kind of cell in :mod:`._kinds` to a recording
+:mod:`._training`     trains estimators on the recording and on simulated cells
+:mod:`._choice`       chooses the default estimator by cross-validation on the :mod:`._folds`
 ====================  ==========================================================================================
 """
 

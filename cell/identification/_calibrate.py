@@ -1,4 +1,4 @@
-"""From a recording to CELL.toml: identify the cell, teach its estimators, choose one, and say how sure all that is."""
+"""Calibration of a cell from a recording: identify its model, train estimators, choose one, and state their errors."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from ._recording import Recording
 from ._remarks import remarks
 
 MOST = 6000
-"""samples that are learned from; a longer recording is thinned"""
+"""largest number of samples for training; a longer recording is thinned"""
 FOLD_CELLS = 32
-"""simulated for learning before each fold; a third of those for the final estimators"""
+"""simulated cells for training before each fold; a third of the number for the final estimators"""
 TEACHES_WORSE = 0.7
-"""share of the richer kind's error below which a simpler one teaches"""
+"""fraction of the richer kind's held-out error; a simpler kind with less error is simulated for training instead"""
 MISSES = 3.0
-"""times its held-out error, that an inverse may miss of a drift that goes on after the recording"""
+"""largest drift after the recording that an inverse may miss, over its held-out error"""
 BREAKS = 0.5
-"""share of the error of m10 without chains that break, below which a cell with such chains is believed to have them"""
+"""a cell is believed to have chains that break if m10 with them has less than this fraction of the error without"""
 WORTH_COMPILING = 1000
-"""samples from which on machine code is loaded before a recording is estimated, which takes about half a second"""
+"""least number of samples for which compiled loops are loaded, which takes about half a second"""
 STEPS = 7
-"""of a calibration, for progress: three kinds of model, three folds, and learning from all"""
+"""progress steps of a calibration: three kinds of model, three folds, and training on the whole recording"""
 
 
 FALLING = (
@@ -48,22 +48,22 @@ FALLING = (
 
 @dataclass(frozen=True)
 class CalibrationResult:
-    """A calibrated cell and everything the report of it says."""
+    """A calibrated cell, and all data of its report."""
 
     cell: Cell
     recording: Recording
     fits: tuple[Fit, ...]
     """the chosen kind first"""
     folds: tuple[Fold, ...]
-    """of the recording, in its time: what comes before each was learned from to judge on it"""
+    """test folds in the time of the recording; training used the part before each fold"""
     inverse_margin: float | None
-    """least slope of a fast step over that at equilibrium: the exact inverse is safe where positive; None: no such"""
+    """least slope of a fast step over that at equilibrium: the exact inverse is safe if positive; None: no inverse"""
     remarks: tuple[str, ...] = ()
-    """what the recording does not say of the cell, and what looks wrong in it"""
+    """limits of the recording, and suspicious properties"""
 
     @property
     def fit(self) -> Fit:
-        """Of the chosen kind."""
+        """The fit of the chosen kind."""
         return self.fits[0]
 
 
@@ -72,14 +72,14 @@ def calibrate(
 ) -> CalibrationResult:
     """Identify the cell of a recording and calibrate its estimators.
 
-    Kinds of models and estimators are compared by rolling-origin evaluation. The recording is cut into folds that each
-    contain presses. What comes before a fold is fitted and learned from, and the worst fold counts. What is kept is
-    then fitted and learned from the whole. Deterministic.
+    Kinds of models and estimators are compared by rolling-origin cross-validation. The recording is cut into folds that
+    each contain presses. Fits and training use the part before a fold, and the worst fold counts. The final model and
+    estimators are then fitted to the whole recording. Deterministic.
 
     Args:
         recording: presses and releases of one cell.
         full_scale_kpa: None: the largest pressure of the recording.
-        progress: told of each step that is done.
+        progress: called after each step.
 
     Raises:
         InputError: the resistance does not follow the pressure, or no model of any kind fits.
@@ -136,7 +136,7 @@ def calibrate(
 def estimate_recording(
     estimator: Estimator, time_s: FloatArray, resistance_ohm: FloatArray
 ) -> tuple[FloatArray, FloatArray | None]:
-    """Estimates (n,) of one cell and their standard deviations, in kPa, of a whole recording.
+    """Pressure (n,) of one cell over a whole recording, and its standard deviation (n,), in kPa.
 
     Args:
         estimator: made for the shape ().
@@ -156,12 +156,12 @@ def estimate_recording(
 
 
 def _teacher(found: tuple[Fit, ...]) -> Fit:
-    """The fit that is varied for learning: the richest with one set of states, unless it explains clearly less.
+    """The fit that is simulated for training: the richest kind with one set of states, unless it is clearly worse.
 
-    Which of two kinds predicts better is a close call on a short recording, and the poorer one, taught, misleads
-    more than the richer one's spare parameters do. But what leaves much more of its worst fold unexplained than another
-    kind does teaches its own mistakes. The paper's two models hand over at every change of direction, which a learned
-    map of memories follows badly: it teaches only where it is far better.
+    On a short recording, the errors of two kinds are often close. Training on a kind that is too simple then does more
+    harm than the superfluous parameters of a richer kind. But a kind with a much larger error on its worst fold would
+    teach its own errors. The paper's model switches at every change of direction, and learned maps follow such switches
+    badly; it is used only if it is far better.
     """
     smooth = next(fit for fit in found if isinstance(fit.model, M10Model))
     plain = next(fit for fit in found if isinstance(fit.model, AsymmetricModel))
@@ -172,15 +172,15 @@ def _teacher(found: tuple[Fit, ...]) -> Fit:
 
 
 def _breaks(found: tuple[Fit, ...]) -> bool:
-    """Whether motion breaks conductive chains: without them, m10 leaves far more of the recording."""
-    errors = {fit.label: fit.error for fit in found}  # an m10 whose k is 0 has the label of the one without chains
+    """Whether motion breaks conductive chains, that is, whether m10 fits far worse without them."""
+    errors = {fit.label: fit.error for fit in found}  # an m10 fitted with k = 0 has the label of "whole"
     return errors.get("m10", np.inf) < BREAKS * errors.get("m10, k = 0", 0.0)
 
 
 def _learned(
     calibration: training.NormalisedRecording, full_scale_kpa: float, *, cells: int, breaks: bool
 ) -> Calibrated:
-    """All learned estimators, not judged yet; of a cell whose conductive chains break under motion, or not."""
+    """All learned estimators, without error statistics; ``breaks``: conductive chains of the cell break by motion."""
     simulated = training.variations(calibration, np.random.default_rng(0), cells)
     return Calibrated(
         default="distilled",
@@ -193,7 +193,7 @@ def _learned(
 
 
 def _thinned(recording: Recording) -> Recording:
-    """At most :data:`MOST` samples."""
+    """The recording, thinned to at most :data:`MOST` samples."""
     every = -(-len(recording.time_s) // MOST)
     time_s, pressure, resistance = recording.time_s, recording.pressure_kpa, recording.resistance_ohm
     return replace(
@@ -202,7 +202,7 @@ def _thinned(recording: Recording) -> Recording:
 
 
 def _normalised(recording: Recording, cell: Cell, teacher: Fit) -> training.NormalisedRecording:
-    """What estimators are learned from: the recording, and cells like the teacher."""
+    """Training data: the recording in normalised units, and a simulation of cells like those of the fit ``teacher``."""
     rest = cell.rest_resistance_ohm
     return training.NormalisedRecording(
         time_s=recording.time_s,
@@ -220,7 +220,7 @@ def _beyond_noise(fit: Fit, noise: float) -> float:
 
 
 def _mixed(learned: Calibrated, judged: dict[EstimatorName, list[Judged]], *, beyond_recorded: bool) -> Calibrated:
-    """Learned maps mixed with the static curve as the folds ask for; changes ``judged`` accordingly."""
+    """Mix learned maps with the static curve by weights from the folds (stacking); changes ``judged`` accordingly."""
     for name in ("play", "distilled"):
         share = best_share(judged[name], judged["static"])
         judged[name] = mixed(judged[name], judged["static"], share)
@@ -232,7 +232,7 @@ def _mixed(learned: Calibrated, judged: dict[EstimatorName, list[Judged]], *, be
 def _with_errors(
     final: Calibrated, evidence: choice.Evidence, whole: training.NormalisedRecording, full_scale_kpa: float
 ) -> Calibrated:
-    """The choice of the default, and all estimators with the errors that they state."""
+    """Choose the default estimator, and set the error statistics of all estimators."""
     judged = evidence.judged
     default, reason = choice.choose(evidence)
     pressed = {name: 100 * max(part.pressed_rms for part in of) for name, of in judged.items()}
@@ -255,7 +255,7 @@ def _with_errors(
         held_out_percent={name: evidence.worst(name) for name in judged},
         fold_percent={name: tuple(evidence.percent(name)) for name in judged},
         pressed_percent=pressed,
-        # An inverse follows the drift that its model explains, which shows in its errors on the folds.
+        # An inverse follows the drift that its model explains; its errors on the folds show how well.
         drift_percent=min(100 * pressed_drift, MISSES * pressed.get("inverse", np.inf)),
         seen=final.seen,
         static=final.static.replace(std_kpa=max(final.static.std_kpa, static_std)),
@@ -281,7 +281,7 @@ FROM_MODEL: tuple[EstimatorName, ...] = ("paper", "inverse")
 
 
 def _judge(cell: Cell, name: EstimatorName, recording: Recording, samples: Regimes, fold: Fold) -> Judged:
-    """Of an estimator that was learned before the fold, run as it will be used: smoothed, and asleep at rest."""
+    """Held-out errors of an estimator trained before the fold, run as in use: with smoothing, and sleep at rest."""
     until = int(np.searchsorted(recording.time_s, fold.end_s))
     part = slice(int(np.searchsorted(recording.time_s, fold.start_s)), until)
     estimator = cell.estimator((), name)
@@ -294,7 +294,10 @@ def _judge(cell: Cell, name: EstimatorName, recording: Recording, samples: Regim
 def _judge_models(
     cell: Cell, fit: Fit, recording: Recording, samples: Regimes, parts: tuple[Fold, ...]
 ) -> dict[EstimatorName, list[Judged]]:
-    """Of the estimators that follow from the model alone, as fitted before each fold, where all folds have them."""
+    """Held-out errors of estimators that follow from the model alone, fitted before each fold.
+
+    An estimator is left out unless the fits before all folds allow it.
+    """
     judged: dict[EstimatorName, list[Judged]] = {}
     for name in FROM_MODEL:
         pairs = []
@@ -312,7 +315,7 @@ def _judge_models(
 
 
 def _has(cell: Cell, name: EstimatorName) -> bool:
-    """Whether a cell can have that estimator."""
+    """Whether the estimator ``name`` exists for a cell."""
     try:
         cell.estimator((), name)
     except InputError:
@@ -321,7 +324,7 @@ def _has(cell: Cell, name: EstimatorName) -> bool:
 
 
 def _calibrated_contact(cell: Cell, recording: Recording) -> Cell:
-    """A contact has no memory: a cubic in log(R0/R), and nothing else to choose from."""
+    """Calibrate a contact, which has no memory: the only estimator is a cubic in log(R0/R)."""
     r, load = recording.resistance_ohm / cell.rest_resistance_ohm - 1, recording.pressure_kpa / cell.full_scale_kpa
 
     def unused(rng: np.random.Generator, loads: FloatArray, dt: float) -> FloatArray:

@@ -1,11 +1,11 @@
-"""Choice of a cell's default estimator: best worst fold, with the static curve as the floor that has to be beaten.
+"""Model selection: the default estimator of a cell is the one with the best worst fold (minimax cross-validation).
 
-An estimator replaces the static curve if two tests say so.
+The static curve is the baseline. Another estimator replaces it only if it passes two tests.
 
-1. A paired comparison on the held-out folds: its errors are smaller by more than chance explains.
-2. Presses that nobody applied, unless the recording has many presses: on simulated cells of every kind that explains
-   the recording, under random loads, its errors are smaller too. A recording of a single press has folds that are all
-   alike, and several kinds of cells explain it; what one of them taught may fail on another.
+1. Paired comparison on the held-out folds: its errors are smaller by more than chance explains.
+2. Unless the recording has many presses: its errors are also smaller on simulated cells under random loads. Every kind
+   of cell that explains the recording is simulated. The reason: a recording of a single press has folds that are all
+   alike, and several kinds of cells explain it. An estimator trained on one kind may fail on another.
 """
 
 from __future__ import annotations
@@ -22,51 +22,52 @@ from ._judged import Judged, standard_errors_better
 from ._training import NormalisedRecording, disturbed
 
 EXACT = 0.005
-"""held-out error of a model beyond noise, over the range of r, below which its inverse is trusted with any load"""
+"""held-out error of a model beyond noise, over the range of r, below which its inverse is trusted under any load"""
 INVERSE_SLACK = 0.25
 """% of full scale by which such an inverse may be worse than a learned estimator on its worst fold"""
 NEARLY, INVERSE_BETTER = 0.025, 0.7
-"""held-out error below which an inverse is trusted that has less than this share of a learned estimator's error"""
+"""an inverse is also trusted if the model's held-out error is below the first number, and the inverse's error is below
+the second fraction of a learned estimator's error"""
 STIFF = 0.25
-"""least slope of a fast step over that at equilibrium, below which the small errors of such an inverse may add up: it
-must then err no more than a learned estimator on simulated cells, too"""
+"""least slope of a fast step over that at equilibrium. Below, small errors of such an inverse may add up; it must then
+be no worse than a learned estimator on simulated cells, too"""
 SURE = 1.28
 """standard errors by which an estimator must be better than the static curve: one-sided 90 % of a normal variable"""
 BEATS = 0.9
-"""share of the static curve's error on simulated cells that a learned estimator must stay below"""
+"""largest error of an estimator on simulated cells, over that of the static curve"""
 MANY_PRESSES = 3.0
-"""full presses from which the folds of a recording are taken to differ from each other"""
+"""least number of full presses for which the folds of a recording may differ from each other"""
 ALIKE = 0.25
-"""scatter of the static curve's error from one part of a fold to the next, over its mean, of presses that are alike"""
+"""coefficient of variation of the static curve's error over the parts of all folds; below, the presses are alike"""
 EXPLAINS_TOO = 2.0
-"""times the least error of a fit, up to which another kind explains the recording as well"""
+"""a kind explains the recording as well as the best if its error is at most this multiple of the least error"""
 ELSEWHERE_CELLS, ELSEWHERE_STEP_S, ELSEWHERE_STEPS = 12, 0.25, 640
-"""of the simulated cells: how many of each kind, time step, and steps"""
+"""simulated cells of each kind, their time step in seconds, and number of steps"""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the choice rests on."""
+    """The data on which the choice is based."""
 
     judged: Mapping[EstimatorName, Sequence[Judged]]
-    """of each estimator, one fold after the other"""
+    """held-out errors of each estimator, fold by fold"""
     elsewhere: Mapping[EstimatorName, float]
-    """rms error on simulated cells under random loads, of the kind of cell where that is largest, normalised load"""
+    """error on simulated cells under random loads, normalised load, see :func:`errors_elsewhere`"""
     presses: float
-    """to full scale, that the path of the recorded load amounts to"""
+    """path of the recorded load, in presses to full scale"""
     loads_vary: bool
-    """whether its presses differ in height and in duration"""
+    """whether the recorded presses differ in height and in duration"""
     unexplained: float
     """error of the model on its worst fold beyond noise, over the range of r"""
     least_slope: float
-    """of a fast step over that at equilibrium; the inverse amplifies errors by up to 1 over it"""
+    """least slope of a fast step over that at equilibrium; the inverse amplifies errors by up to its reciprocal"""
 
     @property
     def varied(self) -> bool:
-        """Whether the recording has many presses, which are not all alike: then its folds speak for other presses.
+        """Whether the recording has many presses that are not all alike, so that its folds represent other presses.
 
-        The loads may say so themselves. Otherwise presses differ where the static curve's errors do. These errors may
-        also be the same under loads that differ, as on a cell with little memory.
+        The loads themselves may differ. If they do not, presses count as different if the static curve's errors differ.
+        (The reverse does not hold: on a cell with little memory, errors may be equal under different loads.)
         """
         if self.presses < MANY_PRESSES or self.loads_vary:
             return self.presses >= MANY_PRESSES
@@ -79,7 +80,7 @@ class Evidence:
         return [100 * part.rms for part in self.judged[name]]
 
     def worst(self, name: EstimatorName) -> float:
-        """That on the worst fold; infinite for an estimator that the cell does not have."""
+        """Rms error on the worst fold, % of full scale; infinite for an estimator that the cell does not have."""
         return max(self.percent(name)) if name in self.judged else np.inf
 
     def beats_static(self, name: EstimatorName) -> bool:
@@ -89,16 +90,16 @@ class Evidence:
         return self.presses >= MANY_PRESSES or self.elsewhere_ratio(name) < BEATS
 
     def elsewhere_ratio(self, name: EstimatorName) -> float:
-        """Error on simulated cells, over that of the static curve; 0 for an estimator that was not tried on them."""
+        """Error on simulated cells, over that of the static curve; 0 for an estimator without such a test."""
         return self.elsewhere.get(name, 0.0) / self.elsewhere["static"]
 
 
 def choose(evidence: Evidence) -> tuple[EstimatorName, str]:
-    """The default estimator and why; the paper's is never chosen.
+    """The default estimator and the reason; the paper's estimator is never chosen.
 
-    A learned estimator is chosen by its worst fold. The exact inverse follows the model wherever that leads. It comes
-    first where the model explains all there is, since it carries over to loads that nobody applied. It has to be far
-    better where the model explains nearly all, and is not chosen where the model leaves more.
+    Learned estimators are ranked by their worst fold. The exact inverse trusts the model completely. It comes first if
+    the model explains everything but noise, since it then extrapolates to loads that were not recorded. If the model
+    explains nearly everything, the inverse must be far better than the learned estimators. Else it is not chosen.
     """
     worst = {name: evidence.worst(name) for name in evidence.judged}
     learned: list[EstimatorName] = ["distilled", "play"]
@@ -126,7 +127,7 @@ def choose(evidence: Evidence) -> tuple[EstimatorName, str]:
 
 
 def _doubts(evidence: Evidence, name: EstimatorName) -> str:
-    """What speaks against an estimator."""
+    """The test that an estimator fails, in words."""
     better = standard_errors_better(evidence.judged[name], evidence.judged["static"])
     if better >= SURE:
         ratio = evidence.elsewhere_ratio(name)
@@ -138,17 +139,17 @@ def _doubts(evidence: Evidence, name: EstimatorName) -> str:
 def errors_elsewhere(
     cell: Cell, fits: Sequence[Fit], names: Sequence[EstimatorName], calibration: NormalisedRecording
 ) -> dict[EstimatorName, float]:
-    """Rms errors of estimators on simulated cells under random ramps and holds, in shares of full scale.
+    """Rms errors of estimators on simulated cells under random ramps and holds, over full scale.
 
-    Cells of every kind are simulated that explains the recording about as well as the best one, since the recording
-    does not tell these kinds apart. An estimator's error is given as that of the first one on the kind where this errs
-    most, times the worst ratio to the first one's error on the same kind.
+    All kinds of cells are simulated that explain the recording about as well as the best one, since the recording
+    cannot distinguish these kinds. The first estimator is the reference: its error is the largest over the kinds. The
+    error of another estimator is that reference error times its largest ratio to the reference on the same kind.
 
     Args:
-        cell: calibrated.
-        fits: of all kinds.
-        names: of estimators that the cell has; the first is what the others are compared with.
-        calibration: the recording, which says how large the noise is and what models leave unexplained.
+        cell: the calibrated cell.
+        fits: fits of all kinds.
+        names: estimators of the cell; the first is the reference.
+        calibration: the recording, which determines the noise and the model error of the simulations.
     """
     load = simulate.random_loads(np.random.default_rng(0), ELSEWHERE_STEPS, ELSEWHERE_CELLS, ELSEWHERE_STEP_S)
     least = min(fit.error for fit in fits)

@@ -1,4 +1,4 @@
-"""The power law of a contact fitted to a recording (P2)."""
+"""Power-law fit of a contact resistance to a recording (P2): linear regression in logarithms."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ._recording import Recording
 
 
 def fit_contact(recording: Recording, full_scale_kpa: float, rest: float) -> Fit:
-    """P2: log of the contact's conductance against log of the load, where the load is felt."""
+    """Fit P2: log of the contact's conductance against log of the load, over samples with a clear load."""
     load = recording.quiet.pressure_kpa / full_scale_kpa
     highest = float(np.max(recording.resistance_ohm[load < 0.05]))
     rest = max(rest, highest)
@@ -64,7 +64,7 @@ def fit_contact(recording: Recording, full_scale_kpa: float, rest: float) -> Fit
 
 
 def _simulated(rest: float, found: FloatArray, rng: np.random.Generator, loads: FloatArray, dt: float) -> FloatArray:
-    """A contact has no memory, and is known well: neither noise nor time changes its resistance."""
+    """Resistance of the fitted contact, which has no memory; parameters are not varied."""
     exponent, full_scale_resistance = found
     resistance: FloatArray = 1 / (1 / rest + np.maximum(loads, 0) ** exponent / full_scale_resistance)
     return resistance

@@ -1,4 +1,4 @@
-"""What identification finds: a model of one kind, its parameters with standard errors, and how well it predicts."""
+"""Result of identification: a model of one kind, its parameters with standard errors, and its prediction errors."""
 
 from __future__ import annotations
 
@@ -11,19 +11,20 @@ from ...arrays import FloatArray
 from ..materials import M10Model, Model
 
 Simulation = Callable[[np.random.Generator, FloatArray, float], FloatArray]
-"""Cells like the identified one, jittered, under loads (n, m) at a time step: resistance (n, m) in ohm"""
+"""(rng, load, dt_s) to resistance (n, m) in ohm: cells like the identified one, with random deviations of the
+parameters, under loads (n, m)"""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One identified number."""
+    """One identified parameter."""
 
     name: str
     value: float
     std_error: float
     identified: bool
-    """False where the recording does not say: a time constant beyond half of it, an error above half the value, or R0
-    of a cell that it never shows at rest"""
+    """False if the recording does not determine the parameter: a time constant longer than half of the recording, a
+    standard error above half the value, or R0 of a cell that the recording never shows at rest"""
 
 
 @dataclass(frozen=True)
@@ -34,39 +35,39 @@ class Fit:
     rest_resistance_ohm: float
     parameters: tuple[Parameter, ...]
     error: float
-    """rms of the resistance it leaves, over the range of the resistance, on what was fitted"""
+    """rms residual of the resistance over its range, on the fitted data"""
     fold_errors: tuple[float, ...]
-    """the same on each fold, fitted on what comes before it"""
+    """rms prediction error over the same range on each fold, after fitting the part before the fold"""
     simulate: Simulation
-    """jittered cells like it"""
+    """simulates cells like the identified one"""
     simulate_folds: tuple[Simulation, ...]
-    """the same as fitted before each fold"""
+    """the same for the fit before each fold"""
     before_folds: tuple[tuple[Model, float] | None, ...] = ()
-    """model and R0 in ohm as fitted before each fold; None: what was found is no valid cell"""
+    """model and R0 in ohm as fitted before each fold; None: the parameters make no valid cell"""
     first_telling: int = 0
-    """the first fold before which enough was pressed to fit a model at all"""
+    """number of the first fold that enough presses precede to judge a model"""
     drift: Drift | None = None
-    """of R0, by the richest model; None: of the other kinds"""
+    """drift of R0; only in the fit of the richest kind, else None"""
 
     @property
     def label(self) -> str:
-        """The kind, and whether its chains never break: m10 is fitted with and without such chains."""
+        """Name of the kind in reports. m10 is fitted with and without chains that break; "k = 0" is without."""
         unbroken = isinstance(self.model, M10Model) and self.model.k == 0
         return "m10, k = 0" if unbroken else self.model.kind
 
     @property
     def held_out_error(self) -> float:
-        """That of the worst of the folds that tell."""
+        """The largest of the fold errors from :attr:`first_telling` on."""
         return max(self.fold_errors[self.first_telling :])
 
 
 @dataclass(frozen=True)
 class Drift:
-    """A steady change of R0 from the begin of a recording to its end, fitted with all the rest of a model."""
+    """A linear drift of R0 over a recording, fitted together with all parameters of a model."""
 
     share: float
-    """of R0 at the begin"""
+    """change of R0 over the recording, over the initial R0"""
     std_error: float
     unexplained: float
-    """squared error beyond noise that the model with the drift leaves, over that of the model without; 1 where the
-    latter leaves hardly more than noise"""
+    """mean squared error beyond noise of the model with drift, over that of the model without; 1 if the latter is
+    hardly more than 0"""

@@ -1,4 +1,4 @@
-"""Rolling-origin evaluation: the folds of a recording, each fitted on what comes before it and judged on itself."""
+"""Rolling-origin cross-validation: folds of a recording. Models are fitted before each fold, and tested on the fold."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from ..inversions import play_follow
 from ._recording import Recording
 
 ORIGINS = (0.45, 0.65, 0.825)
-"""shares of all pressing after which the folds begin: what comes before is fitted, the fold judges"""
+"""starts of the folds, as fractions of the load's total path length (:func:`pressing`)"""
 PRESSED = 0.05
-"""of full scale: half width of the play whose movement counts as pressing"""
+"""half width, over full scale, of the play operator that removes noise from the load"""
 HEIGHTS_DIFFER, DURATIONS_DIFFER = 0.2, 0.35
-"""interquartile ranges from which strokes differ: of their heights, over the median, and of the logarithm of their
-durations. One stroke that is cut off does not count"""
+"""interquartile ranges above which strokes differ: of their heights, over the median; and of the logarithm of their
+durations. Quartiles ignore a single stroke that is cut off"""
 FEWEST = 30
-"""readings before a fold that are enough to fit"""
+"""least number of readings before a fold for a fit"""
 
 
 @dataclass(frozen=True)
 class Fold:
-    """A part of a recording, in seconds of its time: rolling-origin evaluation fits what comes before it."""
+    """A test part of a recording, in seconds of its time; models are fitted to the part before it."""
 
     start_s: float
     end_s: float
@@ -32,7 +32,7 @@ class Fold:
 
 @dataclass(frozen=True)
 class Strokes:
-    """Strokes of a recorded load, each from one of its turns to the next. Arrays are (n,)."""
+    """Strokes of a recorded load, each from one turning point to the next. Arrays are (n,)."""
 
     height: FloatArray
     """change of the normalised load; falls, too, count as positive"""
@@ -53,18 +53,18 @@ def _interquartile(values: FloatArray) -> float:
 
 
 def _followed(pressure_kpa: FloatArray, full_scale_kpa: float) -> FloatArray:
-    """(n,) the normalised load after a play (Prandtl's) of :data:`PRESSED`, within which it is noise."""
+    """(n,) the normalised load after Prandtl's play operator of half width :data:`PRESSED`, which removes noise."""
     followed: FloatArray = play_follow(pressure_kpa[:, None] / full_scale_kpa, PRESSED)[:, 0]
     return followed
 
 
 def strokes(recording: Recording, full_scale_kpa: float) -> Strokes:
-    """The strokes of a recorded load, its turns after a play of :data:`PRESSED`."""
+    """The strokes of a recorded load, between turning points after a play of :data:`PRESSED`."""
     loads = recording.quiet.loads
     followed = _followed(loads.pressure_kpa, full_scale_kpa)
     moves = np.flatnonzero(np.diff(followed))
     ways = np.sign(np.diff(followed))[moves]
-    turns = moves[np.flatnonzero(np.diff(ways)) + 1]  # the samples from which on the load goes the other way
+    turns = moves[np.flatnonzero(np.diff(ways)) + 1]  # samples at which the load reverses
     ends = np.concatenate([moves[:1], turns, moves[-1:] + 1])
     return Strokes(np.abs(np.diff(followed[ends])), np.diff(loads.time_s[ends]))
 
@@ -72,7 +72,7 @@ def strokes(recording: Recording, full_scale_kpa: float) -> Strokes:
 def pressing(recording: Recording, full_scale_kpa: float) -> FloatArray:
     """(n,) path length of the normalised load up to each sample: a press to full scale and its release add 2.
 
-    It is that of the load after a play of :data:`PRESSED`, so that noise does not add to it.
+    The path is that of the load after a play of :data:`PRESSED`, so that noise does not add to it.
     """
     followed = _followed(recording.quiet.pressure_kpa, full_scale_kpa)
     path: FloatArray = np.cumsum(np.abs(np.diff(followed, prepend=followed[0])))
@@ -80,10 +80,10 @@ def pressing(recording: Recording, full_scale_kpa: float) -> FloatArray:
 
 
 def folds(recording: Recording, full_scale_kpa: float) -> tuple[Fold, ...]:
-    """Consecutive folds that each have a share of all :func:`pressing`, however long the rests between.
+    """Consecutive folds that begin at :data:`ORIGINS` of all :func:`pressing`, however long the rests between presses.
 
     Raises:
-        InputError: a fold, or what comes before the first, has hardly any readings: most of the time is a gap.
+        InputError: there are hardly any readings before the first fold, or gaps take up most of the recording.
     """
     moved = pressing(recording, full_scale_kpa)
     moved += 1e-9 * np.arange(len(moved))

@@ -1,4 +1,4 @@
-"""Identification: which kind of cell a recording shows, and its parameters with their standard errors."""
+"""Model selection and least-squares fit of cell models to a recording; parameters with their standard errors."""
 
 from __future__ import annotations
 
@@ -32,27 +32,29 @@ from ._recording import Recording
 from ._recovery_curve import longest_recovery, recovery_branches
 
 POINTS, POINTS_BEFORE_FOLDS = 2000, 1000
-"""samples that enter the least squares, of the whole and of a fold with what comes before it; more are thinned"""
+"""largest number of samples in a least-squares fit: of the whole recording, and of the part up to the end of a fold;
+longer ones are thinned"""
 EXPLAINS = 0.7
-"""share of the standard deviation of the resistance that some model must fit better than"""
+"""fraction of the standard deviation of the resistance; the error of the best model must be below"""
 TAUGHT = 1.2
-"""full presses before a fold from which on it tells how well a kind describes the cell, and not how little it needs"""
+"""least number of full presses before a fold. With fewer, the error on the fold shows how little data a kind needs, and
+not how well it describes the cell"""
 SIMPLER = 1.05
-"""a simpler kind wins when the error of its worst fold is within this factor of the best"""
+"""a simpler kind is preferred if the error on its worst fold is within this factor of the best"""
 SEEN_AT_REST, NEVER_AT_REST = 0.15, 0.7
-"""share by which the true R0 may be below what was read before the first press, or below the least reading"""
+"""fraction by which the true R0 may be lower than the readings before the first press, or than the least reading"""
 BEGINS_LOADED = 0.05
-"""load at which a recording begins, over full scale, from which on what the cell remembers there is fitted too"""
+"""initial load over full scale, beyond which the initial memory of the cell is fitted, too"""
 NEAR_STEPS = 2.0
-"""steps of the recording from its nearest reading, within which the resistance counts as read"""
+"""distance to the nearest reading, in time steps of the recording, within which the resistance counts as read"""
 NOISY = 0.1
-"""of the variance of noise: squared error beyond noise that is too little for a drift to explain"""
+"""fraction of the variance of noise; a smaller squared error beyond noise is too small to test a drift with"""
 
 
 def fits(recording: Recording, full_scale_kpa: float, told: Callable[[str], None] = lambda what: None) -> list[Fit]:
-    """Every kind that can describe the recording, the best first.
+    """Fits of every kind of cell to the recording, the best first.
 
-    Best is the simplest whose held-out error is within 5 % of the least one. ``told`` hears of each kind that is done.
+    The best is the simplest kind whose held-out error is within 5 % of the least. ``told`` is called after each kind.
 
     Raises:
         InputError: the resistance does not follow the pressure.
@@ -79,7 +81,7 @@ def fits(recording: Recording, full_scale_kpa: float, told: Callable[[str], None
 def _fit_kinds(task: _Task, told: Callable[[str], None]) -> list[Fit]:
     """Fits of all kinds whose resistance rises under load, the simplest first.
 
-    What contains another kind is started from where that one ended too, so that it never fits worse.
+    A kind that contains a simpler one is also started from the simpler optimum, so that it never fits worse.
     """
     recording, full_scale_kpa, rest = task.recording, task.full_scale_kpa, task.rest_ohm
     start = _start(recording, full_scale_kpa, rest)
@@ -102,13 +104,13 @@ def _fit_kinds(task: _Task, told: Callable[[str], None]) -> list[Fit]:
 
 @dataclass(frozen=True)
 class _Task:
-    """What every kind is fitted to."""
+    """The data and limits that are common to the fits of all kinds."""
 
     recording: Recording
     full_scale_kpa: float
     rest_ohm: float
     lower: float
-    """share by which R0 may be below ``rest_ohm``"""
+    """fraction by which R0 may be lower than ``rest_ohm``"""
     folds: tuple[Fold, ...]
 
     @property
@@ -122,7 +124,7 @@ class _Task:
         return min(int(np.count_nonzero(before < TAUGHT)), len(self.folds) - 1)
 
     def grid(self, until_s: float, end_s: float) -> Grid:
-        """The recording before ``end_s``, of which the part before ``until_s`` counts as fitted."""
+        """The recording before ``end_s`` on a uniform time grid; samples before ``until_s`` count in the fit."""
         recording = self.recording
         time = recording.time_s
         last = min(end_s, float(time[-1]))
@@ -138,15 +140,17 @@ class _Task:
 
 
 def _fit(kind: Kind, task: _Task, nested: list[tuple[float, ...]]) -> tuple[Fit, list[tuple[float, ...]]]:
-    """Fit what comes before each fold, then the whole; each from its own starts, the last solution, and ``nested``.
+    """Fit the part before each fold, then the whole recording.
+
+    Each fit starts from the kind's own starts, from the last solution, and from ``nested``.
 
     Args:
-        kind: how.
-        task: what.
-        nested: solutions of a kind that this one contains: before each fold, and of the whole.
+        kind: the kind of model.
+        task: the data.
+        nested: solutions of a simpler kind that this kind contains: one before each fold, then that of the whole.
 
     Returns:
-        The fit, and the solutions before each fold and of the whole.
+        The fit, and its solutions before each fold and of the whole.
     """
     recording, rest = task.recording, task.rest_ohm
     spread = float(np.ptp(recording.quiet.resistance_ohm)) / rest
@@ -172,7 +176,7 @@ def _fit(kind: Kind, task: _Task, nested: list[tuple[float, ...]]) -> tuple[Fit,
         for name, value, std in zip(kind.names, found, deviations, strict=False)
     ]
     corrected = rest * (1 + offset)
-    # The model's R0 and what was read at rest are two answers to one question: they are known no better than that.
+    # The fitted R0 and the reading at rest are two estimates of one quantity: R0 is known no better than they agree.
     rest_error = float(np.hypot(rest_error, offset))
     seen = task.lower == SEEN_AT_REST and rest_error < 0.05
     parameters.append(Parameter("rest_resistance_ohm", float(corrected), rest * rest_error, seen))
@@ -193,13 +197,14 @@ def _fit(kind: Kind, task: _Task, nested: list[tuple[float, ...]]) -> tuple[Fit,
 def _find_drift(models: Sequence[tuple[Kind, tuple[float, ...], Richer]], task: _Task) -> Drift:
     """Fit a steady drift of R0 together with every parameter of the last, richest model.
 
-    A drift changes the readings at rest and under load by the same share. Creep mostly does not. A slow branch can
-    nevertheless take up much of a drift. Each model therefore begins from the simpler one's optimum with a drift, too.
+    A drift changes the readings at rest and under load by the same relative amount. Creep mostly does not.
+    Nevertheless, a slow branch can absorb much of a drift. Each model is therefore also started from the optimum, with
+    a drift, of the simpler model before it.
 
     Args:
-        models: each contains the one before: how it is fitted, its optimum without a drift, and that optimum as the
-            parameters of the next one.
-        task: what is fitted.
+        models: in an order in which each contains the one before. Each has its kind, its optimum without a drift, and
+            a function that converts its parameters to those of the next model.
+        task: the data.
     """
     grid = task.grid(np.inf, np.inf)
     nested: list[tuple[float, ...]] = []
@@ -223,10 +228,10 @@ def _too_slow(name: str, value: float, duration_s: float) -> bool:
 
 
 def rest_resistance(recording: Recording, full_scale_kpa: float) -> tuple[float, float]:
-    """R0, and by which share of it the truth may be lower.
+    """R0 in ohm, and the fraction by which the true R0 may be lower.
 
-    The median before the first press, if that lasts a second; else the lowest resistance while hardly loaded, and
-    then the cell may never have been seen at rest.
+    R0 is the median reading before the first press, if that part lasts a second. Else R0 is the lowest reading at light
+    load; the recording may then never show the cell at rest.
     """
     pressure = np.abs(recording.quiet.pressure_kpa)
     pressed = np.flatnonzero(pressure > 0.03 * full_scale_kpa)
@@ -238,7 +243,10 @@ def rest_resistance(recording: Recording, full_scale_kpa: float) -> tuple[float,
 
 
 def _start(recording: Recording, full_scale_kpa: float, rest: float) -> tuple[float, ...]:
-    """Gains of the three parts at full scale and two times: graphically if there is a recovery to read (P6)."""
+    """Start values: gains of the three parts at full scale, and two time constants.
+
+    They are read off a recovery curve by the graphical method (P6), if the recording has one.
+    """
     gain = float(np.percentile(recording.resistance_ohm, 98) / rest - 1)
     place = longest_recovery(recording, full_scale_kpa)
     if place is not None:
@@ -249,7 +257,7 @@ def _start(recording: Recording, full_scale_kpa: float, rest: float) -> tuple[fl
             e1, e2, e3, t2, t3 = recovery_branches(recording.time_s[place], r - min(0.0, float(r.min())), released)
             return full_scale_kpa / e1, full_scale_kpa / e2, full_scale_kpa / e3, t2, t3
         except InputError:
-            pass  # not the shape that can be read graphically; least squares starts from plain values instead
+            pass  # the graphical method does not apply to this curve: start from default values instead
     return 0.5 * gain, 0.4 * gain, 0.1 * gain, 5.0, 100.0
 
 
@@ -264,10 +272,10 @@ def _valid_model(kind: Kind, found: FloatArray, task: _Task) -> tuple[Model, flo
 def _simulated(
     kind: Kind, found: FloatArray, rest: float, rng: np.random.Generator, load: FloatArray, dt: float
 ) -> FloatArray:
-    """Cells like the identified one, gains known to 6 %, times to 12 %."""
+    """Simulated cells like the identified one, with random deviations of 6 % in gains and 12 % in time constants."""
     cells = load.shape[1]
     jittered = np.repeat(found[:-1, None], cells, axis=1)
-    jittered[len(kind.names) :] = 0.0  # what was remembered when the recording began is no property of the cell
+    jittered[len(kind.names) :] = 0.0  # the initial memory belongs to the recording, not to the cell
     for place, name in enumerate(kind.names):
         noise = rng.standard_normal(cells)
         jittered[place] *= np.exp(0.12 * noise) if name.endswith("_s") else 1 + 0.06 * noise

@@ -1,4 +1,4 @@
-"""Held-out errors of an estimator on one fold, by regime of the load, and a paired comparison of two estimators."""
+"""Held-out errors of an estimator by fold and by regime of the load; paired t test and stacking of two estimators."""
 
 from __future__ import annotations
 
@@ -12,20 +12,21 @@ from ._folds import Fold, pressing
 from ._recording import Recording
 
 REST, HELD, MOVING = range(3)
-"""regimes of a sample: hardly any load; a load that stays; a load that changes"""
+"""regimes of a sample: at rest, under a constant load, under a changing load"""
 LIGHT, MOVES, WITHIN_S = 0.05, 0.05, 1.0
-"""of full scale: a load below which a cell counts as at rest, and a change within that many seconds that is motion"""
+"""fractions of full scale: load below which a cell counts as at rest; and change within ``WITHIN_S`` seconds that
+counts as motion"""
 FEWEST = 20
-"""samples of a regime in a fold that are enough to judge it by"""
+"""least number of samples of a regime in a fold for separate statistics"""
 BLOCKS = 4
-"""parts of a fold with equal shares of its pressing, which count as independent in a paired comparison"""
+"""number of parts of a fold, with equal path lengths of the load; they count as independent in a paired comparison"""
 NEITHER = 0.002
-"""of full scale: a part in which both estimators err less says nothing about which is better"""
+"""fraction of full scale; parts in which both estimators err less do not enter the comparison"""
 
 
 @dataclass(frozen=True)
 class Regimes:
-    """What a recording does at each sample, (n,)."""
+    """Regime and path length of the load at each sample of a recording, (n,)."""
 
     regime: IntArray
     """:data:`REST`, :data:`HELD` or :data:`MOVING`"""
@@ -34,7 +35,7 @@ class Regimes:
 
     @classmethod
     def of(cls, recording: Recording, full_scale_kpa: float) -> Regimes:
-        """Of each sample of a recording."""
+        """The regimes of all samples of a recording."""
         time, load = recording.time_s, recording.quiet.pressure_kpa / full_scale_kpa
         before, after = np.interp(time - WITHIN_S / 2, time, load), np.interp(time + WITHIN_S / 2, time, load)
         regime = np.where(np.abs(load) < LIGHT, REST, HELD)
@@ -43,13 +44,13 @@ class Regimes:
         return cls(regime, path)
 
     def part(self, place: slice) -> Regimes:
-        """Of some of the samples."""
+        """The regimes of the samples ``place``."""
         return Regimes(self.regime[place], self.pressing[place])
 
 
 @dataclass(frozen=True)
 class Judged:
-    """How an estimator does on a fold that it has not learned from. Arrays are (n,), in shares of full scale."""
+    """Held-out errors of an estimator on one fold. Arrays are (n,), over full scale."""
 
     fold: Fold
     error: FloatArray
@@ -64,17 +65,17 @@ class Judged:
 
     @property
     def pressed(self) -> FloatArray:
-        """Errors while the cell is loaded, or all errors if that is hardly ever so: rest is easy."""
+        """Errors while the cell is loaded (rest is easy); all errors if the cell is hardly ever loaded."""
         loaded = self.samples.regime != REST
         return self.error[loaded] if np.count_nonzero(loaded) >= FEWEST else self.error
 
     @property
     def pressed_rms(self) -> float:
-        """Their rms."""
+        """Rms of :attr:`pressed`."""
         return float(np.sqrt(np.mean(self.pressed**2)))
 
     def regimes(self) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """Sizes of the errors and deviations of each regime that the fold has enough of; of all if of none."""
+        """Absolute errors and stated deviations, for each regime with enough samples; else for all samples together."""
         size = np.abs(self.error)
         parts = [self.samples.regime == regime for regime in (REST, HELD, MOVING)]
         enough = [part for part in parts if np.count_nonzero(part) >= FEWEST]
@@ -82,7 +83,7 @@ class Judged:
             yield size[part], self.std[part]
 
     def blocks(self) -> FloatArray:
-        """(:data:`BLOCKS`,) rms error of each part with the same share of the fold's pressing; NaN: no samples."""
+        """(:data:`BLOCKS`,) rms error of the fold's parts with equal path lengths of the load; NaN: no samples."""
         path = self.samples.pressing - self.samples.pressing[0]
         place = np.minimum(BLOCKS * path / path[-1] if path[-1] > 0 else 0 * path, BLOCKS - 1).astype(np.intp)
         count = np.bincount(place, minlength=BLOCKS)
@@ -91,7 +92,7 @@ class Judged:
 
 
 def mixed(judged: Sequence[Judged], reference: Sequence[Judged], share: float) -> list[Judged]:
-    """Of the estimator whose answers are a share of one's and the rest of a reference's; deviations stay."""
+    """Errors of the mixture ``share`` * estimator + (1 - ``share``) * reference; stated deviations stay."""
     return [
         replace(one, error=share * one.error + (1 - share) * other.error)
         for one, other in zip(judged, reference, strict=True)
@@ -99,7 +100,7 @@ def mixed(judged: Sequence[Judged], reference: Sequence[Judged], share: float) -
 
 
 def best_share(judged: Sequence[Judged], reference: Sequence[Judged]) -> float:
-    """The share from 0 to 1 of an estimator, beside a reference, that makes the held-out errors least (stacking).
+    """The weight from 0 to 1 of an estimator in a mixture with a reference that minimises held-out errors (stacking).
 
     Least squares over the folds, each with the same weight.
     """
@@ -112,13 +113,13 @@ def best_share(judged: Sequence[Judged], reference: Sequence[Judged]) -> float:
 
 
 def standard_errors_better(judged: Sequence[Judged], reference: Sequence[Judged]) -> float:
-    """By how many of its own standard errors the mean rms error is below that of a reference (paired t statistic).
+    """Improvement of the mean rms error over a reference, in standard errors (paired t statistic).
 
-    Both are compared part by part on the same folds, so that what is hard for both does not blur the comparison.
+    The two are compared part by part on the same folds, so that parts that are hard for both add no scatter.
 
     Args:
-        judged: one fold after the other.
-        reference: of another estimator, on the same folds.
+        judged: errors of the estimator, fold by fold.
+        reference: errors of the reference on the same folds.
     """
     found = [(one.blocks(), other.blocks()) for one, other in zip(judged, reference, strict=True)]
     own, other = (np.concatenate(blocks) for blocks in zip(*found, strict=True))

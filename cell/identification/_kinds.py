@@ -1,8 +1,8 @@
-"""The kinds of model that are fitted: free parameters, bounds, usual values, and how each kind answers a load.
+"""Parametrisations of the cell models for least squares: free parameters, bounds, starts, and simulation of each kind.
 
-Each kind contains a simpler one: asymmetric branches, then a curved static response and slow charging ("whole"), then
-conductive chains that break ("m10"). Their solutions can therefore be handed on from one to the next. The paper's cell
-stands beside them.
+Three kinds are nested: asymmetric branches; then with a curved static response and slow charging ("whole"); then with
+conductive chains that break ("m10"). The solution of one kind can therefore start the next. The paper's model is not
+part of this nesting.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from ..inversions import play_follow
 from ..materials import AsymmetricModel, M10Model, Model, PaperModel, simulate
 
 INSTANT_S, RISE2_S = 0.05, 1.0
-"""time constant of a branch that is charged at once, and the usual one of the slow branch"""
+"""charging time constants in seconds: of a branch that charges at once, and the usual one of the slow branch"""
 DRIFTS = 1.0
-"""share of R0 up to which a drift over the recording is looked for, either way"""
+"""bound of a fitted drift over the recording, over R0, in either direction"""
 
 
 def _as_it_is(load: FloatArray) -> FloatArray:
@@ -31,9 +31,9 @@ def _as_it_is(load: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Kind:
-    """How a kind of model is fitted: free parameters, which of them are positive, bounds, starts.
+    """A kind of model as a least-squares problem: free parameters, bounds, starts.
 
-    It can be pickled, as the fits that refer to it can: its functions are those of this module.
+    Kinds, and fits that refer to them, can be pickled, since all functions are those of this module.
     """
 
     kind: str
@@ -41,19 +41,19 @@ class Kind:
     low: tuple[float, ...]
     high: tuple[float, ...]
     starts: tuple[tuple[float, ...], ...]
-    """the first is what is usual for a recording of that range of r, and what the prior holds to"""
+    """the first holds the usual values for this range of r, and is the centre of the prior"""
     size: float
     """range of r in the recording"""
     run: Callable[[FloatArray, FloatArray, float], FloatArray]
     """parameters (p, m), load (n,) or (n, m) as ``felt``, dt -> r (n, m), without the offset of R0"""
     begun: int = 0
-    """how many parameters, after those with names, are what branches and chains remember as the recording begins"""
+    """number of parameters, after the named ones, for the initial memory of branches and chains"""
     felt: Callable[[FloatArray], FloatArray] = _as_it_is
-    """the load (n, m) or (n,) as this kind takes it: worked out once, for any number of parameters"""
+    """preprocesses the load (n, m) or (n,) for ``run``; called once for any number of parameter sets"""
 
 
 Richer = Callable[[tuple[float, ...]], tuple[float, ...]]
-"""a solution as one of the richer kind that is fitted next"""
+"""converts a solution to the parameters of the next, richer kind"""
 
 
 def asymmetric_kind(start: tuple[float, ...], size: float, begun: bool) -> Kind:
@@ -78,7 +78,7 @@ def _run_asymmetric(parameters: FloatArray, load: FloatArray, dt: float) -> Floa
 
 
 def whole_kind(start: tuple[float, ...], size: float, begun: bool) -> Kind:
-    """Kind m10 whose chains never break."""
+    """The kind m10 without chains that break (k = 0)."""
     g1, g2, g3, t2, t3 = start
     return Kind(
         kind="whole",
@@ -149,12 +149,12 @@ def _run_paper(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArra
 
 def _without_noise(load: FloatArray) -> FloatArray:
     columns = _columns(load)
-    noise = 4 * simulate.white_noise(columns[:, 0])  # would hand over at every sample
+    noise = 4 * simulate.white_noise(columns[:, 0])  # noise would switch the phase at every sample
     return play_follow(columns, noise)
 
 
 def _unbroken(begun: FloatArray) -> FloatArray | None:
-    """What branches (2, m) or (0, m) remember at first, as :func:`..materials.simulate.m10` takes it."""
+    """Initial memory of branches (2, m) or (0, m), in the form for :func:`..materials.simulate.m10`."""
     return np.concatenate([begun, np.zeros((1, begun.shape[1]))]) if len(begun) else None
 
 
@@ -163,20 +163,20 @@ def _columns(load: FloatArray) -> FloatArray:
 
 
 def asymmetric_as_whole(solution: tuple[float, ...]) -> tuple[float, ...]:
-    """The same cell in the richer model: nothing is curved, and the slow branch is charged at once."""
+    """The same cell as parameters of "whole": no curvature, and both branches charge at once."""
     a, alpha1, fall1, alpha2, fall2, *recording = solution
     return a, 0.0, alpha1, INSTANT_S, fall1, alpha2, INSTANT_S, fall2, *recording
 
 
 def whole_as_m10(solution: tuple[float, ...], size: float) -> tuple[float, ...]:
-    """The same cell in the richer model: hardly a chain breaks."""
+    """The same cell as parameters of "m10": hardly any chain breaks."""
     count = len(simulate.M10_PARAMETERS) - 2
     *branches, offset = solution[count:]
     return *solution[:count], 1e-3 * size, 30.0, *branches, *[0.0] * (len(branches) // 2), offset
 
 
 def drifting(kind: Kind) -> Kind:
-    """The same kind of cells with a drift of R0 as one more parameter, after those with names."""
+    """The same kind with a drift of R0 as one more parameter, after the named ones."""
     return replace(
         kind,
         names=(*kind.names, "drift"),
@@ -194,17 +194,20 @@ def _run_drifting(kind: Kind, parameters: FloatArray, load: FloatArray, dt: floa
 
 
 def with_drift(solution: tuple[float, ...], count: int, share: float) -> tuple[float, ...]:
-    """A solution with a drift after its ``count`` parameters with names."""
+    """A solution with the drift ``share`` inserted after its ``count`` named parameters."""
     return *solution[:count], share, *solution[count:]
 
 
 def _drifted(drift: FloatArray, r: FloatArray) -> FloatArray:
-    """r (n, m), relative to R0 at the begin, of cells whose R0 changes steadily by a share ``drift`` (m,) of it."""
+    """r (n, m), relative to the initial R0, of cells whose R0 changes linearly by the fraction ``drift`` (m,)."""
     return np.asarray((1 + r) * (1 + np.linspace(0, 1, len(r))[:, None] * drift) - 1)
 
 
 def model_of(kind: str, found: FloatArray, full_scale_kpa: float) -> Model:
-    """The section of CELL.toml; gains are divided by 1 + offset, since r is taken from the corrected R0."""
+    """The model section of CELL.toml; gains are divided by 1 + offset, since r refers to the corrected R0.
+
+    Raises InputError if the parameters make no valid model.
+    """
     unit = 1 + found[-1]
     try:
         if kind in ("m10", "whole"):

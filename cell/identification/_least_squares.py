@@ -1,4 +1,4 @@
-"""Least squares of one kind of model on a recording: bounds, a weak prior to usual values, several starts."""
+"""Bounded nonlinear least squares (multi-start, weak Gaussian prior) of one kind of model on a recording."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from ...arrays import BoolArray, FloatArray
 from ._kinds import Kind
 
 STARTS = 3
-"""of the starts, those that are nearest to the recording, are followed to the end"""
+"""number of starts, those nearest to the recording, from which the optimisation runs"""
 PRIOR = 0.02
-"""residual, over the range of r, that a parameter one width from its usual value counts as: what the recording does not
-tell stays usual"""
+"""residual, over the range of r, of a parameter that is one width off its usual value; parameters that the recording
+does not determine thus keep their usual values"""
 PRIOR_LOG, PRIOR_PLAIN, PRIOR_REST = 1.5, 0.5, 0.1
-"""those widths: of the logarithm of a positive parameter, over its bound for one of either sign, and of R0, relative"""
+"""widths of the prior: of the logarithm of a positive parameter; of a parameter of either sign, over its upper bound;
+and of R0, relative"""
 CURVE_POINTS, FALLING_WEIGHT = 9, 0.3
-"""loads at which the equilibrium curve is asked to rise, and the weight of a shortfall beside all samples together"""
+"""number of loads at which the equilibrium curve should rise; weight of a shortfall relative to all samples together"""
 STEP = 1e-5
-"""of a free parameter, for finite differences"""
+"""step of a free parameter, for finite differences"""
 BEGUN = 0.5
-"""how far from its equilibrium each branch may be as a recording begins, over the range of r"""
+"""largest initial departure of a branch from its equilibrium, over the range of r"""
 FLATTEST = 0.1
-"""of the range of r: slope over full scale that the equilibrium curve of m10 should have everywhere"""
+"""least slope dr/ds of the equilibrium curve of m10 that is desired at all loads s, over the range of r"""
 
 
 @dataclass(frozen=True)
@@ -35,12 +36,12 @@ class Grid:
     load: FloatArray
     r: FloatArray
     read: BoolArray
-    """where the resistance was read; elsewhere ``r`` is a straight line between readings, which says nothing"""
+    """where the resistance was read; elsewhere ``r`` is interpolated between readings, and does not count"""
     fitted: int
-    """samples that may count in the fit; the ones after it are predicted"""
+    """number of samples for the fit; later samples are predicted"""
 
     def left(self, predicted: FloatArray, start: int = 0) -> FloatArray:
-        """What a prediction (n,) of ``r`` leaves of the readings from a sample on."""
+        """Residuals of a prediction (n,) of ``r``, from sample ``start`` on, at samples that were read."""
         return np.asarray((predicted - self.r)[start:][self.read[start:]])
 
 
@@ -48,10 +49,10 @@ def solve(kind: Kind, grid: Grid, starts: list[tuple[float, ...]], lower: float)
     """Least squares from several starts.
 
     Args:
-        kind: of model.
+        kind: the kind of model.
         grid: the recording.
-        starts: parameters to start from; the offset of R0 and what is remembered at first may be missing.
-        lower: share by which R0 may be lower than what the recording is relative to.
+        starts: parameters to start from; the initial memory and the offset of R0 may be missing.
+        lower: fraction by which R0 may be lower than the R0 to which the recording is normalised.
 
     Returns:
         The best parameters, the offset of R0 last, and their covariance.
@@ -78,8 +79,8 @@ def solve(kind: Kind, grid: Grid, starts: list[tuple[float, ...]], lower: float)
 class _Problem:
     """Residuals of a kind of model on a grid, and their Jacobian.
 
-    Parameters (p,) are those of the kind, what is remembered as the recording begins, and the offset of R0. The solver
-    sees them as *free* ones: of those that are positive the logarithm.
+    Parameters (p,) are the named ones of the kind, the initial memory, and the offset of R0. The solver works on *free*
+    parameters: the logarithms of positive parameters, and the other parameters themselves.
     """
 
     def __init__(self, kind: Kind, grid: Grid, lower: float) -> None:
@@ -111,18 +112,18 @@ class _Problem:
         return [begins[place] for place in np.argsort(errors)[:STARTS]]
 
     def residual(self, q: FloatArray) -> FloatArray:
-        """What free parameters (p,) leave: of the recording, of a rising equilibrium curve, of the usual values."""
+        """Residuals for free parameters (p,): of the recording, of a rising equilibrium curve, and of the prior."""
         left: FloatArray = self._responses(q[:, None])[:, 0] - self._target
         return left
 
     def jacobian(self, q: FloatArray) -> FloatArray:
-        """Slopes of :meth:`residual` by finite differences, all parameters in one simulation."""
+        """Jacobian of :meth:`residual` by finite differences, all parameters in one simulation."""
         tried = self._responses(np.column_stack([q, q[:, None] + STEP * np.eye(len(q))]))
         slopes: FloatArray = (tried[:, 1:] - tried[:, :1]) / STEP
         return slopes
 
     def _responses(self, q: FloatArray) -> FloatArray:
-        """What is compared with the target, for free parameters (p, m)."""
+        """The quantities that are compared with the target, for m sets of free parameters (p, m)."""
         p = self.natural(q)
         fit = self._kind.run(p[:-1], self._load, self._dt_s)[self._read] + p[-1]
         unusual = PRIOR * self._spread * (q - self._usual[:, None]) / self._width[:, None]
@@ -133,7 +134,7 @@ class _Problem:
         return np.where(self.positive, np.log(np.where(self.positive, p, 1.0)), p)
 
     def _within(self, start: tuple[float, ...]) -> FloatArray:
-        """Parameters within the bounds; those that are missing are zero."""
+        """Parameters clipped to the bounds; missing ones are zero before clipping."""
         padded = np.array([*start, *[0.0] * (len(self._low) - len(start))])
         clipped: FloatArray = np.clip(padded, self._low, self._high)
         return clipped
@@ -146,7 +147,10 @@ def predict(kind: Kind, parameters: FloatArray, grid: Grid) -> FloatArray:
 
 
 def _correlation_length(left: FloatArray) -> float:
-    """Samples per independent one: model error is not white, and standard errors that say so are wider."""
+    """Number of samples per independent sample (integrated autocorrelation time) of residuals (n,).
+
+    The model error is not white, so that standard errors for white residuals would be too small.
+    """
     around = left - left.mean()
     power = np.abs(np.fft.rfft(around, 2 * len(around))) ** 2
     correlation = np.fft.irfft(power)[: len(around)] / max(float(around @ around), 1e-300)
@@ -155,7 +159,10 @@ def _correlation_length(left: FloatArray) -> float:
 
 
 def _falling(kind: Kind, p: FloatArray) -> FloatArray:
-    """(:data:`CURVE_POINTS`, m) how much the equilibrium curve falls short of rising: the static answer rests on it."""
+    """(:data:`CURVE_POINTS`, m) shortfall of the equilibrium curve's slope below :data:`FLATTEST`; 0 or negative.
+
+    The static inverse needs a rising curve.
+    """
     if kind.kind not in ("m10", "whole"):
         return np.zeros((CURVE_POINTS, p.shape[1]))
     names = dict(zip(kind.names, p, strict=False))

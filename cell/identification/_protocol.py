@@ -1,7 +1,7 @@
-"""The calibration protocol: which presses tell the parameters of a cell apart in the least time.
+"""Calibration protocol (experiment design): a sequence of presses that determines the parameters of a cell quickly.
 
-The Cramer-Rao bound of the sequence below gives time constants of 2, 20 and 120 s to 3-4 % each; the intermediate
-hold is what fixes the static curve.
+The Cramer-Rao bound of the sequence below is 3-4 % for each of the time constants 2, 20 and 120 s. The hold at an
+intermediate level determines the static curve.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from ._recording import Recording
 
 @dataclass(frozen=True)
 class Step:
-    """Hold a level, or go to it steadily."""
+    """One step of the protocol: hold a level, or ramp to it."""
 
     level: float
-    """share of full scale"""
+    """fraction of full scale"""
     seconds: float
     ramp: bool = False
 
@@ -29,7 +29,7 @@ class Step:
 
 
 CONDITIONING = (Step(0.0, 2.0), Step(1.0, 10.0), Step(0.0, 20.0))
-"""done first: what R0 is told by, then a press, in which the rest value of a fresh cell rises by several percent"""
+"""first steps: a rest that determines R0, then a press, which raises R0 of a fresh cell by several percent"""
 PROTOCOL = (
     Step(0.5, 20.0),
     Step(0.0, 20.0),
@@ -42,9 +42,9 @@ PROTOCOL = (
     Step(0.0, 60.0),
 )
 TOLERANCE = 0.15
-"""of full scale, for a level"""
+"""accepted deviation from a level, over full scale"""
 ENOUGH = 0.7
-"""of the seconds asked for"""
+"""least duration of a hold, over the requested one"""
 
 
 def protocol_text() -> str:
@@ -59,7 +59,7 @@ def protocol_text() -> str:
 
 
 def protocol_load(dt_s: float) -> tuple[np.ndarray[tuple[int], np.dtype[np.float64]], ...]:
-    """The protocol, conditioning included, as times and normalised loads (n,) every ``dt_s``; changes take 1 s."""
+    """Times (n,) and normalised loads (n,) of the protocol with conditioning, every ``dt_s``; changes take 1 s."""
     times, levels = [0.0], [0.0]
     for step in (*CONDITIONING, *PROTOCOL):
         change = step.seconds if step.ramp else 1.0 if step.level != levels[-1] else 0.0
@@ -70,10 +70,12 @@ def protocol_load(dt_s: float) -> tuple[np.ndarray[tuple[int], np.dtype[np.float
 
 
 def check_protocol(recording: Recording, full_scale_kpa: float | None = None) -> list[str]:
-    """One line for every step, with when it was done; without a full scale, the level held most counts as it.
+    """One line for every step of the protocol, with its time in the recording.
+
+    Without ``full_scale_kpa``, the 95 % quantile of the pressure counts as full scale.
 
     Raises:
-        InputError: a step is missing; the message names it and where in the recording it was expected.
+        InputError: a step is missing; the message names the step and the time at which it was expected.
     """
     time = recording.time_s
     pressed = recording.quiet.pressure_kpa

@@ -1,4 +1,4 @@
-"""A calibration recording: pressure and resistance over time, and what makes it unusable."""
+"""Calibration recordings: pressure and resistance over time; validation, smoothing, removal of outliers."""
 
 from __future__ import annotations
 
@@ -15,16 +15,17 @@ from ..materials import smoothed, smoothing_s, white_noise
 COLUMNS = ("time_s", "pressure_kpa", "resistance_ohm")
 SHORTEST_S, FEWEST = 20.0, 100
 SPARK, SPARK_SIGMAS = 0.08, 8.0
-"""jump of a single reading, over the range of the readings and in standard deviations of noise, that no load made"""
+"""least jump of a single reading that counts as a bad contact: over the range of the readings, and in standard
+deviations of noise"""
 LONGEST_PRESS_S = 3600.0
-"""median length of a press beyond which time is hardly in seconds"""
+"""median length of a press beyond which the time column can hardly be in seconds"""
 PRESSURES_KPA, RESISTANCES_OHM = (0.01, 1e4), (0.1, 1e10)
-"""between which a largest pressure and a median resistance of a cell are hardly in another unit"""
+"""accepted ranges of the largest pressure and of the median resistance; values outside must be in another unit"""
 
 
 @dataclass(frozen=True)
 class Applied:
-    """The load of every row of a recording (m,), also of the rows without a reading of the resistance."""
+    """The load in all rows of a recording (m,), including rows without a reading of the resistance."""
 
     time_s: FloatArray
     pressure_kpa: FloatArray
@@ -44,14 +45,14 @@ class Recording:
     resistance_ohm: FloatArray
     name: str = "recording"
     applied: Applied | None = None
-    """the load where the resistance is missing, too; None: it is known at ``time_s`` only"""
+    """the load including rows without a resistance; None: there are no such rows"""
 
     @classmethod
     def load(cls, path: str | Path, *, trust_units: bool = False) -> Recording:
-        """Read ``time_s,pressure_kpa,resistance_ohm``; rows without a reading (NaN, open) only tell the load.
+        """Read ``time_s,pressure_kpa,resistance_ohm``; of rows without a reading (NaN, open) only the load is used.
 
         Raises:
-            InputError: the file cannot be read, or what :func:`checked_recording` refuses.
+            InputError: the file cannot be read, or :func:`checked_recording` refuses its content.
         """
         columns = read_columns(path, COLUMNS)
         return checked_recording(*(columns[name] for name in COLUMNS), name=str(path), trust_units=trust_units)
@@ -68,7 +69,7 @@ class Recording:
 
     @property
     def quiet(self) -> Recording:
-        """Itself if its pressure is free of noise; else both signals smoothed alike, which a model hardly sees."""
+        """The recording with both signals smoothed alike if its pressure is noisy; this hardly affects a model fit."""
         seconds = smoothing_s(self.pressure_kpa, self.step_s)
         applied = self.applied
         if applied is not None:
@@ -88,10 +89,10 @@ class Recording:
 
     @property
     def without_sparks(self) -> Recording:
-        """Without single readings that jump from both neighbours while the load does not: bad contacts.
+        """The recording without bad contacts: single readings that jump while the load does not (median filter).
 
-        A jump counts from :data:`SPARK` of the range of the readings on, and from :data:`SPARK_SIGMAS` standard
-        deviations of their noise.
+        A jump must exceed :data:`SPARK` of the range of the readings, and :data:`SPARK_SIGMAS` standard deviations of
+        their noise.
         """
         from scipy.ndimage import median_filter
 
@@ -145,9 +146,9 @@ def checked_recording(
     Args:
         time_s: (n,) seconds.
         pressure_kpa: (n,) applied.
-        resistance_ohm: (n,); where it is NaN or infinite, only the load counts.
-        name: of the recording, for messages.
-        trust_units: take the numbers even if they look as if they were in other units.
+        resistance_ohm: (n,); where it is NaN or infinite, only the load is used.
+        name: name of the recording, for messages.
+        trust_units: accept numbers that seem to be in other units.
 
     Raises:
         InputError: time does not increase, resistance is not positive, the columns look exchanged, too few samples,
@@ -189,7 +190,7 @@ def checked_recording(
 
 
 def _check_units(recording: Recording, highest_kpa: float) -> None:
-    """InputError that asks about a column whose numbers are hardly in the unit that its name says."""
+    """Raise InputError for a column whose numbers can hardly be in the unit that its name states."""
     median_ohm = float(np.median(recording.resistance_ohm))
     pressed = recording.pressure_kpa > 0.5 * highest_kpa
     edges = np.flatnonzero(np.diff(pressed.astype(int), prepend=0, append=0))

@@ -1,4 +1,4 @@
-"""The paper's graphical identification (P6, equation 9): gains and time constants read off a recovery curve."""
+"""Graphical identification by curve stripping (P6, equation 9): gains and time constants from a recovery curve."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from ._recording import Recording
 def recovery_branches(
     time_s: FloatArray, r: FloatArray, released_kpa: float
 ) -> tuple[float, float, float, float, float]:
-    """The paper's graphical way (P6, equation 9): E1, E2, E3, T2, T3 from a recovery curve.
+    """E1, E2, E3 in kPa and T2, T3 in s from a recovery curve, by the paper's graphical method (P6, equation 9).
 
     Args:
-        time_s: (n,) from the last loaded sample on, the cell unloaded from the second sample.
+        time_s: (n,) from the last loaded sample on; the cell is unloaded from the second sample on.
         r: (n,) normalised resistance, in equilibrium at the first sample.
         released_kpa: the pressure that was released.
 
-    The slow branch is the straight line that log r becomes, the fast branch the line that log of the remainder
-    becomes, the elastic one what went at once. Raises InputError if the curve does not decay.
+    The slow branch is a straight line fitted to the late part of log r. The fast branch is a line fitted to the log of
+    the remainder. The elastic branch is the instantaneous drop. Raises InputError if the curve does not decay.
     """
     t = time_s[1:] - time_s[1]
     left = r[1:]
@@ -45,7 +45,7 @@ def _line(t: FloatArray, y: FloatArray, where: BoolArray) -> tuple[float, float]
 
 
 def longest_recovery(recording: Recording, full_scale_kpa: float) -> slice | None:
-    """The samples of the longest stay at no load after a press, from the last loaded sample on."""
+    """The samples of the longest period without load after a press, beginning with the last loaded sample."""
     idle = np.abs(recording.pressure_kpa) < 0.05 * full_scale_kpa
     edges = np.flatnonzero(np.diff(idle.astype(int), prepend=0, append=0))
     runs = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if a > 0 and b - a > 20]

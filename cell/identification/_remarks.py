@@ -1,4 +1,4 @@
-"""Remarks on a calibration recording: what it does not say about the cell, and what looks wrong but can be used."""
+"""Plausibility checks of a calibration recording (clock lead, clipping, units, gaps, drift), as remarks in a report."""
 
 from __future__ import annotations
 
@@ -11,42 +11,43 @@ from ._fitted import Drift
 from ._recording import Recording
 
 LONGEST_LEAD_S = 5.0
-"""that is looked for"""
+"""longest lead that is searched"""
 LEAD_S, LEAD_STEPS = 0.03, 3.0
-"""least lead of the resistance before the pressure that is remarked upon, in seconds and in steps of the recording"""
+"""least lead of the resistance before the pressure that is reported, in seconds and in time steps of the recording"""
 MOST_STEPS = 200_000
-"""of the raster on which a lead is looked for"""
+"""largest number of samples of the raster on which a lead is searched"""
 CLEARLY = 0.3
 """least correlation of the two signals' changes for a lead to be believed"""
 AT_LIMIT = 0.02
-"""share of the readings under load with the same extreme value, from which they look clipped"""
+"""fraction of the readings under load with the same extreme value, above which readings look clipped"""
 USUAL_KPA, USUAL_OHM = (0.5, 1000.0), (30.0, 1e9)
-"""between which full scales and median resistances of robot skins lie: what lies outside is perhaps in another unit"""
+"""ranges of the full scales and median resistances of robot skins; values outside are perhaps in another unit"""
 USUAL_STEP_S = 2.0
-"""between readings, up to which a press of a few seconds still has a shape"""
+"""longest time between readings that still resolves a press of a few seconds"""
 FALLS, RISES = 0.03, 0.08
-"""least drift of R0 that is remarked upon, relative. Creep under load alone can look like a rise by 0.06 (specimens of
-relays with fractional creep, `bench/_materials.py`), but hardly like a fall"""
+"""least relative drift of R0 that is reported. Creep under load alone can look like a rise by 0.06 (specimens of relays
+with fractional creep, `bench/_materials.py`), but hardly like a fall"""
 DRIFT_ERRORS, DRIFT_LEAVES = 4.0, 0.3
-"""least size of a drift that is believed, in standard errors, and most of the squared error beyond noise that the model
-with the drift may leave of what it leaves without"""
+"""a drift is believed if it exceeds the first number of standard errors, and reduces the squared error beyond noise to
+less than the second fraction"""
 GAP_SHARE, GAP_STEPS = 0.05, 20.0
-"""least gap that is remarked upon, over the length of the recording and in its steps"""
+"""least gap that is reported: over the length of the recording, and in its time steps"""
 LOADED, DIFFERENT = 0.3, 0.2
-"""of full scale: from which a cell counts as loaded here, and a difference that readings of clipped loads have"""
+"""fractions of full scale: load above which a cell counts as loaded here; and least range of loads with the same
+reading that indicates clipping"""
 
 
 def remarks(
     recording: Recording, full_scale_kpa: float, presses: float, *, varied: bool, drift: Drift | None = None
 ) -> Iterator[str]:
-    """One sentence each.
+    """Remarks, one sentence each.
 
     Args:
-        recording: what was calibrated with.
-        full_scale_kpa: of the cell.
-        presses: to full scale, that the path of the load amounts to.
+        recording: the calibration recording.
+        full_scale_kpa: full scale of the cell.
+        presses: path of the load, in presses to full scale.
         varied: whether held-out parts of the recording differ from each other.
-        drift: of R0, as fitted with a model; None: not fitted.
+        drift: drift of R0 as fitted with a model; None: not fitted.
     """
     if drift is not None and believed(drift):
         yield (
@@ -95,7 +96,7 @@ def remarks(
 
 
 def _unusual(recording: Recording, full_scale_kpa: float) -> Iterator[str]:
-    """What is perhaps in another unit; :mod:`._recording` refuses what surely is."""
+    """Remarks on values that are perhaps in another unit; :mod:`._recording` refuses values that surely are."""
     if recording.step_s > USUAL_STEP_S:
         yield f"readings {recording.step_s:.3g} s apart hardly show how a press begins: is time_s in milliseconds?"
     low, high = USUAL_KPA
@@ -110,18 +111,18 @@ def _unusual(recording: Recording, full_scale_kpa: float) -> Iterator[str]:
 
 
 def believed(drift: Drift) -> bool:
-    """Whether a fitted drift of R0 is large and clear.
+    """Whether a fitted drift of R0 is large and significant.
 
-    Creep that a model lacks looks like a drift, too, but a steady drift of R0 explains little of such creep.
+    Creep that is missing in the model looks like a drift, too. But a steady drift of R0 explains little of such creep.
     """
     large = drift.share < -FALLS or drift.share > RISES
     return large and abs(drift.share) > DRIFT_ERRORS * drift.std_error and drift.unexplained < DRIFT_LEAVES
 
 
 def resistance_lead_s(recording: Recording) -> float:
-    """Seconds by which the resistance changes before the pressure (peak of the cross-correlation); 0: not clearly.
+    """Lead of the resistance before the pressure in seconds (peak of the cross-correlation); 0: no clear lead.
 
-    No cell does that, though many follow the pressure late.
+    A lead cannot be a property of a cell. A lag can: many cells follow the pressure late.
     """
     from scipy.ndimage import gaussian_filter1d
 
@@ -151,7 +152,7 @@ def _correlation(late: FloatArray, early: FloatArray, most: int) -> FloatArray:
 
 
 def clipped_share(recording: Recording, full_scale_kpa: float) -> float:
-    """Share of the readings under load that are exactly the largest or smallest one, though loads differ clearly."""
+    """Fraction of the readings under load that equal the largest or smallest one, although their loads differ."""
     load = recording.pressure_kpa / full_scale_kpa
     loaded, load = recording.resistance_ohm[load > LOADED], load[load > LOADED]
     shares = [0.0]

@@ -1,4 +1,4 @@
-"""What a calibration found, for people: text, and a figure of model, estimate and residuals."""
+"""Report of a calibration: text, a dictionary for programs, and a figure of model, estimate and residuals."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ KPA_PER_PSI, KPA_PER_BAR = 6.894757, 100.0
 
 
 def calibration_text(calibration: CalibrationResult) -> str:
-    """Kind, parameters with standard errors, what is not identified, whether the exact inverse is safe, estimators."""
+    """The report as text: kind, parameters with standard errors, safety of the exact inverse, folds, estimators."""
     cell, fit = calibration.cell, calibration.fit
     assert cell.estimators is not None
     lines = [
@@ -58,7 +58,7 @@ def calibration_text(calibration: CalibrationResult) -> str:
 
 
 def _in_units(pressure_kpa: float) -> str:
-    """A pressure in kPa, psi and bar: no number shows that a recording is in another unit, but its maker knows."""
+    """A pressure in kPa, psi and bar, so that the person who made the recording notices a wrong unit."""
     psi, bar = pressure_kpa / KPA_PER_PSI, pressure_kpa / KPA_PER_BAR
     return f"{pressure_kpa:.4g} kPa ({psi:.3g} psi, {bar:.3g} bar)"
 
@@ -68,10 +68,10 @@ def _percents(values: tuple[float, ...], unit: float = 1.0) -> str:
 
 
 def calibration_record(calibration: CalibrationResult) -> dict[str, Any]:
-    """What :func:`calibration_text` says, for programs: numbers, texts, lists and None only.
+    """The content of :func:`calibration_text` for programs: only numbers, texts, lists and None.
 
-    Errors are shares of the range of the resistance; those of the estimators are % of full scale. A number that is
-    infinite (the standard error of a parameter that is not identified) is None.
+    Errors of fits are fractions of the range of the resistance; errors of estimators are % of full scale. An infinite
+    standard error (of a parameter that is not identified) becomes None.
     """
     cell = calibration.cell
     assert cell.estimators is not None
@@ -109,7 +109,7 @@ def calibration_record(calibration: CalibrationResult) -> dict[str, Any]:
 
 
 def calibration_figure(calibration: CalibrationResult, path: str | Path) -> None:
-    """Write a PNG: the recording with the fitted model, what the model leaves, the estimate.
+    """Write a PNG: the recording with the fitted model, the residuals of the model, and the estimate.
 
     Raises:
         MissingExtra: matplotlib is not installed.

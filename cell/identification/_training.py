@@ -1,9 +1,9 @@
-"""Calibration of the learned estimators: ridge regressions on the recording and on variations of the identified cell.
+"""Training of the learned estimators: ridge regression on the recording and on simulated cells (data augmentation).
 
-The identified model, not trusted to be exact, is run through loads the recording does not have (random ones, and
-variations of its own), with its parameters jittered and its unexplained error added as slow noise; the recording
-itself weighs as much as all of that. An estimator thus knows what the material does under loads that nobody applied,
-but is not asked to believe the model to the last digit.
+The identified model is simulated under loads that the recording lacks: random ones, and variations of the recorded
+load. The model is not exact. Its parameters are therefore varied at random, and its error is added as slow noise. The
+recording has the same weight as all simulations together. An estimator thus learns the response to loads that were not
+recorded, without relying on the exact model.
 """
 
 from __future__ import annotations
@@ -20,44 +20,46 @@ from ._fitted import Simulation
 from ._judged import Judged
 
 LAGS_S = (0.5, 2.0, 8.0, 30.0, 120.0)
-"""of the distilled estimator; longer ones are memories of how the recording began"""
+"""time constants of the distilled estimator; longer lags would only remember how the recording began"""
 PATHS_S = (5.0, 20.0, 80.0)
-"""of the distilled estimator of a cell whose conductive chains break under motion, and heal in seconds to minutes"""
+"""time constants of path lengths in the distilled estimator, for cells whose conductive chains break by motion and heal
+in seconds to minutes"""
 SMOOTHING_S = 0.1
 DIRECTIONS = 600
 CELLS, SECONDS = 96, 400.0
 STATIC_CELLS = 12
-"""simulated to see what a static curve is worth at other speeds"""
+"""simulated cells for the error of a static curve at other speeds"""
 MOST_STEPS, FEWEST_SAMPLES = 50000, 500
-"""time steps that a recording may have on the grid of the simulations, and samples that a simulated cell has"""
+"""largest number of time steps of a recording on the grid of the simulations; least number of samples of a simulated
+cell"""
 R0_ERROR = 0.03
-"""standard deviation of R0, relative, that an estimator must live with. It is larger than the error of an R0 that was
-just read (``REST_ERROR``): R0 drifts after a calibration, and no stated deviation counts that drift"""
+"""relative standard deviation of R0 in training. It is larger than the error of an R0 that has just been measured
+(``REST_ERROR``): R0 drifts after a calibration, and no stated deviation includes this drift"""
 CREEP = 0.08
-"""of the range of r: what creep too slow for the recording, and loads before it, may add"""
+"""contribution to r, over its range, of creep that is too slow for the recording and of loads before it"""
 CREEP_LENGTH = (0.08, 1.33)
-"""its time constants, in lengths of the recording"""
+"""range of the time constants of such creep, over the length of the recording"""
 TELLING = 2
-"""folds, of those at the end, that the standard deviations of learned estimators are calibrated on"""
+"""number of folds, counted from the last, on which the standard deviations of learned estimators are calibrated"""
 NARROWEST, WIDEST = 0.5, 3.0
-"""factors by which held-out folds may change a learned standard deviation"""
+"""limits of the factor by which held-out folds change a learned standard deviation"""
 FLOOR, SUREST = 0.5, 0.02
-"""least standard deviation: share of the rms error of a fold, and normalised load"""
+"""least standard deviation: over the rms error of a fold, and as normalised load"""
 AT_REST = 3.0
-"""weight of a cell that has always read R0, for which no load is to be answered"""
+"""weight in the regression of a cell that has always read R0, whose load is 0"""
 UNEXPLAINED = ((3.0, 0.5), (60.0, 0.7))
-"""over how many seconds the model's error wanders, and how much of it does"""
+"""correlation times in seconds of the simulated model error, and the fraction of its standard deviation with each"""
 OUTLIERS = 1e-3
-"""share of the rows at either end that the range of a feature leaves out"""
+"""fraction of the rows at either end that the range of a feature excludes"""
 ROWS = 20000
-"""of synthetic samples that enter the regression"""
+"""number of simulated samples in the regression"""
 TOGETHER = 512
-"""rows of the regression whose terms are worked out at once"""
+"""rows of the regression whose terms are computed at once"""
 
 
 @dataclass(frozen=True)
 class NormalisedRecording:
-    """A recording in normalised units, and the cell it was found to be."""
+    """A recording in normalised units, and the identified cell."""
 
     time_s: FloatArray
     r: FloatArray
@@ -65,7 +67,7 @@ class NormalisedRecording:
     rest_resistance_ohm: float
     simulation: Simulation
     unexplained: float
-    """rms of r that the identified model leaves"""
+    """rms residual of r of the identified model"""
 
     @property
     def seconds(self) -> float:
@@ -74,13 +76,16 @@ class NormalisedRecording:
 
     @property
     def spread(self) -> float:
-        """Range of r, without its outliers."""
+        """Range of r without outliers."""
         low, high = np.percentile(self.r, [0.5, 99.5])
         return float(high - low)
 
     @property
     def limits(self) -> Limits:
-        """Loads worth answering: from the least seen to a fifth beyond full scale, which calibration may miss."""
+        """Limits of estimates: the least recorded load (at most 0), and a fifth more than the largest (at least 1).
+
+        The margin allows for a calibration that has missed full scale.
+        """
         low, high = np.percentile(self.load, [0.1, 99.9])
         return Limits(lowest=min(float(low), 0.0), highest=max(float(high), 1.0) * BEYOND)
 
@@ -92,7 +97,7 @@ class NormalisedRecording:
 
 @dataclass(frozen=True)
 class Rows:
-    """Features (rows, count) and loads (rows,), of the recording and of the simulated variations of it."""
+    """Features (rows, count) and loads (rows,) of the recording, and of the simulated cells."""
 
     real: FloatArray
     real_load: FloatArray
@@ -101,10 +106,10 @@ class Rows:
 
 
 def static_curve(calibration: NormalisedRecording, full_scale_kpa: float, *, logarithmic: bool = False) -> StaticCurve:
-    """The cubic that fits the recording best."""
+    """The cubic of r (or of log(R0/R)) that fits the recording best by least squares."""
     r, load = calibration.r, calibration.load
     x = -np.log(np.maximum(1 + r, 1e-6)) if logarithmic else r
-    # Few different readings leave a cubic open, of which this is the least; `full` says that without a warning.
+    # With few different readings the cubic is not unique, and the minimum-norm one is found; `full` avoids a warning.
     polynomial, _ = np.polynomial.Polynomial.fit(x, load, 3, full=True)
     coefficients = polynomial.convert().coef
     curve = StaticCurve(
@@ -120,9 +125,9 @@ def static_curve(calibration: NormalisedRecording, full_scale_kpa: float, *, log
 
 
 def error_on_other_loads(calibration: NormalisedRecording, curve: StaticCurve) -> float:
-    """Rms error of a static curve, normalised load, on loads and speeds that the recording does not have.
+    """Rms error of a static curve, as normalised load, under loads and speeds that the recording lacks.
 
-    The identified cell is simulated under random ramps and holds. A curve does not know what the cell remembers.
+    The identified cell is simulated under random ramps and holds. A static curve ignores the memory of the cell.
     """
     rng = np.random.default_rng(0)
     dt = max(float(np.median(np.diff(calibration.time_s))), calibration.seconds / MOST_STEPS)
@@ -135,7 +140,7 @@ def error_on_other_loads(calibration: NormalisedRecording, curve: StaticCurve) -
 def variations(
     calibration: NormalisedRecording, rng: np.random.Generator, cells: int = CELLS
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Loads and readings (n, m) of simulated cells, and their time step."""
+    """Loads (n, m) and readings (n, m) of simulated cells, and their time step in seconds."""
     step = float(np.median(np.diff(calibration.time_s)))
     dt = max(float(np.clip(step, 0.1, 0.2)), calibration.seconds / MOST_STEPS)
     samples, half = max(round(SECONDS / dt), FEWEST_SAMPLES), cells // 2
@@ -154,7 +159,7 @@ def variations(
 def disturbed(
     calibration: NormalisedRecording, rng: np.random.Generator, load: FloatArray, r: FloatArray, dt_s: float
 ) -> FloatArray:
-    """Readings (n, m) with what a model of the cell does not know: its own error, noise, creep, and an error of R0."""
+    """Readings ``r`` (n, m) with errors that the model lacks: model error, noise, slow creep, and an error of R0."""
     samples, cells = len(r), int(r.shape[1])
     unexplained = max(calibration.unexplained, 0.005 * calibration.spread)
     for seconds, share in UNEXPLAINED:
@@ -168,9 +173,9 @@ def disturbed(
 
 
 def rows(calibration: NormalisedRecording, bank: Bank, simulated: tuple[FloatArray, FloatArray, float]) -> Rows:
-    """Features of the recording and of its variations, thinned.
+    """Features of the recording, and thinned features of the simulated cells.
 
-    The recording enters as it is, as if R0 were lower or higher, and as if creep went on in it for longer.
+    The recording enters in several versions: unchanged, with a lower and a higher R0, and with additional slow creep.
     """
     load, r, dt = simulated
     steps = np.diff(calibration.time_s, prepend=calibration.time_s[0])
@@ -203,9 +208,9 @@ def learn(
     ridge: float,
     seed: int,
 ) -> Learned:
-    """Ridge regression of the load on the terms of :class:`~.learned.Learned`, then of its absolute error.
+    """Ridge regression of the load, then of its absolute error, on the terms of :class:`..inversions.Learned`.
 
-    ``plays`` are half widths over the range of r. The standard deviation is only a proportion here; see
+    ``plays`` are half widths over the range of r. The scale of the standard deviation is preliminary; see
     :func:`calibrated`.
     """
     widths = tuple(float(width) * calibration.spread for width in plays)
@@ -257,7 +262,7 @@ def learn(
 
 
 def _reached(*sets: FloatArray) -> Reached:
-    """Range of features in sets of rows (rows, count), but for the :data:`OUTLIERS` at either end of each set."""
+    """Range of the features in sets of rows (rows, count), without :data:`OUTLIERS` at either end of each set."""
     ranges = np.array([np.quantile(features, [OUTLIERS, 1 - OUTLIERS], axis=0) for features in sets])
     return Reached(
         lowest=tuple(map(float, ranges[:, 0].min(axis=0))), highest=tuple(map(float, ranges[:, 1].max(axis=0)))
@@ -265,14 +270,14 @@ def _reached(*sets: FloatArray) -> Reached:
 
 
 def _blocks(terms: Terms, features: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
-    """All terms (rows, terms) of features (rows, count) in float64, in blocks that stay in the processor's cache."""
+    """All terms (rows, terms) of features (rows, count) in float64, in blocks that fit the processor's cache."""
     for start in range(0, len(features), TOGETHER):
         place = slice(start, start + TOGETHER)
         yield place, np.asarray(terms(terms.standardised(features[place].T)), dtype=np.float64)
 
 
 def play(calibration: NormalisedRecording, simulated: tuple[FloatArray, FloatArray, float]) -> Learned:
-    """A Prandtl-Ishlinskii inverse: ten plays and a cubic, linear in everything."""
+    """A Prandtl-Ishlinskii inverse: linear regression on ten play operators and a cubic."""
     plays = tuple(np.linspace(0.03, 0.6, 10))
     return learn(calibration, simulated, lags_s=(), plays=plays, directions=0, ridge=1e-4, seed=0)
 
@@ -284,7 +289,7 @@ def distilled(
     paths_s: tuple[float, ...] = (),
     seed: int = 1,
 ) -> Learned:
-    """Lags, plays, paths and cosines of them: the inverse of the identified model, distilled into a map."""
+    """The inverse of the identified model, distilled into a regression on lags, plays, paths and cosines of these."""
     plays = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
     return learn(
         calibration,
@@ -299,22 +304,22 @@ def distilled(
 
 
 def calibrated(learned: Learned, judged: Sequence[Judged], *, drift: float, elsewhere: float, most: float) -> Learned:
-    """``learned`` with a standard deviation that held-out folds bear out (split conformal prediction by regime).
+    """``learned`` with a standard deviation calibrated on held-out folds (split conformal prediction by regime).
 
-    On each of the last :data:`TELLING` folds, 95 % of the errors at rest, of those under a load that is held, and of
-    those while the load changes, lie within two of the deviations before these are multiplied by ``DRIFT``. A fold that
-    is mostly rest thus says no less about presses. What comes before an earlier fold may have been too little to learn
-    from. The deviation is the learned one times a factor, but not below a floor. If a factor of :data:`WIDEST` is not
-    enough, the floor rises.
+    The deviation is the learned one times a factor, but at least a floor. Factor and floor are chosen such that 95 % of
+    the errors lie within two deviations, before the final multiplication by ``DRIFT``. This holds for each of the last
+    :data:`TELLING` folds, and separately at rest, under a held load, and under a changing load, so that long rests do
+    not mask errors under presses. Earlier folds are left out, since too little training data may precede them. If a
+    factor of :data:`WIDEST` is not enough, the floor rises. The floor never exceeds ``most``.
 
     Args:
-        learned: what is to get the deviation.
-        judged: one fold after the other, with the deviations that ``learned`` states as it is.
-        drift: mean error of the static curve on the fold where that was largest, normalised load. The estimator makes
-            up for this drift from its memory, but cannot know a drift that goes on for longer than the recording.
-        elsewhere: rms error on simulated cells under random loads, normalised load, where the recorded presses are all
-            alike, or few, and say little of others; else 0.
-        most: what the floor never exceeds, normalised load: the rms error of the static curve.
+        learned: the estimator.
+        judged: held-out errors fold by fold, with the deviations that ``learned`` states so far.
+        drift: mean error of the static curve on the fold where that error is largest, normalised load. The estimator
+            compensates this drift by its memory, but cannot know a drift that outlasts the recording.
+        elsewhere: rms error on simulated cells under random loads, normalised load, if the recorded presses are few or
+            all alike, and thus represent no others; else 0.
+        most: largest floor, normalised load: the rms error of the static curve.
     """
     last = judged[-TELLING:]
     regimes = [part for fold in last for part in fold.regimes()]

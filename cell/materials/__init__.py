@@ -1,11 +1,11 @@
-"""What a cell is: the parameters of each kind of cell, and pressure to resistance.
+"""Material models of piezoresistive cells: parameters of each kind, and forward models (pressure to resistance).
 
 ======================  =====================================================================================
 :mod:`._models`         the parameters, as sections of CELL.toml
-:mod:`._lag`            first-order lags, stepped exactly: what every dynamic part of a cell is made of
-:mod:`._forward`        pressure to resistance, stepped
-:mod:`._simulate`       the same for whole recordings of many cells; loads and noise drawn at random
-:mod:`._equilibrium`    the resistance that a held pressure leads to
+:mod:`._lag`            exact discretisation of first-order lags, the building blocks of all dynamic models
+:mod:`._forward`        forward models, step by step
+:mod:`._simulate`       the same for whole recordings of many cells; random loads and noise
+:mod:`._equilibrium`    the resistance under a pressure held for long
 :mod:`._material`       sensitivity, temperature, ageing
 :mod:`._percolation`    mixtures with more or less carbon black
 ======================  =====================================================================================

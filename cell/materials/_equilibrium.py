@@ -1,4 +1,4 @@
-"""The equilibrium of a cell: the resistance that a pressure leads to when it is held for long."""
+"""Static characteristic of a cell: the equilibrium resistance under a pressure that is held for long."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def equilibrium_gain(model: Model, full_scale_kpa: float, rest_resistance_ohm: f
 
 
 def equilibrium_curve(model: Model, full_scale_kpa: float, rest_resistance_ohm: float, load: FloatArray) -> FloatArray:
-    """r at equilibrium under each ``load``, a share of full scale; as :func:`equilibrium_gain` at 1."""
+    """r at equilibrium under each normalised ``load``; equals :func:`equilibrium_gain` at ``load`` = 1."""
     match model:
         case PaperModel() | AsymmetricModel():
             curve = model.gain_per_kpa * full_scale_kpa * load

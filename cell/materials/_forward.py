@@ -1,7 +1,7 @@
-"""Forward models: pressure to resistance, for whole arrays of cells at once.
+"""Forward models of piezoresistive cells (pressure to resistance), in the time domain, for whole arrays of cells.
 
-A forward model is stepped: over each step the pressure of every cell goes linearly from where it was to the
-value given, and the answer is exact for such a load whatever the step. ``dt_s = 0`` is a jump.
+Over each step the pressure of every cell goes linearly from its last value to the given one. The response to such a
+load is exact for any step length. ``dt_s = 0`` is a jump.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ._models import AsymmetricModel, ContactModel, M10Model, Model, PaperModel
 
 
 class Forward(ABC):
-    """Cells of one kind with their memory, unloaded and at rest when made."""
+    """An array of cells of one kind, with their memory. New cells are unloaded and at rest."""
 
     def __init__(self, shape: tuple[int, ...], rest_resistance_ohm: FloatArray) -> None:
         self.shape = shape
@@ -28,14 +28,14 @@ class Forward(ABC):
         self.reset()
 
     def reset(self) -> None:
-        """Back to rest: no load, and none remembered."""
+        """Reset all cells to rest: no load, and no memory of loads."""
         self._pressure = np.zeros(self.shape)
 
     def step(self, dt_s: float, pressure_kpa: ArrayLike) -> FloatArray:
-        """Let the pressure go linearly to ``pressure_kpa`` in ``dt_s`` seconds; the resistance there, in ohm.
+        """Change the pressure linearly to ``pressure_kpa`` in ``dt_s`` seconds; returns the final resistance in ohm.
 
-        ``pressure_kpa`` is broadcast to ``shape``. Raises InputError for a negative ``dt_s``, another shape,
-        or a pressure that is not finite.
+        ``pressure_kpa`` is broadcast to ``shape``. Raises InputError for a negative ``dt_s``, another shape, a pressure
+        that is not finite, or a pull that would leave no resistance.
         """
         if not 0 <= dt_s < np.inf:
             raise InputError(f"time step is {dt_s} s; expected a finite number of seconds >= 0")
@@ -97,11 +97,11 @@ class Forward(ABC):
         return resistance
 
     def put_to_rest(self, cells: IntArray, tolerance: float) -> BoolArray:
-        """Forget what hardly matters any more: cells without load that remember next to nothing are at rest again.
+        """Reset the memory of unloaded cells whose remaining memory is negligible.
 
         Args:
             cells: (k,) indices into the flattened array.
-            tolerance: largest \\|R/R0 - 1\\| that a cell without load may still have, now and later.
+            tolerance: largest \\|R/R0 - 1\\| that counts as negligible, now and at any later time without load.
 
         Returns:
             (k,) which of the cells are at rest now. Their memory is reset.
@@ -114,10 +114,10 @@ class Forward(ABC):
         return resting
 
     _STATE: ClassVar[tuple[str, ...]] = ("_pressure",)
-    """names of the arrays that make up the memory of the cells; all zero stands for cells at rest"""
+    """names of the arrays that form the memory of the cells; all zeros: cells at rest"""
 
     def _gathered(self, cells: IntArray) -> Self:
-        """A copy of some of the cells, as an array of shape (k,)."""
+        """A copy of ``cells`` (k,), as an array of shape (k,)."""
         some = copy.copy(self)
         some.shape = cells.shape
         for name in (*self._STATE, "rest_resistance_ohm"):
@@ -125,7 +125,7 @@ class Forward(ABC):
         return some
 
     def _run(self, dt_s: FloatArray, pressure: FloatArray) -> FloatArray:
-        """:meth:`run` for all cells; leaves ``self._pressure`` to the caller."""
+        """:meth:`run` for all cells; the caller sets ``self._pressure``."""
         resistance = np.empty(pressure.shape)
         for frame, dt in enumerate(dt_s.tolist()):
             resistance[frame] = self._step(dt, pressure[frame])
@@ -133,24 +133,24 @@ class Forward(ABC):
         return resistance
 
     def _remembered(self) -> FloatArray:
-        """Largest \\|R/R0 - 1\\| that each cell would still show, were its load taken away now."""
+        """Largest \\|R/R0 - 1\\| of each cell from now on, if its load were removed now."""
         return np.zeros(self.shape)
 
     @abstractmethod
     def _lowest_kpa(self) -> float:
-        """The strongest pull (negative) that leaves a positive resistance whatever went before."""
+        """The strongest pull (a negative pressure) that leaves a positive resistance after any history."""
 
     @abstractmethod
     def _step(self, dt_s: float, pressure: FloatArray) -> FloatArray:
-        """Advance the memory from ``self._pressure`` to ``pressure``; the resistance in ohm."""
+        """Advance the memory from ``self._pressure`` to ``pressure``; returns the resistance in ohm."""
 
 
 class PaperForward(Forward):
-    """P4 while the pressure rises and while it is held after that, P5 from a fall to the next rise.
+    """The paper's switched model: P4 while the pressure rises and is then held, P5 from a fall to the next rise.
 
-    The resistance is continuous at a hand-over. Rising takes it up in its one state; in recovery the slow
-    branch is what it always was (it follows the load in both phases, so that repeated presses accumulate
-    creep, P9), and the fast branch takes the rest.
+    The resistance is continuous at each switch. The rising phase has one state, which is set so that r is continuous.
+    In recovery the slow branch keeps its value, since it follows the load in both phases (repeated presses accumulate
+    creep, P9). The fast branch is set so that r is continuous.
     """
 
     def __init__(
@@ -167,10 +167,10 @@ class PaperForward(Forward):
         """Back to rest."""
         super().reset()
         self._r = np.zeros(self.shape)
-        self._settled = np.zeros(self.shape)  # kPa: the load that the rising phase has settled to
+        self._settled = np.zeros(self.shape)  # kPa: state of the rising phase, which lags behind the load
         self._x2 = np.zeros(self.shape)
         self._x3 = np.zeros(self.shape)
-        self._rising = np.zeros(self.shape, dtype=bool)  # at rest both phases have the same memory
+        self._rising = np.zeros(self.shape, dtype=bool)  # either phase: at rest both have the same memory
 
     _STATE = ("_pressure", "_r", "_settled", "_x2", "_x3", "_rising")
 
@@ -182,9 +182,9 @@ class PaperForward(Forward):
     def _run(self, dt_s: FloatArray, pressure: FloatArray) -> FloatArray:
         """All steps of a block as array operations over time.
 
-        The phase of a cell follows from its pressure alone, and within a phase its one free state (``_settled`` or
-        ``_x2``) is a linear recurrence. A hand-over between phases is linear too, since the resistance is continuous.
-        So the free state follows y' = a y + b with known a and b, step by step.
+        The phase of a cell depends on its pressure alone. Within a phase, its one free state (``_settled`` or ``_x2``)
+        is a linear recurrence. A switch between phases is linear, too, since the resistance is continuous. The free
+        state therefore follows y[n] = a[n] y[n-1] + b[n] with known a and b.
         """
         m, eta = self.model, self.model.etau2_kpa
         before = np.concatenate([self._pressure[None], pressure[:-1]])
@@ -200,7 +200,7 @@ class PaperForward(Forward):
         gone_up, ramp_up = lag.weights(dt, m.tu_s)
         gone_down, ramp_down = lag.weights(dt, m.t2_s)
         starts, ends = rising & ~was_rising, ~rising & was_rising
-        # At a hand-over the new state is scale * (old state) + offset.
+        # At a switch of phase the new state is scale * (old state) + offset.
         scale = np.where(starts, -eta, np.where(ends, -1.0 / eta, 1.0))
         elastic = before / m.e1_kpa + x3_before
         taken_up = before * (1.0 + eta / m.eu1_kpa) - eta * elastic
@@ -243,7 +243,7 @@ class PaperForward(Forward):
 
 
 class M10Forward(Forward):
-    """Asymmetric branches, static curvature and breakdown by motion; see :class:`~.models.M10Model`."""
+    """Asymmetric branches, static curvature and chains broken by motion; see :class:`._models.M10Model`."""
 
     def __init__(
         self, model: M10Model, full_scale_kpa: float, shape: tuple[int, ...], rest_resistance_ohm: FloatArray
@@ -264,15 +264,15 @@ class M10Forward(Forward):
     def _lowest_kpa(self) -> float:
         m = self.model
         gain, bend = max(m.a, 0.0) + m.alpha1 + m.alpha2, max(-m.b, 0.0)
-        # The root of bend s^2 + gain s = 0.99, in the form that stands bend = 0.
+        # The root of bend s^2 + gain s = 0.99, in a form that is valid for bend = 0, too.
         root = 2 * 0.99 / (gain + np.sqrt(gain**2 + 4 * bend * 0.99)) if gain or bend else np.inf
         return -float(root) * self.full_scale_kpa
 
     def _run(self, dt_s: FloatArray, pressure: FloatArray) -> FloatArray:
-        """All steps of a block: both branches together, with what depends on time alone worked out before.
+        """All steps of a block, both branches together; coefficients that depend on time alone are computed first.
 
-        Whether a branch charges depends on its state, so that the branches are stepped one frame after the other. A
-        step within which a branch turns from charging to discharging or back is left to :func:`._lag.asymmetric`.
+        Whether a branch charges depends on its state. The branches are therefore stepped frame by frame. A step within
+        which a branch changes between charging and discharging is computed by :func:`._lag.asymmetric`.
         """
         m = self.model
         each = (2, *[1] * len(self.shape))
@@ -319,7 +319,7 @@ class M10Forward(Forward):
 
 
 class ContactForward(Forward):
-    """Contact resistance, without memory; a pull (negative pressure) opens the contact."""
+    """Contact resistance as a power law of the load, without memory; a pull (negative pressure) opens the contact."""
 
     def __init__(
         self,
@@ -346,7 +346,7 @@ class ContactForward(Forward):
 
 
 def _held(sign: FloatArray, first: FloatArray) -> FloatArray:
-    """Signs (frames, ...) with each zero replaced by the last one that was not; ``first`` is the one ahead of all."""
+    """Signs (frames, ...) with each zero replaced by the last nonzero sign; ``first`` is the sign before frame 0."""
     known = np.concatenate([first[None], sign])
     frames = np.arange(len(known)).reshape(-1, *[1] * first.ndim)
     last = np.maximum.accumulate(np.where(known != 0, frames, 0), axis=0)
@@ -355,9 +355,9 @@ def _held(sign: FloatArray, first: FloatArray) -> FloatArray:
 
 
 def _recurrence(keep: FloatArray, driven: FloatArray, first: FloatArray) -> FloatArray:
-    """y[n] = keep[n] y[n-1] + driven[n] for all frames (frames, ...), from y[-1] = ``first`` on.
+    """y[n] = keep[n] y[n-1] + driven[n] for all frames (frames, ...), with y[-1] = ``first``.
 
-    The frames follow each other one by one, so that the rounding errors do not depend on how a history is cut.
+    Frames are computed one by one, so that rounding errors do not depend on how a history is cut into blocks.
     """
     result = np.array(driven)
     if first.size == 1:  # plain numbers are faster than arrays of one cell
@@ -391,7 +391,7 @@ def make_forward(
 
 
 def as_m10(model: AsymmetricModel, full_scale_kpa: float) -> M10Model:
-    """The same cell, written in the more general model."""
+    """The same cell as an :class:`._models.M10Model`, which is more general."""
     return M10Model(
         a=full_scale_kpa / model.e1_kpa,
         alpha1=full_scale_kpa / model.e2_kpa,

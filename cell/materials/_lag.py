@@ -1,7 +1,7 @@
-"""First-order lags x' = (u - x)/T, stepped exactly for an input that is linear over the step.
+"""First-order lags x' = (u - x)/T, discretised exactly for an input that is linear over each step (first-order hold).
 
-Every dynamic part of a cell is such a lag, so that forward models and their inverses agree to rounding at any
-time step, and a load that is piecewise linear gives the same answer however finely it is sampled.
+All dynamic parts of a cell are such lags. Forward models and their inverses therefore agree up to rounding at any time
+step, and the response to a piecewise linear load does not depend on the sampling.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ T = TypeVar("T")
 
 
 class ByStep(Generic[M, T]):
-    """What one time step does, for each length of step: computed once."""
+    """Cache of the coefficients of a time step, by the length of the step."""
 
     def __init__(self, computed: Callable[[M, float], T], model: M) -> None:
         self._made_from = computed, model
         self.of = lru_cache(maxsize=1024)(partial(computed, model))
 
     def __reduce__(self) -> tuple[type[ByStep[M, T]], tuple[Callable[[M, float], T], M]]:
-        """For pickle and copy: without what was computed."""
+        """For pickle and copy: without the cached values."""
         return type(self), self._made_from
 
 
 def forgotten(dt_s: ArrayLike, time_constant_s: ArrayLike) -> FloatArray:
-    """What a lag forgets in one step, see :func:`weights`."""
+    """The fraction 1 - exp(-dt/T) of its state that a lag forgets in one step, see :func:`weights`."""
     share: FloatArray = -np.expm1(-_lengths(dt_s, time_constant_s))
     return share
 
@@ -44,9 +44,9 @@ def _lengths(dt_s: ArrayLike, time_constant_s: ArrayLike) -> FloatArray:
 def weights(dt_s: ArrayLike, time_constant_s: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """``gone`` and ``ramp`` of one step: x1 = x0 + (u0 - x0) gone + (u1 - u0) ramp.
 
-    gone = 1 - exp(-dt/T) is what the lag forgets, ramp = 1 - gone T/dt its answer to a unit ramp at the
-    step's end. Both keep full relative precision from dt/T = 1e-300 to infinity, so that an hour-long lag
-    sampled at 10 kHz does not drift. Shapes follow the arguments.
+    gone = 1 - exp(-dt/T) is the fraction of the state that the lag forgets. ramp = 1 - gone T/dt is its response, at
+    the end of the step, to a ramp that rises by 1 over the step. Both keep full relative precision from dt/T = 1e-300
+    to infinity, so that an hour-long lag sampled at 10 kHz does not drift. Shapes follow the arguments.
     """
     z = _lengths(dt_s, time_constant_s)
     gone = -np.expm1(-z)
@@ -56,7 +56,7 @@ def weights(dt_s: ArrayLike, time_constant_s: ArrayLike) -> tuple[FloatArray, Fl
 
 
 def symmetric(x: FloatArray, u0: FloatArray, u1: FloatArray, dt_s: ArrayLike, time_constant_s: ArrayLike) -> FloatArray:
-    """The lag after a step in which its input went linearly from ``u0`` to ``u1``."""
+    """The state of a lag after a step in which its input went linearly from ``u0`` to ``u1``."""
     gone, ramp = weights(dt_s, time_constant_s)
     stepped: FloatArray = x + (u0 - x) * gone + (u1 - u0) * ramp
     return stepped
@@ -70,10 +70,10 @@ def asymmetric(
     charging_s: ArrayLike,
     discharging_s: ArrayLike,
 ) -> FloatArray:
-    """A lag with one time constant while u > x and another while u < x, exact through the change-over.
+    """A lag with the time constant ``charging_s`` while u > x, else ``discharging_s``; exact through the change-over.
 
-    With w = u - x and u' = v, w' = v - w/T: w can only leave zero towards the sign of v, so that it
-    changes sign at most once in a step, after T log(1 - w0/(v T)).
+    Let w = u - x and u' = v, so that w' = v - w/T. From zero, w can only move towards the sign of v. Hence w changes
+    sign at most once in a step, at the time T log(1 - w0/(v T)).
     """
     dt = np.asarray(dt_s, dtype=np.float64)
     w0, change = u0 - x, u1 - u0

@@ -1,4 +1,4 @@
-"""A cell as a material: its sensitivity, and what temperature and age do to it. For mixtures see percolation."""
+"""Sensitivity of a cell, and the change of R0 with temperature and age. For mixtures see :mod:`._percolation`."""
 
 from __future__ import annotations
 
@@ -23,10 +23,11 @@ def drifted_rest_resistance(
     age_s: float = 0.0,
     per_decade: float = 0.0,
 ) -> FloatArray:
-    """R0 after a change of temperature and with age: what a calibrated cell may have become.
+    """R0 in ohm of a calibrated cell after a change of temperature, and after ageing.
 
-    Temperature enters exponentially (7 % per degree is published for one rubber with 50 phr carbon black), age as a
-    share ``per_decade`` of log10(1 + age in hours). Hand the result to ``Cell.forward`` or ``Cell.estimator``.
+    R0 grows by the factor (1 + ``per_degree``)^dT (7 % per degree is published for one rubber with 50 phr carbon
+    black), and by the factor 1 + ``per_decade`` log10(1 + age in hours). Pass the result to ``Cell.forward`` or
+    ``Cell.estimator``.
     """
     warm = np.exp(np.log1p(per_degree) * temperature_change_c)
     aged = 1 + per_decade * np.log10(1 + age_s / 3600)

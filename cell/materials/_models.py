@@ -1,8 +1,7 @@
-"""The parameters of a cell: the ``[model]`` table of CELL.toml, one section per kind of material.
+"""Parameters of the cell models (augmented Burgers, M10, contact): the ``[model]`` table of CELL.toml, by kind.
 
-r = (R - R0)/R0 is the normalised resistance (P3), p the pressure in kPa, s = p / full scale the normalised
-load. Moduli E and viscosities eta have no mechanical meaning here: they belong to a normalised resistance
-(paper, IV.B).
+r = (R - R0)/R0 is the normalised resistance (P3), p the pressure in kPa, s = p / full scale the normalised load.
+Moduli E and viscosities eta have no mechanical meaning here: they describe the normalised resistance (paper, IV.B).
 """
 
 from __future__ import annotations
@@ -21,9 +20,9 @@ class Burgers(Section):
     e2_kpa: Positive
     e3_kpa: Positive
     eta2_kpa_s: Positive
-    """of the faster branch"""
+    """viscosity of the faster branch"""
     eta3_kpa_s: Positive
-    """of the slower branch"""
+    """viscosity of the slower branch"""
 
     @property
     def t2_s(self) -> float:
@@ -56,7 +55,7 @@ class Burgers(Section):
 
 
 class PaperModel(Burgers):
-    """Two models and a switch, as the paper has it: P4 while the load rises, P5 while it recovers."""
+    """The paper's switched model: P4 while the load rises, P5 during recovery."""
 
     kind: Literal["paper"] = "paper"
     eu1_kpa: Positive
@@ -64,11 +63,12 @@ class PaperModel(Burgers):
     etau2_kpa: Positive
 
     rising_threshold_per_s: Positive | None = None
-    """dr/dt above which the estimator takes the rising model; None: as the recovery threshold"""
+    """dr/dt above which the estimator switches to the rising model; None: as the recovery threshold"""
     recovery_threshold_per_s: Positive | None = None
-    """-dr/dt above which it takes the recovery model; None: 1.2 times the settling slope of full scale"""
+    """-dr/dt above which the estimator switches to the recovery model; None: 1.2 times the settling slope at full
+    scale"""
     derivative_s: NotNegative = 0.5
-    """time over which the estimator takes dr/dt; 0: from one sample to the next"""
+    """time over which the estimator computes dr/dt; 0: from one sample to the next"""
 
     @property
     def tu_s(self) -> float:
@@ -77,11 +77,11 @@ class PaperModel(Burgers):
 
     @property
     def overshoot(self) -> float:
-        """Resistance change at once after a pressure step, over its equilibrium: 1 + Eu1/etau2 (P4)."""
+        """Instantaneous response of r to a pressure step, over the equilibrium response: 1 + Eu1/etau2 (P4)."""
         return 1 + self.eu1_kpa / self.etau2_kpa
 
     def settling_slope_per_s(self, pressure_kpa: float) -> float:
-        """Steepest fall of r while ``pressure_kpa`` is held after a step: p Eu2/etau2^2 (P8)."""
+        """Steepest fall of r while ``pressure_kpa`` (p) is held after a step: p Eu2/etau2^2 (P8)."""
         return pressure_kpa * self.eu2_kpa_per_s / self.etau2_kpa**2
 
     def thresholds_per_s(self, full_scale_kpa: float) -> tuple[float, float]:
@@ -92,7 +92,8 @@ class PaperModel(Burgers):
     def rising_transfer_function(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Numerator and denominator of G_up = r/p (equation 3), highest power of s first.
 
-        The paper's second form prints Eu1 as the constant of the numerator; its own two terms add up to Eu2.
+        As printed, the second form of the equation has Eu1 as the constant of the numerator. The paper's own two terms
+        add up to Eu2, which is used here.
         """
         return (self.eu1_kpa + self.etau2_kpa, self.eu2_kpa_per_s), (
             self.eu1_kpa * self.etau2_kpa,
@@ -111,10 +112,10 @@ class PaperModel(Burgers):
 
 
 class AsymmetricModel(Burgers):
-    """One set of states for both phases: each branch charges in ``rise_s`` and discharges as in P5.
+    """One set of states for both phases: each branch charges with time constant ``rise_s``, and discharges as in P5.
 
-    Loading then follows the gain of the rising phase, unloading equation (8), and partial releases and
-    repeated presses need no hand-over.
+    Loading then follows the gain of the rising phase, and unloading follows equation (8). Partial releases and repeated
+    presses need no switch between models.
     """
 
     kind: Literal["asymmetric"] = "asymmetric"
@@ -122,14 +123,15 @@ class AsymmetricModel(Burgers):
 
 
 class M10Model(Section):
-    """Asymmetric branches, a curved static response, and conductive chains broken by motion that heal (D)::
+    """Asymmetric branches x1 and x2, a curved static response, and conductive chains that motion breaks (D)::
 
         r = a s + b s^2 + x1 + x2 + D
         xi' = (alphai s - xi)/T,    T = rise_i while alphai s > xi, else fall_i
         D'  = k |s'| - D/tau
 
-    With b = 0, rise -> 0 and s' > 0 it is G_up of (3), 1/Eu1 = (a + alpha1 + alpha2)/full scale,
-    etau2 = full scale/k, Eu2 = full scale/(k tau). With k = 0 and discharging it is G of (8).
+    D is the contribution of broken chains, which heal with time constant tau.
+    For b = 0, rise -> 0 and s' > 0 the model equals G_up of (3) with 1/Eu1 = (a + alpha1 + alpha2)/full scale,
+    etau2 = full scale/k and Eu2 = full scale/(k tau). For k = 0 and discharging branches it equals G of (8).
     """
 
     kind: Literal["m10"] = "m10"
@@ -152,7 +154,7 @@ class ContactModel(Section):
     exponent: Annotated[float, Field(gt=0, le=4)] = 1.0
     """n; 0.7 to 1.3 are published"""
     full_scale_resistance_ohm: Positive
-    """of the contact alone, at full scale"""
+    """resistance of the contact alone at full scale, R_full"""
 
 
 Model = Annotated[PaperModel | AsymmetricModel | M10Model | ContactModel, Field(discriminator="kind")]

@@ -1,9 +1,12 @@
-"""How the carbon-black fraction sets a cell's resistance and sensitivity (P1): the percolation law.
+"""Percolation law: resistance and sensitivity of a cell as functions of the carbon-black fraction (P1).
 
-Above the threshold phi_c conduction grows as (phi - phi_c)^t, t about 2 (1.95 is published for carbon black). A load
-breaks a share of the conductive paths, as if the fraction had fallen by an amount d: the normalised change
-r = ((phi - phi_c)/(phi - phi_c - d))^t - 1 then grows as phi comes down to the threshold. d is taken from one known
-cell, and is proportional to the load.
+Above the threshold phi_c the conductance grows as (phi - phi_c)^t, with t about 2 (1.95 is published for carbon black).
+A load breaks some of the conductive paths. The model treats the loss as a decrease of the fraction by d, proportional
+to the load::
+
+    r = ((phi - phi_c)/(phi - phi_c - d))^t - 1
+
+Hence r grows as phi approaches the threshold from above. One known cell determines d.
 """
 
 from __future__ import annotations
@@ -19,13 +22,13 @@ from ...errors import InputError
 
 @dataclass(frozen=True)
 class Percolation:
-    """A family of mixtures through one known cell. Fractions are mass fractions (0.015 is 1.5 %).
+    """A family of mixtures that contains one known cell. Fractions are mass fractions (0.015 is 1.5 %).
 
     Threshold and exponent are the project's own choice: the paper gives neither.
     """
 
     fraction: float
-    """of the known cell"""
+    """mass fraction of the known cell"""
     rest_resistance_ohm: float
     sensitivity: float
     """(Rmax - R0)/R0 of the known cell at full scale"""
@@ -39,17 +42,17 @@ class Percolation:
             raise InputError("exponent, rest resistance and sensitivity: expected numbers above 0")
 
     def rest_resistance(self, fraction: ArrayLike) -> FloatArray:
-        """R0 in ohm of mixtures; inf at the threshold and below."""
+        """R0 in ohm of mixtures; infinite at the threshold and below."""
         return self._ohm(np.asarray(fraction, dtype=np.float64) - self.threshold)
 
     def resistance(self, fraction: ArrayLike, load: ArrayLike) -> FloatArray:
-        """Ohm under ``load`` (1 is full scale), fractions and loads broadcast; inf where no path is left."""
+        """Resistance in ohm under ``load`` (1 is full scale); arguments broadcast; infinite where no path remains."""
         above = self.fraction - self.threshold
         broken = above * (1.0 - (1.0 + self.sensitivity) ** (-1.0 / self.exponent))
         return self._ohm(np.asarray(fraction, dtype=np.float64) - self.threshold - broken * np.asarray(load))
 
     def sensitivities(self, fraction: ArrayLike) -> FloatArray:
-        """(Rmax - R0)/R0 at full scale; inf where full scale breaks the last path."""
+        """(Rmax - R0)/R0 at full scale; infinite where full scale breaks the last path."""
         rest = self.rest_resistance(fraction)
         with np.errstate(invalid="ignore"):
             change = self.resistance(fraction, 1.0) / rest - 1.0

@@ -1,7 +1,7 @@
-"""Whole recordings of many cells at once: what identification and training spend their time on.
+"""Fast simulation of whole recordings for many cells at once, for identification and training; random loads and noise.
 
-The same equations as :mod:`._forward`, on a uniform time grid and with the change-over of an asymmetric lag placed
-at the end of a step instead of inside it, which is an order of magnitude faster; a test holds the two together.
+The equations are those of :mod:`._forward`, on a uniform time grid. An asymmetric lag changes over at the end of a step
+instead of within it, which is an order of magnitude faster. A test compares both implementations.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from ...compiled import Row, Rows, loop
 from . import _lag as lag
 
 FEW_CELLS = 8
-"""up to which stepping the cells one by one is faster than stepping them together, without machine code"""
+"""number of cells up to which stepping them one by one is faster than stepping them together, without compiled loops"""
 LONGEST_SMOOTHING_S = 0.5
-"""standard deviation of the longest window over the signal of a force gauge"""
+"""standard deviation in seconds of the longest Gaussian window for the signal of a force gauge"""
 
 M10_PARAMETERS = ("a", "b", "alpha1", "rise1_s", "fall1_s", "alpha2", "rise2_s", "fall2_s", "k", "tau_s")
 
@@ -29,8 +29,8 @@ def m10(parameters: FloatArray, load: FloatArray, dt_s: float, begun: FloatArray
         parameters: (10, m), in the order of ``M10_PARAMETERS``.
         load: (n, m) or (n, 1), pressure / full scale.
         dt_s: the time between samples.
-        begun: (3, m) by how much each branch is above its equilibrium at the first load, and what broken chains add
-            there; 0: settled.
+        begun: (3, m) initial state: excess of each branch over its equilibrium at the first load, and contribution of
+            broken chains; 0: settled.
     """
     a, b, alpha1, rise1, fall1, alpha2, rise2, fall2, k, tau = parameters
     samples, cells = len(load), parameters.shape[1]
@@ -76,7 +76,7 @@ def m10(parameters: FloatArray, load: FloatArray, dt_s: float, begun: FloatArray
 
 @loop
 def _step_branches(target: Rows, charging: Rows, discharging: Rows, stay: Rows, branches: Rows) -> None:
-    """:func:`_all_branches` with the branches of all cells side by side; writes ``branches`` from its second row on."""
+    """:func:`_all_branches` as a loop, branches of all cells side by side; writes ``branches`` from row 1 on."""
     for n in range(1, branches.shape[0]):
         for branch in range(branches.shape[1]):
             x = branches[n - 1, branch]
@@ -87,7 +87,7 @@ def _step_branches(target: Rows, charging: Rows, discharging: Rows, stay: Rows, 
 
 
 def _all_branches(target: FloatArray, into: FloatArray, stay: FloatArray, branches: FloatArray) -> None:
-    """Step both branches of all cells, sample by sample; writes ``branches`` (n, 2, m) from its first sample on."""
+    """Step both branches of all cells, sample by sample; writes ``branches`` (n, 2, m) from sample 1 on."""
     either, charging = np.empty(stay.shape), np.empty(stay.shape[1:], dtype=bool)
     for now, then, x, to in zip(target[1:], into, branches[:-1], branches[1:], strict=True):
         np.multiply(x, stay, out=either)
@@ -100,9 +100,9 @@ def _all_branches(target: FloatArray, into: FloatArray, stay: FloatArray, branch
 def _one_branch(
     first: float, target: FloatArray, charging: FloatArray, discharging: FloatArray, stay: FloatArray
 ) -> list[float]:
-    """One branch of one cell (n,) from its first value on, the same numbers as those of :func:`_all_branches`.
+    """One branch of one cell (n,), starting from ``first``; the same numbers as by :func:`_all_branches`.
 
-    numpy takes some microseconds per operation however small the array is; plain numbers are ten times faster.
+    NumPy takes some microseconds per operation, even for small arrays; plain numbers are ten times faster.
     """
     x = first
     up, down = stay.tolist()
@@ -119,10 +119,10 @@ PAPER_PARAMETERS = ("gain1", "gain2", "fall2_s", "gain3", "fall3_s", "overshoot"
 def paper(parameters: FloatArray, load: FloatArray, dt_s: float) -> FloatArray:
     """Normalised resistance (n, m) of m cells of kind paper, settled at their first load.
 
-    The same hand-overs as :class:`~.forward.PaperForward`, which only depend on the loads and are thus known before.
+    Phases switch as in :class:`._forward.PaperForward`. The switches depend on the loads alone, and are known before.
 
     Args:
-        parameters: (7, m), in the order of ``PAPER_PARAMETERS``; gains are of r at full scale.
+        parameters: (7, m), in the order of ``PAPER_PARAMETERS``; gains are r at full scale.
         load: (n, m) or (n, 1), pressure / full scale.
         dt_s: the time between samples.
     """
@@ -142,14 +142,14 @@ def paper(parameters: FloatArray, load: FloatArray, dt_s: float) -> FloatArray:
     into3 = np.concatenate([gain3 * load[:1], into3])
     x3 = _recursions(into3, 1 - gone3, np.zeros(cells))
 
-    # Which way each load last went, upwards at first.
+    # Direction of the last change of each load; upwards before the first change.
     sign = np.sign(np.diff(load, axis=0, prepend=load[:1] - 1))
     moved = np.maximum.accumulate(np.where(sign != 0, np.arange(samples)[:, None], 0), axis=0)
     rising: BoolArray = np.take_along_axis(sign, moved, axis=0) > 0
     starts, ends = rising[1:] & ~rising[:-1], ~rising[1:] & rising[:-1]
 
-    # One free state: the load that rising has settled to, or the fast branch of recovery. A hand-over is linear in it,
-    # since the resistance is continuous, so that it follows state[n] = keep[n] state[n-1] + driven[n] all the time.
+    # One free state: that of the rising phase, or the fast branch of recovery. A switch is linear in this state, since
+    # the resistance is continuous. Hence state[n] = keep[n] state[n-1] + driven[n] throughout.
     before, slow = load[:-1], x3[:-1]
     start = before + ((total - gain1) * before - slow) / jump
     end = (total + jump - gain1) * before - slow
@@ -165,7 +165,7 @@ def paper(parameters: FloatArray, load: FloatArray, dt_s: float) -> FloatArray:
 
 
 def _follow(keep: FloatArray, driven: FloatArray, state: FloatArray) -> None:
-    """state[n] = keep[n-1] state[n-1] + driven[n-1], each (n, m); writes ``state`` from its second row on."""
+    """state[n] = keep[n-1] state[n-1] + driven[n-1], each (n, m); writes ``state`` from row 1 on."""
     compiled = _follow_cells.machine_code()
     if compiled is not None:
         compiled(keep, driven, state)
@@ -183,9 +183,9 @@ def _follow_cells(keep: Rows, driven: Rows, state: Rows) -> None:
 
 
 def random_loads(rng: np.random.Generator, samples: int, cells: int, dt_s: float) -> FloatArray:
-    """Normalised loads (n, m): random ramps to nothing, full scale or anywhere, some cells with holds, some without.
+    """Normalised random loads (n, m): ramps to no load, full scale or any level, for some cells with holds between.
 
-    Ramps take 0.2 to 40 s per full scale, holds 1 to 160 s. Every cell rests first.
+    Ramps take 0.2 to 40 s per full scale. Holds last 1 to 160 s, or 0.3 times as long. Every cell rests first.
     """
     loads = np.empty((samples, cells))
     end = samples * dt_s
@@ -208,8 +208,10 @@ def random_loads(rng: np.random.Generator, samples: int, cells: int, dt_s: float
 def varied_loads(
     rng: np.random.Generator, samples: int, cells: int, dt_s: float, recorded: FloatArray, recorded_dt_s: float
 ) -> FloatArray:
-    """Normalised loads (n, m) with the texture of a recorded one: pieces of it, slower or faster by up to two,
-    scaled, shifted, reversed in time or upside down, joined by ramps.
+    """Normalised loads (n, m) made of pieces of a recorded load, joined by ramps (data augmentation).
+
+    The pieces are slowed down or sped up by a factor up to two, scaled, shifted, and sometimes reversed in time or
+    turned upside down.
     """
     loads = np.empty((samples, cells))
     shortest = min(len(recorded), max(2, round(20 / recorded_dt_s)))
@@ -233,7 +235,7 @@ def varied_loads(
 def wandering(
     rng: np.random.Generator, samples: int, cells: int, dt_s: float, seconds: float, std: float
 ) -> FloatArray:
-    """Stationary noise (n, m) that forgets itself in ``seconds``: what a model leaves unexplained."""
+    """Stationary AR(1) noise (n, m) with correlation time ``seconds`` and standard deviation ``std``: model error."""
     keep = np.exp(-dt_s / seconds)
     white = std * rng.standard_normal((samples, cells))
     white[1:] *= np.sqrt(1 - keep**2)
@@ -241,13 +243,13 @@ def wandering(
 
 
 def lagging(load: FloatArray, dt_s: float, seconds: FloatArray, first: FloatArray) -> FloatArray:
-    """Loads (n, m) behind lags of ``seconds`` (m,) that begin at ``first`` (m,): slow creep, and what came before."""
+    """Loads (n, m) filtered by lags of ``seconds`` (m,) with initial states ``first`` (m,): a model of slow creep."""
     keep = np.exp(-dt_s / seconds)
     return _recursions((1 - keep) * load, keep, first)
 
 
 def _recursions(into: FloatArray, keep: FloatArray, before: FloatArray) -> FloatArray:
-    """First-order recursive filters (n, m) along axis 0: ``y[k] = keep y[k-1] + into[k]``, ``before`` being y[-1].
+    """First-order recursive filters (n, m) along axis 0: ``y[k] = keep y[k-1] + into[k]``, with ``y[-1] = before``.
 
     Args:
         into: (n, m).
@@ -268,7 +270,7 @@ def _recursions(into: FloatArray, keep: FloatArray, before: FloatArray) -> Float
 
 @loop
 def _filter_columns(into: Rows, keep: Row, before: Row, found: Rows) -> None:
-    """:func:`_recursions`; writes ``found``."""
+    """:func:`_recursions` as a loop; writes ``found``."""
     for k in range(into.shape[0]):
         for place in range(into.shape[1]):
             last = found[k - 1, place] if k else before[place]
@@ -276,36 +278,36 @@ def _filter_columns(into: Rows, keep: Row, before: Row, found: Rows) -> None:
 
 
 def white_noise(signal: FloatArray) -> float:
-    """Standard deviation of what changes from sample to sample: robust second differences of (n,)."""
+    """Standard deviation of the white noise of a signal (n,), by a robust scatter of its second differences."""
     return scatter(np.diff(signal, 2)) / math.sqrt(6.0) if len(signal) > 2 else 0.0
 
 
 def step_noise(signal: FloatArray) -> float:
-    """Standard deviation of rounding to the steps that (n,) changes by, for readings coarser than their noise."""
+    """Standard deviation by quantisation of a signal (n,) coarser than its noise: smallest step / sqrt(12)."""
     steps = np.abs(np.diff(signal))
     return float(np.min(steps, where=steps > 0, initial=np.inf) / np.sqrt(12)) if steps.any() else 0.0
 
 
 def smoothing_s(load: FloatArray, dt_s: float) -> float:
-    """Over how long a force gauge's signal must be smoothed: its noise would add up in the integral of |ds|.
+    """Standard deviation in seconds of the Gaussian window for a force gauge's signal.
 
-    As long as brings what it adds to 5 % of the load's range in ten seconds, which is not at all for little noise, and
-    at most :data:`LONGEST_SMOOTHING_S`. Longer than needed would blur fast edges, to which cells answer otherwise than
-    to slow ones.
+    Noise of the signal adds up in the integral of |ds|. The window limits this sum to 5 % of the load's range in ten
+    seconds. It is 0 for little noise, and at most :data:`LONGEST_SMOOTHING_S`. A longer window would blur fast edges,
+    to which cells respond differently than to slow ones.
     """
     added, allowed = white_noise(load) * 10 / dt_s, 0.05 * np.ptp(load)
     if added <= allowed:
         return 0.0
     if not allowed:
         return LONGEST_SMOOTHING_S
-    # Behind a Gaussian window of w samples, white noise changes from sample to sample by 1 / (2 sqrt(2) pi^(1/4) w^1.5)
-    # of what it did before.
+    # A Gaussian window of w samples reduces the change of white noise from sample to sample by the factor
+    # 1 / (2 sqrt(2) pi^(1/4) w^1.5).
     samples = (added / allowed / (2 * math.sqrt(2) * math.pi**0.25)) ** (2 / 3)
     return min(float(samples) * dt_s, LONGEST_SMOOTHING_S)
 
 
 def smoothed(signal: FloatArray, dt_s: float, seconds: float) -> FloatArray:
-    """A signal (n,) behind a Gaussian window of that standard deviation."""
+    """A signal (n,) smoothed by a Gaussian window with the standard deviation ``seconds``."""
     from scipy.ndimage import gaussian_filter1d
 
     width = seconds / dt_s
