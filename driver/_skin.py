@@ -546,8 +546,8 @@ class Skin:
             force: tare in spite of signs of a load; the result's ``remarks`` then list these signs.
             drift: relative change of a rest resistance, since the tare or calibration in use, that temperature and age
                 explain. A larger change is a sign of a load. A forced tare is not compared with.
-            spread: relative deviation of a cell from the typical cell, or from its value in the calibration, that
-                manufacturing tolerances explain. A larger deviation is a sign of a load.
+            spread: relative deviation of a cell from the typical cell, or from its ratio to that cell in the
+                calibration, that manufacturing tolerances explain. A larger deviation is a sign of a load.
 
         Raises:
             InputError: the skin seems to be loaded (resistances far from the data sheet, unlike each other, changing,
