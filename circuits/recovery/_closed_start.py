@@ -1,7 +1,7 @@
-"""Where the first frame of a coupled board begins: conductances from readings by closed formulas.
+"""Start of a coupled board's first frame: conductances from the readings by closed formulas.
 
-Columns that hardly load each other are taken apart exactly, and row leads as by :mod:`._column_blocks`. On other boards
-each reading is taken for that of a cell alone.
+Columns that hardly load each other are separated exactly, and row leads as in :mod:`._column_blocks`. On other boards
+each reading is taken as that of a cell alone.
 """
 
 from __future__ import annotations
