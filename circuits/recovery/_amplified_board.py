@@ -111,7 +111,7 @@ class AmplifiedBoard:
         return self.lead_like and loss > HEAVY
 
     def for_all(self, values: FloatArray) -> FloatArray:
-        """Values that broadcast to (N, M), as a new array (N, M)."""
+        """Values that broadcast to (N, M), as a contiguous array (N, M)."""
         return np.ascontiguousarray(np.broadcast_to(values, self.board.shape))
 
     def transfer(self, volts: FloatArray, between: FloatArray | None) -> FloatArray:
