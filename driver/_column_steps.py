@@ -32,7 +32,7 @@ ALIKE, MOST = 0.01, 0.8
 """relative difference at rest up to which cells are rounded alike, and the least share of such cells in a column. Cells
 that differ by more than a step have independent errors, which hardly add up"""
 SPEAKS = 3
-"""the cell that represents a column is the upper end of its lowest 1/SPEAKS"""
+"""1/SPEAKS of a column's cells lie below the cell that represents the column"""
 
 EVENLY = 1.0 / math.sqrt(3.0)
 """standard deviation over the largest error, of an error that is uniform between none and all of it"""

@@ -62,8 +62,8 @@ WAKE_SHARE, WAKE_S = 0.15, 1.0
 leaves in the estimates behind and beside it is less, and begins no contact"""
 SPARK_S, STANDS_OUT = 0.1, 15.0
 """a patch that may be a bad contact (a lone cell, or part of a line as a bad line moves it) is a contact only after
-this time; at once if a reading has risen by this many standard deviations of its noise, since the estimator judges such
-jumps itself"""
+this time, but in its second frame if a reading has risen by this many standard deviations of its noise, since the
+estimator judges such jumps itself"""
 LONGEST_IN_LINE = 3
 """cells within one line that a stylus covers"""
 EVEN_LINE = 0.3

@@ -31,7 +31,7 @@ from ._linearised import Base
 
 _FELL = 0.25  # share of its last reading below which a cell may be beyond a break
 _RENEWED = 8  # frames between records of the usual readings, after as many first ones
-_CLEAR = 8.0  # least reading for that over its error, so that noise alone does not make it fall so far
+_CLEAR = 8.0  # least last reading of such a cell over its error, so that noise alone cannot make it fall so far
 _LEAST_CELLS = 2  # least number of cells beyond a break that connect lines
 _NEARER = 0.5  # a break is accepted if its misfit is below this share of the misfit with open cells
 _OPEN = -46.0  # logarithm of a conductance that counts as zero: 1e-20 S

@@ -17,7 +17,7 @@ from ._coupled_board import CoupledBoard
 _NEARLY_OPEN = 1e-3  # share of the median conductance below which a formula's result counts as zero
 _FOR_OPEN = 0.1  # initial conductance of an open cell, as a share of the median
 _LARGEST = 1e3  # largest initial conductance of a cell beside a short, over the largest apparent conductance
-_NO_CELLS = 1e-5  # S, the median if no reading tells of a conductance
+_NO_CELLS = 1e-5  # S, the median if no reading shows a conductance
 
 
 class ClosedStart:

@@ -103,7 +103,7 @@ class ColumnBlocks:
             to_driver: (N, M) ohm of wire from each crosspoint to the row driver.
             to_end: (N, M) ohm of wire from each crosspoint to its column's end.
             noise: V, standard deviation of a reading.
-            tells: (N, M) where a reading tells of its cell; None: everywhere.
+            tells: (N, M) where a reading depends on its cell; None: everywhere.
 
         """
         self._board, self._noise = board, noise

@@ -178,7 +178,7 @@ class CoupledLive:
         )
 
     def _budget_of_frame(self) -> Budget:
-        """The budget of a new frame. The first frame alone has the large budget, even if it tells of no cell."""
+        """The budget of a new frame. The first frame alone has the large budget, even if it determines no cell."""
         if self._has_begun:
             most = self._prices.most(looks=self._shorts.usually_looks)
             account = Account(most if self._parts.sheet is None else inf)
@@ -197,7 +197,7 @@ class CoupledLive:
     def _usual_start(
         self, frame: Frame, selection: Selection, budget: Budget
     ) -> tuple[Known, FloatArray | float] | None:
-        """The last frame's cells, or a new start; cells of which the frame does not tell get usual values.
+        """The last frame's cells, or a new start; cells that the frame does not determine get usual values.
 
         If the last frame's cells lead nowhere, starts alternate between closed formulas and the cells of the last frame
         that settled.
@@ -335,7 +335,7 @@ class CoupledLive:
         short: BoolArray | None,
         budget: Budget,
     ) -> BoolArray:
-        """(N, M) cells of which the frame does not tell, or whose values shorts would make wrong.
+        """(N, M) cells that the frame does not determine, or whose values shorts would make wrong.
 
         Args:
             frame: the readings.
@@ -432,7 +432,7 @@ class CoupledLive:
         return by_all.reshape(self._parts.shape)
 
     def _nothing(self, at_limit: BoolArray, why: int = DISTURBED) -> LiveReading:
-        """A frame that tells of no cell.
+        """A frame that determines no cell.
 
         Args:
             at_limit: (N, M) readings at a limit.

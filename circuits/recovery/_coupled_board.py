@@ -139,7 +139,7 @@ class CoupledBoard:
         return np.abs(slope).ravel()
 
     def frame(self, volts: FloatArray, signal: FloatArray, noise: float, ignored: BoolArray | None) -> Frame:
-        """Put together what a :class:`Frame` says of readings (N, M) in V."""
+        """Make the :class:`Frame` of readings (N, M) in V."""
         bottom = None if self._lowest == -inf else volts.ravel() < self._lowest
         return Frame(
             volts=volts,

@@ -1,7 +1,7 @@
 """Readings at a limit, where a cell may be a short: which readings a fit leaves out, and the error this leaves.
 
 At a limit no derivative describes the effect of a short on all other cells. On most coupled boards a frame with a
-reading at a limit therefore tells of no cell. With driven idle rows and no amplifiers, columns meet only in the leads
+reading at a limit therefore determines no cell. With driven idle rows and no amplifiers, columns meet only in the leads
 of the rows. The columns of such readings are then left out, and the uncertainty of the others includes the change that
 the leads allow.
 """
@@ -34,13 +34,13 @@ class Selection(NamedTuple):
     """Readings that a frame's fit leaves out. Arrays are (N, M) unless said otherwise."""
 
     tells: bool
-    """whether the frame tells of any cell"""
+    """whether the frame determines any cell"""
     at_limit: BoolArray
     """readings at a limit"""
     lost: BoolArray | None
     """(M,) columns that are left out; None: there are none"""
     beside: BoolArray
-    """cells of which the frame does not tell: those of lost lines and of columns that no amplifier holds"""
+    """cells that the frame does not determine: those of lost lines and of columns that no amplifier holds"""
     lost_rows: BoolArray | None
     """(N,) rows that are left out; None: there are none"""
     ignored: BoolArray | None
@@ -250,5 +250,5 @@ class ReadingLimits:
 
 
 def _nothing(at_limit: BoolArray) -> Selection:
-    """No reading tells of a cell."""
+    """No reading determines a cell."""
     return Selection(False, at_limit, None, np.ones_like(at_limit), lost_rows=None, ignored=None)
