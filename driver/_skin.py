@@ -536,10 +536,10 @@ class Skin:
         """Take the skin as unloaded: the mean of the next ``frames`` frames becomes each cell's rest resistance.
 
         A tare removes the differences between cells, and the constant part of circuit effects that the design leaves
-        out. A cell without a valid reading keeps its rest resistance from the calibration, else from the data sheet.
-        Where noise may be the reason, a ``RuntimeWarning`` and the result's ``covers`` say how many frames would
-        measure the cell. Iteration does not yield the frames of the tare; frames lost meanwhile count in the next
-        frame's ``lost_before``.
+        out. A cell without a valid reading gets its rest resistance from the calibration, in proportion to the other
+        cells, else from the data sheet. Where noise may be the reason, a ``RuntimeWarning`` and the result's ``covers``
+        say how many frames would measure the cell. Iteration does not yield the frames of the tare; frames lost
+        meanwhile count in the next frame's ``lost_before``.
 
         Args:
             frames: number of frames to average.

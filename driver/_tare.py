@@ -53,7 +53,8 @@ class Tare:
     """Rest resistances of a skin's cells. Arrays are (rows, columns)."""
 
     rest_resistance_ohm: FloatArray
-    """mean over the frames; where not measured, the value of the calibration or the data sheet"""
+    """mean over the frames; where not measured, the calibration's value in proportion to the other cells, else the data
+    sheet's value, else the median of the others"""
     measured: BoolArray
     """False for a cell without a valid reading"""
     std_ohm: FloatArray
@@ -179,7 +180,8 @@ class RestReadings:
         """The rest resistances, with all signs that the skin is loaded.
 
         Args:
-            cell: data sheet, for cells without a reading; without it they get the median of the others.
+            cell: data sheet, for cells without a reading if there is no calibration; without either they get the median
+                of the others.
             lost: frames lost meanwhile.
             serial_number: of the board.
             wall_time: of the last frame, in s since the epoch.
