@@ -1,4 +1,4 @@
-"""The host end: a port to counts, ohms and kPa.
+"""The host's end of the link: from a port to counts, ohms and kPa.
 
 ::
 

@@ -17,7 +17,7 @@ ACROSS = 0.5
 
 
 class Sums(NamedTuple):
-    """Weighted sums (rows, columns) of cells and their neighbours; beyond the rim there is nothing."""
+    """Weighted sums (rows, columns) of cells and their neighbours; places beyond the rim count as 0."""
 
     whole: FloatArray
     """of all nine cells"""
@@ -28,7 +28,7 @@ class Sums(NamedTuple):
 
 
 def highest_around(values: FloatArray) -> FloatArray:
-    """(rows, columns) the largest of each cell and the up to eight cells around it."""
+    """(rows, columns) the largest value among each cell and the up to eight cells around it."""
     rows, columns = values.shape
     padded = np.full((rows + 2, columns + 2), -np.inf)
     padded[1:-1, 1:-1] = values

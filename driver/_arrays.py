@@ -1,4 +1,4 @@
-"""Sequences of frames as arrays: NumPy by name, and an xarray dataset with coordinates and units."""
+"""Sequences of frames as NumPy arrays by name, and as an xarray dataset with coordinates and units."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def stack(frames: Iterable[Frame], shape: tuple[int, int] | None = None) -> dict
 
     Args:
         frames: any number, of one skin.
-        shape: (rows, columns), for the case that there are no frames; None: the frames say it.
+        shape: (rows, columns), used if there are no frames; None: taken from the frames.
 
     Raises:
         InputError: there are no frames, and no shape is given; or frames differ in shape.
@@ -74,7 +74,7 @@ def to_xarray(frames: Iterable[Frame], skin: Skin | None = None) -> Dataset:
 
     Args:
         frames: any number, of one skin.
-        skin: where they come from. Adds the places of the cells in mm (``x_mm`` along ``column``, ``y_mm`` along
+        skin: source of the frames. Adds the positions of the cells in mm (``x_mm`` along ``column``, ``y_mm`` along
             ``row``), and as attributes the board's family and serial number and hashes of design and cell.
 
     Raises:

@@ -1,10 +1,10 @@
-"""Contacts across cells that are not read: linear interpolation over gaps of one cell.
+"""Contacts across unread cells: linear interpolation over gaps of one cell.
 
 A dead line, or the column of a shorted cell, would cut a finger into two contacts. A missing cell therefore belongs to
-a contact where the cells on both sides of it do, along its row or along its column. Its pressure is taken for the mean
-of these two. A finger whose middle lies on the gap presses harder there, so that its force is then a lower bound.
-Gaps of two cells and more are not bridged, for there may be two fingers. A gap at the rim of the skin has
-one side only.
+a contact if the cells on both sides of it do, along its row or along its column. Its pressure is estimated by the mean
+of these two. If the middle of a finger lies on the gap, the finger presses harder there, and its force is a lower
+bound. Gaps of two cells and more are not bridged, since there may be two fingers. A gap at the rim of the skin is not
+bridged either, since it has one side only.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def bridge(pressure_kpa: FloatArray, touched: BoolArray, missing: BoolArray) -> 
 
     Returns:
         (rows, columns) missing cells between touched ones, and (rows, columns) pressures in kPa: interpolated there,
-        but not below the last one of the cell, and as given elsewhere.
+        but not below the cell's last one, and as given elsewhere.
 
     """
     seen = touched & ~missing

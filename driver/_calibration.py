@@ -1,8 +1,8 @@
 """Calibration per cell: rest resistance and gain of each cell, on top of the cell model that all cells share.
 
-The cell model says which pressure p belongs to a history of R/R0. No two cells of a skin are alike. A cell has a rest
-resistance R0 of its own, and it bears the pressure gain x p where the common model says p. A calibration holds both,
-how sure they are, and on which board they were measured. :mod:`ohmskin.calibration` measures one.
+The cell model gives the pressure p for a history of R/R0. The cells of a skin differ: each has a rest resistance R0 of
+its own, and the pressure on it is gain x p where the common model gives p. A calibration holds both values, their
+standard deviations, and the board on which they were measured. :mod:`ohmskin.calibration` measures one.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from ..text import count_of, printable, shortened
 
 FORMAT = 1
 MOST_LINES = 1024
-"""rows, and columns, of a file"""
+"""most rows, and most columns, in a file"""
 HEAD = """\
 # Calibration of the cells of one skin, written by ohmskin calibrate (docs/calibration.md).
 # Arrays have a line for each row of cells. The hash covers all values: edited files are refused.
@@ -60,7 +60,7 @@ class _Cells(Section):
 
 
 class _File(Section):
-    """A calibration as it is written."""
+    """The contents of a calibration file."""
 
     format: Annotated[int, Field(ge=FORMAT, le=FORMAT)]
     hash: _Text
@@ -83,19 +83,19 @@ class Calibration:
     gain: FloatArray
     """pressure on the cell over the pressure that the common cell model gives"""
     gain_std: FloatArray
-    """standard deviation of ``gain``, relative: what presses of one cell differ by, and what was not measured"""
+    """relative standard deviation of ``gain``: by the scatter of presses on one cell, and by errors not measured"""
     rest_std_kpa: FloatArray
-    """standard deviation of the pressure that comes from R0 not being known better"""
+    """standard deviation of the pressure by the uncertainty of R0"""
     residual_kpa: FloatArray
-    """rms difference between the loads of the calibration and what the calibrated cell made of them"""
+    """rms difference between the loads of the calibration and the pressures of the calibrated cell"""
     calibrated: BoolArray
-    """False for a cell that could not be calibrated: it has the median gain of the others, and their scatter"""
+    """False for a cell that could not be calibrated: it gets the median gain of the others, and their scatter"""
     loads_kpa: tuple[float, ...]
     """pressures on the cells during the calibration, each once, in rising order"""
     presses: int
-    """that were used"""
+    """number of presses that were used"""
     serial_number: str
-    """of the board; empty where it does not say"""
+    """of the board; empty if the board does not send one"""
     design_hash: str
     """:func:`fingerprint` of the design whose inverse gave the resistances"""
     cell_hash: str
@@ -103,7 +103,7 @@ class Calibration:
     date: str
     """UTC, ISO 8601"""
     remarks: tuple[str, ...] = ()
-    """what speaks against it; a calibration that has any was accepted nevertheless"""
+    """signs against the calibration; one with remarks was accepted nevertheless"""
 
     def __repr__(self) -> str:
         """Size, gains, resistances, loads, date and board in one line, without the arrays."""
@@ -131,14 +131,13 @@ class Calibration:
         return fingerprint(self._values())
 
     def applied(self, pressure_kpa: FloatArray) -> FloatArray:
-        """Pressures of the common model, (rows, columns) kPa, as those of these cells."""
+        """Pressures (rows, columns) in kPa of these cells, from those of the common model."""
         return self.gain * pressure_kpa
 
     def applied_std(self, pressure_kpa: FloatArray, std_kpa: FloatArray) -> FloatArray:
         """Standard deviations (rows, columns) in kPa of :meth:`applied`, from those of the common model.
 
-        They add up as independent ones: that of the estimate (times the gain), of the gain (times the pressure), and
-        of R0.
+        Three independent errors add up: of the estimate (times the gain), of the gain (times the pressure), and of R0.
         """
         pressure = self.gain * pressure_kpa
         variance = (self.gain * std_kpa) ** 2 + (self.gain_std * pressure) ** 2 + self.rest_std_kpa**2
@@ -146,7 +145,7 @@ class Calibration:
         return std
 
     def check_board(self, design: Design, cell: Cell | None, serial_number: str) -> None:
-        """Raises InputError where the calibration is not that of this board and cell."""
+        """Raises InputError if the calibration is of another board or cell."""
         rows, columns = self.shape
         if (rows, columns) != design.array.shape:
             here = "{} x {}".format(*design.array.shape)
@@ -161,7 +160,7 @@ class Calibration:
             raise InputError("a calibration made with other data of the cell; calibrate again with these")
 
     def save(self, path: str | Path) -> None:
-        """Write a TOML file, whole or not at all; InputError when that fails."""
+        """Write a TOML file, whole or not at all; InputError if that fails."""
         values = self._values()
         cells = values.pop("cells")
         lines = [f"{name} = {_matrix(array)}\n" for name, array in cells.items()]
@@ -170,7 +169,7 @@ class Calibration:
 
     @classmethod
     def load(cls, path: str | Path) -> Calibration:
-        """Read what :meth:`save` wrote.
+        """Read a file of :meth:`save`.
 
         Raises:
             InputError: the file cannot be read, is no calibration, or has been edited.
@@ -184,7 +183,7 @@ class Calibration:
 
     @classmethod
     def from_json(cls, text: str, *, source: str) -> Calibration:
-        """Read what :meth:`as_json` wrote; ``source`` is for messages. Raises InputError."""
+        """Read a text of :meth:`as_json`; ``source`` is for messages. Raises InputError."""
         try:
             values = json.loads(text)
         except (ValueError, RecursionError) as error:
@@ -211,7 +210,7 @@ class Calibration:
         return found
 
     def _values(self) -> dict[str, Any]:
-        """All that the hash covers, as lists and plain values."""
+        """All values that the hash covers, as lists and plain values."""
         return {
             "date": self.date,
             "serial_number": self.serial_number,

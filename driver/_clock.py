@@ -1,9 +1,9 @@
 """Clock offset and drift between a board and its host, from one-way delays (lower convex hull).
 
-A frame arrives late by what the operating system, the line and its buffers add; never early. So the arrivals, drawn
-over the board's time, lie above a line, and that line is the board's clock on the host's. The line is the supporting
-edge of the lower convex hull (Moon, Skelly and Towsley, "Estimation and removal of clock skew from network delay
-measurements", INFOCOM 1999; hull by Andrew's monotone chain). A delay that never goes away cannot be seen.
+A frame arrives late by the delays of operating system, line and buffers; never early. Plotted over the board's time,
+the arrivals therefore lie above a line, which maps the board's clock to the host's. The line is the supporting edge of
+the lower convex hull (Moon, Skelly and Towsley, "Estimation and removal of clock skew from network delay measurements",
+INFOCOM 1999; hull by Andrew's monotone chain). A constant delay cannot be seen.
 """
 
 from __future__ import annotations
@@ -14,24 +14,24 @@ from collections import deque
 from ._past import ClockPast
 
 BUCKET_S = 0.5
-"""of each such stretch only the least delayed frame is kept"""
+"""s; only the least delayed frame of each such interval is kept"""
 WINDOW_BUCKETS = 120
-"""the line follows a drift that changes, as with temperature, within a minute"""
+"""intervals that are kept: the line follows a changing drift, as with temperature, within a minute"""
 DRIFT_SPAN_S = 5.0
-"""shorter stretches say nothing about the drift"""
+"""shorter spans do not determine the drift"""
 LARGEST_DRIFT = 0.02
 """2 %: the worst on-chip oscillators; a steeper line is no drift"""
 STEP_S = 0.05
 STEP_BUCKETS = 6
-"""when all frames of 3 s are later than the line by 50 ms, the board's clock has been set or has paused"""
+"""if all frames of 3 s are later than the line by 50 ms, the board's clock was set or has paused"""
 
 
 class ClockMap:
-    """Board time to host time. Depends on what is added only, hence a recording maps as the live board did."""
+    """Maps board time to host time. Depends only on the added times, so that a replay gives the same times."""
 
     def __init__(self) -> None:
         self.steps = 0
-        """times that the board's clock was set or paused"""
+        """number of times that the board's clock was set or paused"""
         self._origin: tuple[float, float] | None = None
         self._buckets: deque[tuple[float, float]] = deque(maxlen=WINDOW_BUCKETS)
         self._bucket_ends = 0.0
@@ -45,13 +45,13 @@ class ClockMap:
 
         0 until 5 s of even pace have passed.
 
-        NaN where the line is as steep as is allowed: the board's time is not that of a clock, as in an emulation at the
-        fast clock, which runs as fast as its host reads.
+        NaN if the line has the steepest allowed slope: the board's time is then not that of a clock, as in an emulation
+        at the fast clock, which runs as fast as its host reads.
         """
         return 1e6 * self._drift if abs(self._drift) < LARGEST_DRIFT else math.nan
 
     def state(self) -> ClockPast:
-        """Everything remembered, which :meth:`restore` takes."""
+        """Complete state, for :meth:`restore`."""
         return ClockPast(
             steps=self.steps,
             origin=self._origin,
@@ -77,7 +77,7 @@ class ClockMap:
             received_s: time of arrival, in s on the host's clock.
 
         Returns:
-            The time at which the frame would have come with the least delay seen, in s on the host's clock; at most
+            Arrival time of the frame if it had the least delay seen so far, in s on the host's clock; at most
             ``received_s``.
 
         """
@@ -95,12 +95,12 @@ class ClockMap:
             self._least = (x, y)
         line = self._line(x)
         if y < line - STEP_S:
-            # No drift does this: the clock was set forward, or all frames before had waited in a buffer.
+            # No drift does this: the clock was set forward, or all earlier frames had waited in a buffer.
             self._buckets.clear()
             self._drift = 0.0
             line = self._line(x)
         if y < line:
-            # Less delayed than any frame before: the line is moved down to this frame.
+            # Less delayed than any earlier frame: the line is moved down to this frame.
             self._anchor = (x, y)
             line = y
         return self._origin[1] + x + line
@@ -125,12 +125,12 @@ class ClockMap:
         right = next(k for k in range(1, len(hull)) if hull[k][0] >= middle or k == len(hull) - 1)
         (x0, y0), (x1, y1) = hull[right - 1], hull[right]
         self._drift = min(max((y1 - y0) / (x1 - x0), -LARGEST_DRIFT), LARGEST_DRIFT)
-        # With a drift at its limit the edge's own ends need not be the lowest.
+        # If the drift is limited, the edge's own ends need not be the lowest points.
         self._anchor = min(hull, key=lambda point: point[1] - self._drift * point[0])
 
 
 def _keeps_pace(points: list[tuple[float, float]]) -> bool:
-    """Whether a clock may have told the times of ``points``, which increase in x: a fast emulation keeps no pace."""
+    """Whether a clock can give the times of ``points``, which increase in x: a fast emulation keeps no pace."""
     (x0, y0), (x1, y1) = points[0], points[-1]
     return abs(y1 - y0) <= LARGEST_DRIFT * (x1 - x0) + STEP_S
 

@@ -1,14 +1,15 @@
-"""ADC steps that scale whole columns, taken out of the readings of coarse dividers (set-membership estimation).
+"""Quantisation errors that scale whole columns, removed from readings of coarse dividers (set-membership estimation).
 
-On a divider whose idle rows are driven, a conductance is s / (1 - S): s is the cell's share of the supply, S the sum
-over its column. Of many cells S is nearly 1, and equal cells are rounded alike. So half a step of each reading scales
-all conductances of the column: by a fourth on 16 equal cells and 8 bits. As a finger lowers the shares of some cells,
-those of the others rise, and their rounding changes with them: the whole column would seem pressed.
+On a divider whose idle rows are driven, a conductance is s / (1 - S): s is the cell's share of the supply, S the sum of
+the shares in its column. With many cells S is nearly 1, and equal cells are rounded alike. Half a step of each reading
+then scales all conductances of the column: by a fourth with 16 equal cells and 8 bits. When a finger lowers the shares
+of some cells, the shares of the others rise, and their rounding changes: the whole column would seem pressed.
 
-The readings leave the scale open within an interval, and by themselves prefer no place in it. Rest does: where a tare
-found equal cells, the scale is taken that brings the cells of the column nearest to rest, within what two roundings
-make, that of now and that of rest. A load on all cells of a column is seen as far as it exceeds this, and what may have
-been taken from it is a deviation. The lower third of the cells speaks for the column: a press may cover most of it.
+The readings only confine the scale to an interval. The state at rest selects a value within it. Where a tare found
+equal cells, we take the scale that brings the cells of the column nearest to rest, within two roundings: of the reading
+now and of the reading at rest. A load on all cells of a column is thus seen as far as it exceeds this interval, and the
+part that may have been removed from a load is stated as a standard deviation. The lower third of the cells represents
+the column, since a press may cover most of it.
 """
 
 from __future__ import annotations
@@ -22,31 +23,31 @@ from ..compiled import Row, Rows, loop
 from ._reading import Reading
 
 LEAST = 0.1
-"""relative, by half a step of all other readings: what is less is not taken out"""
+"""least relative error, by half a step of all other readings, that is removed"""
 FINE_FOR, NEVER = 15, 2**62
-"""frames for which steps that were small are taken to be so"""
+"""frames for which a small error counts as small without a new look"""
 ROUNDINGS = 2.0
-"""of which the scale's error is the difference: of the reading now, and of that at rest"""
+"""roundings in the scale's error: of the reading now, and of the reading at rest"""
 ALIKE, MOST = 0.01, 0.8
-"""relative, by which cells may differ at rest that are rounded alike; and what share of a column's cells these are.
-Cells that differ by more than a step have errors of their own, which hardly add up"""
+"""relative difference at rest up to which cells are rounded alike, and the least share of such cells in a column. Cells
+that differ by more than a step have independent errors, which hardly add up"""
 SPEAKS = 3
-"""one of so many cells of a column lies below the one that speaks for it"""
+"""1/SPEAKS of a column's cells lie below the cell that represents the column"""
 
 EVENLY = 1.0 / math.sqrt(3.0)
-"""standard deviation over the largest error, of what lies evenly between none and all of it"""
+"""standard deviation over the largest error, of an error that is uniform between none and all of it"""
 
 
 class ColumnSteps:
-    """Resistances of one skin without the steps that its columns share."""
+    """Removes the scale errors of columns by ADC steps from the resistances of one skin."""
 
     def __init__(self, rest_ohm: FloatArray, side: float, *, rest_known: bool) -> None:
         """Begin.
 
         Args:
             rest_ohm: (rows, columns) rest resistances.
-            side: sign that a load gives to their change.
-            rest_known: they were measured, by a tare or a calibration.
+            side: sign of the change of resistance under a load.
+            rest_known: the rest resistances were measured, by a tare or a calibration.
 
         """
         self._per_ohm, self._side = 1.0 / rest_ohm, side
@@ -57,11 +58,11 @@ class ColumnSteps:
         self._idle = 0 if self._roundings.any() else NEVER  # frames until the steps are looked at
 
     def without(self, reading: Reading) -> tuple[FloatArray, FloatArray | None]:
-        """Resistances for estimation, and what a load on whole columns may have lost by that.
+        """Resistances for estimation, and the part of a load on whole columns that the correction may have removed.
 
         Returns:
-            (rows, columns) ohm, NaN where unknown; (columns,) relative standard deviation of these by what has been
-            taken out, None where nothing has.
+            (rows, columns) ohm, NaN where unknown; (columns,) relative standard deviation of these by the correction,
+            None if nothing was corrected.
 
         """
         resistance = reading.for_estimation
@@ -93,9 +94,9 @@ def scale_each(resistance: Rows, per_ohm: Rows, side: float, limits: Row, scales
     Args:
         resistance: (N, M) ohm, changed.
         per_ohm: (N, M) 1 / ohm, at rest.
-        side: sign of what a load makes of them.
-        limits: (M,) of the scales.
-        scales: (M,) found, where any cell of the column is known.
+        side: sign of the change of resistance under a load.
+        limits: (M,) largest scales; the smallest are their inverses.
+        scales: (M,) scales found; columns without a known cell are left alone.
     """
     rows, columns = resistance.shape
     ordered = np.empty(rows)

@@ -1,20 +1,23 @@
 """Contacts on the skin: connected-component labelling with hysteresis, and tracking from frame to frame.
 
-A pixel-wise threshold flickers with noise. As in Canny's edge detector, cells above a low threshold form a contact only
-if one of them is above a high threshold, or if the contact was there a moment ago. Each cell has a hysteresis, too: the
-cell between two fingers neither joins nor parts them from frame to frame. Fingers that touch are parted along the
-valley between them (:mod:`._watershed`). :mod:`._tracks` gives the contacts their ids.
+A pixel-wise threshold flickers with noise. We use two thresholds, as in Canny's edge detector: cells above the low one
+form a contact only if one of them is above the high one, or if the contact was there a moment ago. Each cell
+has a hysteresis, too, so that the cell between two fingers does not join and part them from frame to frame. Fingers
+that touch each other are separated along the valley between them (:mod:`._watershed`). :mod:`._tracks` gives the
+contacts their ids.
 
-On boards with few ADC steps a touch is hardly ever beyond five standard deviations of one cell's pressure. There a
-joint rise of neighbouring readings makes a contact, too, sudden or within seconds (:mod:`._rises`). It lasts while the
-pressures do.
+On boards with few ADC steps a touch hardly ever exceeds five standard deviations of one cell's pressure. There a joint
+rise of neighbouring readings, sudden or within seconds, also makes a contact (:mod:`._rises`). This contact lasts as
+long as the pressures do.
 
-Rest resistances drift, by temperature and age, and a rise of resistance is a load to the driver. A contact therefore
-begins where the pressure exceeds what drift may have made of it: a part that has grown in each untouched cell by no
-more than :data:`DRIFT_PER_S`. In the cells of a contact this part stays as it is, so that no held load fades.
+Rest resistances drift with temperature and age, and the driver takes a rise of resistance for a load. A contact
+therefore begins only where the pressure exceeds the part that drift may have caused. In an untouched cell this part
+follows the pressure upwards by at most :data:`DRIFT_PER_S`. In the cells of a contact it stays constant, so that no
+held load fades.
 
-A disturbance of the converter moves readings that are converted one after another, for one frame. So a new patch within
-one row or column is a contact in its second frame only; a new patch over several rows and columns is one at once.
+A disturbance of the converter changes readings that are converted one after another, for one frame. A new patch within
+one row or column is therefore a contact only in its second frame; a new patch over several rows and columns is one at
+once.
 """
 
 from __future__ import annotations
@@ -38,30 +41,33 @@ from ._trails import Trails
 from ._watershed import Segments
 
 START_STDS, JOIN_STDS, STAY_STDS = 5.0, 3.2, 2.5
-"""a contact begins, takes in a further cell, and keeps a cell at so many standard deviations of the cell's pressure"""
+"""thresholds in standard deviations of a cell's pressure: to begin a contact, to join one, to stay in one"""
 START_SHARE, JOIN_SHARE, STAY_SHARE = 0.03, 0.0192, 0.015
-"""least thresholds, as shares of full scale: slow errors of the cell model are not in its standard deviation"""
+"""lower bounds of these thresholds, as fractions of full scale: the standard deviation leaves out slow errors of the
+cell model"""
 LEFT_SHARE, FALLEN_SHARE = 0.4, 0.7
-"""of the largest pressure that a cell has had since it rose jointly with others: with less, its touch is over; the
-second where it has just fallen jointly with others"""
+"""fractions of the largest pressure of a cell since it rose jointly with others. Below the first, its touch is over;
+below the second, if the cell has just fallen jointly with others"""
 TOGETHER_STDS, HELD_S, HELD_SHARE = 2.0, 0.5, 0.9
-"""a touch begins in cells whose weighted sum has exceeded so many times that of their standard deviations for so long,
-and has not fallen below that share: a press grows or is steady, what taps leave in the estimates fades. Such errors of
-neighbours have the same history, so their deviations are added as if they were common"""
+"""a touch begins where the weighted sum of the pressures of neighbouring cells has exceeded this many times the sum of
+their standard deviations for this time, and has not fallen below this fraction of its largest value. A press grows or
+is steady; the estimates after a tap fade. Errors of neighbours have the same history, so their standard deviations are
+added as if the errors were common"""
 MISSING_S = 0.2
-"""a cell that was not read for longer is missing; until then its last pressure counts"""
+"""a cell without a reading for longer is missing; until then its last pressure counts"""
 DRIFT_PER_S = 0.003
-"""relative change of a rest resistance in a second: warming up takes minutes. A finger presses much faster"""
+"""relative change of a rest resistance per second: warming up takes minutes. A finger presses much faster"""
 WAKE_SHARE, WAKE_S = 0.15, 1.0
-"""of the largest pressure in the 3 x 3 cells around a cell, forgotten with this time constant: what a finger leaves in
-the estimates behind it and beside it is less, and begins no contact"""
+"""fraction of the largest pressure in the 3 x 3 cells around a cell, forgotten with this time constant: what a finger
+leaves in the estimates behind and beside it is less, and begins no contact"""
 SPARK_S, STANDS_OUT = 0.1, 15.0
-"""a lone cell, or part of a line as a bad line moves it, is a contact when it has been pressed for longer; unless a
-reading has risen by so many standard deviations of its noise, since the estimator judges such jumps itself"""
+"""a patch that may be a bad contact (a lone cell, or part of a line as a bad line moves it) is a contact only after
+this time, but in its second frame if a reading has risen by this many standard deviations of its noise, since the
+estimator judges such jumps itself"""
 LONGEST_IN_LINE = 3
 """cells within one line that a stylus covers"""
 EVEN_LINE = 0.3
-"""of the rise of some cells of a line: where the median of its other cells rises by more, the line is bad"""
+"""fraction of the rise of some cells of a line: if the median of its other cells rises by more, the line is bad"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,16 +83,16 @@ class Contact:
     area_mm2: float
     """of the touched cells, each one pitch by one pitch"""
     force_n: float
-    """sum of pressure times cell area; cells that are not read count with what :attr:`interpolated_n` says"""
+    """sum of pressure times cell area; cells that are not read count with the part :attr:`interpolated_n`"""
     peak_kpa: float
     """largest pressure of one cell"""
     cells: IntArray = field(compare=False)
-    """(n, 2) row and column of each touched cell; contacts are equal whose other fields are"""
+    """(n, 2) row and column of each touched cell; not part of a comparison of contacts"""
     joined: tuple[int, ...] = ()
-    """ids of other contacts that have run into this one, and will have these ids again when they part from it"""
+    """ids of other contacts that have merged into this one; they get these ids back when they part from it"""
     interpolated_n: float = 0.0
-    """part of :attr:`force_n` on cells between touched ones that are not read: interpolated between their neighbours. A
-    lower bound where the middle of the press lies there. A gap at the rim of a contact is not counted"""
+    """part of :attr:`force_n` on cells that are not read but lie between touched ones, interpolated between these. A
+    lower bound if the middle of the press lies there. A gap at the rim of a contact is not counted"""
 
     @property
     def position_m(self) -> tuple[float, float]:
@@ -110,11 +116,12 @@ class ContactTracker:
 
         Args:
             shape: rows and columns.
-            pitch_m: distance of neighbouring cells; of cells that are not square (x, y), along a row and a column.
+            pitch_m: distance of neighbouring cells; (x, y) if cells are not square, along a row and along a column.
             full_scale_kpa: of the cells.
-            drift_kpa: pressure that an untouched cell shows whose rest resistance has drifted as far as rest
-                resistances do (:data:`._tare.KNOWN_DRIFT`); 0: they do not.
-            faults_press: a bad contact, which adds resistance, looks like a load. False where loads lower it.
+            drift_kpa: pressure of an untouched cell whose rest resistance has drifted as far as rest resistances do
+                (:data:`._tare.KNOWN_DRIFT`); 0: no drift.
+            faults_press: True if a bad contact, which adds resistance, looks like a load; False if loads lower the
+                resistance.
 
         """
         self.shape = shape
@@ -123,37 +130,37 @@ class ContactTracker:
         self._faults_press = faults_press
         self._labels: IntArray = np.zeros(shape, dtype=int)
         self._pressed: BoolArray = np.zeros(shape, dtype=np.bool_)
-        """(rows, columns) cells of the last frame that showed enough pressure for a contact, however uncertain"""
+        """(rows, columns) cells of the last frame with enough pressure for a contact, however uncertain"""
         self._pressed_s = np.full(shape, np.inf)
-        """(rows, columns) time since which they have done so; infinite for the others"""
+        """(rows, columns) time since which they have been pressed; infinite for the others"""
         self._rise: tuple[FloatArray, FloatArray] | None = None
         """readings and their noise, as for :meth:`update`"""
         self._fingers: list[int] = []
-        """of each label: the fingers in it"""
+        """number of fingers for each label"""
         self._were_parted = False
         self._segments = Segments(shape)
         self._rises = Rises(shape, loads_raise=faults_press)
         self._trails = Trails(shape)
         self._risen_kpa = np.zeros(shape)
-        """(rows, columns) largest pressure since the cell rose jointly with its neighbours; 0: it has not"""
+        """(rows, columns) largest pressure since the cell rose jointly with its neighbours; 0: no such rise"""
         self._risen_s = np.full(shape, np.inf)
         """(rows, columns) time of that rise; infinite for the others"""
         self._rising: BoolArray = np.zeros(shape, dtype=np.bool_)
-        """(rows, columns) middles of the joint rises of this frame"""
+        """(rows, columns) middles of the joint rises in this frame"""
         self._together_s = np.full(shape, np.inf)
-        """(rows, columns) time since which untouched cells tell of a load together and steadily; infinite for others"""
+        """(rows, columns) time since which untouched cells jointly show a steady load; infinite for others"""
         self._together_kpa = np.zeros(shape)
         """(rows, columns) largest weighted sum of pressures since then"""
         self._most_drift_kpa, self._drift_kpa_per_s = drift_kpa, drift_kpa / KNOWN_DRIFT * DRIFT_PER_S
         self._drift_kpa = np.zeros(shape)
-        """(rows, columns) part of the pressure that drift may have made"""
+        """(rows, columns) part of the pressure that drift may have caused"""
         self._wake_kpa = np.zeros(shape)
-        """(rows, columns) largest pressure of late while the cell was in a contact; what is long ago counts less"""
+        """(rows, columns) largest recent pressure while the cell was in a contact, with exponential forgetting"""
         self._time_s = math.inf
         self._read_s = np.full(shape, -np.inf)
-        """(rows, columns) when the cell was read last; only used where somebody tells of readings"""
+        """(rows, columns) time of the cell's last reading; only used if readings are given"""
         self._missing: BoolArray | None = None
-        """(rows, columns) cells that are not read; None: only those without a pressure"""
+        """(rows, columns) cells that are not read; None: only those with a pressure of NaN"""
         self._tracks = Tracks(1e3 * self.pitch.mean_m, 1e3 * max(self.pitch))
         self._places: IntArray = np.indices(shape).reshape(2, -1).T.copy()
         """(cells, 2) row and column of each cell of the flattened array"""
@@ -183,7 +190,7 @@ class ContactTracker:
             self._find_missing(time_s, np.isnan(rise[0]))
         self._rise = rise
         if math.isinf(self._time_s):
-            # Nobody has seen these cells before: most likely they have been pressed for longer than sparks last.
+            # In the first frame: most likely these cells have been pressed for longer than sparks last.
             self._pressed_s[pressure_kpa > START_SHARE * self.full_scale_kpa] = -np.inf
         labels, patches = self._find(time_s, pressure_kpa, std_kpa)
         self._pressed = pressure_kpa > START_SHARE * self.full_scale_kpa
@@ -191,7 +198,8 @@ class ContactTracker:
         names = self._tracks.follow(time_s, patches, labels)
         self._labels = labels.reshape(self.shape)
         self._fingers = [1 + len(name.joined) for name in names]
-        self._risen_kpa[(self._labels == 0) & ~self._rising] = 0.0  # left behind by the touch that lifted them
+        # Cells from which the touch that raised them has gone are forgotten.
+        self._risen_kpa[(self._labels == 0) & ~self._rising] = 0.0
         self._risen_s = np.where(self._risen_kpa > 0, np.minimum(self._risen_s, time_s), np.inf)
         elapsed_s, self._time_s = max(time_s - self._time_s, 0.0), time_s
         self._drift(elapsed_s, pressure_kpa)
@@ -200,22 +208,22 @@ class ContactTracker:
         return self._contacts(patches, names)
 
     def look_back(self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray) -> tuple[Contact, ...]:
-        """The contacts of a frame from before the last one, at ``time_s``; tracks and hysteresis stay as they are."""
+        """The contacts of a frame at ``time_s``, before the last one; tracks and hysteresis do not change."""
         labels, patches = self._find(time_s, pressure_kpa, std_kpa)
         return self._contacts(patches, self._tracks.look_back(time_s, patches, labels))
 
     def forget_readings(self) -> None:
-        """Compare no reading with one from before: rest resistances have changed."""
+        """Compare no reading with an earlier one: rest resistances have changed."""
         self._rises.forget()
         self._trails.forget()
 
     def _remember(self, elapsed_s: float, pressure_kpa: FloatArray) -> None:
-        """Remember the pressures of contacts, for the places that they leave."""
+        """Remember the pressures of contacts for the places that the contacts leave."""
         self._wake_kpa *= math.exp(-elapsed_s / WAKE_S)
         np.fmax(self._wake_kpa, pressure_kpa, out=self._wake_kpa, where=self._labels > 0)
 
     def _drift(self, elapsed_s: float, pressure_kpa: FloatArray) -> None:
-        """Let the drift of untouched cells follow their pressures, slowly upwards and at once downwards."""
+        """Let the drift of untouched cells follow their pressures: slowly upwards, at once downwards."""
         if not self._most_drift_kpa:
             return
         most = np.minimum(self._drift_kpa + self._drift_kpa_per_s * elapsed_s, self._most_drift_kpa)
@@ -223,7 +231,7 @@ class ContactTracker:
         self._drift_kpa = np.where(self._labels > 0, self._drift_kpa, most)
 
     def _find_missing(self, time_s: float, unread: BoolArray) -> None:
-        """Find cells that have not been read for long; ``unread`` (rows, columns) were not read in this frame."""
+        """Update the cells without a recent reading; ``unread`` (rows, columns) were not read in this frame."""
         if not unread.any():
             self._missing = None
             self._read_s.fill(time_s)
@@ -238,7 +246,7 @@ class ContactTracker:
         std_kpa: FloatArray,
         rise: tuple[FloatArray, FloatArray] | None,
     ) -> None:
-        """Look for cells that have risen jointly, and for those whose touch is over."""
+        """Find cells that have risen jointly, and cells whose touch is over."""
         found = None if rise is None else self._rises.look(time_s, *rise)
         risen_kpa = self._risen_kpa
         held = self._held_together(time_s, pressure_kpa, std_kpa)
@@ -246,7 +254,7 @@ class ContactTracker:
         if found is None and held is None:
             of_touch = risen_kpa > 0
             if (pressure_kpa[of_touch] >= FALLEN_SHARE * risen_kpa[of_touch]).all():
-                return  # no touch, or one that is held
+                return  # there is no touch, or it is held
         full = self.full_scale_kpa
         least = np.maximum(LEFT_SHARE * risen_kpa, STAY_SHARE * full)
         lasts = (pressure_kpa > least) & (risen_kpa > 0)
@@ -256,13 +264,13 @@ class ContactTracker:
         if held is not None:
             lasts |= held
         self._risen_kpa = np.where(lasts, np.maximum(risen_kpa, pressure_kpa), 0.0)
-        # What kept these cells in their contact is over: they stay only if their own pressures tell of a touch that
-        # has not gone on and left a little behind.
+        # These cells stay in their contact only by their own pressures, and only if these exceed what a touch that has
+        # moved on leaves behind.
         alone = pressure_kpa > np.fmax(JOIN_STDS * std_kpa, np.maximum(JOIN_SHARE * full, LEFT_SHARE * risen_kpa))
         self._labels = np.where((risen_kpa > 0) & ~lasts & ~alone, 0, self._labels)
 
     def _held_together(self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray) -> BoolArray | None:
-        """(rows, columns) untouched cells of a steady load that neighbours tell of together; None: there is none."""
+        """(rows, columns) untouched cells that neighbours jointly show to be under a steady load; None: no cell."""
         excess = pressure_kpa - self._drift_kpa
         known = np.isfinite(excess) & np.isfinite(std_kpa)
         pressed = known & (excess > START_SHARE * self.full_scale_kpa)
@@ -271,7 +279,7 @@ class ContactTracker:
             self._together_s.fill(np.inf)
             return None
         sums, stds = sums_around(np.where(known, excess, 0.0)), sums_around(np.where(known, std_kpa, 0.0))
-        # Without its row and without its column, too: faults of the wiring move one line.
+        # The sums without the cell's row and without its column must suffice, too: wiring faults move one line.
         for total, std in zip(sums, stds, strict=True):
             free &= total > TOGETHER_STDS * std
         largest = np.where(np.isfinite(self._together_s), np.maximum(self._together_kpa, sums.whole), sums.whole)
@@ -284,7 +292,7 @@ class ContactTracker:
     def _touch_lasts(self, time_s: float, pressure_kpa: FloatArray, fallen: BoolArray | None) -> BoolArray:
         """(rows, columns) cells of joint rises whose touch goes on as a whole: its rim does not outlast its middle.
 
-        Where one of several touches that run together is released, the whole falls. What it leaves unchanged goes on.
+        If one of several merged touches is released, the whole falls. Cells that keep their pressure then go on.
         """
         numbers, risen_kpa = self._labels.ravel(), self._risen_kpa.ravel()
         now = np.bincount(numbers, np.where(risen_kpa > 0, np.fmax(pressure_kpa.ravel(), 0.0), 0.0))
@@ -292,23 +300,23 @@ class ContactTracker:
         if fallen is not None:
             least[numbers[fallen.ravel() & (risen_kpa > 0)]] *= FALLEN_SHARE / LEFT_SHARE
         goes_on: BoolArray = now > least
-        goes_on[0] = True  # in no contact yet
+        goes_on[0] = True  # cells in no contact yet
         lasts = goes_on[self._labels]
         if fallen is not None and not goes_on.all():
             lasts |= self._held_in_a_fall(time_s, ~lasts & (pressure_kpa > FALLEN_SHARE * self._risen_kpa), fallen)
         return lasts
 
     def _held_in_a_fall(self, time_s: float, bears: BoolArray, fallen: BoolArray) -> BoolArray:
-        """(rows, columns) cells that bear what they bore, connected with a held one whose surroundings have not fallen.
+        """(rows, columns) cells with unchanged load, connected with a held cell whose surroundings have not fallen.
 
-        All cells of a finger that is lifted have others around them that fall. A rim that is wider than that bears
-        less than :data:`WAKE_SHARE` of the middle. Of taps and of fingers that move the estimates keep more for a
-        moment, so cells count as held that rose before :data:`WAKE_S`.
+        All cells of a finger that is lifted have falling cells around them. A rim that is wider than these bears less
+        than :data:`WAKE_SHARE` of the middle. After taps and moving fingers the estimates stay higher for a moment, so
+        a cell counts as held only if it rose more than :data:`WAKE_S` ago.
 
         Args:
             time_s: of the frame.
-            bears: (rows, columns) cells that have not fallen themselves, of contacts that have fallen as a whole.
-            fallen: (rows, columns) cells that have fallen together with their neighbours.
+            bears: (rows, columns) cells that have not fallen themselves, in contacts that have fallen as a whole.
+            fallen: (rows, columns) cells that have fallen jointly with their neighbours.
 
         """
         most_kpa = np.zeros(self._labels.max() + 1)
@@ -322,9 +330,9 @@ class ContactTracker:
         return of_lasting
 
     def _find(self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray) -> tuple[IntArray, list[Patch]]:
-        """The patches of touched cells, and for each cell of the flattened array the number of its patch, from 1."""
+        """For each cell of the flattened array the number of its patch, from 1 (0: none), and the patches."""
         full = self.full_scale_kpa
-        start = np.fmax(START_STDS * std_kpa, START_SHARE * full)  # not NaN where the deviation is
+        start = np.fmax(START_STDS * std_kpa, START_SHARE * full)  # fmax: a deviation of NaN is ignored
         risen, excess = self._risen_kpa > 0, pressure_kpa - self._drift_kpa
         begins = (excess > start) | risen  # False where NaN
         if begins.any():
@@ -356,7 +364,7 @@ class ContactTracker:
         return fingers.ravel(), self._measure(fingers.ravel(), labels.ravel(), pressure_kpa, bridged)
 
     def _bridge(self, pressure_kpa: FloatArray, touched: BoolArray) -> tuple[FloatArray, BoolArray | None]:
-        """Pressures with those of missing cells between touched ones, and which cells these are; None: no cell."""
+        """Pressures interpolated at missing cells between touched ones, and these cells; None: no cell."""
         missing = np.isnan(pressure_kpa)
         if self._missing is not None:
             missing |= self._missing
@@ -366,11 +374,11 @@ class ContactTracker:
         return pressure_kpa, bridged if bridged.any() else None
 
     def _keep_lasting(self, found: IntArray, kept: BoolArray, pressure_kpa: FloatArray) -> None:
-        """Keep patches in which contacts of the last frame go on.
+        """Keep patches in which contacts of the last frame continue.
 
-        A contact goes on in the patch that has most of its force now. Where none of its patches begins contacts, it
-        goes on in as many as it has fingers. So hysteresis lets contacts last, and makes no further ones of cells that
-        a moving finger leaves behind.
+        A contact continues in the patch that has most of its force now. If none of its patches begins a contact, it
+        continues in as many patches as it has fingers. Hysteresis thus lets contacts last, but makes no new contacts of
+        cells that a moving finger leaves behind.
 
         Args:
             found: (rows, columns) labels of patches, from 1.
@@ -393,9 +401,9 @@ class ContactTracker:
     def _drop_disturbances(self, time_s: float, found: IntArray, kept: BoolArray) -> None:
         """Drop new patches within one row or column that may be electrical faults.
 
-        Those that were not there in the last frame may be disturbances of the converter. Where the readings hardly rise
-        above their noise, lone cells may be sparks for longer, and patches that are long or reach an end of their line
-        may be bad lines, of which the other cells cannot be seen.
+        Patches that were not there in the last frame may be disturbances of the converter. If their readings hardly
+        rise above the noise, two kinds of patches may be faults for longer: lone cells may be sparks; patches that are
+        long or reach an end of their line may be bad lines, of which the other cells cannot be seen.
 
         Args:
             time_s: of the frame.
@@ -416,7 +424,7 @@ class ContactTracker:
             kept[label] = lasts_s > (SPARK_S if self._may_be_a_fault(np.argwhere(found == label)) else 0.0)
 
     def _may_be_a_fault(self, cells: IntArray) -> bool:
-        """Whether cells (n, 2) of one row or column may have risen by a bad contact, which the estimator cannot see."""
+        """Whether cells (n, 2) of one row or column may have risen by a bad contact that the estimator cannot see."""
         if self._rise is None or not self._faults_press:
             return False
         reading, noise = self._rise
@@ -437,8 +445,8 @@ class ContactTracker:
     ) -> list[Patch]:
         """Centre, force, peak and spread of each labelled patch, in one pass over the touched cells.
 
-        ``connected`` (cells,) are the labels that patches which touch each other share; ``bridged`` (rows, columns) are
-        cells whose pressures are interpolated.
+        ``connected`` (cells,) are the labels before patches that touch each other were separated; ``bridged`` (rows,
+        columns) are cells whose pressures are interpolated.
         """
         cells = np.flatnonzero(labels)
         if not len(cells):
@@ -500,9 +508,9 @@ class ContactTracker:
 
 
 class ContactsOfFrames:
-    """Contacts when they are asked for: nothing is computed before the first question.
+    """Contacts on demand: nothing is computed before the first request.
 
-    Ids and hysteresis depend on the frames before. So from the first question on, every frame is looked at.
+    Ids and hysteresis depend on earlier frames. From the first request on, every frame is therefore processed.
     """
 
     def __init__(self, tracker: ContactTracker) -> None:
@@ -514,7 +522,7 @@ class ContactsOfFrames:
 
     @property
     def asked(self) -> bool:
-        """Whether every frame is to be looked at."""
+        """Whether every frame is to be processed."""
         return self._asked
 
     def of(self, view: PressureView) -> tuple[Contact, ...]:
@@ -524,7 +532,7 @@ class ContactsOfFrames:
             return self._look(view)
 
     def pass_by(self, view: PressureView) -> None:
-        """Let a new frame be looked at, if contacts were ever asked for."""
+        """Process a new frame, if contacts were ever asked for."""
         if self._asked:
             with self._lock:
                 self._look(view)
@@ -532,8 +540,8 @@ class ContactsOfFrames:
     def _look(self, view: PressureView) -> tuple[Contact, ...]:
         if view.contacts is None:
             if view.time_s < self._time_s:
-                # Older than frames looked at already, hence from before the first question: its contacts are
-                # named after those of now, which it does not change.
+                # The frame is from before the first request. Its contacts get their ids from the present contacts,
+                # which do not change.
                 view.contacts = self._tracker.look_back(view.time_s, view.pressure_kpa, view.std_kpa())
             else:
                 if view.starts != self._starts:
@@ -546,7 +554,7 @@ class ContactsOfFrames:
 
 @dataclass(slots=True)
 class PressureView:
-    """What the tracker needs of one frame, and its answer."""
+    """Input of the tracker for one frame, and its contacts."""
 
     time_s: float
     pressure_kpa: FloatArray
@@ -554,5 +562,5 @@ class PressureView:
     rise: tuple[FloatArray, FloatArray] | None = None
     """readings and their noise; None where nobody has asked for contacts yet"""
     starts: int = 0
-    """times that the estimator has begun without memory"""
+    """number of times that the estimator has started without memory"""
     contacts: tuple[Contact, ...] | None = None

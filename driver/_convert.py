@@ -1,4 +1,4 @@
-"""Measurement chain: counts to ohms (circuit model inverted) to kPa (causal estimator), frame by frame in order."""
+"""Measurement chain: counts to ohms (inverse circuit model) to kPa (causal estimator), each frame once, in order."""
 
 from __future__ import annotations
 
@@ -33,24 +33,24 @@ from ._tare import DRIFT as TARE_DRIFT
 from ._tare import KNOWN_DRIFT, far_from_sheet
 
 KEPT_MEASUREMENTS = 8
-"""that are not thrown away at once when all takers have passed them"""
+"""number of kept measurements above which those that every taker has passed are dropped"""
 SMALL_AFTER = 32
-"""frames after which a frame that somebody keeps has its standard deviation computed"""
+"""newer frames after which a frame that somebody keeps has its standard deviation computed, to free its inputs"""
 KEEP_STATE_S = 60.0
-"""after a longer gap the estimator starts anew: what the skin bore meanwhile is not to be guessed"""
+"""after a longer gap the estimator restarts: the loads during the gap are unknown"""
 
 CLOCK_DIGITS = 6
-"""of the seconds between frames: boards count microseconds. What the estimator works out for a length of step it keeps,
-which takes a small skin as long as ten frames, and sums of seconds differ in their last digits"""
+"""decimals of the seconds between frames: boards count microseconds. The estimator caches its work per length of step:
+that work takes a small skin as long as ten frames; sums of seconds would differ in their last digits"""
 
 SOON = 50
-"""first frames that the driver judges board and skin by"""
+"""number of first frames on which the driver judges board and skin"""
 UNSETTLED_FRAMES = 10
-"""the first ones, in which the noise is hardly known, are left out of it"""
+"""first of these frames that are left out, since the noise is hardly known in them"""
 FEW = 0.02
-"""share of valid cells in those frames below which the driver says why"""
+"""fraction of valid cells in those frames below which the driver reports the reason"""
 CLEAR_SPREAD = 0.01
-"""of full scale: what unknown rest resistances must amount to before the driver says so"""
+"""fraction of full scale: pressure error by unknown rest resistances from which on the driver reports them"""
 _WHY_NONE = {
     Reason.NO_CURRENT: "their readings show no current; the drive's voltage, the converter's range and the reference "
     "resistor of the design may not fit each other, or the skin is not connected",
@@ -63,7 +63,7 @@ _WHY_NONE = {
 
 
 class Measurement(NamedTuple):
-    """What one frame says about the cells. Arrays are (rows, columns) and read-only."""
+    """The measured values of one frame. Arrays are (rows, columns) and read-only."""
 
     valid: BoolArray
     reason: NDArray[np.int8]
@@ -76,13 +76,13 @@ class Measurement(NamedTuple):
     """kPa"""
     view: PressureView
     estimator_starts: int
-    """times that the estimator has begun without memory, up to this frame"""
+    """number of times that the estimator has started without memory, up to this frame"""
 
 
 class Converter:
-    """Turns frames into measurements, each at most once, and in the order in which they came.
+    """Turns frames into measurements, each frame at most once, and in the order of arrival.
 
-    The estimator sees the frames that are taken, with the time between them. Frames that nobody takes cost nothing.
+    The estimator sees only the frames that are taken, and the time between them. Frames that nobody takes cost nothing.
     """
 
     def __init__(
@@ -98,10 +98,10 @@ class Converter:
     ) -> None:
         """Set up the circuit's inverse and the estimator; without ``cell`` pressures are NaN.
 
-        ``rest_changes`` are those of a recording: times on the time scale of the estimator, and the (cells,) rest
-        resistances for frames after them.
+        ``rest_changes`` come from a recording: times on the time scale of the estimator, and the (cells,) rest
+        resistances for the frames after them.
         ``accuracy`` is the relative uncertainty up to which cells are valid, see :class:`CountReader`.
-        ``calibration`` gives each cell its rest resistance, as long as no tare gives another one, and its gain.
+        ``calibration`` gives each cell its gain, and its rest resistance as long as no tare replaces that.
 
         Raises:
             ProtocolError: the design has no ADC.
@@ -116,25 +116,25 @@ class Converter:
         self._counters = counters
         self._accuracy = accuracy
         self._read = CountReader(design, accuracy=accuracy)
-        self._judged: int | None = 0  # frames of the first ones that were counted; None: judged
+        self._judged: int | None = 0  # first frames counted so far; None: judgement done
         self._reasons = np.zeros(len(Reason), dtype=np.int64)  # cells of those frames by reason
         self._surest = np.inf  # least uncertainty of their cells
         self._sheet: str | None = None
-        """why the data sheet does not seem to be this skin's, by the first frames"""
+        """why the data sheet seems to be another skin's, judged by the first frames"""
         self._systematic = None if cell is None else SystematicError(cell)
         self._lock = threading.RLock()
         self.on_converted: list[Callable[[RawFrame, Measurement], None]] = []
-        """told of every measurement: for recorders"""
+        """called with every measurement: for recorders"""
         self._rest_ohm: FloatArray | None = None
         for _, ohm in rest_changes:
             if ohm is not None and ohm.size != math.prod(design.array.shape):
                 raise InputError("a tare of {} cells; this skin has {} x {}".format(ohm.size, *design.array.shape))
         self._rest_changes = deque(rest_changes)
         self.on_rest: list[Callable[[FloatArray | None, float | None], None]] = []
-        """told of new rest resistances and of the estimator's time of the last frame before them: for recorders. No two
-        frames have the same, as they have the same time of arrival where they came together."""
+        """called with new rest resistances and the estimator's time of the last frame before them: for recorders. The
+        time of arrival would not do, since frames that come together share one."""
         self._starts = self._starts_told = 0
-        """times that the estimator has begun without memory, and as many as the last frame knew of"""
+        """starts of the estimator without memory, and their number up to the last frame"""
         self._creep: Creep | None = None
         self._line_faults: LineFaults | None = None
         self._column_steps: ColumnSteps | None = None
@@ -148,25 +148,25 @@ class Converter:
         self.contacts = ContactsOfFrames(tracker)
         self._last: RawFrame | None = None
         self._last_s: float | None = None
-        """of the last frame, on the time scale of the estimator; also of a frame before the recording that is played"""
+        """of the last frame, on the estimator's time scale; may be a frame from before the recording that is played"""
         self._measured: dict[int, Measurement] = {}
         self._retained = Retained(SMALL_AFTER)
 
     @property
     def last_index(self) -> int:
-        """Number of the newest frame that was converted; 0 before the first."""
+        """Number of the newest converted frame; 0 before the first."""
         return 0 if self._last is None else self._last.index
 
     @property
     def starts(self) -> int:
-        """Times that the estimator has begun without memory."""
+        """Number of times that the estimator has started without memory."""
         return self._starts
 
     def try_out(self) -> None:
-        """Convert a frame of mid-scale counts, for what shows only then: absurd values, and the cost of setting up.
+        """Convert a frame of mid-scale counts, to reveal absurd values and to pay the cost of setting up.
 
-        What this finds is dropped: an inversion that begins far from the skin's own readings takes many frames to come
-        near, and some of its cells may not get there.
+        The results are dropped: an inversion that starts far from the skin's own readings takes many frames to
+        converge, and some of its cells may not converge at all.
         """
         adc = self.design.adc
         assert adc is not None, "CountReader refuses designs without an ADC"
@@ -177,7 +177,7 @@ class Converter:
         self._read = CountReader(self.design, accuracy=self._accuracy)
 
     def use_rest(self, rest_ohm: FloatArray | None) -> None:
-        """Take these rest resistances (rows, columns) from now on, None those without a tare; memory is dropped."""
+        """Use these rest resistances (rows, columns) from now on (None: those without a tare); memory is dropped."""
         with self._lock:
             self._rest_ohm = rest_ohm
             self._estimator = self._new_estimator()
@@ -187,10 +187,10 @@ class Converter:
                 tell(rest_ohm, None if self._last is None else self._last.time_s)
 
     def hand_over(self) -> MeasurementPast:
-        """What is remembered of frames so far, for a recording that begins with the next frame.
+        """The memory of the frames so far, for a recording that begins with the next frame.
 
-        What cannot be written down is dropped here as well, so that a replay goes on from the same state: the inversion
-        of the circuit begins anew, and a jump of the last 0.1 s is no longer taken back as a spark.
+        State that cannot be written down is dropped here, too, so that a replay continues from the same state: the
+        inversion of the circuit begins anew, and a jump of the last 0.1 s is no longer taken back as a spark.
         """
         with self._lock:
             noise_steps, counts = self._read.memory()
@@ -212,11 +212,11 @@ class Converter:
             return past
 
     def resume(self, past: MeasurementPast) -> bool:
-        """Begin with what :meth:`hand_over` returned.
+        """Continue with the result of :meth:`hand_over`.
 
         Returns:
-            False where the estimator begins without memory, since its state is of another estimator, of another kind
-            of cell, or of another version of this package, whose estimators remember other quantities.
+            False if the estimator begins without memory, because the state is of another estimator, of another kind of
+            cell, or of another version of this package, whose estimators remember other quantities.
 
         Raises:
             InputError: the state is of an array of another shape, or damaged.
@@ -228,7 +228,7 @@ class Converter:
             return remembers
 
     def _go_on(self, past: MeasurementPast) -> bool:
-        """Take the state over; False where the estimator could not."""
+        """Take the state over; False if the estimator could not."""
         shape = self.design.array.shape
         rest_ohm = None if past.rest_ohm is None else past.rest_ohm.array()
         counts = None if past.counts is None else past.counts.array()
@@ -258,10 +258,10 @@ class Converter:
         return remembers
 
     def measure(self, frame: RawFrame, mailbox: Mailbox) -> Measurement | None:
-        """The measurement of ``frame``, and of those before it that are still queued.
+        """The measurement of ``frame``; frames before it that are still queued are converted first.
 
         Returns:
-            None where a later frame has been converted already and this one was not.
+            None if a later frame has been converted already and this one was not.
 
         Raises:
             ProtocolError: the counts do not fit the design.
@@ -336,7 +336,7 @@ class Converter:
         return common if calibration is None else calibration.applied(common), std
 
     def _without_faulty_lines(self, time_s: float, reading: Reading) -> Reading:
-        """The reading, of which cells on lines that read what no load makes of them are not valid."""
+        """The reading, with the cells of faulty lines marked as not valid (:mod:`._line_faults`)."""
         if self._line_faults is None or self._systematic is None:
             return reading
         cells = self._line_faults.take(time_s, reading, self._systematic.rest_spread)
@@ -348,7 +348,7 @@ class Converter:
         return self._rest_ohm is not None or self._calibration is not None
 
     def _judge(self, reading: Reading) -> None:
-        """Say once, after the first frames, what keeps cells from being valid, or that the rest is not known."""
+        """After the first frames, report once why cells are not valid, or that rest resistances are not known."""
         assert self._judged is not None
         self._judged += 1
         if self._judged <= UNSETTLED_FRAMES:
@@ -395,7 +395,7 @@ class Converter:
         )
 
     def _unlike_sheet(self, reading: Reading) -> str | None:
-        """A remark where the typical cell reads otherwise than the data sheet lets it read at rest."""
+        """A remark if the resistance of the typical cell is far from the data sheet's value at rest."""
         if not reading.valid.any():
             return None
         far = far_from_sheet(float(np.median(reading.resistance[reading.valid])), self.cell)
@@ -407,7 +407,7 @@ class Converter:
         )
 
     def _why_to_tare(self) -> str | None:
-        """A remark where rest resistances that nobody measured leave pressures open by more than a little."""
+        """A remark if rest resistances that nobody measured leave a notable error of the pressures."""
         if self.cell is None or self._systematic is None or self._rest_known:
             return None
         if self._sheet:
@@ -443,12 +443,12 @@ class Converter:
         return estimator
 
     def _begin_beside(self, estimator: Estimator) -> None:
-        """Begin what knows of readings as much as the ``estimator`` does, for the rest resistances in use."""
+        """Start the models of column steps and of line faults with the ``estimator``, for the same rest resistances."""
         assert self.cell is not None
         side = estimator.inversion.side
         self._column_steps = ColumnSteps(estimator.rest_ohm, side, rest_known=self._rest_known)
         if side < 0.0:
-            return  # what faults of lines do, loads do too
+            return  # where loads lower the resistance, bridged lines look like a load
         if self._creep is None:
             self._creep = Creep(self.cell)
         self._line_faults = LineFaults(estimator.rest_ohm, self._creep, rest_known=self._rest_known)
@@ -460,6 +460,6 @@ def _std(
     pressure_kpa: FloatArray,
     calibration: Calibration | None,
 ) -> FloatArray:
-    """The estimator's standard deviation, and what it cannot see: unknown rest resistances and ADC steps."""
+    """The estimator's standard deviation, with errors it cannot see: unknown rest resistances and ADC steps."""
     std = systematic(pressure_kpa, of_estimate())
     return std if calibration is None else calibration.applied_std(pressure_kpa, std)

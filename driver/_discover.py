@@ -1,4 +1,4 @@
-"""Finding boards: every serial port is asked whether a board is behind it."""
+"""Discovery of boards: every serial port is opened and asked for a board."""
 
 from __future__ import annotations
 
@@ -15,36 +15,36 @@ from ._port import open_port
 from ._port_names import emulated_ports, serial_ports, usb_serial_number
 
 SEARCH_S = 1.5
-"""for which a silent port is asked who is there"""
+"""s for which a silent port is asked"""
 LONGEST_SEARCH_S = 5.0
-"""for which a board that is opened by its serial number may leave the question who it is unanswered"""
+"""s for which a board opened by its serial number may leave the question unanswered"""
 
 
 @dataclass(frozen=True, slots=True)
 class FoundBoard:
-    """A port, and the board behind it."""
+    """A port with a board."""
 
     port: str
     """name to open"""
     serial_number: str
-    """as the board says; empty where its family has no such packet"""
+    """from the board; empty if its family has no such packet"""
     firmware: str
     rows: int
     columns: int
     usb_serial_number: str | None
-    """of the USB device that the port belongs to"""
+    """serial number of the port's USB device"""
 
 
 def discover(
     ports: Iterable[str] | None = None, *, board: str | Family = "ohmskin", timeout: float = SEARCH_S
 ) -> list[FoundBoard]:
-    """The boards that answer, by serial number.
+    """The boards that answer, sorted by serial number.
 
-    Every port is opened for a moment, all at the same time. Ports that are in use, and ports where nothing answers in
-    the language of the family, are left out.
+    All ports are opened for a moment, at the same time. Ports in use are left out, and ports where nothing answers in
+    the protocol of the family.
 
     Args:
-        ports: names to look at; None: all serial ports that the operating system lists, and the pseudo-terminals and
+        ports: names to try; None: all serial ports that the operating system lists, and the pseudo-terminals and
             sockets of boards that this user emulates on this machine.
         board: family of the boards.
         timeout: s to wait for an answer.
@@ -74,13 +74,13 @@ def find_board(
     board: str | Family = "ohmskin",
     timeout: float = LONGEST_SEARCH_S,
 ) -> str:
-    """The port of the board with this serial number, of its own or of its USB device.
+    """The port of the board with this serial number, its own or that of its USB device.
 
-    Ports are asked for :data:`SEARCH_S`, and again for ``timeout`` where the board is not among those that answered:
-    one that starts anew whenever its port is opened takes longer.
+    Ports are asked for :data:`SEARCH_S`, and again for ``timeout`` if the board is not among those that answered: a
+    board that restarts whenever its port is opened takes longer.
 
     Raises:
-        LinkError: there is none, or more than one; the message lists those that are there.
+        LinkError: there is no such board, or more than one; the message lists the boards that are there.
 
     """
     matching: list[str] = []
@@ -106,7 +106,7 @@ def _ask(name: str, board: str | Family, timeout_s: float) -> FoundBoard | None:
         port = open_port(name, baudrate=family.baud_rate, dtr=family.dtr, rts=family.rts)
     except LinkError:
         return None
-    # A board that says who it is need not send frames for that; one at the fast clock would spend its time on them.
+    # A board with an identity packet need not send frames to answer; at the fast clock it would spend its time on them.
     knock = [Order.ONE_FRAME] if family.polled else [] if family.has_description else [Order.START]
     orders = [Order.IDENTIFY, *knock]
     try:

@@ -1,4 +1,4 @@
-"""``Frame``: one scan of the skin, as the driver hands it out."""
+"""``Frame``: one scan of the skin, as the driver delivers it."""
 
 from __future__ import annotations
 
@@ -26,34 +26,34 @@ class Frame:
     device_time: float | None
     """s on the board's clock, from its start to the start of this scan; None: the board tells no time"""
     host_time: float
-    """s since the epoch at which the frame's last byte came, delays of line and operating system taken out"""
+    """arrival of the frame's last byte in s since the epoch, corrected for the delays of line and operating system"""
     monotonic_time: float
     """the same moment in s on the clock of :func:`time.monotonic`, which is never set"""
     lost_before: int | None
-    """frames that the line or the board lost since the frame that was taken before this one; None: not known"""
+    """frames that the line or the board lost since the previous frame that this reader took; None: not known"""
     skipped_before: int
-    """frames that came in that time and were not taken, because their reader was slower than the board"""
+    """frames that arrived in that time but were not taken, because the reader was slower than the board"""
     overrun: bool
-    """the board said, since the frame taken before, that it dropped frames because the host read too slowly"""
+    """since the previous frame taken, the board reported dropped frames, because the host read too slowly"""
     reconnected: bool
-    """the port was opened anew since the frame taken before"""
+    """the port was reopened since the previous frame taken"""
     rebooted: bool
-    """the board started anew since the frame taken before"""
+    """the board restarted since the previous frame taken"""
     estimator_restarted: bool
     """the estimator has no memory of earlier frames: the first frame, after a tare, or after a gap above 60 s"""
     repeated: bool
-    """this reader had the frame before: ``latest`` found no newer one. What happened before it is not told twice: the
-    counts are then 0 (or None), and the marks above False"""
+    """``latest`` found no newer frame, so this reader gets the same frame again. Events are not reported twice: the
+    counts above are then 0 (or None), and the flags above False"""
     counts: NDArray[np.uint16] = field(repr=False)
     """as the board sent them"""
     valid: BoolArray = field(repr=False)
-    """where ``resistance`` is a measurement: known as well as was asked for (``Skin.open(accuracy=...)``)"""
+    """where ``resistance`` is a measurement, within the uncertainty asked for (``Skin.open(accuracy=...)``)"""
     reason: NDArray[np.int8] = field(repr=False)
-    """why a cell is not valid: a :class:`ohmskin.circuits.Reason` each, 0 where it is"""
+    """why a cell is not valid: a :class:`ohmskin.circuits.Reason` each, 0 for valid cells"""
     resistance: FloatArray = field(repr=False)
-    """ohm of the cells, with what the circuit adds taken out; NaN where not valid"""
+    """cell resistances in ohm, corrected for the readout circuit; NaN where not valid"""
     pressure: FloatArray = field(repr=False)
-    """kPa, estimated from this and earlier frames; where not valid the last estimate, NaN before the first"""
+    """kPa, estimated from this frame and earlier ones; where not valid the last estimate, NaN before the first"""
     _std: Later = field(repr=False)
     _contacts: Callable[[], tuple[Contact, ...]] = field(repr=False)
     _now: Callable[[], float] = field(repr=False)
@@ -64,7 +64,7 @@ class Frame:
         return self._now() - self.monotonic_time
 
     def again(self) -> Frame:
-        """The same frame for a reader who has had it: its arrays, without what was told with it."""
+        """The same frame for a reader who has had it already: same arrays, without the events reported before."""
         return replace(
             self,
             lost_before=None if self.lost_before is None else 0,
@@ -80,17 +80,17 @@ class Frame:
     def pressure_std(self) -> FloatArray:
         """kPa (rows, columns), standard deviation of ``pressure``; NaN where the estimator states none.
 
-        Computed when asked for, and then kept.
+        Computed on first use, then cached.
         """
         return self._std()
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
-        """What touches the skin, the largest force first. Computed when asked for; ids last from frame to frame."""
+        """Contacts on the skin, the largest force first. Computed on demand; ids persist from frame to frame."""
         return self._contacts()
 
     def __reduce__(self) -> tuple[Callable[..., Frame], tuple[dict[str, Any], float]]:
-        """For pickle and copy: contacts are computed now, and the age goes on with this machine's monotonic clock."""
+        """For pickle and copy: contacts are computed first, and the age continues on this machine's monotonic clock."""
         values = {item.name: getattr(self, item.name) for item in fields(self) if item.name[0] != "_"}
         values |= {"pressure_std": self.pressure_std, "contacts": self.contacts}
         return _restored, (values, self._now() - time.monotonic())
@@ -98,7 +98,7 @@ class Frame:
     def as_dict(self) -> dict[str, AnyArray]:
         """All fields as NumPy arrays: those per cell (rows, columns), the others without axes.
 
-        Missing numbers are NaN, missing counts (``sequence``, ``lost_before``) are -1. ``age`` is that of the call.
+        Missing numbers are NaN; missing counts (``sequence``, ``lost_before``) are -1. ``age`` is the age at this call.
         """
         values: dict[str, Any] = {item.name: getattr(self, item.name) for item in fields(self) if item.name[0] != "_"}
         values["pressure_std"] = self.pressure_std
@@ -110,7 +110,7 @@ class Frame:
 
 
 def _restored(values: dict[str, Any], clock_ahead_s: float) -> Frame:
-    """A frame that was pickled: ``clock_ahead_s`` is what its clock showed beside the monotonic clock."""
+    """A frame from a pickle; ``clock_ahead_s`` is its clock minus the monotonic clock."""
     std, contacts = values.pop("pressure_std"), values.pop("contacts")
     return Frame(
         **values, _std=Later(lambda: std), _contacts=lambda: contacts, _now=lambda: time.monotonic() + clock_ahead_s

@@ -1,4 +1,4 @@
-"""What a board says of itself, checked against limits before anything is computed from it."""
+"""A board's identity and description, checked against limits before anything is computed from them."""
 
 from __future__ import annotations
 
@@ -18,50 +18,50 @@ S = TypeVar("S", Design, Cell)
 MOST_CELLS = 256 * 256
 """the inverse of a larger array takes more than seconds and gigabytes"""
 MOST_CONTINUOUS_CELLS = 32 * 32
-"""an uncut sheet is cut into finer pieces for computing"""
+"""limit for a continuous sheet, which is divided into finer pieces for computing"""
 MOST_FINE_PIECES = 512 * 512
 LARGEST, SMALLEST = 1e30, 1e-30
-"""magnitudes of all finite quantities that are not 0; products of several must not overflow"""
+"""limits of the magnitudes of all finite quantities that are not 0; products of several must not overflow"""
 MOST_ITEMS = 100_000
 LONGEST_TEXT = 1000
 
 
 class Introduction:
-    """What is known of the board: what its packets said, and what the caller gave instead."""
+    """All that is known of the board: from its packets, or given by the caller instead."""
 
     def __init__(self, family: Family, port_name: str, design: Design | None, cell: Cell | None) -> None:
         self.family = family
         self.port_name = port_name
         self.identity: Identity | None = None
         self.identified = threading.Event()
-        """set when the board has said who it is; the description may come before that"""
+        """set when the board has identified itself; the description may come before that"""
         self.description: Description | None = None
         self._given = design, cell
         self._both_given = design is not None and cell is not None
         self.has_sent_frames = False
-        """the board has sent a frame, so that its size is known"""
+        """whether the board has sent a frame, so that its size is known"""
         self.must_identify = False
-        """the serial number is waited for, too, where the family has one: another board shall not be taken"""
+        """whether to wait for the serial number, too, if the family has one: another board must not be accepted"""
 
     @property
     def serial_number(self) -> str:
-        """The board's serial number; empty where it does not say."""
+        """The board's serial number; empty if the board does not send one."""
         return "" if self.identity is None else self.identity.serial_number
 
     @property
     def complete(self) -> bool:
-        """Whether all is known that the board will say."""
+        """Whether everything is known that the board will send."""
         if self.must_identify and self.family.has_description and self.identity is None:
             return False
         if self.description is not None or not self.family.has_description:
             return True
         if self._both_given:
-            # Nothing else is needed, but the board's first word tells whether the design is of its size.
+            # Nothing else is needed, but the board's first packet shows whether the design has its size.
             return self.identity is not None or self.has_sent_frames
         return self.identity is not None and not self.identity.description_bytes
 
     def as_bytes(self) -> bytes:
-        """What the board said of itself, in packets of its family."""
+        """The board's identity and description, in packets of its family."""
         board, known, described = board_protocol(self.family), self.identity, self.description
         said = b"" if known is None else board.identify(known)
         if described is not None:
@@ -73,8 +73,8 @@ class Introduction:
         """Take a packet.
 
         Raises:
-            ProtocolError: the board says something else than before, or exceeds the limits.
-            InputError: the design that was given is not of this board: another size, or another converter.
+            ProtocolError: the packet contradicts an earlier one, or exceeds the limits.
+            InputError: the given design does not match this board: another size, or another converter.
 
         """
         if isinstance(event, FramePacket):
@@ -94,7 +94,7 @@ class Introduction:
         self.description = event
 
     def _check_given(self, rows: int, columns: int, adc_bits: int | None = None) -> None:
-        """Compare the board with the design that was given, if one was; InputError."""
+        """Compare the board with the given design, if any; InputError."""
         design = self._given[0]
         if design is None:
             return
@@ -107,7 +107,7 @@ class Introduction:
         raise InputError(f"{self.port_name}: the board has {board}, the design that was given has {given}")
 
     def difference(self, event: Identity | Description) -> str:
-        """In what the board that speaks differs from the board from before; empty where it does not."""
+        """Difference between the board that sent this and the board from before; empty if there is none."""
         if isinstance(event, Description):
             before = self.description
             same = before is None or (before.design, before.cell) == (event.design, event.cell)
@@ -122,10 +122,10 @@ class Introduction:
         return ""
 
     def design(self) -> Design:
-        """The design of the readout: as given, as described, or as usual for the family.
+        """The design of the readout: as given, as described, or the usual one of the family.
 
         Raises:
-            InputError: none of them is known.
+            InputError: none of these is known.
             ProtocolError: the description is not valid.
 
         """
@@ -141,7 +141,7 @@ class Introduction:
         raise InputError(f"{self.port_name}: the board does not describe its readout; pass design=Design.load(...)")
 
     def cell(self) -> Cell | None:
-        """The cell: as given or as described; None where neither is known. Raises ProtocolError."""
+        """The cell: as given or as described; None if neither is known. Raises ProtocolError."""
         given = self._given[1]
         if given is not None or self.description is None or self.description.cell is None:
             return given

@@ -1,4 +1,4 @@
-"""Lazy evaluation of arrays of a frame: computed once, when somebody asks for them, in whatever thread that is."""
+"""Lazy evaluation of a frame's arrays: each is computed once, on first use, in the calling thread."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from ..arrays import FloatArray
 
 
 class Later:
-    """An array that is computed when it is first called for.
+    """An array that is computed on first use.
 
-    The computation must depend on nothing that changes: the array is then that of its frame, whenever it is asked for.
+    The computation must depend only on immutable values, so that the time of the call makes no difference.
     """
 
     __slots__ = ("__weakref__", "_array", "_compute", "_lock")
@@ -24,7 +24,7 @@ class Later:
         self._lock = threading.Lock()
 
     def __call__(self) -> FloatArray:
-        """The array, read-only, the same one for all who ask."""
+        """The array, read-only; every call returns the same one."""
         array = self._array
         if array is None:
             with self._lock:
@@ -34,20 +34,20 @@ class Later:
                     array = self._compute()
                     array.setflags(write=False)
                     self._array = array
-                    self._compute = None  # what it holds is several times as large as the array
+                    self._compute = None  # its inputs are several times as large as the array
         return array
 
 
 class Retained:
-    """Has the arrays of frames that somebody keeps computed after a while, so that kept frames stay small."""
+    """Computes the lazy arrays of kept frames after a while, so that kept frames stay small."""
 
     def __init__(self, frames: int) -> None:
-        """``frames``: number of newer frames after which that is done."""
+        """``frames``: number of newer frames after which an array is computed."""
         self._frames = frames
         self._waiting: deque[weakref.ref[Later]] = deque()
 
     def add(self, later: Later) -> None:
-        """Take the array of the newest frame."""
+        """Add the array of the newest frame."""
         self._waiting.append(weakref.ref(later))
         if len(self._waiting) > self._frames:
             kept = self._waiting.popleft()()

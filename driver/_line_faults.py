@@ -1,20 +1,20 @@
-"""Lines that still conduct, but no longer as the design says: cracked ones, and neighbours that are bridged.
+"""Line faults without an open circuit: cracked lines (added resistance) and bridged neighbours, told from loads.
 
-A frame has as many readings as the board has cells, so whatever a line does, other cells of a sound board would read
-the same. A crack of r ohm ahead of cells of G siemens makes each of them read 1 + r G times its resistance, which a bar
-pressed on them can do as well, and a bridge lets two lines read as if each had both lines' cells. Time and the material
-tell what a frame does not (fault detection with a model of the process, Isermann 2006):
+A frame has as many readings as the board has cells. Whatever a line does, a sound board with other cells would give the
+same readings. A crack of r ohm ahead of cells of G siemens multiplies the resistance of each by 1 + r G, and a bar
+pressed on them can do the same. A bridge makes two lines read as if each had the cells of both. One frame therefore
+cannot tell a fault from a load. Time and a model of the material can (model-based fault detection, Isermann 2006):
 
-* **No load does so.** The cells of a line fall together below whatever they have been, and below rest by far, though
-  loads raise their resistance (bridged lines); or they rise together beyond what any load gives. Where one reading is
-  too rough to say so, the mean of further ones does.
-* **Loads do not keep so.** Readings from some place of a line to its end rise at once by one and the same factor, and
-  keep to that factor, as the load of the line changes it (1 / (1 - r G') with the sum G' of the conductances that are
-  read). Under a load this material would creep. That it does not is told after a second or more, where the readings
-  are known well enough.
+* **No load gives such readings.** The cells of a line fall together below everything that they have read, and far below
+  rest, though loads raise their resistance (bridged lines). Or they rise together beyond what any load gives. Where one
+  reading is too rough to decide, the mean of several looks does.
+* **No load stays like this.** The readings from some place of a line to its end rise at once by one common factor, and
+  keep this factor, except for the change that the line's load makes: 1 / (1 - r G') with the sum G' of the conductances
+  that are read. Under a load this material would creep. Whether creep is missing is decided after a second or more, if
+  the readings are accurate enough.
 
-All others are given the benefit of the doubt: what comes on slowly, what was there when the skin was opened or tared,
-materials that do not creep, and readings that noise or ADC steps leave open by more than the creep.
+All other readings count as loads: slow changes; faults from before the skin was opened or tared; materials that do not
+creep; and readings whose noise or ADC steps exceed the creep.
 """
 
 from __future__ import annotations
@@ -32,54 +32,55 @@ from ..errors import InputError
 from ._reading import Reading
 
 EVERY_S = 0.08
-"""from one look to the next"""
+"""s from one look at the lines to the next"""
 LONGEST_GAP_S = 1.0
-"""without a frame, across which nobody knows what was sudden"""
+"""s without a frame, after which no change is known to be sudden"""
 LEAST_CELLS = 4
-"""of a line that must have moved together: fewer are a fingertip"""
+"""least number of cells of a line that must move together; fewer may be a fingertip"""
 LEAST_CHANGE = 0.03
-"""of a resistance (natural logarithm) that is looked at"""
+"""least change of a resistance (natural logarithm) that is examined"""
 MOST = 0.75
-"""share of a line's cells that are to agree: others may be pressed or released meanwhile"""
+"""share of a line's cells that must agree; the others may be pressed or released meanwhile"""
 ASIDE = 0.25
-"""times the change of a line by which the rest of the board may have moved with it, and from which on a faulty line is
-sound again"""
+"""fraction of a line's change. The rest of the board must have moved by less; a faulty line whose change has come down
+to less is sound again"""
 UNEQUAL = 0.03
-"""of a change by which the cells of a cracked line may differ, beside noise: their columns load them differently"""
+"""fraction of a change by which the cells of a cracked line may differ, beside noise: their columns load them
+differently"""
 BELOW_REST = 0.2
-"""(natural logarithm) below rest and below all that a cell has read, where no load takes it. Ageing is slower"""
+"""margin (natural logarithm) below rest and below all that a cell has read, where no load takes it. Ageing is slower"""
 SPREADS = 3.0
-"""standard deviations of rest resistances that are not known, likewise"""
+"""standard deviations of unknown rest resistances, likewise; also of readings that are to agree"""
 FIRST_VERDICT_S, LAST_VERDICT_S = 1.0, 8.0
-"""after a change of a line for which creep is compared"""
+"""time after the change of a line in which creep is compared"""
 CLEAR = 5.0
-"""standard deviations of a reading, or of what decides, that noise does not reach"""
+"""standard deviations of a reading, or of a test statistic, that noise does not reach"""
 STEPS = 2.0
-"""standard deviations by ADC steps that no reading is off by: rounding errs by the square root of 3 of them at most"""
+"""standard deviations by ADC steps that no reading errs by: a rounding error is at most the square root of 3 of them"""
 LEAST_CREEP = 0.002
-"""times the change, root mean square, that must decide: the creep is not known better"""
+"""error of the creep model, root mean square, relative to the change: smaller differences decide nothing"""
 RESTED = 0.1
-"""times the change, above the least that the cells have read, up to which their creep is that of cells at rest"""
+"""relative to the change: cells at most this far above their least reading creep like cells at rest"""
 KEPT = 1.0 / 3.0
-"""times the creep of the model that a load shows at least; it shows at most as many times more"""
+"""least creep of a load over that of the model; the largest is the inverse"""
 ONSETS_S = 0.0, 0.16, 0.5
-"""by which a load may have begun before its change was seen, or have taken to come on"""
+"""s by which a load may have begun before its change was seen, or for which it may have come on"""
 FITS = 2.0
-"""times the variance of the noise, in the mean, that a crack may leave"""
+"""largest mean square of what a crack leaves unexplained, over the variance of the noise"""
 TINY = 1e-300
 POINTS = 33
-"""of the table of creep, in time"""
+"""points in time of the creep table"""
 OVERLOAD = 4.0
-"""times what full scale makes of a resistance, which no press on a whole line exceeds"""
+"""change of a resistance over the change at full scale, which no press on a whole line exceeds"""
 LOADS = np.linspace(0.02, 1.0, 25)
-"""of full scale, in the table"""
+"""loads of the creep table, as fractions of full scale"""
 
 
 class Creep:
-    """How cells of one material go on after a sudden load, tabulated."""
+    """Table of creep: further change of the resistance of one material after a sudden load."""
 
     def __init__(self, cell: Cell) -> None:
-        """Apply loads of up to full scale to cells at rest, and hold them."""
+        """Simulate cells at rest to which loads of up to full scale are applied and held."""
         forward = cell.forward(LOADS.shape)
         rest_ohm, load = forward.rest_resistance_ohm, LOADS * cell.full_scale_kpa
         self._time_s = np.geomspace(0.01, 2.0 * LAST_VERDICT_S, POINTS)
@@ -87,10 +88,10 @@ class Creep:
         changes = np.log(np.array(ohms) / rest_ohm)
         self._first, self._further = changes[0], changes - changes[0]
         self.most = math.log1p(OVERLOAD * math.expm1(changes.max()))
-        """of a logarithm at once that a load may be the cause of"""
+        """largest sudden change of a resistance (natural logarithm) by a load"""
 
     def of(self, change: float, time_s: FloatArray) -> FloatArray:
-        """Further change of the logarithm of the resistance at times after a load that changed it by ``change``."""
+        """Further change of the logarithm of the resistance, at times after a load that changed it by ``change``."""
         share = [np.interp(change, self._first, further) for further in self._further]
         further: FloatArray = np.interp(time_s, self._time_s, share)
         return further
@@ -101,45 +102,46 @@ class _Change:
     """A sudden change of a line."""
 
     cells: BoolArray
-    """(rows, columns) that take part"""
+    """(rows, columns) cells that take part"""
     before: FloatArray
-    """(rows, columns) logarithms of their resistances over rest, before"""
+    """(rows, columns) logarithms of their resistances over rest, before the change"""
     size: float
-    """of the change, in their median"""
+    """median change of these logarithms"""
     limits: tuple[FloatArray, float]
-    """(rows, columns) below which no load takes the cells, and by how much none raises them at once"""
+    """(rows, columns) logarithms below which no load takes the cells; the largest sudden rise by a load"""
     conductance: float = 0.0
-    """that was read then, sum over the cells, over that of a cell at rest"""
+    """sum of the conductances just after the change, over the conductance of a cell at rest"""
     times_s: list[float] = field(default_factory=list)
-    """of later looks, since the change"""
+    """times of later looks, since the change"""
     changes: list[tuple[float, float]] = field(default_factory=list)
-    """from ``before``, likewise, and what the line's load makes of it if the line is cracked"""
+    """for each of these looks the change from ``before``, and the change by the line's load if the line is cracked"""
     heights: list[float] = field(default_factory=list)
-    """of most of the cells above the limit below which no load takes them, likewise"""
+    """for each look the height above the limit below which no load takes the cells: most cells are below this height"""
 
     @property
     def line(self) -> str:
-        """Its name."""
+        """Name of the line."""
         rows, columns = (np.flatnonzero(self.cells.any(axis=1 - axis)) for axis in (0, 1))
         if len(rows) == 1:
             return f"row {rows[0]}, columns {columns[0]} to {columns[-1]}"
         return f"column {columns[0]}, rows {rows[0]} to {rows[-1]}"
 
     def no_load(self, log: FloatArray, std: FloatArray) -> bool:
-        """Whether most of the cells are where no load takes them, whatever the readings' errors are."""
+        """Whether most of the cells are where no load takes them, beyond the errors of the readings."""
         now = log[self.cells] - math.copysign(CLEAR, self.size) * std[self.cells]
         low, most = self.limits
         beyond = (now < low[self.cells]) if self.size < 0.0 else (now - self.before[self.cells] > most)
         return bool(beyond.sum() >= MOST * np.isfinite(now).sum() > 0)
 
     def stays_low(self, since_s: float, log: FloatArray, noise: float, steps: float) -> bool | None:
-        """Whether most of the cells have been, in the mean, where no load takes them; None: not told yet.
+        """Whether most of the cells have been, in the mean, where no load takes them; None: undecided.
 
-        Cells may share their errors, as in a column of a divider: only other looks make these smaller.
-        ``noise`` and ``steps`` are standard deviations of one reading, by what averages out and by what does not.
+        Cells may share their errors, as in a column of a divider. Only further looks reduce these errors.
+        ``noise`` and ``steps`` are standard deviations of one reading: of errors that average out, and of those that
+        do not.
         """
         above = np.sort((log - self.limits[0])[self.cells])
-        height = above.item(math.ceil(MOST * len(above)) - 1)  # NaN, where too many are not read
+        height = above.item(math.ceil(MOST * len(above)) - 1)  # NaN if too many cells are not read
         if not height < 0.0:
             return False
         self.heights.append(height)
@@ -149,13 +151,13 @@ class _Change:
         return False if since_s > LAST_VERDICT_S else None
 
     def follow(self, since_s: float, log: FloatArray, std: FloatArray) -> bool:
-        """Note what has become of the change. False where it is no longer that of a cracked line."""
+        """Record the further course of the change. False if it is no longer that of a cracked line."""
         now = (log - self.before)[self.cells]
         middle = _median(now)
         if not _agree(now, middle, std[self.cells]):
             return False
         conductance = float(np.nansum(np.exp(-log[self.cells])))
-        # 1 - r G' is the factor of the conductances; r follows from the first look.
+        # The conductances have changed by the factor 1 - r G'; r follows from the first look.
         left = 1.0 + math.expm1(-self.size) * conductance / self.conductance
         if left <= 0.0:
             return False
@@ -164,10 +166,11 @@ class _Change:
         return True
 
     def verdict(self, creep: Creep, noise: float, steps: float) -> bool | None:
-        """Whether the line is cracked rather than loaded; None: not told yet.
+        """Whether the line is cracked rather than loaded; None: undecided.
 
-        Both say how the change goes on. The squares that one leaves beyond those of the other are to be beyond error.
-        ``noise`` and ``steps`` are standard deviations of one reading, by what averages out and by what does not.
+        Each hypothesis predicts the further course of the change. Their sums of squared residuals must differ by more
+        than the error of the difference. ``noise`` and ``steps`` are standard deviations of one reading: of errors that
+        average out, and of those that do not.
         """
         times = np.array(self.times_s)
         if times[-1] < FIRST_VERDICT_S:
@@ -179,7 +182,7 @@ class _Change:
             (further,) = _centred(creep.of(self.size, times + onset_s)[None])
             scale = changes @ further / max(further @ further, TINY)
             if_loaded = min(if_loaded, _squares(changes - np.clip(scale, KEPT, 1.0 / KEPT) * further))
-        # The variance of a median of so many is pi / 2 times that of a mean, unless they share their noise.
+        # The variance of a median of n cells is pi / 2 times that of their mean, unless the cells share their noise.
         scatter = np.diff(changes - cracked)
         variance = max(0.5 * math.pi * noise**2 / int(self.cells.sum()), 0.5 * _squares(scatter) / len(scatter))
         unknown = len(times) * (4.0 * steps**2 + (LEAST_CREEP * self.size) ** 2)
@@ -190,14 +193,14 @@ class _Change:
 
 
 class LineFaults:
-    """The lines of one skin whose readings no load explains. Arrays are (rows, columns)."""
+    """Finds the lines of one skin whose readings no load explains. Arrays are (rows, columns)."""
 
     def __init__(self, rest_ohm: FloatArray, creep: Creep, *, rest_known: bool) -> None:
         """Begin.
 
         Args:
             rest_ohm: of the cells.
-            creep: of the material, of which loads raise the resistance.
+            creep: of a material whose resistance rises under load.
             rest_known: the rest resistances were measured, by a tare or a calibration.
 
         """
@@ -205,19 +208,19 @@ class LineFaults:
         self._rest_known = rest_known
         self._at: float | None = None
         self._looks: deque[FloatArray] = deque(maxlen=3)
-        self._least: FloatArray = np.full(rest_ohm.shape, math.nan)  # that cells have read
+        self._least: FloatArray = np.full(rest_ohm.shape, math.nan)  # least readings of the cells
         self._suspects: list[tuple[float, _Change]] = []
         self._faults: list[_Change] = []
         self._all_sound = all_sound.machine_code()
         self.cells: BoolArray | None = None
-        """those of faulty lines; None: no line is"""
+        """cells of faulty lines; None: no line is faulty"""
 
     def take(self, time_s: float, reading: Reading, rest_spread: float | None) -> BoolArray | None:
         """Take a frame's readings.
 
         Args:
             time_s: of the frame.
-            reading: with the cells of faulty lines.
+            reading: includes the cells of faulty lines.
             rest_spread: relative standard deviation of rest resistances that were not measured; None: not known yet.
 
         Returns:
@@ -242,12 +245,12 @@ class LineFaults:
 
     @property
     def remark(self) -> str:
-        """Names the faulty lines."""
+        """Message that names the faulty lines."""
         lines = ", ".join(fault.line for fault in self._faults)
         return f"{lines}: read what no load makes of them; look for cracked or bridged lines, or tare() anew"
 
     def state(self) -> dict[str, FloatArray]:
-        """Arrays by name for :meth:`restore`; the suspects are dropped, and what was sudden is not known."""
+        """Arrays by name for :meth:`restore`. Suspects are dropped, and the next change does not count as sudden."""
         self._looks.clear()
         self._suspects.clear()
         self._at = None
@@ -259,7 +262,7 @@ class LineFaults:
         }
 
     def restore(self, state: dict[str, FloatArray]) -> None:
-        """Go on from a :meth:`state`; InputError where it does not fit."""
+        """Continue from a :meth:`state`; InputError if it does not fit."""
         shape, sizes = self._least.shape, state.get("sizes", np.zeros(0))
         if (
             state.keys() != {"least", "faults", "sizes"}
@@ -278,10 +281,10 @@ class LineFaults:
         self.cells = np.any([fault.cells for fault in self._faults], axis=0) if self._faults else None
 
     def _judge(self, time_s: float, log: FloatArray, reading: Reading) -> None:
-        """Follow faulty lines and those that may be."""
+        """Follow faulty lines and suspects."""
         faulty = [fault for fault in self._faults if not _sound(fault, log)]
         if len(faulty) < len(self._faults):
-            self._looks.clear()  # as it comes back, a line changes as suddenly
+            self._looks.clear()  # a line that recovers changes as suddenly
         going_on = []
         noise, steps = _std_of(reading)
         std = np.hypot(noise, steps)
@@ -303,7 +306,7 @@ class LineFaults:
         self._gather()
 
     def _look(self, time_s: float, log: FloatArray, reading: Reading, rest_spread: float | None) -> None:
-        """Find lines that have changed of late, and note how low cells have read."""
+        """Find lines that have changed recently, and keep the least readings of the cells."""
         earlier, before, _ = self._looks
         margin = BELOW_REST if self._rest_known else max(BELOW_REST, SPREADS * (rest_spread or 0.0))
         if self._all_sound is not None and self.cells is None and not self._suspects:
@@ -337,7 +340,7 @@ class LineFaults:
 
     @staticmethod
     def _candidates(change: FloatArray, log: FloatArray, before: FloatArray, lowest: FloatArray) -> list[BoolArray]:
-        """Cells of lines that have moved together since ``before``, by a ``change``, or below the ``lowest``."""
+        """Cells of lines that have moved together since ``before``, by a ``change``, or fallen below the ``lowest``."""
         size = np.abs(change)
         if np.count_nonzero(size > LEAST_CHANGE) < LEAST_CELLS:
             return []
@@ -350,9 +353,9 @@ class LineFaults:
 
 
 def _may_have_changed(change: FloatArray, log: FloatArray, margin: float) -> bool:
-    """Whether a line may have moved as one: a quick look, as most frames are of boards without a fault.
+    """Whether a line may have moved as one: a quick test, since most frames are of boards without a fault.
 
-    Of a line that has, either the cells at its end have risen, or cells are below rest by more than the ``margin``.
+    If a line has, either the cells at its end have risen, or cells are below rest by more than the ``margin``.
     """
     still: BoolArray = change <= LEAST_CHANGE  # False where nothing is known
     rows, columns = still[:, -LEAST_CELLS:], still[:LEAST_CELLS]  # as many as must have moved together
@@ -365,9 +368,10 @@ def _may_have_changed(change: FloatArray, log: FloatArray, margin: float) -> boo
 
 @loop
 def all_sound(log: Rows, before: Rows, least: Rows, margin: float, lowered: Rows) -> bool:
-    """Whether no line may have changed, see :func:`_may_have_changed`: of cells that read as ``before`` till then.
+    """Whether no line can have changed (:func:`_may_have_changed`), for cells that read as ``before`` until then.
 
-    Then the ``least`` that cells have read is ``lowered``. Arrays are (rows, columns).
+    If so, ``lowered`` becomes the least reading of each cell so far, given the ``least`` until now. Arrays are
+    (rows, columns).
     """
     rows, columns = log.shape
     for i in range(rows):
@@ -392,7 +396,7 @@ def all_sound(log: Rows, before: Rows, least: Rows, margin: float, lowered: Rows
 
 
 def _median(values: FloatArray) -> float:
-    """Of those that are known; NaN where none is."""
+    """Median of the finite values; NaN if there are none."""
     known = np.sort(values[np.isfinite(values)])
     if not known.size:
         return math.nan
@@ -401,7 +405,7 @@ def _median(values: FloatArray) -> float:
 
 
 def _agree(changes: FloatArray, middle: float, std: FloatArray) -> bool:
-    """Whether nearly all cells have changed alike, within UNEQUAL and the errors of two readings."""
+    """Whether nearly all cells have changed alike, within :data:`UNEQUAL` and the errors of two readings."""
     known = np.isfinite(changes)
     alike = np.abs(changes - middle) < UNEQUAL * abs(middle) + SPREADS * math.sqrt(2.0) * std
     return bool(np.count_nonzero(alike) >= max(LEAST_CELLS, MOST * np.count_nonzero(known)))
@@ -418,8 +422,8 @@ def _squares(series: FloatArray) -> float:
 
 
 def _sound(fault: _Change, log: FloatArray) -> bool:
-    """Whether a line reads again as it did before."""
-    return abs(_median((log - fault.before)[fault.cells])) < ASIDE * abs(fault.size)  # False where nothing is known
+    """Whether a line reads again as before the fault."""
+    return abs(_median((log - fault.before)[fault.cells])) < ASIDE * abs(fault.size)  # False if nothing is known
 
 
 def _std_of(reading: Reading) -> tuple[FloatArray, FloatArray]:
@@ -445,12 +449,12 @@ def _same(rows: BoolArray) -> BoolArray:
 
 
 def _columns(rows: BoolArray) -> BoolArray:
-    """Columns out of rows whose last cell is that of the column's first row."""
+    """Undo the transposition for columns, of which the last place is the first row."""
     return rows.T[::-1]
 
 
 def _lines(low: BoolArray) -> list[BoolArray]:
-    """Whole rows and columns of which most cells are low."""
+    """Whole rows and columns most of whose cells are low."""
     found = []
     for axis in (0, 1):
         count, cells = low.sum(axis=1 - axis), low.shape[1 - axis]

@@ -13,7 +13,7 @@ from ._stream import RawFrame
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A frame that could not be taken. Every taker is told once."""
+    """A frame that could not be taken. Every taker is told of it once."""
 
     number: int
     """from 1"""
@@ -24,23 +24,23 @@ class Fault:
 
 @dataclass(slots=True, eq=False)
 class Place:
-    """How far one taker has got."""
+    """Position of one taker in the stream."""
 
     index: int
-    """of the last frame that the taker has passed"""
+    """number of the last frame that the taker has passed"""
     used: bool = False
-    """the taker has asked for a frame: where nothing may be dropped, the reader thread waits for such takers only"""
+    """the taker has asked for a frame: if nothing may be dropped, the reader thread waits only for such takers"""
 
 
 class Mailbox:
-    """The newest frames that came. Takers keep their own place, so that they do not disturb each other.
+    """The newest frames. Each taker keeps its own place, so that takers do not disturb each other.
 
     All attributes are read and written with ``lock`` held.
     """
 
     def __init__(self, capacity: int, *, drops_oldest: bool = True) -> None:
-        # `with lock` cannot be cut in two by Ctrl-C, since the lock is C code. `with condition` is Python code and can:
-        # the lock would stay taken, and the reader thread would wait for it for ever.
+        # Ctrl-C cannot interrupt `with lock` halfway, since the lock is C code. `with condition` is Python code and can
+        # be interrupted: the lock would stay taken, and the reader thread would wait for it for ever.
         self.lock = threading.RLock()
         self._condition = threading.Condition(self.lock)
         self.capacity = capacity
@@ -49,20 +49,20 @@ class Mailbox:
         self.end: OhmskinError | None = None
         """why no frame will come any more"""
         self.away: str | None = None
-        """why the port is gone at present, while the driver tries to open it again"""
+        """why the port is lost, while the driver tries to open it again"""
         self._drops_oldest = drops_oldest
         self._closed = False
         self._room_wanted = False
         self._waiting = 0
-        """threads in :meth:`wait_for`"""
+        """number of threads in :meth:`wait_for`"""
         self._frames: deque[RawFrame] = deque()
         self._dropped: RawFrame | None = None
-        """the frame before the oldest one that is kept"""
+        """the frame before the oldest one kept"""
         self._places: list[Place] = []
         self._wakers: list[Callable[[], None]] = []
 
     def put(self, frame: RawFrame) -> None:
-        """Let ``frame`` be the newest; the oldest is dropped where the queue is full. :meth:`tell` makes it known."""
+        """Add the newest frame; a full queue drops the oldest one. :meth:`tell` then wakes those who wait."""
         with self.lock:
             if self._closed:
                 return
@@ -72,31 +72,31 @@ class Mailbox:
                 self._dropped = self._frames.popleft()
 
     def tell(self) -> None:
-        """Wake those who wait for frames: once for all frames that came together, since each wake-up costs time."""
+        """Wake all waiting threads: once for all frames that came together, since each wake-up costs time."""
         with self.lock:
             self._tell()
 
     def report(self, error: OhmskinError) -> None:
-        """Let every taker know of a fault after which frames go on."""
+        """Report a fault, after which frames go on, to every taker."""
         with self.lock:
             after = 0 if self.newest is None else self.newest.index
             self.fault = Fault(self.fault.number + 1, error, after)
             self._tell()
 
     def set_away(self, reason: str | None) -> None:
-        """Let takers know that the port is gone and may come back, or is back (None)."""
+        """Tell takers that the port is lost and may come back, or is back (None)."""
         with self.lock:
             self.away = reason
             self._tell()
 
     def finish(self, error: OhmskinError) -> None:
-        """Let takers know that no frame will come any more. The first reason counts."""
+        """Tell takers that no frame will come any more. The first reason counts."""
         with self.lock:
             self.end = self.end or error
             self._tell()
 
     def close(self, error: OhmskinError) -> None:
-        """Drop what is queued, and let takers know that they get no more."""
+        """Drop the queue, and tell takers that they get no more frames."""
         with self.lock:
             self._closed = True
             self._frames.clear()
@@ -105,12 +105,12 @@ class Mailbox:
             self._tell()
 
     def has_after(self, index: int) -> bool:
-        """Whether a frame beyond ``index`` has come."""
+        """Whether a frame beyond ``index`` has arrived."""
         newest = self.newest
         return newest is not None and newest.index > index
 
     def after(self, index: int) -> RawFrame | None:
-        """The oldest frame beyond ``index``; None where there is none yet."""
+        """The oldest frame beyond ``index``; None if there is none yet."""
         if not self._frames or self._frames[-1].index <= index:
             return None
         return self._frames[max(index + 1 - self._frames[0].index, 0)]
@@ -126,11 +126,11 @@ class Mailbox:
         """A place for a new taker.
 
         Args:
-            from_start: the taker wants the first frame that ever came; otherwise the frames that come from now on, and
-                where nothing may be dropped those that are kept, too.
+            from_start: True: from the first frame of the stream; False: from now on, with the frames that are kept if
+                nothing may be dropped.
 
         Returns:
-            The place, and the last frame that the taker has no use for; None where there is none.
+            The place, and the last frame before it; None if there is none.
 
         """
         with self.lock:
@@ -149,21 +149,21 @@ class Mailbox:
             self._drop_passed()
 
     def move(self, place: Place, index: int) -> None:
-        """Note that a taker has passed frame ``index``. Frames that all takers have passed are dropped."""
+        """Record that a taker has passed frame ``index``. Frames that all takers have passed are dropped."""
         with self.lock:
             if index > place.index:
                 place.index = index
                 self._drop_passed()
 
     def oldest(self) -> int:
-        """Number of the oldest frame that is kept, or of the next one that will be."""
+        """Number of the oldest frame kept, or of the next one that will be."""
         with self.lock:
             if self._frames:
                 return self._frames[0].index
             return 1 if self.newest is None else self.newest.index + 1
 
     def _passed(self) -> int:
-        """Number of the last frame that all takers have passed; 0 where there are none."""
+        """Number of the last frame that all takers have passed; 0 if there are no takers."""
         places = self._places
         return places[0].index if len(places) == 1 else min((place.index for place in places), default=0)
 
@@ -177,18 +177,18 @@ class Mailbox:
             self._dropped = self._frames.popleft()
 
     def _drop_unused(self) -> None:
-        """Drop what those takers have passed who ever took a frame. The others find the oldest frame that is left."""
+        """Drop frames passed by all takers that ever took a frame. The others start at the oldest frame left."""
         self._drop_to(min((place.index for place in self._places if place.used), default=0))
 
     def is_full(self) -> bool:
-        """Whether the queue has no room, however much is dropped that nobody has asked for."""
+        """Whether the queue has no room, even after dropping frames that nobody has asked for."""
         with self.lock:
             if len(self._frames) >= self.capacity:
                 self._drop_unused()
             return len(self._frames) >= self.capacity
 
     def wait_for(self, news: Callable[[], bool], timeout_s: float) -> None:
-        """Wait until ``news`` returns True, for at most ``timeout_s``; asked whenever something is new."""
+        """Wait until ``news`` returns True, for at most ``timeout_s``; it is called whenever something is new."""
         with self.lock:
             self._waiting += 1
             try:
@@ -197,7 +197,7 @@ class Mailbox:
                 self._waiting -= 1
 
     def disown(self, error: LinkError) -> None:
-        """In a forked process: forget who held the lock, and let there be no frames but ``error``."""
+        """In a forked process: replace the lock, whoever held it, and end the stream with ``error``."""
         self.lock = threading.RLock()
         self._condition, self._waiting = threading.Condition(self.lock), 0
         self._wakers.clear()
@@ -211,22 +211,22 @@ class Mailbox:
             self._room_wanted = False
 
     def _has_room(self) -> bool:
-        # Half a queue at a time: threads that take turns for every frame spend more on turns than on frames.
+        # Half a queue at a time: threads that alternate with every frame spend more time on switching than on frames.
         self._drop_unused()
         return 2 * len(self._frames) <= self.capacity
 
     def add_waker(self, waker: Callable[[], None]) -> None:
-        """Let ``waker`` be called, from the reader thread, whenever something is new."""
+        """Call ``waker`` from the reader thread whenever something is new."""
         with self.lock:
             self._wakers.append(waker)
 
     def remove_waker(self, waker: Callable[[], None]) -> None:
-        """End what :meth:`add_waker` began."""
+        """Undo :meth:`add_waker`."""
         with self.lock:
             self._wakers.remove(waker)
 
     def _tell(self) -> None:
-        if self._waiting:  # the condition's own look at that takes longer than all else here
+        if self._waiting:  # the condition's own test takes longer than everything else here
             self._condition.notify_all()
         for waker in self._wakers:
             waker()

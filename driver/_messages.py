@@ -1,4 +1,4 @@
-"""Frames as JSON messages that Foxglove shows without plugins: in recordings, and live through its SDK.
+"""Frames as JSON messages that Foxglove shows without plugins, in recordings and live through its SDK.
 
 ``/ohmskin/pressure`` is an image, ``foxglove.RawImage`` in the encoding 32FC1: one float32 in kPa for each cell.
 ``/ohmskin/frame`` has the numbers of the frame and its contacts.
@@ -73,7 +73,7 @@ _FRAME_SCHEMA = {
 }
 
 MESSAGE_SCHEMAS: Mapping[str, Mapping[str, Any]] = {PRESSURE_TOPIC: _IMAGE_SCHEMA, FRAME_TOPIC: _FRAME_SCHEMA}
-"""topic -> JSON schema, whose title is its name"""
+"""topic -> JSON schema, named by its title"""
 
 
 def messages_of(frame: Frame) -> dict[str, dict[str, Any]]:

@@ -1,7 +1,7 @@
-"""From an open port to a board that is known: what is asked of a skin, the introduction, and the circuit's inverse.
+"""Opening of a skin: the caller's settings, the board's identification, and the set-up of the circuit's inverse.
 
-:class:`Opening` is what a caller asks for, with files read and numbers checked. :class:`Link` is the reader thread with
-what belongs to it: the mailbox, the counters, and, once the board has introduced itself, the converter of its frames.
+:class:`Opening` holds the caller's settings, with files read and numbers checked. :class:`Link` is the reader thread
+with its mailbox and counters and, once the board has identified itself, the converter of its frames.
 """
 
 from __future__ import annotations
@@ -46,25 +46,25 @@ Delivery = Literal["newest", "every", "lossless"]
 """
 QUEUE = 256
 LOOK_S = 0.05
-"""how often to look whether the compiler is at work, and how much processor time the set-up has had"""
+"""s between checks whether the compiler is at work, and how much processor time the set-up has used"""
 PATIENCE = 10.0
-"""times the limit on processor time: how long a set-up that waits for the processor may take. When a robot's computer
-boots, dozens of programs start at once"""
+"""limit on the real time of a set-up that waits for the processor, over the limit on its processor time. When a robot's
+computer boots, dozens of programs start at once"""
 
 
 @dataclass(frozen=True)
 class Opening:
-    """What is asked of a skin. The parameters of :meth:`Skin.__init__` say what each of them is."""
+    """Settings of a skin, as the parameters of :meth:`Skin.__init__` describe them."""
 
     family: Family
     settings: RecordedSettings
-    """what frames are made with; a recording holds it, too"""
+    """settings that determine the frames; a recording holds them, too"""
     timeout_s: float
     delivery: Delivery
     queue: int
     reconnect_s: float
     serial_number: str | None
-    """that the board must have; None: any"""
+    """required serial number of the board; None: any"""
 
     @classmethod
     def of(
@@ -83,7 +83,7 @@ class Opening:
         reconnect: float,
         serial_number: str | None = None,
     ) -> Opening:
-        """The same with files read and numbers checked; InputError."""
+        """Read the files and check the numbers; InputError."""
         timeout_s, queued = positive("timeout", timeout, "s"), count("queue", queue)
         reconnect_s = number("reconnect", reconnect, "s")
         if not reconnect_s >= 0:
@@ -109,7 +109,7 @@ class Opening:
 
 
 class Link:
-    """A board at an open port: the thread that reads it, and what the thread and the takers of frames share."""
+    """A board at an open port: the reader thread, and the objects that it shares with the takers of frames."""
 
     def __init__(self, port: BytePort, opening: Opening, reopen: Callable[[], BytePort] | None) -> None:
         self._port, self._opening = port, opening
@@ -142,7 +142,7 @@ class Link:
         return recording
 
     def introduce(self) -> Converter:
-        """Begin to read, let the board introduce itself, and set up what converts its frames.
+        """Start reading, wait until the board has identified itself, and set up the converter of its frames.
 
         Raises:
             LinkTimeout, ProtocolError, LinkError, InputError: as :meth:`Skin.__init__`. The port is then closed.
@@ -165,7 +165,7 @@ class Link:
         return converter
 
     def source(self, converter: Converter) -> Source:
-        """Where takers of frames get them."""
+        """The source from which takers get their frames."""
         return Source(
             self._port.name,
             self.mailbox,
@@ -178,7 +178,7 @@ class Link:
         )
 
     def _host_end(self) -> HostProtocol:
-        """A new host's end of the line, told of the array where the board does not say it."""
+        """A new host protocol, with the array's size if the board does not send it."""
         family = self._opening.family
         if family.has_description:
             return host_protocol(family)
@@ -187,7 +187,7 @@ class Link:
         return host_protocol(family, shape=design.array.shape, adc_bits=adc_bits)
 
     def _set_up(self) -> Converter:
-        """The converter for the board, tried out."""
+        """The converter for the board, after a trial conversion."""
         introduction, settings = self.introduction, self._opening.settings
         design, cell = introduction.design(), introduction.cell()
         if settings.calibration is not None:
@@ -210,12 +210,12 @@ class Link:
         except OhmskinError:
             raise
         except (ArithmeticError, LookupError, ValueError, TypeError, MemoryError, RecursionError) as error:
-            # A design and a cell that pass their own checks, but that nothing can be computed from.
+            # The design and the cell pass their own checks, but nothing can be computed from them.
             raise introduction.refused(error) from error
         return converter
 
     def _remember(self, converter: Converter) -> None:
-        """Let conversion go on as in the skin that a recorder joined, where the port plays such a recording."""
+        """If the port plays a recording that began in the middle, continue the conversion from its saved state."""
         if self._past is None:
             return
         try:
@@ -234,9 +234,9 @@ class Link:
 def _within(limit_s: float, work: Callable[[], Converter]) -> Converter | None:
     """The result of ``work``; None after ``limit_s`` of processor time, and the work then ends by itself.
 
-    The limit is for descriptions that nothing can be computed from. Neither the compiler, which the first skin on a
-    machine waits for, nor other programs, which leave the work little of the processor, are of their making. Time of
-    the compiler does not count, and of the time that passes at least a share of 1 / :data:`PATIENCE` does.
+    The limit is for descriptions from which nothing can be computed. Two delays are not the description's fault: the
+    compiler, for which the first skin on a machine waits, and other programs that use the processor. The compiler's
+    time does not count. Of the real time, at least a share of 1 / :data:`PATIENCE` counts.
     """
     results: list[Converter] = []
     errors: list[BaseException] = []
@@ -266,7 +266,7 @@ def _within(limit_s: float, work: Callable[[], Converter]) -> Converter | None:
 
 
 def _processor_s(clocks: list[int], otherwise_s: float) -> float:
-    """Processor time in s of a thread by its clock; ``otherwise_s`` where there is none, or the thread has ended."""
+    """Processor time in s of a thread by its clock; ``otherwise_s`` if it has none, or the thread has ended."""
     try:
         return time.clock_gettime(clocks[0]) if clocks else otherwise_s
     except OSError:

@@ -1,8 +1,8 @@
-"""State hand-over (checkpoint) of an open skin: what a recording that begins in the middle must know of before.
+"""Checkpoint of an open skin: the state from which the replay of a recording that began in the middle continues.
 
 A recorder that joins an open skin (:class:`~ohmskin.driver.Recorder`) writes this state before the first bytes. The
-replay begins with the state, and therefore gives the frames that the skin gave. The state is plain numbers, so that a
-recording from anyone can be opened.
+replay starts from the state, and therefore gives the same frames as the skin. The state is plain numbers, so that
+recordings from untrusted sources can be opened.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ..config import Finite, parse
 from ..errors import InputError
 
 MOST_NUMBERS = 2**27
-"""of one array: a gigabyte"""
+"""limit of one array: a gigabyte"""
 Index = Annotated[int, Field(ge=0, lt=2**64)]
 
 
@@ -43,7 +43,7 @@ class Block(_Part):
         return cls(shape=array.shape, data=base64.b64encode(data).decode())
 
     def array(self) -> FloatArray:
-        """The array; InputError where shape and data do not fit."""
+        """The array; InputError if shape and data do not match."""
         try:
             data = base64.b64decode(self.data, validate=True)
         except ValueError as error:
@@ -76,7 +76,7 @@ class StreamPast(_Part):
     """State of a :class:`._stream.FrameStream`."""
 
     begun: bool
-    """a frame has come"""
+    """whether a frame has come"""
     expected: Index | None
     boot_id: Index | None
     latest_us: Index | None
@@ -86,7 +86,7 @@ class StreamPast(_Part):
     in_step: bool
     recent: tuple[tuple[Index | None, Index | None, Index | None], ...]
     numbered: bool
-    """the board numbers its frames, as far as is known"""
+    """whether the board numbers its frames, as far as is known"""
     clock: ClockPast
     arrivals: ArrivalsPast = ArrivalsPast()
 
@@ -95,21 +95,21 @@ class MeasurementPast(_Part):
     """State of a :class:`._convert.Converter` after its last frame."""
 
     time_s: Finite | None
-    """of that frame; None: there was none"""
+    """of the last frame; None: there was none"""
     rest_ohm: Block | None
     """(rows, columns) rest resistances in use; None: those of the data sheet"""
     noise_steps: Annotated[float, Field(ge=0, le=2**16)]
     """ADC steps, standard deviation of the readings"""
     counts: Block | None
-    """(rows, columns) of that frame"""
+    """(rows, columns) of the last frame"""
     rest_spread: Annotated[float, Field(ge=0, lt=math.inf)] | None = None
-    """relative, of the rest resistances about that of the data sheet; None: not seen yet"""
+    """relative spread of the rest resistances about the data sheet; None: not measured yet"""
     restarted: bool
-    """the estimator has no memory of that frame"""
+    """whether the estimator has no memory of the last frame"""
     estimator: dict[str, Block] | None
-    """as :meth:`ohmskin.cell.Estimator.state` has it"""
+    """from :meth:`ohmskin.cell.Estimator.state`"""
     line_faults: dict[str, Block] | None = None
-    """as :meth:`._line_faults.LineFaults.state` has it"""
+    """from :meth:`._line_faults.LineFaults.state`"""
 
     def estimator_state(self) -> dict[str, FloatArray]:
         """Arrays for :meth:`ohmskin.cell.Estimator.restore`."""
@@ -117,11 +117,11 @@ class MeasurementPast(_Part):
 
 
 class Past(_Part):
-    """All of it."""
+    """The complete state."""
 
     heard: str
-    """base64 of bytes: what the board says of itself, then the last bytes before the join, which may end within a
-    packet"""
+    """base64 of bytes: the board's identity and description, then the last bytes before the join, which may end within
+    a packet"""
     stream: StreamPast
     measurement: MeasurementPast
 
@@ -132,7 +132,7 @@ class Past(_Part):
 
     @classmethod
     def parse(cls, tables: object, source: str) -> Self:
-        """Check what a file says; ``source`` names it in messages. Raises InputError."""
+        """Check the tables of a file; ``source`` names it in messages. Raises InputError."""
         if not isinstance(tables, Mapping):
             raise InputError(f"{source}: expected a table")
         past = parse(tables, cls, source=source)

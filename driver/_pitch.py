@@ -19,7 +19,7 @@ class Pitch(NamedTuple):
 
     @classmethod
     def of(cls, pitch_m: float | tuple[float, float]) -> Pitch:
-        """Of square cells by one number, of others by (x, y); InputError unless positive numbers."""
+        """From one number for square cells, else from (x, y); InputError unless they are positive numbers."""
         pair = pitch_m if isinstance(pitch_m, tuple | list) else (pitch_m, pitch_m)
         if len(pair) != 2 or not all(0 < number("pitch", one, "m") < math.inf for one in pair):
             raise InputError(f"pitch is {pitch_m} m; expected more than 0, or two such numbers (x, y)")
@@ -32,5 +32,5 @@ class Pitch(NamedTuple):
 
     @property
     def area_m2(self) -> float:
-        """Of one cell."""
+        """Area of one cell."""
         return self.x_m * self.y_m

@@ -1,4 +1,4 @@
-"""Serial ports and TCP sockets as byte streams; beside :mod:`._port_names`, only this module knows pyserial.
+"""Serial ports and TCP sockets as byte streams. Only this module and :mod:`._port_names` use pyserial.
 
 Waiting uses :mod:`selectors` on file descriptors: ``select()``, which pyserial uses, fails beyond descriptor 1023.
 """
@@ -29,33 +29,34 @@ BAUDRATE = 1_000_000
 WRITE_TIMEOUT_S = 1.0
 """a line that takes no byte for this long is broken"""
 URL_WAIT_S = 0.1
-"""the longest wait for a byte in pyserial's own way, which nothing ends earlier"""
+"""longest wait for a byte by pyserial's own method, which cannot be interrupted"""
 CONNECT_TIMEOUT_S = 5.0
 UNHEARD_S = 3.0
-"""a TCP peer that acknowledges nothing for this long is gone: a cable pulled at its end is not told otherwise"""
+"""a TCP peer that acknowledges nothing for this long is gone; a cable pulled at its end gives no other sign"""
 _CHUNK = 65536
 _SHORT = 1024
-"""bytes below which one system call has brought all that there was: terminals give up to 4095 at once, sockets more"""
+"""bytes below which one system call has returned everything: terminals return up to 4095 at once, sockets more"""
 _EMULATOR = "ohmskin.emulator"
-"""package in which pyserial finds the handler of ohmskin:// addresses; imported only for such an address"""
+"""package with pyserial's handler of ohmskin:// addresses; imported only for such an address"""
 _NOT_NOW = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR)
 _HUNG_UP = (errno.EPIPE, errno.ECONNRESET, errno.EIO, errno.ENXIO, errno.ENODEV)
 
 
 class OrderlyClose(LinkError):
-    """The other end has closed a connection in good order: it has sent all that it wanted to send.
+    """The other end has closed the connection in good order: it has sent everything that it wanted to send.
 
-    TCP tells so by FIN, RFC 2217 by the control line DSR (data set ready), which goes off before. A broken connection
-    ends otherwise, by a reset (RST) or by silence. But the operating system closes the TCP connections of most programs
-    that are killed in good order, too, and DSR also goes off where a cable is pulled behind an access server.
+    TCP signals this by FIN, RFC 2217 by the control line DSR (data set ready), which goes off before. A broken
+    connection ends differently, by a reset (RST) or by silence. The signals are not certain, however. When a program is
+    killed, the operating system usually closes its TCP connections in good order, too; and DSR also goes off when a
+    cable behind an access server is pulled.
     """
 
 
 class Arrival(NamedTuple):
-    """Bytes and the time at which the host took them from the operating system."""
+    """Bytes, and the time at which the host took them from the operating system."""
 
     data: bytes
-    """empty when nothing had come"""
+    """empty if nothing had come"""
     received_at: float
     """s on the monotonic clock of the port (:meth:`BytePort.now`)"""
     wall_time: float
@@ -65,9 +66,9 @@ class Arrival(NamedTuple):
 
 
 class BytePort(Protocol):
-    """A byte stream with times of arrival: what a :class:`~ohmskin.driver.Skin` needs of a port.
+    """A byte stream with arrival times: the interface that a :class:`~ohmskin.driver.Skin` needs of a port.
 
-    A recording can be one: ``read`` then returns the recorded arrivals, and ``now`` runs with the recording.
+    A recording can provide it: ``read`` then returns the recorded arrivals, and ``now`` runs with the recording.
     """
 
     name: str
@@ -87,7 +88,7 @@ class BytePort(Protocol):
         ...
 
     def write(self, data: bytes) -> None:
-        """Send all of ``data``; LinkError when that fails."""
+        """Send all of ``data``; LinkError if that fails."""
         ...
 
     def interrupt(self) -> None:
@@ -99,7 +100,7 @@ class BytePort(Protocol):
         ...
 
     def close(self) -> None:
-        """Give the port back; a second time does nothing."""
+        """Release the port; a second call does nothing."""
         ...
 
 
@@ -108,16 +109,16 @@ def open_port(
 ) -> SerialPort | SocketPort | UrlPort:
     """Open a serial device, a pseudo-terminal, ``socket://HOST:PORT`` or another URL that pyserial knows.
 
-    Nobody else can open a serial device as long as it is open here.
+    While a serial device is open here, nobody else can open it.
 
     Args:
         name: of the port.
-        baudrate: of the UART, where there is one.
+        baudrate: of the UART, if there is one.
         dtr: level of the control line DTR from the moment of opening; None: the driver's default.
         rts: level of the control line RTS, likewise.
 
     Raises:
-        LinkError: the port is not there, may not be used, is in use, or is no serial port. The message says which.
+        LinkError: the port does not exist, may not be used, is in use, or is no serial port. The message says which.
 
     """
     if name.startswith("socket://"):
@@ -131,26 +132,26 @@ def open_port(
 
 
 class _RealTimePort:
-    """The part that all live ports share: they tell the machine's time, and why they are gone."""
+    """Common part of all live ports: the machine's time, and the error for a lost port."""
 
     def __init__(self, name: str) -> None:
         self.name = name
         self.announced = announced(name)
-        """what an emulated board of this machine says of its port; None: the port is another one"""
+        """announcement of an emulated board's port on this machine; None: the port is another one"""
 
     def now(self) -> float:
         """Present time in s on the machine's monotonic clock."""
         return time.monotonic()
 
     def close(self) -> None:
-        """Give the port back; a second time does nothing. Not while another thread waits, reads or writes."""
+        """Release the port; a second call does nothing. Not while another thread waits, reads or writes."""
         self._close()
         if self.announced is not None:
             self.announced.close()
 
     @abstractmethod
     def _close(self) -> None:
-        """Close what the operating system gave."""
+        """Close the resources of the operating system."""
 
     def _arrived(self, data: bytes, *, more: bool = True) -> Arrival:
         return Arrival(data, time.monotonic(), time.time(), more)
@@ -178,7 +179,7 @@ class DescriptorPort(_RealTimePort):
         self._closed = False
         self._closing = threading.Lock()
         self._failure: OSError | None = None
-        """how the port broke. The operating system tells this once, and then that the other end hung up"""
+        """how the port broke. The operating system reports this once, and afterwards that the other end hung up"""
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until bytes have come or the port is gone; False after ``timeout_s`` or after :meth:`interrupt`."""
@@ -191,8 +192,8 @@ class DescriptorPort(_RealTimePort):
         """Take the bytes that have come, without waiting; LinkError when the port is gone."""
         try:
             data = os.read(self._descriptor, _CHUNK)
-            # A terminal reads nothing when nothing has come. Any port reads nothing when the other end hung up, but
-            # is then said to be readable.
+            # A terminal reads nothing when nothing has come. Any port reads nothing when the other end has hung up, but
+            # then select() reports the port as readable.
             if not data and self._readable.select(0):
                 data = os.read(self._descriptor, _CHUNK)
                 if not data:
@@ -207,7 +208,7 @@ class DescriptorPort(_RealTimePort):
         return self._arrived(data, more=len(data) >= _SHORT)
 
     def _hung_up(self) -> LinkError:
-        """The error for a port that reads nothing, since nobody is at its other end any more."""
+        """The error for a port that reads nothing because the other end is closed."""
         return self._gone("the other end hung up")
 
     def write(self, data: bytes) -> None:
@@ -219,7 +220,7 @@ class DescriptorPort(_RealTimePort):
                 rest = rest[os.write(self._descriptor, rest) :]
             except OSError as error:
                 if error.errno in _HUNG_UP:
-                    if error.errno != errno.EPIPE:  # which tells of a break that was told before, or of no break
+                    if error.errno != errno.EPIPE:  # it reports a break that is known already, or no break
                         self._failure = error
                     raise self._gone(error) from error
                 if error.errno not in _NOT_NOW:
@@ -252,7 +253,7 @@ class DescriptorPort(_RealTimePort):
 
     @abstractmethod
     def _release(self) -> None:
-        """Close what the descriptor belongs to."""
+        """Close the object that owns the descriptor."""
 
 
 class SerialPort(DescriptorPort):
@@ -267,10 +268,10 @@ class SerialPort(DescriptorPort):
 
 
 class SocketPort(DescriptorPort):
-    """A TCP connection to ``socket://HOST:PORT``, without the pauses that pyserial's own makes.
+    """A TCP connection to ``socket://HOST:PORT``, without the pauses of pyserial's own implementation.
 
     Raises:
-        LinkError: the name is no such address, or nobody answers there.
+        LinkError: the name is no such address, or nobody answers at the address.
 
     """
 
@@ -288,7 +289,7 @@ class SocketPort(DescriptorPort):
         self._urgent = select.poll()
         self._urgent.register(self._socket, select.POLLPRI)
         self._is_over = False
-        """the emulated board at the other end has said that no byte will follow"""
+        """whether the emulated board at the other end has announced that no byte will follow"""
         try:
             super().__init__(name, self._socket.fileno())
         except OSError as error:  # too many open files
@@ -297,7 +298,7 @@ class SocketPort(DescriptorPort):
 
     def read(self) -> Arrival:
         """Take the bytes that have come, without waiting; LinkError when the port is gone."""
-        if self._urgent.poll(0):  # the kernel forgets urgent data when the bytes behind them are read
+        if self._urgent.poll(0):  # the kernel drops urgent data when the bytes behind them are read
             with contextlib.suppress(OSError):
                 self._is_over = self._socket.recv(1, socket.MSG_OOB) == END_OF_TRANSMISSION or self._is_over
         return super().read()
@@ -314,7 +315,7 @@ class SocketPort(DescriptorPort):
 
 
 class UrlPort(_RealTimePort):
-    """A port that pyserial reads in a way of its own, such as ``rfc2217://HOST:PORT``."""
+    """A port with its own read method in pyserial, such as ``rfc2217://HOST:PORT``."""
 
     def __init__(self, name: str, device: serial.SerialBase) -> None:
         super().__init__(name)
@@ -324,9 +325,9 @@ class UrlPort(_RealTimePort):
             _end_when_unheard(connection)
         self._waiting = b""
         self._taking = threading.Lock()
-        """held by the thread that takes bytes: a second one would get later bytes before earlier ones"""
+        """held by the thread that takes bytes: a second thread would get later bytes before earlier ones"""
         self._was_ready = False
-        """the board has said that it is ready. Many serial cables have no wire that says so"""
+        """whether the board has signalled that it is ready. Many serial cables have no wire for this signal"""
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until bytes have come or the port is gone; False after 0.1 s, or at once without a ``timeout_s``."""
@@ -338,7 +339,7 @@ class UrlPort(_RealTimePort):
     def read(self) -> Arrival:
         """Take the bytes that have come, without waiting; LinkError when the port is gone.
 
-        While another thread waits there is nothing to take: that thread takes the next byte.
+        While another thread waits there is nothing to take, since that thread takes the next byte.
         """
         if not self._taking.acquire(blocking=False):
             return self._arrived(b"")
@@ -350,7 +351,7 @@ class UrlPort(_RealTimePort):
             self._taking.release()
 
     def _take(self, size: int | None) -> bytes:
-        """Wait for so many bytes, for at most 0.1 s; None: those that are there."""
+        """Wait for so many bytes, for at most 0.1 s; None: take the bytes that are there."""
         try:
             if size is None:
                 queued = _queued_bytes(self._device)
@@ -358,17 +359,17 @@ class UrlPort(_RealTimePort):
                     return queued
                 size = self._device.in_waiting  # type: ignore[attr-defined]  # the stubs lack it
             return bytes(self._device.read(size)) if size else b""
-        except BlockingIOError:  # another thread has taken the bytes that were there
+        except BlockingIOError:  # another thread has taken the bytes
             return b""
         except (serial.SerialException, OSError, TypeError, AttributeError) as error:
-            # pyserial's own errors for a port that another thread closes are TypeError and AttributeError.
+            # If another thread closes the port, pyserial raises TypeError or AttributeError.
             gone = self._gone(error)
             if self._was_ready and not self._is_ready() and not isinstance(gone, LinkEnded):
                 gone = OrderlyClose(str(gone))
             raise gone from error
 
     def _is_ready(self) -> bool:
-        """Whether the board has said last that it is ready (control line DSR of RFC 2217)."""
+        """Whether the board's last signal was that it is ready (control line DSR of RFC 2217)."""
         try:
             return self.name.startswith("rfc2217://") and bool(self._device.dsr)  # type: ignore[attr-defined]  # the stubs lack it
         except (serial.SerialException, OSError, TypeError, AttributeError):  # never told, or closed meanwhile
@@ -389,10 +390,10 @@ class UrlPort(_RealTimePort):
 
 
 def _queued_bytes(device: serial.SerialBase) -> bytes:
-    """Take what pyserial's thread for RFC 2217 has queued, byte by byte; empty for other devices.
+    """Take all bytes that pyserial's thread for RFC 2217 has queued; empty for other devices.
 
-    ``read`` takes each byte with a lock of its own, for which both threads compete: where other programs want the
-    processor, a frame takes a second then.
+    pyserial's own ``read`` takes a lock for each byte, for which both threads compete. If other programs use the
+    processor, a frame then takes a second.
     """
     waiting = getattr(device, "_read_buffer", None)
     if not isinstance(waiting, queue.Queue):
@@ -403,7 +404,7 @@ def _queued_bytes(device: serial.SerialBase) -> bytes:
 
 
 def _end_when_unheard(connection: socket.socket) -> None:
-    """Let a TCP connection break after :data:`UNHEARD_S` without an acknowledgement (Linux)."""
+    """Break a TCP connection after :data:`UNHEARD_S` without an acknowledgement (Linux)."""
     if hasattr(socket, "TCP_USER_TIMEOUT"):
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1e3 * UNHEARD_S))
 
@@ -417,7 +418,7 @@ def _open_serial(name: str, baudrate: int, dtr: bool | None, rts: bool | None) -
     refuse_terminal(name)
     if name.startswith(EMULATED_HERE) and _EMULATOR not in serial.protocol_handler_packages:
         serial.protocol_handler_packages.append(_EMULATOR)
-    # pyserial's RFC 2217 client refuses a limit for writing, and each change of a limit is a talk with the server.
+    # pyserial's RFC 2217 client refuses a write timeout, and each change of a timeout is an exchange with the server.
     write_timeout_s = None if name.startswith("rfc2217://") else WRITE_TIMEOUT_S
     timeout_s = URL_WAIT_S if "://" in name else 0.0
     try:
@@ -432,7 +433,7 @@ def _open_serial(name: str, baudrate: int, dtr: bool | None, rts: bool | None) -
         device.open()
     except (serial.SerialException, NotImplementedError, ValueError, OSError) as error:
         raise LinkError(f"{name}: {why_not_opened(name, error)}") from error
-    # FTDI converters hold bytes back for 16 ms unless told otherwise. Other devices do not know the setting.
+    # FTDI converters hold bytes back for 16 ms unless set otherwise. Other devices do not have this setting.
     with contextlib.suppress(Exception):
         device.set_low_latency_mode(True)
     return device

@@ -1,4 +1,4 @@
-"""Names of ports: those that there are on this machine, and why one of them cannot be opened."""
+"""Names of ports: the ports of this machine, and the reason why one of them cannot be opened."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from ..errors import LinkError
 from ..rendezvous import announced_ports
 
 EMULATED_HERE = "ohmskin://"
-"""scheme of the address of a board that is emulated in this process"""
+"""address scheme of a board that is emulated in this process"""
 
 
 def usb_serial_number(name: str) -> str | None:
-    """The serial number of the USB device behind the port ``name``; None where there is none."""
+    """The serial number of the USB device behind the port ``name``; None if it has none."""
     device = os.path.realpath(name)
     return next((port.serial_number for port in list_ports.comports() if port.device == device), None)
 
@@ -39,7 +39,7 @@ def emulated_ports() -> list[str]:
 
 
 def is_numbered_terminal(name: str) -> bool:
-    """Whether ``name`` is a pseudo-terminal under its number, which the next one gets when this one is closed."""
+    """Whether ``name`` is a numbered pseudo-terminal. The next one opened gets the number when this one is closed."""
     return name.startswith("/dev/pts/")
 
 
@@ -57,10 +57,10 @@ def linked_terminals(directory: Path) -> list[str]:
 
 
 def refuse_missing(name: str) -> None:
-    """Raise the LinkError of :func:`._port.open_port` where a look at ``name`` shows it, without opening anything.
+    """Raise the LinkError of :func:`._port.open_port` if a check of ``name`` suffices, without opening anything.
 
-    So no device is there, or this user may not read and write it, or the scene of an ``ohmskin://`` address is no file.
-    Other addresses (``socket://...``) pass.
+    The cases are: no device is there; this user may not read and write it; the scene of an ``ohmskin://`` address is no
+    file. Other addresses (``socket://...``) pass.
     """
     if name.startswith(EMULATED_HERE):
         parts = urlsplit(name)
@@ -74,12 +74,12 @@ def refuse_missing(name: str) -> None:
 
 
 def has_gone(name: str) -> bool:
-    """Whether there is no device of that name now; of addresses (``socket://...``) nobody can say without opening."""
+    """Whether no device has that name now; False for addresses (``socket://...``), which must be opened to tell."""
     return "://" not in name and not os.path.exists(name)
 
 
 def refuse_terminal(name: str) -> None:
-    """Raise LinkError where the pseudo-terminal ``name`` is somebody's terminal window.
+    """Raise LinkError if the pseudo-terminal ``name`` is somebody's terminal window.
 
     An emulator that died may leave a link to a pseudo-terminal whose number a terminal window has taken since.
     """
@@ -100,7 +100,7 @@ def refuse_terminal(name: str) -> None:
 
 
 def why_not_opened(name: str, error: Exception) -> str:
-    """Why an ``error`` has kept the port ``name`` from being opened, and what there is instead."""
+    """Message for an ``error`` on opening the port ``name``, with the ports that are there instead."""
     match getattr(error, "errno", None):
         case errno.ENOENT:
             emulated = f"; emulated boards: {', '.join(emulated_ports())}" if emulated_ports() else ""
@@ -131,5 +131,5 @@ def _why_forbidden(name: str) -> str:
 
 
 def reason_of(error: Exception) -> str:
-    """What the operating system says of an error."""
+    """The operating system's text for an error."""
     return getattr(error, "strerror", None) or str(error)

@@ -1,4 +1,4 @@
-"""The reader thread: drains the port, follows the board over reconnections, and hands frames to the mailbox."""
+"""Reader thread: reads the port, reopens it after a loss, and puts decoded frames into the mailbox."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ from ._statistics import Counters
 from ._stream import FrameStream
 
 ASK_AGAIN_S = 0.5
-"""a board that sends nothing for so long is asked again"""
+"""a board that sends nothing for this time is asked again"""
 ASK_WHO_S = 0.25
-"""so is a board that has not said who it is: a lossy line takes several answers for a whole description"""
+"""the same for a board that has not identified itself: a lossy line needs several answers for a whole description"""
 LOOK_S = 0.02
-"""how often whoever waits for a serial number looks whether it can still come"""
+"""polling interval of a wait for a serial number: whether it can still come"""
 PROOF_S = 3.0
-"""after a reconnection: how long a board may take to show that it is the same one"""
+"""after a reconnection: time for a board to prove that it is the same one"""
 MOST_READS = 64
-"""in one turn, so that a board that never pauses cannot hold a taker up"""
+"""reads in one turn, so that a board that never pauses cannot block a taker"""
 MOST_HEARD = 2**20
-"""last bytes kept for a recorder that joins"""
+"""bytes kept for a recorder that joins"""
 MOST_UNPROVEN = 1000
-"""frames kept until then"""
+"""frames kept until the board has proved that it is the same one"""
 _NO_FLAGS = Flag.NONE  # operations on flags take 1 us each
 JOIN_S = 2.0
-"""how long closing waits for the thread, which may be about to open a port"""
+"""how long closing waits for the thread, which may be busy opening a port"""
 
 
 def await_free(name: str) -> None:
-    """Wait until a skin of this process that is being closed has given the port ``name`` back."""
+    """Wait until a closing skin of this process has released the port ``name``."""
     if "://" in name:  # a server may take several hosts
         return
     place = os.path.realpath(name)
@@ -57,8 +57,8 @@ def await_free(name: str) -> None:
 class Reader:
     """Reads one board in a thread of its own, from opening to closing.
 
-    The port is read by the thread, which waits for it, and by takers, who let what has come be read before they look
-    for a frame (:meth:`poll`): Python may keep the thread from running for some milliseconds.
+    Two parties read the port. The thread waits for bytes. A taker also reads the bytes that are there before it looks
+    for a frame (:meth:`poll`), since Python may keep the thread from running for some milliseconds.
     """
 
     def __init__(
@@ -78,9 +78,9 @@ class Reader:
         self.introduced = threading.Event()
         self.stream = FrameStream(port.name, counters)
         self.taps: list[Callable[[Arrival], None]] = []
-        """told of all bytes that arrive, as they arrive: for a recorder"""
+        """called with all bytes, as they arrive: for a recorder"""
         self.on_gone: list[Callable[[], None]] = []
-        """told when the port has gone away"""
+        """called when the port has been lost"""
         self._port: BytePort | None = port
         self._family: Family = introduction.family
         self._new_protocol = protocol
@@ -91,35 +91,35 @@ class Reader:
         self._heard_before, self._heard_since = bytearray(), bytearray()
         """bytes from the last frame but one to the last frame, and from the last frame on"""
         self._reading = threading.RLock()
-        """held by who reads from the port, writes to it, or replaces it"""
+        """held by the thread that reads from the port, writes to it, or replaces it"""
         self._stop = threading.Event()
         self._heard = False
         """a frame has come since the board was last asked"""
         self._proof_until = inf
-        """set while the board has yet to show that it is the one from before"""
+        """until when the board must prove that it is the one from before; infinite when no proof is due"""
         self._proofs: set[type[object]] = set()
-        """packets that are still to come for that"""
+        """types of the packets that are still missing for this proof"""
         self._unproven: deque[tuple[FramePacket, Arrival]] = deque(maxlen=MOST_UNPROVEN)
-        """frames that came meanwhile"""
+        """frames that arrived before the proof was complete"""
         self._away_since: float | None = None
         self._away_because: LinkError | None = None
         self._received, self._reason = 0, "no end of a packet"
-        """bytes since the last frame, and why the last of them were no packet"""
+        """bytes since the last frame, and why the last of them formed no packet"""
         self._forgotten = False
         self._thread = threading.Thread(target=self._run, name=f"ohmskin reader {port.name}", daemon=True)
 
     def start(self) -> None:
-        """Begin to read."""
+        """Start the thread."""
         _READERS.add(self)
         self._thread.start()
 
     def await_introduction(self, timeout_s: float) -> None:
-        """Wait until the board has said all that is needed of it.
+        """Wait until the board has sent everything that the driver needs to know about it.
 
         Raises:
             LinkTimeout: the board is silent.
-            ProtocolError: it sends something else than packets, or a description beyond the limits.
-            InputError: the design that was given is not of this board.
+            ProtocolError: the board sends something other than packets, or a description beyond the limits.
+            InputError: the given design does not match this board.
             LinkError: the port is gone.
 
         """
@@ -130,7 +130,7 @@ class Reader:
             raise LinkError(f"{self.port_name}: closed") if end is None else end
 
     def serial_number(self, timeout_s: float) -> str:
-        """The board's serial number, waited for; empty where it has none, and where it does not say it in time."""
+        """Wait for the board's serial number; empty if it has none, or does not send it in time."""
         until = time.monotonic() + min(timeout_s, threading.TIMEOUT_MAX)
         while self._family.has_description and not self.introduction.identified.wait(LOOK_S):
             unread = self._lossless and self._mailbox.is_full()
@@ -139,7 +139,7 @@ class Reader:
         return self.introduction.serial_number
 
     def nothing_came(self, what: str, timeout_s: float) -> LinkTimeout | ProtocolError:
-        """The error for a wait that brought nothing of the kind wanted."""
+        """The error for a wait for ``what`` that timed out."""
         where = f"{self.port_name}: no {what} within {max(timeout_s, 0.0):g} s"
         if self._lossless and self._mailbox.is_full():
             return LinkTimeout(f"{where}: the queue is full of frames for another reader of this skin, who takes none")
@@ -162,19 +162,19 @@ class Reader:
         return LinkTimeout(f"{where}: the board is there, but sends none")
 
     def poll(self) -> None:
-        """Read what has come. What is wrong with the port is left for the thread to find."""
+        """Read the bytes that have come. Errors of the port are left to the thread."""
         try:
             self._read()
         except OhmskinError:
             return
 
     def now(self) -> float:
-        """Present time on the clock of the port."""
+        """Present time on the port's clock."""
         port = self._port
         return time.monotonic() if port is None else port.now()
 
     def send(self, order: Order, *, period_us: int = 0) -> None:
-        """Give an order to the board.
+        """Send an order to the board.
 
         Raises:
             LinkEnded: the skin is closed, or the stream is over.
@@ -192,10 +192,10 @@ class Reader:
 
     @contextlib.contextmanager
     def between_arrivals(self) -> Iterator[bytes]:
-        """No bytes are read within the block. Gives what a decoder must have heard to decode the bytes after it.
+        """Read no bytes within the block. Yields the bytes that a decoder needs in order to decode those that follow.
 
-        This is what the board says of itself, and the bytes since the last frame but one, the last of which may be the
-        beginning of a packet.
+        These are the board's identity and description, and all bytes since the last frame but one; the last of these
+        bytes may be the beginning of a packet.
         """
         with self._reading:
             yield self.introduction.as_bytes() + bytes(self._heard_before) + bytes(self._heard_since)
@@ -206,10 +206,10 @@ class Reader:
         return self._away_since is not None
 
     def resume(self, heard: bytes, stream: StreamPast) -> None:
-        """Begin as a reader that has ``heard`` this already (:meth:`between_arrivals`), before :meth:`start`.
+        """Continue a reader that has ``heard`` these bytes (:meth:`between_arrivals`). Call before :meth:`start`.
 
         Raises:
-            ProtocolError: what the board says of itself exceeds the limits.
+            ProtocolError: the board's identity or description exceeds the limits.
 
         """
         for event in self._protocol.feed(heard, 0.0):
@@ -220,7 +220,7 @@ class Reader:
         self.stream.restore(stream)
 
     def disown(self) -> None:
-        """In a forked process, which has no part in the link: leave port and mailbox to the process that opened it."""
+        """In a forked process: leave port and mailbox to the parent process, which opened them."""
         self._reading, self._port = threading.RLock(), None
         self._stop = threading.Event()
         self._mailbox.disown(
@@ -231,7 +231,7 @@ class Reader:
         )
 
     def stop(self) -> None:
-        """End the thread, which closes the port. From another thread or from a callback."""
+        """End the thread, which closes the port. May be called from another thread or from a callback."""
         self._stop.set()
         port = self._port
         if port is not None:
@@ -244,9 +244,10 @@ class Reader:
         return LinkEnded(f"{self.port_name}: the skin is closed")
 
     def forget(self) -> None:
-        """Let the thread end within half a second, since nobody can take frames any more; unless bytes are recorded.
+        """Let the thread end within half a second, since nobody can take frames any more; not while bytes are recorded.
 
-        This is for destructors: it takes no lock, for the garbage collector may run in a thread that holds it.
+        This is for destructors. It takes no lock, because the garbage collector may run in a thread that holds the
+        lock.
         """
         self._forgotten = not self.taps
 
@@ -260,15 +261,15 @@ class Reader:
         except OhmskinError as error:
             self._mailbox.finish(self._closed() if self._is_ending else error)
         finally:
-            # stop() may have woken this thread, and not yet have told the takers.
+            # stop() may have woken this thread before telling the takers.
             ended = LinkError(f"{self.port_name}: the reader thread has ended")
             self._mailbox.finish(self._closed() if self._is_ending else ended)
             self._release()
-            self._reopen = None  # its finder follows the port's announcement, a file
+            self._reopen = None  # its finder watches a file, the port's announcement
             self.introduced.set()
 
     def _live(self) -> None:
-        """Serve the port, again and again as long as it comes back."""
+        """Serve the port, and again after each reconnection."""
         while not self._is_ending:
             try:
                 self._serve()
@@ -284,7 +285,7 @@ class Reader:
                 self._connect_again(error)
 
     def _serve(self) -> None:
-        """Read the port until the end."""
+        """Read the port until it ends."""
         port = self._port
         assert port is not None
         if self.introduction.complete:
@@ -315,11 +316,11 @@ class Reader:
             if self.introduction.complete and not self._proofs:
                 self._start_frames()
         except LinkError:
-            self._read()  # what came before the other end went, and how it went
+            self._read()  # bytes from before the loss, and the reason of the loss
             raise
 
     def _start_frames(self) -> None:
-        """Order frames, once the board is known: one that waits for orders then sends none that cannot be used."""
+        """Order frames once the board is known, so that a board that waits for orders sends no unusable frames."""
         self.send(Order.START)
         if self._family.polled:
             self.send(Order.ONE_FRAME)
@@ -330,7 +331,7 @@ class Reader:
         except OhmskinError:
             raise
         except Exception as error:
-            # Nobody shall wait for frames that no longer come.
+            # No reader shall wait for frames that no longer come.
             self._mailbox.finish(LinkError(f"{self.port_name}: reading failed: {error!r}"))
             raise
 
@@ -355,7 +356,7 @@ class Reader:
                 for event in events:
                     self._handle(event, arrival)
                 self._mailbox.tell()
-                # Another frame may have come while several were decoded: it would be the newest one.
+                # Another frame may have come while several were decoded; it would be the newest one.
                 if not arrival.more and frames <= 1:
                     return
 
@@ -393,7 +394,7 @@ class Reader:
             if self._proofs:
                 self._unproven.append((packet, arrival))
                 return
-            # A board that cannot say who it is is known by its port.
+            # A board that sends no identity is identified by its port alone.
             self._prove()
         self._take(packet, arrival)
 
@@ -410,19 +411,19 @@ class Reader:
             self._finish()
 
     def _finish(self) -> None:
-        """The board has said that no frame follows."""
+        """End the stream: the board has announced that no frame follows."""
         unknown = "" if self.introduction.complete else ", and has not described itself before"
         self._mailbox.finish(LinkEnded(f"{self.port_name}: the board has come to the end of its frames{unknown}"))
         assert self._port is not None
         self._port.interrupt()
 
     def _get_to_know(self, event: Identity | Description) -> None:
-        """Take what the board says of itself; after a reconnection, compare it with what it said before.
+        """Take the board's identity or description; after a reconnection, compare it with the earlier one.
 
         Raises:
             LinkError: another board is there, or the board has changed since the skin was opened.
             ProtocolError: the board that is being opened contradicts itself, or exceeds the limits.
-            InputError: the design that was given is not of the board that is being opened.
+            InputError: the given design does not match the board that is being opened.
 
         """
         first_frame_is_near = not self._unproven
@@ -443,12 +444,12 @@ class Reader:
             self.stream.announce(event.sequence, event.boot_id)
 
     def _learn(self, event: Identity | Description | FramePacket) -> None:
-        """Let the introduction go on; errors as for :meth:`_get_to_know`."""
+        """Pass a packet to the introduction; errors as for :meth:`_get_to_know`."""
         known = self.introduction.complete
         try:
             self.introduction.hear(event)
         except (ProtocolError, InputError) as error:
-            # Such an error of an open skin is one after which better frames may come; this is for good.
+            # Readers of an open skin go on after ProtocolError and InputError; this error is final, hence LinkError.
             final = LinkError(str(error)) if known else error
             self._mailbox.finish(final)
             raise final from error
@@ -457,7 +458,7 @@ class Reader:
             self.introduced.set()
 
     def _prove(self) -> None:
-        """The board there is the one from before."""
+        """The board has proved that it is the one from before."""
         self._proof_until = inf
         self._away_since = None
         self._counters.reconnects += 1
@@ -468,7 +469,7 @@ class Reader:
             self._take(packet, arrival)
 
     def _connect_again(self, error: LinkError) -> None:
-        """Open the port again; raises LinkError when it has not come back in time."""
+        """Open the port again; LinkError if it has not come back in time."""
         assert self._reopen is not None
         if self._away_since is None:
             self._away_since, self._away_because = time.monotonic(), error
@@ -497,21 +498,21 @@ class Reader:
                 f"{self.port_name}: the other end has closed the connection in good order, and nobody listens there "
                 f"since ({self._reconnect_s:g} s)"
             )
-        # A board that was found and refused says more than a port that is not there.
+        # "A board was found and refused" is more informative than "the port is not there".
         found = failure if str(error) == str(self._away_because) else error
         because = "" if found is None else f" ({found})"
         raise LinkError(f"{self._away_because}; it has not come back within {self._reconnect_s:g} s{because}")
 
     def _is_end(self, last: LinkError, failure: LinkError | None) -> bool:
-        """Whether a board that has not come back has come to its end.
+        """Whether the stream of a board that has not come back has ended regularly.
 
-        Boards with a packet for their end have sent it. Of the others, over TCP and RFC 2217, an end is told by a
-        connection that was closed in good order, at an address where nobody listens any more. A bridge from TCP to a
-        serial port whose cable was pulled closes the connection likewise, but goes on listening.
+        Families with a packet for the end of the stream have sent that packet. For the others, over TCP and RFC 2217,
+        the end is a connection closed in good order at an address where nobody listens any more. A bridge from TCP to
+        a serial port closes the connection in the same way when its serial cable is pulled, but keeps listening.
 
         Args:
-            last: why the port was given up last.
-            failure: why the last attempt to open the port failed; None: there was none.
+            last: why the port was given up the last time.
+            failure: why the last attempt to open the port failed; None: no attempt failed.
 
         """
         refused = failure is not None and _has_cause(failure, ConnectionRefusedError)
@@ -526,11 +527,11 @@ class Reader:
 
 
 def _has_cause(error: BaseException | None, kind: type[BaseException]) -> bool:
-    """Whether ``error`` followed from one of that kind. pyserial raises its own errors while it handles others."""
+    """Whether ``error`` was caused by such an error. pyserial raises its own errors while handling others."""
     while error is not None and not isinstance(error, kind):
         error = error.__cause__ or error.__context__
     return error is not None
 
 
 _READERS: weakref.WeakSet[Reader] = weakref.WeakSet()
-"""readers that this process has started"""
+"""readers started by this process"""

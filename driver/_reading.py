@@ -1,4 +1,4 @@
-"""Counts to ohms, through the circuit model of the board that counted."""
+"""Counts to ohms, by inversion of the board's circuit model, with the uncertainty of each cell."""
 
 from __future__ import annotations
 
@@ -15,46 +15,46 @@ from ..compiled import Rows, loop
 from ..errors import InputError, ProtocolError, SolverError
 from ._scatter import Scatter
 
-_FIRST_GUARD = 12  # codes within which the same holds in the first frame, whose noise nobody knows
+_FIRST_GUARD = 12  # codes, guard band at a limit of the swing in the first frame, whose noise is unknown
 _FINE_GUARD = 2.0**-14  # of the range, likewise in two frames: the noise of converters of 18 to 24 bits is many codes
-_MEASURED = 3  # frames, the number of the first one in which the noise may be known however large it is
-_GUARD = 6.0  # standard deviations of the noise within which an output may stand at a limit of its swing
-_JUMP = 1.0 / 16.0  # of the converter's codes, by which a reading has moved notably from one frame to the next
-_ALIKE = 1.5  # ratio of noises with which a reading is judged about alike
-_FAINT = 0.05  # ADC steps of noise that hardly count beside the half step
+_MEASURED = 3  # number of the first frame in which noise of any size may be known
+_GUARD = 6.0  # standard deviations of the noise, guard band: within it an output may stand at a limit of its swing
+_JUMP = 1.0 / 16.0  # of the converter's codes, from one frame to the next: a larger change of a reading is a jump
+_ALIKE = 1.5  # ratio of noises up to which the judgement of a reading stays about the same
+_FAINT = 0.05  # ADC steps of noise that are negligible beside the half step
 _MOST_NOISE = 0.95  # relative uncertainty, three standard deviations of noise, of a reading that an average can use
-_MOST_STEPS = 0.1  # of that by ADC steps, which no average lessens
-_LEAST_STEPS = 0.05  # of the uncertainty, by steps that noise does not make random
-_STEP_STD = 1.0 / math.sqrt(12.0)  # ADC steps, standard deviation of an error that is evenly distributed over one
+_MOST_STEPS = 0.1  # relative uncertainty by ADC steps, likewise; averaging does not reduce it
+_LEAST_STEPS = 0.05  # share of the uncertainty by steps that noise does not randomise; less is neglected
+_STEP_STD = 1.0 / math.sqrt(12.0)  # ADC steps, standard deviation of an error that is uniform over one step
 
 
 @dataclass(slots=True, eq=False)  # frozen ones take 2 us more to make; nobody changes one
 class Reading:
-    """What one frame of counts says about the cells. Arrays are (rows, columns)."""
+    """The cells' resistances in one frame of counts. Arrays are (rows, columns)."""
 
     resistance: FloatArray
     """of the cells, in ohm; NaN where not valid"""
     valid: BoolArray
     """where ``resistance`` is a measurement"""
     reason: NDArray[np.int8]
-    """why a cell is not valid: a :class:`ohmskin.circuits.Reason` each, 0 where it is"""
+    """why a cell is not valid: a :class:`ohmskin.circuits.Reason` each, 0 for valid cells"""
     solved: bool
-    """False where no cell resistances give such readings: then no cell is valid"""
+    """False if no cell resistances give such readings: then no cell is valid"""
     all_valid: bool
     _found: LiveReading | None
     _covered_steps: float
-    """ADC steps of random error for which the uncertainty stands"""
+    """ADC steps: random errors of all readings with this standard deviation give the uncertainty as theirs"""
     _alike: float = 1.0
-    """standard deviation by systematic errors of quantisation over that of independent ones"""
+    """standard deviation by systematic quantisation errors over that by independent ones"""
     _noise_steps: float = 0.0
     """standard deviation of the readings' noise in ADC steps"""
     _most_noise: float = 0.0
-    """relative uncertainty up to which a noisy reading serves for estimation, valid or not; 0: none"""
+    """relative uncertainty up to which a noisy reading serves for estimation, valid or not; 0: none does"""
     _scales_columns: bool = False
-    """whether errors of other readings are one factor of all conductances of a column"""
+    """whether errors of other readings scale all conductances of a column by one factor"""
 
     def without(self, cells: BoolArray) -> Reading:
-        """The same, in which ``cells`` (rows, columns) are disturbed by a fault."""
+        """The same reading with ``cells`` (rows, columns) marked as disturbed by a fault."""
         return replace(
             self,
             resistance=np.where(cells, np.nan, self.resistance),
@@ -65,38 +65,38 @@ class Reading:
 
     @property
     def steps_share(self) -> float:
-        """The part of :attr:`uncertainty` that is a systematic error of quantisation: no average over time lessens it.
+        """Share of :attr:`uncertainty` by systematic quantisation error, which averaging over time does not reduce.
 
-        Noise of half a step or more makes the error of quantisation random: its mean falls with
+        Noise of half a step or more randomises the quantisation error (dither): the mean error falls with
         exp(-2 (pi noise/step)^2) (Widrow and Kollar, Quantization Noise, 2008).
         """
         return math.sqrt(3.0) * self.steps_std_share
 
     @property
     def steps_std_share(self) -> float:
-        """Standard deviation by systematic errors of quantisation over :attr:`uncertainty`."""
+        """Standard deviation by systematic quantisation errors over :attr:`uncertainty`."""
         return self.std_shares[0]
 
     @property
     def std_shares(self) -> tuple[float, float]:
-        """Standard deviations by systematic errors of quantisation, and by all that is random, likewise."""
+        """Standard deviations over :attr:`uncertainty`: by systematic quantisation errors, and by all random errors."""
         noise, systematic, covered = self._noise_steps, self._systematic, self._covered_steps
         by_steps = self._alike * _STEP_STD * systematic / covered
         return by_steps, math.sqrt(noise * noise + (1.0 - systematic) / 12.0) / covered
 
     @property
     def _systematic(self) -> float:
-        """The part of the error of quantisation that noise does not make random."""
+        """Fraction of the quantisation error that noise does not randomise."""
         return math.exp(-2.0 * (math.pi * self._noise_steps) ** 2)
 
     @property
     def others_noise_std(self) -> FloatArray:
         """Relative standard deviation of a cell's conductance by the noise of the other cells' readings.
 
-        It is 0 where nothing is known. An estimator measures the noise that a cell has at rest. In a column of a
-        divider that is pressed hard, all readings together say how much of the current each cell has, and their noise
-        then counts many times as much.
-        Quantisation is random noise where it is not a systematic error, see :attr:`steps_share`.
+        The value is 0 for cells of which nothing is known. An estimator measures the noise that a cell has at rest. In
+        a column of a divider under a hard press, the share of the current in each cell follows from all readings
+        together, and their noise then counts many times as much. The noise here includes quantisation errors that are
+        random, see :attr:`steps_share`.
         """
         if self._found is None:
             return np.zeros(self.resistance.shape)
@@ -111,7 +111,7 @@ class Reading:
 
     @property
     def noise_share(self) -> float:
-        """Standard deviation by noise and by random errors of quantisation over :attr:`uncertainty`."""
+        """Standard deviation by noise and by random quantisation errors over :attr:`uncertainty`."""
         return self.std_shares[1]
 
     @property
@@ -121,12 +121,12 @@ class Reading:
 
     @property
     def own_uncertainty(self) -> FloatArray:
-        """The part of :attr:`uncertainty` that comes from the cell's own reading."""
+        """The part of :attr:`uncertainty` from the cell's own reading."""
         return np.full(self.resistance.shape, np.inf) if self._found is None else self._found.own
 
     @property
     def for_estimation(self) -> FloatArray:
-        """Ohm, NaN where unknown; also of cells that noise alone keeps from being valid: an estimator averages it."""
+        """Ohm, NaN where unknown; includes cells that only noise makes invalid, since an estimator averages noise."""
         if self.all_valid or self._found is None or not self._most_noise:
             return self.resistance
         uncertainty = self._found.uncertainty
@@ -136,9 +136,9 @@ class Reading:
 
     @property
     def step_std(self) -> FloatArray:
-        """Relative standard deviation of a cell's conductance by the ADC's steps alone; computed when asked for.
+        """Relative standard deviation of a cell's conductance by the ADC steps of its own reading alone.
 
-        It counts the steps of the cell's own reading.
+        Computed on demand.
         """
         if self._found is None:
             return np.full(self.resistance.shape, np.nan)
@@ -146,7 +146,7 @@ class Reading:
 
     @property
     def all_steps_std(self) -> FloatArray:
-        """As :attr:`step_std`, by the steps of all readings that the conductance follows from.
+        """As :attr:`step_std`, but by the steps of all readings that enter the conductance.
 
         In a column of a divider a step of one reading changes the conductances of all its cells.
         """
@@ -156,9 +156,9 @@ class Reading:
 
     @property
     def column_steps(self) -> FloatArray | None:
-        """(columns,) relative error of all conductances of a column by half a step of all other readings at once.
+        """(columns,) relative error of all conductances of a column if all other readings err by half a step at once.
 
-        None where errors of other readings do not scale columns, or where noise makes rounding random.
+        None if errors of other readings do not scale columns, or if noise randomises the rounding.
         """
         share = self.steps_share
         if not self._scales_columns or self._found is None or share < _LEAST_STEPS:
@@ -170,15 +170,15 @@ class Reading:
 
     @property
     def resolution(self) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
-        """What :meth:`ohmskin.cell.Estimator.resolve` takes, in its order; computed when asked for."""
+        """Arguments of :meth:`ohmskin.cell.Estimator.resolve`, in its order; computed on demand."""
         return self.step_std, self.resistance, self.all_steps_std, self._scales_columns
 
     @property
     def uncertainty(self) -> FloatArray:
-        """Relative, of a cell's conductance; inf where nothing is known. Computed when asked for.
+        """Relative uncertainty of a cell's conductance; inf where nothing is known. Computed on demand.
 
-        It covers half an ADC step and three standard deviations of the noise of every reading, and what cells that are
-        not known can make of this one.
+        The uncertainty covers half an ADC step and three standard deviations of the noise of every reading, and the
+        influence of cells whose conductance is unknown.
         """
         if self._found is None:
             return np.full(self.resistance.shape, np.inf)
@@ -186,11 +186,10 @@ class Reading:
 
 
 class CountReader:
-    """Counts of one board, frame by frame, to the resistances of its cells.
+    """Converts the counts of one board, frame by frame, to the resistances of its cells.
 
-    The whole circuit is inverted: what leads, switches, lines, finite gain, offset and bias current add to the
-    readings is taken out of them (:func:`ohmskin.circuits.live_recovery`), to a fraction of an ADC step and at a
-    bounded cost per frame.
+    The whole circuit model is inverted (:func:`ohmskin.circuits.live_recovery`). This corrects the readings for leads,
+    switches, lines, finite gain, offset and bias current, to a fraction of an ADC step and at a bounded cost per frame.
     """
 
     def __init__(self, design: Design, *, accuracy: float | None = None) -> None:
@@ -215,28 +214,28 @@ class CountReader:
         self._most_noise = _MOST_NOISE if accuracy is None else 0.0
         self._recover = live_recovery(design, accuracy=accuracy)
         self._step, self._lowest_volts = adc.step, float(volts_of_codes(design, np.zeros(1, dtype=np.int64))[0])
-        # As arrays: NumPy makes an array of a float in every call, which takes as long as a small operation.
+        # As arrays: NumPy converts a float to an array in every call, which takes as long as a small operation.
         self._step_array, self._lowest_array = np.array(self._step), np.array(self._lowest_volts)
         low, high = design.readout.supply
-        beyond_half_step = adc_error(design) - adc.step / 2  # V, by which an output at a limit may seem within it
+        beyond_half_step = adc_error(design) - adc.step / 2  # V, by which a limited output may read inside it
         self._first, self._last = self._codes_within(low + beyond_half_step, high - beyond_half_step)
         self._rising = (design.drive.voltage > 0) != design.board.circuit.inverts  # whether current raises the outputs
         self._level = design.readout.reference_voltage
         self._design_noise = _noise_of(design)  # V
         self._scatter = Scatter(adc.step, assumed=not self._design_noise)
         self._middle_of_codes = _middle_of_codes.machine_code(unchecked=True)
-        self._guard, self._usual_codes = 0, self._within_limits(0)  # of the last frame, and what is no limit with it
+        self._guard, self._usual_codes = 0, self._within_limits(0)  # of the last frame, and the codes within its limits
         self._silent = 0  # cells whose readings stood at a limit in the last frame, and could not change
-        self._limited: BoolArray | None = None  # cells that were taken for limited in the last frame
-        self._in_doubt = False  # some of them may have left the limit, which one more frame tells
+        self._limited: BoolArray | None = None  # cells that counted as limited in the last frame
+        self._in_doubt = False  # some of them may have left the limit; one more frame decides
         self._counts = b""
         self._reading: Reading | None = None
         self._judged_with = 0.0  # V, noise in the uncertainties of the last reading
 
     def _codes_within(self, low: float, high: float) -> tuple[float, float]:
-        """The first code that outputs within a swing in V can mean, and the first one beyond; they may be no codes.
+        """The first code for outputs within a swing in V, and the first code beyond; they may lie outside the ADC.
 
-        The middle of a code is half a step away from what may have been read; a limit on an edge belongs to both codes.
+        The middle of a code may be half a step away from the voltage. A limit on an edge belongs to both codes.
         """
         half = 0.5 + 1e-9
         first, beyond = (low - self._lowest_volts) / self._step, (high - self._lowest_volts) / self._step
@@ -244,27 +243,27 @@ class CountReader:
 
     @property
     def noise_volts(self) -> float:
-        """V, standard deviation of the readings: the larger one of the design's and what frames have shown."""
+        """Standard deviation of the readings in V: the larger one of the design's noise and the measured noise."""
         return max(self._design_noise, self._scatter.std)
 
     @property
     def _alike_noise(self) -> float:
-        """V, noise with which a reading would be judged about as with the present one."""
+        """V: a reading judged with up to this noise needs no new judgement with the present noise."""
         return max(_ALIKE * self.noise_volts, _FAINT * self._step)
 
     def memory(self) -> tuple[float, NDArray[np.integer] | None]:
-        """What the noise is measured from: its standard deviation so far in ADC steps, and the last frame's counts."""
+        """State of the noise measurement: standard deviation so far in ADC steps, and the last frame's counts."""
         noise_steps, before = self._scatter.std / self._step, self._scatter.before
         if before is None:
             return noise_steps, None
         return noise_steps, np.rint((before - self._lowest_volts) / self._step).astype(np.int64)
 
     def remember(self, noise_steps: float, counts: NDArray[np.integer] | None) -> None:
-        """Go on with the :meth:`memory` of another reader of the same design. The inversion begins anew."""
+        """Continue with the :meth:`memory` of another reader of the same design. The inversion begins anew."""
         self._scatter.resume(noise_steps * self._step, None if counts is None else self._volts(counts))
 
     def __reduce__(self) -> tuple[Callable[..., CountReader], tuple[object, ...]]:
-        """A copy, or what is unpickled, has the design and the :meth:`memory`; its inversion begins anew."""
+        """For copy and pickle: keeps the design and the :meth:`memory`; the inversion begins anew."""
         return _resumed, (self._design, self._accuracy, *self.memory())
 
     def _volts(self, counts: NDArray[np.integer]) -> FloatArray:
@@ -275,9 +274,9 @@ class CountReader:
         return volts
 
     def _volts_and_extremes(self, counts: NDArray[np.integer]) -> tuple[FloatArray, float, float]:
-        """The middle of each code, in V, the least count and the largest one."""
+        """The middle of each code in V, the least count and the largest one."""
         if self._middle_of_codes is None:
-            # The place of an extreme is found several times as fast as its value.
+            # argmin() is several times as fast as min().
             return self._volts(counts), counts.item(counts.argmin()), counts.item(counts.argmax())
         volts = counts.astype(np.float64, order="C")
         least, most = self._middle_of_codes(volts, self._step, self._lowest_volts)
@@ -286,10 +285,10 @@ class CountReader:
     def __call__(self, counts: NDArray[np.integer]) -> Reading:
         """The resistances behind ``counts`` (rows, columns).
 
-        A cell is not valid where the converter is at either end of its range or the output at a limit of its swing,
-        since the volts may then lie anywhere beyond, and where it gives no current. Such a cell may be anything from
-        what just reaches the limit to a short, and what that makes of the others is their ``uncertainty``, together
-        with half an ADC step and the noise of all readings.
+        A cell is not valid in three cases: the converter is at an end of its range; the output is at a limit of its
+        swing, so that the volts may lie anywhere beyond; or the cell gives no current. A cell at a limit may have any
+        conductance from the one that just reaches the limit to a short. The ``uncertainty`` of the other cells covers
+        this interval, half an ADC step, and the noise of all readings.
 
         Raises:
             ProtocolError: the counts are not of this design: another shape, or beyond its ADC.
@@ -303,19 +302,19 @@ class CountReader:
             sent, expected = "{} x {}".format(*counts.shape), "{} x {}".format(*self._shape)
             raise ProtocolError(f"the board sends {sent} cells; its design has {expected}")
         reading = self._read(counts)
-        # What is not settled yet, or judged without a measured noise, may be otherwise after another frame like this.
+        # Cells that are unsettled, or judged before the noise was measured, may change with another frame like this.
         settled = reading.all_valid or not (reading.reason == Reason.UNSETTLED).any()
         final = self._scatter.frames > 1 and settled and not self._in_doubt
         self._counts, self._reading = same, reading if final else None
         return reading
 
     def _within_limits(self, guard: int) -> tuple[float, float]:
-        """The first code that is no limit, and the first one beyond, with a guard of so many codes."""
+        """The first code within the limits and the first one beyond, with a guard band of ``guard`` codes."""
         lowest = max(self._first + (0 if self._rising else guard), 1)
         return lowest, min(self._last - (guard if self._rising else 0), self._codes - 1)
 
     def _jumped_to_limit(self, least: float, most: float) -> bool:
-        """Whether a reading may have moved notably, and by more than what it is away from a limit of the swing."""
+        """Whether a reading may have jumped, and by more than its distance from a limit of the swing."""
         room = self._last - most if self._rising else least - self._first  # codes
         if room >= 0.5 * self._codes:
             return False
@@ -324,37 +323,37 @@ class CountReader:
     def _limited_and_faint(
         self, counts: NDArray[np.integer], volts: FloatArray, guard: int, *, jumped: bool
     ) -> tuple[BoolArray | None, BoolArray]:
-        """Readings at a limit, and those of them with hardly a current.
+        """Readings at a limit, and those among them with hardly any current.
 
         Args:
             counts: (rows, columns) of the frame.
             volts: (rows, columns) V, the same.
-            guard: codes by which noise may keep a reading from a limit.
+            guard: guard band in codes, by which noise may keep a reading from a limit.
             jumped: whether a reading may have jumped to a limit.
 
         Returns:
-            (rows, columns) each; None for no limited ones.
+            (rows, columns) each; the first is None if no reading is at a limit.
 
         """
         limited = _outside(counts, *self._within_limits(guard))
-        # A reading at a limit does not change with the noise, one within a wide guard beside it does.
+        # A reading at a limit does not change with the noise. A reading beside the limit, in a wide guard band, does.
         at_limit = limited if guard <= _FIRST_GUARD else _outside(counts, *self._within_limits(0))
         self._silent = int(np.count_nonzero(at_limit))
         if jumped or (self._limited is not None and (self._limited > limited).any()):
             doubtful = self._beside_limit(counts) & ~limited
             self._in_doubt = bool(doubtful.any())
             limited |= doubtful
-        # Where hardly a current flows a cell may be open. It is no short, which would disturb many others.
+        # A cell with hardly any current may be open. It is no short, which would disturb many others.
         faint = limited & (np.abs(volts - self._level) < 1.5 * self._step)
         limited &= ~faint
         self._limited = limited if limited.any() else None
         return self._limited, faint
 
     def _beside_limit(self, counts: NDArray[np.integer]) -> BoolArray:
-        """Readings (rows, columns) that noise may keep from a limit at which their outputs stand.
+        """Readings (rows, columns) that noise may keep from the limit at which their outputs stand.
 
-        Of one frame's change nobody can say whether it is noise that has begun. Beside a limit, within a guard for
-        such a noise, a reading is believed only if it was there before. One that has just left the limit, or jumped
+        A single change does not show whether noise has begun. Within a guard band for such a noise beside a limit, a
+        reading is therefore believed only if it was there before. A reading that has just left the limit, or has jumped
         there by more than such a noise, counts as limited until the next frame.
         """
         guard = math.ceil(_GUARD * self._scatter.possible / self._step)
@@ -411,7 +410,7 @@ class CountReader:
 def _resumed(
     design: Design, accuracy: float | None, noise_steps: float, counts: NDArray[np.integer] | None
 ) -> CountReader:
-    """A reader that goes on with the :meth:`CountReader.memory` of another one."""
+    """A reader that continues with the :meth:`CountReader.memory` of another one."""
     reader = CountReader(design, accuracy=accuracy)
     reader.remember(noise_steps, counts)
     return reader
@@ -419,7 +418,7 @@ def _resumed(
 
 @loop
 def _middle_of_codes(codes: Rows, step: float, lowest: float) -> tuple[float, float]:
-    """Replace codes (N, M) by the middle of each in V; returns the least code and the largest one."""
+    """Replace codes (N, M) by the middle of each in V; returns the least and the largest code."""
     rows, columns = codes.shape
     least = most = codes[0, 0]
     for i in range(rows):
@@ -431,16 +430,16 @@ def _middle_of_codes(codes: Rows, step: float, lowest: float) -> tuple[float, fl
 
 
 def _outside(counts: NDArray[np.integer], lowest: float, highest: float) -> BoolArray:
-    """Counts below the first code of a range, or from the first one beyond it on."""
+    """Counts below the first code of a range, or at or above the first code beyond."""
     outside: BoolArray = (counts < lowest) | (counts >= highest)
     return outside
 
 
 def _noise_of(design: Design) -> float:
-    """V, standard deviation of the readings before the converter by the parts that the design names; else 0.
+    """V, standard deviation of the readings before the converter by the noise sources that the design names; else 0.
 
-    One sensed line stands for all, with the conductances of its cells in parallel, each such that a reading is about
-    in the middle of the converter's range.
+    One sensed line represents all. Its cells have the parallel conductance at which a reading is about in the middle
+    of the converter's range.
     """
     readout, array, adc = design.readout, design.array, design.adc
     if not (readout.voltage_noise or readout.current_noise or readout.temperature):

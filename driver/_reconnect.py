@@ -1,4 +1,4 @@
-"""Reconnection: finding the port of a board again, with exponential back-off."""
+"""Reconnection: find the port of a board again, with exponential back-off."""
 
 from __future__ import annotations
 
@@ -24,17 +24,18 @@ FIRST_DELAY_S, LONGEST_DELAY_S = 0.1, 1.0
 
 
 class PortFinder:
-    """Opens the port of one board, and opens it again wherever the operating system has put it since.
+    """Opens the port of one board, and reopens it under whatever name the operating system gives it later.
 
-    A USB device is known by its USB serial number, so that it is found under another name, and so that another device
-    that has taken its name is left alone. Many converters have no such number. A board behind one is looked for under
-    its old name and, if it says a serial number of its own, at ports that have appeared since; who opens the port again
-    must then ask the board for it. Ports that were there all the time belong to others and are not touched.
+    A USB device is identified by its USB serial number. It is thus found under another name, and another device that
+    has taken its name is left alone. Many converters have no such number. A board behind one is looked for under its
+    old name and, if the board sends a serial number of its own, at ports that have appeared since; whoever reopens the
+    port must then ask the board for the number. Ports that were there all the time belong to others and are not
+    touched.
 
-    The number of a pseudo-terminal that was closed goes to the next program that opens one. So under such numbers only
-    emulated boards are looked for, where they say that they are now (:mod:`ohmskin.rendezvous`). An emulator that was
-    stopped and started again may be at any number or TCP port: where the board was emulated on this machine, ports that
-    have appeared since include those of emulated boards.
+    The number of a closed pseudo-terminal goes to the next program that opens one. Under such numbers the finder
+    therefore looks only for emulated boards, at the places that they announce (:mod:`ohmskin.rendezvous`). An emulator
+    that was stopped and started again may be at any number or TCP port: if the board was emulated on this machine,
+    ports that have appeared since include those of emulated boards.
     """
 
     def __init__(self, name: str, *, baudrate: int, dtr: bool | None = None, rts: bool | None = None) -> None:
@@ -42,18 +43,18 @@ class PortFinder:
         self._options = {"baudrate": baudrate, "dtr": dtr, "rts": rts}
         self._usb_serial = usb_serial_number(name)
         self.board_is_numbered: Callable[[], bool] = lambda: False
-        """whether the board says a serial number of its own"""
+        """whether the board sends a serial number of its own"""
         self._directory = Path(name).parent if is_linked_terminal(name) else None
         self._is_emulated = announced(name) is not None
         self._always_there = self._present()
         """ports that have been there whenever this finder looked"""
         self._last: str | None = None
-        """name under which the port was opened again last"""
+        """name under which the port was last reopened"""
         self._announced: AnnouncedPort | None = None
-        """what an emulated board says of its port, also while the port is away"""
+        """announcement of an emulated board's port, kept while the port is away"""
 
     def open(self) -> BytePort:
-        """Open the port where it is now; LinkError where it is not there."""
+        """Open the port where it is now; LinkError if it is not there."""
         return self._open(self.name)
 
     def open_again(self) -> BytePort:
@@ -75,7 +76,7 @@ class PortFinder:
         if not names and self._usb_serial:
             raise LinkError(f"{self.name}: no USB device with serial number {self._usb_serial} is plugged in")
         failure = LinkError(f"{self.name}: no such port")
-        # The next name first: behind the last one there may have been another board.
+        # Start with the next name, since another board may be behind the last one.
         names.sort(key=lambda name: name != self.name)
         after_last = names.index(self._last) + 1 if self._last in names else 0
         for name in names[after_last:] + names[:after_last]:
@@ -109,12 +110,12 @@ class PortFinder:
 
 
 def _is_of_others(name: str) -> bool:
-    """Whether ``name`` is a pseudo-terminal under a number that no emulated board has now: another program's."""
+    """Whether ``name`` is a numbered pseudo-terminal of another program: no emulated board has that number now."""
     return is_numbered_terminal(name) and announced(name) is None
 
 
 def attempts(limit_s: float, wait: Callable[[float], bool]) -> Iterator[float]:
-    """The times, in s from now, at which to try again; ends after ``limit_s`` or when ``wait`` returns True."""
+    """Times of the attempts, in s from now; ends after ``limit_s`` or when ``wait`` returns True."""
     start, delay = time.monotonic(), FIRST_DELAY_S
     while (elapsed := time.monotonic() - start) < limit_s:
         if wait(min(delay, limit_s - elapsed)):

@@ -1,4 +1,4 @@
-"""A recorder that joins a skin which is open already."""
+"""Recorder that joins a skin which is already open."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from ._skin import Skin
 
 
 class Recorder:
-    """Records a skin that is open already, from now until :meth:`close`; readers of the skin go on undisturbed.
+    """Records an open skin, from now until :meth:`close`; readers of the skin go on undisturbed.
 
     ::
 
         with Recorder(skin, "press.mcap"):
             ...
 
-    The recording begins with what the skin remembers of before (:class:`._past.Past`): the board's description, the
-    rest resistances in use, the state of clock and estimator. So the replay gives the frames that the skin gives from
-    here on, bit for bit where every frame is taken. Ids of contacts count from the join.
+    The recording begins with a checkpoint of the skin (:class:`._past.Past`): the board's description, the rest
+    resistances in use, the state of clock and estimator. The replay therefore gives the frames that the skin gives from
+    here on, bit for bit if every frame is taken. Ids of contacts count from the join.
     """
 
     def __init__(self, skin: Skin, path: str | Path, *, overwrite: bool = False) -> None:
@@ -31,10 +31,10 @@ class Recorder:
         Args:
             skin: an open skin.
             path: of the MCAP file.
-            overwrite: replace a file that is there and not empty.
+            overwrite: replace an existing file that is not empty.
 
         Raises:
-            InputError: the file cannot be written, or is there already.
+            InputError: the file cannot be written, or exists already.
             MissingExtra: mcap is not installed.
             LinkError: the skin has come to its end, or is closed.
 
@@ -51,7 +51,7 @@ class Recorder:
 
     @property
     def path(self) -> Path:
-        """The file."""
+        """Path of the file."""
         return self._recording.path
 
     @property
@@ -65,10 +65,10 @@ class Recorder:
         return self._recording.error
 
     def close(self) -> None:
-        """End the recording; the skin stays open. A second time does nothing.
+        """End the recording; the skin stays open. A second call does nothing.
 
         Raises:
-            InputError: the file could not be written to the end. What was written before can be read.
+            InputError: the file could not be written to the end. The part written before can be read.
 
         """
         self._skin.detach(self._recording)

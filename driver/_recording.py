@@ -1,7 +1,7 @@
 """Recording of a skin to an MCAP file: every byte with its time of arrival, and decoded frames for viewers.
 
-The bytes are what :mod:`._replay` plays through the same driver. The decoded frames are JSON in schemas that Foxglove
-shows without plugins. Chunks are closed every second, so a recording that is cut short loses at most its last second.
+:mod:`._replay` plays the bytes through the same driver. The decoded frames are JSON in schemas that Foxglove shows
+without plugins. Chunks are closed every second, so that a recording that is cut short loses at most its last second.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ STAMP = struct.Struct("<dd")
 FLUSH_S = 1.0
 CHUNK_BYTES = 2**20
 MOST_WAITING = 1000
-"""decoded frames that wait for the disk"""
+"""most decoded frames that wait for the disk"""
 
 
 class Recording:
     """Writes one recording, for ``Skin.open(port, record=...)`` or for a :class:`Recorder`.
 
-    It begins in a partial file, which :meth:`keep` puts in its place once there is something to record: a board that
-    cannot be opened shall leave no file, and replace none.
+    The recording begins in a partial file, which :meth:`keep` moves to its place once there is something to record: a
+    board that cannot be opened must leave no file, and replace none.
 
-    A file that cannot be written any more (a full disk) ends the recording, not the skin: see :attr:`error`.
+    If the file cannot be written any more (a full disk), the recording ends, but not the skin: see :attr:`error`.
     """
 
     def __init__(self, path: str | Path, settings: Mapping[str, str], *, overwrite: bool = False) -> None:
@@ -55,11 +55,11 @@ class Recording:
 
         Args:
             path: of the file.
-            settings: what a replay must know beforehand, see :class:`._replay.RecordedSettings`.
-            overwrite: replace a file that is there and not empty.
+            settings: settings that a replay needs, see :class:`._replay.RecordedSettings`.
+            overwrite: replace an existing file that is not empty.
 
         Raises:
-            InputError: the file cannot be written, or is there already.
+            InputError: the file cannot be written, or exists already.
             MissingExtra: mcap is not installed.
 
         """
@@ -92,14 +92,14 @@ class Recording:
 
     @classmethod
     def check(cls, path: str | Path, *, overwrite: bool = False) -> None:
-        """Find out beforehand whether a recording can begin at ``path``; raises what ``__init__`` raises."""
+        """Check beforehand whether a recording can begin at ``path``; raises the errors of ``__init__``."""
         _mcap_writer()
         file = Path(path_text("name of the recording", path))
         _refuse_present(file, overwrite)
         check_writable(file)
 
     def keep(self) -> None:
-        """Put the file in its place, where it grows from now on. Raises InputError where that cannot be done."""
+        """Move the file to its place, where it grows from now on. InputError if that fails."""
         self._output.replace()
 
     def discard(self) -> None:
@@ -109,7 +109,7 @@ class Recording:
         self._output.discard()
 
     def joined(self, past: Past) -> None:
-        """Note what an open skin remembers, before its next bytes."""
+        """Write the checkpoint of an open skin, before its next bytes."""
         self._event({"event": "joined", "past": past.tables()})
         with self._lock:
             if self._writer is not None:
@@ -121,7 +121,7 @@ class Recording:
         self._write(BYTES_TOPIC, arrival.wall_time, stamp + arrival.data)
 
     def port_gone(self) -> None:
-        """Note that the port has gone away: what follows came over another connection."""
+        """Write that the port was lost: the bytes after this came over another connection."""
         self._event({"event": "port gone"})
 
     def rest_changed(self, rest_ohm: FloatArray | None, after_s: float | None) -> None:
@@ -130,7 +130,7 @@ class Recording:
         self._event({"event": "rest", "rest_ohm": rest, "after_s": None if after_s is None else after_s.hex()})
 
     def frame(self, frame: Frame) -> None:
-        """Have a decoded frame written, for viewers. Does not wait: left out when the disk is far behind."""
+        """Queue a decoded frame for writing, for viewers. Does not wait: dropped if the disk is far behind."""
         with contextlib.suppress(queue.Full):
             self._waiting.put_nowait(frame)
 
@@ -144,10 +144,10 @@ class Recording:
         self.frames += 1
 
     def close(self) -> None:
-        """End the recording; a second time does nothing.
+        """End the recording; a second call does nothing.
 
         Raises:
-            InputError: the file could not be written to the end. What was written before can be read.
+            InputError: the file could not be written to the end. The part written before can be read.
 
         """
         if self._thread.is_alive():
@@ -187,7 +187,7 @@ class Recording:
 
 
 def _mcap_writer() -> type[Writer]:
-    """The class that writes MCAP files; MissingExtra where it is not installed."""
+    """The class that writes MCAP files; MissingExtra if it is not installed."""
     try:
         from mcap.writer import Writer
     except ImportError as error:
@@ -196,7 +196,7 @@ def _mcap_writer() -> type[Writer]:
 
 
 def _refuse_present(path: Path, overwrite: bool) -> None:
-    """Raise InputError where there is a file with content that shall not be replaced."""
+    """Raise InputError if there is a file with content that must not be replaced."""
     if not overwrite and path.is_file() and path.stat().st_size:
         raise InputError(f"{path}: is there already; choose another name, or replace it (overwrite=True, --overwrite)")
 

@@ -1,4 +1,4 @@
-"""Replay of a recording: a port that says what the board said, when it said it."""
+"""Replay of a recording: a port that returns the board's bytes at the times at which they came."""
 
 from __future__ import annotations
 
@@ -34,22 +34,22 @@ MOST_S = 1e12
 
 @dataclass(frozen=True)
 class RecordedSettings:
-    """How the skin of a recording was opened."""
+    """Settings with which the skin of a recording was opened."""
 
     board: str
     """family"""
     design: Design | None
-    """None: as the board described itself"""
+    """None: as the board describes it"""
     cell: Cell | None
     estimator: str | None
     pitch: Pitch | None
-    """None: that of the design"""
+    """None: the pitch of the design"""
     accuracy: float | None = None
-    """relative uncertainty up to which cells were valid; None: as the converter allowed"""
+    """relative uncertainty up to which cells are valid; None: the default"""
     calibration: Calibration | None = None
 
     def as_metadata(self) -> dict[str, str]:
-        """Texts for the file."""
+        """Texts for the metadata of the file."""
         tables = write_description(
             None if self.design is None else self.design.model_dump(),
             None if self.cell is None else self.cell.model_dump(exclude_none=True),
@@ -64,7 +64,7 @@ class RecordedSettings:
 
     @classmethod
     def of(cls, metadata: dict[str, str], path: Path) -> RecordedSettings:
-        """The settings in a file's metadata; InputError where they are none."""
+        """The settings in a file's metadata; InputError if they are invalid."""
         if metadata.get("format") != FORMAT:
             raise InputError(f"{path}: a recording of format {metadata.get('format')}; expected {FORMAT}")
         for name in ("board", "given"):
@@ -103,7 +103,7 @@ class RestSchedule:
 
 
 class ReplayPort:
-    """Plays a recording. Without ``speed`` as fast as it is read, otherwise at so many times real time.
+    """Plays a recording: at ``speed`` times real time, or without ``speed`` as fast as it is read.
 
     Raises:
         InputError: the file cannot be read, or is no recording of ohmskin.
@@ -117,8 +117,8 @@ class ReplayPort:
         self.path = Path(path)
         self.name = str(path)
         self.settings, self.past, self.rest, self.arrivals, self.seconds = _survey(self.path)
-        """how it was opened; what the skin remembered when the recorder joined, None: it was opened recording; its
-        tares; how many times bytes came; how long it lasts in s"""
+        """settings of the skin; its checkpoint when the recorder joined, None: recorded from its opening; its tares;
+        number of arrivals; duration in s"""
         self._speed = speed
         self._items = _items(self.path)
         self._next: Arrival | LinkError | None = None
@@ -141,7 +141,7 @@ class ReplayPort:
         return True
 
     def read(self) -> Arrival:
-        """The next recorded bytes, if they are due; LinkEnded at the end, LinkError where the port was gone."""
+        """The next recorded bytes, if they are due; LinkEnded at the end, LinkError where the port was lost."""
         with self._lock:
             if self._remaining_s() > 0:
                 return Arrival(b"", self.now(), time.time())
@@ -161,17 +161,17 @@ class ReplayPort:
         self._interrupted.set()
 
     def now(self) -> float:
-        """Present time of the recording, on the clock that the host had then."""
+        """Present time of the recording, on the clock of the recording host."""
         if self._speed is None or self._start is None:
             return self._latest
         real_s, recorded_s = self._start
         return recorded_s + (time.monotonic() - real_s) * self._speed
 
     def close(self) -> None:
-        """Nothing to give back until the recording is read to its end."""
+        """Does nothing: the file is closed when the recording has been read to its end."""
 
     def reopen(self) -> ReplayPort:
-        """The port as it came back."""
+        """The port after a recorded loss: this one."""
         return self
 
     def _peek(self) -> Arrival | LinkError:
@@ -184,7 +184,7 @@ class ReplayPort:
             return self._remaining_s()
 
     def _remaining_s(self) -> float:
-        """Seconds until the next bytes; not positive: now."""
+        """Seconds until the next bytes; 0 or less: now."""
         item = self._peek()
         if self._speed is None or isinstance(item, LinkError):
             return 0.0
@@ -194,14 +194,14 @@ class ReplayPort:
 
 
 def _distinct(pitch: Pitch | None) -> tuple[float, ...]:
-    """One number of square cells, two of others."""
+    """One number for square cells, two for others."""
     if pitch is None:
         return ()
     return (pitch.x_m,) if pitch.x_m == pitch.y_m else pitch
 
 
 def _hexadecimals(metadata: Mapping[str, str], name: str, path: Path, *, most: int = 1) -> list[float]:
-    """Positive numbers in C's hexadecimal notation, at most so many; none where the metadata has none."""
+    """Positive numbers in C's hexadecimal notation, at most ``most``; empty if the metadata has none."""
     text = metadata.get(name)
     if text is None:
         return []
@@ -244,7 +244,7 @@ def _items(path: Path) -> Iterator[Arrival | LinkError]:
 
 
 def _arrival(data: bytes, path: Path) -> Arrival:
-    """What arrived, and when; InputError where the message is no such thing."""
+    """Bytes and times of an arrival; InputError if the message is none."""
     if len(data) < STAMP.size:
         raise InputError(f"{path}: an arrival of {len(data)} bytes; expected at least {STAMP.size}, its times")
     received_at, wall_time = STAMP.unpack_from(data)
@@ -254,7 +254,7 @@ def _arrival(data: bytes, path: Path) -> Arrival:
 
 
 def _event(data: bytes, path: Path) -> dict[str, Any]:
-    """A message of the events' topic; InputError where it is none."""
+    """A message of the events' topic; InputError if it is invalid."""
     try:
         event = json.loads(data)
     except (ValueError, RecursionError) as error:
@@ -265,7 +265,7 @@ def _event(data: bytes, path: Path) -> dict[str, Any]:
 
 
 def _rest_change(event: Mapping[str, Any], path: Path) -> tuple[float, FloatArray | None]:
-    """The time after which rest resistances hold, and these; InputError."""
+    """Rest resistances, and the time after which they hold; InputError."""
     try:
         after = -math.inf if event["after_s"] is None else float.fromhex(event["after_s"])
         if event["rest_ohm"] is None:
@@ -301,7 +301,7 @@ def _records(path: Path) -> Iterator[tuple[str, Any]]:
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     except Exception as error:
-        # A process that was killed, or a full disk, ends a file anywhere: mcap, its decompressors and struct raise
-        # errors of many kinds there. What was written before is whole, as its checksums say.
+        # A killed process or a full disk ends a file anywhere: mcap, its decompressors and struct then raise errors of
+        # many kinds. The part written before is whole, as its checksums show.
         if not found:
             raise InputError(f"{path}: is no MCAP file; expected a recording of `ohmskin record`") from error

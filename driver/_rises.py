@@ -1,15 +1,16 @@
 """Loads on coarse boards: a joint significance test of the rises of neighbouring cells (matched filter).
 
-A pressure has a wide deviation on boards with few ADC steps, since past loads, bad contacts and steps leave much open.
-Whether a cell is touched *just now* is a smaller question: by how much its reading has risen within the last moment,
-against the noise of the readings. What the material remembers hardly changes in that time. A fingertip also lifts
-several neighbours at once, so that the weighted sum of their rises tells far more than one cell does.
+On boards with few ADC steps the standard deviation of a pressure is large, since past loads, bad contacts and steps
+leave much uncertainty. Whether a cell is touched *just now* is an easier question: by how much has its reading risen
+within the last moment, compared with the noise of the readings? The memory of the material (hysteresis, creep) hardly
+changes in that time. A fingertip also presses several neighbours at once, so the weighted sum of their rises tells far
+more than the rise of one cell.
 
-Presses that take longer than a moment are looked for as well, in means over blocks of frames (:mod:`._slow_rises`).
+Presses that take longer than a moment are found in means over blocks of frames (:mod:`._slow_rises`).
 
-The test asks for a rise of cells beside the row of a cell, too, and of cells beside its column. Electrical faults have
-the shape of the wiring instead: one cell, or a line. What most cells of a line have in common is subtracted, since a
-bad line moves its cells alike, and so does the error of one reading in a column of a divider.
+Electrical faults have the shape of the wiring: one cell, or a line. The test therefore also requires a rise of cells
+beside the row of a cell, and of cells beside its column. The rise that most cells of a line have in common is
+subtracted first, since a bad line moves its cells alike, and so does the error of one reading in a column of a divider.
 """
 
 from __future__ import annotations
@@ -28,47 +29,47 @@ from ._around import ACROSS, highest_around, sums_around, with_all_neighbours, w
 from ._slow_rises import SlowRises
 
 NOW_S, APART_S, BEFORE_S = 0.01, 0.02, 0.06
-"""readings of the last moment are compared with earlier ones: length of the first, pause, length of the second. A
-fingertip comes down within the pause; at slow frame rates each is one frame at least"""
+"""lengths in s of the present interval, of the pause before it, and of the earlier interval for comparison. A fingertip
+comes down within the pause; at slow frame rates each interval has at least one frame"""
 LEAST_BEFORE = 3
-"""frames with which readings are compared at least"""
+"""least number of frames in the earlier interval"""
 EACH = 2.0
 """standard deviations by which a cell of a touch has risen"""
 TOGETHER = 6.0
-"""standard deviations of the weighted sum of rises. By chance a cell has that once in 1e9 frames; four cells of a
+"""standard deviations of the weighted sum of rises. By chance a cell exceeds this once in 1e9 frames; four cells of a
 square whose readings flip by one ADC step in the same frame have 5.2"""
 ASIDE = 4.0
-"""the same of the sum that leaves out the cell's row, and of the sum that leaves out its column. A fault of the wiring
-moves one row or one column, hence only one of both sums"""
+"""the same for the sum without the cell's row, and for the sum without its column. A fault of the wiring moves one row
+or one column, hence only one of these sums"""
 MIDDLE, SHARED = 0.5, 0.1
-"""least rise of a cell in the middle of a touch, over the largest one in the 3 x 3 cells around it. The second is the
+"""least rise of a cell in the middle of a touch, over the largest rise in the 3 x 3 cells around it. The second is the
 same for a cell at the rim, and for the two sums, over the cell's own rise. Crosstalk by leads is far less"""
 OWN = 0.3
-"""least share of a cell's rise that is its own: the rest it has in common with most cells of its row or column"""
+"""least fraction of a cell's rise that is its own; the rest is common to most cells of its row or column"""
 FALLEN = 4.0
-"""standard deviations below zero of the weighted sum by which a touch may have ended; the pressure decides"""
+"""standard deviations by which the weighted sum is negative when a touch may have ended; the pressure decides"""
 FALLEN_IN_BLOCKS = 3.0
-"""the same in means over blocks of frames. What has risen from before on is then no slow press. Each block is asked
-once, and each place for itself, so that a chance hides hardly a press"""
+"""the same in means over blocks of frames. A rise since before such a fall is no slow press. Each block is tested
+once, and each place separately, so that a false alarm hardly ever hides a press"""
 ROUNDING_S = 1e-9
-"""of times of frames; readings of exactly the lengths above belong to them"""
+"""rounding error of frame times; readings exactly at the lengths above belong to the intervals"""
 LONGEST_S = 1.0
-"""a pause between frames after which nothing is compared"""
+"""pause between frames after which nothing is compared"""
 LEAST_RATIO = 1e-3
-"""least R/R0 that a reading is taken for, so that a short is no infinite rise"""
+"""lower bound of R/R0, so that a short is no infinite rise"""
 LEAST_LINE = 4
-"""cells of a line of which a quarter is untouched: a fingertip covers shorter lines"""
+"""least length of a line of which a quarter stays untouched: a fingertip covers shorter lines"""
 
 
 _OF_LINE = 1.0 + 2.0 * ACROSS**2
 STD_OF_WHOLE, STD_OF_OTHERS = _OF_LINE, math.sqrt(2.0 * ACROSS**2 * _OF_LINE)
 """standard deviations of the sums over 3 x 3 cells (:mod:`._around`) of independent standard normal numbers: of all
-nine cells, and of those beside a row or column. The weights have about the shape of a fingertip (matched filter)"""
+nine cells, and of those beside a row or column. The weights are about the shape of a fingertip (matched filter)"""
 
 
 @dataclass(frozen=True, slots=True)
 class _Sum:
-    """Readings summed up to a frame."""
+    """Cumulative sums of the readings up to a frame."""
 
     time_s: float
     frames: int
@@ -79,27 +80,27 @@ class _Sum:
 
 
 class JointRise(NamedTuple):
-    """What a frame's joint rises are made of; (rows, columns) each."""
+    """Joint rises in one frame; (rows, columns) each."""
 
     middle: BoolArray
-    """cells that have suddenly risen, together with neighbours along both axes"""
+    """cells that have suddenly risen, jointly with neighbours along both axes"""
     risen: BoolArray
-    """these and those that have risen so within seconds, and their neighbours, as far as they have risen"""
+    """these cells, those that have risen jointly within seconds, and their neighbours that have risen as well"""
     fallen: BoolArray
-    """cells that have fallen together with their neighbours"""
+    """cells that have fallen jointly with their neighbours"""
 
 
 class Rises:
-    """Looks for cells that are pressed just now."""
+    """Finds cells that are being pressed just now."""
 
     def __init__(self, shape: tuple[int, int], *, loads_raise: bool = True) -> None:
-        """``loads_raise``: a load raises the resistance of a cell."""
+        """``loads_raise``: whether a load raises the resistance of a cell."""
         self.shape = shape
         self._side = 1.0 if loads_raise else -1.0
         self._sums: deque[_Sum] = deque()
         self._slow = SlowRises(shape)
         self._fallen_s = np.full(shape, -np.inf)
-        """(rows, columns) when the cell has last fallen together with its neighbours, or suddenly one beside it has"""
+        """(rows, columns) last time that the cell fell jointly with its neighbours, or that a neighbour suddenly did"""
 
     def forget(self) -> None:
         """Begin anew: rest resistances have changed."""
@@ -116,7 +117,7 @@ class Rises:
             noise: (rows, columns) standard deviation of one reading.
 
         Returns:
-            The cells that have risen together with neighbours along both axes, and those that have fallen together.
+            The cells that have risen jointly with neighbours along both axes, and those that have fallen jointly.
             None: no cell has.
 
         """
@@ -135,10 +136,10 @@ class Rises:
         return found._replace(risen=found.risen | slowly)
 
     def _look_back(self, time_s: float, reading: FloatArray, noise: FloatArray) -> BoolArray | None:
-        """(rows, columns) cells that have risen together within seconds, and still do; None: none have.
+        """(rows, columns) cells that have risen jointly within seconds, and are still up; None: no cell.
 
-        What such a rise shows of a rim is faint, and stays for seconds where a finger has passed. So cells beside its
-        middle count from :data:`MIDDLE` on.
+        A slow rise at the rim is faint, and may stay for seconds where a finger has passed. Cells beside the middle
+        therefore count only from :data:`MIDDLE` on.
         """
         changes = self._slow.take(time_s, reading, noise)
         if changes is None:
@@ -153,7 +154,7 @@ class Rises:
         return risen
 
     def _look_now(self, time_s: float, reading: FloatArray, noise: FloatArray) -> JointRise | None:
-        """As :meth:`look`, of the last moment and of conductances."""
+        """As :meth:`look`, for the last moment, with conductances."""
         self._add(time_s, reading)
         places = self._places(time_s)
         if places is None:
@@ -173,7 +174,7 @@ class Rises:
         middle, risen = found
         between = since.frames - until.frames
         if between:
-            # After a release readings fall, though what the material remembers keeps them above those of before.
+            # After a release readings fall, though the memory of the material keeps them above the earlier ones.
             lately = (now.rise - since.rise) / present - (since.rise - until.rise) / between
             still = lately > -EACH * noise * math.sqrt(1.0 / present + 1.0 / between)
             middle, risen = middle & still, risen & still
@@ -192,7 +193,7 @@ class Rises:
         self._sums.append(_Sum(time_s, last.frames + 1, last.rise + reading, lacking))
 
     def _places(self, time_s: float) -> tuple[_Sum, _Sum, _Sum, _Sum] | None:
-        """Sums before and after the earlier readings, and before and after the present ones; drops older ones."""
+        """Sums before and after the earlier interval, and before and after the present one; drops older sums."""
         sums, last = self._sums, len(self._sums) - 1
         now_s = time_s + ROUNDING_S
         since = self._last_until(now_s - NOW_S, last - 1)
@@ -206,26 +207,26 @@ class Rises:
         return found
 
     def _last_until(self, time_s: float, most: int) -> int:
-        """Number of the last sum up to that time, but ``most`` at most, and 0 where all are later."""
+        """Index of the last sum up to that time, at most ``most``; 0 if all are later."""
         return max(min(bisect_right(self._sums, time_s, key=attrgetter("time_s")) - 1, most), 0)
 
 
 def _weighted(rise: FloatArray) -> FloatArray:
-    """(rows, columns) weighted sums of rises, which are in standard deviations, over 3 x 3 cells, in theirs."""
+    """(rows, columns) weighted sums over 3 x 3 cells of rises in standard deviations; in standard deviations, too."""
     return sums_around(rise).whole / STD_OF_WHOLE
 
 
 def _together(rise: FloatArray, weighted: FloatArray, least_beside: float) -> tuple[BoolArray, BoolArray] | None:
-    """Cells in the middle of joint rises, and those with their neighbours that have risen as well; None: none have.
+    """Cells in the middle of joint rises, and these with the neighbours that have risen as well; None: no cell.
 
     Args:
         rise: (rows, columns) in standard deviations.
-        weighted: :func:`_weighted` of it.
-        least_beside: share of the largest rise in the 3 x 3 cells around it that a neighbour has risen by at least.
+        weighted: :func:`_weighted` of ``rise``.
+        least_beside: least rise of a neighbour, over the largest rise in the 3 x 3 cells around it.
 
     """
     if weighted.item(weighted.argmax()) <= TOGETHER:
-        return None  # what cells have risen by on their own, beyond their lines, makes no larger sums
+        return None  # subtracting the common rise of lines makes no larger sums
     own = rise - _in_common(rise)
     own /= max(scatter(own), 1.0)
     own[(own <= OWN * rise) & (own > 0)] = 0.0
@@ -240,9 +241,9 @@ def _together(rise: FloatArray, weighted: FloatArray, least_beside: float) -> tu
 
 
 def _in_common(rise: FloatArray) -> FloatArray:
-    """(rows, columns) what most cells of a cell's row or of its column have risen by, at least 0.
+    """(rows, columns) rise that most cells of a cell's row or column have in common, at least 0.
 
-    The lower quartile, for a fingertip covers half of a short line.
+    This is the lower quartile, since a fingertip covers half of a short line.
     """
     common = np.zeros(rise.shape)
     rows, columns = rise.shape
@@ -256,9 +257,9 @@ def _in_common(rise: FloatArray) -> FloatArray:
 def _of_conductance(reading: FloatArray, noise: FloatArray, side: float) -> tuple[FloatArray, FloatArray]:
     """Readings and noise (rows, columns) of conductance instead of resistance: R0/R - 1, positive under a load.
 
-    An ADC step is one of conductance, and so is the noise of the outputs. In R/R0 both grow with the square of R: a
-    press that doubles R would hardly exceed the noise of the reading under it, however small that is at rest.
-    ``side``: 1 where a load raises the resistance, -1 where it lowers it.
+    An ADC step is a step of conductance, and so is the noise of the outputs. In R/R0 both grow with the square of R.
+    A press that doubles R would then hardly exceed the noise of its own reading, however small the noise is at rest.
+    ``side``: 1 if a load raises the resistance, -1 if it lowers it.
     """
     conductance = 1.0 / np.maximum(1.0 + side * reading, LEAST_RATIO)
     return side * (1.0 - conductance), noise * conductance * conductance

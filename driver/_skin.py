@@ -1,4 +1,4 @@
-"""``Skin``: the driver's face. A board's bytes to frames of counts, ohms and kPa."""
+"""``Skin``: the driver's main class. It turns a board's bytes into frames of counts, ohms and kPa."""
 
 from __future__ import annotations
 
@@ -64,39 +64,39 @@ class Skin:
         overwrite: bool = False,
         calibration: Calibration | str | Path | None = None,
     ) -> None:
-        """Introduce the board behind an open port.
+        """Wait until the board behind an open port has identified itself, and set up the conversion of its frames.
 
         Args:
-            port: closed by :meth:`close`, and when this fails.
-            board: family of the board, by name (``ohmskin.wire.BOARDS``) or itself.
-            design: how the board reads its array, or its DESIGN.toml; None: as the board describes itself, or as is
-                usual for its family.
-            cell: what the skin is made of, or its CELL.toml; None: as the board describes itself. Without both,
-                pressures are NaN.
+            port: an open port. :meth:`close` closes it, and so does an error here.
+            board: family of the board, by name (``ohmskin.wire.BOARDS``) or as an object.
+            design: the readout circuit, as an object or as a DESIGN.toml file; None: the design that the board
+                describes, else the usual one of its family.
+            cell: the model of the skin's material, as an object or as a CELL.toml file; None: the model that the board
+                describes. Without either, pressures are NaN.
             estimator: name for :meth:`ohmskin.cell.Cell.estimator`.
-            timeout: s to wait for the board to introduce itself, then of processor time for the inverse of its circuit
-                to be set up (at most ten times as long on a busy machine), and later s to wait for each frame. The
-                compiler (extra ``fast``) may take longer, once on a machine.
+            timeout: limit in s for each of three things: the wait for the board to identify itself; the processor time
+                to set up the inverse of its circuit (at most ten times as long on a busy machine); later the wait for
+                each frame. The compiler (extra ``fast``) may take longer, once on a machine.
             delivery: which frames readers get, see :data:`Delivery`.
-            queue: frames that wait for readers, unless ``delivery`` is ``newest``.
-            reconnect: s to try to open a port again that has gone away.
-            reopen: opens the port again; None: a port that has gone away is not opened again.
-            pitch: distance of neighbouring cells in m, for contacts; of cells that are not square (x, y), along a row
-                and along a column. None: that of the design's ``[sheet]``.
+            queue: number of frames that wait for readers, unless ``delivery`` is ``newest``.
+            reconnect: s for which the driver tries to open a lost port again.
+            reopen: function that opens the port again; None: a lost port is not opened again.
+            pitch: distance of neighbouring cells in m, for contacts; for cells that are not square (x, y), along a row
+                and along a column. None: the pitch in the design's ``[sheet]``.
             accuracy: relative uncertainty of a cell's conductance up to which the cell is valid; None: 0.5, see
                 :class:`ohmskin.circuits.ValidityRule`.
             record: MCAP file to record to, from the first byte; the recording ends with the skin.
             overwrite: replace a recording that is there already.
-            calibration: rest resistance and gain of each cell, or the file that holds them. A tare replaces its rest
+            calibration: rest resistance and gain of each cell, or the file with them. A tare replaces the rest
                 resistances and keeps its gains.
 
         Raises:
             LinkTimeout: the board is silent.
-            ProtocolError: it sends something else than packets, or a description that is not valid or too large.
+            ProtocolError: the board sends something other than packets, or an invalid or too large description.
             LinkError: the port is gone.
-            InputError: there is no such family, or no such estimator for this cell, or the design is not known, or
-                the accuracy is not between 0 and 1, or another number cannot be, or a file cannot be read, or the
-                recording cannot be written or is there already, or the calibration is another board's.
+            InputError: there is no such family, or no such estimator for this cell; the design is not known; the
+                accuracy is not between 0 and 1, or another number is not possible; a file cannot be read; the recording
+                cannot be written or exists already; or the calibration belongs to another board.
 
         """
         try:
@@ -127,11 +127,11 @@ class Skin:
         *,
         overwrite: bool,
     ) -> None:
-        """Introduce the board as asked; a port whose board cannot be introduced is closed."""
+        """Identify the board as asked; on failure the port is closed."""
         self._timeout, self._delivery = opening.timeout_s, opening.delivery
         self._recorder: Recording | None = None
         self._followers: dict[Recording, Callable[[RawFrame, Measurement], None]] = {}
-        """recordings under way -> what tells them of converted frames"""
+        """recordings in progress -> the function that gives them converted frames"""
         try:
             link = Link(port, opening, reopen)
             if record is not None:
@@ -150,16 +150,16 @@ class Skin:
             raise
         self._reader, self._mailbox, self._counters = link.reader, link.mailbox, link.counters
         self.settings = opening.settings
-        """how the skin was opened, for recordings"""
+        """settings with which the skin was opened, for recordings"""
         self.family = opening.family
         self.design = self._converter.design
-        """how the board reads its array"""
+        """the board's readout circuit"""
         self.cell = self._converter.cell
-        """what the skin is made of; None: not known, pressures are NaN"""
+        """model of the skin's material; None: not known, pressures are NaN"""
         self.calibration = opening.settings.calibration
-        """rest resistances and gains of the cells; None: all are as the cell's data say"""
+        """rest resistances and gains of the cells; None: all cells are as the cell model says"""
         self.recorded_s = port.seconds if isinstance(port, ReplayPort) else None
-        """s that the recording lasts; None: the board is live"""
+        """duration of the recording in s; None: the board is live"""
         self._source = link.source(self._converter)
         self._taker = FrameTaker(self._source, from_start=True)
         self._callbacks: list[FrameCallback] = []
@@ -193,13 +193,13 @@ class Skin:
     ) -> Skin:
         """Open a serial device, a pty, ``socket://HOST:PORT`` or a recording; see :meth:`__init__` for the rest.
 
-        A recording, a file that ends in ``.mcap``, is opened as its skin was, with all that is not given here.
+        A recording (a file that ends in ``.mcap``) supplies every setting of its skin that is not given here.
 
         Args:
             port: name of the port; None: the port where :func:`discover` finds the board ``serial_number``.
             board: family of the board.
             serial_number: that the board must have.
-            design: and the others: as for :meth:`__init__`.
+            design: this argument and all without a description are as for :meth:`__init__`.
             cell: likewise.
             estimator: likewise.
             timeout: likewise.
@@ -211,13 +211,14 @@ class Skin:
             accuracy: likewise.
             record: likewise.
             overwrite: likewise.
-            speed: of a recording, times real time; None: as fast as it is read. A live board has its own pace.
+            speed: replay speed of a recording, relative to real time; None: as fast as the file is read. A live board
+                sets its own pace.
             calibration: as for :meth:`__init__`; None: that of the recording, else none.
 
         Raises:
-            LinkError: the port is not there, may not be used, or is in use, or another board is behind it; and what
-                :meth:`__init__` raises.
-            InputError: ``speed`` is given and ``port`` is no recording; and what :meth:`__init__` raises.
+            LinkError: the port does not exist, may not be used, or is in use, or another board is behind it.
+            InputError: ``speed`` is given and ``port`` is no recording.
+            Also everything that :meth:`__init__` raises.
 
         """
         finder: PortFinder | None = None
@@ -229,7 +230,7 @@ class Skin:
             raise InputError(f"speed is {speed}, but only a recording (a file that ends in .mcap) has one")
         recorded = NOTHING_RECORDED if played is None else played.settings
         usual: Delivery = "newest" if played is None else "lossless"
-        # All that can be wrong with what is asked is told before anybody waits for a board or for the compiler.
+        # All errors in the arguments are reported before anybody waits for a board or for the compiler.
         asked = Opening.of(
             board=board if played is None else recorded.board,
             design=recorded.design if design is None else design,
@@ -267,7 +268,10 @@ class Skin:
         return skin
 
     def _must_be(self, serial_number: str | None) -> None:
-        """Close the skin where neither its board nor the board's USB device has that serial number; LinkError."""
+        """Close the skin and raise LinkError if neither the board nor its USB device has that serial number.
+
+        A board that sends no serial number passes.
+        """
         if serial_number is not None and serial_number not in (
             self.serial_number or serial_number,
             usb_serial_number(self.port_name),
@@ -277,12 +281,12 @@ class Skin:
 
     @property
     def serial_number(self) -> str:
-        """The board's serial number; empty where it does not say."""
+        """The board's serial number; empty if the board does not send one."""
         return self._reader.introduction.serial_number
 
     @property
     def identity(self) -> Identity | None:
-        """Who the board says it is; None where it does not say."""
+        """The board's identity packet; None if the board does not send one."""
         return self._reader.introduction.identity
 
     @property
@@ -292,7 +296,7 @@ class Skin:
 
     @property
     def port_name(self) -> str:
-        """The name of the port that was opened."""
+        """Name of the port that was opened."""
         return self._source.name
 
     @property
@@ -311,11 +315,11 @@ class Skin:
 
     @property
     def away(self) -> str | None:
-        """Why the port is gone, while the driver tries to open it again; None: it is there."""
+        """Why the port is lost, while the driver tries to open it again; None: the port is there."""
         return self._mailbox.away
 
     def __repr__(self) -> str:
-        """Port, array, and whether frames come: what a notebook shows of a skin."""
+        """Port, array, and state of the link, as a notebook shows a skin."""
         rows, columns = self.design.array.shape
         number = f", serial number {printable(self.serial_number)}" if self.serial_number else ""
         state = "over" if self._mailbox.end is not None else "open" if self.away is None else "away"
@@ -333,7 +337,7 @@ class Skin:
         self.close()
 
     def close(self) -> None:
-        """Give the port back, from any thread. Iterations end; the board goes on by itself.
+        """Release the port; may be called from any thread. Iterations end; the board keeps running.
 
         Raises:
             InputError: a recording could not be written to its end.
@@ -351,7 +355,7 @@ class Skin:
             recording.close()
 
     def _disown(self) -> None:
-        """In a forked process: every reader is told that the skin is another process's."""
+        """In a forked process: tell every reader that the skin belongs to the parent process."""
         self._tares.disown()
         self._callbacks.clear()
         self._followers.clear()
@@ -361,12 +365,12 @@ class Skin:
         return self
 
     def __next__(self) -> Frame:
-        """The next frame, waiting for it; StopIteration at the regular end, or when the skin is closed.
+        """Wait for the next frame; StopIteration at the regular end, or when the skin is closed.
 
         Raises:
-            LinkTimeout: none came in time, though the port is there.
+            LinkTimeout: no frame came in time, though the port is there.
             LinkError: the board has gone away, and has not come back.
-            ProtocolError: what came breaks the format, or does not fit the design. A later frame may be good.
+            ProtocolError: the bytes break the format, or the counts do not fit the design. A later frame may be good.
 
         """
         try:
@@ -375,11 +379,11 @@ class Skin:
             raise StopIteration from None
 
     def __aiter__(self) -> AsyncIterator[Frame]:
-        """The frames that come from now on, for ``async for``; ends and raises as iteration does."""
+        """The frames from now on, for ``async for``; ends and raises as iteration does."""
         return AsyncFrames(self._source, self._timeout, keep=self)
 
     def frames(self) -> Iterator[Frame]:
-        """An iterator with a place of its own: the frames that come from now on, whoever else takes them."""
+        """An iterator with a place of its own, from now on: frames that other readers take do not go missing here."""
         return self._follow(FrameTaker(self._source))
 
     def _follow(self, taker: FrameTaker) -> Iterator[Frame]:
@@ -393,13 +397,13 @@ class Skin:
             taker.leave()
 
     def read(self, timeout: float | None = None) -> Frame:
-        """The next frame, waiting for it for ``timeout`` s (None: as the skin was opened).
+        """Wait up to ``timeout`` s for the next frame (None: the timeout with which the skin was opened).
 
-        With 0 or less nothing is waited for: a frame that has come is returned, else LinkTimeout is raised.
+        A timeout of 0 or less does not wait: a frame that is there is returned, else LinkTimeout is raised.
 
         Raises:
-            LinkTimeout: none came in time.
-            LinkEnded: none will come: the stream is over, or the skin is closed.
+            LinkTimeout: no frame came in time.
+            LinkEnded: no frame will come: the stream is over, or the skin is closed.
             LinkError, ProtocolError: as for iteration.
             InputError: ``timeout`` is no number.
 
@@ -410,11 +414,11 @@ class Skin:
         """The newest frame, taken before or not, never older than ``max_age``. For control loops.
 
         Args:
-            max_age: s that may have passed since the frame's last byte came.
-            timeout: s to wait for such a frame, where there is none; 0 or less: none.
+            max_age: s since the arrival of the frame's last byte, at most.
+            timeout: s to wait if there is no such frame; 0 or less: do not wait.
 
         Raises:
-            LinkTimeout: there is none; the message says how old the newest is.
+            LinkTimeout: there is no such frame; the message gives the age of the newest one.
             LinkEnded, LinkError, ProtocolError: as for :meth:`read`.
             InputError: ``max_age`` is not above 0, or ``timeout`` is no number.
 
@@ -433,19 +437,19 @@ class Skin:
                 called when ``close()`` of the skin or of the returned object ends the calls.
 
         Returns:
-            An object whose ``close()`` ends the calls. An exception in the callback ends them too.
+            An object whose ``close()`` ends the calls. An exception in the callback ends them, too.
 
         Raises:
             InputError: ``callback`` or ``on_end`` is no function.
 
         """
         made = FrameCallback(self._source, callback, on_end, keep=self)
-        # What a callback that has ended refers to is not the skin's to keep.
+        # Dropping callbacks that have ended releases the objects to which they refer.
         self._callbacks = [earlier for earlier in self._callbacks if not earlier.is_over] + [made]
         return made
 
     def on_bytes(self, tap: Callable[[Arrival], None]) -> None:
-        """Call ``tap`` with all bytes from now on, as they arrive, in the thread that reads them: for recorders.
+        """Call ``tap`` with all bytes from now on, as they arrive, in the reader thread: for recorders.
 
         Raises:
             InputError: ``tap`` is no function.
@@ -460,10 +464,10 @@ class Skin:
         return self._recorder
 
     def attach(self, recording: Recording) -> None:
-        """Let a recording begin here; :class:`Recorder` calls this.
+        """Begin a recording here; :class:`Recorder` calls this.
 
-        Frames that have come are converted first. The next frames are converted by an inversion of the circuit that
-        begins anew and an estimator that goes on, as in the replay.
+        Frames that have come already are converted first. For the frames after them the inversion of the circuit begins
+        anew while the estimator keeps its state, as in the replay.
 
         Raises:
             LinkError: the skin has come to its end, or is closed.
@@ -487,7 +491,7 @@ class Skin:
             self._follow_frames(recording)
 
     def detach(self, recording: Recording) -> None:
-        """Let a recording end here; one that is not attached is left alone."""
+        """End a recording here; a recording that is not attached is left alone."""
         with self._reader.between_arrivals():
             told = self._followers.pop(recording, None)
             if told is None:
@@ -504,7 +508,7 @@ class Skin:
         self._converter.on_converted.append(told)
 
     def request(self, order: Order, *, period_us: int = 0) -> None:
-        """Give the board an order of its protocol.
+        """Send the board an order of its protocol.
 
         Raises:
             LinkEnded: the skin is closed, or the stream is over.
@@ -517,7 +521,7 @@ class Skin:
         self._reader.send(order, period_us=period_us)
 
     def stats(self) -> LinkStatistics:
-        """What came, what was lost, and how old frames were."""
+        """Statistics of the link: frames received and lost, and their ages."""
         with self._mailbox.lock:
             newest = self._mailbox.newest
             pending = 0 if newest is None else newest.index - min(self._converter.last_index, newest.index)
@@ -529,26 +533,27 @@ class Skin:
     def tare(
         self, frames: int = 20, *, force: bool = False, drift: float = KNOWN_DRIFT, spread: float = SPREAD
     ) -> Tare:
-        """Take the skin for unloaded now: the mean of the next ``frames`` becomes each cell's rest resistance.
+        """Take the skin as unloaded: the mean of the next ``frames`` frames becomes each cell's rest resistance.
 
-        This removes what differs from cell to cell, and the steady part of what the design does not mention. A cell
-        without a valid reading keeps the rest resistance of the calibration, else of the data sheet; where noise may be
-        why, a ``RuntimeWarning`` and the result's ``covers`` say how many frames would measure it. The frames taken are
-        not iterated over; frames lost meanwhile count in the next frame's ``lost_before``.
+        A tare removes the differences between cells, and the constant part of circuit effects that the design leaves
+        out. A cell without a valid reading gets its rest resistance from the calibration, in proportion to the other
+        cells, else from the data sheet. Where noise may be the reason, a ``RuntimeWarning`` and the result's ``covers``
+        say how many frames would measure the cell. Iteration does not yield the frames of the tare; frames lost
+        meanwhile count in the next frame's ``lost_before``.
 
         Args:
-            frames: to average.
-            force: tare in spite of signs that the skin is loaded; they are then in the result's ``remarks``.
+            frames: number of frames to average.
+            force: tare in spite of signs of a load; the result's ``remarks`` then list these signs.
             drift: relative change of a rest resistance, since the tare or calibration in use, that temperature and age
-                explain. A larger one is such a sign. A tare that was forced is not compared with.
-            spread: relative deviation of a cell from the typical one, or from its share in the calibration, that
-                manufacture explains. A larger one is such a sign.
+                explain. A larger change is a sign of a load. A forced tare is not compared with.
+            spread: relative deviation of a cell from the typical cell, or from its ratio to that cell in the
+                calibration, that manufacturing tolerances explain. A larger deviation is a sign of a load.
 
         Raises:
-            InputError: the skin seems to be loaded (resistances far from the data sheet, or unlike each other, or
-                changing, or unlike those of the tare or calibration in use), or noise alone may let it seem so (the
-                message says how many frames tell); no cell has a valid reading; or ``frames``, ``drift`` or ``spread``
-                is not positive.
+            InputError: the skin seems to be loaded (resistances far from the data sheet, unlike each other, changing,
+                or unlike those of the tare or calibration in use); noise alone may give that impression (the message
+                says how many frames decide); no cell has a valid reading; or ``frames``, ``drift`` or ``spread`` is
+                not positive.
             LinkTimeout, LinkError, ProtocolError: as for :meth:`read`.
 
         """
@@ -567,18 +572,18 @@ class Skin:
     def tared(self) -> Tare | None:
         """The tare in use; None: rest resistances are those of the calibration, else of the data sheet.
 
-        The tares that a recording tells of are in its frames, and not here.
+        A replayed recording applies its own tares to its frames; they do not appear here.
         """
         return self._tares.in_use
 
     def use_tare(self, tare: Tare | str | Path | None) -> None:
-        """Use a tare from before.
+        """Use an earlier tare.
 
         Args:
-            tare: a tare, or the file that :meth:`Tare.save` wrote; None: the rest resistances from before any tare.
+            tare: a tare, or a file written by :meth:`Tare.save`; None: the rest resistances from before any tare.
 
         Raises:
-            InputError: the tare is of another board, or of an array of another shape, or the file holds none.
+            InputError: the tare is of another board or of an array of another shape, or the file holds no tare.
 
         """
         given = None if tare is None else loaded("tare", tare, Tare)
@@ -587,12 +592,12 @@ class Skin:
         self._tares.use(given, serial_number=number)
 
     def undo_tare(self) -> Tare | None:
-        """Go back to the tare before the present one, None for none. Returns the tare then in use."""
+        """Return to the previous tare. Returns the tare then in use, None for none."""
         return self._tares.undo()
 
 
 def _finder(port: str | None, asked: Opening, baudrate: int | None) -> PortFinder:
-    """What opens the port of a board, named or looked for by its serial number; errors as :meth:`Skin.open`."""
+    """Finder of the board's port, by name or by serial number; errors as for :meth:`Skin.open`."""
     family = asked.family
     if baudrate is not None:
         positive("baudrate", baudrate, "bit/s")
@@ -600,7 +605,7 @@ def _finder(port: str | None, asked: Opening, baudrate: int | None) -> PortFinde
         if asked.serial_number is None:
             raise InputError("neither a port nor a serial number; expected one of them")
         port = find_board(asked.serial_number, board=family, timeout=min(asked.timeout_s, LONGEST_SEARCH_S))
-    refuse_missing(port)  # before the compiler keeps anybody waiting
+    refuse_missing(port)  # before the wait for the compiler
     await_free(port)
     return PortFinder(port, baudrate=baudrate or family.baud_rate, dtr=family.dtr, rts=family.rts)
 

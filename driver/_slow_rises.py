@@ -1,11 +1,11 @@
-"""Loads that come on within seconds, on coarse boards: rises of means over blocks of frames.
+"""Slow presses on coarse boards: rises of means over blocks of frames (averaging with dither), in standard deviations.
 
-A reading of few ADC steps hardly tells a press that takes a second from its noise, frame by frame. Means over blocks of
-frames do, as far as noise carries the reading over the edges of the steps (dither, averaged). How far it does, the
-scatter of a cell's readings within the blocks shows: what of their stated noise does not scatter, no mean lessens.
+On a board with few ADC steps a single frame hardly tells a press that takes a second from noise. Means over blocks of
+frames do, if noise carries the reading over the edges of the steps (dither). The scatter of a cell's readings within
+the blocks shows how far noise does so. The part of the stated noise that does not scatter is not reduced by averaging.
 
-A block is compared with others seconds before it. Meanwhile a rest resistance may have drifted, and a load that has
-gone has left something in the material: less than it was itself.
+Each block is compared with blocks seconds before it. Meanwhile a rest resistance may have drifted, and a load that has
+gone has left something in the material, which is less than the load itself.
 """
 
 from __future__ import annotations
@@ -18,47 +18,47 @@ import numpy as np
 from ..arrays import FloatArray, scatter
 
 BLOCK_S, BLOCKS_OF_LONG = 0.08, 5
-"""length of a short block, and how many of them make a long one"""
+"""s, length of a short block; number of short blocks in a long one"""
 APART, BEFORE = 2, 6
-"""blocks that are passed over before the last one, and blocks before these with which it is compared: in a pause of two
-blocks a press of some blocks has come down for the most part"""
+"""blocks skipped before the last one, and blocks before these for comparison: within two blocks a press of some blocks
+has come down for the most part"""
 BLOCKS = BEFORE + APART + 1
 JUST_BEFORE = slice(BLOCKS - 1 - APART, BLOCKS - APART)
 """the block with which the last one is compared to see whether a tap has ended"""
 LEFT = 0.7
-"""of the largest rise of one of the blocks before: with less, a load has gone that had been there"""
+"""fraction of the largest rise of an earlier block: with less, an earlier load has gone"""
 CHANCE = 2.0
 """standard deviations by which the scatter of few readings may be too small"""
 DRIFT_PER_S = 0.003
-"""relative change of a rest resistance in a second: warming up takes minutes. A finger presses much faster"""
+"""relative change of a rest resistance per second: warming up takes minutes. A finger presses much faster"""
 ROUNDING_S = 1e-9
-"""of times of frames; those that are a whole block later belong to the next one"""
+"""rounding error of frame times; a frame that is a whole block later belongs to the next block"""
 
 
 class SlowRise(NamedTuple):
-    """How a block of frames differs from those seconds before."""
+    """Difference between a block of frames and the blocks seconds before it."""
 
     since_s: float
-    """time from which on nothing may have been released: the end of the blocks with which the last one is compared"""
+    """time after which no release may have happened: the end of the blocks used for comparison"""
     rise: FloatArray
-    """(rows, columns) in standard deviations: those of noise, or of all cells if these scatter by more; 0 where a cell
-    was not read in each of the frames"""
+    """(rows, columns) in standard deviations: of the noise, or of all cells if these scatter by more; 0 if the cell was
+    not read in each of the frames"""
 
 
 class SlowChanges(NamedTuple):
-    """What a block that has ended tells."""
+    """Changes found when a block ends."""
 
     lately: FloatArray
     """(rows, columns) change from the short block but one before it, in standard deviations as in :class:`SlowRise`"""
     rises: list[SlowRise]
-    """of the short block, and of the long one where that has ended, too"""
+    """of the short block, and of the long block if it has ended, too"""
 
 
 class SlowRises:
-    """The last blocks of two lengths."""
+    """Keeps the last blocks of two lengths."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
-        """Begin."""
+        """Start without blocks."""
         self._sum, self._squares = np.zeros((2, *shape))
         self._frames, self._start_s = 0, 0.0
         self._short, self._long = _Blocks(shape), _Blocks(shape)
@@ -68,7 +68,7 @@ class SlowRises:
         self._frames = self._short.ended = self._long.ended = 0
 
     def take(self, time_s: float, reading: FloatArray, noise: FloatArray) -> SlowChanges | None:
-        """Take the next frame, and compare the blocks that have ended before it; None: none has, or too few have.
+        """Take the next frame, and compare blocks that ended before it; None: no block has ended, or too few have.
 
         Args:
             time_s: of the frame, increasing.
@@ -110,12 +110,12 @@ class _Blocks:
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.ended = 0
-        """blocks that have ended up to now"""
+        """number of blocks that have ended so far"""
         self._start_s = np.zeros(BLOCKS)
         self._frames, self._degrees = np.zeros((2, BLOCKS), dtype=np.int64)
         """frames in each block; degrees of freedom of its squares"""
         self._means, self._squares = np.zeros((2, BLOCKS, *shape))
-        """of readings, NaN where a cell was not read in every frame; sums of squared distances from means"""
+        """means of readings, NaN if a cell was not read in every frame; sums of squared deviations from these means"""
 
     def add(self, start_s: float, frames: int, degrees: int, mean: FloatArray, squares: FloatArray) -> None:
         """Add the next block."""
@@ -126,7 +126,7 @@ class _Blocks:
         self.ended += 1
 
     def last(self) -> tuple[float, int, int, FloatArray, FloatArray]:
-        """The last blocks as one long block, as :meth:`add` takes it; means that differ are no scatter."""
+        """The last blocks as one long block, as :meth:`add` takes it; differences of their means are no scatter."""
         last = slice(-BLOCKS_OF_LONG, None)
         frames, degrees, squares = self._frames[last], self._degrees[last].sum(), self._squares[last].sum(axis=0)
         return self._start_s[-BLOCKS_OF_LONG], int(frames.sum()), int(degrees), self._mean(last), squares
@@ -137,15 +137,15 @@ class _Blocks:
         return np.tensordot(frames / frames.sum(), self._means[blocks], 1)
 
     def rise(self, noise: FloatArray) -> SlowRise:
-        """By how much the last block has risen; ``noise`` as for :meth:`SlowRises.take`."""
+        """Rise of the last block; ``noise`` as for :meth:`SlowRises.take`."""
         return SlowRise(float(self._start_s[BEFORE]), self.compare(noise, slice(0, BEFORE)))
 
     def compare(self, noise: FloatArray, before: slice) -> FloatArray:
-        """(rows, columns) change of the last block from blocks ``before``, in standard deviations; no drift is one."""
+        """(rows, columns) change of the last block from blocks ``before``, beyond drift, in standard deviations."""
         frames = int(self._frames[before].sum())
         scatters, degrees = self._squares.sum(axis=0), max(int(self._degrees.sum()), 1)
         scatters /= degrees
-        # What does not scatter within a block may be another error in the next block.
+        # Errors that do not scatter within a block may differ in the next block.
         variance = 2.0 * np.maximum(noise * noise - scatters * (1.0 + CHANCE * math.sqrt(2.0 / degrees)), 0.0)
         variance += scatters * (1.0 / int(self._frames[-1]) + 1.0 / frames)
         mean = self._mean(before)

@@ -1,7 +1,7 @@
-"""Times of frames from a board without a clock, from times of arrival.
+"""Frame times of a board without a clock, from arrival times.
 
-The operating system hands over bytes in bursts, so several frames can have one time of arrival. The last of them came
-then; those before it are spread backwards by the usual time between two frames, the median of recent intervals.
+The operating system delivers bytes in bursts, so several frames can have the same arrival time. The last of them came
+then; the frames before it are spread backwards by the usual time between two frames, the median of recent intervals.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from statistics import median
 from ._past import ArrivalsPast
 
 KEPT = 64
-"""arrivals over which the usual interval is measured"""
+"""arrivals over which the usual interval is computed"""
 
 
 class ArrivalTimes:
-    """The times of frames, arrival by arrival. Depends on what is added only, as :class:`._clock.ClockMap` does."""
+    """Frame times, arrival by arrival. Depends only on the added times, as :class:`._clock.ClockMap` does."""
 
     def __init__(self) -> None:
         self._intervals_s: deque[float] = deque(maxlen=KEPT)
@@ -26,7 +26,7 @@ class ArrivalTimes:
         self._left = 0
 
     def state(self) -> ArrivalsPast:
-        """Everything remembered between arrivals, which :meth:`restore` takes."""
+        """Complete state between arrivals, for :meth:`restore`."""
         return ArrivalsPast(last=self._last_s, intervals=tuple(self._intervals_s))
 
     def restore(self, past: ArrivalsPast) -> None:
@@ -39,7 +39,7 @@ class ArrivalTimes:
         return median(self._intervals_s) if self._intervals_s else 0.0
 
     def arrive(self, received_s: float, frames: int) -> None:
-        """Take an arrival with so many frames; :meth:`next` then gives their times."""
+        """Take an arrival with ``frames`` frames; :meth:`next` then gives their times."""
         if not frames:
             return
         step_s = 0.0

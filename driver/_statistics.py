@@ -1,4 +1,4 @@
-"""Link statistics: what came, what was lost, and how old frames were when they were taken."""
+"""Link statistics: frames received and lost, and the age of frames when they were taken."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..circuits import Reason
 
 KEPT = 1000
-"""frames over which rate, age and jitter are stated"""
+"""frames over which rate, age and jitter are computed"""
 PERCENTS = (50, 95, 99, 100)
 
 
@@ -24,27 +24,27 @@ class LinkStatistics:
     lost: int | None
     """frames lost on the line or by the board; None: the board does not number its frames"""
     overruns: int
-    """times that the board said it had dropped frames because the host read too slowly"""
+    """number of reports by the board that it dropped frames because the host read too slowly"""
     corrupt: int
     """stretches of bytes that were no packets"""
     resyncs: int
-    """times that packets followed such stretches again, or were numbered anew: by a jump that no time explains"""
+    """resynchronisations: packets followed such a stretch, or their numbers jumped in a way that no time explains"""
     reconnects: int
-    """times that the port was opened anew"""
+    """number of times that the port was reopened"""
     reboots: int
-    """times that the board started anew"""
+    """number of times that the board restarted"""
     duplicates: int
     """frames that came a second time, and were dropped"""
     late: int
-    """frames that others had overtaken, and that were dropped; they are among the lost, too"""
+    """frames that others had overtaken, and that were dropped; the lost frames include them"""
     skipped: int
     """frames that no reader of the skin took"""
     unsolved: int
-    """frames whose readings no cell resistances can give; many of them say that the design is not that of the board"""
+    """frames whose readings no cell resistances can give; many of them mean that the design is not that of the board"""
     not_valid: dict[str, int]
     """cells of the newest converted frame that are not valid, by the name of their :class:`ohmskin.circuits.Reason`"""
     remark: str | None
-    """what keeps cells from being valid, where hardly one was in the first frames; or that the skin should be tared"""
+    """why hardly any cell was valid in the first frames; or that the skin should be tared"""
     rate_hz: float
     """frames per second of the board's time, over the last 1000 frames; NaN before the second frame"""
     age_s: dict[int, float]
@@ -53,9 +53,9 @@ class LinkStatistics:
     """percentile -> delay of a frame beyond the least delay seen, over the last 1000; NaN without device time"""
     drift_ppm: float
     """how much faster the host's clock runs than the board's, in parts per million; 0 until 5 s of even pace have
-    passed, and without device time; NaN where the board's is faster by more than 2 %, as at an emulator's fast clock"""
+    passed, and without device time; NaN if they differ by 2 % or more, as at an emulator's fast clock"""
     clock_steps: int
-    """times that the board's clock was set or paused while it ran"""
+    """number of times that the board's clock was set or paused while it ran"""
 
     def as_dict(self) -> dict[str, object]:
         """The fields by name."""
@@ -64,7 +64,7 @@ class LinkStatistics:
 
 @dataclass
 class Counters:
-    """Numbers that the reader thread and the takers keep. Every number has one writer."""
+    """Numbers kept by the reader thread and the takers. Every number has one writer."""
 
     frames: int = 0
     lost: int | None = 0
@@ -84,7 +84,7 @@ class Counters:
     remark: str | None = None
     """why no cell is valid"""
     faulty: str | None = None
-    """names lines that read what no load makes of them"""
+    """names lines whose readings no load explains"""
     untared: str | None = None
     """why the skin should be tared"""
     times_s: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))

@@ -1,4 +1,4 @@
-"""Stream bookkeeping: packets to numbered, timed frames, with losses, duplicates and reboots counted. No I/O."""
+"""Stream accounting: packets to numbered, timed frames, with losses, duplicates and reboots counted. No I/O."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from ._spacing import ArrivalTimes
 from ._statistics import Counters
 
 REMEMBERED = 64
-"""frames among which a duplicate is looked for, and by which a packet may come too late"""
+"""frames among which a duplicate is looked for, and by which a packet may be late"""
 HALF_RANGE = 2**31
 _NO_FLAGS = Flag.NONE  # operations on flags take 1 us each
 CLOCK_SET_S, CLOCK_SET_STEPS = 1.0, 100
-"""the board's clock was set forward where it goes on by so much more than the host's, and by so many usual steps"""
+"""the board's clock was set forward if it advances by so many s more than the host's, and by so many usual steps"""
 FASTER = 10.0
-"""a board that sends so many times as many frames as usual may explain a jump of the numbers"""
+"""largest ratio of a board's frame rate to its usual one that may explain a jump of the numbers"""
 LEAST_PERIOD_US = 10.0
-"""no board sends frames faster"""
+"""shortest time between two frames of any board"""
 BUFFERED_S = 10.0
-"""bytes of a board without a clock may have waited for so long before they came"""
+"""longest time for which the bytes of a board without a clock may have waited in buffers"""
 LEAST_STEP_S = 1e-6
-"""the estimator needs times that increase"""
+"""least step of time for the estimator, which needs increasing times"""
 
 
 @dataclass(slots=True, eq=False)  # frozen ones take 2 us more to make; nobody changes one
@@ -46,7 +46,7 @@ class RawFrame:
     host_time: float
     monotonic_time: float
     time_s: float
-    """on the time scale of the estimator: increases evenly, over reboots too"""
+    """on the estimator's time scale, which increases evenly, also over reboots"""
     lost: int | None
     """total of lost frames; None: not known"""
     overruns: int
@@ -58,7 +58,7 @@ class RawFrame:
 
 
 class _Succession(enum.Enum):
-    """What a packet is after the one before it."""
+    """Relation of a packet to the one before it."""
 
     NEXT = enum.auto()
     CLOCK_SET = enum.auto()
@@ -69,11 +69,11 @@ class _Succession(enum.Enum):
 class FrameStream:
     """Packets of one board in order, over reboots and reconnections.
 
-    A frame number that follows the last one says how many frames were lost. Another boot id is a reboot: numbers and
-    time then start from 0. A frame that came already is dropped. With the boot id of before:
+    A frame number beyond the next one tells how many frames were lost. Another boot id is a reboot: numbers and time
+    then start from 0. A frame that came already is dropped. With an unchanged boot id:
 
     ================  ==================  =================================================================
-    number            time                taken for
+    number            time                meaning
     ================  ==================  =================================================================
     goes on           goes on             the next frame
     goes on           goes back           the next frame; the board's clock was set, or has wrapped
@@ -83,19 +83,19 @@ class FrameStream:
     further back      goes on             the next frame, numbered anew
     ================  ==================  =================================================================
 
-    Numbers that go on by more than 64, and by more than FASTER times what the board sends in the time that has passed,
-    are new numbers, too: nobody has sent the frames between. New numbers are a resynchronisation, and no loss.
+    A jump of the numbers by more than 64 is a new numbering, too, if a board at FASTER times its usual rate could not
+    have sent the frames between in the time that has passed. A new numbering is a resynchronisation, not a loss.
     """
 
     def __init__(self, name: str, counters: Counters) -> None:
         self.name = name
-        """of the port, for messages"""
+        """name of the port, for messages"""
         self.clock = ClockMap()
         self._arrivals = ArrivalTimes()
-        """of boards without a clock"""
+        """for boards without a clock"""
         self.counters = counters
         self._begun = False
-        """a frame has come"""
+        """whether a frame has come"""
         self._expected: int | None = None
         self._boot_id: int | None = None
         self._latest_us: int | None = None
@@ -108,17 +108,17 @@ class FrameStream:
         self._in_step = True
 
     def announce(self, sequence: int | None, boot_id: int | None) -> None:
-        """Take the number that the first frame will have, as the packets before it say."""
+        """Take the number of the first frame, as announced by the packets before it."""
         if not self._begun:
             self._expected, self._boot_id = sequence, boot_id
 
     def arrive(self, arrival: Arrival, frames: int) -> None:
-        """Take the number of frames that came together, before :meth:`take` takes them one by one."""
-        if self._latest_us is None:  # else the frames have the board's own time
+        """Take the number of frames that arrived together, before :meth:`take` takes them one by one."""
+        if self._latest_us is None:  # otherwise the frames have the board's own time
             self._arrivals.arrive(arrival.received_at, frames)
 
     def state(self) -> StreamPast:
-        """Everything remembered, which :meth:`restore` takes. Totals are not part of it."""
+        """Complete state without the totals, for :meth:`restore`."""
         return StreamPast(
             begun=self._begun,
             expected=self._expected,
@@ -150,12 +150,12 @@ class FrameStream:
         self._in_step = False
 
     def end(self, sequence: int, boot_id: int | None, time_us: int) -> None:
-        """Count what the line lost of the frames before ``sequence``, the number that would have come next.
+        """Count the frames that the line lost before ``sequence``, the number that would have come next.
 
         Args:
-            sequence: of the packet by which the board says that it has come to its end.
+            sequence: from the packet with which the board announces its end.
             boot_id: of that packet.
-            time_us: of the board's clock then.
+            time_us: time of the board's clock in that packet.
 
         """
         since_us = self._latest_us or 0
@@ -168,10 +168,10 @@ class FrameStream:
             self._expected = sequence
 
     def take(self, packet: FramePacket, arrival: Arrival) -> RawFrame | None:
-        """The next frame; None where the packet is one that came before.
+        """The next frame; None if the packet came before.
 
         Raises:
-            ProtocolError: the frame's number goes backwards although the board has not started anew. The stream
+            ProtocolError: the frame's number goes backwards although the board has not restarted. The stream
                 continues with the frame after this one.
 
         """
@@ -223,7 +223,7 @@ class FrameStream:
             self._recent.popitem(last=False)
 
     def _succession(self, packet: FramePacket) -> _Succession:
-        """What a packet is after the one before: the table of this class."""
+        """Relation of a packet to the one before: the table of this class."""
         boot_id, before = packet.boot_id, self._boot_id
         if boot_id != before and boot_id is not None and before is not None:
             return _Succession.REBOOT
@@ -237,7 +237,7 @@ class FrameStream:
         return _Succession.OVERTAKEN if behind <= REMEMBERED else _Succession.REBOOT
 
     def _begin_anew(self, packet: FramePacket, found: _Succession) -> None:
-        """The board's clock begins anew, and after a reboot its numbers do, too."""
+        """Restart the board's clock, and after a reboot its numbers, too."""
         counters = self.counters
         counters.clock_steps += self.clock.steps + (found is _Succession.CLOCK_SET)
         self.clock = ClockMap()
@@ -250,31 +250,31 @@ class FrameStream:
     def _passed_us(self, time_us: int | None, arrival: Arrival, found: _Succession) -> float:
         """The longest time in us in which frames may have been lost before this one."""
         if time_us is not None and (found is _Succession.REBOOT or not self._begun):
-            return time_us  # at most since the board has started
+            return time_us  # at most the time since the board's start
         if time_us is not None and self._latest_us is not None and found is _Succession.NEXT:
             return time_us - self._latest_us
         return 1e6 * (arrival.received_at - self._latest_monotonic + BUFFERED_S)
 
     @staticmethod
     def _may_be_lost(missing: int, passed_us: float, usual_us: float) -> bool:
-        """Whether a board may have sent so many frames that did not come; else it counts anew.
+        """Whether a board may have sent so many frames that were lost; otherwise its numbering is new.
 
         Args:
-            missing: numbers between two that came, modulo 2^32.
-            passed_us: between them.
-            usual_us: from frame to frame; 0: not known.
+            missing: numbers between two frames that came, modulo 2^32.
+            passed_us: time between these two.
+            usual_us: usual time from frame to frame; 0: not known.
 
         """
         most = passed_us / max(usual_us / FASTER, LEAST_PERIOD_US)
         return missing <= REMEMBERED or missing < min(most, HALF_RANGE)
 
     def _count_lost(self, packet: FramePacket, arrival: Arrival, found: _Succession) -> int:
-        """Count the frames that are missing before this one; returns how many, 0 where that is not known.
+        """Count the frames missing before this one; returns their number, 0 if it is not known.
 
         Args:
             packet: the frame.
             arrival: of its last byte.
-            found: what it is after the frame before.
+            found: relation to the frame before.
 
         Raises:
             ProtocolError: as for :meth:`take`.
@@ -285,7 +285,7 @@ class FrameStream:
             return 0
         expected, self._expected = self._expected, (packet.sequence + 1) % 2**32
         missing = 0 if expected is None else (packet.sequence - expected) % 2**32
-        if missing > REMEMBERED:  # seldom, and else not looked at further
+        if missing > REMEMBERED:  # rare; otherwise not examined further
             if missing >= 2**32 - REMEMBERED:
                 raise ProtocolError(
                     f"{self.name}: frame {packet.sequence} came where {expected} was next, "
@@ -306,7 +306,7 @@ class FrameStream:
         return monotonic
 
     def _advance(self, time_us: int | None, monotonic: float, missing: int, *, time_runs_through: bool) -> None:
-        """Let the estimator's time pass: by the board's clock where it runs through, else by the host's."""
+        """Advance the estimator's time: by the board's clock if it runs through, else by the host's."""
         if self._begun:
             step = monotonic - self._latest_monotonic
             if time_us is not None and self._latest_us is not None and time_runs_through:
@@ -321,9 +321,9 @@ class FrameStream:
         self.counters.times_s.append(self._time_s)
 
     def _was_set_forward(self, passed_us: int, host_s: float, missing: int) -> bool:
-        """Whether the board's clock jumped. Only a jump is longer than the host's time *and* than frames usually take.
+        """Whether the board's clock jumped. Only a jump exceeds both the host's time and the usual time of frames.
 
-        At the emulator's fast clock every step is longer than the host's.
+        At the emulator's fast clock every step exceeds the host's time.
         """
         usual_us = self._usual_us * (missing + 1)
         return passed_us > 1e6 * (host_s + CLOCK_SET_S) and 0 < CLOCK_SET_STEPS * usual_us < passed_us

@@ -1,14 +1,15 @@
-"""Errors of the pressure beside the estimator's: rest resistances that nobody measured, quantisation, shared noise.
+"""Systematic errors of the pressure beside the estimator's: unknown rest resistances, quantisation, shared noise.
 
-An estimator measures noise, which averages out. Two errors stay the same from frame to frame, so no filter sees them:
+An estimator measures the random noise, which averages out. Two errors stay the same from frame to frame, so that no
+filter sees them:
 
-* without a tare, each cell's rest resistance differs from that of the data sheet, by manufacture;
+* without a tare, the rest resistance of each cell differs from the data sheet by its manufacturing tolerance;
 * a quiet reading always falls on the same side of its ADC step.
 
-A third is noise that an estimator hardly measures, since only pressed cells have it: on boards whose cells share their
-current, a hard press lets the noise of all readings of its column count in each of its cells.
+A third error is noise that the estimator hardly measures, since only pressed cells have it: on boards whose cells share
+a current, a hard press lets the noise of all readings of the column count in each of its cells.
 
-All are relative errors of a resistance. The static curve of the cell says how many kPa they make.
+All three are relative errors of a resistance. The slope of the cell's static curve converts them to kPa.
 """
 
 from __future__ import annotations
@@ -26,29 +27,29 @@ from ..compiled import FixedRows, Row, Rows, loop
 from ._reading import Reading
 
 LOOK_EVERY, LOOK_AT = 8, 3
-"""frames from one look at the spread of the cells to the next; and which of them has it. Estimators look back at their
-readings in every fourth frame, from the first on: both in one would make a long frame"""
+"""interval in frames between two measurements of the cells' spread, and the frame of each interval that has it.
+Estimators look back at their readings in every fourth frame, from the first on; both in one frame would make it long"""
 LEAST_CELLS = 4
-"""with fewer readings no spread is measured"""
+"""least number of readings for a spread"""
 CAUTION = 1.17
-"""relative standard deviation of a deviation that was found by the median of n absolute deviations, times the root of n
+"""relative standard deviation, times the root of n, of a scale estimate from the median of n absolute deviations
 (normal distribution; its asymptotic efficiency is 37 %)"""
 HALF_STEP = math.sqrt(3.0)
-"""half an ADC step over the standard deviation of its error, which is uniformly distributed"""
+"""half an ADC step over the standard deviation of the rounding error, which is uniform"""
 EXPLAINED = 0.95
-"""share of the cells that are within half an ADC step of the data sheet where no spread is to be told"""
+"""share of cells within half an ADC step of the data sheet from which on the spread counts as zero"""
 STEP = 5e-4
-"""relative change of a resistance that the slope of the static curve is taken over"""
+"""relative change of a resistance over which the slope of the static curve is taken"""
 RANGE, POINTS = math.log(300.0), 4001
-"""the table of slopes reaches from rest to this factor (as a logarithm) up and down, with so many points"""
+"""range of the slope table, from rest to this factor (as a logarithm) up and down, and its number of points"""
 LOOK_UP = 4096
-"""pressures, evenly spaced, at which the slopes are looked up: interpolation would take as long as all else together"""
+"""evenly spaced pressures of the look-up table: interpolation would take as long as everything else together"""
 MARGIN = 0.005
-"""of full scale: pressures nearer to the ends of the static curve, which is cut off there, are left out of the table"""
+"""fraction of full scale; pressures this near to the ends of the static curve, where it is cut off, are left out"""
 
 
 class SystematicError:
-    """Variance of pressures by errors that no average over time lessens."""
+    """Variance of pressures by errors that averaging over time does not reduce."""
 
     def __init__(self, cell: Cell) -> None:
         """Tabulate the slope of the cell's static curve by resistance and by rest resistance."""
@@ -64,20 +65,20 @@ class SystematicError:
         self._tabulated = order.size > 0
         self._pressure = np.linspace(0.0, cell.full_scale_kpa, LOOK_UP)
         self._slopes_squared = np.zeros((2, LOOK_UP))
-        """kPa^2 by the squared relative errors of the reading and of the rest resistance"""
+        """kPa^2 per squared relative error: row 0 of the reading, row 1 of the rest resistance"""
         if self._tabulated:
             for row, slope in enumerate((by_reading, by_rest)):
                 self._slopes_squared[row] = np.interp(self._pressure, pressure[order], slope[order]) ** 2
         self._of_valid_cells = _of_valid_cells.machine_code(unchecked=True)
         self.rest_spread: float | None = None
-        """relative standard deviation of the cells' rest resistances about that of the data sheet: the least that was
-        seen, and what so few cells leave open"""
+        """relative standard deviation of the cells' rest resistances about the data sheet: the least value seen,
+        enlarged by the sampling error of so few cells"""
         self._before: FloatArray | None = None
         self._frames = 0
         self._steps: _Steps | None = None
 
     def forget(self) -> None:
-        """Drop what is remembered of the last frames; the spread stays."""
+        """Drop the memory of the last frames; the spread stays."""
         self._before, self._frames, self._steps = None, 0, None
 
     def kpa_of_rest(self, relative: float) -> float:
@@ -91,14 +92,15 @@ class SystematicError:
 
         Args:
             reading: of the frame.
-            taken_out: (columns,) relative standard deviation of all resistances of a column by what was taken out of
-                them; None: nothing was.
+            taken_out: (columns,) relative standard deviation of all resistances of a column by the correction of column
+                steps (:mod:`._column_steps`); None: nothing was corrected.
             rest_known: the rest resistances were measured, by a tare or a calibration.
 
         Returns:
-            A function of pressures in kPa (rows, columns) that were estimated from this reading and earlier ones, NaN
-            where there is none yet, and of the estimator's variances in kPa^2, contiguous, which it changes. It gives
-            the standard deviation in kPa by both, and may be called at any time, in any thread.
+            A function that gives the standard deviation in kPa by systematic errors and the estimator together. Its
+            arguments are the pressures in kPa (rows, columns) estimated from this reading and earlier ones, NaN where
+            there is none yet, and the estimator's variances in kPa^2, a contiguous array that the function overwrites.
+            It may be called at any time, in any thread.
 
         """
         self._steps = _Steps.of(reading, self._steps, taken_out)
@@ -132,17 +134,17 @@ class SystematicError:
         return variance
 
     def _look(self, reading: Reading) -> None:
-        """Measure the spread of the cells every few frames, and keep the least: loads only add to it."""
+        """Measure the spread of the cells every few frames, and keep the least value, since loads only add to it."""
         self._frames += 1
         if self.rest_spread == 0.0:
             return
         if self._frames == 1 or self._frames % LOOK_EVERY == LOOK_AT:
             share = reading.steps_std_share * HALF_STEP
-            # Beside much noise no part of it is left to steps, not even where it is infinite.
+            # A share of zero means that noise randomises all steps; the uncertainty may then be infinite.
             self._measure(reading.resistance, share * reading.uncertainty if share else np.zeros(reading.valid.shape))
 
     def _measure(self, resistance_ohm: FloatArray, half_steps: FloatArray) -> None:
-        """Measure the spread in resistances, whose relative errors by half an ADC step are ``half_steps``."""
+        """Measure the spread of resistances whose relative errors by half an ADC step are ``half_steps``."""
         deviation = np.log(resistance_ohm / self._rest_ohm)
         before, self._before = self._before, deviation
         away = np.abs(deviation)
@@ -151,7 +153,7 @@ class SystematicError:
             return
         cells = sizes.size
         if np.count_nonzero(away <= half_steps) >= EXPLAINED * cells:
-            # Equal cells read so, too: ADC steps, which are counted by themselves, explain what they differ by.
+            # Equal cells would read so, too: ADC steps, which are counted separately, explain the differences.
             self.rest_spread = 0.0
             return
         variance = scatter(sizes) ** 2
@@ -165,18 +167,18 @@ class SystematicError:
 
 
 class _Steps(NamedTuple):
-    """What one frame says of the errors by ADC steps. Nothing of it changes again. Arrays are (rows, columns)."""
+    """Errors by ADC steps in one frame; immutable. Arrays are (rows, columns)."""
 
     reading: Reading
     valid: BoolArray
     earlier: FloatArray | None
-    """relative variance of cells that are not valid; None: all are"""
+    """relative variance of cells that are not valid; None: all cells are valid"""
     taken_out: FloatArray | None
-    """(columns,) relative standard deviation of resistances by what was taken out of a column; None: nothing was"""
+    """(columns,) relative standard deviation of resistances by the correction of column steps; None: none was made"""
 
     @classmethod
     def of(cls, reading: Reading, before: _Steps | None, taken_out: FloatArray | None) -> _Steps:
-        """Of a frame after ``before``."""
+        """The errors in a frame after ``before``."""
         valid = reading.valid
         if reading.all_valid:
             return cls(reading, valid, None, taken_out)
@@ -191,7 +193,7 @@ class _Steps(NamedTuple):
     def relative_variance(self) -> FloatArray:
         """Relative variance of each resistance by ADC steps and by the noise of other cells' readings.
 
-        Of a cell that is not valid now, when it last was. The array is the caller's.
+        For a cell that is not valid now, the variance when it last was. The caller may change the array.
         """
         uncertainty, others = self.reading.uncertainty, self.reading.others_noise_std
         if self.earlier is None:
@@ -225,9 +227,10 @@ def _of_valid_cells(
 ) -> None:
     """As :meth:`SystematicError._std`, for a frame whose cells (N, M) are all valid.
 
-    Standard deviations take the place of the estimator's ``variance``.
+    The standard deviations overwrite the estimator's ``variance``.
 
-    The place in the ``table`` of evenly spaced pressures is guessed by their spacing, and put right by the table.
+    The place in the ``table`` of evenly spaced pressures is first computed from the spacing, then corrected by
+    comparison with the table.
     """
     rows, columns = uncertainty.shape
     last = table.size - 1
@@ -248,15 +251,15 @@ def _of_valid_cells(
 
 
 def _whole(values: FloatArray) -> FloatArray:
-    """The values, contiguous and not write-protected, as loops look at them soonest; a copy where they are not."""
+    """The values as a contiguous, writeable array, for which loops start fastest; a copy if they are not one."""
     return values if values.flags.carray else values.copy()
 
 
 def _finite(sizes: FloatArray) -> FloatArray:
-    """The finite ones of absolute values."""
+    """The finite ones among absolute values."""
     return sizes if math.isfinite(sizes.item(sizes.argmax())) else sizes[np.isfinite(sizes)]  # argmax finds NaN, too
 
 
 def _static(cell: Cell, ohms: FloatArray, rest_ohm: float) -> FloatArray:
-    """The pressures of a cell that has had each of these resistances for long."""
+    """Pressures of a cell that has had each of these resistances for a long time (steady state)."""
     return cell.estimator(ohms.shape, "static", rest_resistance_ohm=rest_ohm, noise=0.0).step(1.0, ohms)

@@ -1,4 +1,4 @@
-"""``FrameTaker``: one reader's place in the stream of frames. Iteration, callbacks and asyncio all go through one."""
+"""``FrameTaker``: one reader's place in the stream of frames. Iteration, callbacks and asyncio all use one."""
 
 from __future__ import annotations
 
@@ -21,33 +21,33 @@ from ._statistics import Counters
 from ._stream import RawFrame
 
 CLOSE_S = 2.0
-"""how long to wait for a callback that is running when it is closed; it may itself wait for who closes it"""
+"""how long closing waits for a running callback, which may itself be waiting for the closing thread"""
 
 
 @dataclass(frozen=True)
 class Source:
-    """Where takers get their frames."""
+    """The source from which takers get their frames."""
 
     name: str
-    """of the port, for messages"""
+    """name of the port, for messages"""
     mailbox: Mailbox
     converter: Converter
     counters: Counters
     poll: Callable[[], None]
-    """lets what has come on the port be read at once, without waiting for the reader thread's turn"""
+    """reads the bytes that are on the port at once, without waiting for the reader thread's turn"""
     now: Callable[[], float]
     """s, on the clock of the frames' monotonic times"""
     nothing_came: Callable[[str, float], OhmskinError]
-    """the error for a wait in vain: what was waited for, and for how many s"""
+    """error for a wait that timed out; arguments: what was awaited, and for how many s"""
     newest_only: bool
-    """a taker gets the newest frame; otherwise every frame that is still queued"""
+    """True: a taker gets the newest frame; False: every frame that is still queued"""
 
 
 class FrameTaker:
-    """Takes frames, and counts for its reader what was lost and skipped between them."""
+    """Takes frames, and counts for its reader the frames lost and skipped between them."""
 
     def __init__(self, source: Source, *, from_start: bool = False) -> None:
-        """Begin with the first frame that ever came, or as :meth:`Mailbox.join` says."""
+        """Begin with the first frame of the stream if ``from_start``, else as :meth:`Mailbox.join` says."""
         self._source = source
         mailbox = source.mailbox
         with mailbox.lock:
@@ -56,9 +56,9 @@ class FrameTaker:
         self._lock = threading.Lock()
         self._told = _Totals() if last is None else _Totals.of(last, source.converter.starts)
         self._newest = self._place.index
-        """number of the last frame delivered, or of the last one before the first"""
+        """number of the last frame delivered; before the first delivery, of the frame at which this taker began"""
         self._frame: Frame | None = None
-        """the frame delivered last, as it was delivered or as it was repeated"""
+        """the frame delivered last, original or repeated"""
         weakref.finalize(self, mailbox.leave, self._place)
 
     @property
@@ -67,17 +67,17 @@ class FrameTaker:
         return self._place.index
 
     def take(self, timeout_s: float, *, while_away: bool = False) -> Frame:
-        """The next frame, waiting for it.
+        """Wait for the next frame.
 
         Args:
             timeout_s: how long to wait.
             while_away: wait for longer while the driver tries to open the port again.
 
         Raises:
-            LinkTimeout: none came in time.
-            LinkEnded: none will come: the stream has ended, or the skin was closed.
+            LinkTimeout: no frame came in time.
+            LinkEnded: no frame will come: the stream has ended, or the skin was closed.
             LinkError: the board has gone away.
-            ProtocolError: what came breaks the format, or does not fit the design.
+            ProtocolError: the bytes break the format, or the counts do not fit the design.
 
         """
         told = self._told
@@ -85,7 +85,7 @@ class FrameTaker:
             frame = self.try_take()
             return self._await(time.monotonic() + timeout_s, timeout_s, while_away) if frame is None else frame
         except KeyboardInterrupt:
-            # The frame in hand does not reach the caller; the next one counts it as skipped.
+            # The caller does not get the frame in hand; the next frame counts it as skipped.
             self._told = told
             raise
 
@@ -101,11 +101,11 @@ class FrameTaker:
             self._wait(left if left > 0 else 1.0)
 
     def latest(self, max_age_s: float, timeout_s: float) -> Frame:
-        """The newest frame, taken before or not, if it is at most ``max_age_s`` old; waits for one if need be.
+        """The newest frame, taken before or not, if it is at most ``max_age_s`` old; waits for such a frame if needed.
 
         Raises:
-            LinkTimeout: no frame is that young, and none came within ``timeout_s``.
-            LinkEnded, LinkError, ProtocolError: as for :meth:`take`, where no young frame is left.
+            LinkTimeout: the newest frame is older, and no younger one came within ``timeout_s``.
+            LinkEnded, LinkError, ProtocolError: as for :meth:`take`, if there is no frame that young.
 
         """
         told = self._told
@@ -129,10 +129,10 @@ class FrameTaker:
                         source.counters.ages_s.append(frame.age)
                     return frame
                 if frame is not None and not frame.repeated:
-                    # Too old by the time it was converted: the reader never sees this frame.
+                    # Too old by the end of its conversion: the reader never sees this frame.
                     self.tell_again([frame], used=False)
                 if frame is None and newest.index > self._newest:
-                    continue  # another taker had a newer one converted
+                    continue  # another taker has had a newer frame converted
             self._check()
             left = deadline - time.monotonic()
             if left <= 0:
@@ -151,7 +151,7 @@ class FrameTaker:
         return f"the newest frame is {age_s:.3g} s old"
 
     def try_take(self) -> Frame | None:
-        """The next frame if there is one already; raises as :meth:`take`."""
+        """The next frame if it has arrived already; raises as :meth:`take`."""
         source = self._source
         self._place.used = True
         if source.newest_only or not source.mailbox.has_after(self._place.index):
@@ -171,7 +171,7 @@ class FrameTaker:
 
     @contextlib.contextmanager
     def aside(self) -> Iterator[None]:
-        """Frames taken within the block do not make this taker one for whom frames are kept."""
+        """Frames taken within the block do not turn this taker into one for which the mailbox keeps frames."""
         used = self._place.used
         try:
             yield
@@ -179,18 +179,18 @@ class FrameTaker:
             self._place.used = used
 
     def pass_to_newest(self) -> None:
-        """Pass the frames that have come; they count as skipped."""
+        """Pass the frames that have arrived; they count as skipped."""
         with self._lock, self._source.mailbox.lock:
             newest = self._source.mailbox.newest
             if newest is not None:
                 self._source.mailbox.move(self._place, newest.index)
 
     def tell_again(self, frames: Sequence[Frame], *, used: bool) -> None:
-        """Let the next frame tell what these ones told: frames that the reader never saw, such as those of a tare.
+        """Report the events of these frames again with the next frame, for frames that the reader never saw (a tare).
 
         Args:
-            frames: as they were delivered by this taker.
-            used: they served the reader nevertheless; False: the next frame counts them as skipped, too.
+            frames: as this taker delivered them.
+            used: the frames served the reader nevertheless; False: the next frame also counts them as skipped.
 
         """
         with self._lock:
@@ -206,16 +206,16 @@ class FrameTaker:
             self._frame = None
 
     def forget(self) -> None:
-        """Do not hand out the frame taken last again."""
+        """Do not deliver the last frame again."""
         with self._lock:
             self._frame = None
 
     def leave(self) -> None:
-        """Give up the place: frames are not kept for this taker any more."""
+        """Give up the place: the mailbox keeps no more frames for this taker."""
         self._source.mailbox.leave(self._place)
 
     def _repeat(self, newest: RawFrame) -> Frame | None:
-        """The frame taken last, if it is still the newest."""
+        """The last frame taken, if it is still the newest."""
         with self._lock:
             frame = self._frame
             if frame is None or self._newest != newest.index:
@@ -225,7 +225,7 @@ class FrameTaker:
             return frame
 
     def _claim(self, raw: RawFrame) -> Frame | None:
-        """Convert a frame and make it the last one taken; None where this taker, or all others, are beyond it."""
+        """Convert a frame and make it the last one taken; None if this taker, or all others, have passed the frame."""
         source = self._source
         try:
             measurement = source.converter.measure(raw, source.mailbox)
@@ -234,7 +234,7 @@ class FrameTaker:
             raise
         with self._lock:
             if measurement is None or raw.index <= self._newest:
-                # After an interrupt between the two steps below, too: the frame must not be offered again for ever.
+                # This also covers an interrupt between the two steps below: the frame must not be offered for ever.
                 source.mailbox.move(self._place, raw.index)
                 return None
             frame = self._deliver(raw, measurement)
@@ -247,21 +247,21 @@ class FrameTaker:
         return _frame(raw, measurement, told, self._source)
 
     def _check_fault(self) -> None:
-        """Raise a fault that this taker has not been told of."""
+        """Raise the newest fault unless this taker has raised it already."""
         fault = self._source.mailbox.fault
         if fault.number > self._faults:
             self._faults = fault.number
             raise copy.copy(fault.error)
 
     def _check(self) -> None:
-        """Raise why no frame will come, if none will."""
+        """If no frame will come any more, raise the reason."""
         self._check_fault()
         end = self._source.mailbox.end
         if end is not None:
             raise copy.copy(end)
 
     def _wait(self, timeout_s: float, since: RawFrame | None = None) -> None:
-        """Wait until something is new."""
+        """Wait for a new frame, fault, or end of the stream."""
         mailbox = self._source.mailbox
 
         def new() -> bool:
@@ -277,10 +277,10 @@ class FrameTaker:
 
 
 class AsyncFrames:
-    """Frames for ``async for``: waits in the event loop, converts in the thread of the loop."""
+    """Frames for ``async for``: waits in the event loop, converts in the loop's thread."""
 
     def __init__(self, source: Source, timeout_s: float, *, keep: object = None) -> None:
-        """``keep``: what must not be collected as garbage while frames are taken, since the port closes with it."""
+        """``keep``: object protected from garbage collection while frames are taken, since the port closes with it."""
         self._source, self._keep = source, keep
         self._timeout_s = timeout_s
         self._taker = FrameTaker(source)
@@ -288,7 +288,7 @@ class AsyncFrames:
         loop, event = asyncio.get_running_loop(), self._event
 
         def wake() -> None:
-            # The loop may be over while frames still come.
+            # The loop may have ended while frames still come.
             with contextlib.suppress(RuntimeError):
                 loop.call_soon_threadsafe(event.set)
 
@@ -313,7 +313,7 @@ class AsyncFrames:
             away = self._source.mailbox.away
             if left <= 0 and not away:
                 raise self._source.nothing_came("frame", self._timeout_s)
-            # Not asyncio.wait_for(): up to Python 3.11 it swallows a cancellation that comes together with a frame.
+            # Not asyncio.wait_for(): up to Python 3.11 it loses a cancellation that arrives together with a frame.
             timer = asyncio.get_running_loop().call_later(left if left > 0 else 1.0, self._event.set)
             try:
                 await self._event.wait()
@@ -322,7 +322,7 @@ class AsyncFrames:
 
 
 class FrameCallback:
-    """Calls a function with each new frame, in a thread of its own. :meth:`close` ends that."""
+    """Calls a function with each new frame, in a thread of its own, until :meth:`close`."""
 
     def __init__(
         self,
@@ -332,7 +332,7 @@ class FrameCallback:
         *,
         keep: object = None,
     ) -> None:
-        """``keep``: as for :class:`AsyncFrames`, until the calls end. InputError unless both can be called."""
+        """``keep``: as for :class:`AsyncFrames`, until the calls end. InputError if a callback is no function."""
         function("callback", callback)
         if on_end is not None:
             function("on_end", on_end)
@@ -345,17 +345,17 @@ class FrameCallback:
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing will be called any more."""
+        """Whether the calls have ended."""
         return not self._thread.is_alive()
 
     def end(self) -> None:
-        """Call no more, without waiting for a call that is under way."""
+        """End the calls, without waiting for a running one."""
         self._closed.set()
 
     def close(self) -> None:
-        """Call no more. A call that is under way is waited for, for at most 2 s.
+        """End the calls. Waits for a running call, for at most 2 s.
 
-        From within a callback nothing is waited for: two callbacks that end each other would wait for ever.
+        From within a callback this does not wait: two callbacks that end each other would wait for ever.
         """
         self.end()
         if not isinstance(threading.current_thread(), _CallbackThread):
@@ -384,7 +384,7 @@ class _CallbackThread(threading.Thread):
 
 
 class ConvertedFrames:
-    """Hands on every frame that anybody has converted, in order: for a recorder."""
+    """Passes every converted frame to a recorder, in order, whoever asked for the conversion."""
 
     def __init__(self, source: Source, receive: Callable[[Frame], None]) -> None:
         self._source, self._receive = source, receive
@@ -398,7 +398,7 @@ class ConvertedFrames:
 
 @dataclass(slots=True)
 class _Totals:
-    """The totals that a reader has been told of: those at the last frame taken."""
+    """Totals up to the last frame taken, which the reader knows already."""
 
     index: int = 0
     lost: int | None = 0
@@ -413,7 +413,7 @@ class _Totals:
 
 
 def _frame(raw: RawFrame, measurement: Measurement, before: _Totals, source: Source) -> Frame:
-    """The frame for a reader who had taken ``before``."""
+    """The frame for a reader whose totals up to now are ``before``."""
     contacts, view = source.converter.contacts, measurement.view
     lost_before = None if raw.lost is None else raw.lost - (before.lost or 0)
     skipped_before = raw.index - before.index - 1

@@ -1,4 +1,4 @@
-"""Tare: each cell's resistance at rest, taken from the unloaded skin, and whether the skin was unloaded."""
+"""Tare: each cell's resistance at rest, measured on the unloaded skin, with a test whether the skin was unloaded."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ from ..files import read_bytes, whole_file
 from ..text import count_of, printable
 
 SPREAD = 0.3
-"""relative deviation of a cell from the other cells that manufacture explains, unless told otherwise; the project's own
+"""default relative deviation of a cell from the other cells that manufacturing tolerances explain; the project's own
 choice"""
 SHEET_FACTOR = 2.0
-"""factor between the typical cell and its data sheet that manufacture explains"""
+"""factor between the typical cell and its data sheet that manufacturing tolerances explain"""
 KNOWN_DRIFT = 0.1
-"""relative change since an earlier tare or a calibration that temperature, age and the loads between explain; the
-project's own choice"""
+"""relative change since an earlier tare or a calibration that temperature, age and earlier loads explain; the project's
+own choice"""
 CONTACT_LOAD = 0.1
-"""share of full scale that electrodes which merely touch may seem to bear at rest: glue and covers press on them"""
+"""share of full scale that electrodes in light contact may seem to bear at rest, since glue and covers press on them"""
 DRIFT = 0.01
 """relative change of a resistance during the tare that a resting cell may show"""
 DRIFT_STDS = 5.0
-"""and so many standard errors, for noisy readings"""
+"""the same in standard errors, for noisy readings"""
 OUTLYING_STDS = 4.0
-"""a cell that is farther from the others, in robust standard deviations of all, is no part of their scatter"""
+"""a cell this far from the others, in robust standard deviations of all, is an outlier of their scatter"""
 NORMAL_MAD = 1.4826
 """standard deviation over the median absolute deviation (normal distribution)"""
 NOISE_SHARE = 0.5
-"""of the deviation that manufacture explains, that noise may take up; the rest is for manufacture"""
+"""share of the tolerated deviation for noise; the rest is for manufacturing tolerances"""
 TYPICAL_READINGS = 4
-"""readings of a cell that the noise of all cells is worth"""
+"""weight of the noise of all cells in the noise of one cell, in readings of that cell"""
 ENOUGH_READINGS = 8.0
-"""of the usual noisy cell in a tare that covers nearly all: of as many events one cell in 3000 sees none (Poisson)"""
+"""readings of the usual noisy cell in a tare that covers nearly all: then one cell in 3000 has none (Poisson)"""
 MOST_BYTES = 2**26
 """size limit of a file: a tare of 1024 x 1024 cells fits"""
 LATEST_S = 4e9
@@ -53,30 +53,31 @@ class Tare:
     """Rest resistances of a skin's cells. Arrays are (rows, columns)."""
 
     rest_resistance_ohm: FloatArray
-    """mean of the frames; where not measured, that of the calibration or the data sheet"""
+    """mean over the frames; where not measured, the calibration's value in proportion to the other cells, else the data
+    sheet's value, else the median of the others"""
     measured: BoolArray
-    """False for a cell that had no valid reading"""
+    """False for a cell without a valid reading"""
     std_ohm: FloatArray
     """standard deviation from frame to frame; NaN where not measured"""
     frames: int
     """frames that were averaged"""
     lost: int | None
-    """frames lost meanwhile; None where the board does not number its frames"""
+    """frames lost meanwhile; None if the board does not number its frames"""
     serial_number: str
-    """of the board; empty where it does not say"""
+    """of the board; empty if the board does not send one"""
     wall_time: float
-    """s since the epoch, of the last frame"""
+    """arrival of the last frame in s since the epoch"""
     remarks: tuple[str, ...] = ()
-    """signs that the skin was loaded; a tare that has any was forced"""
+    """signs that the skin was loaded; a tare with remarks was forced"""
     frames_advised: int = 0
-    """frames that would do, where noise alone may be the cause of these signs, or of cells without a reading; else 0"""
+    """sufficient number of frames, if noise alone may cause these signs, or leave cells without a reading; else 0"""
     spread_advised: float = 0.0
-    """relative deviation of the cells from each other that would explain these signs, where they scatter so widely that
-    it may be their manufacture, and no other sign speaks of a load; else 0"""
+    """relative deviation of the cells from each other that would explain these signs, if the cells scatter so widely
+    that manufacturing tolerances may be the cause, and no other sign points to a load; else 0"""
 
     @property
     def covers(self) -> str:
-        """How many of the cells have been measured, and how many frames would measure those that noise hides."""
+        """How many cells have been measured, and how many frames would measure the cells that noise hides."""
         told = f"{int(self.measured.sum())} of {count_of(self.measured.size, 'cell')} measured"
         if self.remarks or not self.frames_advised:
             return told
@@ -84,7 +85,7 @@ class Tare:
 
     @property
     def taken_at(self) -> datetime:
-        """When the last frame came, UTC."""
+        """Arrival time of the last frame, UTC."""
         return datetime.fromtimestamp(self.wall_time, UTC)
 
     def __repr__(self) -> str:
@@ -100,7 +101,7 @@ class Tare:
         )
 
     def save(self, path: str | Path) -> None:
-        """Write the tare to a NumPy archive (.npz); InputError when that fails."""
+        """Write the tare to a NumPy archive (.npz); InputError if that fails."""
         values = {key: np.asarray(getattr(self, key)) for key in _KEYS if key != "lost"}
         values["lost"] = np.asarray(-1 if self.lost is None else self.lost)
         values["remarks"] = np.asarray(self.remarks, dtype=np.str_)
@@ -109,7 +110,7 @@ class Tare:
 
     @classmethod
     def load(cls, path: str | Path) -> Tare:
-        """Read what :meth:`save` wrote.
+        """Read a file of :meth:`save`.
 
         Raises:
             InputError: the file cannot be read or is no saved tare.
@@ -120,7 +121,7 @@ class Tare:
             with np.load(io.BytesIO(content), allow_pickle=False) as file:
                 values = {key: file[key] for key in (*_KEYS, "remarks")}
         except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            # NumPy's own message advises to load pickled objects, which would run the code of whoever wrote the file.
+            # NumPy's own message advises to load pickled objects, which would run code of the file's author.
             raise InputError(f"{path}: is no saved tare; expected a file that Tare.save() has written") from error
         rest = np.asarray(values["rest_resistance_ohm"], dtype=np.float64)
         if rest.ndim != 2 or not (np.isfinite(rest) & (rest > 0)).all():
@@ -143,10 +144,10 @@ class Tare:
 
 @dataclass(frozen=True, slots=True)
 class EarlierRest:
-    """Rest resistances of the same skin from before."""
+    """Earlier rest resistances of the same skin."""
 
     what: str
-    """where they are from, for messages"""
+    """their origin, for messages"""
     rest_resistance_ohm: FloatArray
     """(rows, columns)"""
     measured: BoolArray
@@ -162,7 +163,7 @@ class RestReadings:
     time_s: FloatArray
     """(frames,) increasing"""
     noisy: BoolArray | None = None
-    """(rows, columns) cells that noise alone keeps from being valid in most frames; None: nowhere"""
+    """(rows, columns) cells that only noise keeps from being valid in most frames; None: no cells"""
 
     def tare(
         self,
@@ -176,21 +177,22 @@ class RestReadings:
         drift: float = KNOWN_DRIFT,
         spread: float = SPREAD,
     ) -> Tare:
-        """The rest resistances, and every sign that the skin is loaded.
+        """The rest resistances, with all signs that the skin is loaded.
 
         Args:
-            cell: data sheet, for cells without a reading; without one they take the median of the others.
+            cell: data sheet, for cells without a reading if there is no calibration; without either they get the median
+                of the others.
             lost: frames lost meanwhile.
             serial_number: of the board.
             wall_time: of the last frame, in s since the epoch.
             calibrated_ohm: (rows, columns) rest resistances of a calibration, to compare with instead of the data
                 sheet.
-            earlier: what this skin's rest resistances were when it was known to be unloaded.
-            drift: relative change since then that is no load.
-            spread: relative deviation of a cell from the others that is none either.
+            earlier: rest resistances of this skin when it was known to be unloaded.
+            drift: relative change since then that is no sign of a load.
+            spread: relative deviation of a cell from the others that is no sign of a load.
 
         Raises:
-            InputError: not one cell has a valid reading.
+            InputError: no cell has a valid reading.
 
         """
         readings = np.isfinite(self.resistance_ohm).sum(axis=0)
@@ -236,36 +238,36 @@ class RestReadings:
         )
 
     def _frames_to_tell(self, ratio: FloatArray, deviation: FloatArray, readings: FloatArray, spread: float) -> int:
-        """Frames in which noise lets no cell differ from the others by more than its share of ``spread``.
+        """Number of frames with which noise moves no cell from the others by more than its share of ``spread``.
 
         Args:
-            ratio: (rows, columns) of the cells to what is usual for them.
-            deviation: (frames, rows, columns) of the readings from their mean, relative; 0 where not valid.
-            readings: (rows, columns) that are valid.
-            spread: relative deviation of a cell from the others that manufacture explains.
+            ratio: (rows, columns) of the cells to their usual values.
+            deviation: (frames, rows, columns) relative deviation of the readings from their mean; 0 where not valid.
+            readings: (rows, columns) number of valid readings.
+            spread: relative deviation of a cell from the others that manufacturing tolerances explain.
 
         Returns:
-            Their number, rounded up to two digits; 0 where noise is not enough to explain the ratios.
+            The number, rounded up to two digits; 0 if noise does not suffice to explain the ratios.
 
         """
         squares, told = (deviation**2).sum(axis=0), np.maximum(readings - 1, 0)
         variance = squares.sum() / max(told.sum(), 1)
-        # A cell of few readings tells its own noise badly.
+        # A few readings of a cell give a poor estimate of its noise.
         own = np.sqrt((squares + TYPICAL_READINGS * variance) / (told + TYPICAL_READINGS))
         beyond = np.abs(ratio - 1) - spread
         unlike = beyond > 0
-        # Boards measure currents, whose noise is that of a conductance: in a resistance it grows with that.
+        # Boards measure currents, so the noise is that of a conductance; in a resistance it grows with the resistance.
         if (beyond > DRIFT_STDS * own * ratio / np.sqrt(np.maximum(readings, 1)))[unlike].any():
             return 0
         enough = float((DRIFT_STDS * own[unlike].max() / (NOISE_SHARE * spread)) ** 2)
-        # Cells whose readings are seldom valid rule. A column's are so together, in some columns ten times as often.
+        # Cells with rarely valid readings decide. A column's are valid together, in some columns ten times as often.
         return _two_digits(len(self.time_s) * max(enough / float(readings[readings > 0].min()), 2.0))
 
     def _frames_to_cover(self, measured: BoolArray) -> int:
-        """Frames in which nearly all cells that noise hides have readings, rounded up to two digits; 0: it hides none.
+        """Number of frames in which nearly all noisy cells have readings, rounded up to two digits; 0: none is hidden.
 
-        Valid readings of such cells are rare and independent events. The share of the cells that saw none tells how
-        many the usual cell has seen.
+        Valid readings of such cells are rare and independent events. The share of cells without one gives the number of
+        readings of the usual cell.
         """
         if self.noisy is None or not (self.noisy & ~measured).any():
             return 0
@@ -283,9 +285,9 @@ class RestReadings:
         valid = np.isfinite(self.resistance_ohm)
         steady = np.where(valid, self.resistance_ohm, mean)
         change = np.abs(steady[-half:].mean(axis=0) - steady[:half].mean(axis=0))
-        # Noise from frame to frame, from differences of neighbours, so that a trend does not count as noise.
+        # Noise from differences between successive frames, so that a trend does not count as noise.
         noise = np.sqrt((np.diff(steady, axis=0) ** 2).mean(axis=0) / 2)
-        # Few frames tell the noise of one cell badly: none is taken to be less noisy than the median cell.
+        # Few frames give a poor estimate of one cell's noise: it counts as at least that of the median cell.
         every = readings == frames
         if every.any():
             noise = np.maximum(noise, mean * np.median((noise / np.maximum(mean, 1e-300))[every]))
@@ -307,11 +309,11 @@ def _two_digits(number: float) -> int:
 
 
 def far_from_sheet(typical_ohm: float, cell: Cell | None) -> str:
-    """A remark where the typical resistance is not one of a cell at rest; empty where it may be one."""
+    """A remark if the typical resistance is not that of a cell at rest; else empty."""
     if cell is None:
         return ""
     ratio = typical_ohm / cell.rest_resistance_ohm
-    # Electrodes that hardly touch may have any resistance above that of the data sheet.
+    # Electrodes in light contact may have any resistance above that of the data sheet.
     if 1 / SHEET_FACTOR <= ratio <= (np.inf if isinstance(cell.model, ContactModel) else SHEET_FACTOR):
         return ""
     return (
@@ -329,7 +331,7 @@ def _far_from_calibration(ratio: float) -> str:
 def _unlike_others(
     mean_ohm: FloatArray, usual_ohm: FloatArray, measured: BoolArray, cell: Cell | None, spread: float
 ) -> str:
-    """A remark where cells differ by more than ``spread`` from what is usual for them, since the others read so."""
+    """A remark if cells differ by more than ``spread`` from their usual values, by the readings of the others."""
     if cell is not None and isinstance(cell.model, ContactModel):
         return _conducting(mean_ohm, usual_ohm, measured, cell.model, cell.full_scale_kpa)
     ratio = mean_ohm / usual_ohm
@@ -342,7 +344,7 @@ def _unlike_others(
 
 
 def _spread_of_all(ratio: FloatArray) -> float:
-    """The largest relative deviation of resistances (n,), in units of the usual one, rounded up; 0: with outliers."""
+    """Largest relative deviation of resistances (n,), in units of the usual one, rounded up; 0: there are outliers."""
     deviation = np.abs(np.log(np.maximum(ratio, 1e-300)))
     if deviation.max() > OUTLYING_STDS * NORMAL_MAD * float(np.median(deviation)):
         return 0.0
@@ -352,7 +354,7 @@ def _spread_of_all(ratio: FloatArray) -> float:
 def _conducting(
     mean_ohm: FloatArray, usual_ohm: FloatArray, measured: BoolArray, model: ContactModel, full_scale_kpa: float
 ) -> str:
-    """The same for electrodes that touch. Any resistance above the usual one is rest, as an open contact is."""
+    """The same for electrodes that touch: any resistance above the usual one counts as rest, like an open contact."""
     load = np.where(measured, _contact_load(mean_ohm, usual_ohm, model), 0.0)
     loaded = load > CONTACT_LOAD
     if not loaded.any():
@@ -365,7 +367,7 @@ def _conducting(
 
 
 def _contact_load(resistance_ohm: FloatArray, rest_ohm: FloatArray, model: ContactModel) -> FloatArray:
-    """Share of full scale under which electrodes that touch have that resistance; 0 where it is not below rest."""
+    """Share of full scale at which touching electrodes have this resistance; 0 if it is not below rest."""
     with np.errstate(divide="ignore"):
         conductance = np.maximum(1 / resistance_ohm - 1 / rest_ohm, 0.0)
     return np.asarray((conductance * model.full_scale_resistance_ohm) ** (1 / model.exponent))
@@ -374,9 +376,10 @@ def _contact_load(resistance_ohm: FloatArray, rest_ohm: FloatArray, model: Conta
 def _changed_since(
     earlier: EarlierRest, mean: FloatArray, std_error: FloatArray, cell: Cell | None, drift: float
 ) -> str:
-    """A remark where cells have changed by more than ``drift`` since then, as a load changes them.
+    """A remark if cells have changed by more than ``drift`` since then, in the direction of a load.
 
-    A change the other way is none: the skin was loaded then, and is not now. Without a cell both ways count.
+    A change in the other direction is no sign: the skin was loaded then, and is not now. Without a cell model both
+    directions count.
     """
     ratio = mean / earlier.rest_resistance_ohm
     change = np.abs(ratio - 1) if cell is None else _sign_of_load(cell) * (ratio - 1)
@@ -395,7 +398,7 @@ def _changed_since(
 
 
 def _sign_of_load(cell: Cell) -> float:
-    """1.0 where a load raises the resistance, -1.0 where it lowers it."""
+    """1.0 if a load raises the resistance, -1.0 if it lowers it."""
     full = equilibrium_curve(cell.model, cell.full_scale_kpa, cell.rest_resistance_ohm, np.ones(1))
     return -1.0 if full[0] < 0 else 1.0
 

@@ -1,4 +1,4 @@
-"""The tares of an open skin: taken from its next frames, used, and undone."""
+"""Tares of an open skin: taken from its next frames, used, and undone."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from ._tare import EarlierRest, RestReadings, Tare
 
 
 class Tares:
-    """The tares that a skin has used since it was opened; the last of them holds. Safe for threads."""
+    """The tares that a skin has used since it was opened; the last one is in use. Safe for threads."""
 
     def __init__(self, converter: Converter, taker: FrameTaker, calibration: Calibration | None) -> None:
         """Begin without a tare.
 
         Args:
-            converter: what uses the rest resistances.
+            converter: uses the rest resistances.
             taker: the place in the stream from which frames are taken.
             calibration: rest resistances from before any tare.
 
@@ -56,12 +56,12 @@ class Tares:
         Args:
             frames: to average.
             timeout_s: for each frame.
-            serial_number: says that of the board, once the frames have come; empty where it does not say.
-            board: how messages call the board.
-            drift: relative change since the tare or calibration in use that is no load.
-            spread: relative deviation of a cell from the others that is none either.
+            serial_number: returns that of the board once the frames have come; empty if the board sends none.
+            board: name of the board in messages.
+            drift: relative change since the tare or calibration in use that is no sign of a load.
+            spread: relative deviation of a cell from the others that is no sign of a load.
             force: use the tare in spite of signs of a load.
-            waiting: whether frames wait in a queue, which are of the past.
+            waiting: whether a queue holds frames, which are older than this call.
 
         """
         with self._lock, self._next_frames(frames, timeout_s, waiting=waiting) as taken:
@@ -86,7 +86,7 @@ class Tares:
         return tare
 
     def use(self, tare: Tare | None, *, serial_number: str) -> None:
-        """Use a tare from before; arguments and errors as for :meth:`.Skin.use_tare`."""
+        """Use an earlier tare; arguments and errors as for :meth:`.Skin.use_tare`."""
         shape = self._converter.design.array.shape
         if tare is not None:
             if tare.rest_resistance_ohm.shape != shape:
@@ -99,7 +99,7 @@ class Tares:
             self._apply()
 
     def undo(self) -> Tare | None:
-        """Go back to the tare before the present one, None for none. Returns the tare then in use."""
+        """Return to the previous tare. Returns the tare then in use, None for none."""
         with self._lock:
             if len(self._used) > 1:
                 self._used.pop()
@@ -107,7 +107,7 @@ class Tares:
             return self.in_use
 
     def disown(self) -> None:
-        """In a forked process: a tare that another thread was taking will not end here."""
+        """In a forked process: replace the lock, since a tare that another thread was taking does not end here."""
         self._lock = threading.Lock()
 
     def _apply(self) -> None:
@@ -117,7 +117,7 @@ class Tares:
 
     @contextlib.contextmanager
     def _next_frames(self, frames: int, timeout_s: float, *, waiting: bool) -> Iterator[list[Frame]]:
-        """The next frames. What was lost and skipped meanwhile is told with the frame after them."""
+        """The next frames. The frame after them reports what was lost and skipped meanwhile."""
         if waiting:
             self._taker.pass_to_newest()
         taken: list[Frame] = []
@@ -132,7 +132,7 @@ class Tares:
             self._taker.tell_again(taken, used=used)
 
     def _made_of(self, taken: list[Frame], serial_number: str, *, drift: float, spread: float) -> Tare:
-        # What was lost before the first of them, perhaps long ago, is not of the tare.
+        # Losses before the first of these frames, perhaps long ago, do not belong to the tare.
         losses = [frame.lost_before for frame in taken[1:]]
         readings = RestReadings(
             np.array([frame.resistance for frame in taken]),

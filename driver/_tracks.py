@@ -1,11 +1,12 @@
 """Multi-object tracking of contacts: fading-memory (g-h) filters, linear assignment, Gaussian mixtures.
 
-A track is one finger. Each frame its position is predicted from the last one and its velocity. Linear assignment then
-gives each patch of touched cells to one track, by distance from the prediction and by force. A track left over whose
-cells have become part of a patch has merged: several tracks then share the patch. The pressure of a shared patch is
-taken for a mixture of Gaussian bells, one for each track, as wide as its finger was before. Expectation maximisation
-(EM) finds the centres. Bells that lie upon each other cannot be told apart; their tracks go on with the velocities that
-they had. When the patch parts again, each piece is given to a track in the usual way, so ids survive.
+A track is one finger. Each frame, its position is predicted from the last position and the velocity. Linear assignment
+then gives each patch of touched cells to one track, by distance from the prediction and by force. If the cells of a
+track without a patch have become part of another track's patch, the tracks have merged and share the patch. The
+pressure of a shared patch is modelled as a mixture of Gaussian bells, one for each track, as wide as its finger was
+before. Expectation maximisation (EM) finds the centres. Bells on top of each other cannot be told apart; their tracks
+continue with their last velocities. When the patch parts again, each piece is assigned in the usual way, and ids
+survive.
 """
 
 from __future__ import annotations
@@ -21,28 +22,28 @@ from ..arrays import BoolArray, FloatArray, IntArray
 
 SPEED_MM_PER_S = 500.0
 REACH_PITCHES = 1.5
-"""a contact is at most this far from where it was, or from where it must be by its velocity, plus what the speed above
-allows in the time since then"""
+"""largest distance of a contact from its last position, or from its predicted one; in addition, the speed above times
+the time since then"""
 REMEMBERED_S = 0.2
 """a contact that returns within this time keeps its id"""
 MEMORY_S = 0.05
-"""time constant of positions and velocities: fingers turn more slowly, and noise is averaged"""
+"""time constant of the g-h filter for position and velocity: fingers turn more slowly, and noise is averaged"""
 FORCE_PITCHES = 1.0
-"""a force that differs by a factor of e speaks against a pair as much as so many pitches of distance do"""
+"""cost of a pair whose forces differ by a factor of e, in pitches of distance"""
 MOST_TOGETHER = 8
-"""tracks that share a patch; of more, those with the largest forces"""
+"""largest number of tracks that share a patch; the ones with the largest forces are kept"""
 LEAST_SHARE = 0.1
-"""of a patch's force: a track with less has been lifted"""
+"""fraction of a patch's force below which a track has been lifted"""
 SURE_SHARE = 0.35
-"""a track with less is moved by the fit in part only: that of a finger which is being lifted slides to its neighbour"""
+"""fraction below which the fit moves a track only in part: the bell of a finger being lifted slides to its neighbour"""
 TOGETHER_S = 1.0
-"""two fingers are not in one place for longer: the weaker one has been lifted there"""
+"""two fingers do not stay in one place for longer: the weaker one has been lifted there"""
 EM_STEPS = 2
-"""per frame; a frame begins where the last one ended"""
+"""EM iterations per frame; each frame starts from the result of the last one"""
 WIDTH_GAIN = 0.2
-"""per frame, with which the width of a bell follows the fit while each bell has a top of its own"""
+"""gain per frame with which the width of a bell follows the fit, while each bell has its own maximum"""
 LEAST_WIDTH_PITCHES = 0.5
-"""standard deviation of the bell of a contact on one cell"""
+"""least standard deviation of a bell: that of a contact on one cell"""
 
 
 @dataclass(slots=True)
@@ -57,7 +58,7 @@ class Patch:
     variance_mm2: float
     """of the pressure about the centre, along one axis"""
     alone: bool
-    """no other patch touches this one, which would cut off its side"""
+    """False if another patch touches this one, and thereby cuts off its side"""
     cells: IntArray
     """(n,) numbers in the flattened array"""
     places: IntArray
@@ -72,19 +73,19 @@ class Patch:
 
 @dataclass(slots=True)
 class Track:
-    """One finger, alone in its patch or sharing it."""
+    """One finger, alone in its patch or sharing a patch."""
 
     id: int
     x_mm: float
     y_mm: float
-    """where it was seen last, or where it must have been if nothing told it from others"""
+    """last measured position, or the predicted one if nothing told the finger from others"""
     force_n: float
     variance_mm2: float
     cells: IntArray
-    """of the patch in which it was seen last"""
+    """cells of the patch in which the finger was seen last"""
     seen_s: float
     apart_s: float
-    """when something told it from its neighbours last"""
+    """time when the finger could last be told from its neighbours"""
     vx: float = 0.0
     """mm/s"""
     vy: float = 0.0
@@ -93,27 +94,27 @@ class Track:
     lag_y: float = 0.0
     samples: int = 1
     leads: bool = True
-    """its id is that of its patch"""
+    """the patch has this track's id"""
 
     def predicted(self, time_s: float) -> tuple[float, float]:
-        """Where the finger is at ``time_s``, in mm, if it went on as before."""
+        """Position in mm at ``time_s``, at constant velocity."""
         elapsed = time_s - self.seen_s
         return self.x_mm + self.vx * elapsed, self.y_mm + self.vy * elapsed
 
     def move(self, by: tuple[float, float], time_s: float, trust: float = 1.0) -> None:
-        """Move to a position ``by`` mm from the predicted one.
+        """Update position and velocity with a position ``by`` mm from the predicted one (g-h filter).
 
         Args:
             by: difference from the predicted position, in mm.
             time_s: time of the frame.
-            trust: 1 where the position was measured, 0 where it follows from the velocity.
+            trust: 1 if the position was measured, 0 if it follows from the velocity.
 
         """
         elapsed = time_s - self.seen_s
         self.x_mm, self.y_mm = self.x_mm + self.vx * elapsed + by[0], self.y_mm + self.vy * elapsed + by[1]
         self.samples += 1
         n, kept = self.samples, math.exp(-elapsed / MEMORY_S)
-        # A least-squares line while there are few samples, fading memory from then on.
+        # Gains of a least-squares line while there are few samples, of a fading memory from then on.
         position_gain = max(2 * (2 * n - 1) / (n * (n + 1)), 1 - kept**2)
         velocity_gain = max(6 / (n * (n + 1)), (1 - kept) ** 2)
         far_x, far_y = by[0] + trust * self.lag_x, by[1] + trust * self.lag_y
@@ -136,12 +137,12 @@ class Named:
 
 @dataclass
 class Tracks:
-    """All fingers on one skin, and those that were lifted a moment ago."""
+    """All fingers on one skin, including those lifted a moment ago."""
 
     pitch_mm: float
-    """of square cells; of others the side of a square of the same area"""
+    """pitch of square cells; else the side of a square of the same area"""
     longest_pitch_mm: float
-    """along a row or a column, whichever is longer"""
+    """the longer one of the pitches along a row and along a column"""
     _tracks: list[Track] = field(default_factory=list)
     _last_id: int = 0
     _time_s: float = -math.inf
@@ -151,11 +152,11 @@ class Tracks:
 
         Args:
             time_s: time of the frame, increasing.
-            patches: touched cells, none twice.
+            patches: touched cells, no cell in two patches.
             labels: (cells,) number of the patch in which a cell lies, from 1; 0 for the others.
 
         """
-        # However slow the frames, the one just before counts.
+        # However slow the frames are, the frame just before counts.
         oldest_s = min(time_s - REMEMBERED_S, self._time_s)
         known = [track for track in self._tracks if track.seen_s >= oldest_s]
         shared = self._assign(known, patches, labels, time_s)
@@ -186,8 +187,8 @@ class Tracks:
     ) -> list[list[Track]]:
         """For each patch the tracks that continue in it.
 
-        A track that was not there in the frame before was lifted: it can be given a patch of its own, but cannot merge
-        with another track. With ``remembered``, it can.
+        A track that was absent in the frame before was lifted. It can get a patch of its own, but cannot merge with
+        another track; with ``remembered``, it can.
         """
         shared: list[list[Track]] = [[] for _ in patches]
         if not known or not patches:
@@ -212,7 +213,7 @@ class Tracks:
         return [sorted(tracks, key=lambda track: -track.force_n)[:MOST_TOGETHER] for tracks in shared]
 
     def _move(self, tracks: list[Track], patch: Patch, time_s: float) -> list[Track]:
-        """Let tracks go on in a patch; returns those that are in it, which may be a new one."""
+        """Continue tracks in a patch; returns the tracks in it, which may be a new one."""
         match tracks:
             case []:
                 return [self._begin(patch, time_s)]
@@ -220,14 +221,14 @@ class Tracks:
                 x, y = track.predicted(time_s)
                 track.move((patch.x_mm - x, patch.y_mm - y), time_s)
                 track.force_n, track.cells = patch.force_n, patch.cells
-                if patch.alone or patch.variance_mm2 > track.variance_mm2:  # cut off by a neighbour, it is too narrow
+                if patch.alone or patch.variance_mm2 > track.variance_mm2:  # else too narrow, cut off by a neighbour
                     track.variance_mm2 = patch.variance_mm2
                 track.apart_s = time_s
                 return tracks
         return self._move_together(tracks, patch, time_s)
 
     def _move_together(self, tracks: list[Track], patch: Patch, time_s: float) -> list[Track]:
-        """Move the tracks that share a patch; returns those that are still in it."""
+        """Move the tracks that share a patch; returns those still in it."""
         predicted = np.array([track.predicted(time_s) for track in tracks])
         shares = np.array([track.force_n for track in tracks])
         shares /= shares.sum()
@@ -235,10 +236,10 @@ class Tracks:
         variances = np.array([max(track.variance_mm2, least) for track in tracks])
         gaps = np.linalg.norm(predicted[:, None] - predicted, axis=-1) / np.sqrt((variances[:, None] + variances) / 2)
         np.fill_diagonal(gaps, np.inf)
-        # Bells closer than their width look like one; at twice the width each has a top of its own.
+        # Bells closer than their width look like one; from twice the width on each has its own maximum.
         apart = np.clip(gaps.min(axis=1) - 1.0, 0.0, 1.0)
-        # Bells that look like one move with the patch's centre. Of bells with a top each, the centre says less: it
-        # also moves when their forces change.
+        # Bells that look like one move with the patch's centre. For bells with separate maxima the centre tells less,
+        # since it also moves when their forces change.
         places = predicted + (1.0 - apart)[:, None] * (np.array([patch.x_mm, patch.y_mm]) - shares @ predicted)
         trust = np.zeros(len(tracks))
         if apart.any():
@@ -265,13 +266,16 @@ class Tracks:
     def _fit(
         self, patch: Patch, places: FloatArray, shares: FloatArray, variances: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Some steps of expectation maximisation: centres (n, 2) in mm, shares (n,) and mm^2 (n,) of a patch's bells.
+        """A few steps of expectation maximisation (EM) for the bells of a patch.
+
+        Returns:
+            Centres (n, 2) in mm, shares (n,) of the force, variances (n,) in mm^2.
 
         Args:
-            patch: whose pressure is the mixture.
-            places: (n, 2) mm, centres (x, y) to begin with.
-            shares: (n,) of the patch's force, to begin with.
-            variances: (n,) mm^2 of the bells as far as they are known; the centres are found with them.
+            patch: the patch whose pressure is the mixture.
+            places: (n, 2) mm, initial centres (x, y).
+            shares: (n,) initial shares of the patch's force.
+            variances: (n,) mm^2 of the bells as known so far, with which the centres are found.
 
         """
         weights = patch.pressure_kpa / patch.pressure_kpa.sum()
@@ -286,22 +290,22 @@ class Tracks:
 
 
 def _names(tracks: list[Track]) -> Named:
-    """The ids of a patch: it keeps the one that it had, and of two patches that merged the stronger one's."""
+    """The ids of a patch: the patch keeps its id, and two merged patches get that of the stronger one."""
     leader = max(tracks, key=lambda track: (track.leads, track.force_n))
     return Named(leader.id, tuple(sorted(track.id for track in tracks if track is not leader)))
 
 
 def _nearest(x: float, y: float, numbers: set[int], patches: Sequence[Patch]) -> int:
-    """Of the patches with these numbers, from 1, the index of the one nearest to (x, y) in mm."""
+    """Index of the patch nearest to (x, y) in mm, among the patches with these numbers (from 1)."""
     indices = sorted(number - 1 for number in numbers)
     return min(indices, key=lambda k: math.hypot(x - patches[k].x_mm, y - patches[k].y_mm))
 
 
 def _pairs(costs: FloatArray, possible: BoolArray) -> dict[int, int]:
-    """Linear assignment: as many possible pairs as there can be, with the least sum of costs; row -> column."""
+    """Linear assignment: as many possible pairs as there can be, at the least total cost; row -> column."""
     if costs.size == 1:
         return {0: 0} if possible[0, 0] else {}
-    # An impossible pair costs more than all possible ones together: it is chosen only for want of others.
+    # An impossible pair costs more than all possible ones together, so it is chosen only if no possible one is left.
     impossible = 1.0 + costs[possible].sum()
     rows, columns = linear_sum_assignment(np.where(possible, costs, impossible))
     return {j: k for j, k in zip(rows.tolist(), columns.tolist(), strict=True) if possible[j, k]}

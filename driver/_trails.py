@@ -1,13 +1,15 @@
-"""Trails of fast fingers: cells that a finger has crossed within a frame or so, told by where readings rise next.
+"""Trails of fast fingers: cells that a finger crossed within about a frame, recognised by where readings rise next.
 
-A finger that slides by more than about a cell per frame loads each cell for less than a frame. The material answers a
-fast rise by more than a fast fall, so what is left in such a cell reads like a held load for seconds, and its readings
-alone cannot tell: the load has come and gone between two of them. The array can. The cells that rise from one frame to
-the next show where the finger has gone meanwhile (its *head*). Heads that move on in one direction, frame after frame,
-are a slide; whoever rises in their course and does not rise any more when the head is elsewhere has been left behind.
+A finger that slides by more than about a cell per frame loads each cell for less than a frame. The material responds
+more to a fast rise than to a fast fall, so the remaining reading of such a cell looks like a held load for seconds. The
+cell's own readings cannot show the difference: the load has come and gone between two of them. The array can. The cells
+that rise from one frame to the next show where the finger is now (its *head*). Heads that move on in one direction,
+frame after frame, are a slide. A cell that rose in their course, and does not rise any more when the head is elsewhere,
+has been left behind.
 
-Such a cell counts as untouched until its reading rises anew. The last head of a slide is where the finger has
-stopped, unless the readings there fall at once, or are low where the next head would lie beyond the rim of the skin.
+Such a cell counts as untouched until its reading rises again. The last head of a slide is the place where the finger
+has stopped, unless the readings there fall at once, or the readings are low and the next head would lie beyond the rim
+of the skin.
 """
 
 from __future__ import annotations
@@ -22,56 +24,57 @@ from ._around import highest_around, with_all_neighbours
 from ._watershed import Segments
 
 SUDDEN = 0.2
-"""share of the largest reading in the 3 x 3 cells around a cell by which the reading of a head's cell rises in a frame:
-a finger that slides by half a cell per frame makes less"""
+"""rise of a head's cell in one frame, over the largest reading in the 3 x 3 cells around it: a finger that slides by
+half a cell per frame causes less"""
 CLEAR = 8.0
-"""standard deviations of a reading's noise by which it rises in a head, and after which a cell is touched anew"""
+"""standard deviations of a reading's noise by which it rises in a head, and by which a cell left behind must rise to be
+touched again"""
 ANEW = 0.15
-"""share of its least reading since it was left by which a cell rises that is touched anew"""
+"""rise of a cell that is touched again, over its least reading since it was left"""
 LEAST_STEP, MOST_STEP = 0.3, 5.0
 """cells per frame from one head to the next"""
 LEAST_SPEED = 0.75
-"""cells per frame of a slide, the mean of all that there was"""
+"""least mean speed of a slide in cells per frame"""
 AHEAD = 0.7
-"""least cosine between the last two steps of a slide; a step shorter than the speed above tells no direction"""
+"""least cosine between the last two steps of a slide; a step shorter than the speed above has no clear direction"""
 HEADS = 3
-"""that make a slide: two fingers that come down side by side, one frame apart, make two"""
+"""least number of heads in a slide: two fingers that come down side by side, one frame apart, make two"""
 BEHIND = 1.75
-"""cells behind the head, from which the finger is gone"""
+"""cells behind the head from which on the finger is gone"""
 FAST = 1.5
 """cells per frame. A slower slide leaves less behind, and its head is farther ahead of the middle of the finger"""
 FALLS = 0.2
-"""share of the readings of a slide's last head by which they fall in the next frame if the finger is lifted there"""
+"""relative fall of the readings of a slide's last head in the next frame if the finger is lifted there"""
 KEPT = 0.8
-"""of the largest reading of a slide: least one at the rim of the skin under a finger that has stopped there"""
+"""least reading at the rim of the skin under a finger that has stopped there, over the largest reading of the slide"""
 GONE = 0.1
-"""share by which the readings of the cells behind a slide have fallen together. A cell that was loaded and unloaded
-between two frames shows no fall, but those beside it do, on which the finger was when they were read"""
+"""relative fall of the sum of the readings of the cells behind a slide. A cell that was loaded and unloaded between two
+frames shows no fall, but its neighbours do, which the finger was on when they were read"""
 LESS = 2.0
-"""standard deviations of a reading's noise by which the largest of some readings counts for less: it is too large by
-about as many, which on a board of few steps looks like a fall"""
+"""standard deviations of a reading's noise subtracted from the largest of several readings: noise makes the largest too
+large by about as much, which on a board of few steps looks like a fall"""
 
 
 @dataclass(frozen=True, slots=True)
 class _Head:
-    """Where readings have risen suddenly and together in one frame, and the slide that has led there."""
+    """Place where readings have risen suddenly and together in one frame, and the slide that has led there."""
 
     row: float
     column: float
     cells: BoolArray
     """(rows, columns) that have risen"""
     course: BoolArray
-    """(rows, columns) cells of all heads so far, and those around them, that were untouched before"""
+    """(rows, columns) cells of all heads so far, and the previously untouched cells around them"""
     step: tuple[float, float] = (0.0, 0.0)
-    """rows and columns per frame from the head before; 0 where there is none"""
+    """rows and columns per frame from the head before; 0 if there is none"""
     number: int = 1
-    """of heads in the slide so far"""
+    """number of heads in the slide so far"""
     way: float = 0.0
-    """cells from the first head to this one"""
+    """length of the slide in cells, from the first head to this one"""
     frames: int = 0
-    """from the first head to this one"""
+    """frames from the first head to this one"""
     missed: int = 0
-    """frames since then without a head"""
+    """frames without a head since then"""
 
     @property
     def slides(self) -> bool:
@@ -79,7 +82,7 @@ class _Head:
 
 
 class Trails:
-    """Follows fast slides, and knows which cells they have left behind."""
+    """Follows fast slides, and marks the cells that they have left behind."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.shape = shape
@@ -96,7 +99,7 @@ class Trails:
         self._rows, self._columns = np.indices(shape)
 
     def forget(self) -> None:
-        """Begin anew: readings count from other rest resistances."""
+        """Begin anew: rest resistances have changed."""
         self.left = np.zeros(self.shape, dtype=np.bool_)
         self.any_left, self._before, self._heads = False, None, []
 
@@ -174,16 +177,16 @@ class Trails:
         )
 
     def _along(self, head: _Head) -> FloatArray:
-        """(rows, columns) cells from the head, in the direction in which it moves."""
+        """(rows, columns) position relative to the head, in cells along its direction of motion."""
         down, right = head.step
         way: FloatArray = (self._rows - head.row) * down + (self._columns - head.column) * right
         return way / math.hypot(down, right)
 
     def _is_over(self, head: _Head, reading: FloatArray, rise: FloatArray) -> bool:
-        """Whether a slide that has no head in this frame has left the skin.
+        """Whether a slide without a head in this frame has left the skin.
 
-        A finger that was lifted makes its last cells fall at once. Of one that has gone beyond the rim, the cells there
-        keep less than it pressed into the others. Under a finger that has stopped they do neither.
+        The last cells under a finger that was lifted fall at once. Where a finger has gone beyond the rim, the cells
+        keep less than it pressed into the others. Under a finger that has stopped, the cells do neither.
         """
         front = head.cells & (self._along(head) >= 0.0) & ~np.isnan(rise)
         if rise[front].sum() < -FALLS * (reading - rise)[front].sum():
@@ -196,10 +199,10 @@ class Trails:
         return bool(last < KEPT * np.fmax.reduce(self._highest[head.course]))
 
     def _have_fallen(self, cells: BoolArray, reading: FloatArray, noise: FloatArray) -> bool:
-        """Whether the readings of these cells have fallen as under a finger that is gone.
+        """Whether the readings of these cells have fallen as they do when a finger is gone.
 
-        Under an object that comes down on one cell after the other, from one end to the other, they have not. Nor have
-        they under fingers that come down together, of which the one at the rim is the last to stop.
+        They do not fall under an object that comes down on one cell after the other, from end to end. Nor do they fall
+        under fingers that come down together, the one at the rim last.
         """
         cells = cells & ~np.isnan(reading)
         highest = self._highest[cells]
@@ -213,7 +216,7 @@ class Trails:
 
 
 def _goes_on(head: _Head, row: float, column: float) -> bool:
-    """Whether the next head may be at (row, column)."""
+    """Whether a head at (row, column) may continue this one's slide."""
     down, right = row - head.row, column - head.column
     length, frames = math.hypot(down, right), 1 + head.missed
     if not LEAST_STEP * frames <= length <= MOST_STEP * frames:

@@ -1,8 +1,8 @@
-"""Parting of touching contacts: a watershed by steepest ascent, merged by topological persistence.
+"""Separation of touching contacts: watershed by steepest ascent, with basins merged by topological persistence.
 
-Every touched cell belongs to the local maximum of the pressure that steepest ascent leads to. Two neighbouring maxima
-are two fingers if the saddle between them is clearly lower than the lower one of both: by more than noise, and by more
-than the unevenness of one finger. Otherwise the lower maximum becomes part of the higher one.
+Every touched cell belongs to the local maximum of the pressure to which steepest ascent leads. Two neighbouring maxima
+are two fingers if the saddle between them is clearly lower than the lower maximum: by more than noise, and by more than
+the unevenness of one finger. Otherwise the lower maximum is merged into the higher one.
 """
 
 from __future__ import annotations
@@ -18,11 +18,12 @@ from ..compiled import Flags, Places, Row, loop
 from ._around import highest_around, with_all_neighbours
 
 PART_SHARE, STAY_SHARE = 0.3, 0.15
-"""of a maximum, by which a saddle must be lower for two fingers, and to stay two: one finger is uneven by less"""
+"""depth of a saddle below the lower maximum, relative to it, at which two fingers part, and stay parted: one finger is
+less uneven"""
 PART_STDS, STAY_STDS = 5.0, 2.5
 """the same in standard deviations of the difference between the maximum and its saddle"""
 NEIGHBOURS = np.ones((3, 3), dtype=int)
-"""cells that touch at a corner belong together: a finger rarely covers whole rows"""
+"""cells that touch at a corner are connected: a finger rarely covers whole rows"""
 _AROUND = [(row, column) for row in range(3) for column in range(3)]
 _ALL, _BUT_LAST, _BUT_FIRST = slice(None), slice(None, -1), slice(1, None)
 _PAIRS = [
@@ -31,20 +32,20 @@ _PAIRS = [
     ((_BUT_LAST, _BUT_LAST), (_BUT_FIRST, _BUT_FIRST)),
     ((_BUT_LAST, _BUT_FIRST), (_BUT_FIRST, _BUT_LAST)),
 ]
-"""places of the two cells of each pair of neighbours: side by side, below each other, and on both diagonals"""
+"""slices for the two cells of each pair of neighbours: side by side, below each other, and on both diagonals"""
 
 
 class Segments:
-    """Connected patches of an array, and the fingers in them: by machine code where it is there."""
+    """Connected patches of an array, and the fingers in them; by machine code if available."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.shape = shape
         self.compiled = compiled.load(label_loop, part_loop)
-        """whether the loops are there as machine code"""
+        """whether the loops are machine code"""
         self._waiting = np.empty(shape[0] * shape[1], dtype=np.intp)
 
     def label(self, touched: BoolArray) -> tuple[IntArray, int]:
-        """(rows, columns) numbers from 1 of patches of cells that touch at a side or a corner; how many there are."""
+        """(rows, columns) numbers from 1 of patches of cells that touch at a side or a corner; and their count."""
         if not self.compiled:
             labels, count = ndimage.label(touched, structure=NEIGHBOURS)
             return labels.astype(np.intp), count
@@ -62,7 +63,7 @@ class Segments:
         *,
         were_parted: bool,
     ) -> IntArray:
-        """Do what :func:`part` does."""
+        """As :func:`part`."""
         if not self.compiled:
             return part(labels, pressure_kpa, std_kpa, begins, before, were_parted=were_parted)
         parted: IntArray = np.empty(labels.size, dtype=np.intp)
@@ -83,14 +84,14 @@ def part(
     *,
     were_parted: bool,
 ) -> IntArray:
-    """Give each finger of a patch a label of its own.
+    """Give each finger of a patch its own label.
 
     Args:
         labels: (rows, columns) connected patches of touched cells, from 1; 0 for the others.
         pressure_kpa: (rows, columns).
         std_kpa: (rows, columns); NaN where unknown.
         begins: (rows, columns) cells whose pressure is large enough for a contact to begin.
-        before: (rows, columns) labels of the last frame: what was apart then is parted more readily.
+        before: (rows, columns) labels of the last frame: fingers that were apart then are parted more readily.
         were_parted: whether any patch was parted in the last frame.
 
     Returns:
@@ -109,19 +110,19 @@ def part(
     number = np.zeros(top.size, dtype=np.intp)
     number[tops] = np.arange(len(tops))
     basin: IntArray = number[top].reshape(labels.shape)
-    std = np.where(std_kpa > 0, std_kpa, 0.0)  # what is not known counts as nothing
+    std = np.where(std_kpa > 0, std_kpa, 0.0)  # an unknown deviation counts as 0
     root = _merged(tops, basin, height, std, begins, before.ravel())
     numbers = np.cumsum(np.bincount(root) > 0)[root]
     return np.where(touched, numbers[basin], 0)
 
 
 def _tops(height: FloatArray) -> IntArray:
-    """For each cell of the flattened array, the local maximum that steepest ascent leads to."""
+    """For each cell of the flattened array, the local maximum reached by steepest ascent."""
     rows, columns = height.shape
     padded = np.full((rows + 2, columns + 2), -np.inf)
     padded[1:-1, 1:-1] = height
     around = np.stack([padded[row : row + rows, column : column + columns] for row, column in _AROUND])
-    # The middle first: cells of equal height lead nowhere else, and no path is a circle.
+    # The middle first: a cell as high as its neighbours leads nowhere, so that no path is a circle.
     step: IntArray = np.where(around[4] >= around.max(axis=0), 4, around.argmax(axis=0)).reshape(-1)
     to: IntArray = np.arange(height.size)
     to += (step // 3 - 1) * columns + step % 3 - 1
@@ -135,7 +136,7 @@ def _tops(height: FloatArray) -> IntArray:
 def _merged(
     tops: IntArray, basin: IntArray, height: FloatArray, std: FloatArray, begins: BoolArray, before: IntArray
 ) -> IntArray:
-    """(basins,) the basin that each one becomes part of; itself where it is a finger of its own."""
+    """(basins,) the basin into which each one is merged; itself for a finger of its own."""
     root = list(range(len(tops)))
 
     def find(one: int) -> int:
@@ -164,14 +165,14 @@ def _merged(
 def _surely_above(height: FloatArray, std: FloatArray, within: BoolArray, saddle: int, stds: float) -> bool:
     """Whether any cell ``within`` (rows, columns) is higher than the saddle by so many deviations of the difference.
 
-    Any, since a single cell at the top may be uncertain for a reason of its own.
+    One cell suffices, since the cell at the top may be uncertain for a reason of its own.
     """
     noise = np.hypot(std[within], std.flat[saddle])
     return bool((height[within] - height.flat[saddle] >= stds * noise).any())
 
 
 def _saddles(basin: IntArray, height: FloatArray) -> list[tuple[int, int, int]]:
-    """Pairs of basins that touch, with the cell over which the highest way between them leads; the highest first."""
+    """Pairs of touching basins, with the cell of the saddle on the highest path between them; the highest first."""
     cell = np.arange(basin.size).reshape(basin.shape)
     touched = height > -np.inf
     ones, others = [], []
@@ -200,7 +201,7 @@ def label_loop(touched: Flags, columns: int, labels: Places, waiting: Places) ->
         waiting: (cells,) room for the cells of a patch.
 
     Returns:
-        How many patches there are.
+        Number of patches.
 
     """
     cells, count = touched.size, 0
@@ -257,7 +258,7 @@ def part_loop(
             for c in range(max(column - 1, 0), min(column + 2, columns)):
                 other = r * columns + c
                 near = near or begins[other]
-                # Of equal neighbours the first one, and the middle before all.
+                # Among equal neighbours the first one counts, but the middle before all.
                 if labels[other] > 0 and height[other] > height[highest]:
                     highest = other
         top[cell] = highest
@@ -281,7 +282,7 @@ def part_loop(
             while top[to] != to:
                 to = top[to]
             basin[cell] = number[to]
-    # Of each pair of basins the highest saddle, and of equal ones the first.
+    # For each pair of basins the highest saddle; among equal ones the first.
     saddle = np.full((count, count), -1, dtype=np.intp)
     place = np.zeros((count, count), dtype=np.intp)
     position = 0

@@ -1,17 +1,17 @@
-"""Live recovery of boards whose amplifiers hold all sensed lines: a frame's way from outputs to cells.
+"""Live recovery of boards whose amplifiers hold all sensed lines: the stages of a frame, from outputs to cells.
 
 ==========================  ===================================================================================
 :mod:`._amplified_board`    lines, amplifiers and converter: transfer conductances T from outputs
 :mod:`._amplified_base`     cells from T by line attenuation, relinearised about a base, with a certificate
 :mod:`._amplified_leads`    bases by Kirchhoff's laws, where leads take much of the voltage
 :mod:`._amplified_errors`   uncertainties by quantisation, noise and the model's own error
-:mod:`._amplified_limits`   what cells at limits make of the others; :mod:`._joined_columns`: through two shorts
+:mod:`._amplified_limits`   effect of cells at limits on the others; :mod:`._joined_columns`: through two shorts
 :mod:`._amplified_loops`    machine code for the usual frame; :mod:`._amplified_short_loops`: for cells at limits
 ==========================  ===================================================================================
 
 A base serves as long as the certificate stays below a share of an ADC step. Otherwise the present conductances become
-the new base, as far as the frame's account goes (:mod:`._frame_account`, :mod:`._amplified_prices`). Cells that this
-does not settle are not valid, and the next frame goes on from there.
+the new base, as far as the frame's account allows (:mod:`._frame_account`, :mod:`._amplified_prices`). Cells that have
+not settled then are not valid, and the next frame continues from there.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ from ._live_reading import (
 )
 
 EVALUATIONS = 2
-"""of line attenuation in one frame, at most"""
+"""largest number of evaluations of line attenuation in one frame"""
 FIRST_EVALUATIONS = 8
-"""of the same in the first frame of all, before which nothing is known"""
+"""the same in the first frame of all, before which nothing is known"""
 
 
 class AmplifiedLive:
-    """Amplifiers that hold all columns of a plain grid, rows grounded."""
+    """Live recovery of a plain grid whose columns are all held by amplifiers, with grounded idle rows."""
 
     scales_columns = False
 
@@ -67,8 +67,8 @@ class AmplifiedLive:
         self._faults = _Faults(board)
         self._loops = UsualFrames(self._board)
         self._base: Base | None = None
-        self._heavy = False  # the leads take so much that cells are found by Kirchhoff's laws
-        self._usually_heavy = True  # all frames so far were like that
+        self._heavy = False  # whether the leads take so much voltage that cells are found by Kirchhoff's laws
+        self._usually_heavy = True  # whether all frames so far were like that
         self._turned, self._turn = board.turned, board.turn
         self._all = np.ones(board.shape, dtype=np.bool_)
         self._no_reason = np.zeros(board.shape, dtype=np.int8)
@@ -101,12 +101,12 @@ class AmplifiedLive:
         )
 
     def _read(self, volts: FloatArray, limited: BoolArray | None, faint: BoolArray | None, noise: float) -> LiveReading:
-        """A frame's way, in line coordinates: cells, uncertainties, cells at limits, and reasons for the rest."""
+        """Recover a frame in line coordinates: cells, uncertainties, cells at limits, and reasons for the rest."""
         if limited is None and faint is None and self._loops.compiled and not self._faults.any:
             usual = self._usual(volts, noise)
             if usual is not None:
                 return usual
-        # The first frame of all is worked out nevertheless: it may take its time, later ones may not.
+        # The first frame of all is recovered nevertheless: it may take its time, later ones may not.
         if limited is not None and self._base is not None and (limited | self._faults.hidden).all():
             return self._without_any()
         account = self._account_of_frame()
@@ -129,7 +129,7 @@ class AmplifiedLive:
         return self._examined(transfer, conductance, levels, off, limited, disturbance)
 
     def _without_any(self) -> LiveReading:
-        """A frame whose readings are all at limits, but for those of hidden cells."""
+        """The result for a frame whose readings are all at limits, except for those of hidden cells."""
         shape = self._faults.hidden.shape
         reason = np.where(self._faults.hidden, HIDDEN, SATURATED).astype(np.int8)
         boundless = np.full(shape, inf)
@@ -157,7 +157,7 @@ class AmplifiedLive:
         return LiveReading(resistance, self._all, self._no_reason, uncertainties, every=True)
 
     def _account_of_frame(self) -> Account:
-        """The account of a new frame, which has paid for what every frame costs."""
+        """The account of a new frame, from which the fixed cost of a frame is already paid."""
         is_first = self._base is None and not self._board.independent_columns
         account = Account(self._prices.first if is_first else self._prices.most(heavy=self._usually_heavy))
         account.spend(self._prices.reading)
@@ -166,11 +166,11 @@ class AmplifiedLive:
     def _cells(
         self, volts: FloatArray, noise: float, account: Account
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None]:
-        """What a frame's outputs (N, M) in V say of the cells, as far as the frame's account goes.
+        """Cells from a frame's outputs (N, M) in V, as far as the frame's account goes.
 
         Returns:
             S (N, M), the cells' own parts of the transfer conductances; S (N, M), conductances; gains, which broadcast
-            to (N, M); and the certificate as by :class:`.Relinearisation`, None where the account sufficed.
+            to (N, M); and the certificate as by :class:`.Relinearisation`, None if the account sufficed.
 
         """
         board, base = self._board, self._base
@@ -183,7 +183,7 @@ class AmplifiedLive:
         else:
             transfer = board.transfer(volts, base.between)
             if not self._errors.holds(base.propagation, noise):
-                base = base._replace(propagation=None)  # to be made anew, with levels for the noise
+                base = base._replace(propagation=None)  # to be computed again, with levels for the noise
         before = base
         conductance, off, base = self._settle(before, volts, transfer, account)
         self._usually_heavy = self._usually_heavy and self._heavy
@@ -212,7 +212,7 @@ class AmplifiedLive:
     ) -> tuple[FloatArray, FloatArray | None, Base]:
         """Conductances (N, M) in S, their certificate, and the base that gave them.
 
-        The base moves to the present conductances as long as the certificate asks for that and the account allows it.
+        The base moves to the present conductances as long as the certificate requires it and the account allows it.
 
         Args:
             base: of the last frame.
@@ -247,13 +247,13 @@ class AmplifiedLive:
     ) -> tuple[FloatArray, FloatArray | None, Base]:
         """As :meth:`_settle`, after attenuation has given these conductances and this certificate.
 
-        Kirchhoff's laws say more where the lines are hardly more than leads. Elsewhere the certificate is widened.
+        Kirchhoff's laws are more accurate if the lines are hardly more than leads; else the certificate is widened.
         """
         if self._board.lead_like:
             found = self._settle_by_leads(volts, base, account)
             if found is not None:
                 return found
-            off = None if off is None else np.full_like(off, inf)  # a bound of first order says nothing
+            off = None if off is None else np.full_like(off, inf)  # a first-order bound does not hold here
         elif off is not None:
             most = off * base.gain / max(1.0 - base.loss, LEAST_SHARE)
             off = self._board.within_linear_range(most, base.conductance) / base.gain
@@ -262,9 +262,9 @@ class AmplifiedLive:
     def _settle_by_leads(
         self, volts: FloatArray, base: Base, account: Account
     ) -> tuple[FloatArray, FloatArray | None, Base] | None:
-        """As :meth:`_settle`, by Kirchhoff's laws; None where these have no solution.
+        """As :meth:`_settle`, by Kirchhoff's laws; None if these have no solution.
 
-        Decides whether the next frame begins with them.
+        Also decides whether the next frame begins with them.
         """
         found = self._by_leads(volts, base, account)
         self._heavy = found is not None and found.loss > 0.5 * HEAVY
@@ -279,13 +279,13 @@ class AmplifiedLive:
         limited: BoolArray | None,
         disturbance: FloatArray | None,
     ) -> LiveReading:
-        """A frame with cells that are not valid, and why they are not. Arrays are (N, M) in line coordinates.
+        """The result for a frame with cells that are not valid, with the reasons. Arrays are (N, M), line coordinates.
 
         Args:
             transfer: S, the cells' own transfer conductances.
             conductance: S.
-            levels: how well readings are known.
-            off: S by which the transfer conductances may be off for the model; None: by nothing.
+            levels: errors of the readings.
+            off: S by which the transfer conductances may be off because of the model; None: negligible.
             limited: where a reading is at a limit; None: nowhere.
             disturbance: relative change by the cells at limits; None without such cells.
 
@@ -316,15 +316,15 @@ class AmplifiedLive:
 
 
 def _with_faint(limited: BoolArray | None, faint: BoolArray, transfer: FloatArray, levels: Levels) -> BoolArray | None:
-    """Cells at limits and those faint ones that may conduct more than what a reading's error covers; None for none.
+    """Cells at limits, and those faint ones that may conduct more than a reading's error covers; None: no cells.
 
     An offset may push the outputs of open cells thousands of steps below the range. Arrays are (N, M).
 
     Args:
         limited: where a reading is at a limit; None: nowhere.
-        faint: where it is at the limit of no current.
+        faint: where a reading is at the limit of no current.
         transfer: S, the cells' own transfer conductances.
-        levels: how well readings are known.
+        levels: errors of the readings.
 
     """
     open_cells = faint & (transfer > levels.own)
@@ -334,7 +334,7 @@ def _with_faint(limited: BoolArray | None, faint: BoolArray, transfer: FloatArra
 
 
 class _Faults:
-    """Resistances in series with cells or beside them that the design names."""
+    """Known faults of the design: resistances in series with cells or in parallel with them."""
 
     def __init__(self, board: Board) -> None:
         self._board = board
@@ -348,7 +348,7 @@ class _Faults:
     def taken_out(
         self, conductance: FloatArray, uncertainty: FloatArray, own: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Conductances (N, M) in S and relative uncertainties of the cells without known faults beside them."""
+        """Conductances (N, M) in S and relative uncertainties of the cells alone, without the known faults."""
         cells = cell_alone(self._board, conductance, self._shunt)
         uncertainty = np.minimum(uncertainty, BOUNDLESS)
         most = cell_alone(self._board, conductance * (1.0 + uncertainty), self._shunt)

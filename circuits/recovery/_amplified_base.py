@@ -6,12 +6,12 @@ frame to frame:
     G = gain(G) T + shift,      gain(G) = gain_base (1 + (G - G_base) K_row + K_column (G - G_base) + ...).
 
 K are the resistances of shared wire of :mod:`..solvers._attenuation`; the sum in brackets is the derivative of the
-attenuation for light lines. A *base* (:class:`Base`) is one evaluation of line attenuation, corrected by what it misses
-of an exact solution nearby (:class:`AttenuationBases`). The certificate bounds the terms left out
+attenuation for light lines. A *base* (:class:`Base`) is one evaluation of line attenuation, corrected by its difference
+from an exact solution nearby (:class:`AttenuationBases`). The certificate bounds the terms left out
 (:class:`Relinearisation`).
 
-The loops do as the array operations beside them, which a frame that moves its base would otherwise spend most of its
-time on. They add up sums over cells in another order.
+The loops compute the same as the array operations beside them, on which a frame that moves its base would otherwise
+spend most of its time. Their sums over cells have another order.
 """
 
 from __future__ import annotations
@@ -36,34 +36,34 @@ SECOND_ORDER = 2.0
 
 
 class Base(NamedTuple):
-    """What frames are compared with. Arrays are (N, M) in line coordinates unless stated."""
+    """The base with which frames are compared. Arrays are (N, M) in line coordinates unless stated."""
 
     conductance: FloatArray
     """S"""
     gain: FloatArray
-    """conductance per transfer conductance, as far as the lines take the cell's own current"""
+    """conductance per transfer conductance: effect of the lines on the cell's own current"""
     shift: FloatArray | None
-    """S, conductance that the current of other cells feigns; None where it is far below an ADC step"""
+    """S, apparent conductance by the current of other cells; None if far below an ADC step"""
     loss: float
     """largest share of a cell's own current that its lines take"""
     missing: float
     """S, largest part of a transfer conductance that is other cells' current"""
     off: FloatArray | None
-    """S by which the model may be wrong; None where that is below the tolerance"""
+    """S, error of the model; None if below the tolerance"""
     model_error: FloatArray
-    """S (M,) by which T may be off for the model in any case"""
+    """S (M,), error of T by the model in any case"""
     between: FloatArray | None = None
-    """S (M,) that currents between columns add to each T of a column; None: nothing"""
+    """S (M,) that currents between columns add to each T of a column; None: zero"""
     propagation: Propagation | None = None
-    """of errors of the readings, where the leads are heavy; else :meth:`.AmplifiedBoard.by_lines` says enough"""
+    """propagation of errors of the readings if the leads are heavy; else :meth:`.AmplifiedBoard.by_lines` suffices"""
 
     @property
     def missing_per_moved(self) -> float:
-        """S by which other cells' current changes per share by which gains move."""
+        """S, change of other cells' current per relative change of gains."""
         return 0.0 if self.shift is None else 2.0 * self.missing / self.loss
 
     def own_part(self, transfer: FloatArray) -> FloatArray:
-        """S (N, M) of transfer conductances that is the cells' own current: an ADC step is a share of that."""
+        """S (N, M), the cells' own currents in the transfer conductances: an ADC step is a share of these."""
         return transfer if self.shift is None else np.maximum(transfer + self.shift / self.gain, 0.0)
 
 
@@ -92,7 +92,7 @@ class Relinearisation:
     def __call__(self, base: Base, transfer: FloatArray) -> tuple[FloatArray, FloatArray | None]:
         """Conductances (N, M) in S, and the certificate.
 
-        The certificate is the S (N, M) by which T may be off for these conductances; None where that is below the
+        The certificate is the S (N, M) by which T may be off for these conductances; None if that is below the
         tolerance.
         """
         board = self._board
@@ -108,7 +108,7 @@ class Relinearisation:
         most = by_row.item(by_row.argmax()) + by_column.item(by_column.argmax())
         drift = self._drift_between_columns(base, size, most)
         if base.off is None and most <= FAR and drift is None:
-            # No cell is off by more than one with the largest reading would be on the lines that have changed most.
+            # A bound for all cells: the largest reading, on the lines that have changed most.
             left_out = self._left_out(base, most, transfer.item(transfer.argmax()))
             if left_out <= board.least_tolerance:
                 return self._first_order(conductance, change), None
@@ -158,10 +158,10 @@ class Relinearisation:
         return gain
 
     def _left_out(self, base: Base, moved: T, transfer: T) -> T:
-        """S that the relinearised model leaves out of T, where changed conductances move gains by the share ``moved``.
+        """S that the relinearised model leaves out of T, for a relative change ``moved`` of gains.
 
-        The terms beyond the first order of the attenuation, and other cells' current, which changes about as the losses
-        of its lines do.
+        These are the terms beyond the first order of the attenuation, and the change of other cells' current, which is
+        about proportional to the change of its lines' losses.
         """
         left_out = transfer * moved * (SECOND_ORDER * (base.loss + moved))
         if base.shift is not None:
@@ -169,15 +169,15 @@ class Relinearisation:
         return left_out
 
     def _drift_between_columns(self, base: Base, size: FloatArray, moved: float) -> FloatArray | None:
-        """S (M,) by which currents between columns may differ from the base's; None within the base's own error.
+        """S (M,), change of currents between columns since the base; None if within the base's own error.
 
-        Cell kj of the idle row k brings G_kj R_k sum_l G_kl (s_l - s_j) into all readings of column j, so what changes
-        in any row concerns them all.
+        Cell kj of the idle row k brings G_kj R_k sum_l G_kl (s_l - s_j) into all readings of column j. A change in any
+        row therefore concerns all of them.
 
         Args:
-            base: in force.
+            base: the present base.
             size: (N, M) S by which the conductances have changed.
-            moved: the largest share by which that moves a gain.
+            moved: largest relative change of a gain by that.
 
         """
         if not self._board.sources_differ:
@@ -189,7 +189,7 @@ class Relinearisation:
 
 
 class AttenuationBases:
-    """Makes bases by line attenuation, and by exact solutions as long as the frame's budget has some left."""
+    """Makes bases by line attenuation, and by exact solutions if the frame's budget allows."""
 
     def __init__(self, board: AmplifiedBoard, prices: AmplifiedPrices) -> None:
         """For one board, before its first frame."""
@@ -197,7 +197,7 @@ class AttenuationBases:
         self._anchor: _Anchor | None = None
 
     def __call__(self, conductance: FloatArray, account: Account) -> Base | None:
-        """The base at these conductances (N, M) in S, by line attenuation; None where the frame cannot pay for that."""
+        """The base at these conductances (N, M) in S, by line attenuation; None if the frame cannot pay for it."""
         if not account.pay(self._prices.attenuation):
             return None
         board, conductance = self._board, above_floor(conductance)
@@ -231,9 +231,9 @@ class AttenuationBases:
     def _missing(
         self, conductance: FloatArray, known: AttenuatedFrame, exactly: Account | None
     ) -> tuple[FloatArray | None, FloatArray | None]:
-        """S (N, M) that attenuation misses, other cells' current; None where that is below the tolerance.
+        """S (N, M) that attenuation misses: other cells' current; None if below the tolerance.
 
-        Without an exact evaluation, which is paid from ``exactly``, also the S (N, M) by which this may be off.
+        Without an exact evaluation, which is paid from ``exactly``, also the error bound in S (N, M).
         """
         bound, tolerance = known.error, self._board.tolerance
         if (bound <= tolerance).all():
@@ -249,16 +249,16 @@ class AttenuationBases:
 
 
 class _Anchor(NamedTuple):
-    """An exact solution: what attenuation misses there, and the certified bound on it. Arrays are (N, M) in S."""
+    """An exact solution: the error of attenuation there, and its certified bound. Arrays are (N, M) in S."""
 
     missing: FloatArray
     bound: FloatArray
 
     def scaled(self, bound: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What attenuation misses where the bound on it is another one, and about how far that can be off.
+        """The error of attenuation scaled to another ``bound``, and the approximate error of this estimate.
 
-        The bound follows what is missed within a factor that depends little on the conductances (1.1 to 3 on ordinary
-        boards); half of the change is allowed for what it does not follow.
+        The bound is proportional to the error within a factor that depends little on the conductances (1.1 to 3 on
+        ordinary boards). Half of the change is allowed for the rest.
         """
         missing = bound / self.bound
         missing *= self.missing
@@ -270,7 +270,7 @@ class _Anchor(NamedTuple):
 
 @loop
 def lost_along_lines(change: Rows, row_ohms: FixedRows, behind: FixedRows, sums: Rows, lost: Rows) -> None:
-    """Write the changes (N, M) of gains to first order in a ``change`` (N, M) in S, which is used up.
+    """Write the changes (N, M) of gains to first order in a ``change`` (N, M) in S, which is overwritten.
 
     As :meth:`.AmplifiedBoard.drop_along_rows` and :meth:`.AmplifiedBoard.drop_along_columns` together. ``sums`` (2, M)
     may hold anything.
@@ -315,7 +315,7 @@ def _relinearise(
     conductance: Rows,
     off: Rows,
 ) -> bool:
-    """Write conductances (N, M) and S (N, M) by which T may be off; True, and no S, where that is below the tolerance.
+    """Write conductances (N, M) and errors of T in S (N, M); True, and no errors, if these are below the tolerance.
 
     As :class:`Relinearisation`.
     """

@@ -1,4 +1,4 @@
-"""A board whose amplifiers hold all columns: lines, amplifiers and converter, and first-order bounds by the lines.
+"""A board whose amplifiers hold all columns: model of lines, amplifiers and converter, and first-order bounds.
 
 With T the transfer conductances of the grid, the outputs are
 
@@ -19,26 +19,26 @@ from ..solvers import FrameTransfer, Lines
 from ._heavy_leads import Propagation
 
 BOUNDLESS = 1e6
-"""relative change of a conductance that counts for any larger one"""
+"""relative change of a conductance that stands for any larger one"""
 FAR = 0.5
-"""relative change of a gain beyond which the first order says nothing"""
+"""relative change of a gain beyond which first-order bounds do not hold"""
 LEAST_SHARE = 1e-9
-"""of the largest conductance: an open cell's stand-in, so that every ratio is defined"""
+"""of the largest conductance: stand-in for an open cell, so that every ratio is defined"""
 MARGIN = 2.0
-"""by which intervals from first-order bounds are widened"""
+"""factor by which intervals from first-order bounds are widened"""
 SIMILAR_MARGIN = 1.25
-"""by which kept bounds are widened: two conductances have changed by 1.1 against each other"""
+"""factor by which kept bounds are widened: two conductances have changed by 1.1 against each other"""
 ZERO = np.array(0.0)
-"""as an array, since NumPy makes one of a float in every call"""
+"""an array, since NumPy makes one of a float in every call"""
 _SIMILAR = 0.1  # relative change of conductances up to which bounds are kept
 _SHARE_OF_STEP = 0.25  # of an ADC step that the model may leave as its own error
 HEAVY = 0.5
-"""share of a cell's current that its lines take, from which on attenuation may not come to its end"""
-_LEAD_LIKE = 0.5  # most resistance of segments over that of leads, for which a grid is taken for one without segments
+"""share of a cell's current that its lines take, above which line attenuation may not converge"""
+_LEAD_LIKE = 0.5  # largest resistance of segments over that of leads for which a grid counts as one without segments
 
 
 class AmplifiedBoard:
-    """What a live recovery needs to know of a board whose amplifiers hold all columns."""
+    """Constants of a board whose amplifiers hold all columns, for its live recovery."""
 
     def __init__(self, board: Board) -> None:
         """For a board whose circuit has ends (:meth:`.ReadoutCircuit.ends`) and whose design has a converter."""
@@ -62,14 +62,14 @@ class AmplifiedBoard:
         self.farthest_amplifier = self.to_amplifier.max(axis=1)
         """(N,) ohm"""
         self.row_lead, self.column_lead = self.to_driver.mean(axis=1), self.to_amplifier.mean(axis=0)
-        """(N,) and (M,) ohm of the leads of a grid without segments that is most like this one"""
+        """(N,) and (M,) ohm, leads of the most similar grid without segments"""
         along_rows, along_columns = np.ptp(self.to_driver, axis=1), np.ptp(self.to_amplifier, axis=0)
         leads = float(self.row_lead.mean() + self.column_lead.mean())
         self.lead_like = float(along_rows.max() + along_columns.max()) <= _LEAD_LIKE * leads
-        """the segments are small against the leads"""
+        """whether the segments are small against the leads"""
         self.has_segments = bool(along_rows.any() or along_columns.any())
         self.independent_columns = not (self.to_driver.any() or board.column_ohms.any())
-        """only the columns' ends have resistance"""
+        """whether only the columns' ends have resistance"""
         self._along_row = _shared_wire(self.to_driver)
         self._along_column = _shared_wire(self.to_amplifier.T)
 
@@ -81,8 +81,8 @@ class AmplifiedBoard:
         self.has_sources = bool(ends.source.any())
         self.sources_differ = bool((ends.source != ends.source[0]).any())
         self.source_spread = float(np.ptp(ends.source)) / abs(board.drive)
-        """V by which the sources of two columns differ at most, per volt of drive"""
-        # T = scale V + constant + per_sum (sum of that over the rows); without currents between columns
+        """largest difference between the sources of two columns, in V per volt of drive"""
+        # T = t + per_sum (sum of t over the rows) with t = scale V + constant, without currents between columns
         self.scale = 1.0 / ends.slope / board.drive
         """(M,) S of T per volt of output"""
         self.constant = -ends.output * self.scale
@@ -91,18 +91,18 @@ class AmplifiedBoard:
         self._scale_of_all = self.for_all(self.scale)
         self._constant_of_all = self.for_all(self.constant)
         self.per_sum = ends.source / (board.drive - rows * ends.source)
-        """(M,) by which T rises per sum of a column's T without that"""
+        """(M,) rise of T per sum of a column's t, see above"""
         self._ones = np.ones(rows)
 
         self.half_step = adc_error(board) * np.abs(self.scale)
-        """(M,) S by which the converter may put T off"""
+        """(M,) S, error of T by the converter"""
         self.tolerance = _SHARE_OF_STEP * adc.step * np.abs(self.scale)
-        """(M,) S by which a model may put T off"""
+        """(M,) S, tolerated error of T by a model"""
         self.least_tolerance = float(self.tolerance.min())
         """S"""
 
     def asks_for_leads(self, loss: float) -> bool:
-        """Whether Kirchhoff's laws of grids without segments say more than line attenuation.
+        """Whether Kirchhoff's laws of grids without segments are more accurate than line attenuation.
 
         Args:
             loss: largest share of a cell's current that its lines take.
@@ -111,7 +111,7 @@ class AmplifiedBoard:
         return self.lead_like and loss > HEAVY
 
     def for_all(self, values: FloatArray) -> FloatArray:
-        """Values that broadcast to (N, M), as an array (N, M) of their own."""
+        """Values that broadcast to (N, M), as a contiguous array (N, M)."""
         return np.ascontiguousarray(np.broadcast_to(values, self.board.shape))
 
     def transfer(self, volts: FloatArray, between: FloatArray | None) -> FloatArray:
@@ -119,7 +119,7 @@ class AmplifiedBoard:
 
         Args:
             volts: (N, M) V, outputs.
-            between: (M,) S that currents between columns add to each T of a column; None: nothing.
+            between: (M,) S that currents between columns add to each T of a column; None: zero.
 
         """
         transfer: FloatArray = volts * self._scale_of_all
@@ -140,11 +140,11 @@ class AmplifiedBoard:
         return transfer * gain, gain
 
     def between_columns(self, transfer: FloatArray, loss: float) -> tuple[FloatArray, FloatArray]:
-        """S (M,) that currents between columns of different sources add to each T of a column, and how far that is off.
+        """S (M,) that currents between columns of different sources add to each T of a column, and its error bound.
 
-        The columns' sources drive these currents through the rows that the columns share, which lifts the rows. To
-        first order in the resistance of the rows. What is left out is smaller by the losses in the lines, but need not
-        cancel where sources of both signs do.
+        The columns' sources drive these currents through the rows that the columns share, which lifts the rows. The
+        result is of first order in the resistance of the rows. The terms left out are smaller by the losses in the
+        lines, but need not cancel where sources of both signs do.
 
         Args:
             transfer: (N, M) S, transfer conductances.
@@ -177,23 +177,23 @@ class AmplifiedBoard:
         return np.cumsum((self.behind * flow)[::-1], axis=0)[::-1]
 
     def by_lines(self, change: FloatArray) -> FloatArray:
-        """Bound on the relative change of each T_ij, to first order, by what lines take of changed conductances."""
+        """Bound on the relative change of each T_ij, to first order, by the line losses of changed conductances."""
         change = np.broadcast_to(change, self.board.shape)
         row: FloatArray = np.einsum("ij,ij->i", self.to_driver, change)
         column: FloatArray = np.einsum("ij,ij->j", self.to_amplifier, change)
         return row[:, None] + column
 
     def within_linear_range(self, change: FloatArray, conductance: FloatArray) -> FloatArray:
-        """Bounds (N, M) in S of first order on changes of conductances; inf if they move the gains too far for that.
+        """First-order bounds (N, M) in S on changes of conductances; inf if they move gains beyond the linear range.
 
-        What the lines take of a cell's current makes gains of about one and the resistance of the lines over that of
-        their cells, whose conductances (N, M) in S are given.
+        The allowed change of a gain grows with the gain itself, which is about one plus the resistance of the lines
+        over that of their cells, whose conductances (N, M) in S are given.
         """
         allowed = FAR * (1.0 + self.by_lines(conductance))
         return change if (self.by_lines(change) <= allowed).all() else np.full_like(change, np.inf)
 
     def moved_by(self, readings: FloatArray, propagation: Propagation, conductance: FloatArray) -> FloatArray:
-        """S (N, M) by which conductances (N, M) in S may be off where readings may be off by these S (N, M)."""
+        """S (N, M), error of conductances (N, M) in S if the readings have errors of these S (N, M)."""
         return self.within_linear_range(SIMILAR_MARGIN * propagation(readings), conductance)
 
 
@@ -203,18 +203,18 @@ def above_floor(conductance: FloatArray) -> FloatArray:
 
 
 def floor_of(conductance: FloatArray) -> float:
-    """The S of an open cell's stand-in among these conductances."""
+    """S, the stand-in for an open cell among these conductances."""
     return LEAST_SHARE * max(float(conductance.max()), 1e-12)
 
 
 def similar(conductance: FloatArray, before: FloatArray) -> bool:
-    """Whether conductances (N, M) in S have changed so little that bounds on them hold but for a small margin."""
+    """Whether conductances (N, M) in S have changed so little that bounds on them hold within a small margin."""
     change = np.abs(conductance - before)
     return bool((change <= _SIMILAR * (before + float(before.mean()))).all())
 
 
 def _shared_wire(ohms: FloatArray) -> FloatArray | None:
-    """Resistance of the wire that two places of a line share on the way to the line's end: the matrix K.
+    """The matrix K of a line: resistance of the wire that two places share on the way to the line's end.
 
     Args:
         ohms: (lines, places) from each place to the line's end.

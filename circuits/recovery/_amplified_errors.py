@@ -13,32 +13,32 @@ from ._amplified_board import SIMILAR_MARGIN, ZERO, AmplifiedBoard
 from ._heavy_leads import Propagation
 from ._live_reading import SIGMAS, ValidityRule
 
-_LEAST_OF_NOISE = 0.6  # share of a noise level down to which the level serves
-_NOISE_MARGIN = 1.2  # so that a noise that moves about does not call for new levels in every frame
+_LEAST_OF_NOISE = 0.6  # least noise for which a level serves, over the noise of the level
+_NOISE_MARGIN = 1.2  # so that a fluctuating noise estimate does not require new levels in every frame
 SIMILAR_GAINS = 0.05
 """relative change of gains in closed form up to which levels are kept"""
 
 
 class Levels(NamedTuple):
-    """How well readings of a certain noise are known. Arrays broadcast to (N, M) in line coordinates."""
+    """Errors of readings with a certain noise. Arrays broadcast to (N, M) in line coordinates."""
 
     noise: float
     """V, standard deviation of the readings"""
     gain: FloatArray
     """conductance per transfer conductance, for which the levels hold"""
     own: FloatArray
-    """S by which a cell's own transfer conductance may be off: half a step, noise, and what the model leaves"""
+    """S, error of a cell's own transfer conductance: half a step, noise, and the error of the model"""
     others: FloatArray
     """relative uncertainty by the readings of other cells on light lines"""
     by_leads: FloatArray
-    """S by which a transfer conductance may be off for the readings of other cells, where leads are heavy; else 0"""
+    """S, error of a transfer conductance by the readings of other cells if leads are heavy; else 0"""
     least: FloatArray
-    """S, transfer conductance from which on a cell is valid"""
+    """S, least transfer conductance of a valid cell"""
     propagation: Propagation | None
-    """the base's, with which this was worked out"""
+    """error propagation of the base for which the levels were computed"""
 
     def uncertainties(self, transfer: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Relative uncertainties (N, M) of cells, and the part that is by their own readings.
+        """Relative uncertainties (N, M) of cells, and the part by their own readings.
 
         Args:
             transfer: (N, M) S, the cells' own transfer conductances.
@@ -50,7 +50,7 @@ class Levels(NamedTuple):
 
 
 class ReadingErrors:
-    """Works out :class:`Levels`, and keeps them while they hold."""
+    """Computes :class:`Levels`, and keeps them while they hold."""
 
     def __init__(self, board: AmplifiedBoard, rule: ValidityRule) -> None:
         """For one board, before its first frame."""
@@ -61,12 +61,12 @@ class ReadingErrors:
         self._kept: Levels | None = None
 
     def __call__(self, gain: FloatArray, noise: float, base: Base | None) -> Levels:
-        """How well readings are known.
+        """Errors of the readings.
 
         Args:
             gain: conductance per transfer conductance; broadcasts to (N, M).
             noise: V, standard deviation of the readings.
-            base: the base of these gains; None where they are known in closed form.
+            base: the base of these gains; None if they are known in closed form.
 
         """
         if base is not None and base.propagation is not None:
@@ -80,12 +80,12 @@ class ReadingErrors:
         return self._kept
 
     def holds(self, propagation: Propagation | None, noise: float) -> bool:
-        """Whether the last levels serve where errors come through heavy leads like that, for a noise in V."""
+        """Whether the last levels serve for this propagation of errors and a noise in V."""
         kept = self.kept_for(noise)
         return kept is not None and kept.propagation is propagation
 
     def kept_for(self, noise: float) -> Levels | None:
-        """The last levels, if they serve for a noise in V; for gains like theirs."""
+        """The last levels, if they serve for a noise in V; only for gains like theirs."""
         kept = self._kept
         return kept if kept is not None and _LEAST_OF_NOISE * kept.noise <= noise <= kept.noise else None
 
@@ -122,13 +122,13 @@ class ReadingErrors:
     def _others_of_heavy_leads(
         self, propagation: Propagation, base: Base, own: FloatArray, own_noise: FloatArray
     ) -> FloatArray:
-        """S (N, M) by which a transfer conductance may seem to be off for other readings.
+        """S (N, M), apparent error of a transfer conductance by other readings.
 
         Args:
             propagation: of errors at the base.
             base: the base.
-            own: (M,) S that readings may be off by, noise included.
-            own_noise: (M,) S, the noise in that.
+            own: (M,) S, error of a reading, noise included.
+            own_noise: (M,) S, the noise in ``own``.
 
         """
         board = self._board

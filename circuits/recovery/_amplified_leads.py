@@ -1,7 +1,8 @@
-"""Bases where the leads take much of the voltage: cells by Kirchhoff's laws, checked by an exact evaluation.
+"""Bases on heavy leads: cells by Kirchhoff's laws, checked by an exact evaluation of the circuit.
 
-Line attenuation does not converge there. Segments, which the laws of :mod:`._heavy_leads` do not have, and currents
-that unlike sources drive through the grid are taken out of the readings: exact evaluations say how large they are.
+Line attenuation does not converge if the leads take much of the voltage. The laws of :mod:`._heavy_leads` neglect
+segments, and currents that different sources drive through the grid. Exact evaluations give these two effects, and the
+readings are corrected for them.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ from ._amplified_prices import AmplifiedPrices
 from ._frame_account import Account
 from ._heavy_leads import ROUNDS, LeadFit, Propagation, invert_leads
 
-_FAR_OFF = 8.0  # half steps by which the readings of given cells may be off however small they are
+_FAR_OFF = 8.0  # half steps by which readings of given cells may be off, however small these readings are
 
 _Checked = tuple[FloatArray | None, FloatArray, FloatArray]
-"""what :meth:`LeadBases._checked` says"""
+"""result of :meth:`LeadBases._checked`"""
 
 
 class LeadBases:
@@ -29,13 +30,13 @@ class LeadBases:
     def __init__(self, board: AmplifiedBoard, prices: AmplifiedPrices) -> None:
         """For one board, before its first frame."""
         self._board, self._prices = board, prices
-        self._by_segments = np.zeros(board.board.shape)  # S, of T, that segments add to what leads would give
-        self._propagated_at: FloatArray | None = None  # S (N, M) of the base's propagation
+        self._by_segments = np.zeros(board.board.shape)  # S, part of T by segments, beyond that by leads
+        self._propagated_at: FloatArray | None = None  # S (N, M), cells of the base's propagation
 
     def __call__(self, volts: FloatArray, before: Base, account: Account) -> Base | None:
-        """The base at the cells of a frame, or None where no cells without segments give its readings.
+        """The base at the cells of a frame, or None if no cells without segments give its readings.
 
-        What the frame cannot pay for leaves all cells open, and the next frame begins at these.
+        If the frame cannot pay for all of it, no cell is valid, and the next frame continues from these cells.
 
         Args:
             volts: (N, M) V, outputs.
@@ -52,7 +53,7 @@ class LeadBases:
             return None
         propagation = self._kept_propagation(fit, before)
         if propagation is None and not account.can_pay(prices.bounds + prices.exact):
-            # Not both in one frame. How errors come through serves for many frames, and therefore comes first.
+            # Not both in one frame. The propagation of errors serves for many frames, and therefore comes first.
             propagation = self._propagation(fit, account)
         owed = prices.bounds if propagation is None else 0.0
         fit, checked = self._corrected(current, fit, account, owed)
@@ -61,7 +62,7 @@ class LeadBases:
         between, transfer, off = checked
         off = np.abs(off)
         settled = bool((off <= board.tolerance).all())
-        # Of cells that give quite other readings, a bound of first order says nothing.
+        # If the cells give quite different readings, a first-order bound does not hold.
         astray = not settled and bool((off > np.maximum(FAR * np.abs(transfer), _FAR_OFF * board.half_step)).any())
         if propagation is None:
             propagation = self._propagation(fit, account)
@@ -75,13 +76,13 @@ class LeadBases:
     def _corrected(
         self, current: FloatArray, fit: LeadFit, account: Account, owed: float
     ) -> tuple[LeadFit, _Checked | None]:
-        """A fit corrected for what segments add to the readings, as far as the frame can pay, and the check of it.
+        """A fit corrected for the effect of segments on the readings, as far as the frame can pay, and its check.
 
         Args:
             current: (N, M) A into the amplifiers per volt of drive.
             fit: to the readings, without the correction.
             account: of the frame.
-            owed: what the frame will have to pay after that.
+            owed: price of the work that the frame must do afterwards.
 
         """
         board, prices = self._board, self._prices
@@ -117,7 +118,7 @@ class LeadBases:
         return fit
 
     def _checked(self, current: FloatArray, conductance: FloatArray, account: Account) -> _Checked | None:
-        """How far the readings are from the exact ones of given cells.
+        """Difference between the readings and the exact ones of given cells.
 
         Args:
             current: (N, M) A into the amplifiers per volt of drive.
@@ -126,7 +127,7 @@ class LeadBases:
 
         Returns:
             S (M,) that currents between columns add to each transfer conductance of a column; transfer conductances
-            (N, M) in S by the readings; and these less the cells' exact ones. None where the frame cannot pay.
+            (N, M) in S by the readings; and these less the cells' exact ones. None if the frame cannot pay.
 
         """
         if not account.pay(self._prices.exact):
@@ -143,12 +144,12 @@ class LeadBases:
         return between, transfer, transfer - exact
 
     def _kept_propagation(self, fit: LeadFit, before: Base) -> Propagation | None:
-        """How errors of the readings come through, of an earlier frame while no conductance has changed much."""
+        """Error propagation of an earlier frame, if no conductance has changed much since."""
         at, kept = self._propagated_at, before.propagation
         return kept if kept is not None and at is not None and similar(fit.conductance, at) else None
 
     def _propagation(self, fit: LeadFit, account: Account) -> Propagation | None:
-        """The same, made anew: by all derivatives where the frame can pay for them, else by bounds, or None of them."""
+        """New error propagation: by all derivatives if the frame can pay for them, else by bounds, else None."""
         prices = self._prices
         exactly = account.can_pay(prices.derivatives)
         if not account.pay(prices.derivatives if exactly else prices.bounds):
@@ -169,11 +170,11 @@ def _base(
 
     Args:
         fit: the cells.
-        tolerance: (M,) S by which a model may put a transfer conductance off.
-        left: (N, M) S by which transfer conductances may be off; None: by no more than that.
+        tolerance: (M,) S, tolerated error of a transfer conductance by the model.
+        left: (N, M) S, error of transfer conductances; None: within the tolerance.
         transfer: (N, M) S, transfer conductances by the readings.
         between: (M,) S that currents between columns add to these.
-        propagation: of errors; None: not known, and then nothing is valid.
+        propagation: error propagation; None: not known, and then no cell is valid.
 
     """
     own = fit.conductance / fit.gain

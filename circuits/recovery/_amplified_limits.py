@@ -1,8 +1,9 @@
-"""Cells whose reading is at a limit, behind amplifiers: how far they can shift the other cells, to first order.
+"""Cells whose reading is at a limit, behind amplifiers: bounds on their effect on the other cells, to first order.
 
-A cell at the low end of the range takes any conductance up to the present one; what its column's source drives through
-it is in the column's readings in all steps. A cell at the high end takes any conductance from the present one up to a
-short. All effects of these are added up (:meth:`CellsAtLimits._shares_of_shorts`, :meth:`CellsAtLimits._currents`).
+A cell at the low end of the range may have any conductance up to the present one; the current that its column's source
+drives through it is in the column's readings in all steps. A cell at the high end may have any conductance from the
+present one up to a short. The effects of all such cells are added up (:meth:`CellsAtLimits._shares_of_shorts`,
+:meth:`CellsAtLimits._currents`).
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ from ._amplified_short_loops import by_shorts
 from ._frame_account import Account
 from ._joined_columns import currents_between_sources, shared_currents
 
-_GUARD = 6.0  # standard deviations of the noise within which an output may stand at a limit of its swing
+_GUARD = 6.0  # standard deviations of the noise: an output this close to a limit of its swing may stand at it
 
 
 class CellsAtLimits:
-    """What cells at limits make of the others; kept from frame to frame while they hardly change."""
+    """Effect of cells at limits on the others; kept from frame to frame while they hardly change."""
 
     def __init__(self, board: AmplifiedBoard, prices: AmplifiedPrices) -> None:
         """For one board, before its first frame."""
@@ -34,7 +35,7 @@ class CellsAtLimits:
         self._board, self._prices = board, prices
         self._low, self._high = circuit_board.supply
         self._middle = sum(adc.range) / 2
-        self._near = adc_error(circuit_board) + adc.step / 2  # V within which an output stands at a limit of its swing
+        self._near = adc_error(circuit_board) + adc.step / 2  # V: an output this close to a limit stands at it
         self._high_is_more = (circuit_board.drive > 0) != circuit_board.circuit.inverts
         limits = [abs(limit - circuit_board.level) for limit in circuit_board.supply if np.isfinite(limit)]
         swing = max(limits, default=inf)
@@ -61,15 +62,15 @@ class CellsAtLimits:
         base: Base | None,
         account: Account,
     ) -> FloatArray:
-        """Relative change (N, M) of each cell while those at limits take any value they can have.
+        """Largest relative change (N, M) of each cell over all possible values of the cells at limits.
 
         Args:
             conductance: (N, M) S.
             volts: (N, M) V, outputs.
             limited: (N, M) where a reading is at a limit.
             noise: V, standard deviation of the readings.
-            base: the frame's base; None where gains are known in closed form.
-            account: of the frame; where it cannot pay, all changes are inf.
+            base: the frame's base; None if gains are known in closed form.
+            account: of the frame; if it cannot pay, all changes are inf.
 
         """
         near = self._near + _GUARD * noise
@@ -88,14 +89,14 @@ class CellsAtLimits:
     def _worked_out(
         self, conductance: FloatArray, limited: BoolArray, more: BoolArray, saturated: BoolArray, base: Base | None
     ) -> _Disturbance:
-        """What cells at limits make of the others.
+        """Effect of cells at limits on the others.
 
         Args:
             conductance: (N, M) S.
             limited: (N, M) all cells at limits.
             more: (N, M) those that conduct more than the reading says.
-            saturated: (N, M) those of them whose amplifier, not only the converter, is at a limit.
-            base: the frame's base; None where gains are known in closed form.
+            saturated: (N, M) those of ``more`` whose amplifier, not only the converter, is at a limit.
+            base: the frame's base; None if gains are known in closed form.
 
         """
         board, floor = self._board, floor_of(conductance)
@@ -115,7 +116,7 @@ class CellsAtLimits:
         return _Disturbance(limited, more, conductance, floor, fixed, added, by_lines)
 
     def _add_shorts(self, at_high: _AtHigh, fixed: FloatArray, added: FloatArray, by_lines: FloatArray) -> None:
-        """Add what cells that may be shorts make of the others to the fields (N, M) of a :class:`_Disturbance`."""
+        """Add the effect of cells that may be shorts on the others to the fields (N, M) of a :class:`_Disturbance`."""
         board, conductance = self._board, at_high.conductance
         if self._by_shorts is not None:
             self._by_shorts(
@@ -142,12 +143,12 @@ class CellsAtLimits:
         if board.has_sources:
             added += self._source_currents(shorts, fixed, conductance)
         added *= MARGIN
-        # Misjudged cells load their lines otherwise than the model has it, and that concerns all cells there.
+        # Misjudged cells load their lines differently from the model, which concerns all cells of these lines.
         direct = fixed + added / np.maximum(conductance, at_high.floor)
         by_lines += board.by_lines(np.minimum(direct, BOUNDLESS) * shorts.ordinary)
 
     def _by_way_of_rows(self, less: FloatArray, conductance: FloatArray) -> FloatArray:
-        """S (N, M) of other cells' current that unknown cells at the low end bring into a reading, or keep from it.
+        """S (N, M) of other cells' current that unknown cells at the low end bring into a reading, or keep out of it.
 
         The driven row i lifts column m, that the idle row k, and that column j: G_im C_m G_km R_k G_kj to first order.
         Each of the three may be a cell whose conductance is anything from 0 to ``less`` (N, M) in S.
@@ -163,11 +164,11 @@ class CellsAtLimits:
     def _shares_of_shorts(self, shorts: _Shorts, saturated: BoolArray, conductance: FloatArray) -> FloatArray:
         """Share (N, M) of each cell's own current that shorts take or add.
 
-        * Along its row, a short takes the drive from all cells: to_driver / to_amplifier, like a divider. Where its
-          output is at a limit, its column ends in the reference resistor instead, which leaves it little current.
+        * Along its row, a short takes the drive from all cells: to_driver / to_amplifier, like a divider. If its output
+          is at a limit, its column ends in the reference resistor instead, which leaves it little current.
         * Down its column, a short into an idle row takes their current: to_amplifier / to_driver.
         """
-        # The cells of a column that a short takes the current from conduct more than they seem to.
+        # The cells of a column from which a short takes the current conduct more than they seem to.
         down = shorts.down.sum(axis=0)
         column = conductance.sum(axis=0) * (1.0 + np.minimum(down, BOUNDLESS))
         with np.errstate(invalid="ignore"):
@@ -180,22 +181,22 @@ class CellsAtLimits:
     def _currents(self, shorts: _Shorts) -> FloatArray:
         """S (N, M): currents of other cells that shorts bring into a reading."""
         board, more, ordinary, most = self._board, shorts.where, shorts.ordinary, shorts.most
-        # A column that the current of row k lifts also lifts the short's row, whose cells then add to row k's
-        # readings, and above all the column that a short of its own joins that row to.
+        # A column that the current of row k lifts also lifts the short's row, whose cells then add to row k's readings.
+        # The column lifted most is one to which a short in row k itself connects that row.
         current = _between_rows(most, more * board.to_amplifier) @ ordinary
-        # The other columns that it lifts feed the short's row by their cells, and the short brings into its column
-        # what its row's driver does not take.
+        # The other columns that row k lifts feed the short's row by their cells. The short carries into its column the
+        # part of this current that its row's driver does not take.
         current += _between_rows(ordinary, ordinary * board.to_amplifier) @ shorts.share
         # Two shorts on one row join their columns.
         current += shared_currents(board, more, shorts.cells)
-        # In its own step, the short lifts its column, and that the other rows, whose cells add to its row's readings.
+        # In its own step, the short lifts its column and thereby the other rows, whose cells add to its row's readings.
         current += _between_rows(more.astype(np.float64), board.to_driver * most) @ most
         return current
 
     def _source_currents(self, shorts: _Shorts, fixed: FloatArray, conductance: FloatArray) -> FloatArray:
         """S (N, M): currents that the columns' sources drive into a reading by way of shorts."""
         board, more, offset = self._board, shorts.where, self._offset
-        # The source of its column drives a current through it, in all steps alike ...
+        # The source of its column drives a current through a short, in all steps alike ...
         with np.errstate(invalid="ignore"):
             by_source = offset * shorts.conductance.sum(axis=0)
         by_source[np.isnan(by_source)] = 0.0  # no source, and no resistance
@@ -211,7 +212,7 @@ class CellsAtLimits:
 
 
 def _between_rows(fed: FloatArray, taken: FloatArray) -> FloatArray:
-    """Sum over the columns (N, N) of what one row feeds and another one takes; 0 between a row and itself."""
+    """Sum over the columns (N, N) of what one row feeds and another takes; 0 between a row and itself."""
     between: FloatArray = fed @ taken.T
     between.reshape(-1)[:: len(between) + 1] = 0.0
     return between
@@ -225,7 +226,7 @@ class _AtHigh(NamedTuple):
     more: BoolArray
     """where cells conduct more than their readings say"""
     saturated: BoolArray
-    """those of them whose amplifier, not only the converter, is at a limit"""
+    """those of ``more`` whose amplifier, not only the converter, is at a limit"""
     floor: float
     """S, least conductance that a relative change refers to"""
 
@@ -239,19 +240,19 @@ class _Shorts(NamedTuple):
     down: FloatArray
     """relative change of the column's other cells, as each short takes their currents"""
     conductance: FloatArray
-    """S that its lines leave of each short; inf on lines without resistance"""
+    """S of each short in series with its lines; inf on lines without resistance"""
     share: FloatArray
-    """of a current into the row that a short takes, where it does not go to the row's driver"""
+    """share of a current into the row that a short takes, if the current does not go to the row's driver"""
     cells: FloatArray
     """S of all cells, as they seem to be"""
     ordinary: FloatArray
     """S of all other cells, 0 at shorts"""
     most: FloatArray
-    """S of all cells, shorts with what their lines leave of them, at most a large number"""
+    """S of all cells, with shorts in series with their lines, at most a large number"""
 
 
 class _EveryShort:
-    """What a short at each place of one board would do: of that, frames select the shorts that there are."""
+    """Effect of a short at each place of one board, from which frames select the actual shorts."""
 
     def __init__(self, board: AmplifiedBoard) -> None:
         driver, amplifier = board.to_driver, board.to_amplifier
@@ -277,28 +278,28 @@ class _EveryShort:
 
 
 class _Disturbance(NamedTuple):
-    """What cells at limits make of the others. Arrays are (N, M)."""
+    """Effect of cells at limits on the others. Arrays are (N, M)."""
 
     limited: BoolArray
     more: BoolArray
     """at the high end: the cell conducts more than the reading says"""
     conductance: FloatArray
-    """S, for which this was worked out"""
+    """S, cells for which the effect was computed"""
     floor: float
     """S, least conductance that a relative change refers to"""
     fixed: FloatArray
-    """relative change whatever the conductances"""
+    """relative change that does not depend on the conductances"""
     added: FloatArray
     """S, current of other cells that may appear in a reading, per volt"""
     by_lines: FloatArray
-    """relative change because lines are loaded otherwise"""
+    """relative change because the load of the lines changes"""
 
     def holds(self, conductance: FloatArray, limited: BoolArray, more: BoolArray) -> bool:
-        """Whether the same cells are at the same limits and the lines' other cells have not changed by much."""
+        """Whether the same cells are at the same limits and the other cells have changed little."""
         if not (np.array_equal(limited, self.limited) and np.array_equal(more, self.more)):
             return False
         return similar(np.where(limited, self.conductance, conductance), self.conductance)
 
     def relative_change(self, conductance: FloatArray) -> FloatArray:
-        """For cells (N, M) in S that are like those for which this was worked out."""
+        """Relative change of cells (N, M) in S that are similar to those for which the effect was computed."""
         return self.fixed + SIMILAR_MARGIN * (self.added / np.maximum(conductance, self.floor) + self.by_lines)

@@ -1,10 +1,10 @@
-"""Machine code for the usual frame behind amplifiers: outputs to cells in one pass, where the extra ``fast`` is there.
+"""Compiled loops for the usual frame behind amplifiers: outputs to cells in one pass, with the extra ``fast``.
 
 A frame is usual if no reading is at a limit, the base and the levels of the last frame still hold, and every cell is
-valid. The loops compute what :mod:`._amplified` computes of such a frame by array operations. A loop that finds the
+valid. For such a frame the loops compute the same as :mod:`._amplified` by array operations. A loop that finds the
 frame unusual changes nothing, and the array operations begin anew.
 
-Sums over cells are added up in another order than by array operations, so results differ by about 1e-15 of themselves.
+Sums over cells have another order than in array operations, so results differ by a relative 1e-15 or so.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from ._amplified_errors import SIMILAR_GAINS, Levels
 
 _Blocks = Annotated[AnyArray, "float64[:, :, ::1]"]
 UsualFrame = tuple[FloatArray, Callable[[], tuple[FloatArray, FloatArray]]]
-"""resistances (N, M) in ohm, and what computes relative uncertainties and the part by a cell's own reading"""
+"""resistances (N, M) in ohm, and a function for the relative uncertainties and their parts by a cell's own reading"""
 _SCALE, _CONSTANT, _PER_SUM, _FARTHEST_DRIVER, _RESISTANCE = range(5)  # rows of the board's constants
 _GAIN, _SHIFT, _CONDUCTANCE = range(3)  # blocks of a base
 _BETWEEN, _SUM, _MODEL_ERROR = range(3)  # rows of a base's columns
@@ -31,7 +31,7 @@ _LEAST, _OWN, _BY_LEADS, _OTHERS = range(4)  # blocks of levels
 
 
 class UsualFrames:
-    """The loops for one board, and what they need of its bases."""
+    """The loops for one board, with its bases in the form that they take."""
 
     def __init__(self, board: AmplifiedBoard) -> None:
         """For one board, before its first frame."""
@@ -40,9 +40,9 @@ class UsualFrames:
         self._independent = _independent_columns.machine_code(unchecked=True)
         self._uncertainties = _uncertainties.machine_code(unchecked=True)
         self.compiled = None not in (self._about_base, self._independent, self._uncertainties)
-        """there is machine code"""
+        """whether there is machine code"""
         constants = (board.scale, board.constant, board.per_sum, board.farthest_driver, board.to_amplifier[0])
-        # Copies of its own, since arrays that nobody may write to take a loop twice as long to look at.
+        # Own copies, since a loop takes twice as long to unpack write-protected arrays.
         self._constants = np.array([np.broadcast_to(values, board.board.shape[1:]) for values in constants])
         self._farthest_amplifier = np.array(board.farthest_amplifier)
         self._row_ohms = np.array(np.broadcast_to(board.board.row_ohms, board.board.shape), order="C")
@@ -55,7 +55,7 @@ class UsualFrames:
         self._of_levels = _OfLevels.none()
 
     def about(self, base: Base, levels: Levels, volts: FloatArray) -> UsualFrame | None:
-        """The frame, or None where it is not usual.
+        """The frame, or None if it is not usual.
 
         Args:
             base: a base whose own error is below the tolerance, on lines that are not heavy.
@@ -91,7 +91,7 @@ class UsualFrames:
         return (resistance, partial(self._uncertain, of_levels, transfer)) if usual else None
 
     def independent(self, levels: Levels, volts: FloatArray) -> UsualFrame | None:
-        """As :meth:`about`, where only the columns' ends have resistance and gains are known in closed form."""
+        """As :meth:`about`, if only the columns' ends have resistance and gains are known in closed form."""
         of_levels = self._of(levels)
         transfer, resistance = np.empty(volts.shape), np.empty(volts.shape)
         assert self._independent is not None
@@ -121,14 +121,14 @@ class UsualFrames:
 
 
 class _OfBase(NamedTuple):
-    """What the loop needs of a base."""
+    """A base in the form that the loop takes."""
 
     blocks: AnyArray
     """(3, N, M) gain, shift in S, conductance in S"""
     columns: AnyArray
     """(3, M) S that currents between columns add to each T of a column, sum of the conductances, error of T"""
     missing_per_moved: float
-    """S by which other cells' current changes per share of the gains"""
+    """S, change of other cells' current per relative change of the gains"""
 
     @classmethod
     def none(cls) -> _OfBase:
@@ -145,12 +145,12 @@ class _OfBase(NamedTuple):
 
 
 class _OfLevels(NamedTuple):
-    """What the loops need of levels."""
+    """Levels in the form that the loops take."""
 
     gain: FloatArray
-    """as it is"""
+    """gain, in its own shape"""
     blocks: AnyArray
-    """(4, N, M) least transfer conductance of a valid cell in S, and what its uncertainty is made of"""
+    """(4, N, M) S, least transfer conductance of a valid cell; and the three parts of its uncertainty"""
 
     @classmethod
     def none(cls) -> _OfLevels:
@@ -282,7 +282,7 @@ def _independent_columns(
 
 @loop
 def _uncertainties(transfer: Rows, levels: _Blocks, uncertainty: Rows, own_share: Rows) -> None:
-    """Write relative uncertainties (N, M) and the cells' own share of them: :meth:`.Levels.uncertainties`."""
+    """Write relative uncertainties (N, M) and their parts by the cells' own readings: :meth:`.Levels.uncertainties`."""
     rows, columns = transfer.shape
     for i in range(rows):
         for j in range(columns):

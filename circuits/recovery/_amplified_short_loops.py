@@ -1,7 +1,7 @@
-"""What shorts behind amplifiers make of other cells, as machine code: the terms of :class:`.CellsAtLimits`.
+"""Compiled loop for the effect of shorts behind amplifiers on other cells: the terms of :class:`.CellsAtLimits`.
 
-:mod:`._amplified_limits` has the same terms as array operations, and says there what each stands for. Here only the
-rows with a short are visited.
+:mod:`._amplified_limits` has the same terms as array operations, and explains them. The loop visits only the rows with
+a short.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def by_shorts(
     added: Rows,
     by_lines: Rows,
 ) -> None:
-    """Add what shorts make of other cells to three arrays (N, M), the fields of a disturbance.
+    """Add the effect of shorts on other cells to three arrays (N, M), the fields of a disturbance.
 
     Args:
         cells: (N, M) S.
@@ -40,14 +40,14 @@ def by_shorts(
         to_amplifier: (N, M) ohm from each crosspoint to the column's amplifier.
         short_along: (N, M) relative change along the row by a short at each place.
         short_down: (N, M) relative change down the column by a short at each place.
-        short_conductance: (N, M) S that the lines leave of a short at each place.
-        short_share: (N, M) of a current into the row that a short takes.
+        short_conductance: (N, M) S of a short at each place in series with its lines.
+        short_share: (N, M) share of a current into the row that a short takes.
         most_per_ohm: (M,) S into a saturated column's end.
         source: (M,) V behind the columns' ends per volt of drive.
         floor: S, least conductance that a relative change refers to.
-        fixed: (N, M) 0, relative change whatever the conductances.
+        fixed: (N, M) 0, relative change that does not depend on the conductances.
         added: (N, M) S, current of other cells.
-        by_lines: (N, M) relative change because lines are loaded otherwise.
+        by_lines: (N, M) relative change because the load of the lines changes.
 
     """
     rows, columns = cells.shape
@@ -132,7 +132,7 @@ def _joined(
     added: Rows,
     by_source: Row,
 ) -> None:
-    """Add what the columns that one row's shorts join bring into each other: :mod:`._joined_columns`."""
+    """Add the currents between columns that one row's shorts join: :mod:`._joined_columns`."""
     rows, columns = cells.shape
     for one in range(columns):
         if not shorts[row, one]:

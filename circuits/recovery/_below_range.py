@@ -1,12 +1,12 @@
-"""Readings below the converter's range: conductances that such readings leave open, and what they make of other cells.
+"""Readings below the converter's range: the conductances that they leave open, and the effect of these on other cells.
 
-An amplifier's offset, and what it drives through a floating grid, may push the output of a cell far below the range.
-Its code then says only that the cell conducts no more than would lift the output into the range. A fit takes any
-such conductance, and the linear model takes its reading for one that is known.
+An amplifier's offset, and the currents that it drives through a floating grid, may push the output of a cell far below
+the range. The code then only says that the cell conducts less than what would lift the output into the range. A fit
+takes any such conductance, and the linear model treats its reading as known.
 
-Derivatives column by column do not know of current that reaches a column by way of other columns and rows, where hard
-presses and leads lift these. A cell that only such current passes changes other readings of its column by more than
-they say. So the model is evaluated without these cells, too.
+Derivatives column by column neglect currents that reach a column through other columns and rows, where hard presses and
+leads lift these. A cell that carries only such a current changes other readings of its column by more than these
+derivatives say. The model is therefore also evaluated without these cells.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from ._coupled_board import CoupledBoard, Frame, Known
 from ._frame_budget import Budget
 from ._linearised import Base
 
-_ONE_BY_ONE = 8  # readings whose effects are added up without their signs; those of the others keep them
-_ALIKE = 1.2  # ratio of what is open by which effects are kept from frame to frame
-_OPEN = 30.0  # change of a logarithm that leaves nothing of a conductance
+_ONE_BY_ONE = 8  # readings whose effects are added up as absolute values; the effects of the others keep their signs
+_ALIKE = 1.2  # ratio of open voltages up to which effects are kept from frame to frame
+_OPEN = 30.0  # change of a logarithm that makes a conductance zero
 
 
 class BelowRange:
-    """The readings of one board."""
+    """Effect of the readings of one board that lie below the range."""
 
     def __init__(self, parts: CoupledBoard) -> None:
         """For a board."""
@@ -37,15 +37,15 @@ class BelowRange:
         self._alone: tuple[Base | None, dict[int, FloatArray]] = None, {}
 
     def __call__(self, frame: Frame, known: Known, base: Base, budget: Budget, step_price: float) -> FloatArray | float:
-        """Relative change (n,) of the conductances while cells below the range take any value they can have.
+        """Largest relative change (n,) of the conductances over all possible values of cells below the range.
 
         Args:
             frame: the readings, some of which are at the lower end of the range.
-            known: the cells that have been found for them.
+            known: the cells found for the readings.
             base: the linear model about these.
-            budget: of the frame. What it cannot pay for, the next frames do while the base stays; until then the
-                result is too low, and :attr:`.Budget.suffices` is False.
-            step_price: of a step by the base.
+            budget: of the frame. Work that it cannot pay for is done in the next frames while the base stays; until
+                then the result is too low, and :attr:`.Budget.suffices` is False.
+            step_price: price of a step by the base.
 
         """
         open_volts = self._open_volts(frame, known)
@@ -67,14 +67,14 @@ class BelowRange:
         return kept[3]
 
     def _open_volts(self, frame: Frame, known: Known) -> FloatArray:
-        """V (n,) that each reading may be above or below that of the fit, as its cell conducts more or nothing."""
+        """V (n,) by which each reading may differ from that of the fit, if its cell conducts more or nothing."""
         assert frame.bottom is not None
         above = frame.measured + frame.error - known.volts
         below = self._per_siemens * np.exp(known.log)
         return np.where(frame.bottom & (above > 0.0), np.maximum(above, below), 0.0)
 
     def _effects_of_opening(self, known: Known, chosen: BoolArray, volts: FloatArray, base: Base) -> FloatArray:
-        """Relative change (n,) of the other cells if those ``chosen`` (n,) change as far as ``volts`` (n,) allow."""
+        """Relative change (n,) of other cells if those ``chosen`` (n,) change as far as ``volts`` (n,) allow."""
         changed = self._parts.at(np.where(chosen, known.log - _OPEN, known.log)).volts - known.volts
         changed[chosen] = 0.0
         own = (self._per_siemens * np.exp(known.log))[chosen]  # V by which opening a cell changes its own reading
@@ -84,7 +84,7 @@ class BelowRange:
         return more
 
     def _effects(self, volts: FloatArray, base: Base, budget: Budget, step_price: float) -> FloatArray | None:
-        """Relative change (n,) of the other cells by volts (n,) that readings may be off. None: not paid for."""
+        """Relative change (n,) of other cells if readings are off by ``volts`` (n,). None: not paid for."""
         order = np.argsort(volts)[::-1]
         largest = [place for place in order[:_ONE_BY_ONE].tolist() if volts[place] > 0.0]
         of, before = self._alone
@@ -105,7 +105,7 @@ class BelowRange:
         return changed
 
     def _effect_alone(self, place: int, base: Base) -> FloatArray:
-        """Relative change (n,) of the other cells per volt that the reading at ``place`` may be off."""
+        """Relative change (n,) of the other cells per volt of error of the reading at ``place``."""
         alone = np.zeros(len(self._per_siemens))
         alone[place] = 1.0
         change: FloatArray = np.abs(base.step(alone))

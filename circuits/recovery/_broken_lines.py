@@ -1,19 +1,20 @@
 """Lines that break while a board is read: fault detection and isolation by comparing hypotheses (Isermann 2006).
 
-Cells beyond a complete break of their line have no reading any more, but conduct. Where idle lines float they tie the
-lines that they lie on to each other: of a divider whose idle columns float, the cells of a broken row join its columns,
-which stand near the drive while they are not read, so that each column's readings grow. Cells of the other rows then
-read as if they conducted better, in an 8 x 8 array by 8/7 at rest, and far more where the broken row's cells do.
+Cells beyond a complete break of their line have no reading any more, but still conduct. If idle lines float, these
+cells connect the lines on which they lie. Take a divider whose idle columns float: the cells of a broken row join its
+columns, which are near the drive while they are not read, so that the readings of each column grow. Cells of the other
+rows then read as if they conducted better: in an 8 x 8 array by 8/7 at rest, and far more if the broken row's cells
+conduct well.
 
-One frame does not tell that from a row whose cells are open. The frame before does: a break changes the readings of the
-other lines, contacts that open do not. Where all readings from one place of a line to its end fall at once, both
-hypotheses say what the other readings become of the cells as they last were. A break is taken for one where it comes
-at least twice as near.
+One frame cannot tell a break from a row of open cells. The previous frame can: a break changes the readings of the
+other lines, cells that open do not. If all readings from one place of a line to its end fall at once, each hypothesis
+predicts the other readings from the last known cells. The break is accepted if its prediction is at least twice as
+near.
 
-Of a broken line the readings of all others are then brought to what they would be if its cells were open, by the ratio
-of two models at the last cells (deferred correction). The cells that nobody reads are taken to be as they last were.
-What the correction changes counts as uncertainty of the others, which allows for anything from open cells to about
-twice the conductance.
+With a broken line, the readings of all others are corrected to those with open cells in its place, by the ratio of two
+models at the last cells (deferred correction). The unread cells are assumed to be as they last were. The change by this
+correction counts as uncertainty of the other cells, which allows for unread cells from open to about twice their
+conductance.
 """
 
 from __future__ import annotations
@@ -29,20 +30,20 @@ from ._frame_budget import Budget
 from ._linearised import Base
 
 _FELL = 0.25  # share of its last reading below which a cell may be beyond a break
-_RENEWED = 8  # frames between notes of the usual readings, after as many first ones
-_CLEAR = 8.0  # times its error that a reading must have been for that, so that noise alone does not take it there
-_LEAST_CELLS = 2  # beyond a break that tie lines
-_NEARER = 0.5  # of the distance between readings and open cells, at which a break explains them
-_OPEN = -46.0  # logarithm of a conductance that is none: 1e-20 S
+_RENEWED = 8  # frames between records of the usual readings, after as many first ones
+_CLEAR = 8.0  # least last reading of such a cell over its error, so that noise alone cannot make it fall so far
+_LEAST_CELLS = 2  # least number of cells beyond a break that connect lines
+_NEARER = 0.5  # a break is accepted if its misfit is below this share of the misfit with open cells
+_OPEN = -46.0  # logarithm of a conductance that counts as zero: 1e-20 S
 _SERVES = 0.05  # change of a logarithm up to which the correction is kept, which changes far less
-_NOISE = 5.0  # standard deviations of a logarithm up to which likewise: noise is not to come back by the correction
+_NOISE = 5.0  # standard deviations of a logarithm, likewise: noise is not to come back through the correction
 
 
 class BrokenLines:
-    """The lines of one board that have broken since it was first read. Arrays are (N, M) in line coordinates."""
+    """Finds the lines of one board that have broken since it was first read. Arrays are (N, M) in line coordinates."""
 
     def __init__(self, parts: CoupledBoard, price: float) -> None:
-        """For a board on which a comparison has this price beside that of its two models."""
+        """For a board; ``price`` of a comparison, in addition to the prices of its two models."""
         board, circuit = parts.board, parts.board.circuit
         self._parts, self._besides_models = parts, price
         self._columns_tie = board.floating
@@ -54,19 +55,19 @@ class BrokenLines:
         self._age = 0  # frames that have settled
         self.beyond: BoolArray | None = None
         """cells beyond breaks; None: no line is broken"""
-        self._held: FloatArray = np.zeros(parts.shape)  # logarithms of conductances, where a cell is beyond a break
+        self._held: FloatArray = np.zeros(parts.shape)  # logarithms of conductances, for cells beyond breaks
         self._broken = parts.quick
-        self._ratio: FloatArray = np.ones(parts.shape)  # of readings, with open cells to those beyond a break
-        self._at: FloatArray | None = None  # (n,) logarithms for which that holds
+        self._ratio: FloatArray = np.ones(parts.shape)  # readings with open cells over readings with breaks
+        self._at: FloatArray | None = None  # (n,) logarithms for which the ratio holds
 
     def change_notably(self, signal: FloatArray) -> bool:
-        """Whether readings, in V from the reference voltage, are to be taken :meth:`without` what breaks do to them."""
+        """Whether readings, in V from the reference voltage, need the correction :meth:`without` breaks."""
         return self.beyond is not None or bool(np.count_nonzero(signal < self._before) >= _LEAST_CELLS)
 
     def without(
         self, volts: FloatArray, last: FloatArray, std: FloatArray | float, budget: Budget
     ) -> FloatArray | None:
-        """Readings in V as they would be if the cells beyond breaks were open; None: the frame cannot pay for that.
+        """Readings in V as if the cells beyond breaks were open; None: the frame cannot pay for the correction.
 
         Args:
             volts: the readings of a frame.
@@ -89,7 +90,7 @@ class BrokenLines:
         return corrected
 
     def remember(self, volts: FloatArray, error: float) -> None:
-        """Note the readings in V, which may be off by ``error``, of a frame that has settled; some frames suffice."""
+        """Record the readings in V, with error ``error``, of a frame that has settled; some frames suffice."""
         self._age += 1
         if self._age % _RENEWED and self._age > _RENEWED:
             return
@@ -98,16 +99,16 @@ class BrokenLines:
         self._before = before if self.beyond is None else np.where(self.beyond, self._before, before)
 
     def change(self, volts: FloatArray, base: Base) -> FloatArray:
-        """Relative change (n,) of the conductances by what has been taken out of the readings, in V."""
+        """Relative change (n,) of the conductances by the correction of the readings in V."""
         signal = volts - self._parts.board.level
-        with np.errstate(over="ignore"):  # what is boundless stays so
+        with np.errstate(over="ignore"):  # infinite values stay infinite
             changed: FloatArray = np.expm1(np.abs(base.step((signal * (1.0 - 1.0 / self._ratio)).ravel())))
         return changed
 
     def _look(self, signal: FloatArray, low: BoolArray, last: FloatArray, budget: Budget) -> bool:
-        """Find the lines that are broken now, given the readings and those that have fallen (``low``).
+        """Find the lines that are broken now, from the readings and those that have fallen (``low``).
 
-        False where the frame cannot pay for that.
+        False if the frame cannot pay for the search.
         """
         beyond = self._ends_of_lines(low)
         known = np.zeros_like(low) if self.beyond is None else self.beyond
@@ -119,10 +120,10 @@ class BrokenLines:
             if not budget.compare(self._price(held)):
                 return False
             if self._breaks(signal, beyond, low, held):
-                self._at = last.ravel()  # of the ratio that this has told
+                self._at = last.ravel()  # of the ratio that this comparison gave
             else:
                 beyond &= known
-                self._before[low & ~known] = -inf  # these contacts have opened
+                self._before[low & ~known] = -inf  # these cells have opened
         self._held = held
         self.beyond = beyond if beyond.any() else None
         if self.beyond is not None:
@@ -130,8 +131,8 @@ class BrokenLines:
         return True
 
     def _ends_of_lines(self, low: BoolArray) -> BoolArray:
-        """Cells from some place to the far end of their line, none of which is read."""
-        silent = low | (self._before == -inf)  # of the latter nothing is known
+        """Cells from some place to the far end of their line, all without a reading."""
+        silent = low | (self._before == -inf)  # the latter without a known reading
         found = np.zeros_like(low)
         if self._rows_tie:
             found |= np.logical_and.accumulate(silent[:, ::-1], axis=1)[:, ::-1] & _several(low, axis=1)
@@ -140,15 +141,15 @@ class BrokenLines:
         return found if not found.all() else np.zeros_like(low)
 
     def _breaks(self, signal: FloatArray, beyond: BoolArray, low: BoolArray, cells: FloatArray) -> bool:
-        """Whether other readings have become what they become by a break, rather than by open cells.
+        """Whether the other readings match the prediction of a break better than that of open cells.
 
-        Then the ratio of what both make of them is taken.
+        If so, the ratio of the two predictions is kept.
 
         Args:
             signal: V of a frame.
             beyond: cells that a break would cut off.
             low: readings that have fallen.
-            cells: logarithms of the conductances before.
+            cells: logarithms of the conductances before the fall.
 
         """
         try:
@@ -164,7 +165,7 @@ class BrokenLines:
         return found
 
     def _break(self, beyond: BoolArray) -> None:
-        """Make the model whose lines are broken where cells ``beyond`` begin."""
+        """Make the model of the board with lines broken where cells ``beyond`` begin."""
         board = self._parts.board
         row_ohms, column_ohms, column_lead = board.row_ohms.copy(), board.column_ohms.copy(), board.column_lead.copy()
         if self._rows_tie:
@@ -181,11 +182,11 @@ class BrokenLines:
         self._broken = self._parts.quick.broken(row_ohms, column_ohms, column_lead)
 
     def _price(self, cells: FloatArray) -> float:
-        """What it costs to compare the models of the sound board and of the broken one, at logarithms (N, M)."""
+        """Price of comparing the models of the sound and of the broken board, at logarithms (N, M)."""
         return self._besides_models + self._parts.price(cells) + self._broken.price(np.exp(-cells))
 
     def _take_ratio(self, cells: FloatArray, beyond: BoolArray, last: FloatArray) -> None:
-        """Compare the models of the sound board and of the broken one.
+        """Update the ratio from the models of the sound and of the broken board.
 
         Args:
             cells: logarithms of the conductances, also where they are ``beyond`` a break.
@@ -200,23 +201,23 @@ class BrokenLines:
         self._at, self._ratio = last, _ratio(self._if_open(cells, beyond), through, ~beyond)
 
     def _through_breaks(self, cells: FloatArray) -> FloatArray:
-        """V of the broken board, for logarithms of conductances."""
+        """V of the broken board, from the reference voltage, for logarithms of conductances."""
         volts: FloatArray = self._broken(np.exp(-cells)) - self._parts.board.level
         return volts
 
     def _if_open(self, cells: FloatArray, open_cells: BoolArray) -> FloatArray:
-        """V of the sound board with open cells, for logarithms of conductances."""
+        """V of the sound board with open cells, from the reference voltage, for logarithms of conductances."""
         log = np.where(open_cells, _OPEN, cells).ravel()
         volts: FloatArray = self._parts.at(log).volts.reshape(cells.shape) - self._parts.board.level
         return volts
 
 
 def _ratio(if_open: FloatArray, through: FloatArray, read: BoolArray) -> FloatArray:
-    """Of readings with open cells to those beyond a break, in V, where they are ``read``; else 1."""
+    """Readings with open cells over those through breaks, where they are ``read``; else 1."""
     return np.divide(if_open, through, out=np.ones_like(through), where=(through != 0.0) & read)
 
 
 def _several(low: BoolArray, axis: int) -> BoolArray:
-    """Whether lines along an axis have several such cells."""
+    """Whether lines along an axis have at least :data:`_LEAST_CELLS` such cells."""
     several: BoolArray = low.sum(axis=axis, keepdims=True) >= _LEAST_CELLS
     return several

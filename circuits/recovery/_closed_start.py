@@ -1,7 +1,7 @@
-"""Where the first frame of a coupled board begins: conductances from readings by closed formulas.
+"""Start of a coupled board's first frame: conductances from the readings by closed formulas.
 
-Columns that hardly load each other are taken apart exactly, and row leads as by :mod:`._column_blocks`. On other boards
-each reading is taken for that of a cell alone.
+Columns that hardly load each other are separated exactly, and row leads as in :mod:`._column_blocks`. On other boards
+each reading is taken as that of a cell alone.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from ..solvers import siemens
 from ._column_blocks import ColumnBlocks
 from ._coupled_board import CoupledBoard
 
-_NEARLY_OPEN = 1e-3  # share of the median conductance below which a formula's result is taken for no conductance
-_FOR_OPEN = 0.1  # share of the median conductance that an open cell begins at
-_LARGEST = 1e3  # multiples of the largest apparent conductance that a cell beside a short may begin at
-_NO_CELLS = 1e-5  # S, a median where no reading tells of a conductance
+_NEARLY_OPEN = 1e-3  # share of the median conductance below which a formula's result counts as zero
+_FOR_OPEN = 0.1  # initial conductance of an open cell, as a share of the median
+_LARGEST = 1e3  # largest initial conductance of a cell beside a short, over the largest apparent conductance
+_NO_CELLS = 1e-5  # S, the median if no reading shows a conductance
 
 
 class ClosedStart:
     """The closed formulas of one board."""
 
     def __init__(self, parts: CoupledBoard, columns: ColumnBlocks) -> None:
-        """For a board, and its formulas for columns taken apart."""
+        """For a board, and its formulas for separated columns."""
         self._board, self._columns = parts.board, columns
         self._shunt = np.zeros(parts.shape)  # S, beside the cells
         for fault in self._board.shorts:

@@ -1,8 +1,8 @@
 """Gauss-Newton steps in closed form where columns hardly load each other: a diagonal and one product per column.
 
-With grounded idle rows, ideal column lines and light row leads, a reading depends on the conductance D_ij between its
-row driver and its column, and on the sum T_j of its column alone (:meth:`.ReadoutCircuit.column_slopes`). So the
-derivatives by the logarithms of D within one column are
+With grounded idle rows, ideal column lines and light row leads, a reading depends only on the conductance D_ij between
+its row driver and its column, and on the sum T_j of its column (:meth:`.ReadoutCircuit.column_slopes`). The derivatives
+by the logarithms of D within one column are therefore
 
     J = diag(a) + b d',      a_i = D_ij dV_ij/dD_ij,    b_i = dV_ij/dT_j,    d_k = D_kj,
 
@@ -13,9 +13,9 @@ and the normal matrix of a regularised step is diagonal but for two products:
 Its inverse follows from a 2 x 2 matrix per column (Woodbury). A step and the posterior variances of all cells thus cost
 a few operations per cell, and nothing needs to be kept from frame to frame.
 
-Row leads r are taken out by D_ij = g_ij / (1 + r_i S_i), S_i being the sum of a row's conductances. What is neglected
-is current that returns from the leads of the rows into other columns. It makes steps converge linearly, at a rate of
-about the largest share :meth:`ColumnBlocks.loss` of a voltage that the leads take.
+Row leads r are eliminated by D_ij = g_ij / (1 + r_i S_i), with the sum S_i of a row's conductances. The current that
+returns from the leads of the rows into other columns is neglected. It makes steps converge linearly, at a rate of about
+the largest share :meth:`ColumnBlocks.loss` of a voltage that the leads take.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray
 from .._board import Board
 
-_MOST_TAKEN = 0.8  # share of a voltage that a row's lead may take, in a first guess
-_KNOWN = 0.2  # standard deviation of a logarithm up to which the linear law is good enough
+_MOST_TAKEN = 0.8  # largest share of a voltage that a row's lead takes in a first guess
+_KNOWN = 0.2  # standard deviation of a logarithm up to which the linear law suffices
 _LARGEST_SIEMENS = 1e100  # so that no product with a wire of 0 ohm is undefined
-_DEVIATIONS = 1.5  # that a hardly known cell is off where its effect is taken
+_DEVIATIONS = 1.5  # assumed error of a hardly known cell, in standard deviations, where its effect is computed
 
 
 def beyond_linear(std: FloatArray) -> FloatArray:
-    """Further variance of a conductance that is known within ``std`` of its logarithm, over what a linear law gives.
+    """Variance of a conductance, known within ``std`` of its logarithm, in excess of the linear law; relative to it.
 
-    Standard deviations of a logarithm up multiply a conductance by an exponential, not linearly. What a cell that is
-    hardly known may add to the current of its lines is therefore more than the derivatives say. Errors of better known
-    cells have both signs, and their second order averages out.
+    An error of a logarithm multiplies the conductance by an exponential, not by a linear factor. A hardly known cell
+    may therefore add more to the current of its lines than the derivatives say. Errors of better known cells have both
+    signs, and their second order averages out.
     """
     std = np.minimum(np.maximum(_DEVIATIONS * (std - _KNOWN), 1e-3), 4.0)
     more: FloatArray = (np.expm1(std) / std) ** 2 - 1.0
@@ -49,11 +49,11 @@ class Step(NamedTuple):
     """The regularised inverse of the derivatives at one point. Arrays are (N, M), logarithms those of the cells."""
 
     own: FloatArray
-    """standard deviations of a reading per unit of its cell's logarithm, the column's sum kept"""
+    """standard deviations of a reading per unit of its cell's logarithm, at a constant sum of the column"""
     by_sum: FloatArray
     """standard deviations of a reading per S of its column's sum"""
     second_vector: FloatArray
-    """product of the two"""
+    """product of ``own`` and ``by_sum``"""
     driven: FloatArray
     """S, change of D per unit of its cell's logarithm"""
     free: FloatArray
@@ -99,11 +99,11 @@ class ColumnBlocks:
         """For a board.
 
         Args:
-            board: whose readings are taken.
+            board: the board.
             to_driver: (N, M) ohm of wire from each crosspoint to the row driver.
             to_end: (N, M) ohm of wire from each crosspoint to its column's end.
             noise: V, standard deviation of a reading.
-            tells: (N, M) where a reading tells of its cell; None: everywhere.
+            tells: (N, M) where a reading depends on its cell; None: everywhere.
 
         """
         self._board, self._noise = board, noise
@@ -114,7 +114,7 @@ class ColumnBlocks:
         self._series = self._to_driver + self._to_end + board.column_lead + board.series_ohms
         self._tells = np.ones(board.shape, dtype=np.bool_) if tells is None else tells
         self.applies = board.plain and not board.floating
-        """whether the board's readings have this form at all"""
+        """whether the board's readings have this form"""
         if self.applies:
             some = np.full(board.shape, 1e-4)
             self.applies = board.circuit.column_slopes(board, some, some.sum(axis=0)) is not None
@@ -126,21 +126,21 @@ class ColumnBlocks:
             self.has_law = found is not None
 
     def loss(self, conductance: FloatArray) -> float:
-        """Largest share of a voltage that is lost where the form does not hold, at crosspoints (N, M) in S."""
-        conductance = np.minimum(conductance, _LARGEST_SIEMENS)  # that of a cell that ran away is infinite
+        """Largest share of a voltage lost in lines that the form neglects, at crosspoints (N, M) in S."""
+        conductance = np.minimum(conductance, _LARGEST_SIEMENS)  # it is infinite for a cell whose fit ran away
         along = (self._to_driver * conductance).sum(axis=1).max(initial=0.0)
         return float(along + (self._to_end * conductance).sum(axis=0).max(initial=0.0))
 
     def _lifted(self, crosspoint: FloatArray, conductance: FloatArray, std: FloatArray) -> FloatArray:
-        """Deviation (N, M) of the logarithms by columns that lift idle rows, whose cells feed the other columns.
+        """Standard deviation (N, M) of the logarithms by columns that lift idle rows, whose cells feed other columns.
 
-        A column at its share of the drive lifts an idle row by that share and by what the row's lead takes of it. An
-        error of the column's scale changes all these lifts together, that of a single cell only its row's.
+        A column at its share of the drive lifts an idle row by the part of this share that the row's lead takes. An
+        error of the column's scale changes all these lifts together, an error of a single cell only that of its row.
 
         Args:
             crosspoint: (N, M) S between the rows' drivers and the columns.
             conductance: (N, M) S between the rows and the columns.
-            std: (N, M) of the logarithms by other causes.
+            std: (N, M) standard deviation of the logarithms by other causes.
 
         """
         least = np.finfo(np.float64).tiny
@@ -168,7 +168,7 @@ class ColumnBlocks:
         """The step at cells (N, M) in ohm.
 
         Args:
-            cells: where.
+            cells: the point of linearisation.
             spread: (N, M) standard deviation of the logarithms before anything is read.
             hidden: (N, M) cells whose conductance no reading tells.
 
@@ -180,13 +180,13 @@ class ColumnBlocks:
         driven = crosspoint
         if board.faults:
             driven = np.where(self._reached, cells / (cells + board.series_ohms) ** 2, 0.0) / along_row
-        with np.errstate(invalid="ignore"):  # an endless resistance behind a column without conductance
+        with np.errstate(invalid="ignore"):  # an infinite resistance behind a column without conductance
             slopes = board.circuit.column_slopes(board, crosspoint, crosspoint.sum(axis=0))
         assert slopes is not None
         by_own, by_sum = slopes[0] / self._noise, slopes[1] / self._noise
         if not (np.isfinite(by_own).all() and np.isfinite(by_sum).all()):
             by_own, by_sum = np.nan_to_num(by_own), np.nan_to_num(by_sum)
-        # S of a crosspoint that its own reading can tell from none
+        # S, least conductance of a crosspoint that its own reading tells from zero
         tells = self._tells & (by_own != 0.0)
         least = np.divide(1.0, np.abs(by_own), out=np.zeros(board.shape), where=tells)
         floor = np.log(np.maximum(least * along_row, np.finfo(np.float64).tiny))
@@ -203,9 +203,9 @@ class ColumnBlocks:
         first, both, second = at_second / determinant, -at_both / determinant, at_first / determinant
         lessened = first * driven**2 + 2.0 * both * driven * second_vector + second * second_vector**2
         information = 1.0 / free + squares * driven**2 + 2.0 * driven * second_vector
-        # No cell is known better than if all others were: rounding must not say so.
+        # No cell is known better than if all others were known. Rounding must not give less.
         variance = np.maximum(free - free**2 * lessened, 1.0 / information)
-        # What cells that are hardly known make of the others, see beyond_linear().
+        # Effect of hardly known cells on the others, see beyond_linear().
         weight = free**2 * beyond_linear(np.sqrt(variance)) / variance
         by_first = np.einsum("ij,ij,ij->j", driven, weight, driven)
         by_both = np.einsum("ij,ij,ij->j", driven, weight, second_vector)

@@ -1,13 +1,12 @@
-"""Scales of a divider's columns: within which factor readings leave them open, and what other cells this changes.
+"""Scales of a divider's columns: the factor by which readings leave them open, and its effect on other cells.
 
-Row i has a lead r_i between its driver and its crosspoints, column j a load h_j in siemens. Of row i's potential the
-share p_ij = r_i D_ij is that of column j, D_ij being the conductance from the row's driver to the column. A reading
-y_ij is the potential of column j, over the drive, while row i is driven. Kirchhoff's current laws then say:
+Row i has a lead r_i between its driver and its crosspoints; column j has a load of h_j siemens. D_ij is the
+conductance from row i's driver to column j, and p_ij = r_i D_ij is the share of column j in row i's potential. A
+reading y_ij is the potential of column j, over the drive, while row i is driven. Kirchhoff's current laws then give:
 
-1. The readings of a column are to each other as its D are. A factor F for all of them, its scale, is what they leave
-   open.
-2. While all rows are driven, columns lie below the drive by d_j = 1 - sum_i y_ij. If idle columns are loaded, rows lie
-   below it by e_i = r_i sum_j h_j y_ij, by reciprocity. Readings tell both, whatever the cells are.
+1. The readings of a column have the ratios of its D. They leave open one factor F for all D of the column, its scale.
+2. While all rows are driven, column j lies below the drive by d_j = 1 - sum_i y_ij. If idle columns are loaded, row i
+   lies below the drive by e_i = r_i sum_j h_j y_ij, by reciprocity. The readings give both, whatever the cells are.
 3. The currents into a column are then known. With G_ij = D_ij / (1 - sum_j p_ij) they fix its scale:
 
        excess(F) = sum_i G_ij(F) (d_j - e_i) - h_j sum_i y_ij = 0.
@@ -17,15 +16,15 @@ y_ij is the potential of column j, over the drive, while row i is driven. Kirchh
 
        G_kj o_k = (h_j + T_j) y_kj - sum_(i != k) G_ij u_ik.
 
-If every column lies above every row, d_j > e_i, all terms of the third law are positive, and grow with F: there is one
-scale. If a row lies below a column, its term falls as the row comes to hang on that column, and two scales may give the
-same readings: the row hangs on the column, or hardly takes part. Columns of good conductors have small d_j. Where an
-ADC step hides d_j, any scale up to that of a short will do.
+If every column lies above every row, d_j > e_i, all terms of the third law are positive and grow with F: the scale is
+unique. If a row lies below a column, its term falls as the row's potential follows that column more, and two scales may
+give the same readings: the row follows the column, or hardly takes part. Columns of good conductors have small d_j. If
+an ADC step hides d_j, any scale up to that of a short is possible.
 
-So the columns in question are known from the readings. For each of them the least and the largest possible scale are
-searched for, along the whole range from no conductance to a short, while the others take any value within their own
-ranges. The fourth law, whose cells fall with every u and o, then bounds all other cells. This encloses all sets of
-cells, not only those near the one that has been found. Segments along a column count as an error of its d.
+The columns in question are thus known from the readings. For each of them we search the whole range of scales, from no
+conductance to a short, for the least and the largest possible one, while the other columns take any value within their
+own ranges. The fourth law, whose cells fall with every u and o, then bounds all other cells. These bounds enclose all
+sets of cells, not only those near the fitted one. Segments along a column count as an error of its d.
 """
 
 from __future__ import annotations
@@ -43,23 +42,23 @@ from ._linearised import Base
 
 _NEAR = 2.0  # margin of the condition for columns in question, so that it holds for all cells for which a base serves
 _BESIDE = 2.0  # the same for columns whose shapes may change beside a column below which a row may lie
-_UNKNOWN = 0.02  # relative change of cells by a column's scale from which on linear uncertainties do not suffice
-_MARGIN = 1.2  # for segments along the lines, and for what the first order leaves out
-_JOINED = 2.0  # times the scale of a short that a column may have beside others in question, which distort its shape
-_MOST_SEARCHED = 4  # columns whose scales are searched for; more in question may have any
+_UNKNOWN = 0.02  # relative change of cells by a column's scale, beyond which linear uncertainties do not suffice
+_MARGIN = 1.2  # for segments along the lines, and for terms beyond the first order
+_JOINED = 2.0  # largest scale over that of a short, beside other columns in question, which distort the shape
+_MOST_SEARCHED = 4  # columns whose scales are searched for; with more in question, any scale counts as possible
 _BOUNDLESS = 1e100
-_LARGEST_SIEMENS = 1e30  # that of a cell that ran away is infinite
+_LARGEST_SIEMENS = 1e30  # for cells whose fit ran away to infinity
 _LARGEST = 1e6  # scale beyond which no lead limits one
-_NOT_LEFT = 1e-9  # share of a voltage that is as good as none
+_NOT_LEFT = 1e-9  # share of a voltage that counts as none
 _LEAST = np.finfo(np.float64).tiny
 _SWEEPS = 3  # of the fourth law
 _CLOSE = 1.0 - np.logspace(-5.0, -0.31, 30)
-_TO_SHORT = np.concatenate([_CLOSE, np.logspace(-0.32, -9.0, 40)])  # share of 1/F that is left of the way to a short
+_TO_SHORT = np.concatenate([_CLOSE, np.logspace(-0.32, -9.0, 40)])  # share of 1/F left on the way to a short
 _TO_OPEN = np.concatenate([_CLOSE, np.logspace(-0.32, -6.0, 20)])  # F
 
 
 class ColumnScales:
-    """The scales of the columns of one board; dividers whose idle rows are driven."""
+    """Possible scales of the columns of one board; for dividers whose idle rows are driven."""
 
     def __init__(self, parts: CoupledBoard, prices: CoupledPrices) -> None:
         """For a board."""
@@ -76,7 +75,7 @@ class ColumnScales:
         self.per_volt = behind / board.reference / board.drive
         """(M,) 1/V: share of the drive at a column, per volt of a reading; its sign is that of the drive"""
         self.loaded = board.idle_columns == "load"
-        """whether columns have their loads while they are not read"""
+        """whether columns are loaded while they are not read"""
         self.applies = not (board.floating or board.circuit.has_amplifiers) and bool(self.lead.any())
         """whether scales of columns change other cells"""
         adc = board.adc
@@ -86,18 +85,18 @@ class ColumnScales:
         self._kept: tuple[Base | None, bool] = None, False  # whether columns may be in question while a base serves
 
     def disturb(self, frame: Frame, known: Known, base: Base, covered: float, budget: Budget) -> FloatArray | None:
-        """Largest relative change (n,) of the cells from those that have been found to others that give the readings.
+        """Largest relative change (n,) from the fitted cells to others with the same readings.
 
         Args:
             frame: the readings.
-            known: the cells that have been found for them.
-            base: the linear model that served for this.
+            known: the cells found for the readings.
+            base: the linear model of the fit.
             covered: V, error of a reading that linear uncertainties cover.
             budget: of the frame.
 
         Returns:
-            None where all scales are known well enough for linear uncertainties, as in nearly all frames, or where the
-            frame cannot pay.
+            None if all scales are known well enough for linear uncertainties, as in nearly all frames, or if the frame
+            cannot pay.
 
         """
         served, near = self._kept
@@ -113,21 +112,21 @@ class ColumnScales:
         if not in_question.any():
             return None
         suspect = told.suspect(1.0)
-        if suspect.any():  # rows that may hang on such a column also change the shape of others that are not far below
+        if suspect.any():  # rows that may follow such a column also change the shape of others not far below
             suspect = told.suspect(_BESIDE)
         columns = np.flatnonzero(in_question | suspect)
         searched = _searched(int(np.count_nonzero(suspect))) if self.loaded else 0
         if not budget.judge(self._prices.scales + searched * self._prices.narrow):
             return None
         conductance = np.minimum(self._parts.board.cell_conductance(known.cells), _LARGEST_SIEMENS)
-        with np.errstate(over="ignore"):  # what is boundless stays so
+        with np.errstate(over="ignore"):  # infinite values stay infinite
             found = _Scales(self.lead, self.load, conductance, told, columns, suspect[columns])
             if self.loaded:
                 found.search()
             return (_MARGIN * found.changes()).ravel()
 
     def _told(self, frame: Frame, known: Known, covered: float) -> _Told:
-        """What the readings tell of all columns and rows."""
+        """Deficits of all columns and rows, by the readings."""
         parts, per_volt = self._parts, self.per_volt
         rows = parts.shape[0]
         signal = known.volts.reshape(parts.shape) - parts.board.level
@@ -141,14 +140,14 @@ class ColumnScales:
         through = self.lead * conductance
         along = 1.0 + through.sum(axis=1, keepdims=True)
         own = (1.0 + np.einsum("ij,ij->i", through, share)[:, None]) / along  # o
-        # Errors of a column's readings add up as independent ones do, but for the converter's offset and gain error.
+        # Errors of a column's readings add up as independent ones, except for the converter's offset and gain error.
         together = min(sqrt(rows) * covered, rows * frame.error)
         shift = rows * self._offset + self._gain * np.abs(frame.volts - self._lowest).sum(axis=0)
         below = np.zeros((2, rows))
         if self.loaded:
             below = np.stack([(self.lead * share) @ self.load, self.lead @ (error * self.load)])
         deficit = 1.0 - share.sum(axis=0)
-        # Crosspoints of a column are apart by what currents from row to row lose in its segments.
+        # The crosspoints of a column differ by the voltage that currents from row to row lose in its segments.
         apart_by_wire = self._wire * (conductance * np.abs(deficit - below[0][:, None])).sum(axis=0)
         return _Told(
             share=share,
@@ -165,31 +164,31 @@ class ColumnScales:
 
 
 def _searched(suspects: int) -> int:
-    """How many searches that many columns take: what one column's search finds narrows the others'."""
+    """Number of searches for that many columns: the result for one column narrows the others'."""
     return suspects * min(suspects, 2) if suspects <= _MOST_SEARCHED else 0
 
 
 class _Told(NamedTuple):
-    """What readings tell of the lines, in shares of the drive."""
+    """Potentials of the lines by the readings, as shares of the drive."""
 
     share: FloatArray
-    """(N, M) y, potential of each column while a row is driven, for the cells that have been found"""
+    """(N, M) y, potential of each column while a row is driven, by the model at the fitted cells"""
     error: FloatArray
     """(M,) of a reading"""
     deficit: FloatArray
-    """(M,) d, by which columns lie below the drive while all rows are driven, for the cells that have been found"""
+    """(M,) d, by which columns lie below the drive while all rows are driven, at the fitted cells"""
     read: FloatArray
     """(M,) the same by the readings"""
     deficit_error: FloatArray
-    """(M,) of that"""
+    """(M,) error of the deficit"""
     row_deficit: FloatArray
     """(N,) e, by which rows lie below the drive"""
     row_error: FloatArray
-    """(N,) of that"""
+    """(N,) error of the rows' deficit"""
     lowest: float
-    """the largest deficit that a row may have"""
+    """largest possible deficit of a row"""
     hang: FloatArray
-    """(M,) most relative change of a row's other cells by that of the column's scale"""
+    """(M,) largest relative change of a row's other cells by that of the column's scale"""
     counts: BoolArray
     """(M,) columns that are not left out"""
 
@@ -207,7 +206,7 @@ class _Told(NamedTuple):
 
 
 class _Scales:
-    """Possible scales of some columns, K in number, and what they change. The scale that has been found is 1."""
+    """Possible scales of K columns, and their effect on the cells. The fitted scale is 1."""
 
     def __init__(
         self,
@@ -223,10 +222,10 @@ class _Scales:
         Args:
             lead: (N, M) ohm from crosspoints to the rows' drivers.
             load: (M,) S.
-            conductance: (N, M) S, the cells that have been found.
-            told: by the readings.
+            conductance: (N, M) S, the fitted cells.
+            told: deficits by the readings.
             columns: (K,) their numbers.
-            suspect: (K,) those which may have any scale, as far as the first look tells.
+            suspect: (K,) columns that may have any scale, by the first test.
 
         """
         self._suspect, self._all_suspect = suspect, bool(suspect.all())
@@ -235,7 +234,7 @@ class _Scales:
         self._left = 1.0 / (1.0 + through.sum(axis=1))  # (N,) share of its own driver in a row's potential
         self._hangs = through * self._left[:, None]  # (N, M) p
         cells, hangs = conductance[:, columns], self._hangs[:, columns]
-        # D over the reading that it makes: a reading's error may hide as much.
+        # D over the reading that it causes: a reading's error may hide a D of this size times the error.
         per_share = load[columns] + (cells * (1.0 - hangs)).sum(axis=0)
         self._hidden = lead[:, columns] * np.minimum(told.error[columns] * per_share, _BOUNDLESS)  # (N, K) of p
         self._rise = told.read[columns] - told.row_deficit[:, None]  # (N, K) from rows to columns, all rows driven
@@ -253,7 +252,7 @@ class _Scales:
         self._hangs_most = np.maximum(np.minimum(self._most * (hangs + self._hidden), 1.0), hangs)
 
     def search(self) -> None:
-        """Narrow the scales of columns below which rows may lie, each with the others anywhere in their ranges."""
+        """Narrow the scales of the suspect columns, each with the others anywhere in their ranges."""
         suspects = np.flatnonzero(self._suspect).tolist()
         for number in range(_searched(len(suspects))):
             self._narrow(suspects[number % len(suspects)])
@@ -293,7 +292,7 @@ class _Scales:
         return most
 
     def changes(self) -> FloatArray:
-        """Largest relative change (N, M) of the cells within all possible scales, by the fourth law."""
+        """Largest relative change (N, M) of the cells over all possible scales, by the fourth law."""
         columns, share, cells = self._columns, self._told.share, self._cells
         now, of_columns = self._hangs[:, columns], share[:, columns]
         more, less = self._hangs_most - now, now - self._hangs_least
@@ -313,7 +312,7 @@ class _Scales:
         for _ in range(_SWEEPS):
             most = np.maximum((told - lift_least.T @ least) / own_least, cells)
             least = np.clip((told - lift_most.T @ most) / own_most, 0.0, cells)
-        # A row that may hang on a column can have cells that it hides in the errors of its readings.
+        # A row that may follow a column can have cells whose effect is within the errors of its readings.
         may_hang = own_least[:, 0] < own * (1.0 - _NOT_LEFT)
         hidden = self._told.error * (self._load + cells.sum(axis=0)) * (may_hang[:, None] / own_least)
         change = np.maximum(most - cells, cells - least) + lift_most.T @ hidden
@@ -322,14 +321,14 @@ class _Scales:
         return relative
 
     def _own_changes(self, more: FloatArray, less: FloatArray) -> FloatArray:
-        """The same (N, K) of the cells of the columns in question, given by how much (N, K) their p rises and falls."""
+        """The same for the cells (N, K) of the columns in question, given the rises and falls (N, K) of their p."""
         left = np.maximum(self._left, _NOT_LEFT)
         left_least = np.maximum(self._left - self._together(more), _NOT_LEFT)
         left_most = left + self._together(less)
         most = self._most * (left / left_least)[:, None]
         least = self._least * (left / left_most)[:, None]
         changes: FloatArray = np.maximum(most - 1.0, 1.0 - least)
-        # What rows carry to other columns counts most in cells that conduct little beside the column's others.
+        # Currents that rows carry to other columns matter most in cells of little conductance beside the others.
         cells = self._cells[:, self._columns]
         carried = self._all_hangs_most().T @ (cells * most) - self._least * (self._hangs.T @ cells)  # (M, K)
         carried[self._columns, np.arange(len(self._columns))] = 0.0
@@ -337,7 +336,7 @@ class _Scales:
         return changes
 
     def _together(self, change: FloatArray) -> FloatArray:
-        """Sum (N,) of changes (N, K) by each column. Those by errors of readings add up as independent ones do."""
+        """Sum (N,) of changes (N, K) by each column; changes by errors of readings add up as independent ones."""
         if self._all_suspect:
             return np.asarray(change.sum(axis=1), dtype=np.float64)
         suspect, others = change[:, self._suspect], change[:, ~self._suspect]
@@ -356,7 +355,7 @@ class _Scales:
 
 
 class _Beside(NamedTuple):
-    """The other columns. Rows that hang on two columns carry current from one to the other."""
+    """The other columns. A row that follows two columns carries current from one to the other."""
 
     hangs: FloatArray
     """(N, M) p; 0 in the column itself"""
@@ -376,13 +375,13 @@ class _CurrentLaw(NamedTuple):
     hangs: FloatArray
     """(N,) p"""
     left_least: FloatArray
-    """(N,) share of a row's potential that other columns leave to this one and to the row's driver, at least"""
+    """(N,) least share of a row's potential that other columns leave to this one and to the row's driver"""
     left_most: FloatArray
-    """(N,) the same at most"""
+    """(N,) the largest such share"""
     rise: FloatArray
-    """(N,) from the rows to the column"""
+    """(N,) voltage from the rows to the column"""
     error: FloatArray
-    """(N,) of that"""
+    """(N,) error of the rise"""
     current: float
     """S, into the column's load, over the drive"""
     beside: _Beside
@@ -390,11 +389,11 @@ class _CurrentLaw(NamedTuple):
 
     @property
     def largest(self) -> float:
-        """The scale of a short, which leaves nothing of a row's potential to its driver."""
+        """The scale of a short, which leaves no share of a row's potential to its driver."""
         return float((self.left_most / np.maximum(self.hangs, _LEAST)).min())
 
     def possible_scales(self) -> tuple[float, float]:
-        """The least and the largest possible scale, searched for from 1 on down to none and up to that of a short."""
+        """The least and the largest possible scale, searched from 1 down to zero and up to that of a short."""
         largest = min(self.largest, _LARGEST) * (1.0 - _NOT_LEFT)
         scales, down = _TO_OPEN, len(_TO_OPEN)
         if largest > 1.0:
@@ -408,14 +407,14 @@ class _CurrentLaw(NamedTuple):
         return least, _last_possible(scales[down:], low[down:], high[down:], largest)
 
     def _excess(self, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """S, least and most current (P,) into the column beyond that of its load, at scales (P,)."""
+        """S, least and largest current (P,) into the column beyond that of its load, at scales (P,)."""
         scale = scales[:, None]
         by_most = scale * self.driven / np.maximum(self.left_least - scale * self.hangs, _NOT_LEFT)
         by_least = scale * self.driven / np.maximum(self.left_most - scale * self.hangs, _NOT_LEFT)
         low, high = self.rise - self.error, self.rise + self.error
         excess_low = np.where(low > 0.0, by_least, by_most) @ low - self.current
         excess_high = np.where(high > 0.0, by_most, by_least) @ high - self.current
-        # What rows carry to other columns distorts the shape of this one, by the other columns' readings.
+        # Currents that rows carry to other columns distort the shape of this one, by the other columns' readings.
         hangs, hangs_most, share = self.beside
         carried = np.abs(by_most @ hangs_most - scale * (self.cells @ hangs))
         per_driven = by_most / np.maximum(self.driven, _LEAST) / scale
@@ -424,13 +423,13 @@ class _CurrentLaw(NamedTuple):
 
 
 def _last_possible(scales: FloatArray, low: FloatArray, high: FloatArray, end: float) -> float:
-    """The possible scale that is farthest from 1.
+    """The possible scale farthest from 1.
 
     Args:
         scales: (P,) from 1 on outwards.
         low: S, least excess (P,) at these scales.
-        high: S, most excess (P,).
-        end: what is returned if the last of them is possible.
+        high: S, largest excess (P,).
+        end: the result if the last scale is possible.
 
     """
     possible = (low <= 0.0) & (high >= 0.0)
@@ -439,7 +438,7 @@ def _last_possible(scales: FloatArray, low: FloatArray, high: FloatArray, end: f
     place = int(last[-1]) if last.size else 0
     if place + 1 == len(scales):
         return end
-    # From there to the next one, the bound that is nearer to 0 crosses it.
+    # From there to the next scale, the bound nearer to 0 crosses it.
     bound = low if low[place + 1] > 0.0 else high
     before, after = float(bound[place]), float(bound[place + 1])
     part = before / (before - after) if before * after < 0.0 else 1.0

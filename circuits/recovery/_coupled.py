@@ -3,18 +3,18 @@
 A frame goes through the stages of :meth:`CoupledLive._read`:
 
 ======================================  ================================================================
-readings at limits are left out         :mod:`._readings_at_limits`
-what lines that broke do to the others  :mod:`._broken_lines`
-a start                                 the last frame's cells, or :mod:`._closed_start`
+leave out readings at limits            :mod:`._readings_at_limits`
+correct for lines that broke            :mod:`._broken_lines`
+choose a start                          the last frame's cells, or :mod:`._closed_start`
 steps within the frame's budget         :mod:`._gauss_newton`, :mod:`._linearised`, :mod:`._frame_budget`
-how well the cells give the readings    :meth:`CoupledLive._judge_misfit`
+judge the misfit of the readings        :meth:`CoupledLive._judge_misfit`
 uncertainty                             :mod:`._fit_uncertainty`, :mod:`._column_scales`,
                                         :mod:`._follower_solutions`, :mod:`._below_range`
-what possible shorts disturb            :mod:`._possible_shorts`
+cells that possible shorts disturb      :mod:`._possible_shorts`
 values, validity, and reasons           :meth:`CoupledLive._reading`
 ======================================  ================================================================
 
-What does not change from frame to frame, and the circuit model, are in :mod:`._coupled_board`.
+The constant parts of a board, and its circuit model, are in :mod:`._coupled_board`.
 """
 
 from __future__ import annotations
@@ -54,28 +54,28 @@ from ._lost_rows import LostRows
 from ._possible_shorts import PossibleShorts
 from ._readings_at_limits import ReadingLimits, Selection
 
-_MOST_FAILURES = 3  # frames in a row until the design is not believed: other starts may lead to a fit
+_MOST_FAILURES = 3  # frames in a row until the design is taken for wrong: other starts may lead to a fit
 _ROUGHLY = 0.05  # change of a logarithm that matters for cells which only load others
-_JUMP = 20.0  # half steps between readings and the last frame's cells from which on closed formulas are nearer
+_JUMP = 20.0  # half steps between readings and the last frame's cells: beyond, closed formulas are nearer
 
 
 class _Open(NamedTuple):
-    """What a frame leaves open about its cells, relative to their conductances; (n,) each."""
+    """Uncertainties that a frame leaves in its cells, relative to their conductances; (n,) each."""
 
     others: FloatArray
-    """by cells that no reading tells of, and by columns that are left out or of unknown scale"""
+    """by cells without a reading, and by columns that are left out or have an unknown scale"""
     fitted: FloatArray
     """by everything but those columns"""
     all: FloatArray
     """by everything"""
 
     def besides(self, change: FloatArray | None) -> _Open:
-        """What is open where other columns may change the cells by as much (n,) more; None: they do not."""
+        """The same if other columns may change the cells by ``change`` (n,) in addition; None: they do not."""
         return self if change is None else self._replace(others=self.others + change, all=self.all + change)
 
 
 class CoupledLive:
-    """Cells of boards on which each reading depends on many cells, frame after frame."""
+    """Live recovery of boards on which each reading depends on many cells."""
 
     def __init__(self, board: Board, rule: ValidityRule) -> None:
         """For a board with a converter.
@@ -102,9 +102,9 @@ class CoupledLive:
         self._broken = BrokenLines(parts, prices.compare)
         self._convergence = Convergence()
         self._steps = GaussNewton(parts, self._linearised, self._convergence)
-        self._known: Known | None = None  # where the last frame ended
+        self._known: Known | None = None  # the result of the last frame
         self._settled: FloatArray | None = None  # (n,) logarithms of the conductances of the last frame that settled
-        self._has_begun = False  # there has been a frame
+        self._has_begun = False  # whether there has been a frame
         self._any_gone = bool(parts.gone.any())
         self._all_valid = np.ones(parts.shape, dtype=np.bool_), np.zeros(parts.shape, dtype=np.int8)
         for shared in self._all_valid:
@@ -133,7 +133,7 @@ class CoupledLive:
         )
 
     def _read(self, volts: FloatArray, limited: BoolArray | None, noise: float) -> LiveReading:
-        """One frame in line coordinates."""
+        """Recover one frame in line coordinates."""
         budget = self._budget_of_frame()
         signal, error = np.abs(volts - self._parts.board.level), self._parts.half_step + SIGMAS * noise
         selection = self._limits.select(signal, limited, error, self._convergence)
@@ -157,7 +157,7 @@ class CoupledLive:
         fit, doubt = self._fit(frame, start, budget)
         short = self._shorts.as_good_as_short(fit.known)
         self._judge_misfit(fit, short)
-        if fit.none and short is not None:  # readings hardly tell such a cell from a short
+        if fit.none and short is not None:  # readings hardly distinguish such a cell from a short
             return self._nothing(short)
         self._steps.settle(fit)
         if not self._convergence.astray:
@@ -170,7 +170,7 @@ class CoupledLive:
             by_lost = self._rows.change(frame, selection.lost_rows, selection.at_limit, conductance)
         left = self._left_open(frame, fit, by_lost, doubt, budget)
         beside = self._disturbed(frame, fit, selection, left.fitted, short, budget)
-        # Other sets of cells are enclosed where that may tell of some cell.
+        # Other sets of cells are enclosed only if the result can make some cell valid.
         if not self._convergence.astray and np.any((left.all <= 1.0) & ~beside.ravel()):
             left = left.besides(self._other_cells(frame, fit, budget))
         return self._reading(
@@ -178,7 +178,7 @@ class CoupledLive:
         )
 
     def _budget_of_frame(self) -> Budget:
-        """The budget of a new frame. What the first one of all has left is lost, also where it tells of no cell."""
+        """The budget of a new frame. The first frame alone has the large budget, even if it determines no cell."""
         if self._has_begun:
             most = self._prices.most(looks=self._shorts.usually_looks)
             account = Account(most if self._parts.sheet is None else inf)
@@ -188,24 +188,23 @@ class CoupledLive:
         return Budget(FIRST_EFFORT, Account(inf))
 
     def _at(self, log: FloatArray, budget: Budget, more: float = 0.0) -> Known | None:
-        """Evaluate the model for the logarithms (n,) of conductances that a frame starts from.
+        """Evaluate the model at the logarithms (n,) of the conductances from which a frame starts.
 
-        None where the frame cannot pay for that, and ``more``.
+        None if the frame cannot pay for this evaluation and ``more``.
         """
         return self._parts.at(log) if budget.start(self._parts.price(log) + more) else None
 
     def _usual_start(
         self, frame: Frame, selection: Selection, budget: Budget
     ) -> tuple[Known, FloatArray | float] | None:
-        """The last frame's cells, or others; cells of which the frame does not tell are usual ones.
+        """The last frame's cells, or a new start; cells that the frame does not determine get usual values.
 
-        Where the last frame's cells lead nowhere, closed formulas and the cells of the last frame that settled take
-        turns.
+        If the last frame's cells lead nowhere, starts alternate between closed formulas and the cells of the last frame
+        that settled.
 
         Returns:
-            The cells, and the relative change (n,) of all others by columns that are left out. None where the frame
-            cannot pay for its start.
-
+            The cells, and the relative change (n,) of all others by columns that are left out. None if the frame cannot
+            pay for its start.
         """
         start: Known | None = self._known
         if start is None:
@@ -236,7 +235,7 @@ class CoupledLive:
         return None if start is None else (start, 0.0)
 
     def _nearer_start(self, frame: Frame, known: Known, budget: Budget) -> Compared:
-        """The start or, after a jump of the readings, closed formulas where these are nearer."""
+        """The start or, after a jump of the readings, the cells by closed formulas if these are nearer."""
         start = frame.compared(known)
         goes_on = self._linearised.columns.applies and known is self._known
         if goes_on and start.half_steps > _JUMP * frame.coarser:
@@ -250,7 +249,7 @@ class CoupledLive:
         return start
 
     def _fit(self, frame: Frame, start: Compared, budget: Budget) -> tuple[Fit, float]:
-        """Cells that give the readings, and what a continuous sheet leaves open about them, relative."""
+        """The fitted cells, and the relative error of their conductances by a continuous sheet."""
         fit, sheet = self._steps.fit(frame, start, budget), self._parts.sheet
         if sheet is None:
             return fit, 0.0
@@ -262,7 +261,7 @@ class CoupledLive:
         return fit, sheet.doubt(fit.known.log)
 
     def _judge_misfit(self, fit: Fit, short: BoolArray | None) -> None:
-        """Decide what the next frame starts from.
+        """Decide from which cells the next frame starts.
 
         Args:
             fit: of this frame.
@@ -287,13 +286,13 @@ class CoupledLive:
                 raise SolverError("no cell resistances give these readings; check that the design is that of the board")
 
     def _left_open(self, frame: Frame, fit: Fit, by_lost: FloatArray | float, doubt: float, budget: Budget) -> _Open:
-        """Uncertainties of the fit.
+        """Uncertainties of the fitted cells.
 
         Args:
             frame: the readings.
-            fit: the cells that have been found for them.
+            fit: the cells found for the readings.
             by_lost: relative change (n,) by columns that are left out.
-            doubt: relative, what a continuous sheet leaves open.
+            doubt: relative error by a continuous sheet.
             budget: of the frame.
 
         """
@@ -307,9 +306,9 @@ class CoupledLive:
             fitted = by_readings + others + doubt
             return _Open(others + by_columns, fitted, fitted + by_columns)
         if self._is_divider and isinstance(by_columns, np.ndarray):
-            # That is a change of crosspoints, of which a cell is a small part beside heavy leads.
+            # This is a change of crosspoints; beside heavy leads the cell is a small part of its crosspoint.
             leads = np.where(np.isfinite(self._parts.leads), self._parts.leads, 0.0)
-            with np.errstate(over="ignore"):  # what is boundless stays so
+            with np.errstate(over="ignore"):  # infinite values stay infinite
                 by_columns = by_columns * (1.0 + leads / fit.known.cells).ravel()
         if frame.bottom is not None:
             others = others + self._below(frame, fit.known, base, budget, self._linearised.step_price)
@@ -319,7 +318,7 @@ class CoupledLive:
         return _Open(others + by_columns, fitted, fitted + by_columns)
 
     def _other_cells(self, frame: Frame, fit: Fit, budget: Budget) -> FloatArray | None:
-        """Largest relative change (n,) of the cells to others, far from these, that give the readings; None: none."""
+        """Largest relative change (n,) from these cells to others, far away, with the same readings; None: none."""
         base = self._linearised.base
         if self._scales.applies:
             return self._scales.disturb(frame, fit.known, base, self._uncertainty.covered(frame), budget)
@@ -336,21 +335,21 @@ class CoupledLive:
         short: BoolArray | None,
         budget: Budget,
     ) -> BoolArray:
-        """(N, M) cells of which the frame does not tell, or whose values shorts would make wrong.
+        """(N, M) cells that the frame does not determine, or whose values shorts would make wrong.
 
         Args:
             frame: the readings.
-            fit: the cells that have been found for them.
+            fit: the cells found for the readings.
             selection: readings that are left out.
-            uncertainty: (n,) of the fit, but for what columns do that are left out or of unknown scale.
+            uncertainty: (n,) of the fit, without the effect of columns that are left out or have an unknown scale.
             short: (N, M) cells of the fit that are as good as shorts; None: there are none.
             budget: of the frame.
 
         """
         beside = selection.beside
-        if self._broken.beyond is not None:  # what still comes through a break is no cell's reading
+        if self._broken.beyond is not None:  # signals that still pass a break are not readings of cells
             beside = beside | (self._broken.beyond & (frame.signal > frame.error))
-        if short is not None:  # its lines carry what no derivative tells
+        if short is not None:  # derivatives do not describe the currents on its lines
             beside = beside | short.any(axis=1, keepdims=True) | short.any(axis=0, keepdims=True)
         if not self._convergence.astray:
             disturbed = self._shorts.disturb(frame, fit.known, uncertainty, selection.lost, selection.lost_rows, budget)
@@ -365,9 +364,9 @@ class CoupledLive:
 
         Args:
             frame: the readings.
-            fit: the cells that have been found for them.
+            fit: the cells found for the readings.
             selection: readings that are left out.
-            left: what is open about the cells.
+            left: uncertainties of the cells.
             beside: (N, M) cells that are disturbed.
             settled: whether the frame's budget sufficed, and the cells give the readings.
 
@@ -375,7 +374,7 @@ class CoupledLive:
         shape, gone, disturbed = self._parts.shape, self._parts.gone, beside.ravel()
         open_cells, counted = frame.signal.ravel() <= frame.error, (self._uncertainty.covered(frame), ALIKE)
         uncertainty = left.all
-        # Not the derivatives themselves, which are large: whoever keeps the reading keeps these.
+        # The derivatives themselves are large, and whoever keeps the reading would keep them, too.
         by_readings = partial(self._by_readings, frame, self._linearised.base.std, fit.steeper, uncertainty)
         most = uncertainty.item(uncertainty.argmax())
         if (
@@ -418,7 +417,7 @@ class CoupledLive:
         )
 
     def _all_known(self, selection: Selection, beside: BoolArray) -> bool:
-        """Whether nothing but its own uncertainty can keep a cell from being valid, as in nearly all frames."""
+        """Whether only its own uncertainty can keep a cell from being valid, as in nearly all frames."""
         left_out = beside is not self._limits.nowhere or selection.at_limit is not self._limits.nowhere
         return not (left_out or self._any_gone)
 
@@ -433,7 +432,7 @@ class CoupledLive:
         return by_all.reshape(self._parts.shape)
 
     def _nothing(self, at_limit: BoolArray, why: int = DISTURBED) -> LiveReading:
-        """A frame that tells of no cell.
+        """A frame that determines no cell.
 
         Args:
             at_limit: (N, M) readings at a limit.

@@ -1,4 +1,4 @@
-"""A coupled board as its live recovery sees it: parts that do not change from frame to frame, and the circuit model.
+"""A coupled board for live recovery: the parts that stay constant from frame to frame, and the circuit model.
 
 Cells are (N, M) in line coordinates. Unknowns are the logarithms of their conductances, flattened to n = N M.
 """
@@ -24,25 +24,25 @@ _COMPLETE_SHORT = 1e-5  # ohm that stands for a short of 0 ohm
 
 
 class Known(NamedTuple):
-    """Cells for which the model has been evaluated."""
+    """Cells at which the model has been evaluated."""
 
     log: FloatArray
     """(n,) logarithms of the conductances"""
     cells: FloatArray
     """(N, M) ohm, the same cells"""
     volts: FloatArray
-    """(n,) V, the readings that the model gives for them"""
+    """(n,) V, the readings of the model for these cells"""
 
 
 class Compared(NamedTuple):
-    """Cells, and how well they give the readings of a frame."""
+    """Cells, and their misfit with the readings of a frame."""
 
     known: Known
     """the cells"""
     apart: FloatArray
     """V (n,) between readings and model, where the readings count"""
     half_steps: float
-    """root mean square of that, or half of the largest if that is more, over the converter's half step"""
+    """misfit: root mean square of ``apart``, or half of the largest if that is more, over the converter's half step"""
 
 
 class Frame(NamedTuple):
@@ -79,14 +79,14 @@ class Frame(NamedTuple):
             apart[self.bottom & (apart > 0.0)] = 0.0
         if self.ignored is not None:
             apart[self.ignored] = 0.0
-        # The place of an extreme is found several times as fast as its value.
+        # argmax() and argmin() are several times as fast as max() and min().
         most = max(apart.item(apart.argmax()), -apart.item(apart.argmin()))
         root_mean_square = sqrt(float(apart @ apart) / len(apart))
         return Compared(known, apart, max(root_mean_square, 0.5 * most) / self.half_step)
 
 
 class CoupledBoard:
-    """Parts of a board with a converter, its circuit model without limits, and what its readings can be."""
+    """Constant parts of a board with a converter, and its circuit model without limits."""
 
     def __init__(self, board: Board) -> None:
         """For a board with a converter."""
@@ -101,14 +101,14 @@ class CoupledBoard:
         self.mixes = board.circuit.mixes_cells or board.floating
         """whether readings depend on cells of other rows and other columns"""
         self.hidden = (broken_off(self.board) | np.isinf(board.series_ohms)).ravel()
-        """(n,) cells that a fault takes from the circuit"""
+        """(n,) cells that a fault disconnects from the circuit"""
         self.any_hidden = bool(self.hidden.any())
         self.shorted = np.zeros(board.shape, dtype=np.bool_)
         """(N, M) cells beside a fault of 0 ohm"""
         for fault in whole.shorts:
             self.shorted[fault.place] |= fault.ohms == 0
         self.gone = self.hidden | self.shorted.ravel()
-        """(n,) cells that no reading tells of"""
+        """(n,) cells that no reading determines"""
         self.lines = LineResistance(self.board)
         self.leads = self.lines.to_ends + board.column_lead
         """(N, M) ohm in series with each cell"""
@@ -123,7 +123,7 @@ class CoupledBoard:
             self._lowest = board.adc.range[0] + board.adc.step
 
     def price(self, log: FloatArray) -> float:
-        """What it costs to evaluate the model for the logarithms (n,) of conductances."""
+        """Price of an evaluation of the model for the logarithms (n,) of conductances."""
         known = self.quick.fixed_price
         return self.quick.price(np.exp(-log).reshape(self.shape)) if known is None else known
 
@@ -139,7 +139,7 @@ class CoupledBoard:
         return np.abs(slope).ravel()
 
     def frame(self, volts: FloatArray, signal: FloatArray, noise: float, ignored: BoolArray | None) -> Frame:
-        """Put together what a :class:`Frame` says of readings (N, M) in V."""
+        """Make the :class:`Frame` of readings (N, M) in V."""
         bottom = None if self._lowest == -inf else volts.ravel() < self._lowest
         return Frame(
             volts=volts,

@@ -1,7 +1,7 @@
-"""Steps of boards whose cells are coupled, as loops over cells for :mod:`ohmskin.compiled`.
+"""Compiled loops for the steps on coupled boards, for :mod:`ohmskin.compiled`.
 
-The loops do what :class:`._linearised.Base` and :class:`._column_blocks.Step` do by array operations. Sums may be added
-up in another order.
+The loops compute the same as :class:`._linearised.Base` and :class:`._column_blocks.Step` do by array operations. Their
+sums may have another order.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ...compiled import FixedFlags, FixedRow, FixedRows, Row, loop
 from ._column_blocks import Step
 
 OWN, BY_SUM, DRIVEN, SECOND, FREE, THROUGH_LEAD, SHARE, PARTS = range(8)
-"""places of a step's matrices among those that :func:`change_by_columns` takes, and their number"""
+"""positions of a step's matrices in the argument of :func:`change_by_columns`, and their number"""
 
 
 class ColumnSteps(NamedTuple):

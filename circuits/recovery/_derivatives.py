@@ -1,8 +1,9 @@
-"""Derivatives of all readings by all cells, in instalments: the adjoint method with fields that are good enough.
+"""Derivatives of all readings by all cells, in instalments: the adjoint method with approximate fields.
 
-A live recovery renews its derivatives while frames come in, and no frame may wait for all of them. So the work is an
-iterator, and each frame takes one instalment of it. The method is that of :mod:`.._sensitivity`, for the cells alone.
-Where :class:`.QuickModel` knows the fields by nodal analysis of the ports, no digit is certified and little is spent.
+A live recovery renews its derivatives while frames come in, and no frame may wait for all of them. The work is
+therefore an iterator, of which each frame takes one instalment. The method is that of :mod:`.._sensitivity`, for the
+cells alone. Where :class:`.QuickModel` gives the fields by nodal analysis of the ports, no digits are certified, and
+the cost is low.
 """
 
 from __future__ import annotations
@@ -24,9 +25,9 @@ def derivatives(board: Board, cells: FloatArray, model: QuickModel, meter: Meter
     Args:
         board: with a sliced sheet and no complete short.
         cells: (N, M) ohm.
-        model: of the board; where it knows a short way to the derivatives, this is taken.
+        model: of the board; its fast way to the derivatives is taken if there is one.
         meter: of the instalments.
-        out: (N M, N M) V/S, where they are written.
+        out: (N M, N M) V/S, written.
 
     Yields:
         After each instalment of the work but the last.
@@ -38,7 +39,7 @@ def derivatives(board: Board, cells: FloatArray, model: QuickModel, meter: Meter
             yield
         try:
             yield from _quick_derivatives(by_rows, meter, out)
-        except np.linalg.LinAlgError:  # parts of the grid that nothing is connected to
+        except np.linalg.LinAlgError:  # parts of the grid without a connection
             by_rows = None
     if by_rows is None:
         yield from _exact_derivatives(board, cells, model, meter, out)

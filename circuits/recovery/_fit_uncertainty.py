@@ -1,4 +1,4 @@
-"""Uncertainty of a fit: what ADC steps, noise, the converter's offset and gain, and steps not taken leave open."""
+"""Uncertainty of a fit: by ADC steps, noise, the converter's offset and gain errors, and steps not taken."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from ._linearised import Base
 _SIGMAS = 4.5  # posterior standard deviations by ADC steps that an uncertainty covers: a bound on the error
 _NOISE_SIGMAS = 3.5  # the same by noise: a fifth more, a factor of two at the limit of validity, is 5 of them
 ALIKE = 2.0
-"""standard deviation by ADC steps over that of independent errors: readings of cells at rest are alike, and so are
-their errors, which add up in what the cells of a column take together; 1.8 in a pressed column of equal cells
+"""standard deviation by ADC steps over that by independent errors. Readings of cells at rest are alike, and so are
+their errors, which add up in the sum of a column's currents; 1.8 in a pressed column of equal cells
 """
-_MOST = 50.0  # uncertainty of a logarithm that is as good as boundless
-_STALLED = 10.0  # steps that a fit may still be from its end where the misfit no longer tells
+_MOST = 50.0  # uncertainty of a logarithm that counts as infinite
+_STALLED = 10.0  # possible length of the remaining steps over the next one if the misfit no longer tells
 
 
 class FitUncertainty:
-    """Relative uncertainties of the conductances that a fit has found."""
+    """Relative uncertainties of the fitted conductances."""
 
     def __init__(self, parts: CoupledBoard) -> None:
         """For a board."""
@@ -30,23 +30,23 @@ class FitUncertainty:
         self._noise = parts.noise  # V
         self._leads = np.where(np.isfinite(parts.leads), parts.leads, 0.0).ravel()  # (n,) ohm
         self._random = 1.0  # share of the converter's error that differs from reading to reading
-        self._shifts: tuple[float, float, float] | None = None  # V and relative, errors of all readings; V of code 0
+        self._shifts: tuple[float, float, float] | None = None  # V and relative: errors of all readings; V of code 0
         if adc is not None and (adc.offset_voltage or adc.gain_error):
             self._shifts = abs(adc.offset_voltage), abs(adc.gain_error), adc.range[0]
             self._random = (0.5 + abs(adc.inl_steps)) * adc.step / parts.half_step
 
     def by_own_reading(self, frame: Frame) -> FloatArray:
-        """The part (n,) that a cell's own reading leaves open."""
+        """The part (n,) by a cell's own reading."""
         own = frame.error * frame.slope
         own[frame.slope == 0] = 1.0
         return own
 
     def covered(self, frame: Frame) -> float:
-        """V, the random error for which what readings leave open stands."""
+        """V, standard deviation of the random error of readings that gives the uncertainty."""
         return hypot(_SIGMAS * self._random * self._noise, _NOISE_SIGMAS * frame.noise)
 
     def of_own_reading(self, frame: Frame, uncertainty: FloatArray) -> FloatArray:
-        """The part (n,) of an ``uncertainty`` (n,) that is by a cell's own reading, at most 1."""
+        """The part (n,) of an ``uncertainty`` (n,) by a cell's own reading, at most 1."""
         own = self.covered(frame) * frame.slope
         own[frame.slope == 0] = 1.0
         at_most: FloatArray = np.minimum(np.minimum(own, uncertainty), 1.0)
@@ -55,13 +55,13 @@ class FitUncertainty:
     def of_all_readings(
         self, frame: Frame, std: FloatArray, steeper: FloatArray, uncertainty: FloatArray
     ) -> FloatArray:
-        """The part (n,) of an ``uncertainty`` (n,) that is by random errors of all readings, at most 1.
+        """The part (n,) of an ``uncertainty`` (n,) by random errors of all readings, at most 1.
 
         Args:
             frame: the readings.
             std: :attr:`.Base.std` of the fit's derivatives.
             steeper: :attr:`.Fit.steeper`.
-            uncertainty: the whole of it.
+            uncertainty: the whole uncertainty.
 
         """
         by_all = _spread(std, steeper) * (self.covered(frame) / self._noise)
@@ -70,9 +70,9 @@ class FitUncertainty:
         return at_least
 
     def sigmas(self, frame: Frame, fit: Fit) -> float:
-        """Posterior standard deviations, by rounding alone, that an uncertainty covers.
+        """Number of posterior standard deviations, by rounding alone, in an uncertainty.
 
-        Readings that fit worse than an ADC step lets them make the whole fit less certain, by as much.
+        A misfit larger than an ADC step explains increases the uncertainty of the whole fit in proportion.
         """
         by_noise = _NOISE_SIGMAS * frame.noise / self._noise
         return max(hypot(_SIGMAS * self._random, by_noise), fit.misfit * hypot(_SIGMAS, by_noise))
@@ -80,15 +80,15 @@ class FitUncertainty:
     def by_readings(
         self, frame: Frame, fit: Fit, base: Base, own: FloatArray, by_shifts: FloatArray | None
     ) -> FloatArray:
-        """What all readings leave open (n,), at least ``own`` (n,), with :meth:`by_shifts`."""
+        """Uncertainty (n,) by all readings, at least ``own`` (n,), with :meth:`by_shifts`."""
         beyond: FloatArray = np.maximum(self.sigmas(frame, fit) * _spread(base.std, fit.steeper) - own, 0.0)
         beyond += np.abs(fit.step) * (_STALLED if fit.stalled and fit.misfit > FITS else fit.stale)
         if by_shifts is not None:
             beyond += by_shifts
-        # A reading is nearly proportional to its own cell. What is beyond that is of the logarithm: it multiplies.
+        # A reading is nearly proportional to its own cell. The rest is an error of the logarithm, hence a factor.
         uncertainty: FloatArray = own + np.expm1(np.minimum(beyond, _MOST))
         if by_shifts is not None:
-            # Such errors are at their bound in every frame. Behind leads R a conductance is G = D / (1 - R D).
+            # Errors by shifts are at their bound in every frame. Behind leads R a conductance is G = D / (1 - R D).
             change = own + beyond
             by_lead = self._leads / (self._leads + fit.known.cells.ravel())
             behind_leads = change / np.maximum(1.0 - by_lead * change, 1.0 / _MOST)
@@ -96,10 +96,10 @@ class FitUncertainty:
         return uncertainty
 
     def by_shifts(self, frame: Frame, base: Base) -> FloatArray | None:
-        """Change (n,) of the logarithms by the converter's offset and gain error, which move all readings together.
+        """Change (n,) of the logarithms by the converter's offset and gain errors, which shift all readings together.
 
         Returns:
-            None for a converter without these.
+            None for a converter without these errors.
 
         """
         if self._shifts is None:

@@ -1,10 +1,11 @@
-"""The fixed point equation of a follower board's readings, and the enclosure of all its solutions.
+"""Fixed-point equation of a follower board's readings, and the enclosure of all its solutions.
 
-:mod:`._follower_solutions` derives the equation G = F(G), and says why its solutions are enclosed. Both ends of the
-enclosure are found together: trials of factors between the largest one and none, from which F demands more than it
-gets, and rounds of the sequence from there on. What a trial or a round leaves is an enclosure already.
+:mod:`._follower_solutions` derives the equation G = F(G), and shows why its solutions are enclosed. The two ends of the
+enclosure are found together. Trials of factors, from the largest one down to none, look for the first factor at which F
+demands more than it gets; rounds of the fixed-point sequence continue from there. After every trial and every round the
+factors are an enclosure already.
 
-The loops do as the array operations beside them, and end a trial at the largest factor that is possible.
+The loops compute the same as the array operations beside them, and end a trial at the largest possible factor.
 """
 
 from __future__ import annotations
@@ -17,21 +18,21 @@ from ...arrays import BoolArray, FloatArray
 from ...compiled import FlagRows, Flags, Row, Rows, loop
 
 LEAST = 1e-30
-"""S, or A: next to none"""
+"""S, or A: counts as zero"""
 _NEAR = 0.25  # relative change of cells up to which linear uncertainties suffice
-_MOST_SIEMENS = 1.0  # what cells conduct at most that are many times as conductive as they seem
+_MOST_SIEMENS = 1.0  # largest conductance of cells that conduct many times as much as they seem to
 _PARTS = 24  # equal steps of the logarithms of the largest factors, at which F is tried
-_SLACK = 0.01  # share by which F must miss, for what lies between two factors
+_SLACK = 0.01  # relative amount by which F must miss, to cover factors between two trials
 _NOTABLE = 0.02  # share of a reading's current
 _ROUNDS = 8  # of the sequence, between two trials
 _TRIALS = 4
-_STILL = 1e-3  # relative change of factors by a round or a trial after which others hardly narrow them any more
-_LEAST_FACTOR = 1e-4  # below the found solution
+_STILL = 1e-3  # relative change of factors by a round or a trial, below which further ones hardly narrow them
+_LEAST_FACTOR = 1e-4  # least factor below the found solution
 _SIDES = np.array([1.0, -1.0])[:, None, None]  # of the logarithms of factors: solutions above, and below
 
 
 class FollowerLaw:
-    """The fixed point equation F(G) = G of the readings of one frame. Arrays are (N, M)."""
+    """The fixed-point equation F(G) = G for the readings of one frame. Arrays are (N, M)."""
 
     def __init__(
         self,
@@ -44,15 +45,15 @@ class FollowerLaw:
         counts: BoolArray,
         enclose: Callable[..., None] | None = None,
     ) -> None:
-        """For cells that have been found.
+        """For the found cells.
 
         Args:
             row: ohm from crosspoints to the rows' drivers.
             wire: ohm from crosspoints to their columns' last ones.
             lead: ohm (M,) from there to the columns' ends.
             conductance: S of the cells.
-            per_siemens: 1/S, current to idle lines per siemens over that of the reference resistor; negative where
-                it comes from idle lines.
+            per_siemens: 1/S, current to idle lines per siemens over that of the reference resistor; negative if the
+                current comes from idle lines.
             error: relative, by a cell's own reading.
             counts: cells whose readings count; the others stay as they are.
             enclose: the machine code of :func:`enclose`, which takes contiguous arrays; None: there is none.
@@ -65,7 +66,7 @@ class FollowerLaw:
         self._enclose = enclose
 
     def _demand(self, cells: FloatArray) -> FloatArray:
-        """Conductance G that the readings demand beside cells (..., N, M) in S, but for a factor of each reading."""
+        """Conductances G that the readings demand beside cells (..., N, M) in S, up to one factor per reading."""
         row, column = self._row, self._column
         to_drivers = cells / (1.0 + cells * row)
         to_rows = to_drivers.sum(axis=-2, keepdims=True) - to_drivers  # h, from a column to the other rows' drivers
@@ -75,10 +76,10 @@ class FollowerLaw:
         return demand
 
     def _to_idle_lines(self, cells: FloatArray, by_row: FloatArray) -> FloatArray:
-        """S (..., 1, M) of columns to idle lines at most: to other rows, and by way of these to other columns.
+        """Upper bound in S (..., 1, M) from columns to idle lines: to other rows, and through these to other columns.
 
-        Each crosspoint counts with the wire of its own distance to the column's end. That other crosspoints share
-        this wire, and take some of the voltage, can only lessen S.
+        Each crosspoint counts with the wire of its own distance to the column's end. Other crosspoints share this wire
+        and take some of the voltage, which can only reduce S.
 
         Args:
             cells: (..., N, M) S.
@@ -97,21 +98,21 @@ class FollowerLaw:
         return by_row
 
     def _draws_on_idle_lines(self, most: FloatArray) -> bool:
-        """Whether idle lines take a notable current; without it conductances between terminals have one solution.
+        """Whether idle lines take a notable current; without it, conductances between terminals have one solution.
 
         Args:
-            most: (..., N, M) S, what cells conduct at most.
+            most: (..., N, M) S, upper bounds of the cells.
 
         """
         share = self._taken * self._to_idle_lines(most, self._by_row(most))
         return bool((share > _NOTABLE).any(where=self._counts))
 
     def _by_idle_lines_above(self, cells: FloatArray, factors: FloatArray) -> FloatArray:
-        """Relative change (K, 2, N, M) of cells to whose readings idle lines bring current, if others change.
+        """Relative change (K, 2, N, M) of cells by currents from idle lines into their readings, if others change.
 
         Args:
             cells: (K, 1, N, M) S.
-            factors: (K, 2, N, M) of them, the others.
+            factors: (K, 2, N, M) on these, for the other cells.
 
         """
         others, brought = factors * cells, self._brought
@@ -121,14 +122,14 @@ class FollowerLaw:
         return change
 
     def _by_detours(self, cells: FloatArray, factors: FloatArray) -> FloatArray:
-        """Relative change (K, 2, N, M) of cells by current that detours bring to their readings, if others change.
+        """Relative change (K, 2, N, M) of cells by currents that reach their readings on detours, if others change.
 
-        A driven row lifts the columns, by their own wire, these lift other rows, and those feed the sensed column. What
-        comes so is not the cell's.
+        A driven row lifts the columns, by their own wire; these lift other rows; and those feed the sensed column. Such
+        a current is not the cell's own.
 
         Args:
             cells: (K, 1, N, M) S.
-            factors: (K, 2, N, M) of them, the others.
+            factors: (K, 2, N, M) on these, for the other cells.
 
         """
         to_columns = self._lifts(factors * cells) - self._lifts(cells)
@@ -136,7 +137,7 @@ class FollowerLaw:
         return change
 
     def _lifts(self, cells: FloatArray) -> FloatArray:
-        """S (..., N, M) at most from rows to columns by detours, beside cells (..., N, M) in S."""
+        """Upper bound in S (..., N, M) from rows to columns by detours, beside cells (..., N, M) in S."""
         columns = self._column * (cells / (1.0 + cells * (self._row + self._column)))  # V per volt
         rows = self._row * cells
         rows = rows / (1.0 + rows.sum(axis=-1, keepdims=True))
@@ -146,7 +147,7 @@ class FollowerLaw:
         return into
 
     def change(self) -> FloatArray | None:
-        """Largest relative change of the cells to those of another solution; None where there is no other one."""
+        """Largest relative change of the cells to those of another solution; None if there is no other solution."""
         cells, limits = self._cells, self._limits(self._cells)
         if limits is None:
             return None
@@ -161,15 +162,15 @@ class FollowerLaw:
         return largest if (largest > _NEAR).any() else None
 
     def is_conceivable(self, times: float) -> bool:
-        """Whether there may be another solution for readings of cells that all conduct so many ``times`` as well."""
+        """Whether there may be another solution for readings of cells that all conduct ``times`` as much."""
         cells = times * self._cells
         limits = self._limits(cells)
         return limits is not None and bool(self._enclosed(cells, limits, trials=1, rounds=0)[0].any())
 
     def _limits(self, cells: FloatArray) -> FloatArray | None:
-        """Factors (2, N, M) of cells (N, M) in S, the largest and the least that are looked at.
+        """Largest and least factors (2, N, M) on cells (N, M) in S that are examined.
 
-        None where idle lines draw hardly a current even so, and there is no other solution.
+        None if idle lines draw hardly a current even with these, so that there is no other solution.
         """
         most = np.where(self._counts, np.maximum(_MOST_SIEMENS, (1.0 + _NEAR) * cells), cells)
         if not self._draws_on_idle_lines(most):
@@ -181,17 +182,17 @@ class FollowerLaw:
     def _enclosed(
         self, cells: FloatArray, factors: FloatArray, trials: int, rounds: int
     ) -> tuple[BoolArray, FloatArray]:
-        """Enclose the solutions above and below those that were found.
+        """Enclose the solutions above and below the found one.
 
         Args:
-            cells: (N, M) S, those that were found.
-            factors: (2, N, M) of them, the largest and the least that are looked at.
-            trials: at most.
-            rounds: of the sequence after each trial, at most.
+            cells: (N, M) S, the found solution.
+            factors: (2, N, M) on these, the largest and the least that are examined.
+            trials: largest number of trials.
+            rounds: largest number of rounds of the sequence after each trial.
 
         Returns:
-            (2,), whether there may be a solution far away on that side; and (2, N, M), factors within which it is,
-            where there may be one.
+            (2,), whether there may be a solution far away on that side; and (2, N, M), factors that enclose it if there
+            may be one.
 
         """
         far, counts = np.ones(2, dtype=np.bool_), self._counts
@@ -206,7 +207,7 @@ class FollowerLaw:
         for _ in range(trials):
             times = np.exp(parts * np.log(factors))
             ratio = self._demand(times * cells) * demanded_at_most / times
-            # At the cell that is farthest off, another solution would demand as much.
+            # At the cell farthest away, another solution would demand as much.
             beyond = (_SIDES * ratio >= _SIDES / (1.0 + _SLACK) ** _SIDES) & (_SIDES * times > _SIDES * near)
             possible = beyond.any(axis=(-2, -1), where=counts)
             far &= possible.any(axis=0)
@@ -227,7 +228,7 @@ class FollowerLaw:
 
 
 def _alike(factors: FloatArray, before: FloatArray) -> bool:
-    """Whether no factor differs notably from what it was before."""
+    """Whether all factors are nearly the same as before."""
     return bool((np.abs(factors - before) <= _STILL * before).all())
 
 
@@ -235,7 +236,7 @@ def _alike(factors: FloatArray, before: FloatArray) -> bool:
 def _demand_of(
     cells: Rows, row: Rows, column: Rows, wire: Rows, lead: Row, taken: Rows, to_drivers: Row, into: Row, demand: Rows
 ) -> None:
-    """Write the ``demand`` (N, M) of :meth:`FollowerLaw._demand`; ``to_drivers`` and ``into`` (M,) are used up."""
+    """Write the ``demand`` (N, M) of :meth:`FollowerLaw._demand`; ``to_drivers`` and ``into`` (M,) are overwritten."""
     rows, columns = cells.shape
     to_drivers[:] = 0.0
     into[:] = 0.0

@@ -1,7 +1,7 @@
-"""Budget of one frame of a coupled board: every stage pays from it, and begins nothing that it cannot pay for.
+"""Budget of one frame of a coupled board: every stage pays from it before it begins.
 
-An :class:`Effort` says how many steps of each kind a frame may undertake, and an :class:`.Account` what they may
-cost. What a frame has no budget for, the next frames do. Until then cells that are not settled are not valid.
+An :class:`Effort` limits the number of steps of each kind in a frame, and an :class:`.Account` limits their cost. Work
+beyond the budget is left to the next frames. Until then, cells that are not settled are not valid.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from ._frame_account import Account
 
 
 class Effort(NamedTuple):
-    """What a frame may cost."""
+    """Largest number of steps of each kind in a frame."""
 
     starts: int
     """evaluations of the circuit model, and derivatives in closed form, at cells that a frame starts from"""
@@ -38,13 +38,13 @@ SHEET_EVALUATIONS = 9
 
 
 class Budget:
-    """What one frame has left. Each method pays a price for one piece of work; False: too little is left for it."""
+    """The rest of one frame's budget. Each method pays for one piece of work; False: too little is left for it."""
 
     def __init__(self, effort: Effort, account: Account) -> None:
         self._starts, self._evaluations, self._instalments, self._solutions = effort
         self._account = account
         self.suffices = True
-        """all that says how well the cells are known has been paid for"""
+        """whether everything that tells how well the cells are known has been paid for"""
 
     def start(self, price: float) -> bool:
         """An evaluation of the model where the frame starts from, or derivatives there in closed form."""

@@ -1,4 +1,4 @@
-"""Cells of a grid whose leads take much of the voltage, from its readings by Kirchhoff's laws, with their errors.
+"""Inverse by Kirchhoff's laws of a grid whose leads take much of the voltage, with propagation of reading errors.
 
 Rows end in leads R_i towards the drivers, columns in leads C_j towards sources s_j (the amplifiers' inputs); segments
 have no resistance. I_ij is the current into amplifier j per volt on row i, all other rows at ground. Node potentials
@@ -9,13 +9,13 @@ per volt in step i:
     row i     U_ii = 1 - R_i (sum_j I_ij + sum_k U_ki / R_k): its driver feeds amplifiers and idle rows.
 
 The conductances of column j then solve N linear equations, I_ij = sum_k G_kj (U_ki - W_ij). All columns share the
-matrix U up to a term of rank one, so one factorisation serves them (Sherman and Morrison). The U_ki depend on the
-conductances only as means do, so a few rounds suffice however heavy the leads are. Line attenuation, whose terms are
+matrix U up to a term of rank one, so one factorisation serves them all (Sherman and Morrison). The U_ki depend on the
+conductances only as means, so a few rounds suffice however heavy the leads are. Line attenuation, whose terms are the
 losses of whole lines, does not converge there.
 
-Errors of the readings come through by the same equations, differentiated (:class:`Propagation`). Where rows are
-joined by shorts their potentials U are alike, the equations nearly singular, and the errors large: other cells would
-give the same readings.
+Errors of the readings propagate by the same equations, differentiated (:class:`Propagation`). If shorts join rows,
+their potentials U are alike: the equations are nearly singular and the errors large, since other cells give the same
+readings.
 """
 
 from __future__ import annotations
@@ -29,41 +29,41 @@ from scipy.linalg.lapack import dgecon, dgesv, dlange, sgecon, sgesv, slange
 from ...arrays import AnyArray, FloatArray
 
 ROUNDS = 16
-"""at most, in one frame; usually three to six"""
+"""largest number in one frame; usually three to six"""
 MOST_CELLS = 256
-"""up to which all derivatives of all cells by all readings are made; beyond, bounds that neglect what cancels"""
+"""cells up to which all derivatives of all cells by all readings are made; beyond, bounds that neglect cancellation"""
 MOST_IN_DOUBLE = 64
 """cells up to which derivatives are made in double precision; in single precision they take half as long"""
-_LEAST_ACCURACY = 0.01  # by which derivatives may be off by rounding, else they are taken for infinite
+_LEAST_ACCURACY = 0.01  # largest relative rounding error of derivatives; with more they count as infinite
 _SHORT = 1e4  # conductance over that of its leads, at which a cell is a short
-_LEAST_OHM = 1e-6  # of a line, in that
+_LEAST_OHM = 1e-6  # of a line, in _SHORT
 _ENOUGH = 1e-6  # relative change of a line's conductance in the last round
 _LEAST_VOLTS = 1e-3  # of a driven row, per volt
 _LEAST_CHANGE = 1e-300  # S, avoids a division by zero
 
 
 class LeadFit(NamedTuple):
-    """Cells of one set of readings. Arrays are (N, M) unless stated."""
+    """The cells for one set of readings. Arrays are (N, M) unless stated."""
 
     conductance: FloatArray
     """S"""
     gain: FloatArray
-    """conductance per transfer conductance, as far as the leads take the cell's own current"""
+    """conductance per transfer conductance: effect of the leads on the cell's own current"""
     settled: bool
-    """the last round has hardly changed anything"""
+    """whether the last round hardly changed anything"""
     row_ohm: FloatArray
     """(N,) ohm of the rows' leads"""
     column_ohm: FloatArray
-    """(M,) ohm of the columns' leads and of what follows them"""
+    """(M,) ohm of the columns' leads and of the inputs behind them"""
     rows: FloatArray
     """(rows, steps) potentials U per volt"""
     columns: FloatArray
     """(steps, M) potentials W per volt"""
     rounds: int
-    """that the search has taken"""
+    """number of rounds that the search has taken"""
 
     def propagation(self, *, exactly: bool) -> Propagation:
-        """How errors of the readings come through: ``exactly`` to first order, or by bounds that are wider."""
+        """Propagation of errors of the readings: ``exactly`` to first order, or by wider bounds."""
         if exactly:
             return _Derivatives(np.abs(self._derivatives()), self.conductance.shape)
         inverse = self._inverses()
@@ -89,12 +89,12 @@ class LeadFit(NamedTuple):
         return share
 
     def _derivatives(self) -> AnyArray:
-        """(NM, NM) of all conductances by all readings; inf where the readings do not tell the cells apart."""
+        """Derivatives (NM, NM) of all conductances by all readings; inf if the readings do not separate the cells."""
         cells, row_ohm, column_ohm = self.conductance, self.row_ohm, self.column_ohm
         count, (steps, columns) = cells.size, cells.shape
         number = np.float64 if count <= MOST_IN_DOUBLE else np.float32
         across = self._across()
-        # What a current into idle row k changes in reading ij: it lifts row k, and takes from the driver of row i.
+        # Effect of a current into idle row k on reading ij: it lifts row k, and takes from the driver of row i.
         lifts = (cells * row_ohm[:, None])[None] - (cells * row_ohm[:, None])[:, None]  # (steps, rows, M)
         lifts *= self._divided()[:, None]
         lifts[np.arange(steps), np.arange(steps)] = 0.0
@@ -126,7 +126,7 @@ class LeadFit(NamedTuple):
 
 
 def _solution(matrix: AnyArray, sides: AnyArray) -> AnyArray:
-    """Solution of linear equations, both in order of columns and overwritten; inf where rounding may spoil it."""
+    """Solution of linear equations, both in column-major order and overwritten; inf if rounding may spoil it."""
     routines = (dgesv, dgecon, dlange) if matrix.dtype == np.float64 else (sgesv, sgecon, slange)
     solve, condition, norm = cast("tuple[Callable[..., Any], ...]", routines)
     size = norm("1", matrix)
@@ -138,20 +138,20 @@ def _solution(matrix: AnyArray, sides: AnyArray) -> AnyArray:
 
 
 class Propagation(Protocol):
-    """How errors of readings become those of cells."""
+    """Maps errors of readings to errors of cells."""
 
     def squared(self) -> Propagation:
         """The same for variances of independent errors."""
         ...
 
     def __call__(self, readings: FloatArray) -> FloatArray:
-        """S (N, M) by which conductances may be off, to first order, in the worst case of all signs.
+        """S (N, M), first-order error of conductances, in the worst case of all signs.
 
         Args:
-            readings: (N, M) S by which readings may be off.
+            readings: (N, M) S, errors of the readings.
 
         Returns:
-            inf where the readings do not tell the cells apart.
+            inf if the readings do not separate the cells.
 
         """
         ...
@@ -175,7 +175,7 @@ class _Derivatives(NamedTuple):
 
 
 class _Bounds(NamedTuple):
-    """The sizes of the terms of Kirchhoff's laws, differentiated; what cancels is counted twice."""
+    """Sizes of the terms of Kirchhoff's laws, differentiated; terms that cancel are counted twice."""
 
     inverse: FloatArray
     """(M, rows, steps) 1/V of each column's equations"""
@@ -198,7 +198,7 @@ class _Bounds(NamedTuple):
     def __call__(self, readings: FloatArray) -> FloatArray:
         into_rows = (readings * self.column_ohm) @ self.cells.T  # (steps, rows)
         first = self._solved(readings * self.into_column + self._by_rows(into_rows, readings.sum(axis=1)))
-        # The conductances' errors move the idle rows, which moves the conductances: a geometric series.
+        # The conductances' errors move the idle rows, and these move the conductances: a geometric series.
         second = self._solved(self._by_rows(self._into_idle_rows(first)))
         third = self._solved(self._by_rows(self._into_idle_rows(second)))
         with np.errstate(invalid="ignore"):
@@ -242,18 +242,18 @@ def invert_leads(
     start: FloatArray,
     most_rounds: int = ROUNDS,
 ) -> LeadFit | None:
-    """The cells that give these readings.
+    """Find the cells with these readings.
 
     Args:
         current: (N, M) A into the amplifiers per volt of drive.
         column: (N, M) V of the columns per volt of drive.
         row_ohm: (N,) ohm of the rows' leads.
-        column_ohm: (M,) ohm of the columns' leads and of what follows them.
-        start: (N, M) S, conductances to begin with.
-        most_rounds: after which the search ends, settled or not; at least 1.
+        column_ohm: (M,) ohm of the columns' leads and of the inputs behind them.
+        start: (N, M) S, initial conductances.
+        most_rounds: rounds after which the search ends, settled or not; at least 1.
 
     Returns:
-        None where no conductances give them, or the equations are singular.
+        None if no conductances give the readings, or the equations are singular.
 
     """
     count, columns = current.shape

@@ -1,4 +1,4 @@
-"""Columns that shorted cells on one row join: what of a column's currents reaches another column's amplifier."""
+"""Columns that shorted cells on one row join: the currents of one column that reach another column's amplifier."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from ._amplified_board import AmplifiedBoard
 
 
 def shared_currents(board: AmplifiedBoard, shorts: BoolArray, conductance: FloatArray) -> FloatArray:
-    """S (N, M) that each reading may gain from the columns that shorts (N, M) join its column to, row by row.
+    """S (N, M) that each reading may gain from other columns that shorts (N, M) join to its column, row by row.
 
-    A current into one column divides between its own amplifier, the row's driver and the other column's amplifier,
-    as between three resistors. With a third column joined, less of it arrives in each.
+    A current into one column divides between its own amplifier, the row's driver and the other column's amplifier, as
+    between three resistors. If a third column is joined, less of the current arrives in each.
     """
     rows, columns, joined = _joined(shorts)
     gained = np.zeros_like(conductance)
     if not len(rows):
         return gained
     into, _, there = _wires(board, rows, columns)
-    # Ohm squared, from a column (the second index) to another one (the third).
+    # In ohm squared, from a column (the second index) to another one (the third).
     across = there * into[:, :, None]
     both = into[:, :, None] * into[:, None, :]
     whole = across + both + there * into[:, None, :]
     share = np.divide(across, whole, out=np.zeros_like(whole), where=joined & (whole > 0))
     by_row = conductance[:, columns] @ share
-    by_row[np.arange(len(rows)), rows] = 0.0  # in its own step, the row is driven
+    by_row[np.arange(len(rows)), rows] = 0.0  # in its own step the row is driven
     gained[:, columns] = by_row.sum(axis=0)
     return gained
 
 
 def currents_between_sources(board: AmplifiedBoard, shorts: BoolArray) -> FloatArray:
-    """S (M,) that each reading of a column may gain from the sources of columns that shorts (N, M) join it to."""
+    """S (M,) that each reading of a column may gain from the sources of other columns that shorts (N, M) join to it."""
     gained = np.zeros(shorts.shape[1])
     if not board.sources_differ:
         return gained
@@ -51,7 +51,7 @@ def currents_between_sources(board: AmplifiedBoard, shorts: BoolArray) -> FloatA
 
 
 def _joined(shorts: BoolArray) -> tuple[IntArray, IntArray, BoolArray]:
-    """Which columns shorts (N, M) join.
+    """Find the columns that shorts (N, M) join.
 
     Returns:
         The rows with at least two shorts; the columns of these shorts; and (rows, columns, columns) where such a row

@@ -1,8 +1,8 @@
 """Linearised model of a coupled board: derivatives, their regularised inverse and its posterior standard deviations.
 
-A :class:`Base` is the linear model about some cells. A live recovery keeps it while it serves, which is for many frames
-as a rule. :class:`Linearised` makes new ones: at once where derivatives have a closed form (column by column, or node
-by node), and in instalments where they are a matrix of all readings by all cells.
+A :class:`Base` is the linear model about some cells. A live recovery keeps it while it serves, usually for many frames.
+:class:`Linearised` makes new ones: at once where derivatives have a closed form (column by column, or node by node),
+and in instalments where they are a matrix of all readings by all cells.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ from ._normal_matrix import DEAR, Meter, NormalMatrix
 
 _PRIOR = 3.0  # standard deviation of the logarithm of a conductance before anything is read: a factor of 20
 _UNKNOWN = 8.0  # the same for a cell that a fault hides
-_FAR = 0.5  # change of a logarithm since the derivatives were made from which on they no longer serve
+_FAR = 0.5  # change of a logarithm since the derivatives were made, beyond which they no longer serve
 _BY_NOISE = 4.0  # standard deviations by which noise and rounding move a cell without new derivatives being due
 _STUCK = 300  # frames until steps column by column are tried again
-_STEEPER = 3.0  # most ratio of slopes by which derivatives are adapted
-_STRIDE = 1.5  # most change of the logarithm of a conductance in one step
-_LINEAR_STRIDE = 1e3  # most change of a conductance that counts linearly, in multiples of what its reading can tell
+_STEEPER = 3.0  # largest ratio of slopes by which derivatives are adapted
+_STRIDE = 1.5  # largest change of the logarithm of a conductance in one step
+_LINEAR_STRIDE = 1e3  # largest change of a conductance that counts linearly, in multiples of its reading's resolution
 _LARGEST = 50.0  # logarithm that is as good as infinite
-_LEAST_CELL = 1e-9  # ohm per ohm of leads that derivatives are made for: below, rounding hides the leads
+_LEAST_CELL = 1e-9  # ohm per ohm of leads, least cell for derivatives: below, rounding hides the leads
 _NEXT_TO_NONE = 0.01  # share of the least conductance that a reading tells, below which a cell may as well be open
-_LEAST_READING = 0.03  # half steps that the least conductance would read alone: from below, nothing would lead back
-_LIGHT = 0.3  # share of a voltage in the lines up to which derivatives in closed form are as good as any
-_HEAVY = 3.0  # the same up to which steps by them converge
+_LEAST_READING = 0.03  # half steps: reading of the least conductance alone; from below, nothing would lead back
+_LIGHT = 0.3  # share of a voltage lost in the lines, up to which derivatives in closed form are as good as any
+_HEAVY = 3.0  # the same, up to which steps by them converge
 _SMALL = 100  # cells up to which an instalment is a whole renewal
 _SOME_OHM = 1e4
 _PER_SQUARE = 16  # multiplications of a matrix product that take as long as the square of one entry
@@ -52,12 +52,12 @@ LARGEST_BESIDE = 1024
 
 
 class Moved(NamedTuple):
-    """How far cells are from those of a base, as changes of logarithms."""
+    """Distance of cells from those of a base, as changes of logarithms."""
 
     counted: float
-    """largest one; what noise does counts less"""
+    """largest change, of which noise counts less"""
     largest: float
-    """largest one"""
+    """largest change"""
 
     @property
     def far(self) -> bool:
@@ -76,32 +76,32 @@ class Base:
     std: FloatArray
     """(n,) posterior standard deviation of ``log``"""
     slope: FloatArray
-    """(n,) 1/V: change of ``log`` per volt if each cell were alone; 0 where its reading says nothing"""
+    """(n,) 1/V: change of ``log`` per volt if each cell were alone; 0 where its reading tells nothing"""
     others: FloatArray
     """(n,) change of ``log`` if all hidden cells change by _UNKNOWN"""
     floor: FloatArray
-    """(n,) ``log`` of the conductance that a cell's own reading can just tell from none; below, cells count linearly"""
+    """(n,) ``log`` of the least conductance that a cell's own reading tells from zero; below, cells count linearly"""
     linear: BoolArray | None
-    """(n,) cells that count linearly; None: none ever does, and ``floor`` is where logarithms end"""
+    """(n,) cells that count linearly; None: none ever does, and ``floor`` bounds the logarithms"""
     whole: bool
-    """by the matrix of all readings by all cells, not column by column"""
+    """whether made by the matrix of all readings by all cells, not column by column"""
     coarse: bool
-    """column by column where that is good for convergence, but makes cells less certain than they are"""
+    """made column by column, which is good for convergence, but overstates the uncertainty of the cells"""
     by_columns: ColumnSteps | None = None
     """``step`` as machine code; None: there is none"""
     compiled: bool = False
-    """whether loops are there as machine code"""
+    """whether the loops are machine code"""
     _told: FloatArray = field(init=False)
-    """(n,) ``log``, but for what lies below ``floor``"""
+    """(n,) ``log``, raised to ``floor`` where it is below"""
     _any_linear: bool = field(init=False)
 
     def __post_init__(self) -> None:
-        """Keep what every comparison with other cells needs."""
+        """Compute what every comparison with other cells needs."""
         self._told = np.maximum(self.log, self.floor)
         self._any_linear = self.linear is not None and bool(self.linear.any())
 
     def moved(self, log: FloatArray, scale: float) -> Moved:
-        """Changes from here to logarithms (n,), with readings that are ``scale`` times as uncertain as by rounding."""
+        """Changes from the base to logarithms (n,), for readings ``scale`` times as uncertain as by rounding."""
         if self.compiled:
             return Moved(*loops.moved.code(log, self.floor, self._told, self.std, _BY_NOISE * scale / _FAR))
         change = np.maximum(log, self.floor)
@@ -112,14 +112,15 @@ class Base:
         return Moved(float(change.max()), largest)
 
     def is_far(self, log: FloatArray) -> bool:
-        """Whether the model is from too far away to serve at logarithms (n,), whatever the noise."""
+        """Whether the model is from too far away to serve at logarithms (n,), whatever the noise is."""
         return self.moved(log, 1.0).largest > _FAR
 
     def advanced(self, log: FloatArray, step: FloatArray) -> FloatArray:
         """Logarithms (n,) after a step.
 
-        Below what its own reading can tell from none, a cell's conductance is the unknown instead of its logarithm.
-        Readings depend on it linearly, and whether it is 1 % or 10 % of that makes no difference to any of them.
+        Below the least conductance that its own reading tells from zero, the unknown of a cell is the conductance
+        instead of its logarithm. Readings depend linearly on the conductance there, and whether it is 1 % or 10 % of
+        that least conductance makes no difference to any reading.
         """
         floor, linear = self.floor, self.linear
         after: FloatArray = log + step
@@ -138,8 +139,8 @@ class Base:
     def change(self, volts: FloatArray, steeper: FloatArray) -> FloatArray:
         """Change (n,) of the logarithms for a difference (n,) of the readings in V.
 
-        A cell's own nonlinearity is known in closed form. Readings therefore count by what they would mean for a cell
-        alone at present, ``steeper`` times what they meant when the derivatives were made.
+        A cell's own nonlinearity is known in closed form. Each reading is therefore scaled by ``steeper``: its present
+        slope, as if the cell were alone, over the slope when the derivatives were made.
         """
         if self.by_columns is not None:
             return self.by_columns.change(volts, steeper)
@@ -150,7 +151,7 @@ class Base:
         return change
 
     def steeper(self, slope: FloatArray) -> FloatArray:
-        """Slopes (n,) in 1/V over those at the base, up to a factor of _STEEPER; 1 where there is none."""
+        """Slopes (n,) in 1/V over those at the base, limited to a factor of _STEEPER; 1 where there is none."""
         if self.compiled:
             found = np.empty(len(slope))
             loops.steeper_each.code(slope, self.slope, _STEEPER, found)
@@ -162,27 +163,27 @@ class Base:
 
 
 class Renewal(NamedTuple):
-    """What a renewal of derivatives does next."""
+    """The next piece of work of a renewal of derivatives."""
 
     at: Known
-    """cells of the new derivatives"""
+    """cells at which the new derivatives are made"""
     loss: float
-    """share of a voltage in the lines"""
+    """share of a voltage lost in the lines"""
     columns_serve: bool
-    """steps by single lines converge"""
+    """whether steps by single lines converge"""
     by_lines: bool
-    """derivatives by single lines are made"""
+    """whether derivatives by single lines are made"""
     at_once: bool
-    """they are all that is made"""
+    """whether nothing else is made"""
     price: float
-    """see :mod:`._frame_account`"""
+    """price, see :mod:`._frame_account`"""
 
 
 class Linearised:
-    """The base of one board, and its renewal."""
+    """The present base of one board, and its renewal."""
 
     def __init__(self, parts: CoupledBoard) -> None:
-        """Choose how derivatives are made.
+        """Choose the kind of derivatives.
 
         Raises:
             InputError: the board is too large.
@@ -217,7 +218,7 @@ class Linearised:
         self._stuck = 0
 
     def usual_effort(self, *, anew: bool) -> Effort:
-        """What a frame after the first may cost; ``anew``: it began with closed formulas, without a fit since."""
+        """Effort of a frame after the first; ``anew``: the frame began with closed formulas, without a fit since."""
         bridged = not self.columns.applies and len(self._prior) > _SMALL
         if self._nodes is not None:
             effort = NODE_EFFORT
@@ -237,26 +238,26 @@ class Linearised:
 
     @property
     def step_price(self) -> float:
-        """What a step by the present linear model costs, see :mod:`._frame_account`."""
+        """Price of a step by the present linear model, see :mod:`._frame_account`."""
         return self.prices.by_matrix if self.base.whole else self.prices.by_lines
 
     @property
     def spread(self) -> FloatArray | float:
-        """(n,) standard deviations of the logarithms by rounding, by the linear model; 0: there is none yet."""
+        """(n,) standard deviations of the logarithms by rounding, by the linear model; 0: no model yet."""
         return 0.0 if self._base is None else self._base.std
 
     @property
     def under_way(self) -> bool:
-        """Whether instalments of a new base have been made, and more are to come."""
+        """Whether some instalments of a new base have been made, and more are to come."""
         return self._renewal is not None
 
     @property
     def upgrade_due(self) -> bool:
-        """Whether steps column by column have led to no fit, and the whole matrix is due instead."""
+        """Whether steps column by column did not reach a fit, so that the whole matrix is due instead."""
         return self._stuck > 0 and not self.base.whole
 
     def give_up_columns(self) -> None:
-        """Take steps by the whole matrix for some frames, where there is one: steps column by column lead to no fit."""
+        """Use the whole matrix for some frames, if there is one, since steps column by column do not reach a fit."""
         if self._has_matrix and not self.base.whole:
             self._stuck = _STUCK
 
@@ -265,7 +266,7 @@ class Linearised:
         self._stuck = max(self._stuck - 1, 0)
 
     def begin(self, at: Known, budget: Budget) -> bool:
-        """Make the first base there, or further instalments of it. False as long as there is none."""
+        """Make the first base at these cells, or further instalments of it. False until there is one."""
         if self._base is None and self._renewal is None:
             self._renewal = self._first(at)
         while self._base is None and self._renewal is not None and budget.renew(self._first_price(at)):
@@ -275,13 +276,13 @@ class Linearised:
         return self._base is not None
 
     def begin_anew(self, at: Known, budget: Budget) -> None:
-        """Drop what was made elsewhere, and go on from cells of closed formulas."""
+        """Drop derivatives made elsewhere, and continue from cells by closed formulas."""
         if self._base is not None and not self.rebase(at, budget):
-            # By derivatives from elsewhere the first step may lead away, in this frame as in all that begin anew.
+            # With derivatives from elsewhere the first step may lead away, in this and all frames that begin anew.
             self._base = self._renewal = None
 
     def rebase(self, at: Known, budget: Budget) -> bool:
-        """Take derivatives from there at once, where columns give them in closed form. False where they do not."""
+        """Make derivatives at these cells at once, if columns give them in closed form; else return False."""
         loss = self._loss(at)
         if not (self.columns.applies and loss <= _HEAVY and budget.start(self._lines_price(at))):
             return False
@@ -289,7 +290,7 @@ class Linearised:
         return True
 
     def renewal(self, at: Known) -> Renewal:
-        """What :meth:`renew` would do next at these cells."""
+        """The work that :meth:`renew` would do next at these cells."""
         base, loss = self.base, self._loss(at)
         columns_serve = loss <= _HEAVY and not self._stuck
         by_lines = (columns_serve or not self._has_matrix) and (not base.whole or base.is_far(at.log))
@@ -302,7 +303,7 @@ class Linearised:
         return Renewal(at, loss, columns_serve, by_lines, at_once, price)
 
     def renew(self, renewal: Renewal) -> bool:
-        """Derivatives, or a further instalment of them. True if the base has just become new."""
+        """Make derivatives, or a further instalment of them. True if the base has just become new."""
         at, loss, columns_serve, by_lines, at_once, _ = renewal
         if at_once:
             self._base, self._renewal = self._by_lines(at, loss), None
@@ -312,7 +313,7 @@ class Linearised:
         made = next(self._renewal)
         if made is not None:
             self._renewal = None
-            if not (columns_serve and made.is_far(at.log)):  # else made for cells that are no more
+            if not (columns_serve and made.is_far(at.log)):  # otherwise made for cells that have moved away
                 self._base = made
                 return True
         if by_lines:
@@ -320,31 +321,31 @@ class Linearised:
         return by_lines
 
     def _is_one_instalment(self, at: Known) -> bool:
-        """Whether the next instalment is a whole matrix, beside which derivatives by single lines are not wanted."""
+        """Whether the next instalment is a whole matrix, which makes derivatives by single lines unnecessary."""
         return self._renewal is None and self._small_matrix and self._parts.quick.branch_price(at.cells) <= DEAR
 
     def _instalment_price(self, at: Known) -> float:
-        """What the next instalment of the whole matrix costs; the first one begins with the network at these cells."""
+        """Price of the next instalment of the whole matrix; the first one begins with the network at these cells."""
         if self._renewal is None:
             self._meter = Meter(len(at.log), beside=self.columns.applies)
             return self._meter.price + self._parts.price(at.log)
         return self._meter.price
 
     def _first_price(self, at: Known) -> float:
-        """What the next instalment of the first base costs."""
+        """Price of the next instalment of the first base."""
         by_lines = self._loss(at) <= _HEAVY or not self._has_matrix
         return self._lines_price(at) if by_lines else self._meter.price
 
     def _lines_price(self, at: Known) -> float:
-        """What derivatives by single lines cost; the nodes' begin with potentials within the lines."""
+        """Price of derivatives by single lines; with nodes they begin with potentials within the lines."""
         return self.prices.lines + (0.0 if self._nodes is None else self._parts.quick.branch_price(at.cells))
 
     def _is_coarse(self, loss: float) -> bool:
-        """Whether the whole matrix is to follow derivatives by single lines, which neglect such a loss."""
+        """Whether the whole matrix must follow derivatives by single lines, which neglect such a loss."""
         return loss > _LIGHT and self._has_matrix
 
     def _loss(self, at: Known) -> float:
-        """Share of a voltage in the lines, as far as steps by single lines neglect it; inf: there are no such steps."""
+        """Share of a voltage lost in the lines that steps by single lines neglect; inf: there are no such steps."""
         if self._nodes is not None:
             return 0.0
         if not self.columns.applies:
@@ -352,7 +353,7 @@ class Linearised:
         return self.columns.loss(self._parts.board.cell_conductance(at.cells))
 
     def _first(self, at: Known) -> Iterator[Base | None]:
-        """Derivatives and their regularised inverse there, in instalments; None until the last."""
+        """Derivatives and their regularised inverse at these cells, in instalments; None until the last."""
         loss = self._loss(at)
         if loss <= _HEAVY or not self._has_matrix:
             yield self._by_lines(at, loss)
@@ -360,7 +361,7 @@ class Linearised:
             yield from self._by_matrix(at)
 
     def _by_lines(self, at: Known, loss: float) -> Base:
-        """Derivatives there by what is special about cells of one line: no matrix of all readings by all cells."""
+        """Derivatives at these cells by single lines, without the matrix of all readings by all cells."""
         shape, slope = self._parts.shape, self._parts.slope(at.volts)
         prior = self._prior.reshape(shape)
         if self._nodes is not None:
@@ -385,17 +386,17 @@ class Linearised:
         )
 
     def _by_matrix(self, at: Known) -> Iterator[Base | None]:
-        """Derivatives and their regularised inverse there, in instalments; None until the last."""
+        """Derivatives and their regularised inverse at these cells, in instalments; None until the last."""
         parts, size = self._parts, len(at.log)
         jacobian, cells, noise = np.empty((size, size)), at.cells.ravel(), parts.noise
         meter = self._meter = Meter(size, beside=self.columns.applies)
-        # A cell that ran away is as good as a short, and the derivatives are not made for shorts.
+        # A cell whose fit ran away is as good as a short, for which derivatives are not made.
         no_shorts = np.maximum(at.cells, np.maximum(_LEAST_CELL * parts.leads, np.exp(-_LARGEST)))
         for _ in derivatives(parts.board, no_shorts, parts.quick, meter, out=jacobian):
             yield None
         in_series = 1.0 / (cells + parts.board.series_ohms.ravel())  # S of the cell and an open-cell fault
         scale = in_series**2 * cells / noise
-        # Of a cell whose reading hardly tells it from none, the unknown is the conductance itself, see advanced().
+        # If its reading hardly tells a cell from an open one, the unknown is the conductance itself, see advanced().
         own = np.abs(np.diagonal(jacobian))
         least = np.divide(1.0, own, out=np.zeros(size), where=self._tells & (own > 0))
         floor = np.log(np.maximum(least * noise, np.finfo(np.float64).tiny))
@@ -408,7 +409,7 @@ class Linearised:
             yield None
         more = beyond_linear(np.sqrt(variance)) / variance
         std = np.sqrt(variance + np.einsum("ij,ij,j->i", normal.inverse, normal.inverse, more))
-        # Of the covariance with the hidden cells: how far each cell follows when all of them go to their ends.
+        # By the covariance with the hidden cells: change of each cell when all hidden ones go to their ends.
         hidden, others = parts.hidden, np.zeros(size)
         if parts.any_hidden:
             others = np.abs(normal.inverse[:, hidden] / std[hidden] ** 2).sum(axis=1) * _UNKNOWN

@@ -1,16 +1,16 @@
-"""Shared wire of a plain grid's lines, and the fields inside the grid by the lines' equations.
+"""Potentials inside a plain grid by the equations of its lines, with the shared wire of each line.
 
-These are
+The equations are
 
     u = e_row - (G (u - w)) K_row,        w = e_column + K_column (G (u - w)),
 
-with u and w the potentials along the rows and the columns, e those of the ports, and K the resistances of shared wire.
-For the voltages d = u - w across the crosspoints they are one system, (I + K G) d = e_row - e_column, which needs no
-node per crosspoint and takes wires of 0 ohm as they are. Small grids solve it with a dense matrix, at a fraction of the
-cost of a sparse factorisation or of a nested dissection.
+with the potentials u along the rows and w along the columns, the potentials e of the ports, and the resistances K of
+shared wire. For the voltages d = u - w across the crosspoints they are one system, (I + K G) d = e_row - e_column. This
+system needs no node per crosspoint and takes wires of 0 ohm as they are. Small grids solve it with a dense matrix, at a
+fraction of the cost of a sparse factorisation or of a nested dissection.
 
-On larger grids Newton's method needs no exact derivatives. If their lines are light, the fields come from a few sweeps
-of the equations. Each sweep gains the factor that the lines' losses are.
+On larger grids Newton's method needs no exact derivatives. If their lines are light, a few sweeps of the equations give
+the potentials. Each sweep reduces the error by a factor equal to the lines' losses.
 """
 
 from __future__ import annotations

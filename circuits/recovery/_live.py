@@ -1,12 +1,11 @@
-"""Readings to cells at a board's own rate, with a bounded cost per frame.
+"""Live inversion: from readings to cells at the board's frame rate, with a bounded cost per frame.
 
-:mod:`._recover` inverts the circuit model to many digits, whatever it costs. A board that is read a thousand times a
-second needs less: its readings come in steps of the converter, and hardly change from one frame to the next. So a
-live recovery keeps a *base*: conductances, and what the circuit model makes of them. The cells of a new frame follow
-from the base and the change of the readings. The base moves only where the change is so large that the result would be
-off by a share of an ADC step, and the evaluations of the circuit model in one frame are limited. When the limit does
-not suffice, the cells that are not settled are not valid in this frame, and the next one goes on from where this one
-ended.
+:mod:`._recover` inverts the circuit model to many digits, at any cost. A board that is read a thousand times a second
+needs less: its readings come in ADC steps, and hardly change from one frame to the next. A live recovery therefore
+keeps a *base*: conductances, and the results of the circuit model for them. The cells of a new frame follow from the
+base and the change of the readings. The base moves only if the change is so large that the result would be off by a
+share of an ADC step. The number of evaluations of the circuit model in one frame is limited. If the limit does not
+suffice, the cells that are not settled are not valid in this frame, and the next frame continues from there.
 
 Two kinds of boards (:func:`live_recovery`):
 
@@ -28,7 +27,7 @@ from ._live_reading import LiveRecovery, ValidityRule
 
 
 def live_recovery(design: Design, *, accuracy: float | None = None) -> LiveRecovery:
-    """The recovery that suits a board with a converter.
+    """The live recovery for a board with a converter: :class:`.AmplifiedLive` or :class:`.CoupledLive`.
 
     Args:
         design: the board.

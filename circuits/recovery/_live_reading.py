@@ -1,4 +1,4 @@
-"""What one frame of a live recovery says of its cells: values, uncertainties, validity, and reasons."""
+"""Result of a live recovery for one frame: resistances, uncertainties, validity, and reasons."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from ...checks import number
 from ...errors import InputError
 
 ACCURACY = 0.5
-"""relative uncertainty of a conductance up to which a cell is valid unless another one is asked for: an uncertainty
-bounds the error, so a resistance is never off by a factor of two; the root mean square of errors is about a sixth of it
+"""default relative uncertainty of a conductance up to which a cell is valid. The uncertainty bounds the error, so a
+resistance is never off by a factor of two; the root mean square of errors is about a sixth of the uncertainty
 """
 SIGMAS = 3.0
 """standard deviations of the readings' noise that an uncertainty covers"""
@@ -28,17 +28,17 @@ class Reason(IntEnum):
     VALID = 0
     """the cell is valid"""
     NO_CURRENT = 1
-    """its current cannot be told from none: an open cell, or one far above what the converter resolves"""
+    """the current cannot be told from zero: an open cell, or a resistance far above the resolution of the converter"""
     SATURATED = 2
     """the output or the converter stands at a limit"""
     UNCERTAIN = 3
-    """ADC steps and noise leave its conductance open by more than the accuracy asked for"""
+    """ADC steps and noise leave the conductance less certain than the accuracy asked for"""
     DISTURBED = 4
-    """cells whose values are not known, at a limit or behind a fault, may shift it by more than that"""
+    """cells of unknown value, at a limit or behind a fault, may shift the conductance by more than that accuracy"""
     HIDDEN = 5
     """a fault that the design names hides the cell"""
     UNSETTLED = 6
-    """the readings changed by more than one frame's budget of computation can follow; the next frames go on"""
+    """the readings changed by more than one frame's budget of computation can follow; the next frames continue"""
     UNSOLVED = 7
     """no cell resistances give readings like these: the design is not that of the board"""
 
@@ -54,7 +54,7 @@ NO_CURRENT, SATURATED, UNCERTAIN, DISTURBED, HIDDEN, UNSETTLED = (
         Reason.UNSETTLED,
     )
 )
-"""reasons as plain integers: NumPy takes up to 10 us to turn a member of the enumeration into one"""
+"""reasons as plain integers: NumPy takes up to 10 us to convert a member of the enumeration"""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class ValidityRule:
     limit: float = ACCURACY
 
     def __post_init__(self) -> None:
-        """Raises InputError where the limit is no share of a conductance."""
+        """Raises InputError if the limit is not between 0 and 1."""
         if not 0 < number("accuracy", self.limit) < 1:
             raise InputError(
                 f"accuracy is {self.limit:g}; expected a relative uncertainty above 0 and below 1, or None"
@@ -76,14 +76,14 @@ class ValidityRule:
         return cls() if accuracy is None else cls(accuracy)
 
     def accepts(self, uncertainty: FloatArray) -> BoolArray:
-        """Where a relative uncertainty is small enough."""
+        """Where a relative uncertainty is at most the limit."""
         accepted: BoolArray = uncertainty <= self.limit
         return accepted
 
     def least_reading(self, own: FloatArray, others: FloatArray) -> FloatArray:
-        """The reading from which on a cell is valid, if its uncertainty is ``own / reading + others``.
+        """The least reading of a valid cell, if its uncertainty is ``own / reading + others``.
 
-        Arguments and result broadcast; inf where no reading is large enough.
+        Arguments and result broadcast; inf if no reading is large enough.
         """
         room = np.maximum(self.limit - others, 0.0)
         with np.errstate(divide="ignore"):
@@ -91,10 +91,10 @@ class ValidityRule:
 
 
 class LiveReading:
-    """Cells of one frame. Arrays are (rows, columns)."""
+    """The cells in one frame. Arrays are (rows, columns)."""
 
     sigmas: ClassVar[float] = SIGMAS
-    """standard deviations of the noise in :attr:`uncertainty` and in :attr:`own`, beside half an ADC step"""
+    """standard deviations of the noise in :attr:`uncertainty` and in :attr:`own`, added to half an ADC step"""
 
     def __init__(
         self,
@@ -108,23 +108,23 @@ class LiveReading:
         *,
         every: bool | None = None,
     ) -> None:
-        """Keep values, and how to compute the uncertainties should somebody ask for them.
+        """Keep the values, and the functions that compute uncertainties on demand.
 
-        ``by_readings`` gives :attr:`by_readings`; None: other readings do not count, as behind virtual grounds.
-        ``every`` says whether every cell is valid, where that is known beforehand.
+        ``by_readings`` computes :attr:`by_readings`; None: other readings do not count, as behind virtual grounds.
+        ``every`` says whether every cell is valid, if that is known beforehand.
         """
         self._every = every
         self._by_readings = by_readings
         self.alike = alike
-        """standard deviation by ADC steps, which may err alike in many readings, over that of independent errors"""
+        """standard deviation by ADC steps, which may err alike in many readings, over that by independent errors"""
         self.covered = covered
-        """V of random error for which :attr:`uncertainty` and :attr:`own` stand: an error of all readings with this
-        standard deviation has them for its own; None: half an ADC step and :data:`SIGMAS` standard deviations of noise
+        """V: random errors of all readings with this standard deviation have :attr:`uncertainty` and :attr:`own` as
+        theirs; None: half an ADC step and :data:`SIGMAS` standard deviations of the noise
         """
         self.resistance = resistance
         """ohm; inf for open cells, NaN where nothing is known"""
         self.valid = valid
-        """where ``resistance`` is known as well as the :class:`ValidityRule` asks for"""
+        """cells whose ``resistance`` satisfies the :class:`ValidityRule`"""
         self.reason = reason
         """a :class:`Reason` each"""
         self._uncertainties = uncertainties
@@ -144,34 +144,34 @@ class LiveReading:
 
     @property
     def uncertainty(self) -> FloatArray:
-        """Relative half-width of the interval that the conductance lies in; inf where nothing is known.
+        """Relative half-width of the interval of the conductance; inf where nothing is known.
 
-        Half an ADC step and :data:`SIGMAS` standard deviations of the noise of every reading, what the computation
-        leaves open, and what cells that are not known can make of this one.
+        The interval covers half an ADC step and :data:`SIGMAS` standard deviations of the noise of every reading, the
+        error of the computation, and the influence of cells whose conductance is unknown.
         """
         return self.uncertainties[0]
 
     @property
     def own(self) -> FloatArray:
-        """The part of :attr:`uncertainty` that comes from the cell's own reading: no other reading lessens it."""
+        """The part of :attr:`uncertainty` from the cell's own reading, which no other reading can reduce."""
         return self.uncertainties[1]
 
     @property
     def by_readings(self) -> FloatArray:
         """Relative change of the conductance by random errors of all readings, :attr:`covered` each; at least ``own``.
 
-        In a column of a divider all readings together tell how much of the drive is left for each cell. When the code
-        of another cell of the column changes, the conductance changes as well.
+        In a column of a divider all readings together determine the drive that is left for each cell. When the code of
+        another cell of the column changes, the conductance changes as well.
         """
         return self.own if self._by_readings is None else self._by_readings()
 
 
 class LiveRecovery(Protocol):
-    """Frame after frame of one board."""
+    """Live recovery of one board, called with one frame after the other."""
 
     scales_columns: bool
-    """whether errors of readings reach other cells as one factor of all conductances of their column: dividers whose
-    idle rows are driven, where all readings of a column together tell how much of the drive is left for it"""
+    """whether errors of readings scale all conductances of their column by one factor. This is so in dividers whose
+    idle rows are driven: all readings of a column together determine the drive that is left for it"""
 
     def __call__(
         self,
@@ -181,14 +181,14 @@ class LiveRecovery(Protocol):
         *,
         faint: BoolArray | None = None,
     ) -> LiveReading:
-        """The cells behind one frame of readings.
+        """Recover the cells from one frame of readings.
 
         Args:
             volts: (rows, columns) V, the middle of each code.
             limited: (rows, columns) where a reading is at a limit; None: nowhere.
             noise: V, standard deviation of the readings' noise before the converter.
-            faint: (rows, columns) where a reading is at a limit which is also that of a cell without a current: the
-                output may lie anywhere beyond, and the cell conducts no more than the reading says; None: nowhere.
+            faint: (rows, columns) where a reading is at the limit that is also the reading of a cell without current:
+                the output may lie anywhere beyond, and the cell conducts no more than the reading says; None: nowhere.
 
         Raises:
             SolverError: no cells give these readings.

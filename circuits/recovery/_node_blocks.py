@@ -1,20 +1,20 @@
 """Gauss-Newton steps on boards with floating rows, by preconditioned conjugate gradients.
 
-With floating idle rows a reading depends on all cells. It depends much more on its own cell and on those of its row and
-its column than on the rest, though: every other path leads through at least three cells. Within one row or column the
-derivatives by the cells' logarithms are nearly a product of two vectors, so that
+With floating idle rows a reading depends on all cells, but much more on its own cell and on those of its row and its
+column than on the rest: every other path leads through at least three cells. Within one row or column the derivatives
+by the cells' logarithms are nearly a product of two vectors, so that
 
     J ~ diag(d) + P Q',        P, Q (N M, N + M), with two numbers per row: one for its row, one for its column.
 
-The normal matrix of a regularised step, J'J + 1/s^2, then is a diagonal A = d^2 + 1/s^2 with a product of rank
-2 (N + M) beside it. By Woodbury's identity its inverse takes one inversion of a matrix of that size,
+The normal matrix of a regularised step, J'J + 1/s^2, is then a diagonal A = d^2 + 1/s^2 plus a product of rank
+2 (N + M). By Woodbury's identity its inverse takes one inversion of a matrix of that size,
 
     H^-1 = A^-1 - A^-1 V W V' A^-1,    V = (d P, Q),
     W^-1 = (-P' (1/s^2 A) P,  1 + P' (d/A) Q;  1 + Q' (d/A) P,  Q' (1/A) Q).
 
-The posterior variances are the diagonal of that. A step needs J itself: products with it (:mod:`._port_derivatives`)
-within conjugate gradients, for which the structured inverse is the preconditioner. They converge in two to eight
-iterations, whatever the size, and the matrix J is never formed.
+The posterior variances are the diagonal of this inverse. A step needs J itself: products with it
+(:mod:`._port_derivatives`) within conjugate gradients, with the structured inverse as the preconditioner. They converge
+in two to eight iterations, whatever the size, and the matrix J is never formed.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from ._column_blocks import beyond_linear
 from ._port_derivatives import PortDerivatives
 from ._quick_model import QuickModel
 
-_ITERATIONS = 16  # of conjugate gradients in one step, at most
+_ITERATIONS = 16  # largest number of conjugate gradients in one step
 _TOLERANCE = 0.01  # of the residual, in the preconditioner's norm, that a step may leave
 _FITS = 3  # alternating least squares for the two vectors of a line
-_HARDLY_KNOWN = 0.3  # standard deviation of a logarithm from which on the linear law says too little
-_PER_TIE = 0.5  # of a standard deviation that is missing, per measure of ties: 0.1 to 0.45 on boards tried
-_LEAST_REST = 1e-6  # of a crosspoint's conductance that the rest of its lines has, so that a quotient is defined
+_HARDLY_KNOWN = 0.3  # standard deviation of a logarithm above which the linear law does not suffice
+_PER_TIE = 0.5  # missing part of a standard deviation per measure of ties: 0.1 to 0.45 on boards tried
+_LEAST_REST = 1e-6  # least conductance of the rest of a crosspoint's lines over its own, so that a quotient is defined
 _MARGIN = 1.15  # standard deviations by structure are 0.90 to 1.05 of the exact ones on boards tried
 
 
 class _Lines(NamedTuple):
-    """A matrix (N M, N + M) with two numbers in each row: for the cell's row and for its column; (N, M) each."""
+    """A matrix (N M, N + M) with two numbers per row: for the cell's row and for its column; (N, M) each."""
 
     rows: FloatArray
     columns: FloatArray
@@ -183,11 +183,11 @@ class NodeBlocks:
     def __init__(self, board: Board, model: QuickModel, noise: float) -> None:
         """Take the board, its model, and V of noise of a reading."""
         self._board, self._model, self._noise = board, model, noise
-        # Beside a complete break parts of the grid are connected to nothing.
+        # Beside a complete break, parts of the grid have no connection.
         self.applies = bool(board.plain and board.floating and not broken_off(board).any())
         if self.applies:
             self.applies = model.products(np.full(board.shape, 1e4)) is not None
-        """whether there is a short way to products with the derivatives"""
+        """whether there is a fast way to products with the derivatives"""
 
     def at(self, cells: FloatArray, prior: FloatArray) -> NodeStep:
         """The step at cells (N, M) in ohm, with standard deviations ``prior`` (N, M) of their logarithms before."""
@@ -199,12 +199,12 @@ class NodeBlocks:
 
 
 def tied(conductance: FloatArray) -> FloatArray:
-    """How strongly each crosspoint (N, M) is in parallel with another one that is in neither of its lines, or in one.
+    """How strongly each crosspoint (N, M) is in parallel with another one with which it shares at most one line.
 
-    A crosspoint that conducts much more than the rest of its lines ties them to each other. Two such crosspoints put
-    others in parallel: (r, j) and (i, c) do so with (r, c) and (i, j); (r, j) and (i, j) with (r, c) and (i, c) for
-    every c; and likewise for columns. What the ties conduct, over the rest of their lines, is the measure: in parallel
-    at 30 cells over the others' 1, the structure takes a standard deviation for a sixth of what it is.
+    A crosspoint that conducts much more than the rest of its lines ties these lines to each other. Two such crosspoints
+    put others in parallel: (r, j) and (i, c) do so with (r, c) and (i, j); (r, j) and (i, j) with (r, c) and (i, c) for
+    every c; and likewise for columns. The measure is the conductance of the ties over that of the rest of their lines:
+    for ties of 30 and a rest of 1, the structure gives a sixth of the true standard deviation.
     """
     along, down = conductance.sum(axis=1, keepdims=True), conductance.sum(axis=0)
     tie = conductance / np.maximum(np.minimum(along, down) - conductance, _LEAST_REST * conductance)
@@ -216,7 +216,7 @@ def tied(conductance: FloatArray) -> FloatArray:
 
 
 def _most_of_others(values: FloatArray) -> FloatArray:
-    """Largest of the other values in each row (K, a), 0 where there is none."""
+    """Largest of the other values in each row (K, a), 0 if there is none."""
     most = values.argmax(axis=1, keepdims=True)
     largest = np.take_along_axis(values, most, axis=1)
     others = np.repeat(largest, values.shape[1], axis=1)
@@ -227,7 +227,7 @@ def _most_of_others(values: FloatArray) -> FloatArray:
 
 
 def _product_of_vectors(blocks: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Vectors p and q (K, a) with p q' next to the matrices (K, a, a), whose diagonals do not count."""
+    """Vectors p and q (K, a) with p q' close to the matrices (K, a, a), whose diagonals do not count."""
     beside = blocks.copy()
     np.einsum("kaa->ka", beside)[:] = 0.0
     first = np.ones(blocks.shape[:2])
@@ -238,7 +238,7 @@ def _product_of_vectors(blocks: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _of_others(values: FloatArray) -> FloatArray:
-    """Sums of squares (K, a) of all values but one's own."""
+    """Sums of squares (K, a) of all values but the own one."""
     squares = values**2
     others: FloatArray = squares.sum(axis=1, keepdims=True) - squares
     return others

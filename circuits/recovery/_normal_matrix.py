@@ -1,10 +1,10 @@
 """Regularised Gauss-Newton steps with the derivatives of all readings by all cells, in instalments of bounded work.
 
-With J (n, n) the derivatives in standard deviations of a reading and s the prior's standard deviations, the inverse of
-the normal matrix P = (J'J + 1/s^2)^-1 holds the posterior covariance, and a step is P J' r. P is found by sweeping
-(block Gauss-Jordan elimination, which needs no pivoting for positive definite matrices). All work is done on panels of
-a few rows, so that it can be interrupted anywhere. What fits into one instalment is done at once by Cholesky's method,
-which takes a third to a half of that time.
+J (n, n) are the derivatives in standard deviations of a reading, s the prior's standard deviations. The inverse of the
+normal matrix, P = (J'J + 1/s^2)^-1, is the posterior covariance, and a step is P J' r. P is computed by sweeping (block
+Gauss-Jordan elimination, which needs no pivoting for positive definite matrices). All work is done on panels of a few
+rows, so that it can be interrupted anywhere. If all of it fits into one instalment, Cholesky's method does it at once,
+in a third to a half of that time.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from scipy.linalg.lapack import dpotrf, dpotri
 
 from ...arrays import FloatArray
 
-_LEAST = 2**23  # multiplications in one instalment, at least
+_LEAST = 2**23  # least limit of multiplications in one instalment
 _PER_ENTRY = 32  # the same per entry of the matrix, where each step reads all of them anyway
 _BLOCK = 32  # unknowns that are swept together
 _PER_INSTALMENT, _PER_PRICE = 250.0, 13000.0  # price of an instalment, and multiplications for one unit more
-_ROUNDING = 1e-13  # relative, of a sum of products, per unknown: beside shorts, more than the prior adds
+_ROUNDING = 1e-13  # relative rounding error of a sum of products, per unknown: beside shorts, more than the prior adds
 
 DEAR = 300.0
-"""price from which on a piece of work is an instalment of its own"""
+"""price above which a piece of work is an instalment of its own"""
 PER_DERIVATIVE = 256
 """multiplications of a matrix product that take as long as one entry of the derivatives"""
 
@@ -32,7 +32,7 @@ class Meter:
     """Counts the work of an instalment in multiplications of matrix products, so that no clock decides."""
 
     def __init__(self, size: int, *, beside: bool = False) -> None:
-        """For a matrix of so many rows, which is made ``beside`` usual steps that do without it."""
+        """For a matrix of ``size`` rows, made ``beside`` usual steps that do without it."""
         self.limit = _LEAST if beside else max(_LEAST, _PER_ENTRY * size**2)
         """multiplications in one instalment"""
         self._spent = 0
@@ -41,11 +41,11 @@ class Meter:
 
     @property
     def price(self) -> float:
-        """What the next instalment costs, see :mod:`._frame_account`."""
+        """Price of the next instalment, see :mod:`._frame_account`."""
         return _PER_INSTALMENT + self._ahead if self._ahead else self._usual
 
     def is_dear(self, price: float) -> bool:
-        """Whether the next piece of work, which is no product, is to be an instalment of its own, by its price.
+        """Whether the next piece of work, which is no product, needs an instalment of its own for its price.
 
         A cheap piece is not counted.
         """
@@ -55,7 +55,7 @@ class Meter:
         return dear
 
     def is_full(self, work: int) -> bool:
-        """Whether an instalment ends before so many further multiplications, which then belong to the next one."""
+        """Whether the instalment ends before ``work`` further multiplications, which then belong to the next one."""
         self._ahead = 0.0
         self._spent += work
         full = self._spent > self.limit and self._spent > work
@@ -65,7 +65,7 @@ class Meter:
 
 
 class NormalMatrix:
-    """The inverse of the normal matrix, once :meth:`instalments` have come to their end."""
+    """The inverse of the normal matrix, complete after all :meth:`instalments`."""
 
     def __init__(self, jacobian: FloatArray, prior: FloatArray) -> None:
         """Take J (n, n) and s (n,)."""
@@ -74,7 +74,7 @@ class NormalMatrix:
         """(n, n): P"""
 
     def instalments(self, meter: Meter) -> Iterator[None]:
-        """Work, and yield when an instalment is full."""
+        """Do the work, with a yield whenever an instalment is full."""
         size, matrix = len(self._prior), self.inverse
         at_once = 2 * size**3
         if at_once <= meter.limit:
@@ -100,7 +100,7 @@ class NormalMatrix:
         np.negative(matrix, out=matrix)
 
     def _invert(self) -> bool:
-        """The whole work by Cholesky's method. False where rounding has made the matrix another than a definite one."""
+        """Do all of the work by Cholesky's method. False if rounding has made the matrix indefinite."""
         matrix = self._jacobian.T @ self._jacobian
         matrix.flat[:: len(matrix) + 1] += self._prior**-2.0
         factor, failed = dpotrf(matrix.T, clean=False, overwrite_a=True)
@@ -108,7 +108,7 @@ class NormalMatrix:
             inverse, failed = dpotri(factor, overwrite_c=True)
         if failed:
             return False
-        # Of symmetric matrices LAPACK writes one triangle.
+        # LAPACK writes one triangle of a symmetric matrix.
         self.inverse = np.triu(inverse)
         self.inverse += np.triu(inverse, 1).T
         return True

@@ -12,21 +12,21 @@ from ._coupled_board import CoupledBoard, Frame, Known
 from ._frame_budget import Budget
 from ._live_reading import SIGMAS
 
-_FAR_BELOW = 0.05  # share of its leads' resistance below which a cell is as good as a short
-_TIES = 1.0  # share of its leads' resistance below which a cell may join lines with each other
-_ALIKE = 0.125  # least share of a column's largest reading that a short in the column has
-_RESOLVED = 4.0  # half steps and noise of a reading that is far from none
+_FAR_BELOW = 0.05  # cell over the resistance of its leads, below which it is as good as a short
+_TIES = 1.0  # the same, below which a cell may connect lines with each other
+_ALIKE = 0.125  # least reading of a short over the largest reading of its column
+_RESOLVED = 4.0  # half steps and noise of a reading that is clearly not zero
 
 
 class PossibleShorts:
-    """What shorts would do to the readings of one board."""
+    """Effect of possible shorts on the readings of one board."""
 
     def __init__(self, parts: CoupledBoard, price: float) -> None:
-        """For a board, and what a round of the search for shorts that pass for other cells costs."""
+        """For a board; ``price`` of a round of the search for shorts that could explain other cells' readings."""
         self._price = price
         self._looked, self._always_looked = False, True
         self.usually_looks = False
-        """whether there has been such a search in every frame that was asked about"""
+        """whether every frame so far has made such a search"""
         board, lines = parts.board, parts.lines
         self._board, self._shape = board, parts.shape
         explained = parts.gone.reshape(parts.shape)
@@ -36,12 +36,12 @@ class PossibleShorts:
         self._least_signal = parts.half_step + (0.0 if board.adc is None else board.adc.step)
 
     def as_good_as_short(self, known: Known) -> BoolArray | None:
-        """(N, M) cells far below their leads that no fault explains; None where there are none."""
+        """(N, M) cells far below their leads that no fault explains; None: no such cells."""
         found: BoolArray = known.cells < self._short
         return found if np.count_nonzero(found) else None
 
     def joins_lines(self, known: Known) -> bool:
-        """Whether a cell is below its leads: other cells, far from these, may then give the readings as well."""
+        """Whether a cell is below its leads: then other cells, far from these, may give the same readings."""
         return bool((known.cells.ravel() < self._tie).any())
 
     def disturb(
@@ -53,14 +53,14 @@ class PossibleShorts:
         lost_rows: BoolArray | None,
         budget: Budget,
     ) -> BoolArray | None:
-        """Cells whose values would be wrong if cells that may be shorts were such.
+        """Cells whose values would be wrong if possible shorts were actual ones.
 
         Args:
             frame: the readings.
-            known: the cells that have been found for them.
-            uncertainty: (n,) of the conductances, but for what the lost columns do.
+            known: the cells found for the readings.
+            uncertainty: (n,) of the conductances, without the effect of lost columns.
             lost: (M,) columns that are left out; None: there are none.
-            lost_rows: (N,) rows that are left out, whose effects have bounds of their own; None: there are none.
+            lost_rows: (N,) rows that are left out, whose effects are bounded elsewhere; None: there are none.
             budget: of the frame.
 
         Returns:
@@ -69,7 +69,7 @@ class PossibleShorts:
         """
         excess = frame.signal - _RESOLVED * frame.error
         if lost is not None:
-            excess[:, lost] = 0.0  # what these make of their rows is known
+            excess[:, lost] = 0.0  # their effect on their rows is known
         tied = self._tied(known, uncertainty, excess)
         least = self._least_signal + SIGMAS * frame.noise
         signal = frame.volts - self._board.level
@@ -90,16 +90,16 @@ class PossibleShorts:
         return budget.judge(self._price)
 
     def _tied(self, known: Known, uncertainty: FloatArray, excess: FloatArray) -> BoolArray | None:
-        """Cells on lines that two cells, which may be shorts, join with each other by way of a third line.
+        """Cells on lines that two possible shorts connect with each other through a third line.
 
         Two shorts in a column divide the voltage between their rows' leads, whichever of the two rows is driven. Both
-        rows then read alike, and in between a few ohm of the two cells decide how the readings are shared. The law is
-        the same for columns.
+        rows then read alike, and a few ohm of the two cells decide how the rows share the readings. The same holds for
+        columns.
 
         Args:
             known: the cells.
             uncertainty: (n,) of the conductances.
-            excess: (N, M) V of the readings above those that are hardly any.
+            excess: (N, M) V of the readings above the least clear ones.
 
         Returns:
             (N, M); None where there are none.

@@ -1,14 +1,14 @@
 """Outputs and derivatives of a plain grid by nodal analysis of its ports, without bounds on rounding errors.
 
 With ideal lines and resistive leads there is one node per row and one per column. The rows' own nodes are eliminated in
-closed form: row i with the lead r_i and cells of the sum S_i passes
+closed form: row i, with the lead r_i and the sum S_i of its cells, conducts
 
     D_ij = g_ij / (1 + r_i S_i)        from its terminal to column j,
     C_jk = sum_i r_i D_ij g_ik         from column to column.
 
 Small grids with other lines take one dense system of equations (:meth:`.LineResistance.ports`). Larger ones are reduced
 to their ports by nested dissection (:func:`..solvers.port_conductances`), at about ten times the cost of ideal lines.
-What the readout makes of either network is the circuit's to say (:meth:`.ReadoutCircuit.quick_outputs`).
+The circuit computes the readings from either network (:meth:`.ReadoutCircuit.quick_outputs`).
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from ..solvers import has_ideal_lines, port_conductances
 from ._lines import LineResistance
 from ._port_derivatives import AnyLines, Branches, IdealLines, PortDerivatives
 
-_AT_ONCE = 4096  # derivatives that are made together, if those of one row are fewer
+_AT_ONCE = 4096  # derivatives that are computed together, if those of one row are fewer
 _SOME_OHM = 1e4
-_LIGHT = 0.25  # largest loss in the lines for which sweeps are good to a percent
-_BREAK_OHM = 1e9  # of a wire that is broken: far above cells, and such that a dense system keeps ten digits beside them
+_LIGHT = 0.25  # largest loss in the lines for which sweeps are accurate to a percent
+_BREAK_OHM = 1e9  # of a broken wire: far above cells, and such that a dense system keeps ten digits beside it
 
 
 class _Way(Enum):
-    """To the voltages across all crosspoints."""
+    """Ways to compute the voltages across all crosspoints."""
 
     IDEAL = auto()
     DENSE = auto()
@@ -45,7 +45,7 @@ class _Way(Enum):
 
 
 class QuickModel:
-    """A board's outputs for one frame of cells: quickly where the board allows it, else exactly."""
+    """A board's outputs for one frame of cells: fast where the board allows it, else exact."""
 
     def __init__(self, board: Board, lines: LineResistance) -> None:
         """For a sliced sheet, and the shared wire of its lines."""
@@ -57,7 +57,7 @@ class QuickModel:
         self.is_quick = board.plain and finite and has_ideal_lines(board.lines)
         """whether the network is known in closed form"""
         self.has_network = board.plain
-        """whether the network's ports give the outputs by plain nodal analysis"""
+        """whether plain nodal analysis of the network's ports gives the outputs"""
         if self.has_network:
             self.has_network = self._quick(np.full(board.shape, 1.0 / _SOME_OHM)) is not None
         self.is_quick = self.is_quick and self.has_network
@@ -65,14 +65,14 @@ class QuickModel:
         some = np.full(board.shape, _SOME_OHM)
         varies = self.has_network and not self.is_quick and lines.can_solve(board.cell_conductance(some))
         self.usual_price = self.price(some)
-        """what the readings of usual cells cost"""
+        """price of the readings of usual cells"""
         self.fixed_price = None if varies else self.usual_price
-        """what those of any cells cost; None: it depends on the cells"""
+        """price of the readings of any cells; None: it depends on the cells"""
 
     def broken(self, row_ohms: FloatArray, column_ohms: FloatArray, column_lead: FloatArray) -> QuickModel:
         """The model of the same board with other wires, as :class:`.Parts` has them; inf is a break.
 
-        Lines that break at their driver or end leave a grid with ideal lines one.
+        If lines break only at their driver or end, a grid with ideal lines stays one.
         """
         other = copy(self)
         other._board = replace(
@@ -88,7 +88,7 @@ class QuickModel:
         return other
 
     def price(self, cells: FloatArray) -> float:
-        """What the readings of ``cells`` (N, M) in ohm cost, see :mod:`._frame_account`."""
+        """Price of the readings of ``cells`` (N, M) in ohm, see :mod:`._frame_account`."""
         size = cells.size
         if not self.has_network:
             return self.exact_price(size)
@@ -99,21 +99,21 @@ class QuickModel:
         return self._dissection_price(size)
 
     def most_price(self, size: int) -> float:
-        """What the readings of any so many cells cost at most, also where a line has broken."""
+        """Largest price of the readings of any ``size`` cells, also after a line has broken."""
         return self._dissection_price(size) if self.has_network else self.exact_price(size)
 
     def exact_price(self, size: int) -> float:
-        """What an exact solution with so many cells costs."""
+        """Price of an exact solution with ``size`` cells."""
         if self._board.floating:
             return 600.0 + 11.0 * size
         return 350.0 + 0.3 * size + (0.0 if has_ideal_lines(self._board.lines) else self._dissection_price(size))
 
     def sparse_price(self, size: int) -> float:
-        """What a sparse factorisation with so many cells costs, the dearest way of :meth:`branches`."""
+        """Price of a sparse factorisation with ``size`` cells, the dearest way of :meth:`branches`."""
         return 800.0 + 8.0 * size
 
     def branch_price(self, cells: FloatArray) -> float:
-        """What :meth:`branches` costs."""
+        """Price of :meth:`branches`."""
         size, way = cells.size, self._way(self._board.cell_conductance(cells))
         if way is _Way.SPARSE:
             return self.sparse_price(size)
@@ -135,7 +135,7 @@ class QuickModel:
         if self.has_network:
             try:
                 volts = self._quick(self._board.cell_conductance(cells))
-            except np.linalg.LinAlgError:  # parts of the grid that nothing is connected to
+            except np.linalg.LinAlgError:  # parts of the grid without a connection
                 volts = None
             if volts is not None and np.count_nonzero(np.isfinite(volts)) == volts.size:
                 return volts
@@ -148,7 +148,7 @@ class QuickModel:
             cells: (N, M) ohm.
 
         Returns:
-            None where there is no short way, as where parts of the grid are connected to nothing.
+            None if there is no fast way, for example because parts of the grid have no connection.
 
         """
         if not self.has_network:
@@ -164,7 +164,7 @@ class QuickModel:
         """The same derivatives without their matrix.
 
         Raises:
-            numpy.linalg.LinAlgError: parts of the grid are connected to nothing.
+            numpy.linalg.LinAlgError: parts of the grid have no connection.
 
         """
         if not self.has_network:
@@ -176,8 +176,8 @@ class QuickModel:
     def branches(self, cells: FloatArray) -> Branches:
         """Voltages across the crosspoints for potentials of the grid's ports, for ``cells`` (N, M) in ohm, no shorts.
 
-        They are in closed form with ideal lines, by a dense system on small grids, by sweeps over light lines, and by
-        a sparse factorisation elsewhere.
+        The method is a closed form with ideal lines, a dense system on small grids, sweeps over light lines, and a
+        sparse factorisation elsewhere.
         """
         conductance = self._board.cell_conductance(cells)
         match self._way(conductance):
@@ -191,7 +191,7 @@ class QuickModel:
                 return AnyLines(basis_drops(self._board, cells))
 
     def _way(self, conductance: FloatArray) -> _Way:
-        """How :meth:`branches` goes about it at cells (N, M) in S."""
+        """The method of :meth:`branches` at cells (N, M) in S."""
         if self.is_quick:
             return _Way.IDEAL
         if self.has_network and self._lines.can_solve(conductance):

@@ -1,9 +1,9 @@
-"""Outputs of a continuous sheet by a sliced one with the same cells, and the difference at cells nearby.
+"""Outputs of a continuous sheet: those of the sliced sheet, plus the difference at cells nearby (deferred correction).
 
 A continuous sheet couples neighbours weakly: readings change with their own cell by 0.97 to 1.0 times as much as those
-of the sliced sheet. A solution of the continuous sheet costs a thousand times as much, though. So the live recovery
-solves it once per frame at most (deferred correction): readings are those of the sliced sheet plus what the continuous
-one gave beyond them at the last solution.
+of the sliced sheet. A solution of the continuous sheet costs a thousand times as much, though. The live recovery
+therefore solves it at most once per frame. The readings are those of the sliced sheet, plus the difference between the
+two sheets at the last solution.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from .._board import Board
 from .._exact import read_exactly
 from ._quick_model import QuickModel
 
-_SHARE = 0.1  # of a change of the cells since the last solution that the difference may miss
+_SHARE = 0.1  # of a change of the cells since the last solution, error of the difference
 _SERVES = 0.01  # change of a logarithm up to which the difference is kept
 
 
 class SheetModel:
-    """What a continuous sheet's readings are beyond those of the sliced sheet."""
+    """Difference between the readings of a continuous sheet and those of the sliced sheet."""
 
     def __init__(self, board: Board, sliced: QuickModel) -> None:
         """For a continuous sheet without limits, and the model of the sliced one."""
@@ -34,15 +34,15 @@ class SheetModel:
         return volts
 
     def serves(self, log: FloatArray, spread: FloatArray) -> bool:
-        """Whether the difference is good enough at logarithms (n,) of conductances that are known within ``spread``."""
+        """Whether the difference is accurate enough at logarithms (n,) of conductances known within ``spread``."""
         return self._at is not None and bool((np.abs(log - self._at) <= np.maximum(_SERVES, spread)).all())
 
     def solve(self, log: FloatArray) -> None:
-        """Take the difference anew, at logarithms (n,) of conductances."""
+        """Compute the difference anew, at logarithms (n,) of conductances."""
         cells = np.exp(-log).reshape(self._board.shape)
         self._missing = read_exactly(self._board, cells)[0].volts - self._sliced(cells)
         self._at = log
 
     def doubt(self, log: FloatArray) -> float:
-        """Relative error of a conductance that the difference may leave."""
+        """Relative error of a conductance by the difference."""
         return np.inf if self._at is None else _SHARE * float(np.abs(log - self._at).max())
