@@ -163,9 +163,12 @@ class Reading:
         share = self.steps_share
         if not self._scales_columns or self._found is None or share < _LEAST_STEPS:
             return None
-        others = self._found.uncertainty - self._found.own  # the root of a sum of squares
-        least: FloatArray = np.fmin.reduce(others, axis=0)
-        at_once = share / self._alike * math.sqrt(max(len(others) - 1, 0))
+        # A reading counts x through its column's sum, and that of the cell itself its own part beside:
+        # by_readings^2 = (own + x)^2 + (rows - 1) x^2. The uncertainty may count equal roundings in full already.
+        own, rows = self._found.own, len(self._found.own)
+        all_others = rows * np.maximum(self._found.by_readings**2 - own**2, 0.0)
+        least: FloatArray = np.fmin.reduce(np.sqrt(own**2 + all_others) - own, axis=0) / rows
+        at_once = share / self._alike * (rows - 1)
         return np.where(np.isfinite(least), at_once * least, 0.0)
 
     @property
