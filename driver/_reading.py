@@ -228,7 +228,7 @@ class CountReader:
         self._design_noise = _noise_of(design)  # V
         self._scatter = Scatter(adc.step, assumed=not self._design_noise)
         self._middle_of_codes = _middle_of_codes.machine_code(unchecked=True)
-        self._guard, self._usual_codes = 0, self._within_limits(0)  # of the last frame, and what is no limit with it
+        self._guard, self._usual_codes = 0, self._usual_within(0)  # of the last frame, and what is no limit with it
         self._silent = 0  # cells whose readings stood at a limit in the last frame, and could not change
         self._limited: BoolArray | None = None  # cells that were taken for limited in the last frame
         self._in_doubt = False  # some of them may have left the limit, which one more frame tells
@@ -317,6 +317,20 @@ class CountReader:
         lowest = max(self._first + (0 if self._rising else guard), 1)
         return lowest, min(self._last - (guard if self._rising else 0), self._codes - 1)
 
+    def _usual_within(self, guard: int) -> tuple[float, float]:
+        """The same, with the guard at both limits: an output without a current may stand at the other one."""
+        lowest, highest = self._within_limits(guard)
+        return (
+            (max(lowest, self._first + guard), highest) if self._rising else (lowest, min(highest, self._last - guard))
+        )
+
+    def _without_current(self, counts: NDArray[np.integer], guard: int) -> BoolArray:
+        """Readings (rows, columns) of outputs that may stand at the limit away from which a current moves them.
+
+        An offset holds the output of an open cell there, and noise moves the reading as a current would.
+        """
+        return counts < self._first + guard if self._rising else counts >= self._last - guard
+
     def _jumped_to_limit(self, least: float, most: float) -> bool:
         """Whether a reading may have moved notably, and by more than what it is away from a limit of the swing."""
         room = self._last - most if self._rising else least - self._first  # codes
@@ -349,6 +363,7 @@ class CountReader:
             limited |= doubtful
         # Where hardly a current flows a cell may be open. It is no short, which would disturb many others.
         faint = limited & (np.abs(volts - self._level) < 1.5 * self._step)
+        faint |= self._without_current(counts, guard)
         limited &= ~faint
         self._limited = limited if limited.any() else None
         return self._limited, faint
@@ -375,7 +390,7 @@ class CountReader:
             first = _FIRST_GUARD if self._scatter.frames == 1 else 0
             guard = max(guard, first, math.ceil(_FINE_GUARD * self._codes))
         if guard != self._guard:
-            self._guard, self._usual_codes = guard, self._within_limits(guard)
+            self._guard, self._usual_codes = guard, self._usual_within(guard)
         lowest, highest = self._usual_codes
         limited = faint = None
         self._silent, self._in_doubt, jumped = 0, False, self._jumped_to_limit(least, most)
