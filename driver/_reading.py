@@ -163,9 +163,12 @@ class Reading:
         share = self.steps_share
         if not self._scales_columns or self._found is None or share < _LEAST_STEPS:
             return None
-        others = self._found.uncertainty - self._found.own  # the root of a sum of squares
-        least: FloatArray = np.fmin.reduce(others, axis=0)
-        at_once = share / self._alike * math.sqrt(max(len(others) - 1, 0))
+        # A reading counts x through its column's sum, and that of the cell itself its own part beside:
+        # by_readings^2 = (own + x)^2 + (rows - 1) x^2. The uncertainty may count equal roundings in full already.
+        own, rows = self._found.own, len(self._found.own)
+        all_others = rows * np.maximum(self._found.by_readings**2 - own**2, 0.0)
+        least: FloatArray = np.fmin.reduce(np.sqrt(own**2 + all_others) - own, axis=0) / rows
+        at_once = share / self._alike * (rows - 1)
         return np.where(np.isfinite(least), at_once * least, 0.0)
 
     @property
@@ -224,7 +227,7 @@ class CountReader:
         self._design_noise = _noise_of(design)  # V
         self._scatter = Scatter(adc.step, assumed=not self._design_noise)
         self._middle_of_codes = _middle_of_codes.machine_code(unchecked=True)
-        self._guard, self._usual_codes = 0, self._within_limits(0)  # of the last frame, and the codes within its limits
+        self._guard, self._usual_codes = 0, self._usual_within(0)  # of the last frame, and the codes within its limits
         self._silent = 0  # cells whose readings stood at a limit in the last frame, and could not change
         self._limited: BoolArray | None = None  # cells that counted as limited in the last frame
         self._in_doubt = False  # some of them may have left the limit; one more frame decides
@@ -313,6 +316,20 @@ class CountReader:
         lowest = max(self._first + (0 if self._rising else guard), 1)
         return lowest, min(self._last - (guard if self._rising else 0), self._codes - 1)
 
+    def _usual_within(self, guard: int) -> tuple[float, float]:
+        """The same, with the guard at both limits: an output without a current may stand at the other one."""
+        lowest, highest = self._within_limits(guard)
+        return (
+            (max(lowest, self._first + guard), highest) if self._rising else (lowest, min(highest, self._last - guard))
+        )
+
+    def _without_current(self, counts: NDArray[np.integer], guard: int) -> BoolArray:
+        """Readings (rows, columns) of outputs that may stand at the limit away from which a current moves them.
+
+        An offset holds the output of an open cell there, and noise moves the reading as a current would.
+        """
+        return counts < self._first + guard if self._rising else counts >= self._last - guard
+
     def _jumped_to_limit(self, least: float, most: float) -> bool:
         """Whether a reading may have jumped, and by more than its distance from a limit of the swing."""
         room = self._last - most if self._rising else least - self._first  # codes
@@ -345,6 +362,7 @@ class CountReader:
             limited |= doubtful
         # A cell with hardly any current may be open. It is no short, which would disturb many others.
         faint = limited & (np.abs(volts - self._level) < 1.5 * self._step)
+        faint |= self._without_current(counts, guard)
         limited &= ~faint
         self._limited = limited if limited.any() else None
         return self._limited, faint
@@ -371,7 +389,7 @@ class CountReader:
             first = _FIRST_GUARD if self._scatter.frames == 1 else 0
             guard = max(guard, first, math.ceil(_FINE_GUARD * self._codes))
         if guard != self._guard:
-            self._guard, self._usual_codes = guard, self._within_limits(guard)
+            self._guard, self._usual_codes = guard, self._usual_within(guard)
         lowest, highest = self._usual_codes
         limited = faint = None
         self._silent, self._in_doubt, jumped = 0, False, self._jumped_to_limit(least, most)

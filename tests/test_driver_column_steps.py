@@ -63,6 +63,18 @@ def test_a_finger_does_not_press_its_column(board: Design, factor: float) -> Non
     assert max(left) < 1.0 / 13.0, "a step of a reading's own"
 
 
+@pytest.mark.parametrize("size", [16, 32])
+@pytest.mark.parametrize("rest_ohm", [14e3, 30e3])
+def test_what_half_a_step_of_all_other_readings_makes_of_a_column_is_their_sum(size: int, rest_ohm: float) -> None:
+    board = design(size, "voltage-divider", "ground", 8)
+    reader, codes = CountReader(board), adc_codes(board, scan(board, np.full((size, size), rest_ohm)).volts)
+    for _ in range(30):
+        steps = reader(codes).column_steps
+    left = 1.0 - (codes + 0.5).sum(axis=0) / 256.0  # of the drive, in which that sum is missing
+    assert steps is not None
+    np.testing.assert_allclose(steps, 0.5 * (size - 1) / 256.0 / left, rtol=0.15)
+
+
 def test_what_a_load_on_whole_columns_loses_counts_as_deviation(board: Design) -> None:
     cell = Cell.example()
     rest, pressed = read(board, equal(), equal() * 1.5)

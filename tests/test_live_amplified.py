@@ -235,6 +235,39 @@ def test_an_output_at_a_limit_is_never_a_measurement(bits: int, offset_steps: fl
         assert reading.valid[1, 0]
 
 
+@pytest.mark.parametrize("noise_steps", [0.0, 0.5, 2.0])
+@pytest.mark.parametrize(
+    ("circuit", "supply", "level", "voltage"),
+    [
+        ("inverting-amplifier", [0.0, 3.4], 0.0, -1.0),
+        ("row-amplifier", [0.0, 3.4], 0.0, -1.0),
+        ("row-amplifier", [0.1, 3.4], 0.1, -0.8),
+        ("inverting-amplifier", [-0.1, 3.0], 3.0, 1.0),
+        ("voltage-feedback", [0.0, 3.4], 0.0, 1.0),
+    ],
+)
+def test_an_open_cell_whose_output_an_offset_holds_at_its_limit_is_never_a_measurement(
+    circuit: str, supply: list[float], level: float, voltage: float, noise_steps: float
+) -> None:
+    """As of amplifiers on a single supply: noise moves the reading away from the limit as a current would."""
+    design = board(6, 5, 5.0, bits=14, circuit=circuit, supply=supply, reference_voltage=level, open_loop_gain=1e5)
+    away = -5e-3 if level < 1.0 else 5e-3
+    design, draw = (
+        design.replace(drive={"voltage": voltage}, readout={"offset_voltage": away}),
+        np.random.default_rng(3),
+    )
+    assert design.adc is not None
+    cells = 1e4 * 10 ** draw.uniform(-0.1, 0.1, (6, 5))
+    cells[2, 3] = cells[4, 0] = inf
+    read, volts = CountReader(design), scan(design, cells).volts
+    for number in range(40):
+        noise = draw.normal(scale=noise_steps * design.adc.step, size=volts.shape)
+        reading = read(adc_codes(design, volts + noise))
+        assert not reading.valid[np.isinf(cells)].any()
+        if number > 4:
+            assert reading.valid[np.isfinite(cells)].all()
+
+
 @pytest.mark.parametrize("bits", [18, 20, 24])
 @pytest.mark.parametrize("noise_volts", [1e-6, 8e-6, 2e-5])
 def test_noise_of_fine_converters_brings_no_saturated_output_back_to_life(bits: int, noise_volts: float) -> None:

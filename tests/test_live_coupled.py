@@ -575,6 +575,48 @@ def test_deviations_are_those_of_errors_that_are_alike(noise_steps: float) -> No
     assert 0.5 < np.sqrt(np.mean(np.concatenate(squares))) < 1.25
 
 
+@pytest.mark.parametrize(
+    ("rows", "bits", "reference_ohm"), [(16, 10, 30e3), (16, 8, 10e3), (32, 12, 30e3), (32, 10, 10e3)]
+)
+@pytest.mark.parametrize("kind", ["divider", "loaded"])
+def test_equal_cells_that_round_alike_are_nearly_as_certain_as_stated(
+    kind: str, rows: int, bits: int, reference_ohm: float
+) -> None:
+    """As on an emulated skin without noise: all readings of a column are off by the same part of a step.
+
+    An uncertainty is that of a logarithm, and the scale of a column s / (1 - S): at the limit of validity this may
+    exceed it by a half, which is no factor of two.
+    """
+    design = board(kind, rows, 3, bits, row_lead=0.0, column_lead=0.0)
+    design, used = design.replace(readout={"reference_resistance": reference_ohm}), []
+    for level in np.geomspace(0.5, 2.0, 60):
+        read, cells = CountReader(design), np.full((rows, 3), level * 1e4)
+        for number in range(9):
+            if number == 6:
+                cells[rows // 3 : rows // 3 + 2, 1] *= 1.5  # a finger
+            reading = read(adc_codes(design, scan(design, cells).volts))
+            off = np.abs(reading.resistance / cells - 1.0) / reading.uncertainty
+            used.append(np.max(off, where=reading.valid, initial=0.0))
+    assert np.count_nonzero(used) > 200
+    assert max(used) < 1.5
+
+
+@pytest.mark.parametrize("kind", ["divider", "loaded"])
+@pytest.mark.parametrize("share", [0.9, 0.8, 0.7])
+def test_the_scale_of_a_column_is_not_more_certain_by_derivatives_of_lighter_loads(kind: str, share: float) -> None:
+    """Readings tell less of a column the nearer it is to the drive, whatever cells the derivatives are from."""
+    design = board(kind, 16, 12).replace(readout={"reference_resistance": 20e3})
+    rest = 1e4 * np.exp(np.random.default_rng(0).normal(0.0, 0.1, (16, 12)))
+    at_rest, pressed = (adc_codes(design, scan(design, cells).volts) for cells in (rest, share * rest))
+    went_on, anew = CountReader(design), CountReader(design)
+    for counts in [at_rest] * 30 + [pressed] * 30:
+        reading = went_on(counts)
+    for _ in range(30):
+        expected = anew(pressed)
+    assert reading.all_valid
+    assert (reading.uncertainty > 0.97 * expected.uncertainty).all()
+
+
 SHORT = {"kind": "shorted-cell", "place": [1, 1], "resistance": 0.0}
 BROKEN_ROW = {"kind": "broken-row", "place": [1, 2]}
 BROKEN_COLUMN = {"kind": "broken-column", "place": [1, 2]}

@@ -91,9 +91,9 @@ class CoupledLive:
         self._start = ClosedStart(parts, columns)
         self._rows = LostRows(parts)
         self._limits = ReadingLimits(parts, nearly_independent=columns.applies, loses_rows=self._rows.applies)
-        self._uncertainty = FitUncertainty(parts)
         self._is_divider = not (board.floating or board.circuit.has_amplifiers)
         self.scales_columns = self._is_divider and columns.applies and not board.turned
+        self._uncertainty = FitUncertainty(parts, scales_columns=self.scales_columns)
         self._prices = prices = self._linearised.prices
         self._scales = ColumnScales(parts, prices)
         self._solutions = FollowerSolutions(parts, prices.solutions)

@@ -17,6 +17,7 @@ ALIKE = 2.0
 """standard deviation by ADC steps over that by independent errors. Readings of cells at rest are alike, and so are
 their errors, which add up in the sum of a column's currents; 1.8 in a pressed column of equal cells
 """
+_GROWN = 1.03  # least factor by which cells have changed since the derivatives were made for scales to be taken anew
 _MOST = 50.0  # uncertainty of a logarithm that counts as infinite
 _STALLED = 10.0  # possible length of the remaining steps over the next one if the misfit no longer tells
 
@@ -24,9 +25,10 @@ _STALLED = 10.0  # possible length of the remaining steps over the next one if t
 class FitUncertainty:
     """Relative uncertainties of the fitted conductances."""
 
-    def __init__(self, parts: CoupledBoard) -> None:
-        """For a board."""
+    def __init__(self, parts: CoupledBoard, *, scales_columns: bool) -> None:
+        """For a board, on which errors of readings may scale whole columns (:attr:`.LiveRecovery.scales_columns`)."""
         adc = parts.board.adc
+        self._behind = parts.board.reference + parts.board.column_lead if scales_columns else None  # (M,) ohm
         self._noise = parts.noise  # V
         self._leads = np.where(np.isfinite(parts.leads), parts.leads, 0.0).ravel()  # (n,) ohm
         self._random = 1.0  # share of the converter's error that differs from reading to reading
@@ -81,7 +83,9 @@ class FitUncertainty:
         self, frame: Frame, fit: Fit, base: Base, own: FloatArray, by_shifts: FloatArray | None
     ) -> FloatArray:
         """Uncertainty (n,) by all readings, at least ``own`` (n,), with :meth:`by_shifts`."""
-        beyond: FloatArray = np.maximum(self.sigmas(frame, fit) * _spread(base.std, fit.steeper) - own, 0.0)
+        sigmas, spread = self.sigmas(frame, fit), _spread(base.std, fit.steeper)
+        random = sigmas * spread if self._behind is None else self._with_scales(frame, fit, base, sigmas, spread)
+        beyond: FloatArray = np.maximum(random - own, 0.0)
         beyond += np.abs(fit.step) * (_STALLED if fit.stalled and fit.misfit > FITS else fit.stale)
         if by_shifts is not None:
             beyond += by_shifts
@@ -94,6 +98,55 @@ class FitUncertainty:
             behind_leads = change / np.maximum(1.0 - by_lead * change, 1.0 / _MOST)
             np.maximum(uncertainty, behind_leads, out=uncertainty)
         return uncertainty
+
+    def _with_scales(self, frame: Frame, fit: Fit, base: Base, sigmas: float, spread: FloatArray) -> FloatArray:
+        """Deviations (n,) of the logarithms that are covered, where readings scale whole columns.
+
+        Args:
+            frame: the readings.
+            fit: the cells that have been found for them.
+            base: derivatives, perhaps of other cells.
+            sigmas: standard deviations of independent errors that are covered.
+            spread: these deviations (n,) at the base.
+
+        """
+        grown, added = self._grown(fit, base), self._added(frame)
+        independent: FloatArray = sigmas * spread
+        if grown is None and added is None:
+            return independent
+        by_scale = np.maximum(spread**2 - (self._noise * frame.slope) ** 2, 0.0)
+        more = (sigmas**2 + (0.0 if added is None else added)) * (1.0 if grown is None else grown**2) - sigmas**2
+        covered: FloatArray = np.sqrt(independent**2 + (by_scale.reshape(frame.volts.shape) * more).ravel())
+        return covered
+
+    def _grown(self, fit: Fit, base: Base) -> FloatArray | None:
+        """Factor (M,) by which errors scale columns more than at the base; None: hardly more.
+
+        The conductances of a column are s / (1 - S), with the cells' shares s of the drive and their sum S. An error of
+        S counts 1 / (1 - S) = 1 + T R times, with the column's conductance T and the resistance R behind it.
+        """
+        if fit.stale < _GROWN:
+            return None
+        then = np.exp(base.log).reshape(fit.known.cells.shape)
+        now, before = (1.0 + self._behind * each.sum(axis=0) for each in (1.0 / fit.known.cells, then))
+        grown: FloatArray = np.maximum(now / before, 1.0)
+        return grown
+
+    def _added(self, frame: Frame) -> FloatArray | None:
+        """What equal roundings add to the squared ``sigmas`` (M,) of independent ones; None: nothing.
+
+        Equal cells read the same code, and are all off by the same part of a step: n of them by n half steps at most,
+        where independent errors come to a root of n. Cells that differ by half a step, or noise of as much, hardly
+        let so many readings share a code.
+        """
+        volts = frame.volts
+        rows = len(volts)
+        if 3.0 * rows <= _SIGMAS**2 or frame.noise > frame.half_step:
+            return None
+        alike = np.count_nonzero(volts == np.sort(volts, axis=0)[rows // 2], axis=0)
+        # Half a step is the root of 3 standard deviations of an error within it.
+        added: FloatArray = np.maximum((3.0 * alike**2 + _SIGMAS**2 * (rows - alike)) / rows - _SIGMAS**2, 0.0)
+        return added if added.any() else None
 
     def by_shifts(self, frame: Frame, base: Base) -> FloatArray | None:
         """Change (n,) of the logarithms by the converter's offset and gain errors, which shift all readings together.
