@@ -1,5 +1,6 @@
 """Calibration: known cells are found again, unknown materials are estimated with honest errors."""
 
+import json
 import pickle
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,6 +21,7 @@ from ohmskin.cell import (
     PaperModel,
     Recording,
     calibrate,
+    calibration_record,
     calibration_text,
     checked_recording,
     estimate_recording,
@@ -135,6 +137,15 @@ def test_what_was_found_can_be_pickled() -> None:
             ):
                 seen = [run(np.random.default_rng(1), load, DT) for run in (simulate_one, simulate_other)]
                 assert (seen[0] == seen[1]).all()
+
+
+def test_what_was_found_of_every_kind_is_json() -> None:
+    """Parameters that the recording does not tell, too: the example cell has no chains that break."""
+    for fit in cells.paper().fits:
+        record = calibration_record(replace(cells.paper(), fits=(fit,)))
+        again = json.loads(json.dumps(record, allow_nan=False))
+        assert [item["identified"] for item in again["parameters"]] == [item.identified for item in fit.parameters]
+    assert not all(parameter.identified for fit in cells.paper().fits for parameter in fit.parameters)
 
 
 def test_a_cell_never_seen_at_rest_has_no_rest_resistance() -> None:

@@ -165,11 +165,11 @@ def _fit(kind: Kind, task: _Task, nested: list[tuple[float, ...]]) -> tuple[Fit,
     error = float(np.sqrt(np.mean(whole.left(predict(kind, found, whole)) ** 2)) / spread)
     offset = float(found[-1])
     model = model_of(kind.kind, found, task.full_scale_kpa)
-    duration = recording.time_s[-1] - recording.time_s[0]
+    duration = float(recording.time_s[-1] - recording.time_s[0])
     *deviations, rest_error = np.sqrt(np.diag(covariance)).tolist()
     parameters = [
-        Parameter(name, float(value), std, std < 0.5 * abs(value) and not _too_slow(name, value, duration))
-        for name, value, std in zip(kind.names, found, deviations, strict=False)
+        Parameter(name, value, std, std < 0.5 * abs(value) and not _too_slow(name, value, duration))
+        for name, value, std in zip(kind.names, found.tolist(), deviations, strict=False)
     ]
     corrected = rest * (1 + offset)
     # The model's R0 and what was read at rest are two answers to one question: they are known no better than that.
