@@ -18,7 +18,8 @@ import numpy as np
 from .._cell import Cell, EstimatorName
 from ..materials import simulate
 from ._fitted import Fit
-from ._judged import Judged, standard_errors_better
+from ._folds import Strokes
+from ._judged import Judged, rms_by_press, standard_errors_better
 from ._training import NormalisedRecording, disturbed
 
 EXACT = 0.005
@@ -37,7 +38,7 @@ BEATS = 0.9
 MANY_PRESSES = 3.0
 """full presses from which the folds of a recording are taken to differ from each other"""
 ALIKE = 0.25
-"""scatter of the static curve's error from one part of a fold to the next, over its mean, of presses that are alike"""
+"""scatter of the static curve's error from one press to the next, over its mean, of presses that are alike"""
 EXPLAINS_TOO = 2.0
 """times the least error of a fit, up to which another kind explains the recording as well"""
 ELSEWHERE_CELLS, ELSEWHERE_STEP_S, ELSEWHERE_STEPS = 12, 0.25, 640
@@ -54,8 +55,8 @@ class Evidence:
     """rms error on simulated cells under random loads, of the kind of cell where that is largest, normalised load"""
     presses: float
     """to full scale, that the path of the recorded load amounts to"""
-    loads_vary: bool
-    """whether its presses differ in height and in duration"""
+    strokes: Strokes
+    """of that load"""
     unexplained: float
     """error of the model on its worst fold beyond noise, over the range of r"""
     least_slope: float
@@ -68,11 +69,10 @@ class Evidence:
         The loads may say so themselves. Otherwise presses differ where the static curve's errors do. These errors may
         also be the same under loads that differ, as on a cell with little memory.
         """
-        if self.presses < MANY_PRESSES or self.loads_vary:
+        if self.presses < MANY_PRESSES or self.strokes.vary:
             return self.presses >= MANY_PRESSES
-        blocks = np.concatenate([part.blocks() for part in self.judged["static"]])
-        blocks = blocks[np.isfinite(blocks)]
-        return float(np.std(blocks)) > ALIKE * float(np.mean(blocks))
+        errors = rms_by_press(self.judged["static"], self.strokes.press)
+        return errors.size > 1 and float(np.std(errors)) > ALIKE * float(np.mean(errors))
 
     def percent(self, name: EstimatorName) -> list[float]:
         """Rms error on each fold, % of full scale."""
