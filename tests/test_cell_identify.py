@@ -175,6 +175,22 @@ def test_contact_cells_are_told_apart() -> None:
     assert np.abs(pressure / FULL - load).max() < 0.08
 
 
+@pytest.mark.parametrize("settles", [0.0, 0.15])
+def test_a_contact_whose_power_law_holds_under_load_only_is_calibrated(settles: float) -> None:
+    """Conductance that comes late and lingers, over two decades: nothing to a curve, but decades of ohms at rest."""
+    time = np.arange(0, 240, DT)
+    load = np.maximum(np.sin(time / 5) * np.sin(time / 17), 0) * (time > 3)
+    late = lfilter([1 - np.exp(-DT / 15)], [1, -np.exp(-DT / 15)], load)
+    conducts = 1e-4 + 0.03 * ((1 - settles) * load + settles * late) ** 0.7
+    read = (1 + 0.005 * np.random.default_rng(0).standard_normal(len(time))) / conducts
+    found = calibrate(checked_recording(time, FULL * load, read))
+    pressure, _ = estimate_recording(found.cell.estimator(()), time, read)
+    assert np.sqrt(np.mean((pressure / FULL - load) ** 2)) < 0.08
+    shuffled = np.random.default_rng(1).permutation(read)
+    with pytest.raises(InputError, match="does not follow the pressure: the best curve leaves"):
+        fits(checked_recording(time, FULL * load, np.where(time % 20 < 10, shuffled, read)), FULL)
+
+
 def test_the_papers_graphical_way() -> None:
     """P6: the branches read from a recovery curve are those it was made of."""
     truth = EXAMPLE.model
