@@ -1,5 +1,6 @@
 """Calibration: known cells are found again, unknown materials are estimated with honest errors."""
 
+import json
 import pickle
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,6 +21,7 @@ from ohmskin.cell import (
     PaperModel,
     Recording,
     calibrate,
+    calibration_record,
     calibration_text,
     checked_recording,
     estimate_recording,
@@ -137,6 +139,15 @@ def test_what_was_found_can_be_pickled() -> None:
                 assert (seen[0] == seen[1]).all()
 
 
+def test_what_was_found_of_every_kind_is_json() -> None:
+    """Parameters that the recording does not tell, too: the example cell has no chains that break."""
+    for fit in cells.paper().fits:
+        record = calibration_record(replace(cells.paper(), fits=(fit,)))
+        again = json.loads(json.dumps(record, allow_nan=False))
+        assert [item["identified"] for item in again["parameters"]] == [item.identified for item in fit.parameters]
+    assert not all(parameter.identified for fit in cells.paper().fits for parameter in fit.parameters)
+
+
 def test_a_cell_never_seen_at_rest_has_no_rest_resistance() -> None:
     """The model takes what R0 it needs; the report says that this is not the material's."""
     load = 0.5 + 0.45 * np.sin(np.arange(0, 120, DT) / 7) * np.sin(np.arange(0, 120, DT) / 3)
@@ -162,6 +173,22 @@ def test_contact_cells_are_told_apart() -> None:
     read = sense(EXAMPLE.replace(model=CONTACT), load)
     pressure, _ = estimate_recording(found.cell.estimator(()), time, read)
     assert np.abs(pressure / FULL - load).max() < 0.08
+
+
+@pytest.mark.parametrize("settles", [0.0, 0.15])
+def test_a_contact_whose_power_law_holds_under_load_only_is_calibrated(settles: float) -> None:
+    """Conductance that comes late and lingers, over two decades: nothing to a curve, but decades of ohms at rest."""
+    time = np.arange(0, 240, DT)
+    load = np.maximum(np.sin(time / 5) * np.sin(time / 17), 0) * (time > 3)
+    late = lfilter([1 - np.exp(-DT / 15)], [1, -np.exp(-DT / 15)], load)
+    conducts = 1e-4 + 0.03 * ((1 - settles) * load + settles * late) ** 0.7
+    read = (1 + 0.005 * np.random.default_rng(0).standard_normal(len(time))) / conducts
+    found = calibrate(checked_recording(time, FULL * load, read))
+    pressure, _ = estimate_recording(found.cell.estimator(()), time, read)
+    assert np.sqrt(np.mean((pressure / FULL - load) ** 2)) < 0.08
+    shuffled = np.random.default_rng(1).permutation(read)
+    with pytest.raises(InputError, match="does not follow the pressure: the best curve leaves"):
+        fits(checked_recording(time, FULL * load, np.where(time % 20 < 10, shuffled, read)), FULL)
 
 
 def test_the_papers_graphical_way() -> None:

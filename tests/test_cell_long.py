@@ -8,10 +8,12 @@ import cells
 import numpy as np
 import pytest
 from cells import DT, EXAMPLE, FULL
+from needs import need
 
 from ohmskin.cell import AsymmetricModel, Cell, ContactModel, PaperModel, estimate_recording
 from ohmskin.cell._cell import Calibrated
 from ohmskin.cell.inversions._learned import Limits, Seen, StaticCurve
+from ohmskin.compiled import why_not
 
 
 def _unknown() -> Cell:
@@ -196,6 +198,28 @@ def test_readings_with_gaps_are_within_the_stated_error(name: str) -> None:
     assert np.mean(off < 2 * std[of.learned :]) > 0.9
     missing = np.isnan(read[of.learned :])
     assert np.mean((off < 2 * std[of.learned :])[missing]) > 0.85
+
+
+@pytest.mark.parametrize("compiled", [False, True], ids=["arrays", "machine code"])
+@pytest.mark.parametrize("name", ["static", "play", "distilled"])
+def test_a_bad_contact_of_a_calibrated_cell_is_over_when_it_is_over(name: str, compiled: bool) -> None:
+    """60 ms at three times the resistance, under load and at rest: what the cell remembers is put back."""
+    cell, dt = cells.unknown().found.cell, 0.02
+    time = np.arange(0, 12, dt)
+    r = np.interp(time, [0, 1, 3, 7, 7.5], [0.0, 0.0, 0.1, 0.1, 0.0])
+    rng = np.random.default_rng(0)
+    read = cell.rest_resistance_ohm * (1 + r) * (1 + 1e-3 * rng.standard_normal(len(time)))
+    during = (np.abs(time[:, None] - [5.02, 11.02]) < 1.5 * dt).any(axis=1)
+    assert np.count_nonzero(during) == 6
+    clean, sparked = cell.estimator((), name), cell.estimator((), name)
+    if compiled:
+        need(why_not())
+        for estimator in (clean, sparked):
+            estimator.compile()
+    off = np.zeros(len(time))
+    for n, ohm in enumerate(read):
+        off[n] = sparked.step(dt, 3.0 * ohm if during[n] else ohm) - clean.step(dt, ohm)
+    assert np.abs(off[~during]).max() < 0.03 * FULL
 
 
 @pytest.mark.parametrize("name", ["static", "inverse", "play", "distilled"])

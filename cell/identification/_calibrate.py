@@ -123,7 +123,7 @@ def calibrate(
         judged=judged,
         elsewhere=elsewhere,
         presses=presses,
-        loads_vary=strokes(thin, full).vary,
+        strokes=strokes(thin, full),
         unexplained=_beyond_noise(found[0], noise),
         least_slope=1.0 if inverse is None else inverse,
     )

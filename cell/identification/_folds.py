@@ -39,6 +39,11 @@ class Strokes:
     seconds: FloatArray
 
     @property
+    def press(self) -> float:
+        """Path of the normalised load in a usual press: a rise and a fall."""
+        return 2 * float(np.median(self.height))
+
+    @property
     def vary(self) -> bool:
         """Whether strokes differ clearly, both in height and in duration."""
         if not self.height.size:

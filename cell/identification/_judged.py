@@ -112,6 +112,24 @@ def best_share(judged: Sequence[Judged], reference: Sequence[Judged]) -> float:
     return float(np.clip(products / max(squares, 1e-30), 0.0, 1.0))
 
 
+def rms_by_press(judged: Sequence[Judged], press: float) -> FloatArray:
+    """(n,) rms error of one whole press after the other, over all folds; what is left at the end does not count.
+
+    Presses that are all alike have equal errors, wherever in a press the first fold begins. Shorter parts would differ
+    nevertheless, as a rise differs from a fall.
+
+    Args:
+        judged: one fold after the other.
+        press: path of the normalised load in a press, a rise and a fall.
+    """
+    path = np.concatenate([part.samples.pressing for part in judged])
+    error = np.concatenate([part.error for part in judged])
+    place = ((path - path[0]) / press).astype(np.intp)
+    whole = place < place[-1]
+    count = np.bincount(place[whole])
+    return np.asarray(np.sqrt(np.bincount(place[whole], error[whole] ** 2)[count > 0] / count[count > 0]))
+
+
 def standard_errors_better(judged: Sequence[Judged], reference: Sequence[Judged]) -> float:
     """Improvement of the mean rms error over a reference, in standard errors (paired t statistic).
 

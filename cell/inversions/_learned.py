@@ -292,6 +292,8 @@ class LearnedInversion(Inversion):
         curve.prepare()
         self._bank = learned.bank
         self._seen = slice(3 + self._bank.rows, 3 + self._bank.rows + self._bank.count)
+        bank = (f"bank{n}" for n in range(self._bank.rows))
+        self.rows = *self.rows, *bank, *(f"feature{n}" for n in range(self._bank.count))
         self._terms = Terms(
             np.array(learned.mean), np.array(learned.scale), learned.seed, learned.directions, np.float32
         )
