@@ -4,14 +4,14 @@ What noise leaves in the memory at a turn shows as a load afterwards, and fades 
 readings cannot tell such an error from a light load: both recover along the same curve for seconds. What can be said is
 that most released cells bear no load. As long as the pressure of a recovering cell does not differ from none by more
 than the error of its memory explains, the difference is therefore taken for that error. Readings of the whole rest are
-averaged for this, which is much longer than the smoothing may average. A load that still falls is not none yet: what
+averaged for this, which is much longer than the smoothing may average. A load that still moves is not none yet: what
 may be left of it counts as noise of the readings (:data:`GOES_ON`), and the cell is not taken for one at rest so far.
 
 A light load that is taken for none in this way comes back as the error of the memory fades. Three rules keep that
-honest. The standard deviation does not shrink while the cell recovers, and at the next turn what was subtracted is part
-of it. The filter trusts the memory the more the more it has read, and nothing is subtracted without end. A pressure
-that rises by no more than what the error may fade by (:data:`DRIFTS`), and what was subtracted comes back by, is no
-turn: the model of a rising load would take the recovery for a load that grows.
+honest. What was subtracted becomes part of the standard deviation at once, and is part of it at the next turn. The
+filter trusts the memory the more the more it has read, and nothing is subtracted without end. A pressure that rises by
+no more than what the error may fade by (:data:`DRIFTS`), and what was subtracted comes back by, is no turn: the model
+of a rising load would take the recovery for a load that grows.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ RESTED_SIGMAS = 5.0
 cell. More than in any cell (:data:`..estimation._inversion.NO_LOAD_SIGMAS`): the error of the memory shows in every
 frame of a rest, and its deviation here is that of the usual error (:data:`PART`) only"""
 GOES_ON, STEADY = 4.0, 0.25
-"""times what a pressure has fallen by in three frames: standard deviation of the load that is left while it falls; and
-the fall that is none, in standard deviations of a reading"""
+"""times what a pressure has moved by in three frames: standard deviation of the load that is left while it moves; and
+the way that is none, in standard deviations of a reading"""
 FELL = 0.75
 """times what is left of a pressure, by which it must have fallen if the rest is to be an error of the memory: a load
 that trembles falls by less, however long it is held. Where recovery began without a fall, as by a rise that was
@@ -91,8 +91,8 @@ BOUND, E1_KPA, SETTLED_PER_KPA, ETAU2_KPA, LATELY, BEYOND = range(6, 12)
 """squared standard deviations of rest; of the model; how fast a peak goes down; how far a line may overshoot"""
 
 
-_ZERO, _ONE, _FAR, _BEFORE, _OLD, _PER_READING, _GOES_ON, _STEADY, _FELL = (
-    np.array(x) for x in (0.0, 1.0, FAR, RECENT - 1.0, OLD, 1.0 / RECENT, GOES_ON, STEADY, FELL)
+_ZERO, _ONE, _FAR, _OLD, _PER_READING, _GOES_ON, _STEADY, _FELL = (
+    np.array(x) for x in (0.0, 1.0, FAR, OLD, 1.0 / RECENT, GOES_ON, STEADY, FELL)
 )
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
@@ -142,13 +142,13 @@ def look(
     variance *= numbers[FADES]
     taken_before = memory[TAKEN_BEFORE_KPA2]
     taken_before *= numbers[FADES]
-    calm = (memory[SIGN] < _ZERO) & (memory[LEFT] >= _FAR) & (count >= _BEFORE)
+    calm = (memory[SIGN] < _ZERO) & (memory[LEFT] >= _FAR)
     if not np.count_nonzero(calm):
         return
     remembered = memory[X2] * numbers[BACK_2] + memory[RECOVERY_X3] * numbers[BACK_3]
     pressure = (mean - remembered) * numbers[GAIN]
     by_noise = noise * numbers[GAIN]
-    left_over = np.maximum(memory[THIRD_LAST] - shown - by_noise * _STEADY, _ZERO)
+    left_over = np.maximum(np.abs(memory[THIRD_LAST] - shown) - by_noise * _STEADY, _ZERO)
     by_noise = by_noise * by_noise * _PER_READING
     bound = (variance + by_noise) * numbers[BOUND]
     calm &= (pressure * pressure < bound) & (shown * shown < bound)
@@ -163,6 +163,9 @@ def look(
     some[REST_VARIANCE] *= 1.0 - share
     np.copyto(some[RESTED], _ONE, where=left_over == _ZERO)
     some[TAKEN_OFF_KPA] += error
+    more = np.maximum(some[TAKEN_OFF_KPA] * some[TAKEN_OFF_KPA] - some[TURNED], _ZERO)
+    some[TURNED] += more
+    some[VARIANCE] += more
     p = some[PRESSURE] - error
     r, x3 = some[STATE_END - 1], some[RECOVERY_X3]
     some[PRESSURE] = some[RISING_KPA] = some[RECOVERY_KPA] = p
@@ -193,12 +196,13 @@ def variance_at_turn(memory: FloatArray) -> FloatArray:
     return found
 
 
-def begin(memory: FloatArray, by_noise: FloatArray, most_kpa2: FloatArray) -> None:
+def begin(memory: FloatArray, by_noise: FloatArray, sagged_kpa: FloatArray, most_kpa2: FloatArray) -> None:
     """Begin anew in m cells that have just turned; changes their ``memory`` (rows, m).
 
     Args:
         memory: of the cells.
         by_noise: (m,) variance in kPa^2 that the noise of the turn's own reading leaves. All of it is usual.
+        sagged_kpa: (m,) standard deviation by a load that may have sagged before it was released. All of it is usual.
         most_kpa2: without axes, the square of :data:`MOST` in kPa.
     """
     turned = memory[TURNED]
@@ -207,6 +211,7 @@ def begin(memory: FloatArray, by_noise: FloatArray, most_kpa2: FloatArray) -> No
     usual = np.maximum(turned - by_noise, _ZERO) * PART
     usual += np.minimum(by_noise, turned)
     np.copyto(memory[REST_VARIANCE], usual, where=turned < most_kpa2)
+    memory[REST_VARIANCE] += sagged_kpa * sagged_kpa
     memory[DRIFT_END_KPA] = np.sqrt(np.minimum(turned, most_kpa2)) * DRIFTS
 
 
@@ -230,14 +235,14 @@ def variance_at_turn_of(memory: SpacedRows, i: int) -> float:
 
 
 @loop
-def begin_of(memory: SpacedRows, i: int, by_noise: float, most_kpa2: float) -> None:
+def begin_of(memory: SpacedRows, i: int, by_noise: float, sagged_kpa: float, most_kpa2: float) -> None:
     """:func:`begin` in cell ``i``."""
     turned = memory[TURNED, i]
     if memory[RESTED, i] > 0.0:
         memory[TAKEN_BEFORE_KPA2, i] = taken_off_of(memory, i)
     memory[RESTED, i], memory[DRIFT_KPA, i], memory[TAKEN_OFF_KPA, i] = 0.0, 0.0, 0.0
     usual = max(turned - by_noise, 0.0) * PART + min(by_noise, turned)
-    memory[REST_VARIANCE, i] = usual if turned < most_kpa2 else 0.0
+    memory[REST_VARIANCE, i] = (usual if turned < most_kpa2 else 0.0) + sagged_kpa * sagged_kpa
     memory[DRIFT_END_KPA, i] = math.sqrt(min(turned, most_kpa2)) * DRIFTS
 
 
@@ -255,13 +260,13 @@ def look_each(memory: SpacedRows, mean: Row, noise: Row, count: Row, numbers: Ro
             memory[DRIFT_KPA, i] = max(memory[DRIFT_KPA, i], noise[i] * memory[GAIN_ROW, i] * numbers[BEYOND])
         memory[REST_VARIANCE, i] *= numbers[FADES]
         memory[TAKEN_BEFORE_KPA2, i] *= numbers[FADES]
-        if not (memory[SIGN, i] < 0.0 and memory[LEFT, i] >= FAR and count[i] >= RECENT - 1.0):
+        if not (memory[SIGN, i] < 0.0 and memory[LEFT, i] >= FAR):
             continue
         shown, x3 = memory[PRESSURE, i], memory[RECOVERY_X3, i]
         remembered = memory[X2, i] * numbers[BACK_2] + x3 * numbers[BACK_3]
         pressure = (mean[i] - remembered) * gain
         by_noise = noise[i] * gain
-        left_over = max(memory[THIRD_LAST, i] - shown - by_noise * STEADY, 0.0) * GOES_ON
+        left_over = max(abs(memory[THIRD_LAST, i] - shown) - by_noise * STEADY, 0.0) * GOES_ON
         by_noise = by_noise * by_noise * (1.0 / RECENT)
         bound = (memory[REST_VARIANCE, i] + by_noise) * numbers[BOUND]
         left, released = shown + memory[TAKEN_OFF_KPA, i], memory[RELEASED_KPA, i]
@@ -274,6 +279,9 @@ def look_each(memory: SpacedRows, mean: Row, noise: Row, count: Row, numbers: Ro
         if left_over == 0.0:
             memory[RESTED, i] = 1.0
         memory[TAKEN_OFF_KPA, i] += error
+        more = max(memory[TAKEN_OFF_KPA, i] * memory[TAKEN_OFF_KPA, i] - memory[TURNED, i], 0.0)
+        memory[TURNED, i] += more
+        memory[VARIANCE, i] += more
         p, r = shown - error, memory[STATE_END - 1, i]
         memory[PRESSURE, i], memory[RISING_KPA, i], memory[RECOVERY_KPA, i] = p, p, p
         memory[SETTLED, i] = p * numbers[SETTLED_PER_KPA] - r * numbers[ETAU2_KPA]

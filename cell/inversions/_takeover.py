@@ -2,6 +2,10 @@
 
 The turn falls between two frames, and is noticed later still. How far the load went meanwhile is not known: that stays
 in the standard deviation until it fades. What the other hypothesis forgot of it is given back (:mod:`._earlier`).
+
+A load that sags while it is held may read as a constant one. The pressure that is left after its release then tells
+which of both it was: most released cells bear none. By how much it may have sagged is therefore told to
+:mod:`._recovery` as an error of the memory, likely or not while the load was held.
 """
 
 from __future__ import annotations
@@ -16,7 +20,7 @@ from ..estimation import FAR, GAIN, PRESSURE, VARIANCE
 from ..materials import PaperModel
 from . import _onset as onset
 from . import _recovery as recovery
-from ._earlier import MIDWAY, likely_kpa, likely_kpa_of
+from ._earlier import EARLIER, MIDWAY, likely_kpa, likely_kpa_of
 from ._limits import E1_KPA, SETTLED_PER_KPA, UNKNOWN_KPA2
 from ._onset import hidden_kpa_of
 from ._paper_steps import TurnWeights, fast_r
@@ -123,8 +127,10 @@ def take_over(
     doubt = np.sqrt(before) + unseen
     doubt = np.minimum(doubt * doubt + by_noise, numbers[UNKNOWN_KPA2])
     some[TURNED] = some[VARIANCE] = doubt  # the distance of the hypotheses is in it
-    recovery.begin(some, by_noise, numbers[MOST_RESTED_KPA2])
-    some[RELEASED_KPA] = np.where(noticed & (sign < _ZERO), extreme, _ZERO)
+    released = noticed & (sign < _ZERO)
+    sagged = np.where(released, np.maximum(some[EARLIER_KPA] - earlier, _ZERO) * EARLIER, _ZERO)
+    recovery.begin(some, by_noise, sagged, numbers[MOST_RESTED_KPA2])
+    some[RELEASED_KPA] = np.where(released, extreme, _ZERO)
     if np.count_nonzero(earlier):
         some[EARLIER_KPA] -= earlier
         pressure = _give_back(some, pressure, earlier, numbers)
@@ -221,8 +227,10 @@ def take_over_of(memory: SpacedRows, i: int, noise: float, by_model: Rows, of: R
     by_noise *= by_noise
     turned = min(doubt * doubt + by_noise, numbers[UNKNOWN_KPA2])
     memory[TURNED, i] = memory[VARIANCE, i] = turned  # the distance of the hypotheses is in it
-    begin_of(memory, i, by_noise, numbers[MOST_RESTED_KPA2])
-    memory[RELEASED_KPA, i] = extreme if left >= FAR and extreme < REFUTED and sign < 0.0 else 0.0
+    released = left >= FAR and extreme < REFUTED and sign < 0.0
+    sagged = max(memory[EARLIER_KPA, i] - earlier, 0.0) * EARLIER if released else 0.0
+    begin_of(memory, i, by_noise, sagged, numbers[MOST_RESTED_KPA2])
+    memory[RELEASED_KPA, i] = extreme if released else 0.0
     if earlier > 0.0:
         memory[EARLIER_KPA, i] -= earlier
         pressure += sign * earlier
