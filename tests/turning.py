@@ -137,8 +137,9 @@ class OneCell:
             self.doubt = min(self.doubt, (UNKNOWN * self.full) ** 2)
             self.variance = self.doubt
             lost = self.doubt >= (recovery.MOST * self.full) ** 2
+            sagged = third.EARLIER * max(self.earlier, 0.0) if noticed and not self.rising else 0.0
             usual = recovery.PART * max(self.doubt - by_noise, 0.0) + min(by_noise, self.doubt)
-            self.rest_variance = 0.0 if lost else usual
+            self.rest_variance = (0.0 if lost else usual) + sagged**2
             self.rested, self.drift, self.taken_off, self.released = False, 0.0, 0.0, released
             error = min(np.sqrt(self.doubt), recovery.MOST * self.full)
             self.last_drift = recovery.DRIFTS * error
@@ -276,7 +277,7 @@ class OneCell:
         if self.rising and count >= recovery.OLD:
             rising_gain = self._solved(Hypothesis(0, 0, 0, 0), True, dt, 1.0).pressure
             self.drift = max(self.drift, recovery.OVERSHOOT * noise * rising_gain)
-        if self.rising or self.left is not None or count < 3:
+        if self.rising or self.left is not None:
             return
         ago = 1.5 * dt
         pressure = gain * (mean - self.now.x2 * np.exp(ago / m.t2_s) - self.now.x3 * np.exp(ago / m.t3_s))
@@ -286,13 +287,15 @@ class OneCell:
             return
         if max(pressure**2, self.now.pressure**2) >= recovery.REST_SIGMAS**2 * (self.rest_variance + by_noise):
             return
-        fallen = max(self.third_last - self.now.pressure - recovery.STEADY * gain * noise, 0.0)
-        unsure = by_noise + (recovery.GOES_ON * fallen) ** 2
+        moved = max(abs(self.third_last - self.now.pressure) - recovery.STEADY * gain * noise, 0.0)
+        unsure = by_noise + (recovery.GOES_ON * moved) ** 2
         kept = unsure / (unsure + self.rest_variance)
         error = pressure * (1 - kept)
         self.rest_variance *= kept
-        self.rested = self.rested or fallen == 0.0
+        self.rested = self.rested or moved == 0.0
         self.taken_off += error
+        more = max(self.taken_off**2 - self.doubt, 0.0)
+        self.doubt, self.variance = self.doubt + more, self.variance + more
         self.now = self._begun(self.now.pressure - error, self.r, self.now.x3)
         self.other = self._begun(self.now.pressure, self.r, self.now.x3)
         self.extreme, self.peak = min(self.extreme + error, 0.0), min(self.peak + error, 0.0)

@@ -35,8 +35,8 @@ POINTS, POINTS_BEFORE_FOLDS = 2000, 1000
 """largest number of samples in a least-squares fit: of the whole recording, and of the part up to the end of a fold;
 longer ones are thinned"""
 EXPLAINS = 0.7
-"""fraction of the standard deviation of the resistance; the error of the best model must be below. Of a contact, the same
-of the load, and the error of its curve"""
+"""fraction of the standard deviation of the resistance; the error of the best model must be below. Of a contact, the
+same of the load, and the error of its curve"""
 TAUGHT = 1.2
 """least number of full presses before a fold. With fewer, the error on the fold shows how little data a kind needs, and
 not how well it describes the cell"""

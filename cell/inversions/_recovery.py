@@ -4,13 +4,12 @@ The noise at a turn leaves an error in the memory, which later shows as a load a
 recovers. The readings cannot tell such an error from a light load: both recover along the same curve for seconds. But
 most released cells bear no load. As long as the pressure of a recovering cell differs from none by no more than the
 error of its memory explains, we take the difference for that error and subtract it. The filter averages the readings of
-the whole rest, which is much longer than the smoothing may average. While the pressure still falls, the load that may
-be left counts as noise of the readings (:data:`GOES_ON`), and the cell is not yet taken for one at rest.
+the whole rest, which is much longer than the smoothing may average. While the pressure still moves, the load that
+may be left counts as noise of the readings (:data:`GOES_ON`), and the cell is not yet taken for one at rest.
 
 A light load that is subtracted by mistake comes back as the error of the memory fades. Three rules limit the harm:
 
-1. The stated standard deviation does not shrink while the cell recovers, and at the next turn it includes the pressure
-   that was subtracted.
+1. The subtracted pressure becomes part of the stated standard deviation at once, and is part of it at the next turn.
 2. The filter trusts the memory the more the more it has read, so that it does not go on subtracting.
 3. A rise is no turn if the fading error (:data:`DRIFTS`) and the return of the subtracted pressure explain it. The
    rising model would otherwise take the recovery for a load that grows.
@@ -62,8 +61,8 @@ RESTED_SIGMAS = 5.0
 released cell. More than in other cells (:data:`..estimation._inversion.NO_LOAD_SIGMAS`): the error of the memory shows
 in every frame of a rest, and its standard deviation here is only that of the usual error (:data:`PART`)"""
 GOES_ON, STEADY = 4.0, 0.25
-"""standard deviation of the load that is left while it still falls, over its fall in three frames; and the fall that
-does not count, in standard deviations of a reading"""
+"""standard deviation of the load that is left while it still moves, over its change in three frames; and the change
+that does not count, in standard deviations of a reading"""
 FELL = 0.75
 """times what is left of the pressure: it must have fallen by so much for the remainder to be an error of the memory. A
 load that trembles falls by less, however long it is held. Where recovery began without a fall, as after a refuted rise,
@@ -95,8 +94,8 @@ BOUND, E1_KPA, SETTLED_PER_KPA, ETAU2_KPA, LATELY, BEYOND = range(6, 12)
 """:data:`REST_SIGMAS` squared; three of the model; :data:`PEAK_FADES`; :data:`OVERSHOOT`"""
 
 
-_ZERO, _ONE, _FAR, _BEFORE, _OLD, _PER_READING, _GOES_ON, _STEADY, _FELL = (
-    np.array(x) for x in (0.0, 1.0, FAR, RECENT - 1.0, OLD, 1.0 / RECENT, GOES_ON, STEADY, FELL)
+_ZERO, _ONE, _FAR, _OLD, _PER_READING, _GOES_ON, _STEADY, _FELL = (
+    np.array(x) for x in (0.0, 1.0, FAR, OLD, 1.0 / RECENT, GOES_ON, STEADY, FELL)
 )
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
@@ -146,13 +145,13 @@ def look(
     variance *= numbers[FADES]
     taken_before = memory[TAKEN_BEFORE_KPA2]
     taken_before *= numbers[FADES]
-    calm = (memory[SIGN] < _ZERO) & (memory[LEFT] >= _FAR) & (count >= _BEFORE)
+    calm = (memory[SIGN] < _ZERO) & (memory[LEFT] >= _FAR)
     if not np.count_nonzero(calm):
         return
     remembered = memory[X2] * numbers[BACK_2] + memory[RECOVERY_X3] * numbers[BACK_3]
     pressure = (mean - remembered) * numbers[GAIN]
     by_noise = noise * numbers[GAIN]
-    left_over = np.maximum(memory[THIRD_LAST] - shown - by_noise * _STEADY, _ZERO)
+    left_over = np.maximum(np.abs(memory[THIRD_LAST] - shown) - by_noise * _STEADY, _ZERO)
     by_noise = by_noise * by_noise * _PER_READING
     bound = (variance + by_noise) * numbers[BOUND]
     calm &= (pressure * pressure < bound) & (shown * shown < bound)
@@ -167,6 +166,9 @@ def look(
     some[REST_VARIANCE] *= 1.0 - share
     np.copyto(some[RESTED], _ONE, where=left_over == _ZERO)
     some[TAKEN_OFF_KPA] += error
+    more = np.maximum(some[TAKEN_OFF_KPA] * some[TAKEN_OFF_KPA] - some[TURNED], _ZERO)
+    some[TURNED] += more
+    some[VARIANCE] += more
     p = some[PRESSURE] - error
     r, x3 = some[STATE_END - 1], some[RECOVERY_X3]
     some[PRESSURE] = some[RISING_KPA] = some[RECOVERY_KPA] = p
@@ -197,12 +199,14 @@ def variance_at_turn(memory: FloatArray) -> FloatArray:
     return found
 
 
-def begin(memory: FloatArray, by_noise: FloatArray, most_kpa2: FloatArray) -> None:
+def begin(memory: FloatArray, by_noise: FloatArray, sagged_kpa: FloatArray, most_kpa2: FloatArray) -> None:
     """Begin anew in m cells that have just turned; changes their ``memory`` (rows, m).
 
     Args:
         memory: of the cells.
         by_noise: (m,) variance in kPa^2 by the noise of the turn's own reading; all of it belongs to the usual error.
+        sagged_kpa: (m,) standard deviation by a load that may have sagged before its release; all of it belongs to the
+            usual error.
         most_kpa2: without axes, the square of :data:`MOST` in kPa.
     """
     turned = memory[TURNED]
@@ -211,6 +215,7 @@ def begin(memory: FloatArray, by_noise: FloatArray, most_kpa2: FloatArray) -> No
     usual = np.maximum(turned - by_noise, _ZERO) * PART
     usual += np.minimum(by_noise, turned)
     np.copyto(memory[REST_VARIANCE], usual, where=turned < most_kpa2)
+    memory[REST_VARIANCE] += sagged_kpa * sagged_kpa
     memory[DRIFT_END_KPA] = np.sqrt(np.minimum(turned, most_kpa2)) * DRIFTS
 
 
@@ -234,14 +239,14 @@ def variance_at_turn_of(memory: SpacedRows, i: int) -> float:
 
 
 @loop
-def begin_of(memory: SpacedRows, i: int, by_noise: float, most_kpa2: float) -> None:
+def begin_of(memory: SpacedRows, i: int, by_noise: float, sagged_kpa: float, most_kpa2: float) -> None:
     """:func:`begin` in cell ``i``."""
     turned = memory[TURNED, i]
     if memory[RESTED, i] > 0.0:
         memory[TAKEN_BEFORE_KPA2, i] = taken_off_of(memory, i)
     memory[RESTED, i], memory[DRIFT_KPA, i], memory[TAKEN_OFF_KPA, i] = 0.0, 0.0, 0.0
     usual = max(turned - by_noise, 0.0) * PART + min(by_noise, turned)
-    memory[REST_VARIANCE, i] = usual if turned < most_kpa2 else 0.0
+    memory[REST_VARIANCE, i] = (usual if turned < most_kpa2 else 0.0) + sagged_kpa * sagged_kpa
     memory[DRIFT_END_KPA, i] = math.sqrt(min(turned, most_kpa2)) * DRIFTS
 
 
@@ -259,13 +264,13 @@ def look_each(memory: SpacedRows, mean: Row, noise: Row, count: Row, numbers: Ro
             memory[DRIFT_KPA, i] = max(memory[DRIFT_KPA, i], noise[i] * memory[GAIN_ROW, i] * numbers[BEYOND])
         memory[REST_VARIANCE, i] *= numbers[FADES]
         memory[TAKEN_BEFORE_KPA2, i] *= numbers[FADES]
-        if not (memory[SIGN, i] < 0.0 and memory[LEFT, i] >= FAR and count[i] >= RECENT - 1.0):
+        if not (memory[SIGN, i] < 0.0 and memory[LEFT, i] >= FAR):
             continue
         shown, x3 = memory[PRESSURE, i], memory[RECOVERY_X3, i]
         remembered = memory[X2, i] * numbers[BACK_2] + x3 * numbers[BACK_3]
         pressure = (mean[i] - remembered) * gain
         by_noise = noise[i] * gain
-        left_over = max(memory[THIRD_LAST, i] - shown - by_noise * STEADY, 0.0) * GOES_ON
+        left_over = max(abs(memory[THIRD_LAST, i] - shown) - by_noise * STEADY, 0.0) * GOES_ON
         by_noise = by_noise * by_noise * (1.0 / RECENT)
         bound = (memory[REST_VARIANCE, i] + by_noise) * numbers[BOUND]
         left, released = shown + memory[TAKEN_OFF_KPA, i], memory[RELEASED_KPA, i]
@@ -278,6 +283,9 @@ def look_each(memory: SpacedRows, mean: Row, noise: Row, count: Row, numbers: Ro
         if left_over == 0.0:
             memory[RESTED, i] = 1.0
         memory[TAKEN_OFF_KPA, i] += error
+        more = max(memory[TAKEN_OFF_KPA, i] * memory[TAKEN_OFF_KPA, i] - memory[TURNED, i], 0.0)
+        memory[TURNED, i] += more
+        memory[VARIANCE, i] += more
         p, r = shown - error, memory[STATE_END - 1, i]
         memory[PRESSURE, i], memory[RISING_KPA, i], memory[RECOVERY_KPA, i] = p, p, p
         memory[SETTLED, i] = p * numbers[SETTLED_PER_KPA] - r * numbers[ETAU2_KPA]

@@ -3,6 +3,10 @@
 The turn falls between two frames, and is noticed later still. How far the load went in between is unknown, and stays in
 the standard deviation until the error fades. The part of a fall that the other hypothesis lost where it began anew too
 late is given back (:mod:`._earlier`).
+
+A load that sags while it is held may read as a constant one. The pressure that is left after the release then tells
+which of both it was, since most released cells bear no load. :mod:`._recovery` therefore counts the possible sag as an
+error of the memory, however likely it seemed while the load was held.
 """
 
 from __future__ import annotations
@@ -17,7 +21,7 @@ from ..estimation import FAR, GAIN, PRESSURE, VARIANCE
 from ..materials import PaperModel
 from . import _onset as onset
 from . import _recovery as recovery
-from ._earlier import MIDWAY, likely_kpa, likely_kpa_of
+from ._earlier import EARLIER, MIDWAY, likely_kpa, likely_kpa_of
 from ._limits import E1_KPA, SETTLED_PER_KPA, UNKNOWN_KPA2
 from ._onset import hidden_kpa_of
 from ._paper_steps import TurnWeights, fast_r
@@ -125,8 +129,10 @@ def take_over(
     doubt = np.sqrt(before) + unseen
     doubt = np.minimum(doubt * doubt + by_noise, numbers[UNKNOWN_KPA2])
     some[TURNED] = some[VARIANCE] = doubt  # includes the distance of the hypotheses
-    recovery.begin(some, by_noise, numbers[MOST_RESTED_KPA2])
-    some[RELEASED_KPA] = np.where(noticed & (sign < _ZERO), extreme, _ZERO)
+    released = noticed & (sign < _ZERO)
+    sagged = np.where(released, np.maximum(some[EARLIER_KPA] - earlier, _ZERO) * EARLIER, _ZERO)
+    recovery.begin(some, by_noise, sagged, numbers[MOST_RESTED_KPA2])
+    some[RELEASED_KPA] = np.where(released, extreme, _ZERO)
     if np.count_nonzero(earlier):
         some[EARLIER_KPA] -= earlier
         pressure = _give_back(some, pressure, earlier, numbers)
@@ -223,8 +229,10 @@ def take_over_of(memory: SpacedRows, i: int, noise: float, by_model: Rows, of: R
     by_noise *= by_noise
     turned = min(doubt * doubt + by_noise, numbers[UNKNOWN_KPA2])
     memory[TURNED, i] = memory[VARIANCE, i] = turned  # includes the distance of the hypotheses
-    begin_of(memory, i, by_noise, numbers[MOST_RESTED_KPA2])
-    memory[RELEASED_KPA, i] = extreme if left >= FAR and extreme < REFUTED and sign < 0.0 else 0.0
+    released = left >= FAR and extreme < REFUTED and sign < 0.0
+    sagged = max(memory[EARLIER_KPA, i] - earlier, 0.0) * EARLIER if released else 0.0
+    begin_of(memory, i, by_noise, sagged, numbers[MOST_RESTED_KPA2])
+    memory[RELEASED_KPA, i] = extreme if released else 0.0
     if earlier > 0.0:
         memory[EARLIER_KPA, i] -= earlier
         pressure += sign * earlier
