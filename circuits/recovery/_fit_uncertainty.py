@@ -120,7 +120,7 @@ class FitUncertainty:
         return covered
 
     def _grown(self, fit: Fit, base: Base) -> FloatArray | None:
-        """Factor (M,) by which errors scale columns more than at the base; None: hardly more.
+        """Factor (M,) by which errors scale columns more, or less, than at the base; None: hardly differently.
 
         The conductances of a column are s / (1 - S), with the cells' shares s of the drive and their sum S. An error of
         S counts 1 / (1 - S) = 1 + T R times, with the column's conductance T and the resistance R behind it.
@@ -129,7 +129,7 @@ class FitUncertainty:
             return None
         then = np.exp(base.log).reshape(fit.known.cells.shape)
         now, before = (1.0 + self._behind * each.sum(axis=0) for each in (1.0 / fit.known.cells, then))
-        grown: FloatArray = np.maximum(now / before, 1.0)
+        grown: FloatArray = now / before
         return grown
 
     def _added(self, frame: Frame) -> FloatArray | None:
