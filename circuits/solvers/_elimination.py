@@ -22,8 +22,8 @@ the other half to the outside. The recursion ends, at the latest, with single no
 the current at port i for 1 V at port j by at most e sqrt(Y_ii Y_jj), where Y_ii is the conductance of port i with all
 other ports at ground. Proof: by Tellegen's theorem the change is the sum of e g dv_i dv_j over all branches, the sum of
 g dv_i^2 is Y_ii, and the Cauchy-Schwarz inequality does the rest. This holds at every stage of an elimination with the
-same Y, so relative errors of successive stages add up. Of blocks that are eliminated side by side, only the largest relative
-error counts.
+same Y, so relative errors of successive stages add up. Of blocks that are eliminated side by side, only the largest
+relative error counts.
 """
 
 from __future__ import annotations
