@@ -126,7 +126,7 @@ class ReadoutCircuit(ABC):
         """(M,) ohm that the circuit presents behind each column lead; the bound on rounding errors uses them."""
 
     def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:
-        """Bound in V (..., N, M) on the errors of outputs by a relative error of all conductances: :mod:`._rounding`."""
+        """Bound in V (..., N, M) on output errors by a relative error of all conductances: :mod:`._rounding`."""
         return energy_bound(board, ports, relative, self.end_resistance(board))
 
     def ends(self, board: Parts) -> Ends | None:
