@@ -16,8 +16,8 @@ from ..config import MOST, Finite, NotNegative, Positive, Section
 from ._spread import Spreadable
 
 LEAST_DRIVE_V, MOST_V, LEAST_REFERENCE_OHM = 1e-6, 1e4, 1e-6
-"""Limits far beyond any board. Within these limits an offset is at most 1e16 times the signal of a cell of 1 ohm, so that
-the solvers can distinguish a finite output from that of a short."""
+"""Limits far beyond any board. Within these limits an offset is at most 1e16 times the signal of a cell of 1 ohm, so
+that the solvers can distinguish a finite output from that of a short."""
 
 FaultKind = Literal["open-cell", "shorted-cell", "broken-row", "broken-column", "bridged-rows", "bridged-columns"]
 
