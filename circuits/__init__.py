@@ -1,4 +1,4 @@
-"""The scanned resistive grid with real parts: ohms to volts to counts.
+"""Model of the scanned resistive grid with real parts: ohms to volts to ADC codes, and back (recovery).
 
 ``scan(Design.load("design.toml"), resistance)`` reads one frame.
 """

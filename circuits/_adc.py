@@ -1,4 +1,4 @@
-"""The converter behind the outputs: volts to codes and back."""
+"""ADC model: volts to codes and back, with offset, gain error, integral nonlinearity and quantisation."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ._sections import Adc
 
 
 class Converts(Protocol):
-    """What has an [adc] section: a design, or its board."""
+    """An object with an [adc] section: a design, or its board."""
 
     @property
     def adc(self) -> Adc | None: ...
@@ -22,17 +22,17 @@ class Converts(Protocol):
 def adc_codes(design: Converts, volts: FloatArray) -> CodeArray:
     """Codes of the converter: code k covers [k, k + 1) steps above the lower end; clipped at both ends.
 
-    Offset and gain error move the input; the integral nonlinearity is a parabola over the range, since a data sheet
-    gives its largest value only.
+    Offset and gain error shift the input. The integral nonlinearity is modelled as a parabola over the range, since a
+    data sheet gives only its largest value.
     """
     adc = _adc(design)
     return np.clip(np.floor(_steps(adc, volts)), 0, 2.0**adc.bits - 1).astype(np.uint32)
 
 
 def _steps(adc: Adc, volts: FloatArray) -> FloatArray:
-    """Inputs in steps above the lower end of the range, moved by the converter's offset, gain error and nonlinearity.
+    """Inputs in steps above the lower end of the range, shifted by the converter's offset, gain error and nonlinearity.
 
-    The code is the integer part.
+    The code is the integer part, clipped to the range.
     """
     steps = (np.asarray(volts, dtype=np.float64) - adc.range[0]) / adc.step
     if adc.gain_error or adc.offset_voltage:
@@ -44,27 +44,27 @@ def _steps(adc: Adc, volts: FloatArray) -> FloatArray:
 
 
 def volts_of_codes(design: Converts, codes: NDArray[np.integer]) -> FloatArray:
-    """What a host makes of codes, in V: the middle of each code's interval in an ideal converter.
+    """Volts that a host computes from codes: the middle of each code's interval in an ideal converter.
 
-    For that one the error of an unclipped code is at most half a step; the design's offset, gain and INL errors are
-    what a host does not know, and :func:`adc_error` is what they can add.
+    With an ideal converter the error of an unclipped code is at most half a step. A host does not know the converter's
+    offset, gain and INL errors; :func:`adc_error` bounds the total error with them.
     """
     adc = _adc(design)
     return adc.range[0] + (np.asarray(codes, dtype=np.float64) + 0.5) * adc.step
 
 
 def adc_error(design: Converts) -> float:
-    """Largest difference in V between an input within range and what a host makes of its code."""
+    """Largest difference in V between an input within range and the volts that a host computes from its code."""
     adc = _adc(design)
     span = adc.range[1] - adc.range[0]
     return (0.5 + abs(adc.inl_steps)) * adc.step + abs(adc.offset_voltage) + abs(adc.gain_error) * span
 
 
 def conversion_limits(design: Converts, volts: FloatArray) -> FloatArray:
-    """The lowest and the highest volts that a host can make of outputs, wherever these lie within an ADC step.
+    """Lowest and highest volts that a host can compute for outputs, over all positions within a quantisation step.
 
-    How an output lies to the converter's thresholds is chance: a millivolt of drift moves it by a step. The converter's
-    offset, gain error and nonlinearity count as they are.
+    The position of an output between two thresholds of the converter is random: a millivolt of drift moves it by a
+    step. The converter's offset, gain error and nonlinearity are those of the design.
 
     Args:
         design: with an [adc] section.
@@ -82,12 +82,12 @@ def conversion_limits(design: Converts, volts: FloatArray) -> FloatArray:
 
 
 def conversion_changes(design: Converts, before: FloatArray, after: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """What a host can make of two readings of the same outputs, at the extreme places within an ADC step.
+    """Extreme volts that a host can compute for two readings of the same outputs, over positions within an ADC step.
 
-    Both readings meet the same thresholds, so the place of the first determines that of the second. A change of d steps
-    changes the code by floor(d) at some places and by floor(d) + 1 at the others: a change much smaller than a step
-    can show as a whole one. (Below a millionth of a step it is rounding, and none.) Each kind of place is an interval,
-    and its two ends are returned.
+    Both readings have the same thresholds, so that the position of the first determines that of the second. A change
+    of d steps changes the code by floor(d) at some positions and by floor(d) + 1 at the others: a change much smaller
+    than a step can appear as a whole step. Changes below a millionth of a step count as rounding, hence as no change.
+    Each of the two kinds of positions is an interval. The results belong to the ends of both intervals.
 
     Args:
         design: with an [adc] section.
@@ -107,8 +107,8 @@ def conversion_changes(design: Converts, before: FloatArray, after: FloatArray) 
     moved = np.where(moved < _NO_CHANGE, 0.0, moved)
     whole = np.floor(moved)
     rest = moved - whole
-    # The place e is the host's reading minus the input, in steps: from -1/2 to 1/2. Upwards the second reading passes
-    # one threshold more where e is below rest - 1/2; downwards, all signs are reversed.
+    # The position e is the host's reading minus the input, in steps: from -1/2 to 1/2. If the output rises, the second
+    # reading passes one threshold more where e is below rest - 1/2. If the output falls, all signs are reversed.
     start, turn, end = np.full(rest.shape, -0.5), rest - 0.5, np.full(rest.shape, 0.5)
     places = np.stack([turn, end, start, turn])
     codes = np.stack([whole, whole, whole + (rest > 0), whole + (rest > 0)])
@@ -117,17 +117,17 @@ def conversion_changes(design: Converts, before: FloatArray, after: FloatArray) 
     return _host_volts(adc, read), _host_volts(adc, read + direction * codes)
 
 
-_NO_CHANGE = 1e-6  # steps; certified rounding errors of readings are smaller, and no place is known as well
+_NO_CHANGE = 1e-6  # steps; certified rounding errors of readings are smaller, and no position is known so precisely
 _HALF_A_STEP = np.array([-0.5, 0.5])
 
 
 def _host_volts(adc: Adc, steps: FloatArray) -> FloatArray:
-    """V of readings in steps, within those of the first and the last code."""
+    """V of readings in steps, limited to those of the first and the last code."""
     return adc.range[0] + np.clip(steps, 0.5, 2.0**adc.bits - 0.5) * adc.step
 
 
 def clipped(design: Converts, codes: NDArray[np.integer]) -> BoolArray:
-    """Where a code is the first or the last one, so that the volts are only known to lie at or beyond it."""
+    """True where a code is the first or the last one, which only shows that the volts lie at or beyond that code."""
     return np.isin(codes, (0, 2 ** _adc(design).bits - 1))
 
 

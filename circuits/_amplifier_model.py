@@ -1,9 +1,9 @@
-"""SPICE macro-models of amplifiers (``.SUBCKT``), as makers publish them: found, checked, and made safe to include.
+"""SPICE macro-models of amplifiers (``.SUBCKT``), as makers publish them: read, checked, and safe to include.
 
 A model file is a program of somebody else. ngspice would run a ``.control`` block or a line that begins with ``*#``
-inside it, shell commands included, and read whatever file ``.include`` or a code model names. This module therefore
-lets through what describes a circuit, and refuses the rest: it knows the cards, devices and model types that are
-allowed, and every other line is an error that names file and line.
+inside the file, shell commands included, and read any file that ``.include`` or a code model names. This module
+therefore accepts only lines that describe a circuit. It has lists of the allowed cards, devices and model types; every
+other line is an error that names file and line.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ..text import one_line, shortened
 
 Pin = Literal["in+", "in-", "v+", "v-", "out", "ground", "open"]
 PINS: tuple[Pin, ...] = ("in+", "in-", "v+", "v-", "out")
-"""the usual order of makers"""
+"""default: the order that most makers use"""
 MOST_MODEL_BYTES = 4 * 2**20
 CARDS = (".subckt", ".ends", ".model", ".param", ".params", ".func", ".if", ".elseif", ".else", ".endif")
 DEVICES = "bcdefghijklmqrstvwxz"
@@ -37,15 +37,15 @@ class AmplifierModel(Section):
     """The maker's macro-model of the column amplifiers, in place of the one-pole amplifier of SPICE netlists."""
 
     file: Annotated[str, Field(min_length=1)]
-    """with the model; relative to the design"""
+    """path of the model file, relative to the design"""
     subcircuit: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.\-+]+$")]
-    """name of its .SUBCKT"""
+    """name of the .SUBCKT in the file"""
     pins: Annotated[tuple[Pin, ...], Field(strict=False)] = PINS
-    """what each pin of the .SUBCKT line is, in its order; "ground" is tied to 0 V, "open" to nothing"""
+    """function of each pin, in the order of the .SUBCKT line; "ground" is tied to 0 V, "open" to nothing"""
     rails: Annotated[tuple[Finite, Finite] | None, Field(strict=False)] = None
     """V at "v-" and "v+"; None: as readout.supply"""
     text: str = Field(default="", exclude=True, repr=False)
-    """checked cards of the file, one a line; empty: not read yet"""
+    """checked cards of the file, one per line; empty: not read yet"""
 
     @model_validator(mode="after")
     def _connected(self) -> Self:
@@ -57,14 +57,14 @@ class AmplifierModel(Section):
         return self
 
     def read(self, folder: Path) -> AmplifierModel:
-        """The same with its cards, from the file beside the design in ``folder``.
+        """A copy with the checked cards of the file; ``folder`` is that of the design.
 
         Raises:
-            InputError: no such file, no such subcircuit, another number of pins, or a line that describes no circuit.
+            InputError: no such file, no such subcircuit, another number of pins, or a line that is not allowed.
 
         """
         path = folder / self.file
-        # Makers write in all code pages; only comments have more than ASCII.
+        # Makers use various code pages; only comments may contain more than ASCII.
         content = read_bytes(path, most_bytes=MOST_MODEL_BYTES).decode("latin-1")
         cards = list(_checked_cards(content, str(path)))
         self._check_pins(cards, str(path))
@@ -121,7 +121,7 @@ class _Card(NamedTuple):
 
 
 def _checked_cards(content: str, path: str) -> Iterator[_Card]:
-    """The statements of a model, each one of a kind that only describes a circuit."""
+    """Statements of a model; InputError for kinds that are not allowed."""
     if re.search(r"\$CDNENC|\* Begin:.*Encrypt|^\*?\s*LTspice Encrypted", content, flags=re.IGNORECASE | re.MULTILINE):
         raise InputError(f"{path}: the model is encrypted; expected plain text")
     for card in _statements(content, path):
@@ -173,7 +173,7 @@ def _check_model_type(card: _Card, where: str, shown: str) -> None:
 
 
 def _before_parameters(words: list[str]) -> list[str]:
-    """The nodes of a .SUBCKT line, or those of a call with its subcircuit: what stands before any parameter."""
+    """Words before any parameter: the nodes of a .SUBCKT line, or the nodes and the subcircuit of a call."""
     found = []
     for position, word in enumerate(words):
         if word in ("params:", "optional:") or words[position + 1 : position + 2] == ["="]:
@@ -183,7 +183,7 @@ def _before_parameters(words: list[str]) -> list[str]:
 
 
 def _refuse_recursion(name: str, calls: dict[str, set[str]], path: str) -> None:
-    """ngspice would expand a subcircuit that contains itself until memory ends."""
+    """Raise InputError for a subcircuit that contains itself, which ngspice would expand until memory ends."""
     finished: set[str] = set()
     stack = [(name, iter(sorted(calls.get(name, ()))))]
     while stack:

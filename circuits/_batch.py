@@ -37,7 +37,7 @@ class BatchResult:
 
     @cached_property
     def resistance(self) -> FloatArray:
-        """Ohm that equation (10) makes of ``volts``; worked out when asked for."""
+        """Apparent resistances in ohm of ``volts`` by equation (10); computed on first access."""
         return apparent_resistance(self.design, self.volts)
 
 
@@ -72,7 +72,7 @@ def scan_batch(
             for frame, known, off in zip(pending, volts[pending], error, strict=True):
                 bound[frame] = relative_bound(off, known)
         if tolerance is not None:
-            for frame in pending[bound[pending] > tolerance]:  # one by one: what is left to the series
+            for frame in pending[bound[pending] > tolerance]:  # one by one, by the Neumann series
                 one = scan(design, cells[frame], tolerance=tolerance)
                 volts[frame], saturated[frame] = board.turn(one.volts), board.turn(one.saturated)
                 bound[frame], methods[frame] = one.error_bound, one.method
@@ -106,7 +106,7 @@ def checked_frames(design: Design, resistance: ArrayLike) -> FloatArray:
 
 
 def _attenuated(board: Board, cells: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Which of the frames line attenuation can read, their outputs and the errors of these, in V."""
+    """Indices of the frames that line attenuation can read, their outputs in V, and bounds on their errors in V."""
     nothing = np.empty(0, dtype=np.intp), np.empty((0, *board.shape)), np.empty((0, *board.shape))
     linear = board.linear
     if linear is None:

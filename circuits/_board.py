@@ -1,7 +1,7 @@
 """A board: the parts of a design as arrays, with the circuit that reads them and its converter.
 
-Every solver and every analysis takes a :class:`Board`. ``design.board`` makes it once and keeps it. Its arrays are in
-line coordinates, which :mod:`._parts` explains.
+Scans, recovery and all other analyses take a :class:`Board`. ``design.board`` makes it once and keeps it. Its arrays
+are in line coordinates, which :mod:`._parts` explains.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from .readouts import CIRCUITS, LinearReadout, ReadoutCircuit
 
 @dataclass(frozen=True, eq=False)
 class Board(Parts):
-    """Parts in line coordinates, what the columns end in, and what converts their outputs."""
+    """Parts in line coordinates, with the readout circuit and the ADC."""
 
     circuit: ReadoutCircuit
-    """what the columns end in"""
+    """the circuit at the columns' ends"""
     readout: Readout
     """the design's own section: capacitances, bandwidth and noise, which are the same for all columns"""
     adc: Adc | None
-    """None: the outputs are taken as they are"""
+    """None: the outputs are not converted"""
 
     @classmethod
     def of(
@@ -95,7 +95,7 @@ def cell_alone(board: Board, conductance: FloatArray, shunt: FloatArray) -> Floa
 
 
 def series_ohms(faults: tuple[Fault, ...], kind: str, shape: tuple[int, int]) -> FloatArray:
-    """Ohm (rows, columns) that the faults of one kind put in series; several at one place add up."""
+    """Ohm (rows, columns) in series by all faults of one kind; several faults at one place add up."""
     ohms = np.zeros(shape)
     for fault in faults:
         if fault.kind == kind:
@@ -123,7 +123,7 @@ def _turned_fault(fault: Fault, shape: tuple[int, int]) -> Fault:
 
 
 def broken_off(board: Board) -> NDArray[np.bool_]:
-    """(N, M) cells beyond a complete break of their line: they conduct, but no reading is theirs."""
+    """(N, M) cells beyond a complete break of their line: they conduct, but have no reading of their own."""
     cut = np.zeros(board.shape, dtype=np.bool_)
     for fault in board.faults:
         row, column = fault.place

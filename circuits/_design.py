@@ -28,15 +28,15 @@ class Design(Section):
     drive: Drive
     readout: Readout
     adc: Adc | None = None
-    """None: the column outputs are taken as they are"""
+    """None: the column outputs are not converted"""
     sheet: Sheet = Sheet()
     """geometry of the material, if array.sheet is "continuous"; a sliced one needs none"""
     fault: Annotated[tuple[Fault, ...], Field(strict=False)] = ()
     requirements: Requirements = Requirements()
     requirement: Annotated[tuple[Requirement, ...], Field(strict=False, exclude=True)] = ()
-    """of the verification only; a board does not send them"""
+    """for the verification only; a board does not send them"""
     cells: Cells | None = None
-    """None: as a CELL.toml says, or the shipped example cell"""
+    """None: as in a CELL.toml, or as the shipped example cell"""
     operation: Operation = Operation()
 
     @model_validator(mode="after")
@@ -76,7 +76,7 @@ class Design(Section):
 
     @property
     def spreads(self) -> dict[str, Spread]:
-        """How far each part may lie from its nominal value, by section and key: ``"readout.offset_voltage"``."""
+        """Tolerances of the parts, by section and key such as ``"readout.offset_voltage"``."""
         found: dict[str, Spread] = {}
         for name in ("array", "drive", "readout", "adc", "cells"):
             section = getattr(self, name)
@@ -85,7 +85,7 @@ class Design(Section):
         return found
 
     def with_circuit(self, circuit: str) -> Design:
-        """The same array and parts read by another circuit."""
+        """A copy of the design with another readout circuit."""
         return self.replace(readout={"circuit": circuit})
 
     @cached_property

@@ -1,4 +1,4 @@
-"""First-order error budget of a scan: which effects are modelled, which are not, and how large each one is.
+"""First-order error budget of a scan: the effects that are modelled, those that are not, and the size of each.
 
 An effect is absent, and costs no computing time, until the design gives its part a value. The size of each effect is a
 first-order estimate. The estimate uses the value in the design or, without one, an assumed value (:data:`ORDINARY`).

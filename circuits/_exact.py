@@ -1,7 +1,7 @@
-"""The exact reading of frames: Kron reduction of the whole grid at once, and a bound on what rounding did to it.
+"""Exact reading of frames by Kron reduction of the whole grid, with a bound on the rounding errors.
 
-Frames whose outputs are linear in the grid's transfer conductances need no more of the grid than those
-(:func:`.solvers.exact_transfer`). All others need the network between all ports.
+Frames whose outputs are linear in the grid's transfer conductances need only these conductances
+(:func:`.solvers.exact_transfer`). All other frames need the network between all ports.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ class Outputs(NamedTuple):
 
 
 def read_exactly(board: Board, cells: FloatArray) -> tuple[Outputs, FloatArray]:
-    """Outputs of frames of cells, and how far rounding can have moved each, in V.
+    """Outputs of frames of cells, and a bound on the rounding error of each.
 
     Args:
-        board: what reads them.
+        board: lines, readout circuit and faults.
         cells: (..., N, M) ohm, in line coordinates.
 
     Returns:
-        Outputs, and V (..., N, M) by which each may be off; inf for those that ideal parts leave open.
+        Outputs, and bounds (..., N, M) in V on their errors; inf for outputs that ideal parts leave undetermined.
 
     Raises:
         SolverError: parts of no resistance join sources that contradict each other.
@@ -47,7 +47,7 @@ def read_exactly(board: Board, cells: FloatArray) -> tuple[Outputs, FloatArray]:
 
 
 def _read_linearly(board: Board, linear: LinearReadout, cells: FloatArray) -> tuple[Outputs, FloatArray]:
-    """By the transfer conductances alone, where no output can have reached a limit."""
+    """Read by the transfer conductances alone; frames with outputs that may reach a limit go to :func:`_read_ports`."""
     transfer, off = exact_transfer(board.cell_conductance(cells), linear.lines)
     volts = linear.volts(transfer)
     error = linear.error(off, transfer)
@@ -60,7 +60,7 @@ def _read_linearly(board: Board, linear: LinearReadout, cells: FloatArray) -> tu
 
 
 def _read_ports(board: Board, cells: FloatArray) -> tuple[Outputs, FloatArray]:
-    """By the whole network between the ports, for any circuit."""
+    """Read by the whole network between the ports, for any circuit."""
     ports, relative = exact_ports(board, cells)
     reading = board.circuit.read(board, ports)
     few = output_rounding(reading.volts.shape)
@@ -74,7 +74,7 @@ def _read_ports(board: Board, cells: FloatArray) -> tuple[Outputs, FloatArray]:
 
 
 def _nodes(board: Board) -> int:
-    """How many nodes there are at most, those behind the columns included."""
+    """Upper bound on the number of nodes, those behind the columns included."""
     rows, columns = board.shape
     faces = 2 * board.sheet.divisions * board.sheet.layers if board.continuous else 0
     return rows * columns * (2 + faces) + 2 * (rows + columns)

@@ -1,4 +1,4 @@
-"""A board's passive grid between its row drivers and its column leads, reduced to its ports (Kron reduction)."""
+"""Kron reduction of a board's passive grid, from the row drivers to the column leads, to its ports."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from . import _sheet as sheet
 from ._board import Board
 from .solvers import Element, Network, Rounded, port_conductances, reduce, siemens
 
-_SHORT = 1e-60  # ohm; at most that is a wire, see :func:`.solvers.siemens`
+_SHORT = 1e-60  # ohm; resistances up to this count as ideal wires, see :func:`.solvers.siemens`
 
 
 def exact_ports(board: Board, cells: FloatArray) -> Rounded:
-    """Port conductances (..., N + M, N + M) in S of the board's grid, row leads included, and their relative error.
+    """Port conductances (..., N + M, N + M) in S of the board's grid, row leads included, with their rounding bound.
 
     Args:
         board: the lines and their faults.
@@ -79,17 +79,17 @@ def grid_network(board: Board, cells: FloatArray) -> Network:
 
 
 def refuse_contradictions(board: Board, cells: FloatArray) -> BoolArray | None:
-    """Raise SolverError where parts of 0 ohm alone join ideal sources, which contradict each other.
+    """Raise SolverError where parts of 0 ohm connect ideal sources that contradict each other.
 
-    Returns:
-        (..., N, M) outputs that such parts leave open; None if there are none.
-
-    What counts as an ideal source, and which may not meet, is the circuit's to say
+    The circuit defines its ideal sources, and which of them contradict each other
     (:meth:`.ReadoutCircuit.contradiction`).
 
     Args:
         board: the lines and their faults.
-        cells: (..., N, M) ohm; a cell that is a short in any frame counts as one.
+        cells: (..., N, M) ohm; a cell that is a short in any frame counts as a short in all frames.
+
+    Returns:
+        (..., N, M) outputs that parts of 0 ohm leave undetermined; None if there are none.
 
     """
     if cells.min() > _SHORT and not any(fault.ohms <= _SHORT for fault in board.faults):

@@ -12,8 +12,8 @@ from ._design import Design
 def apparent_resistance(design: Design, volts: ArrayLike) -> FloatArray:
     """Cell resistances (..., rows, columns) in ohm that would give these outputs in the ideal circuit, equation (10).
 
-    Infinite where the output stands at the reference. Offsets may make it negative for open cells: the value is
-    what the reading says, not what a cell can be.
+    Infinite where the output stands at the reference. An offset can make the value negative for an open cell: the value
+    follows from the reading alone, without limits of what a cell can be.
     """
     board = design.board
     ohms = board.circuit.apparent_resistance(board, board.turn(np.asarray(volts, dtype=np.float64)))
@@ -21,7 +21,7 @@ def apparent_resistance(design: Design, volts: ArrayLike) -> FloatArray:
 
 
 def ideal_volts(design: Design, resistance: ArrayLike) -> FloatArray:
-    """Outputs (..., rows, columns) in V if every cell were alone with ideal parts: equation (10), or one divider.
+    """Outputs (..., rows, columns) in V if each cell were alone with ideal parts: equation (10), or a single divider.
 
     Shorts give an infinite amplifier output.
     """

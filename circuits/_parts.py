@@ -4,10 +4,10 @@ Line coordinates
 ----------------
 Inside a board the *rows* are the lines that are driven, and the *columns* are the lines that are sensed. For most
 circuits these are the array's own rows and columns. A circuit that drives columns and senses rows has its array turned:
-:meth:`Parts.turn` takes arrays of the array's shape into line coordinates and back. In line coordinates row i is always
-driven ahead of column 0, and column j is always sensed behind row N - 1.
+:meth:`Parts.turn` converts arrays of the array's shape to line coordinates and back. In line coordinates row i is
+always driven ahead of column 0, and column j is always sensed behind row N - 1.
 
-Readout circuits take :class:`Parts`. All else takes a :class:`._board.Board`, which is the parts with their circuit.
+Readout circuits take :class:`Parts`. All other code takes a :class:`._board.Board`: the parts with their circuit.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from ._sections import Fault, Sheet
 from .solvers import Lines, siemens
 
 LEAST_SHORT_OHM = 1e-3
-"""resistance of a shorted cell with its contacts, at least: for bounds on what a short may do to other readings"""
+"""least resistance of a shorted cell with its contacts, for bounds on the effect of a short on other readings"""
 
 T = TypeVar("T", bound=np.generic)
 
@@ -64,7 +64,7 @@ class Parts:
     floating: bool
     """whether rows that are not selected are left open"""
     idle_columns: Literal["float", "load"]
-    """what the columns of a divider that are not being read end in"""
+    """end of a divider's idle columns: open, or their loads"""
     continuous: bool
     """whether the sheet conducts from cell to cell"""
     sheet: Sheet
@@ -72,7 +72,7 @@ class Parts:
 
     @property
     def line_kinds(self) -> tuple[str, str]:
-        """What the array calls the lines that are driven and those that are sensed: "row" and "column", or reversed."""
+        """Names of the driven and of the sensed lines in the array: "row" and "column", or "column" and "row"."""
         return ("column", "row") if self.turned else ("row", "column")
 
     @property
@@ -81,40 +81,40 @@ class Parts:
         return self.shape[::-1] if self.turned else self.shape
 
     def driven_line(self, row: int) -> int:
-        """The array's number of the line that is row ``row`` of the board, or the other way round."""
+        """Convert row ``row`` in line coordinates to the line's number in the array, or back."""
         return self.shape[0] - 1 - row if self.turned else row
 
     def sensed_line(self, column: int) -> int:
-        """The array's number of the line that is column ``column`` of the board, or the other way round."""
+        """Convert column ``column`` in line coordinates to the line's number in the array, or back."""
         return self.shape[1] - 1 - column if self.turned else column
 
     def turn(self, values: NDArray[T]) -> NDArray[T]:
-        """Arrays (..., rows, columns) of the array in line coordinates, or from line coordinates back: a view."""
+        """Convert (..., rows, columns) values of the array to line coordinates, or back; returns a view."""
         return values.swapaxes(-1, -2)[..., ::-1, ::-1] if self.turned else values
 
     @cached_property
     def inverse_gain(self) -> FloatArray:
-        """(M,) 1 / (1 + A): the share of an error that an amplifier leaves."""
+        """(M,) 1 / (1 + A): fraction of an error that an amplifier leaves."""
         return 1.0 / (1.0 + self.gain)
 
     @cached_property
     def loop_share(self) -> FloatArray:
-        """(M,) A / (1 + A): the share of its input that a unity-gain amplifier puts out."""
+        """(M,) A / (1 + A): closed-loop gain of a unity-gain follower."""
         return 1.0 / (1.0 + 1.0 / self.gain)
 
     @cached_property
     def follower_lift(self) -> FloatArray:
-        """(M,) V by which a follower's output is above its input, where that is at the reference voltage."""
+        """(M,) V by which a follower's output is above its input, if the input is at the reference voltage."""
         return self.loop_share * self.offset - self.inverse_gain * self.level
 
     @cached_property
     def lift(self) -> FloatArray:
-        """(M,) V that the bias current makes across the reference resistor."""
+        """(M,) V across the reference resistor by the bias current."""
         return self.reference * self.bias
 
     @cached_property
     def lines(self) -> Lines:
-        """Series conductances along the lines in S, row leads included, column leads not."""
+        """Series conductances along the lines in S, with row leads, without column leads."""
         return Lines(siemens(self.row_ohms), siemens(self.column_ohms))
 
     @cached_property
@@ -129,7 +129,7 @@ class Parts:
 
     @cached_property
     def plain(self) -> bool:
-        """Whether the grid is nothing but cells between lines, so that the fast solvers may be used."""
+        """Whether the grid has only cells between its lines, as the fast solvers require."""
         return not self.continuous and not self.bridges
 
     def cell_conductance(self, cells: FloatArray) -> FloatArray:

@@ -35,7 +35,7 @@ _TOGETHER = 1 << 14
 
 @dataclass(frozen=True)
 class Boards:
-    """Part values of S boards: (S, N) per row, (S, M) per column, (S, 1) per board. A first axis of 1 is for all."""
+    """Part values of S boards: (S, N) per row, (S, M) per column, (S, 1) per board; S = 1 if all boards share them."""
 
     row_lead: FloatArray
     """ohm"""
@@ -135,7 +135,7 @@ def scan_population(
     if _covered(design):
         low, high = design.readout.supply
         for some in _chunks(count, max(1, _TOGETHER // columns**2)):
-            with np.errstate(all="ignore"):  # what has no number is solved again below
+            with np.errstate(all="ignore"):  # boards with a NaN are solved again below
                 volts[some] = _read(design, boards.part(some), cells if len(cells) == 1 else cells[some])
         if design.board.circuit.has_amplifiers:
             saturated = (volts < low) | (volts > high)
@@ -153,7 +153,7 @@ def scan_population(
 
 
 def _covered(design: Design) -> bool:
-    """Whether the elimination knows this kind of design."""
+    """Whether the elimination covers this kind of design."""
     return design.board.circuit.in_populations and design.array.sheet == "sliced" and not design.fault
 
 
@@ -181,7 +181,7 @@ class _Columns(NamedTuple):
 
 
 def _read(design: Design, boards: Boards, cells: FloatArray) -> FloatArray:
-    """Output volts (S, N, M), had the amplifiers no limits."""
+    """Output volts (S, N, M) without supply limits."""
     conductance = 1.0 / cells
     count = max(boards.count, len(cells))
     conductance = np.broadcast_to(conductance, (count, *cells.shape[1:]))
@@ -199,8 +199,8 @@ def _read(design: Design, boards: Boards, cells: FloatArray) -> FloatArray:
 def _row_ladders(conductance: FloatArray, lead: FloatArray, segment: FloatArray) -> _Rows:
     """Schur complements of the row lines on the column nodes.
 
-    The line is a ladder. Looking away from the driver its admittance at place j is ``y_j``, looking back it is ``w_j``;
-    a voltage at j arrives at j + 1 as the fraction ``t``. The line's impedance matrix is then
+    The line is a ladder. At place j its admittance is ``y_j`` away from the driver and ``w_j`` towards the driver.
+    Place j receives the fraction ``t_j`` of the voltage at place j - 1. The line's impedance matrix is then
     ``Z_jk = prod(t_j+1 ... t_k) / (w_j + y_j)`` for k >= j.
     """
     count, rows, columns = conductance.shape
@@ -231,7 +231,7 @@ def _row_ladders(conductance: FloatArray, lead: FloatArray, segment: FloatArray)
 
 
 def _down_the_columns(rows: _Rows, segment: FloatArray) -> _Columns:
-    """All rows with their drivers, from the first to the last."""
+    """Eliminate the column nodes from the first row to the last, with all rows at their drivers."""
     count, size, columns = rows.current.shape
     if not segment.any():
         return _Columns(rows.admittance.sum(axis=1), rows.current.swapaxes(1, 2))
@@ -267,7 +267,7 @@ def _one_driven(driven: _Rows, floating: _Rows, segment: FloatArray) -> Iterator
 
 
 def _through(admittance: FloatArray, segment: FloatArray, values: FloatArray) -> FloatArray:
-    """``(1 + A R)^-1 values``: what is left behind one segment of each column."""
+    """``(1 + A R)^-1 values``: admittances or currents beyond one segment of each column."""
     passing = admittance * segment[:, None, :]
     diagonal = np.arange(admittance.shape[-1])
     passing[..., diagonal, diagonal] += 1.0
@@ -275,7 +275,7 @@ def _through(admittance: FloatArray, segment: FloatArray, values: FloatArray) ->
 
 
 def _outputs(design: Design, boards: Boards, seen: _Columns) -> FloatArray:
-    """Output volts (S, M, R) of what the columns end in."""
+    """Output volts (S, M, R) of the circuit at the columns' ends."""
     reference, lead = boards.reference_resistance[..., None], boards.column_lead[..., None]
     level, drive = boards.reference_voltage[..., None], boards.voltage[..., None]
     if design.board.circuit.virtual_ground:

@@ -1,4 +1,4 @@
-"""``[readout]`` of DESIGN.toml: the circuit that reads the sensed lines, by its name, and its parts."""
+"""``[readout]`` of DESIGN.toml: the name of the circuit that reads the sensed lines, and its parts."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Circuit = Annotated[str, AfterValidator(_known_circuit)]
 
 
 class Readout(Spreadable):
-    """What each sensed line ends in. Keys of a single line's parts take one number, or a list of one per line.
+    """The circuit at the end of each sensed line. Keys with a value per line take one number, or a list with one each.
 
     ======================  =========================================================================================
     inverting-amplifier     a transimpedance amplifier on each column; rows are driven
@@ -61,7 +61,7 @@ class Readout(Spreadable):
     supply: Annotated[tuple[float, float], Field(strict=False)] = (-inf, inf)
     """V, output swing"""
     idle_columns: Literal["float", "load"] = "float"
-    """"voltage-divider" only: what the columns that are not being read end in"""
+    """"voltage-divider" only: idle columns are open, or end in their loads"""
     column_capacitance: NotNegative = 0.0
     """F, from each inverting input to ground: column line and amplifier"""
     feedback_capacitance: NotNegative = 0.0
@@ -71,9 +71,9 @@ class Readout(Spreadable):
     current_noise: NotNegative = 0.0
     """A/sqrt(Hz), at each inverting input"""
     temperature: NotNegative = 0.0
-    """K, of all resistors, for their noise; 0: they have none"""
+    """K, of all resistors, for their thermal noise; 0: no thermal noise"""
     amplifier_model: Annotated[AmplifierModel | None, Field(exclude=True)] = None
-    """the maker's macro-model, for SPICE netlists in time; boards do not send it"""
+    """the maker's macro-model, for transient SPICE netlists; boards do not send it"""
 
     @model_validator(mode="after")
     def _swing(self) -> Self:

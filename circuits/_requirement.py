@@ -13,16 +13,16 @@ Method = Literal["nominal", "worst-case", "monte-carlo", "spice", "hardware"]
 
 
 class Conditions(Section):
-    """Under which conditions a quantity is taken; what is left out is as the design says."""
+    """Conditions under which a quantity is determined; defaults are those of the design."""
 
     frame_rate: Positive | None = None
     """Hz, in place of ``operation.frame_rate``"""
     yield_percent: Annotated[float, Field(gt=0, lt=100)] = 99.0
-    """method "monte-carlo": share of boards that must keep the limits"""
+    """method "monte-carlo": percentage of boards that must keep the limits"""
 
 
 class Requirement(Section):
-    """What must be shown of a design, and how."""
+    """A quantity of the design, its limits, and the method of verification."""
 
     id: Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[^\s/\\]+$")]
     text: str = ""

@@ -23,12 +23,12 @@ from .solvers import Attenuated, attenuate, terms
 _SMALL = 64  # cells up to which the exact method costs less than two tries: 85 us against 45 us at 8 x 8
 
 METHODS = ("attenuation", "exact")
-"""What ``scan(..., method=...)`` takes, from the cheapest to the most accurate"""
+"""Values of ``scan(..., method=...)``, from the cheapest to the most accurate"""
 
 
 @dataclass(frozen=True)
 class ScanResult:
-    """What a scan found, and how far it can be trusted. Arrays are (rows, columns)."""
+    """Result of a scan, with a certified error bound. Arrays are (rows, columns)."""
 
     volts: FloatArray
     """V at the amplifier outputs, or across the divider's load"""
@@ -42,11 +42,11 @@ class ScanResult:
     """wall time of the solve"""
     design: Design = field(repr=False)
     cells: FloatArray = field(repr=False)
-    """(rows, columns) ohm that were read"""
+    """(rows, columns) ohm of the cells that were scanned"""
 
     @cached_property
     def resistance(self) -> FloatArray:
-        """(rows, columns) ohm that equation (10) makes of ``volts``; inf where no current flows."""
+        """Apparent resistances (rows, columns) in ohm of ``volts`` by equation (10); inf where no current flows."""
         return apparent_resistance(self.design, self.volts)
 
 
@@ -56,12 +56,13 @@ def scan(
     """Read one frame of cells.
 
     Args:
-        design: what reads them.
+        design: the board that reads the cells.
         resistance: (rows, columns) ohm; inf is an open cell, 0 a short.
-        tolerance: largest acceptable error of any output, relative to the largest one: the cheapest method is taken
-            that certifies it. None: a quarter of an ADC step where the design has an ADC, else the exact method.
-        method: one of :data:`METHODS`, whatever it costs and whatever its error. Frames that line attenuation cannot
-            express (dividers, shorted cells, saturated outputs ...) are read exactly all the same.
+        tolerance: largest acceptable error of any output, relative to the largest output. The scan takes the cheapest
+            method that certifies this error. None: a quarter of an ADC step if the design has an ADC, otherwise the
+            exact method.
+        method: one of :data:`METHODS`, whatever its cost and error. Frames that line attenuation cannot express
+            (dividers, shorted cells, saturated outputs ...) are read exactly even so.
 
     Raises:
         InputError: the array is not of the design's shape, or has NaN or negative entries; an unknown method; a
@@ -87,7 +88,7 @@ def scan(
 
 
 class Demand(NamedTuple):
-    """The errors that a reading may have at most."""
+    """Largest acceptable errors of a reading."""
 
     relative: float
     """of any output, relative to the largest output"""
@@ -96,7 +97,12 @@ class Demand(NamedTuple):
 
     @classmethod
     def of(cls, design: Design, tolerance: float | None, method: str | None) -> Demand | None:
-        """What the arguments of :func:`scan` ask for; None where they ask for a method instead. Raises InputError."""
+        """Largest errors by the arguments of :func:`scan`; None if a method is given, or neither tolerance nor ADC.
+
+        Raises:
+            InputError: an unknown method, a tolerance that is not positive, or both a tolerance and a method.
+
+        """
         if method is not None and method not in METHODS:
             raise InputError(f"unknown method '{method}'; expected one of {', '.join(METHODS)}")
         if tolerance is not None and not tolerance > 0:
@@ -108,7 +114,7 @@ class Demand(NamedTuple):
         return cls(inf, design.adc.step / 4.0) if method is None and design.adc is not None else None
 
     def is_met(self, worst: float, bound: float) -> bool:
-        """By outputs of which none is off by more than ``worst`` in V, or ``bound`` relative to the largest."""
+        """Whether outputs with errors of at most ``worst`` V, and ``bound`` relative to the largest, are acceptable."""
         return worst <= self.volts and bound <= self.relative
 
 
@@ -116,14 +122,14 @@ class _Answer(NamedTuple):
     volts: FloatArray
     saturated: BoolArray
     worst: float
-    """V that no output is off by more than"""
+    """bound in V on the error of any output"""
     bound: float
-    """the same relative to the largest output"""
+    """the same bound relative to the largest output"""
     method: str
 
 
 def _cheapest(board: Board, cells: FloatArray, demand: Demand | None, method: str | None) -> _Answer:
-    """The answer of the cheapest method that meets the demand; cells in line coordinates."""
+    """Result of the cheapest method that meets the demand, for cells in line coordinates."""
     if method == "attenuation" or (demand is not None and cells.size > _SMALL):
         fast = _by_attenuation(board, cells)
         if fast is not None and (demand is None or demand.is_met(fast.worst, fast.bound)):
@@ -151,12 +157,12 @@ def _by_attenuation(board: Board, cells: FloatArray) -> _Answer | None:
 
 
 def _by_series(board: Board, cells: FloatArray, demand: Demand) -> _Answer | None:
-    """As many terms of the Neumann series as the demand needs; None where they do not meet it."""
+    """As many terms of the Neumann series as the demand needs; None if no number of terms meets the demand."""
     return next((answer for answer in series_answers(board, cells) if demand.is_met(answer.worst, answer.bound)), None)
 
 
 def series_answers(board: Board, cells: FloatArray) -> Iterator[_Answer]:
-    """Better and better answers with 1, 2, 3, ... terms; none where an output may reach a supply limit."""
+    """Results of increasing accuracy with 1, 2, 3, ... terms; none if an output may reach a supply limit."""
     if board.linear is None:
         return
     last = inf
@@ -164,14 +170,14 @@ def series_answers(board: Board, cells: FloatArray) -> Iterator[_Answer]:
         answer = _within_supply(board, known, "series" if number else "attenuation")
         if answer is None:
             return
-        if number and not answer.worst < 0.7 * last:  # rounding is all that is left, or the lines are too heavy
+        if number and not answer.worst < 0.7 * last:  # only rounding is left, or the lines are too heavy
             return
         last = answer.worst
         yield answer
 
 
 def _within_supply(board: Board, known: Attenuated, method: str) -> _Answer | None:
-    """The outputs for certified transfer conductances; None where one may reach a supply limit."""
+    """The outputs for certified transfer conductances; None if an output may reach a supply limit."""
     assert board.linear is not None
     volts, *limits = board.linear.read(known)
     worst, sure = map(float, limits)
@@ -181,7 +187,7 @@ def _within_supply(board: Board, known: Attenuated, method: str) -> _Answer | No
 
 
 def relative_bound(error: FloatArray, volts: FloatArray) -> float:
-    """The largest error in V, relative to the largest finite output that is sure to be there."""
+    """Ratio of the largest error in V to a lower bound on the largest finite output."""
     finite = np.isfinite(volts)
     worst = float(np.max(error, where=finite, initial=0.0))
     return _share(worst, float(np.max(np.abs(volts), where=finite, initial=0.0)) - worst)

@@ -1,7 +1,7 @@
-"""The tables of DESIGN.toml, but for ``[readout]``: what each part is, with its unit, limits and default.
+"""The tables of DESIGN.toml except ``[readout]``: each part with its unit, limits and default.
 
-Everything that is not named is ideal. :mod:`._readout` has the table ``[readout]``, which names a circuit, and
-:mod:`._design` the whole file.
+Parts that a file does not name are ideal. :mod:`._readout` has the table ``[readout]``, and :mod:`._design` the whole
+file.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from ..config import MOST, Finite, NotNegative, Positive, Section
 from ._spread import Spreadable
 
 LEAST_DRIVE_V, MOST_V, LEAST_REFERENCE_OHM = 1e-6, 1e4, 1e-6
-"""Limits far beyond any board. Within them an offset is at most 1e16 times what the drive makes of 1 ohm, so that the
-solvers do not take a finite output for that of a short."""
+"""Limits far beyond any board. Within these limits an offset is at most 1e16 times the signal of a cell of 1 ohm, so
+that the solvers can distinguish a finite output from that of a short."""
 
 FaultKind = Literal["open-cell", "shorted-cell", "broken-row", "broken-column", "bridged-rows", "bridged-columns"]
 
@@ -70,8 +70,8 @@ class Array(Spreadable):
 
 
 class Sheet(Section):
-    """The continuous sheet's geometry and how finely it is cut; see :mod:`._sheet`. The defaults are the project's own:
-    cells on a 1 inch pitch, 1/8 inch thick, under strips of 3/4 inch.
+    """Geometry and discretisation of the continuous sheet (:mod:`._sheet`). The defaults are the project's own: cells
+    on a 1 inch pitch, 1/8 inch thick, under strips of 3/4 inch.
     """
 
     pitch: Positive = 0.0254
@@ -94,7 +94,7 @@ class Sheet(Section):
 
 
 class Drive(Spreadable):
-    """What the rows are driven with."""
+    """Drive of the selected line, and state of the idle driven lines."""
 
     PARTS: ClassVar[tuple[str, ...]] = ("voltage",)
 
@@ -127,7 +127,7 @@ class Adc(Spreadable):
     offset_voltage: Finite = 0.0
     """V that the converter adds to its input"""
     gain_error: Annotated[float, Field(gt=-1, le=MOST, allow_inf_nan=False)] = 0.0
-    """by which its slope exceeds 1, about the lower end of the range"""
+    """relative excess of the converter's slope, about the lower end of the range"""
     inl_steps: Finite = 0.0
     """integral nonlinearity in steps: a bow, largest at mid-range and 0 at both ends"""
 
@@ -144,7 +144,7 @@ class Adc(Spreadable):
 
 
 class Fault(Section):
-    """One thing that is broken, at the crosspoint ``place = [row, column]``.
+    """A known fault at the crosspoint ``place = [row, column]``.
 
     ========================  ==================================================================================
     open-cell                 ``resistance`` (default inf) in series with the cell
@@ -184,7 +184,7 @@ class Fault(Section):
 
     @property
     def ends(self) -> tuple[tuple[int, int], tuple[int, int]]:
-        """The crosspoints that a bridge joins lines at."""
+        """The two crosspoints that a bridge connects."""
         row, column = self.place
         if self.kind == "bridged-rows":
             return self.place, (row + 1 if self.to is None else self.to, column)
@@ -192,18 +192,18 @@ class Fault(Section):
 
 
 class Requirements(Section):
-    """What the design must keep for `ohmskin verify` to pass it; the defaults are the project's own."""
+    """Limits that the design must keep to pass `ohmskin verify`; the defaults are the project's own."""
 
     crosstalk_percent: Positive = 2.0
     """largest change of an untouched cell's reading, in % of that reading"""
     reading_error_percent: Positive = 5.0
-    """largest error of a resistance that equation (10) makes of an uncalibrated reading"""
+    """largest error, in %, of a resistance by equation (10) from an uncalibrated reading"""
     pressure_rmse_percent: Positive = 5.0
     """largest RMS error of the pressure estimate, in % of full scale"""
 
 
 class Cells(Spreadable):
-    """The resistances that the cells take, for the verification; a CELL.toml says more."""
+    """Range of the cells' resistances, for the verification; a CELL.toml describes the cells in full."""
 
     PARTS: ClassVar[tuple[str, ...]] = ("rest_resistance",)
 
@@ -212,7 +212,7 @@ class Cells(Spreadable):
     full_scale_resistance: Positive
     """ohm under full-scale pressure"""
     full_scale_kpa: Positive | None = None
-    """kPa; None: quantities in kPa are not known"""
+    """kPa; None: quantities in kPa cannot be computed"""
 
     @model_validator(mode="after")
     def _changes(self) -> Self:
@@ -222,7 +222,7 @@ class Cells(Spreadable):
 
 
 class Operation(Section):
-    """How the board is run; the verification judges the design under these conditions."""
+    """Operating conditions under which the verification judges the design."""
 
     frame_rate: Annotated[float, Field(gt=0, le=1e6)] | None = None
     """Hz: frames of all rows"""

@@ -40,10 +40,10 @@ from .solvers import Network, reduce, siemens
 LARGEST = 64 * 64
 """Largest number of cells: the derivatives then need 0.13 GB of memory per kind of part."""
 FEW_NODES = 150
-"""of a grid, up to which its equations are solved as dense ones"""
+"""Number of nodes up to which the equations of a grid are solved with dense matrices."""
 WIDEST = 1e7
-"""largest over smallest conductance of a grid, up to which its equations are solved as dense ones: beyond, and where a
-very small resistance stands for a short, the order of sparse elimination keeps more digits"""
+"""Ratio of the largest to the smallest conductance of a grid up to which dense matrices are used. For larger ratios,
+and where a very small resistance stands for a short, the order of sparse elimination keeps more digits."""
 _TOO_MANY_DECADES = (
     "the grid's parts span too many decades for sensitivities; give the smallest resistances as 0, "
     "or the largest as inf"
@@ -120,7 +120,7 @@ def board_sensitivity(board: Board, cells: FloatArray) -> Sensitivity:
     if shorts.any():
         joined = _joins_ports(network, shorts)
         network = _with_small_resistances(board, network, shorts)
-        if joined:  # without a voltage across the short its current would be lost
+        if joined:  # a short between two ports needs a voltage across it, which gives its current
             ports = reduce(network).value
     fields = _BasisFields.of(board, cells, network)
     result = _empty(reading.volts, fields.conductance)
@@ -240,9 +240,9 @@ class _BasisFields(NamedTuple):
 
 
 def _dense_potentials(a: IntArray, b: IntArray, value: FloatArray, port: IntArray, size: int) -> FloatArray | None:
-    """:func:`_sparse_potentials` of few nodes, by array operations on all pairs; None: some node reaches no port.
+    """As :func:`_sparse_potentials`, with dense matrices for few nodes; None if some node is connected to no port.
 
-    On a small grid each operation on a sparse matrix takes as long as all of these.
+    On a small grid a single operation on a sparse matrix takes as long as this whole function.
     """
     graph = np.zeros((size, size))
     np.add.at(graph, (a, b), value)

@@ -1,4 +1,4 @@
-"""Frames of one design that follow each other in time: what changes little from frame to frame costs little."""
+"""Scan of frames that follow each other in time, by certified interpolation between frames that are solved exactly."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from .solvers import SequenceTransfer, exact_transfer, sequence_transfer
 def scan_sequence(design: Design, resistance: ArrayLike, *, error_volts: float | None = None) -> BatchResult:
     """Read a sequence of frames, most of them by interpolation between frames that are solved exactly.
 
-    Only what line attenuation misses is interpolated, with a certificate: :mod:`.solvers._sequence`. Frames of designs
-    that this does not apply to (dividers, floating idle rows, bridges, shorted cells, saturated outputs ...) are read
-    as by :func:`scan_batch`.
+    Only the error of line attenuation is interpolated, with a certificate: :mod:`.solvers._sequence`. Sequences to
+    which this method does not apply (dividers, floating idle rows, bridges, shorted cells ...), and frames whose
+    outputs may saturate, are read as by :func:`scan_batch`.
 
     Args:
-        design: what reads them.
+        design: the board that reads the cells.
         resistance: (frames, rows, columns) ohm, one frame after the other in time at equal intervals.
-        error_volts: V by which no output may be off; None: a quarter of an ADC step.
+        error_volts: V, largest acceptable error of any output; None: a quarter of an ADC step.
 
     Returns:
         As :func:`scan_batch`. ``method`` says "interpolation" for the frames that were not solved.
@@ -75,9 +75,12 @@ def interpolates(design: Design) -> bool:
 def _interpolated(
     board: Board, cells: FloatArray, error_volts: float
 ) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray] | None:
-    """Volts, relative error bounds, which frames are knots, and which cannot have reached a limit of the supply.
+    """Interpolated outputs of frames, in line coordinates; None if the method does not apply.
 
-    In line coordinates.
+    Returns:
+        Volts (frames, N, M), relative error bounds, whether each frame is a knot (solved exactly), and whether its
+        outputs certainly stay within the supply; the last three are (frames,).
+
     """
     linear = board.linear
     if linear is None or linear.wires is None:

@@ -1,16 +1,17 @@
-"""Readout circuits: one object each, all of them in :data:`CIRCUITS`.
+"""Readout circuits (transimpedance amplifiers, dividers, followers): one object each, all in :data:`CIRCUITS`.
 
 =================================  =====================================================================
-:mod:`._circuit`                   what the rest of the package asks of a circuit: the base class
+:mod:`._circuit`                   the base class: interface of a circuit to the rest of the package
 :mod:`._inverting_amplifier`       transimpedance amplifiers on the columns (the paper's figure 15)
 :mod:`._row_amplifier`             the same with rows sensed and columns driven
 :mod:`._voltage_divider`           load resistors (the paper's figure 13)
 :mod:`._voltage_feedback`          a load, and a follower that drives all idle lines
-:mod:`._pulled_rows`               rows of shorts that imitate ordinary cells behind a follower
+:mod:`._pulled_rows`               test for shorts that read like ordinary cells behind a follower
 :mod:`._ends`                      columns that end in a Thevenin equivalent
 :mod:`._linear`                    outputs as a linear function of transfer conductances
-:mod:`._adjoint`                   what the derivatives of readings are made of
+:mod:`._adjoint`                   forward and adjoint port potentials, for the derivatives of readings
 :mod:`._quick`                     outputs and their fields by plain nodal analysis, without bounds
+:mod:`._rounding`                  bound on the rounding errors of outputs
 :mod:`._cards`                     names of nodes for their SPICE cards
 =================================  =====================================================================
 """

@@ -1,7 +1,8 @@
-"""Adjoint port potentials: what the derivatives of readings by all parts are made of (:mod:`.._sensitivity`).
+"""Forward and adjoint port potentials, from which :mod:`.._sensitivity` computes the derivatives of readings.
 
-A *group* is a set of readings that share their scan steps. For each reading it holds the port potentials of the forward
-field (the step as it is) and of the adjoint field (the step's sources off, a unit source where the reading is taken).
+A *group* is a set of readings that share their scan steps. For each reading the group holds the port potentials of two
+fields. The forward field has the sources of the scan step. The adjoint field has these sources off and a unit source
+where the reading is taken.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ class TiedPorts(NamedTuple):
         return result
 
     def currents(self, potential: FloatArray, source: FloatArray) -> FloatArray:
-        """(..., N + M) A into what the ports are tied to: by the tie or, where that is the stiffer, by the grid."""
+        """(..., N + M) A out of the ports into their ties; by the grid's currents where the tie conducts better."""
         stiff = self.tie > self.ports.sum(axis=-1)
         through_tie = np.where(stiff, 0.0, self.tie) * (potential - source)
         through_grid = potential @ self.ports - potential * self.ports.sum(axis=-1)
@@ -75,14 +76,17 @@ class TerminatedColumns(NamedTuple):
     columns: IntArray
     """columns that are read"""
     one_by_one: bool
-    """whether columns that are not being read are open"""
+    """whether each column is read on its own, with all other columns open"""
     ends: Ends
     own_parts: Callable[[IntArray, FloatArray, FloatArray], dict[str, FloatArray]]
-    """from columns, currents (rows, 1, M) and adjoint currents (1, columns, M) to :attr:`SensitivityGroup.own_parts`"""
+    """function of columns, currents (rows, 1, M) and adjoint currents (1, columns, M) in A; returns
+    :attr:`SensitivityGroup.own_parts`"""
 
 
 def terminated_groups(board: Parts, ports: FloatArray, steps: TerminatedColumns) -> Iterator[SensitivityGroup]:
-    """The groups of readings of such steps: with open idle rows each row is one, with open idle columns each column."""
+    """Groups of readings of such steps: one for each row if idle rows float, one for each column if columns are read
+    one by one.
+    """
     rows, columns = board.shape
     ends = steps.ends
     for some_rows in np.split(steps.rows, len(steps.rows)) if board.floating else [steps.rows]:

@@ -1,4 +1,4 @@
-"""Node names and values of parts that a readout circuit asks for when it writes its SPICE cards."""
+"""Node names and part values for the SPICE cards of a readout circuit."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ ROW_INDEX, COLUMN_INDEX = "row_index", "column_index"
 
 
 class CardWriter:
-    """What a circuit knows of the netlist that its cards go into; :class:`..spice.DeckWriter` writes the rest of it."""
+    """The netlist as a circuit sees it while writing its cards; :class:`..spice.DeckWriter` writes all other cards."""
 
     reference = REFERENCE
     follower = FOLLOWER
@@ -20,7 +20,7 @@ class CardWriter:
     columns: int
     """M, sensed lines"""
     one_by_one: bool
-    """whether each column is read at a point of its own"""
+    """whether the columns of a row are read one after the other"""
     ground: str
     """node of board ground"""
     name: dict[str, str]

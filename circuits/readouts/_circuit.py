@@ -1,8 +1,8 @@
-"""What a readout circuit is to the rest of the package: the base class of all of them.
+"""Base class of the readout circuits: their interface to the rest of the package.
 
-A circuit is an object without state. Each method takes the :class:`.._parts.Parts` that it is asked about, whose arrays
-are in line coordinates: N rows are driven, M columns are sensed. To add a circuit, write one module with a subclass and
-name it in the table in ``readouts/__init__.py``; docs/design.md lists what else knows the circuits apart.
+A circuit is an object without state. Each method takes the board's :class:`.._parts.Parts`, whose arrays are in line
+coordinates: N rows are driven, M columns are sensed. To add a circuit, write one module with a subclass and add it to
+the table in ``readouts/__init__.py``. docs/design.md lists all other code that depends on the kind of circuit.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ class Reading(NamedTuple):
     saturated: BoolArray
     """(..., N, M) outputs that stand at a supply limit"""
     magnitude: FloatArray
-    """(..., N, M) V: the sum of the sizes of all that an output is the sum of, each in proportion to port
-    conductances; what does not depend on the grid is left out"""
+    """(..., N, M) V: sum of the magnitudes of those terms of an output that are proportional to port conductances;
+    terms that do not depend on the grid are left out"""
     cancelled: FloatArray
-    """(..., N, M) V: the same for differences of sources, before one was subtracted from the other"""
+    """(..., N, M) V: the same sum over the terms with a difference a - b of sources, with abs(a) + abs(b) instead"""
     relative: float = 0.0
-    """bound on the rounding errors of the eliminations behind it, relative to the conductances they leave"""
+    """bound on the relative rounding error of the conductances after all eliminations"""
 
 
 class ReadoutCircuit(ABC):
@@ -49,11 +49,11 @@ class ReadoutCircuit(ABC):
     has_amplifiers: ClassVar[bool] = True
     """whether gain, offset voltage, bias current and supply take part"""
     virtual_ground: ClassVar[bool] = False
-    """whether amplifiers hold all columns at the reference at once, so that each output is its own column's current"""
+    """whether amplifiers hold all columns at the reference at once, and each output measures its column's current"""
     mixes_cells: ClassVar[bool] = False
     """whether other cells change a reading even if all parts are ideal"""
     in_populations: ClassVar[bool] = False
-    """whether :mod:`.._population` has the circuit's law, for many boards at once; else each is scanned on its own"""
+    """whether :mod:`.._population` can read many boards with this circuit at once; else each board is scanned alone"""
     drives_idle_lines: ClassVar[bool] = False
     """whether an amplifier drives the idle lines, so that ``drive.idle_rows`` does not count"""
 
@@ -74,7 +74,7 @@ class ReadoutCircuit(ABC):
         """
 
     def quick_outputs(self, board: Parts, network: QuickNetwork) -> FloatArray | None:
-        """V (N, M) of one frame without limits, to about ten digits; None where there is no short way (:mod:`._quick`).
+        """V (N, M) of one frame without supply limits, to about ten digits; None if :mod:`._quick` has no method.
 
         Args:
             board: parts of the readout.
@@ -87,9 +87,9 @@ class ReadoutCircuit(ABC):
         return terminated_outputs(board, network, ends)
 
     def quick_fields(self, board: Parts, network: QuickNetwork) -> QuickFields | None:
-        """Fields of all readings, from which :mod:`..recovery` makes derivatives; None as above.
+        """Fields of all readings, from which :mod:`..recovery` computes derivatives.
 
-        Arguments as of :meth:`quick_outputs`.
+        Arguments, and None, as for :meth:`quick_outputs`.
         """
         ends = self.ends(board)
         if ends is None or not (ends.resistance + board.column_lead).all():
@@ -99,18 +99,18 @@ class ReadoutCircuit(ABC):
     def column_slopes(
         self, board: Parts, driven: FloatArray, total: FloatArray
     ) -> tuple[FloatArray, FloatArray] | None:
-        """Derivatives of readings that depend on their own conductance and their column's sum alone.
+        """Derivatives of readings that depend only on their own conductance and on the sum of their column.
 
-        Idle rows are at ground, and row terminals as well as columns are joined by nothing.
+        Idle rows are at ground. No conductance joins two row terminals or two columns.
 
         Args:
             board: parts of the readout.
             driven: (N, M) S between row terminals and columns.
-            total: (M,) S, the sum of that over the rows.
+            total: (M,) S, the sums of ``driven`` over the rows.
 
         Returns:
-            V/S (N, M) of each reading by its own conductance with the sum kept, and by the sum; None for circuits whose
-            readings depend on more.
+            V/S (N, M) of each reading by its own conductance at a constant sum, and by the sum at a constant own
+            conductance; None for circuits whose readings depend on more.
 
         """
         ends = self.ends(board)
@@ -123,22 +123,25 @@ class ReadoutCircuit(ABC):
 
     @abstractmethod
     def end_resistance(self, board: Parts) -> FloatArray:
-        """(M,) ohm that the circuit presents behind each column lead; the bound on rounding errors is made of it."""
+        """(M,) ohm that the circuit presents behind each column lead; the bound on rounding errors uses them."""
 
     def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:
-        """V (..., N, M) by which a relative error of all conductances can move the outputs, by the ports' energies."""
+        """Bound in V (..., N, M) on output errors by a relative error of all conductances: :mod:`._rounding`."""
         return energy_bound(board, ports, relative, self.end_resistance(board))
 
     def ends(self, board: Parts) -> Ends | None:
-        """What the columns end in where all are read at once and none is at a limit; None for other circuits."""
+        """Thevenin equivalents at the columns' ends, if all columns are read at once and no output is at a limit.
+
+        None for other circuits.
+        """
         return None
 
     def linear(self, board: Parts) -> LinearReadout | None:
-        """The outputs as a linear function of transfer conductances; None where they are not one."""
+        """The outputs as a linear function of transfer conductances; None where they are not linear."""
         return None
 
     def columns_one_by_one(self, board: Parts) -> bool:
-        """Whether each column of a row is a measurement of its own, because the others end in something else."""
+        """Whether each column is measured on its own, because idle columns end in something else than the read one."""
         return False
 
     def ideal_inputs(self, board: Parts) -> BoolArray:
@@ -146,14 +149,17 @@ class ReadoutCircuit(ABC):
         return np.zeros(board.shape[1], dtype=np.bool_)
 
     def contradiction(self, board: Parts, rows: IntArray, columns: IntArray) -> Contradiction | None:
-        """Two ideal sources that parts of 0 ohm join with each other; None if there are none.
+        """Two ideal sources that parts of 0 ohm connect with each other; None if there are none.
 
-        One driver joined with one ideal amplifier is not reported: its reading is infinite, or at a supply limit.
+        One driver connected with one ideal amplifier is not reported: the reading is infinite, or at a supply limit.
+
+        An *island* is a set of nodes that parts of 0 ohm connect with each other.
 
         Args:
             board: the lines.
-            rows: (N,) number of the island, joined by parts of 0 ohm, that each row's driver is on.
-            columns: (M,) the same for the columns' ends; ends that are no :meth:`ideal_inputs` are on their own.
+            rows: (N,) number of each row driver's island.
+            columns: (M,) number of the island of each column's end; ends without :meth:`ideal_inputs` have islands of
+                their own.
 
         """
         of_rows, of_columns = board.line_kinds
@@ -171,27 +177,30 @@ class ReadoutCircuit(ABC):
         return None
 
     def undetermined(self, board: Parts, rows: IntArray, columns: IntArray) -> BoolArray | None:
-        """(N, M) outputs that ideal parts of 0 ohm leave open; None if there are none. Arguments as above."""
+        """(N, M) outputs that ideal parts of 0 ohm leave undetermined; None if there are none.
+
+        Arguments as for :meth:`contradiction`.
+        """
         return None
 
     def in_the_limit(self, board: Parts, cells: FloatArray, volts: FloatArray) -> FloatArray:
-        """``volts`` (..., N, M) with the limits in place of what large stand-ins for ideal parts gave."""
+        """``volts`` (..., N, M) with their limits for ideal parts, which the solvers replaced by large conductances."""
         return volts
 
     def imitated_by_shorts(
         self, board: Parts, row_lead: FloatArray, signal: FloatArray, least: float, may_look: Callable[[], bool]
     ) -> BoolArray | None:
-        """Readings that quite other cells give as well, some of which are shorts.
+        """Ambiguous readings: cells of which some are shorted could give the same readings as ordinary cells.
 
         Args:
             board: parts of the readout.
             row_lead: (N, M) ohm between each row's driver and the crosspoint.
             signal: (N, M) V above the reference.
-            least: V of a signal that is none.
-            may_look: asked before each round of a search that takes several; the search ends where it says no.
+            least: V; smaller signals count as zero.
+            may_look: called before each further round of the search; False ends the search.
 
         Returns:
-            (N, M) cells whose values such shorts would make wrong; None where there are none, or none were found.
+            (N, M) cells whose recovered values could be wrong because of such shorts; None if none were found.
 
         """
         return None
@@ -222,7 +231,7 @@ class ReadoutCircuit(ABC):
             least: V, smallest difference of readings that counts.
 
         Returns:
-            None for circuits whose readings depend on more, or tell of each cell alone.
+            None for circuits whose readings depend on more, or on a single cell each.
 
         """
         return None
@@ -269,13 +278,13 @@ class Contradiction(NamedTuple):
     """Ideal sources that are joined by parts of 0 ohm."""
 
     what: str
-    """names the sources"""
+    """names of the sources"""
     remedy: str
-    """the key that can keep them apart"""
+    """the key of the design that can separate them"""
 
 
 def _same_island(islands: IntArray) -> tuple[int, int] | None:
-    """The first two entries that are alike."""
+    """Indices of the first two equal entries."""
     for one, island in enumerate(islands):
         others = np.flatnonzero(islands[one + 1 :] == island)
         if len(others):
@@ -284,5 +293,5 @@ def _same_island(islands: IntArray) -> tuple[int, int] | None:
 
 
 def rounding_floor(board: Parts) -> float:
-    """Relative size of a signal below which it is rounding of the reference voltage."""
+    """Ratio of signal to drive below which the signal is rounding of the reference voltage."""
     return float(4 * np.finfo(np.float64).eps * (abs(board.level / board.drive) + 1e-12))

@@ -1,7 +1,7 @@
-"""Columns that end in a Thevenin equivalent: what amplifiers and loads have in common.
+"""Columns that end in a Thevenin equivalent: the common model of amplifiers and loads.
 
 Each column of a scan step ends in a resistance and a source (:class:`Ends`). Kron reduction joins the grid's port
-network with these ends; the currents into the ends then follow for all scan steps.
+network with these ends. The currents into the ends then follow for all scan steps.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from ..solvers import IDEAL_WIRE, Rounded, eliminate_leading, siemens
 
 
 class Ends(NamedTuple):
-    """The Thevenin equivalent that each column (M,) of one scan step ends in, and its output by its current.
+    """Thevenin equivalent at the end of each column (M,) in one scan step, and the output as a function of the current.
 
-    Sources count from the reference voltage, so that a mid-supply reference costs no digits.
+    Sources are relative to the reference voltage, so that a mid-supply reference costs no digits.
     """
 
     resistance: FloatArray
@@ -34,8 +34,8 @@ class Ends(NamedTuple):
 def terminate(ports: FloatArray, rows: int, resistance: FloatArray) -> Rounded:
     """The network (..., N + M, N + M) in S between row terminals and the far ends of ``resistance`` (M,) in ohm.
 
-    ``ports`` is the network between row terminals and column terminals; each resistance goes behind a column terminal,
-    which is then eliminated.
+    ``ports`` is the network between row terminals and column terminals. Each resistance is connected behind a column
+    terminal, and the column terminals are then eliminated.
     """
     if not resistance.any():
         return Rounded(ports, np.zeros(ports.shape[:-2]))
@@ -60,11 +60,11 @@ class Currents(NamedTuple):
     value: FloatArray
     """(..., N, M) A"""
     magnitude: FloatArray
-    """(..., N, M) A: the sum of the sizes of all that the current is the sum of"""
+    """(..., N, M) A: sum of the magnitudes of the terms of the current"""
     cancelled: FloatArray
-    """(..., N, M) A: the same for differences of sources, before one was subtracted from the other"""
+    """(..., N, M) A: the same sum over the terms with a difference a - b of sources, with abs(a) + abs(b) instead"""
     relative: FloatArray
-    """(...,) of the network's conductances and of the eliminations that followed"""
+    """(...,) bound on the relative error of the network's conductances, all further eliminations included"""
 
 
 def column_currents(board: Parts, terminated: Rounded, source: FloatArray) -> Currents:
@@ -78,7 +78,7 @@ def column_currents(board: Parts, terminated: Rounded, source: FloatArray) -> Cu
     """
     network, relative = terminated
     rows, columns = board.shape
-    difference = source - source[:, None]  # of equal sources exactly zero, so that nothing large has to cancel
+    difference = source - source[:, None]  # exactly zero for equal sources, so that no large terms cancel
     before = np.where(difference != 0, np.abs(source) + np.abs(source)[:, None], 0.0)
     if not board.floating:
         transfer = network[..., :rows, rows:]
@@ -106,9 +106,9 @@ def column_currents(board: Parts, terminated: Rounded, source: FloatArray) -> Cu
 
 
 def sum_of_others(values: FloatArray) -> FloatArray:
-    """Of values (..., n, any), the sum over the second last axis of all entries but the own one.
+    """For each entry of values (..., n, any), the sum of all other entries along the second last axis.
 
-    Partial sums from above and from below are added. Subtracting the own entry from the whole sum would cost digits.
+    We add partial sums from above and from below. Subtracting the entry from the whole sum would cost digits.
     """
     others = np.zeros_like(values)
     np.cumsum(values[..., :-1, :], axis=-2, out=others[..., 1:, :])

@@ -1,10 +1,13 @@
 """Inverting (transimpedance) amplifiers on all columns: the zero-potential method (paper, VII and figure 15).
 
-A finite-gain amplifier is a resistor. With its output eliminated, its column sees Rref / (1 + A) in series with a
-source (A E - Rref Ib) / (1 + A), where E = Vref + Vos. So no indefinite matrix arises, and no digits are lost with
-A = 1e12. A saturated output S is another resistor and another source, Rref and S - Rref Ib: its column has lost the
-virtual ground. Which outputs saturate is a linear complementarity problem with a P-matrix; principal pivoting solves it
-(Murty, Linear Complementarity, Linear and Nonlinear Programming, chapter 4).
+**Finite gain.** We eliminate the amplifier's output. Its column then ends in the resistance Rref / (1 + A) in series
+with the source (A E - Rref Ib) / (1 + A), where E = Vref + Vos. No indefinite matrix arises, and no digits are lost
+with A = 1e12.
+
+**Saturation.** If the output is at a supply limit S, the column has lost the virtual ground. It then ends in the
+resistance Rref in series with the source S - Rref Ib. Finding the outputs that saturate is a linear complementarity
+problem with a P-matrix, which principal pivoting solves (Murty, Linear Complementarity, Linear and Nonlinear
+Programming, chapter 4).
 """
 
 from __future__ import annotations
@@ -65,7 +68,7 @@ class InvertingAmplifier(ReadoutCircuit):
         return amplifier_ends(board)
 
     def linear(self, board: Parts) -> LinearReadout | None:
-        """With grounded idle rows and inputs that all stand at one potential."""
+        """Linear with grounded idle rows and inputs that all stand at one potential; None otherwise."""
         if board.floating or not board.plain:
             return None
         ends = amplifier_ends(board)
@@ -89,9 +92,10 @@ class InvertingAmplifier(ReadoutCircuit):
         return ideal
 
     def undetermined(self, board: Parts, rows: IntArray, columns: IntArray) -> BoolArray | None:
-        """Outputs of ideal amplifiers whose inputs a driver holds, while that driver is idle.
+        """Outputs of ideal amplifiers whose input is connected to a row driver by 0 ohm, while that driver is idle.
 
-        Driver and amplifier then hold the same potential, and nothing says how they share the column's current.
+        Driver and amplifier then hold the same potential, and the split of the column's current between them is
+        undetermined.
         """
         if board.floating:
             return None
@@ -100,11 +104,11 @@ class InvertingAmplifier(ReadoutCircuit):
         return outputs if outputs.any() else None
 
     def in_the_limit(self, board: Parts, cells: FloatArray, volts: FloatArray) -> FloatArray:
-        """What the large conductances that stand for ideal wires and shorts mean in the limit.
+        """Limits of outputs as the conductances that stand for ideal wires and shorts grow to infinity.
 
-        The output of an ideal amplifier on a shorted cell with ideal lines has no finite value: a current far above
-        what LARGEST_PART could carry comes through nothing else. And no current leaks over an ideal line: what is
-        smaller than the largest signal by the square of IDEAL_WIRE came that way.
+        The output of an ideal amplifier on a shorted cell with ideal lines is infinite. We recognise it by a current
+        far above that through a conductance of LARGEST_PART. No current leaks over an ideal line: signals smaller than
+        the largest signal by the square of IDEAL_WIRE are such leaks, and become 0.
         """
         signal = volts - board.level
         most = 1e3 * LARGEST_PART * np.prod(board.shape) * abs(board.drive) * board.reference
@@ -171,10 +175,11 @@ class InvertingAmplifier(ReadoutCircuit):
         """One amplifier per column.
 
         An amplifier of finite gain is a voltage-controlled source with its feedback resistor. With a gain above 1e8 or
-        infinite, or with a supply that limits its output, the amplifier is written by what its column sees. That is
-        exactly the same, but has no large number in it and a slope that Newton's method can follow. With i the current
-        out of the column, A the gain, ``wanted = A/(1+A) (v_plus - Rref i)``, and ``lack`` what the supply takes from
-        it::
+        infinite, or with a supply that limits its output, we write the amplifier as the equivalent that its column
+        sees. This form is exactly equivalent, but contains no large number and has a slope that Newton's method can
+        follow. With the current i out of the column, the gain A, the unlimited output
+        ``wanted = A/(1+A) (v_plus - Rref i)``, and ``lack``, the supply limit minus ``wanted`` beyond that limit and 0
+        within the supply::
 
             v_minus = A/(1+A) v_plus + i Rref/(1+A) + lack        v_out = v_minus - Rref i
         """
@@ -202,7 +207,7 @@ class InvertingAmplifier(ReadoutCircuit):
             yield f"Vamplifier_{j} {out} {writer.ground} DC {self._comparator(writer, j)!r}"
             yield f"Rref_{j} {minus} {out} {rref!r}"
             return
-        # Vvirtual measures the column's current; from it follow the potential of the input and the output.
+        # Vvirtual measures the column's current, which determines the potentials of the input and of the output.
         at, share = f"in_{j}", 1.0 if isinf(gain) else gain / (1.0 + gain)
         yield f"Vvirtual_{j} {minus} {at} DC 0"
         yield f"Hrref_{j} {out} {at} Vvirtual_{j} {-rref!r}"
@@ -248,11 +253,11 @@ def drive_over_signal(board: Parts, volts: FloatArray) -> FloatArray:
 
 
 def amplifier_ends(board: Parts, state: SignArray | None = None) -> Ends:
-    """What the columns end in.
+    """Thevenin equivalents of the amplifiers at the columns' ends.
 
     Args:
-        board: the amplifiers, none of them necessarily equal to another.
-        state: (M,): 0 linear (as if not given), -1 at the lower and +1 at the upper supply limit.
+        board: the amplifiers, which may all differ.
+        state: (M,): 0 linear, -1 at the lower and +1 at the upper supply limit; None: all linear.
 
     """
     if state is None:
@@ -269,10 +274,10 @@ def amplifier_ends(board: Parts, state: SignArray | None = None) -> Ends:
 
 
 def _read_saturated(board: Parts, ports: FloatArray, unlimited: Reading) -> Reading:
-    """One frame in which some output hits its limit: find for each step which columns do, by principal pivoting."""
+    """One frame with saturated outputs: find the saturated columns of each scan step by principal pivoting."""
     rows, columns = board.shape
     low, high = board.supply
-    # What the amplifier's input must exceed to hold its output at a limit; a missing limit is never reached.
+    # The differential input must exceed these volts to hold the output at a limit; a missing limit is never reached.
     at_low, at_high = (
         np.where(np.isinf(board.gain), 0.0, end / board.gain) if isfinite(end) else 0.0 for end in (low, high)
     )
@@ -294,7 +299,7 @@ def _read_saturated(board: Parts, ports: FloatArray, unlimited: Reading) -> Read
             cancelled[steps] = np.abs(ends.slope) * every.cancelled[steps]
             volts[steps] = ends.output + ends.slope * currents
             wanted = (volts[steps] > high).astype(np.int8) - (volts[steps] < low).astype(np.int8)
-            # A clamped output stays so while the amplifier's input still drives it outwards.
+            # An output stays at its limit while the amplifier's input still drives it outwards.
             input_volts = board.offset - (ends.source + ends.resistance * currents)
             held = ((pattern > 0) & (input_volts >= at_high)) | ((pattern < 0) & (input_volts <= at_low))
             wanted = np.where(pattern == 0, wanted, np.where(held, pattern, 0)).astype(np.int8)
@@ -318,7 +323,7 @@ def _by_own_parts(
 
     Args:
         board: the amplifiers.
-        linear: (M,) those that are not at a limit.
+        linear: (M,) whether an amplifier's output is not at a limit.
         some: the columns that are read.
         current: (rows, 1, M) A into the columns' ends.
         adjoint: (1, columns, M) A into them in the adjoint fields.

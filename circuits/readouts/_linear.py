@@ -99,8 +99,8 @@ class LinearReadout:
             Outputs (..., N, M) in V; an upper bound (...,) in V on the errors of each frame; a lower bound (...,) in V
             on the largest magnitude among the exact outputs of each frame. The upper bound is slightly larger than the
             maximum of :meth:`error`, but does not need an array of one error for each output. Where outputs are
-            proportional to the transfer conductances, the lower bound uses that line attenuation never overestimates
-            these beyond ``rounded``.
+            proportional to the transfer conductances, the lower bound is sharper: line attenuation overestimates these
+            by at most ``rounded``.
 
         """
         gain, size, shift = self._gain

@@ -1,12 +1,16 @@
-"""Rows of a board with a follower whose cells, being shorts, may pass for ordinary ones.
+"""Ambiguous rows behind a follower of finite gain: shorts in one row that give the readings of ordinary cells.
 
 The follower of :mod:`._voltage_feedback` holds idle lines at the potential of the sensed column. Through cells of a few
-ohm it pulls at the crosspoints of a row behind the row's lead. All cells of such a row may be many times as conductive
-as they seem: the balance of currents has a second solution, which is looked for here. It is of this world only if most
-other cells remain ordinary ones. The best conductors of the row join their columns, and the follower then divides all
-other readings of such a column by F = 1 + C Rref / (1 + A), C being the conductance from the column to others by way of
-the row; its offset moves them by (1 + A) Vos (F - 1) / F. Rows that are shorted together have a rougher test of their
-own (:func:`_rows_together`).
+ohm the follower also shifts the potential of a row behind the row's lead. The balance of currents can then have a
+second solution, in which all cells of the row conduct many times better than their readings say. This module searches
+for second solutions.
+
+A second solution is plausible only if most other cells remain ordinary. The best conductors of the row join their
+columns. The follower then divides all other readings of such a column by F = 1 + C Rref / (1 + A), where C is the
+conductance from the column to others by way of the row. The follower's offset moves these readings by
+(1 + A) Vos (F - 1) / F.
+
+Shorts that join several rows have a coarser test of their own (:func:`_rows_together`).
 """
 
 from __future__ import annotations
@@ -20,21 +24,21 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray, IntArray
 from .._parts import LEAST_SHORT_OHM, Parts
 
-_CAPPED = 2.0  # times the conductance of a short that a cell may seem to have, by rounding of the readings
-_FAR_ABOVE = 3.0  # times the usual conductance above which a cell is no ordinary one
-_WELL_ABOVE = 10.0  # the same over that of Rref
-_ROUGHLY = 0.7  # of an offset's effect that shows in any case
-_UNNOTICED = 0.1  # share of a reading's error by which other cells may shift it
-_LEAST_DROP = 1e-6  # share of the drive between a driver and the column
-_LEAST_LEFT = 0.01  # share of the drive that a row's lead leaves
-_LEAST_PULLED = 0.1  # share of a cell's drop that the follower takes in a second solution
-_HARDLY_ANY = 2.0  # times a signal that is none that shorts may leave of an ordinary cell's
-_LIFTED = 4.0  # times a follower's offset that ordinary cells beside shorts may read
-_NEAR = 0.02  # of the drive: by how much joined columns may read more than what the offsets alone lift, if that is more
-_LEAST_NONE = 0.1  # share of a board's readings that shorts in several rows leave nothing of
-_HALVINGS = 6  # of the interval that a second solution is in
-_ROUNDS = 8  # of leaving out columns that a second solution cannot be right in
-_MOST_MORE = 1e6  # times as conductive as they seem may all cells of a row be
+_CAPPED = 2.0  # times a short's conductance: largest conductance of a cell in the search, as readings are rounded
+_FAR_ABOVE = 3.0  # times the median conductance; cells above are not ordinary
+_WELL_ABOVE = 10.0  # times the conductance of Rref; cells above are not ordinary
+_ROUGHLY = 0.7  # fraction of an offset's effect that a reading shows for certain
+_UNNOTICED = 0.1  # fraction of a reading's error; smaller shifts by other cells are neglected
+_LEAST_DROP = 1e-6  # fraction of the drive: least voltage between a driver and the column
+_LEAST_LEFT = 0.01  # fraction of the drive that remains behind a row's lead, at least
+_LEAST_PULLED = 0.1  # fraction of a cell's drop that the follower causes in a second solution, at least
+_HARDLY_ANY = 2.0  # times the largest signal that counts as zero: what shorts may leave of an ordinary cell's signal
+_LIFTED = 4.0  # times a follower's offset: largest reading of ordinary cells beside shorts
+_NEAR = 0.02  # of the drive: largest excess of joined columns' readings over the effect of offsets, if that is larger
+_LEAST_NONE = 0.1  # fraction of a board's readings that shorts in several rows reduce to nothing, at least
+_HALVINGS = 6  # bisections of the interval that contains a second solution
+_ROUNDS = 8  # rounds of leaving out columns in which a second solution is impossible
+_MOST_MORE = 1e6  # largest factor by which all cells of a row conduct better than their readings say
 _GROWTH = np.concatenate([[1.0], np.geomspace(1.5, _MOST_MORE, 24)])
 
 
@@ -46,13 +50,15 @@ def imitated(
     apparent: Callable[[], FloatArray],
     may_look: Callable[[], bool],
 ) -> BoolArray | None:
-    """(N, M) cells that shorts may imitate, those whose readings these would shift included; None: none.
+    """(N, M) cells whose readings shorts could give as well, and cells whose readings such shorts would shift.
+
+    None if there are none.
 
     Args:
         board: parts of the readout.
         lead: (N,) ohm between each row's driver and its cells.
         signal: (N, M) V above the reference.
-        least: V of a signal that is none.
+        least: V; smaller signals count as zero.
         apparent: (N, M) S of each cell, if it were alone, by the signals.
         may_look: as of :meth:`.ReadoutCircuit.imitated_by_shorts`.
 
@@ -74,7 +80,7 @@ def _imitated_in_rows(
     least: float,
     may_look: Callable[[], bool],
 ) -> BoolArray | None:
-    """:func:`imitated` of each row by itself, with the readings of all others as they are."""
+    """:func:`imitated` for shorts in a single row at a time; the readings of all other rows are taken as they are."""
     ordinary = np.maximum(_WELL_ABOVE / rows.reference, rows.apparent)
     for again in range(_ROUNDS):
         if again and not may_look():
@@ -86,7 +92,8 @@ def _imitated_in_rows(
         suspect = rows.suspect(board, signal, lift, least, found)
         if not suspect.any():
             return None
-        # Without the columns in which it would make other cells extraordinary, there may be no second solution.
+        # Leave out the columns in which a second solution would make other cells extraordinary. Without these columns
+        # there may be no second solution.
         extraordinary = (through > 0.0) & ~suspect & (rows.most > ordinary)
         if not extraordinary.any():
             break
@@ -94,7 +101,8 @@ def _imitated_in_rows(
             most=np.where(extraordinary, ordinary, rows.most),
             largest=np.where(through.any(axis=1), rows.largest, 0.0),
         )
-    # Other rows' cells in these columns conduct more than they seem to, or less, and load their rows so.
+    # Cells of other rows in these columns then conduct more, or less, than their readings say, and load their rows
+    # accordingly.
     joined = np.where(suspect, through - rows.ordinary_through, 0.0).max(axis=0, initial=0.0) * board.reference
     divided = 1.0 + joined * board.inverse_gain
     shift = joined / divided * np.abs(rows.column * board.inverse_gain - lift * np.sign(board.drive))
@@ -106,22 +114,23 @@ def _imitated_in_rows(
 
 
 class _Joined(NamedTuple):
-    """S (N, M) from each column to the others by way of a row that has a second solution; 0 in other rows."""
+    """Bounds in S (N, M) on C, from each column to others by way of a row with a second solution; 0 in other rows."""
 
     least: FloatArray
     most: FloatArray
 
 
 class PulledRows(NamedTuple):
-    """Rows whose crosspoints the follower pulls at, through cells of a few ohm.
+    """Rows whose potential the follower shifts through cells of a few ohm.
 
-    Idle columns stand at the follower's output, beside the potential V of the sensed column by a share
-    e = 1 / (1 + A) - Vos A / (1 + A) / V of V. With r the row's lead, G the sum of its conductances g, z = r G, and
-    a = drive / V - 1, the balance of currents at the row's crosspoints is
+    Idle columns stand at the follower's output. This output is below the potential V of the sensed column by the
+    fraction e = 1 / (1 + A) - Vos A / (1 + A) / V of V. Let r be the row's lead, G the sum of the row's conductances g,
+    z = r G, and a = drive / V - 1. The balance of currents at the row's crosspoints is then
 
         a = (1 + z) / (Rref g) + (z - r g) e.
 
-    All g that follow from a given z have to sum up to z / r. A second z does so as well as that of ordinary cells.
+    Each z determines all g of the row, which must add up to z / r. Ordinary cells give one such z. A *second solution*
+    is another z that satisfies this condition.
     """
 
     lead: FloatArray
@@ -129,23 +138,23 @@ class PulledRows(NamedTuple):
     apparent: FloatArray
     """(N, M) S of each cell, if it were alone"""
     column: FloatArray
-    """(N, M) V, towards the drive"""
+    """(N, M) V of the sensed column's end, positive towards the drive"""
     drop: FloatArray
-    """(N, M) a, the least that it may be"""
+    """(N, M) lower bound on a"""
     drop_most: FloatArray
-    """(N, M) and the most"""
+    """(N, M) upper bound on a"""
     pulled: FloatArray
-    """(N, M) e, the most that it may be"""
+    """(N, M) upper bound on e"""
     pulled_least: FloatArray
-    """(N, M) and the least"""
+    """(N, M) lower bound on e"""
     first: FloatArray
     """(N,) 1 + z of ordinary cells"""
     largest: FloatArray
-    """(N,) 1 + z up to which most other cells are still ordinary ones"""
+    """(N,) largest 1 + z for which most other cells are still ordinary"""
     reference: FloatArray
     """(M,) ohm, Rref"""
     most: FloatArray
-    """(N, M) S that a cell has at most with its column's lead"""
+    """(N, M) S: largest conductance of a cell in series with its column's lead"""
 
     @classmethod
     def of(
@@ -157,14 +166,14 @@ class PulledRows(NamedTuple):
         least: float,
         apparent: FloatArray,
     ) -> PulledRows:
-        """For readings.
+        """Bounds for the rows of one frame of readings.
 
         Args:
             board: parts of the readout.
             lead: (N,) ohm between each row's driver and its cells.
             signal: (N, M) V above the reference.
-            lift: (M,) V of the follower above its column where that is at the reference.
-            least: V of a signal that is none.
+            lift: (M,) V of the follower's output above its column, with the column at the reference.
+            least: V; smaller signals count as zero.
             apparent: (N, M) S of each cell, if it were alone.
 
         """
@@ -178,11 +187,12 @@ class PulledRows(NamedTuple):
         most = np.broadcast_to(_CAPPED / (board.column_lead + LEAST_SHORT_OHM), signal.shape[1:])
         largest = np.full(len(signal), inf)
         if len(signal) > 1:
-            # Followers divide the readings of the other rows' cells by so much at most.
+            # Upper bound on C for each column: if C were larger, the true conductance of the other rows' cells in this
+            # column would exceed _WELL_ABOVE / Rref.
             with np.errstate(divide="ignore", invalid="ignore"):
                 usual = np.maximum(_usual(surely) - np.abs(lift) / board.inverse_gain, 0.0)
                 joined = _WELL_ABOVE * (drive / usual - 1.0) / board.reference / board.inverse_gain
-                # The best conductor of a row joins its column to others no better than they are joined to the row.
+                # The column of the row's best conductor is joined to the others at most as well as these to the row.
                 largest = 1.0 + lead * (joined.sum() + most.max())
         first = 1.0 / np.maximum(1.0 - lead * apparent.sum(axis=1), _LEAST_LEFT)
         return cls(
@@ -200,8 +210,8 @@ class PulledRows(NamedTuple):
         )
 
     def second_solutions(self) -> _Joined | None:
-        """By how much rows that have a second solution join columns; None where no row has one."""
-        # Far below this share of a cell's drop, what the follower pulls changes hardly anything.
+        """Conductances by which rows with a second solution join columns; None if no row has one."""
+        # A follower that causes far less than this fraction of a cell's drop changes hardly anything.
         share = np.maximum(2.0 / self.first - 1.0, _LEAST_PULLED)
         rows = np.flatnonzero(((self.pulled / self.drop).max(axis=1) * self.largest > share) & (self.lead > 0.0))
         if not rows.size:
@@ -232,7 +242,7 @@ class PulledRows(NamedTuple):
 
     @property
     def ordinary_through(self) -> FloatArray:
-        """S (N, M) from each column to the others by way of a row of ordinary cells."""
+        """S (N, M) from each column to the others by way of a row, if all cells are ordinary."""
         return self._through(self.apparent * self.first[:, None], self.lead[:, None])
 
     @staticmethod
@@ -244,16 +254,16 @@ class PulledRows(NamedTuple):
         return through
 
     def _second(self, rows: IntArray, more: FloatArray) -> BoolArray:
-        """Whether the cells of rows (R,) may sum up to what ``more`` (..., R), 1 + z, follows from."""
+        """Whether the cells of rows (R,) can add up to z / r or more, for 1 + z = ``more`` (..., R)."""
         total: FloatArray = self._cells(rows, more, self.drop[rows], self.pulled[rows]).sum(axis=-1)
         second: BoolArray = total * self.lead[rows] >= more - 1.0
         return second
 
     def _cells(self, rows: IntArray, more: FloatArray, drop: FloatArray, pulled: FloatArray) -> FloatArray:
-        """S (..., R, M) of the cells of rows.
+        """Conductances g in S (..., R, M) of the cells of rows, by the balance of currents.
 
         Args:
-            rows: (R,) their numbers.
+            rows: (R,) numbers of the rows.
             more: (..., R) 1 + z.
             drop: (R, M) a.
             pulled: (R, M) e.
@@ -267,22 +277,23 @@ class PulledRows(NamedTuple):
         return cells
 
     def suspect(self, board: Parts, signal: FloatArray, lift: FloatArray, least: float, through: _Joined) -> BoolArray:
-        """(N, M) cells that join columns in whose other rows cells would still be ordinary ones.
+        """(N, M) cells that join columns, if the cells in the other rows of these columns would still be ordinary.
 
         Args:
             board: parts of the readout.
             signal: (N, M) V above the reference.
-            lift: (M,) V of the follower above its column where that is at the reference.
-            least: V of a signal that is none.
-            through: how each row joins columns.
+            lift: (M,) V of the follower's output above its column, with the column at the reference.
+            least: V; smaller signals count as zero.
+            through: conductances by which each row joins columns.
 
         """
         if len(signal) == 1:
             return through.most > 0.0
         rows = np.flatnonzero(through.most.any(axis=1))
         column = np.maximum(self.column - least, 0.0)
-        # Balance of each cell's column, which the others drive through the row; of a reading that may be none, no cell.
-        # What the cell conducts is linear in how well the row joins columns.
+        # Current balance of each cell's column, which the other columns drive through the row. The cell's conductance
+        # is linear in ``joined``, so that its least value belongs to one of the two bounds. Readings that may be zero
+        # count as open cells.
         others = np.full((len(rows), *signal.shape), inf)
         for joined in (each[rows][:, None] for each in through):  # one row at a time
             taken = column * (1.0 / self.reference + joined * board.inverse_gain)
@@ -302,14 +313,14 @@ class PulledRows(NamedTuple):
 
 
 def _pulls_anywhere(board: Parts, lead: float, signal: FloatArray, lift: FloatArray, least: float) -> bool:
-    """Whether :meth:`PulledRows.second_solutions` can find a row, by upper bounds that take a fraction of the time.
+    """Whether :meth:`PulledRows.second_solutions` can find a row at all, by upper bounds that cost a fraction.
 
     Args:
         board: parts of the readout.
-        lead: ohm, the largest between a row's driver and its cells.
+        lead: ohm, largest resistance between a row's driver and its cells.
         signal: (N, M) V above the reference.
-        lift: (M,) V of the follower above its column where that is at the reference.
-        least: V of a signal that is none.
+        lift: (M,) V of the follower's output above its column, with the column at the reference.
+        least: V; smaller signals count as zero.
 
     """
     drive = abs(board.drive)
@@ -323,14 +334,14 @@ def _pulls_anywhere(board: Parts, lead: float, signal: FloatArray, lift: FloatAr
 
 
 def _column_potential(board: Parts, signal: FloatArray) -> FloatArray:
-    """V (N, M) of the sensed columns' ends, towards the drive, by signals (N, M) in V above the reference."""
+    """V (N, M) of the sensed columns' ends, positive towards the drive, for signals (N, M) in V above the reference."""
     above = (signal + board.level) / board.loop_share - board.level - board.offset
     towards_drive: FloatArray = above * np.sign(board.drive)
     return towards_drive
 
 
 def _most_more(board: Parts, lead: FloatArray | float, columns: int) -> FloatArray | float:
-    """1 + z, see :class:`PulledRows`, of rows behind ``lead`` in ohm all of whose cells are shorts; or _MOST_MORE."""
+    """1 + z (see :class:`PulledRows`) of rows behind ``lead`` in ohm if all cells are shorts; at most _MOST_MORE."""
     shorts = _CAPPED * columns / (float(np.min(board.column_lead)) + LEAST_SHORT_OHM)
     return np.minimum(1.0 + lead * shorts, _MOST_MORE)
 
@@ -338,25 +349,28 @@ def _most_more(board: Parts, lead: FloatArray | float, columns: int) -> FloatArr
 def _rows_together(rows: PulledRows, board: Parts, signal: FloatArray, lift: FloatArray, least: float) -> bool:
     """Whether shorts may join several rows of a board.
 
-    Shorts in one row join columns and so divide the readings of the other rows, those of their shorts included. No row
-    can then be judged by the other rows' readings. But the leads of such rows and the followers divide the readings of
-    ordinary cells beside the shorts, until only what the followers' offsets lift is left of them. Suspect is thus a
-    board of which a notable share reads no more, if two rows read something in a common column, and as much as
-    followers leave of a short.
+    Shorts in one row join columns. The followers then divide the readings of the other rows, those of shorts included.
+    No row can therefore be judged by the readings of other rows. But the leads of rows with shorts, and the followers,
+    also divide the readings of ordinary cells beside the shorts, down to the effect of the followers' offsets. A board
+    is therefore suspect if both conditions hold:
+
+    * At least the fraction ``_LEAST_NONE`` of the readings shows nothing but the effect of offsets.
+    * In some column, two or more rows have readings as large as followers may leave of a short.
 
     Args:
         rows: the rows.
         board: parts of the readout.
         signal: (N, M) V above the reference.
-        lift: (M,) V of the follower above its column where that is at the reference.
-        least: V of a signal that is none.
+        lift: (M,) V of the follower's output above its column, with the column at the reference.
+        least: V; smaller signals count as zero.
 
     """
     none = np.abs(signal) <= _HARDLY_ANY * least + _LIFTED * np.abs(lift)
     no_more = none
     if lift.any():
-        # A column that shorts join to others reads the multiple of the follower's offset at which no current flows, or
-        # a little more, and so do these shorts. Readings there are thus no more, and may be heavy nevertheless.
+        # A column that shorts join to others reads ``alone``, the multiple of the follower's offset at which no current
+        # flows, or a little more. The shorts in this column read the same. Such readings show nothing but the offset,
+        # and may nevertheless be those of shorts (``heavy``).
         with np.errstate(divide="ignore", invalid="ignore"):
             alone = board.loop_share * (board.level + lift / board.inverse_gain + board.offset) - board.level
         near = np.where(np.abs(alone) > _NEAR * abs(board.drive), _NEAR * abs(board.drive), 0.0)
@@ -369,12 +383,12 @@ def _rows_together(rows: PulledRows, board: Parts, signal: FloatArray, lift: Flo
 
 
 def _usual(cells: FloatArray) -> FloatArray:
-    """The median of all but the largest cells of a column, along the first axis."""
+    """Lower median of all but the largest value of each column, along the first axis."""
     usual: FloatArray = np.sort(cells, axis=0)[max(len(cells) - 2, 0) // 2]
     return usual
 
 
 def _of_pairs(chosen: BoolArray) -> BoolArray:
-    """Those of the chosen cells (N, M) that have another one in their row."""
+    """The chosen cells (N, M) that have another chosen cell in their row."""
     pairs: BoolArray = chosen & (np.count_nonzero(chosen, axis=1, keepdims=True) > 1)
     return pairs

@@ -1,9 +1,11 @@
-"""Outputs of one frame by plain nodal analysis: one matrix inversion, rounding errors not bounded.
+"""Outputs of one frame by plain nodal analysis: one matrix inversion, without bounds on rounding errors.
 
 :meth:`.ReadoutCircuit.read` works in positive arithmetic and certifies its digits. A live recovery compares the model
-with readings in ADC steps, so that ten digits are plenty. The functions here give them at a fraction of the cost.
+with readings in ADC steps, for which ten digits are plenty. The functions of this module give ten digits at a fraction
+of the cost.
 
-All take the network between the ports of a grid (:class:`QuickNetwork`), as :mod:`..recovery._quick_model` makes it.
+All functions take the network between the ports of a grid (:class:`QuickNetwork`), which :mod:`..recovery._quick_model`
+computes.
 """
 
 from __future__ import annotations
@@ -22,22 +24,22 @@ _MOST_COLUMNS = 32  # up to which loops are quicker than matrix products and LAP
 
 
 class QuickNetwork(NamedTuple):
-    """Conductances between row terminals and columns, row leads inside, column leads not."""
+    """Conductances between row terminals and columns, row leads included, column leads not."""
 
     driven: FloatArray
     """(N, M) S between row terminals and columns"""
     across: FloatArray
     """(M, M) S between columns, zero on the diagonal"""
     between: FloatArray | None
-    """(N, N) S between row terminals, zero on the diagonal; None where nothing joins them"""
+    """(N, N) S between row terminals, zero on the diagonal; None if all are zero"""
     compiled: bool = False
-    """whether machine code is to invert the columns' nodal matrix"""
+    """whether machine code inverts the columns' nodal matrix"""
 
     @classmethod
     def of_ideal_lines(cls, conductance: FloatArray, row_lead: FloatArray, *, compiled: bool) -> QuickNetwork:
         """The network of a grid (N, M) in S with ideal lines behind leads (N,) in ohm.
 
-        ``compiled`` is what :meth:`load_loops` said.
+        ``compiled`` is the result of :meth:`load_loops`.
         """
         if compiled:
             driven, across = np.empty(conductance.shape), np.empty(conductance.shape[1:] * 2)
@@ -50,7 +52,7 @@ class QuickNetwork(NamedTuple):
 
     @staticmethod
     def load_loops(columns: int) -> bool:
-        """Whether there is machine code, and a board of so many columns is quicker by it."""
+        """Whether there is machine code, and it is faster than array operations for this number of columns."""
         return columns <= _MOST_COLUMNS and load(columns_impedance, network_behind_leads)
 
 
@@ -71,13 +73,13 @@ def terminated_outputs(board: Parts, network: QuickNetwork, ends: Ends) -> Float
 
 
 def open_column_outputs(board: Parts, network: QuickNetwork) -> FloatArray:
-    """V (N, M) of a divider whose columns are open while they are not read: Thevenin equivalents of all columns."""
+    """V (N, M) of a divider whose idle columns are open, by the Thevenin equivalent of each column."""
     driven = network.driven
     rows, load = len(driven), board.reference
     if board.floating:
         nothing = np.zeros(len(load))
         laplacian = _floating(network, nothing)
-        # Adding a constant to all entries gives potentials a zero, and changes no resistance between two nodes.
+        # Adding a constant to all entries makes the matrix invertible, and changes no resistance between two nodes.
         laplacian += np.trace(laplacian) / len(laplacian) ** 2
         impedance = np.linalg.inv(laplacian)
         own = np.diagonal(impedance)
@@ -214,7 +216,7 @@ def _impedance(network: QuickNetwork, to_ground: FloatArray | float) -> FloatArr
 def columns_impedance(driven: FixedRows, across: FixedRows, to_ground: FixedRow, impedance: Rows) -> bool:
     """Invert :func:`_grounded` into ``impedance`` (M, M) by Gauss-Jordan elimination; whether there is an inverse.
 
-    The matrix is symmetric, and each diagonal entry at least the sum of the others in its row: no pivoting is needed.
+    No pivoting is needed: the matrix is symmetric and diagonally dominant.
     """
     rows, columns = driven.shape
     for j in range(columns):

@@ -1,4 +1,4 @@
-"""How far rounding can have moved the outputs of a circuit whose columns end in resistors and sources.
+"""Bound on the rounding errors of outputs, for circuits whose columns end in resistors and sources.
 
 A relative error e of all conductances changes the current at port i for 1 V at port j by at most e sqrt(Y_ii Y_jj),
 where Y_ii is the conductance of port i with all other ports at ground (:mod:`..solvers._elimination`). Bounds on the
@@ -18,12 +18,12 @@ from ._ends import sum_of_others
 
 
 def energy_bound(board: Parts, ports: FloatArray, relative: float, end_resistance: FloatArray) -> FloatArray:
-    """V (..., N, M) by which a relative error of all conductances can have moved the outputs.
+    """Bound in V (..., N, M) on the errors of outputs by a relative error of all conductances.
 
     Args:
         board: sources, leads and reference resistors.
         ports: (..., N + M, N + M) S between row terminals and column terminals.
-        relative: of all conductances.
+        relative: bound on the relative error of all conductances.
         end_resistance: (M,) ohm behind the column leads.
 
     """
@@ -35,18 +35,24 @@ def energy_bound(board: Parts, ports: FloatArray, relative: float, end_resistanc
     limits = [abs(limit - board.level) for limit in board.supply if isfinite(limit)]
     others = np.maximum(np.abs(board.offset) + abs(board.level) * board.inverse_gain, max(limits, default=0.0))
     others += np.abs(board.lift)
-    with np.errstate(invalid="ignore"):  # no volts behind an infinite conductance
+    with np.errstate(invalid="ignore"):  # inf times 0 where a conductance is infinite
         applied = abs(board.drive) * row[..., :, None] + (others * column).sum(axis=-1)[..., None, None]
         error: FloatArray = board.reference * relative * applied * column[..., None, :]
     return error
 
 
 def conductance_into_rows(ports: FloatArray, rows: int, behind: FloatArray) -> FloatArray:
-    """Bounds (..., N) in S on the conductance of each row terminal, all others at ground, the columns behind so many
-    ohm.
+    """Bounds (..., N) in S on the conductance into each row terminal, with all other terminals at ground.
 
-    By Dirichlet's principle any potentials of the column terminals give an upper bound. Each column terminal stands at
-    the potential of the row or at ground, whichever costs less. So a short does not count more than what it leads to.
+    By Dirichlet's principle any choice of potentials at the column terminals gives an upper bound. We set each column
+    terminal to the potential of the row or to ground, whichever gives the smaller bound. A shorted cell thus counts at
+    most as much as the conductance from its column to everything else.
+
+    Args:
+        ports: (..., N + M, N + M) S between row terminals and column terminals.
+        rows: N.
+        behind: (M,) ohm from each column terminal to ground.
+
     """
     driven = ports[..., :rows, rows:]
     beyond = ports[..., rows:, rows:].sum(axis=-1) + siemens(behind)

@@ -1,8 +1,8 @@
-"""Inverting amplifiers on all rows, columns driven: the zero-potential method with the array turned.
+"""Inverting (transimpedance) amplifiers on all rows, columns driven: the zero-potential method with the array turned.
 
-The array is the same, but its columns are driven one at a time and each of its rows ends in an amplifier. Column j is
-driven behind its ``column_lead``, from the end after row N - 1; row i is sensed behind its ``row_lead``, at column 0.
-In line coordinates (:mod:`.._parts`) this is :class:`.InvertingAmplifier`, and nothing else has to be said.
+The columns are driven one at a time, and each row ends in an amplifier. Column j is driven behind its ``column_lead``,
+from the end after row N - 1. Row i is sensed behind its ``row_lead``, at column 0. In line coordinates
+(:mod:`.._parts`) this circuit is :class:`.InvertingAmplifier`.
 """
 
 from __future__ import annotations

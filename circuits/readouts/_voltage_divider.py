@@ -1,6 +1,7 @@
-"""Voltage dividers: each column ends in a load resistor, and crosstalk is what the paper starts from (VII, figure 13).
+"""Voltage dividers: each column ends in a load resistor (paper, VII and figure 13).
 
-Idle rows are grounded or open; columns that are not being read are open, or end in their loads as well.
+The other cells change each reading (crosstalk). Idle rows are grounded or open. Idle columns are open, or end in their
+loads as well.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from ._quick import (
     terminated_outputs,
 )
 
-_FULL_RATIO = 1 - 1e-9  # of signal to drive: beyond it the cell is a short, for all that a divider tells
+_FULL_RATIO = 1 - 1e-9  # of signal to drive; beyond this ratio a divider cannot distinguish the cell from a short
 
 
 class VoltageDivider(ReadoutCircuit):
@@ -98,7 +99,8 @@ class VoltageDivider(ReadoutCircuit):
         return conductance / (1.0 - np.minimum(ratio, _FULL_RATIO))
 
     def column_conductance(self, board: Parts, signal: FloatArray, least: float) -> FloatArray | None:
-        # With the column's sum T, a reading is drive D Rref / (1 + T (Rref + lead)). The readings' sum tells T.
+        # With D the own conductance and T the column's sum, a reading is drive D Rref / (1 + T (Rref + lead)). The sum
+        # of the column's readings therefore determines T.
         ratio = signal / board.drive
         ratio = np.where(ratio > rounding_floor(board), ratio, 0.0)
         left = 1.0 - ratio.sum(axis=0) * (board.reference + board.column_lead) / board.reference
@@ -145,22 +147,22 @@ class VoltageDivider(ReadoutCircuit):
 
 
 def _loads(board: Parts) -> Ends:
-    """The loads alone; outputs count from the reference voltage."""
+    """The loads as Thevenin equivalents; outputs are relative to the reference voltage."""
     nothing = np.zeros(board.shape[1])
     return Ends(resistance=board.reference, source=nothing, output=nothing, slope=board.reference)
 
 
 def _by_loads(some: IntArray, current: FloatArray, adjoint: FloatArray) -> dict[str, FloatArray]:
-    """A load is a part of its column's end, and what turns its current into volts."""
+    """Derivatives by the loads. A load is part of its column's end, and also converts the column's current to volts."""
     load = current * adjoint
     load[:, np.arange(len(some)), some] += current[:, 0, some]
     return {"reference_resistance": load}
 
 
 def effective_resistance(ports: FloatArray, rows: int) -> Rounded:
-    """Ohm (..., N, M) between each row terminal and each column terminal with all others left open.
+    """Ohm (..., N, M) between each row terminal and each column terminal with all other terminals open.
 
-    The selected row is grounded in each step. Grounding a common node instead would cancel digits of nearby pairs.
+    The selected row is grounded in each step. Grounding one node for all pairs would cancel digits of nearby pairs.
     """
     size = ports.shape[-1]
     result = np.empty((*ports.shape[:-2], rows, size - rows))

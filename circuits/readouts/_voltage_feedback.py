@@ -1,7 +1,7 @@
-"""Voltage feedback: a divider whose sensed column also feeds a follower, which drives every idle row and column.
+"""Voltage feedback (equipotential method): a divider whose sensed column feeds a follower that drives all idle lines.
 
-Idle lines then stand at the potential of the sensed column, so that no current flows to them (equipotential method).
-The follower's output is what is read.
+Idle rows and columns then stand at the potential of the sensed column, so that no current flows to them. The converter
+reads the follower's output.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from ._voltage_divider import VoltageDivider
 
 
 class _Balance(NamedTuple):
-    """The current balance of the sensed column, (..., N, M): one unknown, the potential V of its end."""
+    """Current balance of the sensed column, (..., N, M). Its one unknown is the potential V of the column's end."""
 
     driven: FloatArray
     """S between the selected row and the column"""
     idle: FloatArray
     """S between all idle lines and the column"""
     slope: FloatArray
-    """S: what remains at the column once the follower is eliminated"""
+    """S: total conductance at the column's end, with the follower eliminated"""
     relative: float
 
     @classmethod
@@ -47,7 +47,7 @@ class _Balance(NamedTuple):
 
     @classmethod
     def between(cls, board: Parts, driven: FloatArray, idle: FloatArray, relative: float) -> _Balance:
-        """For the conductances ``driven`` and ``idle``, with the relative error of theirs."""
+        """Balance for the conductances ``driven`` and ``idle`` in S, and their relative error."""
         slope = driven + idle * board.inverse_gain + siemens(board.reference)
         return cls(driven, idle, slope, relative)
 
@@ -68,20 +68,21 @@ class VoltageFeedback(VoltageDivider):
     drives_idle_lines = True
 
     def read(self, board: Parts, ports: FloatArray) -> Reading:
-        """Output of the follower, every (row, column) pair a measurement.
+        """Output of the follower; every (row, column) pair is a measurement of its own.
 
-        With V and F the potentials of the sensed column's end and of the follower (both against the reference), Y the
-        network behind the column leads and S = sum of Y from the column to all idle lines:
-        ``Y (drive - V) + S (F - V) = V / Rref + Ib`` and ``F = A (V + Vos - F)``. The second one eliminated, V meets S
-        only through S / (1 + A): that is how far the idle lines are kept away, and no large numbers are subtracted.
+        Let V and F be the potentials of the sensed column's end and of the follower, both against the reference. In the
+        network behind the column leads, let Y be the conductance from the selected row to the column, and S the sum of
+        the conductances from all idle lines to the column. Then ``Y (drive - V) + S (F - V) = V / Rref + Ib`` and
+        ``F = A (V + Vos - F)``. After elimination of F, the coefficient of V contains S only as S / (1 + A): the
+        follower reduces the effect of the idle lines by this factor. No large numbers are subtracted.
         """
         balance = _Balance.of(board, ports)
         column = balance.column(board)
         volts = board.loop_share * (board.level + column + board.offset)
         low, high = board.supply
         saturated = (volts < low) | (volts > high)
-        # What flows into the column from the selected row and from the idle lines; their rounding, too, is multiplied
-        # by the gain from the follower's offset to its output.
+        # Currents into the column from the selected row and from the idle lines. Their rounding errors, too, are
+        # multiplied by the gain from the follower's offset to its output.
         follower = np.abs(board.loop_share * board.offset) + np.abs(board.inverse_gain * board.level)
         from_row = balance.driven * (np.abs(board.drive - column) + ULP * np.abs(column))
         from_idle = balance.idle * (follower + board.inverse_gain * np.abs(column))
@@ -107,33 +108,34 @@ class VoltageFeedback(VoltageDivider):
         column = balance.column(board)
         per_siemens = board.loop_share * behind_lead / balance.slope
         from_row, from_idle = board.drive - column, board.follower_lift - board.inverse_gain * column
-        # Idle lines take a part of the current before the lead, the more the larger the sum is.
+        # The idle lines take part of the current ahead of the column lead; this part grows with the column's sum.
         by_lead = per_siemens * board.column_lead * into_end * (from_row - from_idle)
         by_sum = per_siemens * behind_lead * from_idle - by_lead
         return per_siemens * (from_row - from_idle), by_sum
 
     def column_conductance(self, board: Parts, signal: FloatArray, least: float) -> FloatArray | None:
-        return None  # the follower keeps the column's other cells out of a reading
+        return None  # a reading depends on its own cell alone, apart from the follower's error
 
     def imitated_by_shorts(
         self, board: Parts, row_lead: FloatArray, signal: FloatArray, least: float, may_look: Callable[[], bool]
     ) -> BoolArray | None:
-        """Cells of rows that may conduct so well that the follower, through them, pulls at the row's crosspoints."""
+        """Cells of rows that may conduct so well that the follower shifts the row's potential: :mod:`._pulled_rows`."""
         lead = row_lead.max(axis=1)
         return imitated(board, lead, signal, least, lambda: self.apparent_conductance(board, signal), may_look)
 
     def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:
-        """By the energies of two fields: 1 V at the sensed column alone, and the step as it is.
+        """Bound by the energies of two fields: 1 V at the sensed column alone, and the scan step itself.
 
-        The first is that of Y, the column's conductance to all other lines; the second is at most the sum of that of
-        the selected row and that of the column, both against the idle lines, in the energy norm.
+        The energy of the first field is the column's conductance to all other lines. The energy norm of the second
+        field is at most the sum of two norms: with the selected row alone, and with the column alone, raised above the
+        potential of the idle lines.
         """
         balance = _Balance.of(board, ports)
         column = balance.column(board)
         above_idle = column - board.loop_share * (board.level + column + board.offset) + board.level
         own = np.sqrt(balance.driven + balance.idle)
         row = np.sqrt(conductance_into_rows(ports, board.shape[0], board.column_lead))[..., None]
-        with np.errstate(invalid="ignore"):  # no volts across an infinite conductance
+        with np.errstate(invalid="ignore"):  # inf times 0 where a conductance is infinite
             field = row * np.abs(board.drive - column + above_idle) + own * np.abs(above_idle)
             error: FloatArray = board.loop_share * relative * own * field / balance.slope
         return error
@@ -144,16 +146,16 @@ class VoltageFeedback(VoltageDivider):
         return ideal
 
     def contradiction(self, board: Parts, rows: IntArray, columns: IntArray) -> Contradiction | None:
-        """Joined sources: two row drivers; a driver and the follower; an ideal follower's output and its input.
+        """Sources connected by 0 ohm: two row drivers; a driver and the follower; an ideal follower's output and input.
 
-        In each step one row is driven by its driver and one column is sensed; the follower holds all other lines.
+        In each step one row is driven by its driver and one column is sensed. The follower holds all other lines.
         """
         found = super().contradiction(board, rows, columns[:0])
         if found is not None:
             return found
         joined = rows[:, None] == columns
         several_rows, several_columns = (length > 1 for length in board.shape)
-        # Of a joined row and column, the follower holds the column while the row is driven, or the row while the
+        # If a row and a column are joined, the follower holds the column while the row is driven, and the row while the
         # column is sensed. The latter is a contradiction only if the follower is ideal.
         joined &= several_columns | (several_rows & np.isinf(board.gain))
         if joined.any():
@@ -175,10 +177,10 @@ class VoltageFeedback(VoltageDivider):
         return True
 
     def sensitivity_groups(self, board: Parts, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
-        """The sensed column's potential V is the one unknown (:meth:`read`).
+        """Derivatives by the implicit function theorem, with the sensed column's potential V as unknown (:meth:`read`).
 
-        The derivative of V's equation by a conductance is that of the current into a column held at V while the idle
-        lines are held at F; its derivative by V itself is ``slope``.
+        The derivative of V's equation by a conductance equals that of the current into a column held at V, with the
+        idle lines held at F. The derivative of V's equation by V itself is ``slope``.
         """
         rows, columns = board.shape
         inverse, share = board.inverse_gain, board.loop_share
@@ -193,7 +195,7 @@ class VoltageFeedback(VoltageDivider):
         unit = np.zeros((columns, rows + columns))
         unit[every_column, rows + every_column] = 1.0
         field = ties.potentials(unit)
-        back = ties.currents(field, unit)  # at the column itself: less than nothing flows in
+        back = ties.currents(field, unit)  # negative at the column itself
         driven = ties.currents(field, unit)[:, :rows].T  # Y from the selected row to the sensed column
         idle = -back[every_column, rows + every_column] - driven
         slope = driven + idle * inverse + siemens(board.reference)
@@ -231,8 +233,8 @@ class VoltageFeedback(VoltageDivider):
     def cards(self, writer: CardWriter) -> Iterator[str]:
         """One follower, switched from column to column with its load.
 
-        Its law is written with the loop closed, so that no large gain appears. The current of an end, through Vend_J,
-        meets the load or is whatever the follower gives.
+        The follower's law is written with the loop closed, so that no large gain appears. The source Vend_J measures
+        the current of column J's end. A chosen column ends in the load, every other one in the follower's output.
         """
         level, (low, high) = writer.board.level, writer.board.supply
         yield "* The load of the chosen column, whose end the follower repeats to all idle lines and to the converter."

@@ -1,4 +1,4 @@
-"""Solvers for resistor grids: they know conductances and lines, and nothing of designs, amplifiers or converters.
+"""Solvers for resistor grids. Their inputs are conductances and lines only, not designs, amplifiers or converters.
 
 ========================  ==============================================================================================
 :mod:`._elimination`      Kron reduction (Schur complements) in positive arithmetic, with a bound on its rounding errors
@@ -9,8 +9,8 @@
 :mod:`._ladders`          ladder networks (single lines with their cells) by continued fractions
 :mod:`._attenuation`      the first term of a Neumann series in closed form, with a certificate
 :mod:`._series`           further terms of that series
-:mod:`._sequence`         sequences of frames, by interpolation of what attenuation misses, with a certificate
-:mod:`._exact`            transfer conductances by whichever of these is the fastest exact one
+:mod:`._sequence`         sequences of frames, by interpolation of the error of attenuation, with a certificate
+:mod:`._exact`            transfer conductances by the fastest exact method
 :mod:`._frame_transfer`   attenuation and exact ports of one grid frame by frame, also as machine code
 ========================  ==============================================================================================
 """

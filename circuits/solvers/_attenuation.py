@@ -318,5 +318,5 @@ def _split_frames(part: FloatArray, frames: int) -> FloatArray:
 
 
 def geometric_sum(returned: FloatArray) -> FloatArray:
-    """Sum 1 + q + q^2 + ... for the ratio q = ``returned``; 1e60, a bound that says nothing, for q >= 1."""
+    """Sum 1 + q + q^2 + ... for the ratio q = ``returned``; 1e60, a bound without use, for q >= 1."""
     return 1.0 / np.maximum(1.0 - returned, 1e-60)

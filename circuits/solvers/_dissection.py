@@ -52,12 +52,12 @@ class _Join:
         """Prepare the slices.
 
         Args:
-            merge: what is merged.
+            merge: shapes of the halves, and the ports at which they meet.
             first: (..., p, p) S of the first halves.
             second: (..., p, p) S of the second halves.
             out: (..., ports, ports) S of the pairs. If its shape is (..., rows, columns), only the conductances between
                 rows and columns are computed.
-            scratch: working memory, of the size that :func:`_scratch` tells.
+            scratch: working memory, of the size given by :func:`_scratch`.
 
         """
         whole, gone = merge.whole, merge.eliminated

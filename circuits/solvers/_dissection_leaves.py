@@ -1,7 +1,7 @@
 """Leaves of a nested dissection: the smallest blocks of a grid, whose inner nodes star-mesh transformations eliminate.
 
-All leaves have the same shape, and all are eliminated together: an operation takes one branch of each. Minimum degree
-gives the order of the nodes.
+All leaves have the same shape and are eliminated together: one array operation handles the same branch of every leaf.
+Nodes are eliminated in minimum-degree order.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def reduce_leaves(
         given: (branches, leaves) S of the branches of the grid, in the order of :class:`Leaf`.
         rims: slices of ports to eliminate as well, each with the leaves at the grid's far rim that have them.
         out: (leaves, p, p) S between the ports; receives the result.
-        scratch: working memory, of the size that :func:`leaf_scratch` tells.
+        scratch: working memory, of the size given by :func:`leaf_scratch`.
 
     Returns:
         (leaves,) bounds on the relative rounding errors.
@@ -178,7 +178,7 @@ def _leaf_chunk(program: Leaf, leaves: int) -> int:
 
 
 def leaf_scratch(block: Block, leaves: int) -> int:
-    """Size of the working memory for so many leaves."""
+    """Size of the working memory for a number of leaves."""
     program = leaf(block)
     return (3 * program.widest + program.branches + 1) * _leaf_chunk(program, leaves)
 

@@ -1,6 +1,6 @@
 """The plan of a nested dissection: how a grid is cut into leaves, and which of their ports meet in each merge.
 
-It depends on the size of the grid only. See :mod:`._dissection` for what leaves, levels and ports are.
+The plan depends only on the size of the grid. :mod:`._dissection` explains leaves, levels and ports.
 """
 
 from __future__ import annotations

@@ -12,14 +12,14 @@ from ._ports import Lines, has_ideal_lines, transfer_conductances
 
 
 def exact_transfer(conductance: FloatArray, grid: Lines) -> tuple[FloatArray, FloatArray]:
-    """Transfer conductances (..., N, M) in S, and how far rounding can have moved each, in S.
+    """Transfer conductances (..., N, M) in S, and a bound in S on the rounding error of each.
 
-    A single small frame goes through a banded Cholesky factorisation; all others are dissected
+    A single small frame is solved by banded Cholesky factorisation, all others by nested dissection
     (:func:`._ports.transfer_conductances`).
 
     Args:
         conductance: (..., N, M) S of the cells.
-        grid: the lines, with what the columns end in as their exits.
+        grid: the lines; their exits are the conductances that the columns end in.
 
     """
     if conductance.size <= _banded.LARGEST and conductance.ndim == 2 and not has_ideal_lines(grid):
@@ -31,10 +31,10 @@ def exact_transfer(conductance: FloatArray, grid: Lines) -> tuple[FloatArray, Fl
 
 
 def _transfer_error(conductance: FloatArray, grid: Lines, transfer: FloatArray, relative: FloatArray) -> FloatArray:
-    """S by which transfer conductances may be off after a relative error (...,) of all conductances.
+    """Bound in S on the errors of transfer conductances, for a relative error (...,) of all conductances.
 
-    Two bounds hold, and the smaller one counts: by the energies of the ports (:mod:`._elimination`), and entry by entry
-    (:func:`entrywise`). The second is coarse, but finite where a port has an infinite conductance to the others.
+    This is the smaller one of two bounds: by the energies of the ports (:mod:`._elimination`), and entry by entry
+    (:func:`entrywise`). The second bound is coarse, but finite where a port has an infinite conductance to the others.
     """
     rows, columns = transfer.shape[-2:]
     eliminated = rows + columns if has_ideal_lines(grid) else 2 * rows * columns
@@ -42,7 +42,7 @@ def _transfer_error(conductance: FloatArray, grid: Lines, transfer: FloatArray, 
     row, column = port_roots(conductance, grid)
     row, column = (np.where(root > 0, root, np.nan) for root in (row, column))
     error = np.fmin(relative * row[..., :, None] * column[..., None, :], entrywise(relative, eliminated) * transfer)
-    return np.where(np.isnan(row)[..., :, None] | np.isnan(column)[..., None, :], 0.0, error)  # an open line: nothing
+    return np.where(np.isnan(row)[..., :, None] | np.isnan(column)[..., None, :], 0.0, error)  # open line: zero
 
 
 def entrywise(relative: FloatArray, eliminated: int) -> FloatArray:
@@ -60,9 +60,9 @@ def port_roots(conductance: FloatArray, grid: Lines) -> tuple[FloatArray, FloatA
     """Bounds on sqrt(Y_ii) of each row terminal (..., N) and each column terminal (..., M), in sqrt(S).
 
     Y_ii is the conductance of a port with all others at ground. By Rayleigh's monotonicity law Y_ii grows when nodes
-    are grounded. We ground the lines that cross port i's line, all along or, where cells are stiffer than wires,
-    everywhere but at port i's line. What is left then is a chain of cells to ground, in the second case each behind the
-    crossing line's wires to its next crosspoints.
+    are grounded. We ground the lines that cross port i's line. Where some cells conduct better than the wires, we leave
+    the crosspoints with port i's line ungrounded. The remaining network is a ladder of cells to ground. In the second
+    case each cell is in series with the crossing line's wires to the neighbouring crosspoints.
     """
     exits = np.full(conductance.shape[-1], inf) if grid.exit is None else grid.exit
     into_row = into_column = conductance
@@ -79,9 +79,10 @@ def port_roots(conductance: FloatArray, grid: Lines) -> tuple[FloatArray, FloatA
 
 
 def _chain(shunt: FloatArray, series: FloatArray, stiff: bool) -> FloatArray:
-    """S into chains (..., lines, places) of cells to ground, ``series`` ahead of each cell.
+    """Bound in S on the conductance into ladders (..., lines, places) of cells to ground, ``series`` ahead of each.
 
-    Unless some cells are ``stiff`` against the wires, all wires but the first are taken as ideal: more, and cheaper.
+    Unless ``stiff`` (some cells conduct better than the wires), all wires but the first are taken as ideal. The bound
+    is then larger, and cheaper to compute.
     """
     if not stiff:
         lumped = series_conductance(series[:, 0], shunt.sum(axis=-1))

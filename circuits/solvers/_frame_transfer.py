@@ -1,13 +1,13 @@
-"""Line attenuation and exact port conductances of one grid, frame by frame, as a live path evaluates them.
+"""Line attenuation and exact port conductances of one grid, frame by frame, for live recovery.
 
-Array operations on one small grid spend their time on calls. So both models also run as loops over the nodes
-(:mod:`ohmskin.compiled`). Loops and array operations of one formula agree up to rounding, as none of
-them subtracts.
+On one small grid, array operations spend most of their time on call overhead. Both models therefore also exist as
+loops over the nodes, which :mod:`ohmskin.compiled` turns into machine code. A loop and the array operations of the same
+formula agree up to rounding, because neither subtracts.
 
-* Line attenuation is that of ladders (:func:`.by_ladders`). Array operations take the closed form for large grids, as
-  :func:`.attenuate` does: an approximation to 1e-7 or so, which takes them a fraction of the time.
-* Exact port conductances come from star-mesh transforms (:func:`_star_mesh`), otherwise from the array operations of
-  :mod:`._exact` and :mod:`._ports`.
+* Line attenuation takes its profiles from ladders (:func:`.by_ladders`). Without machine code, large grids take the
+  closed form instead, as in :func:`.attenuate`: its error is about 1e-7, and its cost a fraction.
+* Exact port conductances of small grids come from star-mesh transformations (:func:`_star_mesh`), as machine code only.
+  All others come from the array operations of :mod:`._exact` and :mod:`._ports`.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from ._ports import Lines, capped, has_ideal_lines, port_conductances, transfer_
 _BY_LADDERS = 256
 """cells up to which array operations take profiles from ladders"""
 _LARGEST = 500_000
-"""products of a solution by star-mesh transforms; more take longer than array operations"""
+"""multiplications of a star-mesh solution, up to which the compiled loop is faster than array operations"""
 _LARGEST_WITH_IDEAL_LINES = 100_000
-"""the same where array operations eliminate one node for each line"""
+"""the same for ideal lines, where array operations eliminate only one node for each line"""
 _ABREAST = 8
-"""rows whose ladders are solved place by place together: each place waits for a quotient of the place beyond it"""
+"""rows whose ladders are solved together, since within one ladder each place waits for the quotient of the next one"""
 
 
 class AttenuatedFrame(NamedTuple):
@@ -53,11 +53,11 @@ class FrameTransfer:
         self._shape = rows, columns = lines.row.shape
         few, many = sorted((rows, columns))
         self.products = rows * columns * few * (2 * few + many)
-        """multiplications of an exact solution by star-mesh transforms"""
+        """multiplications of an exact solution by star-mesh transformations"""
         self._has_ideal_lines = has_ideal_lines(lines)
         self.is_small = self.products <= (_LARGEST_WITH_IDEAL_LINES if self._has_ideal_lines else _LARGEST)
-        """whether exact solutions are by star-mesh transforms, where there is machine code"""
-        self._turned = columns > rows  # then rows and columns change places: a node has as few neighbours as possible
+        """whether exact solutions use star-mesh transformations, provided that there is machine code"""
+        self._turned = columns > rows  # rows and columns then change places, so that a node has fewer neighbours
         self._star_mesh = _star_mesh.machine_code() if self.is_small else None
         self._attenuate = None
         self._uniform = None  # wires for the closed form of array operations; None: always by ladders
@@ -101,7 +101,7 @@ class FrameTransfer:
         """Exact transfer conductances (N, M) in S of cells (N, M) in S."""
         if self._star_mesh is not None:
             return self.ports(conductance)[: len(conductance), len(conductance) :]
-        if self._has_ideal_lines:  # then `exact_transfer` does the same, and bounds its rounding at half that cost
+        if self._has_ideal_lines:  # as `exact_transfer`, without its bound, which costs half as much again
             return transfer_conductances(conductance, self._lines).value
         transfer, _ = exact_transfer(conductance, self._lines)
         return transfer
@@ -123,21 +123,21 @@ class FrameTransfer:
 
 @loop
 def _star_mesh(cells: Rows, row: Rows, behind: Rows, network: Rows) -> None:
-    """Write the port conductances of a grid, by star-mesh transforms.
+    """Write the port conductances of a grid, by star-mesh transformations.
 
-    A star-mesh transform removes one node. Each pair of its neighbours is then joined by the product of their
+    A star-mesh transformation removes one node. Each pair of its neighbours is then joined by the product of their
     conductances to the node over the sum of all conductances to the node. Nothing is subtracted, so no digits cancel,
     and an ideal wire may be a very large conductance.
 
-    The nodes are numbered row by row of the grid, a node of the row's line before that of the column's line. A node
-    then has at most 2 M neighbours that come later. It has seen the terminals of the rows up to its own, and in the
-    last row those of the columns.
+    The nodes are numbered row by row of the grid; at each crosspoint the row line's node comes before the column
+    line's. A node then connects to at most 2 M later nodes, to the terminals of the rows up to its own and, in the
+    grid's last row, to the terminals of the columns.
 
     Args:
         cells: (N, M) S.
         row: (N, M) S of the wire ahead of each crosspoint, towards the row's terminal.
         behind: (N, M) S of the wire behind each crosspoint, towards the column's terminal.
-        network: (N + M, N + M) zeros, written to. The diagonal means nothing.
+        network: (N + M, N + M) zeros, written to. The diagonal has no meaning.
 
     """
     rows, columns = cells.shape
@@ -159,7 +159,7 @@ def _star_mesh(cells: Rows, row: Rows, behind: Rows, network: Rows) -> None:
             else:
                 to_column[2 * j + 1, j] = behind[i, j]
     for node in range(nodes):
-        seen = node // width + 1  # rows
+        seen = node // width + 1  # rows whose terminals the node can connect to
         reach = min(width, nodes - 1 - node)
         total = 0.0
         for place in range(1, reach + 1):
@@ -208,7 +208,7 @@ def _attenuate(
     transfer: Rows,
     error: Rows,
 ) -> bool:
-    """Write transfer conductances and bounds on their errors, (N, M) in S, as :func:`.by_ladders`; False: unknown.
+    """Write transfer conductances and error bounds, (N, M) in S, as :func:`.by_ladders`; False if the drive underflows.
 
     Args:
         cells: (N, M) S.

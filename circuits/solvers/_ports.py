@@ -153,7 +153,7 @@ def _ideal_lines(cells: FloatArray, row: FloatArray, column: FloatArray, exits: 
 
 
 def _ideal_transfer(cells: FloatArray, row: FloatArray, column: FloatArray, exits: FloatArray | None) -> Rounded:
-    """The block of :func:`_ideal_lines` between rows and columns: nothing else is set up, in half the time."""
+    """The block of :func:`_ideal_lines` between rows and columns alone, in half the time."""
     _, rows, columns = cells.shape
     to_rows, across, relative = _without_rows(cells, row)
     ended = _ended(exits, columns)
@@ -173,8 +173,9 @@ def _without_rows(cells: FloatArray, row: FloatArray) -> tuple[FloatArray, Float
     """Eliminate the nodes of rows with ideal lines, behind their leads.
 
     Returns:
-        S from the rows' terminals to the columns (frames, N, M), between columns (frames, M, M), and the relative error
-        (frames,) of both by rounding: a sum over the columns of a row, a quotient, a product, a sum over the rows.
+        S from the rows' terminals to the columns (frames, N, M), between columns (frames, M, M), and a bound (frames,)
+        on the relative rounding error of both: a sum over the columns of a row, a quotient, a product and a sum over
+        the rows.
 
     """
     frames, rows, columns = cells.shape
@@ -193,7 +194,7 @@ def _ended(exits: FloatArray | None, columns: int) -> BoolArray:
 
 
 def _largest_finite(values: FloatArray, most: float) -> float:
-    """Largest conductance in S that is no short, but at least :data:`LARGEST_PART`; ``most`` is the largest of all."""
+    """Largest conductance in S apart from shorts, at least :data:`LARGEST_PART`; ``most`` is the largest value."""
     if most < _AS_GOOD_AS_SHORT:
         return max(most, LARGEST_PART)
     return float(np.max(values, where=values < _AS_GOOD_AS_SHORT, initial=LARGEST_PART))

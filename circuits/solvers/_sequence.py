@@ -1,29 +1,30 @@
 """Transfer conductances of a sequence of frames: deferred correction of line attenuation, with a certificate.
 
 Line attenuation (:mod:`._attenuation`) leaves out the current that leaves a line, lifts a crossing line and comes back.
-With T(G) the exact transfer conductances and A(G) those by attenuation, the part left out is E(G) = T(G) - A(G). From
-one frame to the next E changes far less than T, since it depends on sums over whole lines. So a sequence is solved
-exactly at a few frames, the *knots*. Between two knots E is interpolated linearly in time, and A(G) + E is the answer.
+Let T(G) be the exact transfer conductances and A(G) those by attenuation. The part left out is E(G) = T(G) - A(G). From
+one frame to the next E changes far less than T, since E depends on sums over whole lines. A sequence is therefore
+solved exactly at a few frames only, the *knots*. Between two knots E is interpolated linearly in time, and A(G) + E is
+the result.
 
-The intervals between knots are halved until the error of the interpolation is certified. With G~(t) the straight line
-between the conductances at two knots, two errors add up:
+The intervals between knots are halved until the error of the interpolation is certified. Let G~(t) be the straight line
+between the conductances at two knots. Two errors add up:
 
 **Curvature of E along the straight line.** Write G~ = (G_a + G_b)/2 + s (G_b - G_a)/2, with s from -1 to 1. E is
-analytic in s. In the disc abs(s) <= R all conductances stay below H = G_high + R abs(G_b - G_a)/2 in magnitude. While
-the Neumann series of all lines converge there, E is no larger than that series with H in place of G. With M that bound,
-Cauchy's integral for the divided difference of E at -1, s and 1 gives
+analytic in s. In the disc abs(s) <= R all conductances stay below H = G_high + R abs(G_b - G_a)/2 in magnitude. If the
+Neumann series of all lines converge for H, the series with H in place of G bounds E in the disc. Let M be this bound.
+Cauchy's integral for the divided difference of E at -1, s and 1 then gives
 
     abs(error) <= M R / ((R - 1)^2 (R + 1))          for every such R; the smallest value of a few is taken.
 
-**Distance from the straight line.** The derivative of E by one conductance G_km is, by Tellegen's theorem, a product of
-two voltages across that cell less what attenuation has of it. Let W_i bound the volts of all columns in step i, U_j the
-volts of all rows for 1 V at the end of column j, and let r, c be the largest loss along a row and along a column.
-What attenuation misses is then at most
+**Distance from the straight line.** By Tellegen's theorem the derivative of T by one conductance G_km is a product of
+two voltages across that cell. The derivative of E is this product minus the derivative of A. Let W_i bound the volts
+of all columns in step i, and U_j the volts of all rows for 1 V at the end of column j. Let r and c be the largest loss
+along a row and along a column. The magnitude of the derivative of E is then at most
 
     U_j (c + W_i) for the cells of row i,   W_i (r + U_j) for those of column j,   W_i U_j for all cells,
 
-where a cell in both lines counts in both. All factors grow with G, so that G_high, the largest conductances of the
-sequence, bounds them for every frame.
+where a cell in both lines counts in both. All factors grow with G. The largest conductances of the sequence, G_high,
+therefore bound them for every frame.
 """
 
 from __future__ import annotations
@@ -41,10 +42,10 @@ from ._elimination import ULP
 from ._ladders import Ladders, profile_rounding
 
 Exact = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
-"""Conductances (frames, N, M) in S to exact transfer conductances in S, and by how much each may be off"""
+"""Function of conductances (frames, N, M) in S; returns exact transfer conductances in S and bounds on their errors"""
 
 _RADII = np.geomspace(1.5, 3000.0, 24)
-"""radii R that are tried"""
+"""radii R of the discs that are tried"""
 
 
 class SequenceTransfer(NamedTuple):
@@ -53,7 +54,7 @@ class SequenceTransfer(NamedTuple):
     transfer: FloatArray
     """(frames, N, M) S"""
     error: FloatArray
-    """(frames,) S, by which no transfer conductance of a frame is off"""
+    """(frames,) S: bound on the error of any transfer conductance of the frame"""
     solved: BoolArray
     """(frames,) the knots: frames that were solved exactly"""
 
@@ -65,7 +66,7 @@ def sequence_transfer(conductance: FloatArray, wires: Wires, exact: Exact, allow
         conductance: (frames, N, M) S, finite.
         wires: of the grid.
         exact: solves single frames.
-        allowed: S, by which the transfer conductances of the frames between knots may be off.
+        allowed: S, largest acceptable error of the transfer conductances between knots.
 
     """
     frames = len(conductance)
@@ -126,7 +127,7 @@ def _attenuated(
 
 
 def _knots(values: FloatArray, limits: _Limits, allowed: float) -> tuple[IntArray, FloatArray]:
-    """Where to solve exactly, and the certified error in S between each knot and the next.
+    """Frames to solve exactly, and the certified error in S between each knot and the next.
 
     Args:
         values: (frames, k) S of the cells that change.
@@ -151,7 +152,7 @@ def _knots(values: FloatArray, limits: _Limits, allowed: float) -> tuple[IntArra
 
 @dataclass(frozen=True)
 class _Limits:
-    """What bounds E and its derivatives on one grid, for conductances up to G_high."""
+    """Bounds on E and its derivatives for one grid, for conductances up to G_high."""
 
     rows: FloatArray
     """(k, N) 1 where a changing cell lies in a row"""
@@ -164,21 +165,21 @@ class _Limits:
     to_amplifier: FloatArray
     """(k,) ohm"""
     row_losses: FloatArray
-    """(N, M) G R of G_high, R the resistance to the driver"""
+    """(N, M) products G R for G = G_high, with R the resistance to the driver"""
     column_losses: FloatArray
-    """(N, M) the same, R the resistance to the amplifier"""
+    """(N, M) the same with R the resistance to the amplifier"""
     row_loss: float
-    """largest of sum_m R G over the rows, R the resistance to the driver: bounds the norm of K G of a row"""
+    """largest sum_m R G of any row, with R the resistance to the driver: bounds the norm of K G of a row"""
     column_loss: float
     pair_loss: float
     """largest product of a row of ``row_losses`` and one of ``column_losses``: see :meth:`_curvature`"""
     column_sum: float
     lift: float
-    """largest G R over all cells, R the resistance to the amplifier: volts that a column is lifted by"""
+    """largest G R of any cell, with R the resistance to the amplifier: bounds the volts that a column is lifted by"""
     back_lift: float
     """the same for the rows, lifted from the columns' ends"""
     row_drop: float
-    """r: largest loss along a row, as a share"""
+    """r: largest loss along a row, as a fraction"""
     column_drop: float
     """c"""
 
@@ -208,7 +209,7 @@ class _Limits:
         )
 
     def error(self, values: FloatArray) -> float:
-        """S by which E is off between the first and the last of ``values`` (frames, k) in S, interpolated linearly."""
+        """Bound in S on the error of E by linear interpolation from the first to the last of ``values`` (frames, k)."""
         if len(values) <= 2:
             return 0.0
         share = np.linspace(0.0, 1.0, len(values))[1:-1, None]
@@ -217,7 +218,7 @@ class _Limits:
         return SLACK * (self._curvature(0.5 * np.abs(values[-1] - values[0])) + self._distance(apart))
 
     def _distance(self, apart: FloatArray) -> float:
-        """For conductances that are ``apart`` (frames, k) S from the straight line."""
+        """Bound in S on the change of E by conductances that are ``apart`` (frames, k) S from the straight line."""
         returned = 1.0 - self.row_drop * self.column_drop
         if returned <= 0.0:
             return np.inf
@@ -229,7 +230,7 @@ class _Limits:
         )
 
     def _curvature(self, half: FloatArray) -> float:
-        """For conductances that move by ``half`` (k,) S to both sides of the middle.
+        """Bound in S by the curvature of E, for conductances that move by ``half`` (k,) S to both sides of the middle.
 
         With H = G_high + R ``half`` the leading term of E is at most sum_k H_kj sum_m (H_km R_km) (H_im R'_im), where R
         and R' are the resistances to driver and amplifier. The inner sum is a product of a row of one matrix and a row

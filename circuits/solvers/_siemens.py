@@ -1,4 +1,4 @@
-"""Ohm to siemens, for every solver alike."""
+"""Conversion of resistances to conductances, common to all solvers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _WIRE = 1e60  # S
 
 
 def siemens(ohms: FloatArray | float) -> FloatArray:
-    """Conductances in S; what is below 1e-60 ohm is a wire, since products of larger conductances would overflow."""
+    """Conductances in S; resistances below 1e-60 ohm become inf, because products of 1e60 S and more could overflow."""
     if isinstance(ohms, np.ndarray) and ohms.size and ohms.item(ohms.argmin()) >= 1.0 / _WIRE:  # nearly always
         ordinary: FloatArray = np.reciprocal(ohms)
         return ordinary

@@ -2,8 +2,7 @@
 
 In a scan step every column j is a virtual ground with the noise gain 1 + Rref Y_jj. The matrix Y (M, M) contains the
 port conductances that the columns see in the grid, with all driven rows at ground. Line resistance couples the columns
-through their common rows. Y then has off-diagonal entries, and the columns settle together. The model keeps these
-entries.
+through their common rows. Y then has off-diagonal entries, which the model keeps: the columns settle together.
 
 The equations of each column hold for deviations from the settled state. The unknowns are the inverting input u and the
 output v. The disturbances are a voltage e at the non-inverting input and a current i into the inverting input. With

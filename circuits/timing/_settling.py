@@ -1,9 +1,11 @@
-"""Reading before everything has settled: the error at the sample instant, the fastest scan, and stability.
+"""Settling after a row switch: the error at the sample instant, the shortest row period, and amplifier stability.
 
-After a row switch the amplifiers approach their new outputs through the dynamics of :mod:`._dynamics`, and the
-sampling capacitor of the ADC follows them through its switch. Both are linear, so one matrix exponential per phase of a
-step carries the deviation from the settled state exactly, however stiff the parts; a scan that goes on and on is the
-fixed point of a whole frame. Slewing and saturation are not linear: slewing is left out, saturation is refused.
+After a row switch the amplifiers approach their new outputs with the dynamics of :mod:`._dynamics`. The sampling
+capacitor of the ADC follows them through its switch. Both are linear. One matrix exponential per phase of a step
+therefore propagates the deviation from the settled state exactly, however stiff the system. The steady state of a
+repeated scan is the fixed point of a whole frame.
+
+Slewing and saturation are not linear. Slewing is not modelled; saturated frames are refused.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ from ._dynamics import Dynamics, column_conductances, column_dynamics, require_a
 
 
 class Settling:
-    """The scan of one unchanging frame in time; prepared once, then asked for any row period.
+    """The repeated scan of constant cells in time; prepared once, then evaluated for any row period.
 
     Example::
 
@@ -66,12 +68,12 @@ class Settling:
         self._briefest = self._acquisition * board.shape[1]
 
     def sampled(self, period: float) -> FloatArray:
-        """What is read, V (rows, columns), if each row is selected for ``period`` s.
+        """Readings in V (rows, columns) if each row is selected for ``period`` s.
 
-        The scan is taken to go round and round over the same cells. Without ``adc.acquisition_time`` all columns are
-        sampled at the end of the step. With it, one sampling capacitor serves the columns in turn, in the order of
-        their numbers, and the last conversion ends with the step: the first column has the least time to settle, and
-        each conversion starts from what the one before has left.
+        The scan repeats endlessly over the same cells. Without ``adc.acquisition_time`` all columns are sampled at the
+        end of the step. With ``adc.acquisition_time`` one sampling capacitor serves the columns in turn, in the order
+        of their numbers, and the last conversion ends with the step. The first column then has the least time to
+        settle, and each conversion starts from the voltage that the previous one has left on the capacitor.
 
         Raises:
             InputError: the period is not positive or shorter than the acquisitions of all columns.
@@ -80,9 +82,9 @@ class Settling:
         return self._board.turn(self._settled + self._in_turn(self._steps(period)))
 
     def sampled_from_rest(self, period: float) -> FloatArray:
-        """As :meth:`sampled`, for rows that each follow one without any signal: outputs and capacitor at the reference.
+        """As :meth:`sampled`, but each row follows a row without signal: outputs and capacitor at the reference.
 
-        A shared capacitor, too, is at the reference before each conversion.
+        A shared capacitor, too, starts each conversion at the reference.
 
         Raises:
             InputError: as :meth:`sampled`.
@@ -91,26 +93,28 @@ class Settling:
         return self._board.turn(self._settled + self._from_rest(self._steps(period)))
 
     def error(self, period: float) -> float:
-        """The largest deviation from settled, relative to the largest signal of the frame.
+        """Largest deviation from the settled readings, relative to the largest signal of the frame.
 
-        The larger one of the steady scan and of the scan from rest, since cells that are all alike would need no
-        settling at all.
+        This is the larger value of two scans: the repeated scan (:meth:`sampled`) and the scan from rest
+        (:meth:`sampled_from_rest`). In a repeated scan of equal cells nothing has to settle.
         """
         steps = self._steps(period)
         deviation = max(float(np.abs(d).max()) for d in (self._in_turn(steps), self._from_rest(steps)))
         return deviation / self._signal if deviation else 0.0
 
     def shortest_period(self, error: float) -> float:
-        """The shortest row period in s from which on :meth:`error` stays within ``error``.
+        """Shortest row period in s such that :meth:`error` stays within ``error`` for all longer periods.
 
-        A ringing amplifier may pass the right value much earlier; such luck does not count. 0 if nothing has to settle.
+        A ringing amplifier may cross the right value much earlier; such crossings do not count. If nothing has to
+        settle, the period is the sum of all acquisitions: 0 without ``adc.acquisition_time``.
 
-        The search starts at a period from which on the sum of all modes' envelopes keeps the error. From there it goes
-        down in steps that are short against the modes that still matter, and looks for a peak between steps wherever
-        the error comes near the limit.
+        The search starts at a period where the sum of the envelopes of all modes is within the limit. From there the
+        period decreases in steps that are short compared with the time scales of the modes that still matter. Where the
+        error comes near the limit, the search looks for a peak between two steps.
 
         Raises:
-            SolverError: no period will do, because the acquisition time is too short for the sampling capacitor.
+            InputError: ``error`` is not between 0 and 1.
+            SolverError: no period suffices, because the acquisition time is too short for the sampling capacitor.
 
         """
         if not 0 < error < 1:
@@ -152,7 +156,7 @@ class Settling:
             after, after_excess, upper, upper_excess = upper, upper_excess, lower, lower_excess
 
     def _unhurried(self) -> float:
-        """What is left of the error after any time: a shared capacitor's memory of the conversion before."""
+        """Error that remains at any row period: a shared capacitor's memory of the previous conversion."""
         left = self._left(1.0)
         if not self._acquisition or not left:
             return 0.0
@@ -160,18 +164,19 @@ class Settling:
         return float(max(rest, np.abs(self._memory(np.zeros_like(self._settled), left)).max())) / self._signal
 
     def _left(self, period: float) -> float:
-        """The share of its charge that a capacitor keeps through one acquisition."""
+        """Fraction of its charge that a capacitor keeps through one acquisition."""
         return exp(-(self._acquisition or period) / self._sampling) if self._sampling else 0.0
 
     def _in_time(self, rows: FloatArray) -> FloatArray:
-        """Rows from line coordinates to the order of time, or back: scans go by the array's own numbers of its lines.
+        """Rows from line coordinates to the order of time, or back. A scan selects lines by their numbers in the array.
 
-        Columns, too, are converted in that order; only :meth:`_memory` and :meth:`_propagators` need it.
+        Columns, too, are converted in the order of their numbers in the array; only :meth:`_memory` and
+        :meth:`_propagators` need this order.
         """
         return rows[::-1] if self._board.turned else rows
 
     def _steps(self, period: float) -> _Steps:
-        """What a step of so many seconds does to the states and to the samples."""
+        """Propagators of the states and samples through steps of ``period`` s."""
         if not period > 0 or period < self._briefest:
             raise InputError(
                 f"row period {period} s: expected a time above 0, and adc.acquisition_time for each column at least"
@@ -182,10 +187,10 @@ class Settling:
         return _Steps(propagators[order], ([d.lift for d in self._dynamics] * repeat)[order], self._left(period))
 
     def _in_turn(self, steps: _Steps) -> FloatArray:
-        """Deviations (rows, columns) in V of the samples of a scan that goes on and on."""
+        """Deviations (rows, columns) in V of the samples of a repeated scan in its steady state."""
         settled = self._in_time(self._settled)
         jumps = [lift @ jump for lift, jump in zip(steps.lifts, np.roll(settled, 1, axis=0) - settled, strict=True)]
-        # What a frame leaves at its end if it starts from nothing; then what it leaves if it starts from that.
+        # The state at the end of a frame that starts from zero; then the fixed point of a frame.
         through: FloatArray = np.eye(len(steps.lifts[0]))
         state: FloatArray = np.zeros(len(through))
         for (carry, _), jump in zip(steps.propagators, jumps, strict=True):
@@ -199,7 +204,7 @@ class Settling:
         return self._in_time(self._memory(tails, steps.left))
 
     def _memory(self, tails: FloatArray, left: float) -> FloatArray:
-        """Deviations of samples, rows in the order of time, of which each capacitor kept a share of its last one."""
+        """Deviations in V, rows in time order, of samples on capacitors that keep the fraction ``left`` of the last."""
         settled = self._in_time(self._settled)
         arriving = (1 - left) * settled + tails
         if not self._acquisition:
@@ -219,7 +224,7 @@ class Settling:
         return self._in_time(np.array(tails) + steps.left * jump)
 
     def _propagators(self, dynamics: Dynamics, period: float) -> tuple[FloatArray, FloatArray]:
-        """From the state after a row switch to that at the end of the step (S, S), and to each sample (M, S)."""
+        """Propagators from the state after a row switch to the end of the step (S, S), and to each sample (M, S)."""
         if not self._acquisition:
             return self._acquired(dynamics, period)
         carry, sample = self._acquired(dynamics, self._acquisition)
@@ -232,7 +237,12 @@ class Settling:
         return state, samples
 
     def _acquired(self, dynamics: Dynamics, duration: float) -> tuple[FloatArray, FloatArray]:
-        """From the state as the capacitors are connected to that after ``duration`` s (S, S), and to them (M, S)."""
+        """Propagators over ``duration`` s from the instant when the capacitors are connected.
+
+        Returns:
+            (S, S) from the state to the state, and (M, S) from the state to the capacitors' voltages.
+
+        """
         if self._sampling == 0:
             carry = expm(dynamics.matrix * duration)
             return carry, dynamics.output @ carry
@@ -250,7 +260,7 @@ class Settling:
         return together
 
     def _modes(self) -> _Modes:
-        """The modes that a sample's deviation is the sum of, with bounds on their sizes."""
+        """Modes whose sum is the deviation of a sample, with bounds on their amplitudes."""
         rates, sizes = [], []
         kept = 1.0 - self._left(1.0) if self._acquisition else 1.0
         rows, columns = self._settled.shape
@@ -283,47 +293,47 @@ class _Steps(NamedTuple):
     """The steps of a frame in the order of time, for one row period."""
 
     propagators: list[tuple[FloatArray, FloatArray]]
-    """from the state after each row switch to that at its end (S, S), and to its samples (M, S)"""
+    """from the state after each row switch to the end of the step (S, S), and to the step's samples (M, S)"""
     lifts: list[FloatArray]
-    """(S, M) change of each step's settled state with its settled outputs"""
+    """(S, M) derivative of each step's settled state by its settled outputs"""
     left: float
-    """share of its charge that a sampling capacitor keeps"""
+    """fraction of its charge that a sampling capacitor keeps"""
 
 
 class _Modes(NamedTuple):
-    """Exponentials that a deviation is the sum of."""
+    """Exponential modes whose sum is the deviation of a sample."""
 
     rate: ComplexArray
     """1/s, eigenvalues"""
     size: FloatArray
-    """V, largest at the start of a step"""
+    """V, largest amplitude at the start of a step"""
 
     def envelope(self, waiting: float) -> FloatArray:
-        """V that each mode can add to a sample so many seconds after a row switch, earlier steps included."""
+        """Bound in V on each mode in a sample taken ``waiting`` s after a row switch, earlier steps included."""
         decay = self.rate.real * waiting
         envelope: FloatArray = self.size * np.exp(decay) / np.maximum(-np.expm1(decay), 1e-300)
         return envelope
 
     def settled_after(self, allowed: float) -> float:
-        """Seconds from which on all modes together stay within ``allowed`` V."""
+        """Seconds after which the sum of all modes stays within ``allowed`` V."""
         least = 1.0 / float(np.abs(self.rate).max())
         while self.envelope(least).sum() > allowed:
             least *= 1.2
         return least
 
     def step(self, waiting: float, allowed: float) -> float:
-        """Seconds within which a sum of those modes that still matter hardly bends."""
+        """Step in s of the search, short enough that the sum of the modes that still matter is nearly straight."""
         matter = self.envelope(waiting) > _NEGLIGIBLE * allowed / len(self.rate)
         fastest = float(np.abs(self.rate[matter]).max(initial=0.0))
         return min(0.1 * waiting, 0.25 / fastest) if fastest else 0.1 * waiting
 
 
-_NEAR = 0.1  # of the limit; between two steps of a quarter of a radian an error rises by less than that
-_NEGLIGIBLE = 1e-3  # of the limit, all such modes together
+_NEAR = 0.1  # of the limit; between two steps of a quarter of a radian an error rises by less than this
+_NEGLIGIBLE = 1e-3  # of the limit: sum of all modes that are neglected
 
 
 def _crossing(excess: Callable[[float], float], lower: float, upper: float) -> float:
-    """Where ``excess`` falls to zero between a time where it is positive and one where it is not."""
+    """Time at which ``excess`` falls to zero, between ``lower`` (positive there) and ``upper`` (not positive)."""
     fine = 1e-9 * upper
     at, beyond = float(brentq(excess, lower, upper, xtol=fine, rtol=1e-12)), fine
     while at < upper and excess(at) > 0:
@@ -344,7 +354,7 @@ def _periodic_decay(arriving: FloatArray, left: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class Stability:
-    """How each amplifier stands on its line, (rows, columns): rows differ only with floating idle rows."""
+    """Stability of each amplifier on its line, (rows, columns). Rows differ only with floating idle rows."""
 
     noise_gain: FloatArray
     """1 + Rref Y_jj, the other columns at their virtual grounds"""
@@ -360,8 +370,8 @@ class Stability:
 def stability(design: Design, resistance: ArrayLike) -> Stability:
     """Phase margin and peaking of each amplifier on its column.
 
-    The loop gain is A(s) (1/Rref + s Cf) / (1/Rref + Y_jj + s (C + Cf)) with A(s) of one pole; crossover, margin and
-    peak follow from it in closed form. An amplifier of two or more poles of its own has less margin than that.
+    The loop gain is A(s) (1/Rref + s Cf) / (1/Rref + Y_jj + s (C + Cf)), where A(s) has one pole. Crossover, margin and
+    peak follow in closed form. An amplifier with more than one pole has a smaller margin.
 
     Raises:
         InputError: as :class:`Settling`, or ``readout.gain_bandwidth`` is infinite.

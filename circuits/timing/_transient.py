@@ -1,10 +1,11 @@
 """Transient response of the column amplifiers to a scan whose switching times are not known in advance.
 
-:class:`~._settling.Settling` answers for a scan of constant row period. A program on a microcontroller selects a row,
-waits, and starts conversions when it likes; :class:`Transient` follows it event by event. Between events the circuit is
-linear and time-invariant, so its state is carried on by the modal form of the matrix exponential, exp(A t) =
-V exp(D t) V^-1 (Moler and Van Loan, "Nineteen dubious ways", method 14). Where the eigenvectors are too close to each
-other for that, the exponential itself is computed.
+:class:`~._settling.Settling` is for scans of constant row period. A program on a microcontroller selects rows and
+starts conversions at arbitrary times; :class:`Transient` follows the program event by event.
+
+Between events the circuit is linear and time-invariant. Its state is propagated by the modal form of the matrix
+exponential, exp(A t) = V exp(D t) V^-1 (Moler and Van Loan, "Nineteen dubious ways", method 14). If the matrix V of
+eigenvectors is ill-conditioned, the exponential itself is computed.
 """
 
 from __future__ import annotations
@@ -20,16 +21,16 @@ from .._design import Design
 from ._dynamics import Dynamics, column_conductances, column_dynamics, require_amplifiers
 
 _WORST_CONDITION = 1e8
-"""of the eigenvectors: the modal form then still has eight correct digits"""
+"""largest condition number of the matrix of eigenvectors; the modal form then still has eight correct digits"""
 _SLOW_ENOUGH = 1e-6
 """relative distance of two time constants below which their difference quotient is replaced by its limit"""
 
 
 class Transient:
-    """Outputs of all columns and charge of the ADC's sampling capacitor over time, V.
+    """Outputs of all columns, and voltage of the ADC's sampling capacitor, over time, in V.
 
-    Rows and columns are those of :mod:`.._parts`: driven and sensed lines. Outputs that reach a supply limit are cut
-    off there; how an amplifier comes out of saturation is not modelled.
+    Rows and columns are the driven and the sensed lines (line coordinates, :mod:`.._parts`). Outputs are clipped at the
+    supply limits; recovery of an amplifier from saturation is not modelled.
 
     Example::
 
@@ -65,10 +66,10 @@ class Transient:
         self._deviation: FloatArray = np.zeros(len(self._present.matrix))
 
     def change(self, design: Design, resistance: ArrayLike) -> None:
-        """Cells or lines are others from now on; outputs go on from where they are. :meth:`aim` at the new ones next.
+        """Change cells or lines; the outputs stay continuous. Call :meth:`aim` with the new settled outputs next.
 
         Args:
-            design: with the amplifiers of the first one; its lines, faults and drive may differ.
+            design: with the same amplifiers as before; its lines, faults and drive may differ.
             resistance: (rows, columns) ohm.
 
         """
@@ -76,11 +77,11 @@ class Transient:
         self._load(resistance)
 
     def aim(self, settled: FloatArray, row: int = 0) -> None:
-        """Outputs approach ``settled`` from now on.
+        """Set the outputs that the circuit approaches from now on.
 
         Args:
             settled: (columns,) V.
-            row: the selected one; matters only with floating idle rows, where the dynamics depend on it.
+            row: the selected row; matters only with floating idle rows, where the dynamics depend on it.
 
         """
         self._row = row if len(self._modes) > 1 else 0
@@ -101,7 +102,7 @@ class Transient:
         self._connected = column
 
     def disconnect(self) -> float:
-        """End of the acquisition; the voltage that the capacitor keeps."""
+        """End the acquisition; returns the voltage in V that the capacitor keeps."""
         if self._sampling_s == 0 and self._connected is not None:
             self._held = float(self.outputs()[self._connected])
         self._connected = None
@@ -123,7 +124,7 @@ class Transient:
         self._modes = [_Modes(column_dynamics(board, conductance)) for conductance in conductances]
 
     def _charged(self, mode: _Modes, seconds: float) -> float:
-        """Charge of the connected capacitor after ``seconds``, V: C v' = (output - v) / R with the output's modes."""
+        """V of the connected capacitor after ``seconds``, by C v' = (output - v) / R and the modes of the output."""
         assert self._connected is not None
         if self._sampling_s == 0:
             return self._held
@@ -135,7 +136,7 @@ class Transient:
 
 
 class _Modes:
-    """One linear system and its modal form, if that is accurate."""
+    """One linear system, and its modal form if that form is accurate."""
 
     def __init__(self, dynamics: Dynamics) -> None:
         self.dynamics = dynamics
@@ -159,7 +160,7 @@ class _Modes:
         return modal
 
     def filtered(self, state: FloatArray, column: int, time_constant: float, seconds: float) -> float:
-        """The deviation of one output after a low-pass filter that was empty ``seconds`` ago, V."""
+        """Deviation in V of one output after a first-order low-pass filter that was at zero ``seconds`` ago."""
         if not state.size:
             return 0.0
         if self._vectors is None:
