@@ -116,7 +116,7 @@ def test_a_skin_whose_cells_scatter_widely_names_the_spread() -> None:
 
 
 def test_a_divider_in_noise_says_how_many_frames_tell() -> None:
-    """16 x 12 cells in 10 mV: one reading of twenty is valid, and known to a fifth or so."""
+    """16 x 12 cells in 10 mV: one reading of thirty is valid, and known to a fifth or so."""
     board = design(16, "voltage-divider", "ground", 12).replace(array={"columns": 12})
     rng = np.random.default_rng(5)
     volts = scan(board, REST * np.exp(rng.normal(0.0, 0.05, (16, 12)))).volts
