@@ -24,7 +24,7 @@ from ohmskin.cell import (
     checked_recording,
     estimate_recording,
 )
-from ohmskin.cell._cell import Calibrated
+from ohmskin.cell._cell import Calibrated, EstimatorName
 from ohmskin.cell.identification import _training as training
 from ohmskin.cell.identification._calibrate import _breaks, _judge, _seen
 from ohmskin.cell.identification._choice import Evidence, choose
@@ -126,13 +126,13 @@ def test_the_choice_is_by_the_worst_fold_with_the_static_curve_as_the_floor(
     sizes: list[float], unexplained: float, presses: float, elsewhere: float, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    names = ("static", "play", "distilled")
+    names: tuple[EstimatorName, ...] = ("static", "play", "distilled")
     judged = {
         name: folds_of([size * rng.standard_normal(80) for size in part])
         for name, part in zip(names, np.reshape(sizes, (3, 3)).tolist(), strict=True)
     }
-    ratios = {"static": 0.1, "play": 0.1 * elsewhere, "distilled": 0.1 * elsewhere}
-    chosen, reason = choose(Evidence(judged, ratios, presses, ALIKE, unexplained, 1.0))  # type: ignore[arg-type]
+    ratios: dict[EstimatorName, float] = {"static": 0.1, "play": 0.1 * elsewhere, "distilled": 0.1 * elsewhere}
+    chosen, reason = choose(Evidence(judged, ratios, presses, ALIKE, unexplained, 1.0))
     worst = {name: max(100 * part.rms for part in folds) for name, folds in judged.items()}
     passed = [name for name in names[1:] if standard_errors_better(judged[name], judged["static"]) >= 1.28]
     if presses < 3 and elsewhere >= 1.1:

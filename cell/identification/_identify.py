@@ -30,6 +30,7 @@ from ._kinds import (
 from ._least_squares import Grid, predict, solve
 from ._recording import Recording
 from ._recovery_curve import longest_recovery, recovery_branches
+from ._training import cubic
 
 POINTS, POINTS_BEFORE_FOLDS = 2000, 1000
 """largest number of samples in a least-squares fit: of the whole recording, and of the part up to the end of a fold;
@@ -75,13 +76,12 @@ def fits(recording: Recording, full_scale_kpa: float, told: Callable[[str], None
 
 
 def _left_by_curve(load: FloatArray, log_ohm: FloatArray) -> float:
-    """Rms of the load that the best cubic in the log of the resistance leaves: by such a curve contacts are read.
+    """Rms error of the load by the best cubic in the log of the resistance: the curve by which contacts are read.
 
-    Their power law says less of that. It is fitted to logs, too, where what a released contact still conducts, though
-    hardly a load to the curve, may be decades.
+    The error of the power law would say less. The power law is fitted in logarithms, where the current through a
+    released contact may scatter by decades, which is hardly a load to the curve.
     """
-    curve, _ = np.polynomial.Polynomial.fit(log_ohm, load, 3, full=True)
-    return float(np.std(curve(log_ohm) - load))
+    return float(np.std(cubic(log_ohm, load)(log_ohm) - load))
 
 
 def _check_follows(name: str, left: float, blind: float, best: str, of: str) -> None:

@@ -105,13 +105,18 @@ class Rows:
     simulated_load: FloatArray
 
 
+def cubic(x: FloatArray, load: FloatArray) -> np.polynomial.Polynomial:
+    """The cubic of ``x`` (n,) that fits ``load`` (n,) best by least squares."""
+    # With few different readings the cubic is not unique, and the minimum-norm one is found; `full` avoids a warning.
+    polynomial, _ = np.polynomial.Polynomial.fit(x, load, 3, full=True)
+    return polynomial
+
+
 def static_curve(calibration: NormalisedRecording, full_scale_kpa: float, *, logarithmic: bool = False) -> StaticCurve:
     """The cubic of r (or of log(R0/R)) that fits the recording best by least squares."""
     r, load = calibration.r, calibration.load
     x = -np.log(np.maximum(1 + r, 1e-6)) if logarithmic else r
-    # With few different readings the cubic is not unique, and the minimum-norm one is found; `full` avoids a warning.
-    polynomial, _ = np.polynomial.Polynomial.fit(x, load, 3, full=True)
-    coefficients = polynomial.convert().coef
+    coefficients = cubic(x, load).convert().coef
     curve = StaticCurve(
         coefficients=tuple(map(float, coefficients)),
         logarithmic=logarithmic,
