@@ -17,7 +17,7 @@ ALIKE = 2.0
 """standard deviation by ADC steps over that by independent errors. Readings of cells at rest are alike, and so are
 their errors, which add up in the sum of a column's currents; 1.8 in a pressed column of equal cells
 """
-_GROWN = 1.03  # least factor by which cells have changed since the derivatives were made for scales to be taken anew
+_CHANGED = 1.03  # least factor by which cells have changed since the derivatives were made for scales to be taken anew
 _MOST = 50.0  # uncertainty of a logarithm that counts as infinite
 _STALLED = 10.0  # possible length of the remaining steps over the next one if the misfit no longer tells
 
@@ -110,27 +110,27 @@ class FitUncertainty:
             spread: these deviations (n,) at the base.
 
         """
-        grown, added = self._grown(fit, base), self._added(frame)
+        change, added = self._scale_change(fit, base), self._added(frame)
         independent: FloatArray = sigmas * spread
-        if grown is None and added is None:
+        if change is None and added is None:
             return independent
         by_scale = np.maximum(spread**2 - (self._noise * frame.slope) ** 2, 0.0)
-        more = (sigmas**2 + (0.0 if added is None else added)) * (1.0 if grown is None else grown**2) - sigmas**2
+        more = (sigmas**2 + (0.0 if added is None else added)) * (1.0 if change is None else change**2) - sigmas**2
         covered: FloatArray = np.sqrt(independent**2 + (by_scale.reshape(frame.volts.shape) * more).ravel())
         return covered
 
-    def _grown(self, fit: Fit, base: Base) -> FloatArray | None:
+    def _scale_change(self, fit: Fit, base: Base) -> FloatArray | None:
         """Factor (M,) by which errors scale columns more, or less, than at the base; None: hardly differently.
 
         The conductances of a column are s / (1 - S), with the cells' shares s of the drive and their sum S. An error of
         S counts 1 / (1 - S) = 1 + T R times, with the column's conductance T and the resistance R behind it.
         """
-        if fit.stale < _GROWN:
+        if fit.stale < _CHANGED:
             return None
         then = np.exp(base.log).reshape(fit.known.cells.shape)
         now, before = (1.0 + self._behind * each.sum(axis=0) for each in (1.0 / fit.known.cells, then))
-        grown: FloatArray = now / before
-        return grown
+        change: FloatArray = now / before
+        return change
 
     def _added(self, frame: Frame) -> FloatArray | None:
         """What equal roundings add to the squared ``sigmas`` (M,) of independent ones; None: nothing.
