@@ -13,8 +13,8 @@ endif
 # The emulated processor of the firmware tests, by name, version and checksum.
 LOOP   := emulator/firmware
 
-# Top-level folders that are packages below ohmskin; src/ohmskin links to them.
-ROOMS  := $(shell sed -n 's/^"ohmskin\.\([a-z_]*\)" = "\1"$$/\1/p' pyproject.toml)
+# The packages below ohmskin: in a checkout src/ohmskin links to the folders at the top.
+ROOMS  := $(filter-out __pycache__,$(notdir $(patsubst %/,%,$(wildcard src/ohmskin/*/))))
 
 .PHONY: demo test lint links system-test-packages clean
 
@@ -43,9 +43,9 @@ system-test-packages:
 $(LOOP)/node_modules/.package-lock.json: $(LOOP)/package-lock.json | system-test-packages
 	npm ci --prefix $(LOOP) --no-audit --no-fund --silent
 
-# A source distribution cannot hold the links, and a checkout without symbolic links has text files in their place.
+# A source distribution holds the rooms as folders below src/ohmskin: the links go the other way there.
 links:
-	@for room in $(ROOMS); do [ -d src/ohmskin/$$room ] || ln -sfn ../../$$room src/ohmskin/$$room; done
+	@for room in $(ROOMS); do [ -d $$room ] || ln -sfn src/ohmskin/$$room $$room; done
 
 # Debian ships venv apart from python3; bring it when it is not there.
 $(BIN)/python:

@@ -27,10 +27,10 @@ from typing import Any
 
 import numpy as np
 
-from .. import compiled, plots
-from ..arrays import FloatArray
 from ..cell import ESTIMATORS, Cell, calibrate, checked_recording, protocol_load
 from ..circuits import Design, adc_codes, scan_batch
+from ..common import compiled, plots
+from ..common.arrays import FloatArray
 from ..driver import CountReader, Skin
 from ..errors import InputError
 from ..wire import FramePacket, host_protocol
@@ -84,7 +84,7 @@ class Row:
     queued_frames_per_second: float
     """the same where :data:`QUEUED` frames come together"""
     times_as_fast: float
-    """by machine code over array operations, both in turn; 1 without machine code, see :mod:`ohmskin.compiled`"""
+    """by machine code (:mod:`ohmskin.common.compiled`) over array operations, both in turn; 1 without machine code"""
     decode_us: float
     """median per frame"""
     ohms_us: float

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..circuits import Design, adc_codes, scan
+from ..common.arrays import FloatArray
 from ..emulator import Board, Scene, spread
 from ..wire import FramePacket, board_protocol
 

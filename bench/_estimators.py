@@ -10,8 +10,8 @@ from time import perf_counter
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..cell import ESTIMATORS, Cell, calibrate, checked_recording, estimate_recording, protocol_load
+from ..common.arrays import FloatArray
 from ..errors import InputError
 from . import _independent as independent
 

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..cell import Cell
+from ..common.arrays import FloatArray
 from ..driver import Contact
 from ._driver import design
 from ._taps import contacts_of

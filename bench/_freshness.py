@@ -14,9 +14,9 @@ from time import process_time
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..cell import Cell
 from ..circuits import Design
+from ..common.arrays import FloatArray
 from ..driver import Skin
 from ._driver import design, packets_of, pressed
 from ._paced_port import PacedPort

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..cell import Cell
+from ..common.arrays import FloatArray
 from ..errors import InputError
 
 DT_S = 0.02

@@ -14,7 +14,6 @@ from typing import Literal
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
 from ..cell import (
     AsymmetricModel,
     Cell,
@@ -25,6 +24,7 @@ from ..cell import (
     checked_recording,
     protocol_load,
 )
+from ..common.arrays import BoolArray, FloatArray
 
 CELLS = 8
 RATE_HZ = 100.0

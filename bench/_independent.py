@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import fftconvolve
 
-from ..arrays import FloatArray
+from ..common.arrays import FloatArray
 
 
 def preisach(load: FloatArray, rng: np.random.Generator, *, relays: int = 400) -> FloatArray:

@@ -13,9 +13,9 @@ from typing import Literal
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..cell import Cell
 from ..circuits import adc_codes, scan
+from ..common.arrays import FloatArray
 from ..driver import CountReader
 from ._honesty import estimated, readings, uncalibrated
 from .boards import design

@@ -36,8 +36,8 @@ from typing import Any
 import click
 import numpy as np
 
-from ..arrays import FloatArray
 from ..circuits import Reason
+from ..common.arrays import FloatArray
 from ..driver import CountReader, Reading
 from ._live_streams import FAMILIES, MOVING, LiveStream, stream
 

@@ -25,8 +25,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..circuits import Design, adc_codes, scan
+from ..common.arrays import FloatArray
 from ..errors import SolverError
 
 MOVING, HELD = 12, 8

@@ -12,8 +12,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.signal import lfilter
 
-from ..arrays import FloatArray
 from ..cell import AsymmetricModel, Cell, M10Model, PaperModel
+from ..common.arrays import FloatArray
 from . import _independent as independent
 
 Material = Callable[[FloatArray, float, np.random.Generator], FloatArray]

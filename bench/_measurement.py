@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..circuits import METHODS, Array, Design, Drive, Readout, scan, scan_batch
-from ..config import LEAST, MOST
+from ..common.arrays import FloatArray
+from ..common.config import LEAST, MOST
 from ..errors import InputError, MissingExtra, SolverError
 from ._peers import PEERS, reference
 

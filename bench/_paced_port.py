@@ -6,8 +6,8 @@ import threading
 from collections.abc import Callable, Iterable
 from time import process_time
 
-from ..arrays import CodeArray
 from ..circuits import Design
+from ..common.arrays import CodeArray
 from ..driver import Arrival
 from ..wire import FramePacket, Identity, board_protocol
 

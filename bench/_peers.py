@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
-from ..arrays import FloatArray, IntArray
 from ..circuits import Design
 from ..circuits.spice import command_available, command_scan
+from ..common.arrays import FloatArray, IntArray
 
 
 class Peer(NamedTuple):

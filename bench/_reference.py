@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.cluster.hierarchy import DisjointSet
 
-from ..arrays import FloatArray
 from ..circuits import Design
+from ..common.arrays import FloatArray
 from ..errors import MissingExtra
 
 try:

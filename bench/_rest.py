@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..cell import Cell, PaperModel
+from ..common.arrays import FloatArray
 from ._hard_cases import TAP_KPA
 from ._honesty import CELLS, VOLTS_AT_REST, estimated, readings
 

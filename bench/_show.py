@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from .. import plots
+from ..common import plots
 from ._measurement import Row
 
 _COLUMNS = ("method", "time", "worst cell", "full scale", "bound", "memory", "")

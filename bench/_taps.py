@@ -19,9 +19,9 @@ from itertools import product
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..cell import Cell
 from ..circuits import Design, adc_codes, scan_batch
+from ..common.arrays import FloatArray
 from ..driver import Contact, Skin
 from ..errors import InputError
 from ._driver import design

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..config import write_toml
+from ..common.config import write_toml
 from ..errors import LinkError, MissingExtra
 from ._driver import design
 

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..cell import Cell
 from ..circuits import Design, adc_codes, scan
+from ..common.arrays import FloatArray
 from ..driver import CountReader
 from ._driver import APART_S, every_frame, packets_of, port_of
 

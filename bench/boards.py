@@ -15,8 +15,8 @@ from collections.abc import Iterator
 import click
 import numpy as np
 
-from ..arrays import FloatArray
 from ..circuits import Design, adc_codes, scan
+from ..common.arrays import FloatArray
 from ..driver import CountReader
 
 READOUTS: dict[str, tuple[str, str, str, tuple[tuple[float, float], ...]]] = {

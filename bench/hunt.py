@@ -28,8 +28,8 @@ from typing import Any
 import click
 import numpy as np
 
-from ..arrays import FloatArray
 from ..circuits import CIRCUITS, METHODS, Design, scan
+from ..common.arrays import FloatArray
 from ..errors import SolverError
 from . import _live_hunt, _live_streams
 from ._reference import Indeterminate, reference_volts

@@ -19,8 +19,8 @@ from math import hypot, sqrt
 import click
 import numpy as np
 
-from ..arrays import FloatArray
 from ..circuits import Design, adc_codes, scan, sensitivity
+from ..common.arrays import FloatArray
 from ..driver import CountReader
 from ._driver import NOISE_STEPS, design, pressed
 

@@ -22,8 +22,8 @@ from typing import Any
 import click
 import numpy as np
 
-from ..arrays import FloatArray
 from ..cell import CalibrationResult, Recording, calibrate, checked_recording, estimate_recording
+from ..common.arrays import FloatArray
 from ._materials import LOADS, MATERIALS
 
 DT_S = 0.1

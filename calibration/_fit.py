@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, IntArray
 from ..cell import Cell
+from ..common.arrays import BoolArray, FloatArray, IntArray
 from ._presses import Press, Rest
 
 STEP = 1e-4

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..config import fingerprint
+from ..common.config import fingerprint
 from ..driver import Frame, Skin
 from ..errors import InputError, LinkEnded, LinkError
 from ..wire import Order

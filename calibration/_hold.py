@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
+from ..common.arrays import FloatArray, IntArray
 from ._plan import Plan
 from ._presses import Press
 from ._windows import corners, noise, window_mean

@@ -9,7 +9,7 @@ from itertools import product
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..common.arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError
 
 MOST_STEPS = 100

@@ -11,10 +11,10 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from ..arrays import FloatArray
-from ..config import Finite, NotNegative, Positive, Section, parse
+from ..common.arrays import FloatArray
+from ..common.config import Finite, NotNegative, Positive, Section, parse
+from ..common.files import read_bytes, whole_file
 from ..errors import InputError
-from ..files import read_bytes, whole_file
 from ._plan import Plan
 from ._presses import Press, Rest
 

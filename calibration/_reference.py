@@ -10,9 +10,9 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.signal import correlate, correlation_lags
 
-from ..arrays import FloatArray
+from ..common.arrays import FloatArray
+from ..common.tables import read_columns
 from ..errors import InputError
-from ..tables import read_columns
 from ._presses import Press
 
 RASTER_S = 0.02

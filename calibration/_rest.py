@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
 from ..cell import Cell
+from ..common.arrays import BoolArray, FloatArray
 from ..errors import InputError
 from ._presses import Rest
 from ._windows import noise, window_mean

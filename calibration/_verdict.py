@@ -8,13 +8,13 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from ..arrays import BoolArray
 from ..cell import Cell
 from ..circuits import Design
-from ..config import fingerprint
+from ..common.arrays import BoolArray
+from ..common.config import fingerprint
+from ..common.text import count_of
 from ..driver import Calibration
 from ..errors import InputError
-from ..text import count_of
 from ._fit import Fit, fit_cells
 from ._plan import GAINS, LEAST_PRESSES
 from ._presses import Press, Rest

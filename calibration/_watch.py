@@ -23,8 +23,8 @@ from math import ceil
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..cell import Cell
+from ..common.arrays import FloatArray
 from ..errors import InputError
 from ._hold import BEGIN, END, Hold
 from ._plan import Plan

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..common.arrays import FloatArray
 
 
 def window_mean(values: FloatArray) -> FloatArray:

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from ..arrays import FloatArray
-from ..config import NotNegative, Positive, Section, load, write_toml
+from ..common.arrays import FloatArray
+from ..common.config import NotNegative, Positive, Section, load, write_toml
 from ..errors import InputError
 from .estimation import Conditions, Estimator, Inversion
 from .inversions import (

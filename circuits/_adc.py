@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import BoolArray, CodeArray, FloatArray
+from ..common.arrays import BoolArray, CodeArray, FloatArray
 from ..errors import InputError
 from ._sections import Adc
 

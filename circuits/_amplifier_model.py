@@ -15,10 +15,10 @@ from typing import Annotated, Literal, NamedTuple, Self
 
 from pydantic import Field, model_validator
 
-from ..config import Finite, Section
+from ..common.config import Finite, Section
+from ..common.files import read_bytes
+from ..common.text import one_line, shortened
 from ..errors import InputError
-from ..files import read_bytes
-from ..text import one_line, shortened
 
 Pin = Literal["in+", "in-", "v+", "v-", "out", "ground", "open"]
 PINS: tuple[Pin, ...] = ("in+", "in-", "v+", "v-", "out")

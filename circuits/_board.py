@@ -14,7 +14,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray
+from ..common.arrays import FloatArray
 from ._parts import Parts
 from ._readout import Readout
 from ._sections import Adc, Array, Drive, Fault, PerLine, Sheet

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
-from ..arrays import FloatArray
-from ..config import Section, load
+from ..common.arrays import FloatArray
+from ..common.config import Section, load
 from ..errors import InputError
 from ._board import Board
 from ._readout import PER_LINE, Readout

@@ -25,7 +25,7 @@ from math import inf, pi
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arrays import BoolArray, FloatArray
+from ..common.arrays import BoolArray, FloatArray
 from ._adc import adc_error
 from ._board import Board
 from ._design import Design

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
+from ..common.arrays import BoolArray, FloatArray
 from ._board import Board
 from ._grid import exact_ports, refuse_contradictions
 from .readouts import LinearReadout, output_rounding

@@ -19,7 +19,7 @@ from typing import Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray
+from ..common.arrays import FloatArray
 from ._sections import Fault, Sheet
 from .solvers import Lines, siemens
 

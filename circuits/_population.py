@@ -23,7 +23,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
+from ..common.arrays import BoolArray, FloatArray
 from ..errors import InputError
 from ._design import Design
 from ._scan import scan

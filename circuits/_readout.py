@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from ..config import LEAST, NotNegative
+from ..common.config import LEAST, NotNegative
 from ._amplifier_model import AmplifierModel
 from ._sections import Gains, Numbers, PositiveOhms, Volts
 from ._spread import Spreadable

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from ..config import Positive, Section
+from ..common.config import Positive, Section
 
 Method = Literal["nominal", "worst-case", "monte-carlo", "spice", "hardware"]
 

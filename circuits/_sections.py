@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, PlainValidator, model_validator
 
-from ..config import MOST, Finite, NotNegative, Positive, Section
+from ..common.config import MOST, Finite, NotNegative, Positive, Section
 from ._spread import Spreadable
 
 LEAST_DRIVE_V, MOST_V, LEAST_REFERENCE_OHM = 1e-6, 1e4, 1e-6

@@ -7,7 +7,7 @@ import time
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arrays import BoolArray, FloatArray
+from ..common.arrays import BoolArray, FloatArray
 from ..errors import InputError
 from ._batch import BatchResult, checked_frames, scan_batch
 from ._board import Board

@@ -32,7 +32,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
+from ..common.arrays import FloatArray, IntArray
 from ._sections import Sheet
 from .solvers import Element, Network, Rounded, reduce, siemens
 

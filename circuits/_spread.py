@@ -15,7 +15,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from ..config import Finite, NotNegative, Section
+from ..common.config import Finite, NotNegative, Section
 
 
 class Spread(Section):

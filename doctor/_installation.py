@@ -10,8 +10,9 @@ import subprocess
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 
-from .. import __version__, compiled
+from .. import __version__
 from ..circuits.spice import available, command_available
+from ..common import compiled
 from ._finding import Finding, State
 
 PACKAGE = "ohmskin"

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
+from ..common.arrays import BoolArray, FloatArray
 
 ACROSS = 0.5
 """weight of a neighbour along a row or a column beside that of the cell itself; at a corner its square"""

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .. import __version__
-from ..arrays import AnyArray
-from ..config import fingerprint
+from ..common.arrays import AnyArray
+from ..common.config import fingerprint
 from ..errors import InputError, MissingExtra
 from ._frame import Frame
 from ._skin import Skin

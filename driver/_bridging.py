@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
+from ..common.arrays import BoolArray, FloatArray
 
 
 def bridge(pressure_kpa: FloatArray, touched: BoolArray, missing: BoolArray) -> tuple[BoolArray, FloatArray]:

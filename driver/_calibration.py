@@ -17,13 +17,13 @@ import numpy as np
 import tomli_w
 from pydantic import Field, model_validator
 
-from ..arrays import BoolArray, FloatArray
 from ..cell import Cell
 from ..circuits import Design
-from ..config import NotNegative, Positive, Section, fingerprint, parse, read_toml
+from ..common.arrays import BoolArray, FloatArray
+from ..common.config import NotNegative, Positive, Section, fingerprint, parse, read_toml
+from ..common.tables import write_text
+from ..common.text import count_of, printable, shortened
 from ..errors import InputError
-from ..tables import write_text
-from ..text import count_of, printable, shortened
 
 FORMAT = 1
 MOST_LINES = 1024

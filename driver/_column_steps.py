@@ -18,8 +18,8 @@ import math
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..compiled import Row, Rows, loop
+from ..common.arrays import FloatArray
+from ..common.compiled import Row, Rows, loop
 from ._reading import Reading
 
 LEAST = 0.1

@@ -29,7 +29,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import ndimage
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..common.arrays import BoolArray, FloatArray, IntArray
 from ._around import highest_around, sums_around, with_all_neighbours
 from ._bridging import bridge
 from ._later import Later

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import BoolArray, FloatArray
 from ..cell import Cell, Estimator
 from ..circuits import Design, Reason, ValidityRule
+from ..common.arrays import BoolArray, FloatArray
 from ..errors import InputError
 from ._calibration import Calibration
 from ._column_steps import ColumnSteps

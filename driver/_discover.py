@@ -7,9 +7,9 @@ from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-from ..checks import path_text, positive
+from ..common.checks import path_text, positive
+from ..common.text import shown
 from ..errors import InputError, LinkError, OhmskinError
-from ..text import shown
 from ..wire import Family, FramePacket, Identity, Order, board_family, host_protocol
 from ._port import open_port
 from ._port_names import emulated_ports, serial_ports, usb_serial_number

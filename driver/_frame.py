@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import AnyArray, BoolArray, FloatArray
-from ..frozen import frozen
+from ..common.arrays import AnyArray, BoolArray, FloatArray
+from ..common.frozen import frozen
 from ._contacts import Contact
 from ._later import Later
 

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from ..cell import Cell
 from ..circuits import Design
-from ..config import parse
+from ..common.config import parse
 from ..errors import InputError, ProtocolError
 from ..wire import Description, Family, FramePacket, Identity, board_protocol, write_description
 

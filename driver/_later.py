@@ -7,7 +7,7 @@ import weakref
 from collections import deque
 from collections.abc import Callable
 
-from ..arrays import FloatArray
+from ..common.arrays import FloatArray
 
 
 class Later:

@@ -25,9 +25,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
 from ..cell import Cell
-from ..compiled import Rows, loop
+from ..common.arrays import BoolArray, FloatArray
+from ..common.compiled import Rows, loop
 from ..errors import InputError
 from ._reading import Reading
 

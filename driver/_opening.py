@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Literal
 
 from ..cell import ESTIMATORS, Cell
-from ..checks import count, loaded, number, of_kind, positive
 from ..circuits import Design, ValidityRule
-from ..compiled import is_compiling
+from ..common.checks import count, loaded, number, of_kind, positive
+from ..common.compiled import is_compiling
 from ..errors import InputError, OhmskinError, ProtocolError
 from ..wire import Family, HostProtocol, board_family, host_protocol
 from ._calibration import Calibration

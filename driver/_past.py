@@ -16,8 +16,8 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from ..arrays import FloatArray
-from ..config import Finite, parse
+from ..common.arrays import FloatArray
+from ..common.config import Finite, parse
 from ..errors import InputError
 
 MOST_NUMBERS = 2**27

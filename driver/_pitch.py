@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from ..checks import number
+from ..common.checks import number
 from ..errors import InputError
 
 

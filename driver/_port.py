@@ -20,8 +20,8 @@ from urllib.parse import urlsplit
 
 import serial
 
+from ..common.rendezvous import END_OF_TRANSMISSION, announced
 from ..errors import LinkEnded, LinkError
-from ..rendezvous import END_OF_TRANSMISSION, announced
 from ._port_names import EMULATED_HERE, reason_of, refuse_terminal, why_not_opened
 
 BAUDRATE = 1_000_000

@@ -10,8 +10,8 @@ from urllib.parse import unquote, urlsplit
 
 from serial.tools import list_ports
 
+from ..common.rendezvous import announced_ports
 from ..errors import LinkError
-from ..rendezvous import announced_ports
 
 EMULATED_HERE = "ohmskin://"
 """address scheme of a board that is emulated in this process"""

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import BoolArray, FloatArray
 from ..circuits import Design, LiveReading, Reason, adc_error, live_recovery, noise, volts_of_codes
-from ..compiled import Rows, loop
+from ..common.arrays import BoolArray, FloatArray
+from ..common.compiled import Rows, loop
 from ..errors import InputError, ProtocolError, SolverError
 from ._scatter import Scatter
 

@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from ..common.rendezvous import AnnouncedPort, announced
 from ..errors import LinkError
-from ..rendezvous import AnnouncedPort, announced
 from ._port import BytePort, open_port, over
 from ._port_names import (
     EMULATED_HERE,
@@ -33,8 +33,8 @@ class PortFinder:
     touched.
 
     The number of a closed pseudo-terminal goes to the next program that opens one. Under such numbers the finder
-    therefore looks only for emulated boards, at the places that they announce (:mod:`ohmskin.rendezvous`). An emulator
-    that was stopped and started again may be at any number or TCP port: if the board was emulated on this machine,
+    therefore looks only for emulated boards, at the places that they announce (:mod:`ohmskin.common.rendezvous`). An
+    emulator that was stopped and started again may be at any number or TCP port: if the board was emulated on this machine,
     ports that have appeared since include those of emulated boards.
     """
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from ..checks import of_kind
+from ..common.checks import of_kind
 from ..errors import InputError
 from ._recording import Recording
 from ._skin import Skin

@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from .. import __version__
-from ..arrays import FloatArray
-from ..checks import path_text
+from ..common.arrays import FloatArray
+from ..common.checks import path_text
+from ..common.files import Output, check_writable
 from ..errors import InputError, MissingExtra
-from ..files import Output, check_writable
 from ._frame import Frame
 from ._messages import MESSAGE_SCHEMAS, messages_of
 from ._past import Past

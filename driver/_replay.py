@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..cell import Cell
-from ..checks import number
 from ..circuits import Design
-from ..config import LEAST, MOST, parse
+from ..common.arrays import FloatArray
+from ..common.checks import number
+from ..common.config import LEAST, MOST, parse
+from ..common.text import shortened
 from ..errors import InputError, LinkEnded, LinkError, MissingExtra, ProtocolError
-from ..text import shortened
 from ..wire import read_description, write_description
 from ._calibration import Calibration
 from ._past import Past

@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, scatter
+from ..common.arrays import BoolArray, FloatArray, scatter
 from ._around import ACROSS, highest_around, sums_around, with_all_neighbours, with_direct_neighbours
 from ._slow_rises import SlowRises
 

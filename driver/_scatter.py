@@ -40,8 +40,8 @@ import numpy as np
 from scipy.linalg.lapack import dsyev
 from scipy.special import chdtri
 
-from ..arrays import FloatArray, median
-from ..compiled import Rows, loop
+from ..common.arrays import FloatArray, median
+from ..common.compiled import Rows, loop
 
 FORGET = 0.95
 """share of the noise that is still assumed a frame later, once the noise has been seen for long"""

@@ -11,12 +11,12 @@ from time import monotonic
 from types import TracebackType
 from typing import NoReturn, Self
 
-from .. import compiled
 from ..cell import Cell
-from ..checks import count, function, loaded, number, of_kind, path_text, positive
 from ..circuits import Design
+from ..common import compiled
+from ..common.checks import count, function, loaded, number, of_kind, path_text, positive
+from ..common.text import printable
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
-from ..text import printable
 from ..wire import Description, Family, Identity, Order
 from ._calibration import Calibration
 from ._convert import Measurement

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import FloatArray, scatter
+from ..common.arrays import FloatArray, scatter
 
 BLOCK_S, BLOCKS_OF_LONG = 0.08, 5
 """s, length of a short block; number of short blocks in a long one"""

@@ -21,9 +21,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, scatter
 from ..cell import Cell
-from ..compiled import FixedRows, Row, Rows, loop
+from ..common.arrays import BoolArray, FloatArray, scatter
+from ..common.compiled import FixedRows, Row, Rows, loop
 from ._reading import Reading
 
 LOOK_EVERY, LOOK_AT = 8, 3

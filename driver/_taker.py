@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from ..checks import function
+from ..common.checks import function
 from ..errors import LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ._convert import Converter, Measurement
 from ._frame import Frame

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
 from ..cell import Cell, ContactModel, equilibrium_curve
+from ..common.arrays import BoolArray, FloatArray
+from ..common.files import read_bytes, whole_file
+from ..common.text import count_of, printable
 from ..errors import InputError
-from ..files import read_bytes, whole_file
-from ..text import count_of, printable
 
 SPREAD = 0.3
 """default relative deviation of a cell from the other cells that manufacturing tolerances explain; the project's own

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
+from ..common.arrays import BoolArray, FloatArray
 from ._around import highest_around, with_all_neighbours
 from ._watershed import Segments
 

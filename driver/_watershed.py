@@ -12,9 +12,9 @@ import math
 import numpy as np
 from scipy import ndimage
 
-from .. import compiled
-from ..arrays import BoolArray, FloatArray, IntArray
-from ..compiled import Flags, Places, Row, loop
+from ..common import compiled
+from ..common.arrays import BoolArray, FloatArray, IntArray
+from ..common.compiled import Flags, Places, Row, loop
 from ._around import highest_around, with_all_neighbours
 
 PART_SHARE, STAY_SHARE = 0.3, 0.15

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import AnyArray, FloatArray
+from ..common.arrays import AnyArray, FloatArray
+from ..common.files import size
 from ..errors import InputError
-from ..files import size
 
 MOST_BYTES = 4 << 30
 """size limit of an archive in memory: 1 h of 16 x 16 cells at 100 Hz takes 2.2 GB per quantity in a truth file"""

@@ -8,8 +8,8 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from ..arrays import FloatArray, IntArray
-from ..config import Finite
+from ..common.arrays import FloatArray, IntArray
+from ..common.config import Finite
 from ..errors import InputError
 from ._loads import Load, Seconds, within_period
 from ._shapes import Bump, Coordinate, Disc, Image, Point, Rectangle, Shape

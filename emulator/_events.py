@@ -12,9 +12,9 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from ..arrays import BoolArray, FloatArray
 from ..circuits import Design, Fault
-from ..config import NotNegative, Section
+from ..common.arrays import BoolArray, FloatArray
+from ..common.config import NotNegative, Section
 
 EventKind = Literal[
     "open-cell",

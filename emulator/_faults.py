@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import BoolArray
+from ..common.arrays import BoolArray
 from ._line_settings import BYTE_FAULTS, PACKET_FAULTS, LineSettings, LinkFault
 
 Bytes = NDArray[np.uint8]

@@ -7,7 +7,7 @@ import threading
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arrays import FloatArray
+from ..common.arrays import FloatArray
 from ..errors import InputError, LinkTimeout
 
 

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
-from ..arrays import FloatArray
-from ..config import Finite, NotNegative, Section
+from ..common.arrays import FloatArray
+from ..common.config import Finite, NotNegative, Section
+from ..common.tables import read_columns
 from ..errors import InputError
-from ..tables import read_columns
 
 Seconds = Annotated[float, Field(ge=1e-6, le=1e9)]
 LoadPoint = Annotated[tuple[Finite, NotNegative], Field(strict=False)]

@@ -9,10 +9,10 @@ from typing import Literal
 import numpy as np
 from pydantic import PrivateAttr
 
-from ..arrays import AnyArray, FloatArray
-from ..config import Section
+from ..common.arrays import AnyArray, FloatArray
+from ..common.config import Section
+from ..common.tables import read_columns
 from ..errors import InputError
-from ..tables import read_columns
 from ._archive import numbers, read_arrays
 from ._loads import Seconds, within_period
 

@@ -20,8 +20,8 @@ from typing import Self, cast
 
 from serial.rfc2217 import PortManager, Serial
 
+from ..common.rendezvous import END_OF_TRANSMISSION, Announcement
 from ..errors import InputError, LinkError
-from ..rendezvous import END_OF_TRANSMISSION, Announcement
 from ._link_name import LinkName
 
 READ_AT_ONCE = 4096

@@ -19,7 +19,7 @@ from contextlib import contextmanager, nullcontext
 from math import inf
 from pathlib import Path
 
-from ..checks import positive
+from ..common.checks import positive
 from ..wire import BoardProtocol, board_protocol
 from ._device import Device
 from ._hand import Hand

@@ -10,10 +10,10 @@ from typing import Annotated, Any, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from ..arrays import FloatArray, IntArray
 from ..cell import Cell, drifted_rest_resistance
 from ..circuits import Design
-from ..config import Finite, NotNegative, Positive, Section, parse, read_toml
+from ..common.arrays import FloatArray, IntArray
+from ..common.config import Finite, NotNegative, Positive, Section, parse, read_toml
 from ..errors import InputError
 from ._contacts import Contact
 from ._events import Event, check_events

@@ -25,7 +25,7 @@ import numpy as np
 from scipy.ndimage import center_of_mass, label
 from scipy.optimize import linear_sum_assignment
 
-from ..arrays import AnyArray, BoolArray, FloatArray, IntArray
+from ..common.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from ..errors import InputError
 from ._archive import numbers, read_arrays
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
 from ..circuits import Design, adc_codes, apparent_resistance, clipped, ideal_volts, scan, volts_of_codes
+from ..common.arrays import BoolArray, FloatArray
 from ..wire import LineState
 
 SHORT_OHM = 1000.0

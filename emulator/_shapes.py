@@ -17,11 +17,11 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy.special import erf
 
-from ..arrays import FloatArray
-from ..config import Section
+from ..common.arrays import FloatArray
+from ..common.config import Section
+from ..common.files import read_bytes
+from ..common.tables import read_matrix
 from ..errors import InputError, MissingExtra
-from ..files import read_bytes
-from ..tables import read_matrix
 
 Length = Annotated[float, Field(ge=1e-3, le=1e6)]
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]

@@ -15,8 +15,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..arrays import CodeArray, FloatArray, IntArray
 from ..circuits import Design, adc_codes, interpolates, scan_sequence
+from ..common.arrays import CodeArray, FloatArray, IntArray
 from ._scene import Scene
 from ._spread import Spreading
 

@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.ndimage import convolve
 
-from ..arrays import FloatArray, IntArray
+from ..common.arrays import FloatArray, IntArray
 
 _REACH = 4  # cells on each side
 _POINTS = 16  # Gauss-Legendre points along a cell's side

@@ -17,8 +17,8 @@ from typing import IO, Self
 
 import numpy as np
 
+from ..common.files import whole_file
 from ..errors import InputError
-from ..files import whole_file
 from ._skin import Sample
 
 SPOOL_SUFFIX = ".spool.npy"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..common.arrays import FloatArray
 from ..driver import Frame, Skin
 from ..errors import LinkTimeout
 from ._board import BoardInService, TargetMissing

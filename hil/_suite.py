@@ -5,8 +5,8 @@ from __future__ import annotations
 import importlib.resources
 from pathlib import Path
 
+from ..common.files import make_folder, write_together
 from ..errors import InputError
-from ..files import make_folder, write_together
 
 # The files are stored under names that pytest does not collect.
 FILES = {"cases.py": "test_skin.py", "scene.toml": "scene.toml", "settings.ini": "pytest.ini"}

@@ -189,7 +189,7 @@ def _calibration(skin: Skin) -> str:
     """A hash of what turns resistance into pressure: the cell's data, calibration and tare. Empty without a cell."""
     if skin.cell is None:
         return ""
-    from ..config import fingerprint
+    from ..common.config import fingerprint
 
     parts: dict[str, object] = {"cell": fingerprint(skin.cell)}
     if skin.calibration is not None:

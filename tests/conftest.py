@@ -13,7 +13,7 @@ import pytest
 import together
 from hypothesis import settings
 
-from ohmskin import compiled
+from ohmskin.common import compiled
 from ohmskin.driver import Skin, discover
 from ohmskin.verification import _chain, _report
 

@@ -7,12 +7,12 @@ from math import inf
 import numpy as np
 import pytest
 
-from ohmskin import compiled
 from ohmskin.bench._live_streams import FAMILIES, draw_design
 from ohmskin.circuits.recovery._amplified import AmplifiedLive
 from ohmskin.circuits.recovery._amplified_limits import CellsAtLimits
 from ohmskin.circuits.recovery._amplified_prices import AmplifiedPrices
 from ohmskin.circuits.recovery._frame_account import Account
+from ohmskin.common import compiled
 from ohmskin.driver import CountReader
 
 BOARDS, FRAMES = 60, 6

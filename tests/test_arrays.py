@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from ohmskin.arrays import FloatArray, columns, median, spaced, spaced_columns, whole
+from ohmskin.common.arrays import FloatArray, columns, median, spaced, spaced_columns, whole
 
 
 @given(arrays(np.float64, array_shapes(max_dims=2, max_side=20), elements=st.floats(-1e150, 1e150)))

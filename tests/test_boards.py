@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ohmskin.cell import Cell
 from ohmskin.circuits import Design, adc_codes
-from ohmskin.config import parse
+from ohmskin.common.config import parse
 from ohmskin.driver import Skin
 from ohmskin.emulator import PtyPort, running
 from ohmskin.errors import InputError

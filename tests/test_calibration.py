@@ -16,15 +16,15 @@ from boards import DESIGN, EXAMPLES, Wire, scene
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ohmskin.arrays import FloatArray
 from ohmskin.calibration import Plan, Press, PressRefused, Progress, Watch, align, calibrate_cells
 from ohmskin.cell import Cell
 from ohmskin.cli import run
-from ohmskin.config import fingerprint, write_toml
+from ohmskin.common.arrays import FloatArray
+from ohmskin.common.config import fingerprint, write_toml
+from ohmskin.common.tables import write_columns
 from ohmskin.driver import Calibration, Skin
 from ohmskin.emulator import Board, Scene
 from ohmskin.errors import InputError
-from ohmskin.tables import write_columns
 
 CELL = Cell.example()
 SHAPE = (2, 3)

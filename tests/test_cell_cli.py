@@ -9,7 +9,7 @@ import pytest
 from ohmskin.cell import Cell, ContactModel
 from ohmskin.cell.identification import _protocol as protocol
 from ohmskin.cli import run
-from ohmskin.tables import read_columns, write_columns
+from ohmskin.common.tables import read_columns, write_columns
 
 FULL = 15.5
 

@@ -18,13 +18,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ohmskin import compiled
-from ohmskin.arrays import FloatArray
 from ohmskin.cell import AsymmetricModel, Cell, ContactModel, Estimator, M10Model
 from ohmskin.cell.inversions import _doubts as doubts
 from ohmskin.cell.inversions import _limits as limits
 from ohmskin.cell.inversions._inverse import AsymmetricInversion
-from ohmskin.compiled import SWITCH
+from ohmskin.common import compiled
+from ohmskin.common.arrays import FloatArray
+from ohmskin.common.compiled import SWITCH
 
 DT_S = 0.005
 EXAMPLE = Cell.example()

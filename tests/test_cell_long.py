@@ -13,7 +13,7 @@ from needs import need
 from ohmskin.cell import AsymmetricModel, Cell, ContactModel, PaperModel, estimate_recording
 from ohmskin.cell._cell import Calibrated
 from ohmskin.cell.inversions._learned import Limits, Seen, StaticCurve
-from ohmskin.compiled import why_not
+from ohmskin.common.compiled import why_not
 
 
 def _unknown() -> Cell:

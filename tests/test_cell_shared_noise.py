@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from needs import need
 
-from ohmskin.arrays import FloatArray
 from ohmskin.bench.boards import design
 from ohmskin.cell import Cell, Estimator
 from ohmskin.cell.estimation._noise import NoiseMeter
 from ohmskin.cell.estimation._shared_noise import LEAST_CELLS, LOOPS, SharedNoise
 from ohmskin.circuits import adc_codes, scan
-from ohmskin.compiled import load as load_loops
+from ohmskin.common.arrays import FloatArray
+from ohmskin.common.compiled import load as load_loops
 from ohmskin.driver import CountReader
 
 CELL = Cell.example()

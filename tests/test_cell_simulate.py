@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ohmskin import compiled
 from ohmskin.cell.inversions._features import Bank
 from ohmskin.cell.materials import _simulate as simulate
+from ohmskin.common import compiled
 
 
 @settings(deadline=None)  # the first example waits for the compiler

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from ohmskin import compiled
 from ohmskin.cell.estimation import _smoothing as smoothing
 from ohmskin.cell.estimation._noise import NoiseMeter, average, std_at_rest
 from ohmskin.cell.materials._simulate import step_noise, white_noise
+from ohmskin.common import compiled
 
 NOISE = 0.005
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from test_cell_compiled import CELLS, DT_S
 
-from ohmskin import compiled
-from ohmskin.arrays import spaced
 from ohmskin.cell import Cell
 from ohmskin.cell.estimation._loops import copy
 from ohmskin.cell.estimation._remembered import Remembered
 from ohmskin.cell.estimation._rows import PRESSURE
 from ohmskin.cell.estimation._smoothing import begin
 from ohmskin.cell.estimation._taps import EVEN, LEAST_LINE, SEEN, WHOLE, Taps
+from ohmskin.common import compiled
+from ohmskin.common.arrays import spaced
 
 SHAPE = (12, 10)
 NEEDS_LOOPS = pytest.mark.skipif(compiled.why_not() is not None, reason="the extra 'fast' is not in use")

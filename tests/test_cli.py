@@ -218,7 +218,7 @@ def _broken(*args: object, **kwargs: object) -> None:
 def test_a_defect_is_one_line_with_an_exit_code_of_its_own(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ohmskin.tables.read_cells", _broken)
+    monkeypatch.setattr("ohmskin.common.tables.read_cells", _broken)
     scanning = ["scan", "design.toml", "--cells", "cells.csv"]
     assert run(scanning) == 70
     message = capsys.readouterr().err

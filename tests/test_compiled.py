@@ -17,8 +17,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ohmskin import compiled
-from ohmskin.compiled import FixedRow, Flags, Row, Rows, loop
+from ohmskin.common import compiled
+from ohmskin.common.compiled import FixedRow, Flags, Row, Rows, loop
 
 ENOUGH = 2.5
 NAMES = ["a", "list"]
@@ -237,7 +237,7 @@ def test_importing_the_package_does_not_import_the_compiler() -> None:
 
 
 USE = """
-    from ohmskin import compiled
+    from ohmskin.common import compiled
     from some_loops import doubled
     code = doubled.machine_code()
     print(code and code(4.0), doubled.failure, compiled.why_not())
@@ -249,7 +249,9 @@ def some_loops(tmp_path: Path) -> Path:
     """A module of loops in a folder of its own."""
     folder = tmp_path / "modules"
     folder.mkdir()
-    text = "from ohmskin.compiled import loop\nK = 2.0\n@loop\ndef doubled(x: float) -> float:\n    return K * x\n"
+    text = (
+        "from ohmskin.common.compiled import loop\nK = 2.0\n@loop\ndef doubled(x: float) -> float:\n    return K * x\n"
+    )
     (folder / "some_loops.py").write_text(text)
     return folder
 
@@ -274,7 +276,7 @@ LOADING = """
     import logging, sys
     sys.path.insert(0, {folder!r})
     {log}
-    from ohmskin import compiled
+    from ohmskin.common import compiled
     import some_loops
     print(compiled.load())
 """

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ohmskin import compiled
 from ohmskin.cli import run
+from ohmskin.common import compiled
 from ohmskin.doctor import (
     State,
     System,

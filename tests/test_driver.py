@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from ohmskin.cell import Cell
 from ohmskin.circuits import Design, adc_codes, apparent_resistance, ideal_volts, scan
-from ohmskin.config import parse
+from ohmskin.common.config import parse
 from ohmskin.driver import CountReader, Frame, Reading
 from ohmskin.emulator import Board, Line, Sample
 from ohmskin.emulator._scene import LineSettings

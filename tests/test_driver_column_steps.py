@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from needs import need
 
-from ohmskin.arrays import FloatArray
 from ohmskin.bench._driver import design
 from ohmskin.cell import Cell
 from ohmskin.circuits import Design, adc_codes, scan
-from ohmskin.compiled import why_not
+from ohmskin.common.arrays import FloatArray
+from ohmskin.common.compiled import why_not
 from ohmskin.driver import CountReader, Reading
 from ohmskin.driver._column_steps import ColumnSteps
 from ohmskin.driver._systematic import SystematicError

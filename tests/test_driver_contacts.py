@@ -14,7 +14,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from needs import need
 
-from ohmskin.arrays import FloatArray
+from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import Contact, ContactTracker
 from ohmskin.driver import _watershed as watershed
 from ohmskin.driver._contacts import JOIN_SHARE, STAY_SHARE

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ohmskin.arrays import FloatArray
 from ohmskin.bench import _fingers as played
 from ohmskin.bench import _taps as bench
 from ohmskin.bench._driver import design
+from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import Contact, ContactTracker, Skin
 from ohmskin.driver._bridging import bridge
 from ohmskin.driver._contacts import DRIFT_PER_S, MISSING_S, START_SHARE, ContactsOfFrames, PressureView

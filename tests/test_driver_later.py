@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from boards import DESIGN, Wire, lossless, scene
 
-from ohmskin.arrays import FloatArray
+from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import Frame
 from ohmskin.driver._convert import SMALL_AFTER
 from ohmskin.driver._later import Later

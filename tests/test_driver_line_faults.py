@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ohmskin.arrays import BoolArray, FloatArray
 from ohmskin.cell import Cell
 from ohmskin.circuits import Design, Reason, adc_codes, recover, scan, scan_batch
+from ohmskin.common.arrays import BoolArray, FloatArray
 from ohmskin.driver import CountReader, Recorder, Skin
 from ohmskin.driver import _line_faults as line_faults
 from ohmskin.driver._line_faults import EVERY_S, Creep, LineFaults

@@ -26,7 +26,7 @@ from hypothesis import strategies as st
 
 from ohmskin.cell import Cell
 from ohmskin.circuits import Design
-from ohmskin.config import parse
+from ohmskin.common.config import parse
 from ohmskin.driver import Arrival, BytePort, Delivery, Frame, Skin, discover
 from ohmskin.driver._convert import Converter, Measurement
 from ohmskin.driver._discover import FoundBoard, find_board
@@ -1010,7 +1010,7 @@ class TestBoards:
         """As a finite emulation does on a busy machine: no traceback of the operating system comes before."""
         port = tmp_path / "skin"
         port.touch()
-        monkeypatch.setattr("ohmskin.compiled.load", port.unlink)
+        monkeypatch.setattr("ohmskin.common.compiled.load", port.unlink)
         said = "the port has gone in the 0 s in which machine code was prepared, which is kept for the next time"
         with pytest.raises(LinkError, match=said) as caught:
             Skin.open(port)

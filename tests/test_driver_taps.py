@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ohmskin import compiled
-from ohmskin.arrays import FloatArray
 from ohmskin.bench import _taps as bench
 from ohmskin.bench._driver import design
 from ohmskin.cell import Cell, ContactModel
 from ohmskin.cell.estimation._taps import SHARED
 from ohmskin.cli import run
+from ohmskin.common import compiled
+from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import ContactTracker
 
 EXAMPLE = Cell.example()

@@ -22,7 +22,7 @@ from ohmskin.bench._driver import design
 from ohmskin.bench._paced_port import PacedPort, frame_packets
 from ohmskin.cell import Cell, ContactModel, M10Model
 from ohmskin.circuits import Design, adc_codes, scan
-from ohmskin.config import parse
+from ohmskin.common.config import parse
 from ohmskin.driver import Skin, Tare
 from ohmskin.driver._tare import EarlierRest, RestReadings
 from ohmskin.emulator import Board

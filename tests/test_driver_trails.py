@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ohmskin.arrays import FloatArray
 from ohmskin.bench import _fingers as played
+from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import Contact, ContactTracker
 
 PITCH_MM, FULL_KPA, SHAPE = 4.0, 20.0, (16, 16)

@@ -8,7 +8,7 @@ from boards import DESIGN, scene
 
 from ohmskin.cell import Cell
 from ohmskin.circuits import Design, adc_codes, scan
-from ohmskin.config import parse
+from ohmskin.common.config import parse
 from ohmskin.emulator import Board, Line, Sample, Scene
 from ohmskin.emulator._scene import LineSettings
 from ohmskin.wire import (

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from ohmskin.config import read_toml, write_toml
+from ohmskin.common.config import read_toml, write_toml
+from ohmskin.common.files import check_writable, read_bytes, whole_file, write_together
+from ohmskin.common.tables import read_cells, read_columns, write_text
+from ohmskin.common.text import one_line, printable
 from ohmskin.errors import InputError, LinkError
-from ohmskin.files import check_writable, read_bytes, whole_file, write_together
-from ohmskin.tables import read_cells, read_columns, write_text
-from ohmskin.text import one_line, printable
 
 SCANNING = [sys.executable, "-m", "ohmskin", "scan", "design.toml", "--cells", "cells.csv", "-o"]
 
@@ -141,7 +141,7 @@ def test_endless_input_is_refused(device: str) -> None:
 
 
 def test_endless_lines_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ohmskin.tables.MOST_RECORDING_BYTES", 10_000)
+    monkeypatch.setattr("ohmskin.common.tables.MOST_RECORDING_BYTES", 10_000)
     file = tmp_path / "long.csv"
     file.write_text("time_s\n" + "1\n" * 4_990)
     assert read_columns(file, ("time_s",))["time_s"].sum() == 4_990
@@ -171,7 +171,7 @@ def test_written_toml_reads_back(tmp_path: Path) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_leaves_no_partial_file(number: int, tmp_path: Path) -> None:
     code = (
-        "import signal, time; from ohmskin import _signals; from ohmskin.files import whole_file\n"
+        "import signal, time; from ohmskin.common import _signals; from ohmskin.common.files import whole_file\n"
         "signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup, under which tests may run, has it ignored\n"
         "_signals.leave_at_once(); _signals.raise_from_now_on()\n"
         "with whole_file('out') as file:\n"

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ohmskin import compiled
-from ohmskin.arrays import FloatArray
 from ohmskin.circuits.solvers import FrameTransfer, Lines, Wires, attenuate, exact_transfer, port_conductances
 from ohmskin.circuits.solvers._attenuation import by_ladders
+from ohmskin.common import compiled
+from ohmskin.common.arrays import FloatArray
 
 CLOSE = 1e-11
 CLOSE_IN_SINGLE = 1e-6

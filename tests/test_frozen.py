@@ -9,7 +9,7 @@ from dataclasses import FrozenInstanceError, dataclass, field, fields, replace
 
 import pytest
 
-from ohmskin.frozen import frozen
+from ohmskin.common.frozen import frozen
 
 
 @dataclass(frozen=True, slots=True)

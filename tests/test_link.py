@@ -349,7 +349,7 @@ def test_what_is_wrong_with_an_opening_is_told_before_anything_is_compiled(
 ) -> None:
     """A compiler that takes ten seconds must not keep whoever mistyped a name waiting."""
     asked: list[object] = []
-    monkeypatch.setattr("ohmskin.compiled.load", lambda *loops: asked.append(loops))
+    monkeypatch.setattr("ohmskin.common.compiled.load", lambda *loops: asked.append(loops))
     with PtyPort() as port, pytest.raises((LinkError, InputError), match=re.escape(message)) as caught:
         Skin.open(**{"port": port.name, **options})
     assert "\n" not in str(caught.value)

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ohmskin.arrays import FloatArray
 from ohmskin.bench import _live_hunt
 from ohmskin.circuits import Design, Reason, adc_codes, scan
 from ohmskin.circuits.recovery import _amplified_leads, _heavy_leads
@@ -22,6 +21,7 @@ from ohmskin.circuits.recovery._amplified_prices import AmplifiedPrices
 from ohmskin.circuits.recovery._frame_account import Account
 from ohmskin.circuits.recovery._heavy_leads import LeadFit, invert_leads
 from ohmskin.circuits.solvers import FrameTransfer, Lines, exact_transfer
+from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import CountReader
 
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ohmskin.arrays import FloatArray
 from ohmskin.circuits import Design, Reason, adc_codes, scan
 from ohmskin.circuits._exact import read_exactly
 from ohmskin.circuits.recovery._coupled_board import CoupledBoard
+from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import CountReader, Reading
 
 BOARDS = {

@@ -9,7 +9,6 @@ from typing import Any, get_type_hints
 import numpy as np
 import pytest
 
-from ohmskin import compiled
 from ohmskin.bench import _driver as bench
 from ohmskin.bench import _live_streams
 from ohmskin.cell import Cell
@@ -23,7 +22,8 @@ from ohmskin.circuits.recovery._frame_account import Account
 from ohmskin.circuits.recovery._frame_budget import FIRST_EFFORT, Budget
 from ohmskin.circuits.recovery._heavy_leads import MOST_IN_DOUBLE
 from ohmskin.circuits.recovery._linearised import Linearised
-from ohmskin.compiled import Loop
+from ohmskin.common import compiled
+from ohmskin.common.compiled import Loop
 from ohmskin.driver import CountReader
 from ohmskin.driver._reading import Reading
 from ohmskin.driver._systematic import SystematicError

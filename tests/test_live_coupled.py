@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ohmskin.arrays import FloatArray
 from ohmskin.bench import _live_hunt, _live_streams
 from ohmskin.circuits import Design, Reason, adc_codes, scan, sensitivity
 from ohmskin.circuits._sensitivity import basis_drops
@@ -35,6 +34,7 @@ from ohmskin.circuits.recovery._lines import LineResistance
 from ohmskin.circuits.recovery._node_blocks import NodeBlocks
 from ohmskin.circuits.recovery._quick_model import QuickModel
 from ohmskin.circuits.solvers import port_conductances
+from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import CountReader
 from ohmskin.errors import InputError
 

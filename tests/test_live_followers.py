@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ohmskin import compiled
-from ohmskin.arrays import FloatArray
 from ohmskin.bench import _live_hunt, _live_streams
 from ohmskin.circuits import Design, adc_codes, scan
 from ohmskin.circuits.recovery import _quick_model
 from ohmskin.circuits.recovery._follower_law import FollowerLaw, enclose
+from ohmskin.common import compiled
+from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import CountReader
 
 

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from needs import need
 
-from ohmskin.arrays import FloatArray
 from ohmskin.bench.boards import design
 from ohmskin.cell import Cell, M10Model
 from ohmskin.cell.estimation import _shared_steps
 from ohmskin.circuits import Design, adc_codes, scan_batch
-from ohmskin.compiled import load as load_loops
+from ohmskin.common.arrays import FloatArray
+from ohmskin.common.compiled import load as load_loops
 from ohmskin.driver import CountReader, Skin
 from ohmskin.driver._systematic import SystematicError
 from ohmskin.errors import LinkEnded

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from ohmskin.arrays import FloatArray
 from ohmskin.bench import _live_streams
 from ohmskin.circuits import Design, adc_codes, scan
 from ohmskin.circuits.recovery._column_scales import ColumnScales
@@ -17,6 +16,7 @@ from ohmskin.circuits.recovery._coupled_board import CoupledBoard
 from ohmskin.circuits.recovery._frame_account import Account
 from ohmskin.circuits.recovery._frame_budget import FIRST_EFFORT, Budget
 from ohmskin.circuits.recovery._linearised import Linearised
+from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import CountReader, Reading
 
 

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ohmskin.arrays import FloatArray
 from ohmskin.bench import _live_hunt
 from ohmskin.bench._live_streams import stream
 from ohmskin.circuits import Design, Reason, adc_codes, scan
+from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import CountReader
 
 KINDS = {

@@ -11,7 +11,7 @@ from parts_at_random import real_design
 
 from ohmskin.bench._reference import reference_volts
 from ohmskin.circuits import CIRCUITS, Design, apparent_resistance, scan
-from ohmskin.config import parse
+from ohmskin.common.config import parse
 from ohmskin.errors import InputError, SolverError
 
 

@@ -20,7 +20,7 @@ from boards import Script, Wire, gone, scene
 
 from ohmskin.cell import Estimator
 from ohmskin.cli import run
-from ohmskin.config import fingerprint
+from ohmskin.common.config import fingerprint
 from ohmskin.driver import Calibration, Frame, Recorder, ReplayPort, Skin, to_xarray
 from ohmskin.emulator import Board, PtyPort, running
 from ohmskin.errors import InputError, LinkEnded, ProtocolError

@@ -23,10 +23,10 @@ import pytest
 from boards import EXAMPLES, frame, identity, scene, sheet, until
 
 from ohmskin.circuits import Design
+from ohmskin.common.rendezvous import Announcement, announced, announced_ports
 from ohmskin.driver import Skin, discover
 from ohmskin.emulator import Port, PtyPort, Rfc2217Port, Scene, TcpPort, running
 from ohmskin.errors import LinkEnded, LinkError, ProtocolError
-from ohmskin.rendezvous import Announcement, announced, announced_ports
 from ohmskin.wire import FramePacket, board_protocol
 
 FINGERS, PROTOTYPE = EXAMPLES / "fingers.toml", EXAMPLES / "prototype.toml"

@@ -14,7 +14,7 @@ from verified import AMPLIFIED, complete, outcomes_of
 from ohmskin.cell import Cell, ContactModel
 from ohmskin.circuits import Adc, Array, Design, Requirement, apparent_resistance, scan
 from ohmskin.cli import run
-from ohmskin.config import parse, read_toml
+from ohmskin.common.config import parse, read_toml
 from ohmskin.errors import InputError
 from ohmskin.verification import default_requirements, load_requirements, verify
 from ohmskin.verification._outcome import Outcome

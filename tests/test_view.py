@@ -29,8 +29,8 @@ from playwright.sync_api import Browser, expect, sync_playwright
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from ohmskin.arrays import FloatArray
 from ohmskin.bench._view import measured_page, table
+from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import Frame, Skin
 from ohmskin.emulator import Board, Hand, PtyPort, Scene, running
 from ohmskin.errors import InputError, MissingExtra

@@ -12,9 +12,9 @@ from functools import cached_property
 
 import numpy as np
 
-from .. import plots
-from ..arrays import BoolArray, FloatArray
 from ..circuits import Design, Recoverer, Requirement, Status, adc_codes, apparent_resistance, noise, scan, scan_batch
+from ..common import plots
+from ..common.arrays import BoolArray, FloatArray
 from ..driver import CountReader
 from ..emulator import Contact, Rectangle
 from ..errors import InputError, SolverError

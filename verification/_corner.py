@@ -26,8 +26,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, IntArray
 from ..circuits import Boards, Design, Sensitivity, apparent_resistance, scan, scan_population, sensitivity
+from ..common.arrays import BoolArray, FloatArray, IntArray
 from ._parameters import SECTION, Factors, Population
 
 LEAST_SOLVED, MOST_UNKNOWNS = 64, 256 * 256

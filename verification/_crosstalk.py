@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .. import plots
-from ..arrays import BoolArray, FloatArray
 from ..circuits import Array, Design, ideal_volts, scan, spice
+from ..common import plots
+from ..common.arrays import BoolArray, FloatArray
 from ..emulator import spread
 from ..errors import MissingExtra
 from ._maps import heat_maps

@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from .. import plots
-from ..arrays import FloatArray
 from ..cell import equilibrium_curve
 from ..circuits import (
     Boards,
@@ -23,6 +21,8 @@ from ..circuits import (
     scan_population,
     stability,
 )
+from ..common import plots
+from ..common.arrays import FloatArray
 from ..errors import InputError, SolverError
 from ._outcome import DoesNotApply, Figure, Measurement, NotRun
 from ._subject import Subject

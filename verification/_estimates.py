@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from .. import plots
-from ..arrays import FloatArray
 from ..cell import Cell, estimate_recording
+from ..common import plots
+from ..common.arrays import FloatArray
 from ._outcome import Table
 from ._subject import Subject
 

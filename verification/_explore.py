@@ -22,12 +22,12 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from .. import plots
-from ..arrays import BoolArray
 from ..cell import Percolation
 from ..circuits import Design, Requirement
+from ..common import plots
+from ..common.arrays import BoolArray
+from ..common.progress import Progress, silent
 from ..errors import InputError, SolverError
-from ..progress import Progress, silent
 from ._corner import worst_case
 from ._dynamic import largest_settling_error, pressure_resolution
 from ._link import lost_frames

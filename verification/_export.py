@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from ..common.files import whole_file
+from ..common.tables import write_columns
 from ..errors import InputError, MissingExtra
-from ..files import whole_file
-from ..tables import write_columns
 from ._outcome import Result
 
 

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import plots
 from ..circuits import adc_codes
+from ..common import plots
 from ..driver import Skin
 from ..emulator import BoardSettings, Contact, PtyPort, Rectangle, Scene, SkinSettings
 from ..emulator.firmware import (

@@ -14,8 +14,8 @@ from itertools import islice
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..circuits import Requirement, adc_codes, apparent_resistance, clipped, scan, volts_of_codes
+from ..common.arrays import FloatArray
 from ..driver import Frame, Skin
 from ..emulator import BoardSettings, PtyPort, Scene, SkinSettings, Stop
 from ..emulator.firmware import AVR8JS, check_scene, emulate_firmware

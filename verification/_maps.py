@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from .. import plots
-from ..arrays import BoolArray, FloatArray
+from ..common import plots
+from ..common.arrays import BoolArray, FloatArray
 
 NUMBERED_CELL_IN, CELL_IN = 0.42, 0.2
 """side of a cell of a :func:`value_map`, with room for a number or without"""

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import signal
 
-from .. import plots
-from ..arrays import FloatArray
 from ..bench import NOISE
 from ..cell import Cell, ContactModel, PaperModel, recovery_branches
+from ..common import plots
+from ..common.arrays import FloatArray
 from ..errors import InputError
 from ._chain import one_cell_read
 from ._estimates import EDGE_S, STEP_KPA, draw, errors, estimate, pressed, respond, rmse, side_by_side

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from .. import plots
-from ..arrays import FloatArray
 from ..cell import Percolation
 from ..circuits import Design, adc_codes, clipped, noise, scan
+from ..common import plots
+from ..common.arrays import FloatArray
 from ..errors import InputError
 from ._estimates import STEP_KPA, errors, pressed, respond, side_by_side
 from ._outcome import Check, Figure, Finding, Table, does_not_apply

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import beta
 
-from ..arrays import BoolArray, FloatArray
 from ..circuits import apparent_resistance, scan_population
+from ..common.arrays import BoolArray, FloatArray
 from ._corner import Box
 
 BLOCK = 100

@@ -18,8 +18,8 @@ from math import erf, sqrt
 import numpy as np
 from scipy.special import erfinv
 
-from ..arrays import FloatArray
 from ..circuits import Boards, Design, Spread
+from ..common.arrays import FloatArray
 from ._units import UNITS, engineering
 
 SECTION = {

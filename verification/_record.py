@@ -9,9 +9,9 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from ..config import describe
+from ..common.config import describe
+from ..common.files import read_text
 from ..errors import InputError
-from ..files import read_text
 
 SCHEMA_VERSION = 2
 

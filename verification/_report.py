@@ -17,12 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from .. import __version__, plots
+from .. import __version__
 from ..circuits import AmplifierModel, Design, spice
-from ..config import fingerprint
+from ..common import plots
+from ..common.config import fingerprint
+from ..common.files import make_folder, write_together
+from ..common.text import printable
 from ..errors import MissingExtra, OhmskinError
-from ..files import make_folder, write_together
-from ..text import printable
 from ._budget import error_budget
 from ._catalogue import CATALOGUE
 from ._explore import may_be_mended

@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import Field
 
 from ..circuits import Design, Requirement
-from ..config import Section, load
+from ..common.config import Section, load
 from ..errors import InputError, OhmskinError
 from ._catalogue import CATALOGUE, HARDWARE, SAMPLED, SPICE, quantity_of
 from ._hardware import measured_on_board

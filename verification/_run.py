@@ -22,16 +22,16 @@ import numpy as np
 from pydantic import BaseModel, TypeAdapter
 
 from .. import __version__
-from ..arrays import FloatArray
 from ..cell import Cell
 from ..circuits import Design, Requirement
-from ..config import fingerprint
+from ..common.arrays import FloatArray
+from ..common.config import fingerprint
+from ..common.files import make_folder, read_text
+from ..common.progress import Progress, silent
+from ..common.tables import write_text
+from ..common.workers import in_processes
 from ..driver import Skin
 from ..errors import InputError, OhmskinError
-from ..files import make_folder, read_text
-from ..progress import Progress, silent
-from ..tables import write_text
-from ..workers import in_processes
 from ._catalogue import HARDWARE, SAMPLED
 from ._claims import APPENDICES, STATEMENTS, Statement
 from ._hardware import twins

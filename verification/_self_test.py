@@ -11,8 +11,8 @@ from collections import Counter
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..circuits import Design, Fault, Requirement, scan, sensitivity
+from ..common.arrays import FloatArray
 from ..errors import InputError, SolverError
 from ._corner import part_derivatives
 from ._outcome import Measurement, NotRun, Table

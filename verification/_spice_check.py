@@ -12,8 +12,8 @@ from math import inf, isfinite, nan
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..circuits import Design, Requirement, Settling, noise, scan, spice, stability
+from ..common.arrays import FloatArray
 from ..errors import InputError, MissingExtra, SolverError
 from ._dynamic import frames_of, rate_of
 from ._outcome import DoesNotApply, Measurement, NotRun, Table

@@ -7,8 +7,8 @@ from math import inf
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..circuits import Boards, Design, Requirement, apparent_resistance, scan_population
+from ..common.arrays import FloatArray
 from ..errors import InputError
 from ._corner import Box, Crosstalk, GainError, ReadingError, Target, WorstCase, named_corners, worst_case
 from ._maps import value_map

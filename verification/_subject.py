@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..bench import noisy
 from ..cell import Cell, ContactModel, PaperModel, calibrate, checked_recording, protocol_load, sensitivity
 from ..circuits import Design
+from ..common.arrays import FloatArray
 from ._parameters import NOMINAL_K, Factors
 
 SAMPLES = 1000

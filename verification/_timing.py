@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .. import plots
 from ..circuits import Settling, noise, scan, stability
+from ..common import plots
 from ..errors import InputError, SolverError
 from ._outcome import Check, Figure, Finding, Table
 from ._subject import Subject

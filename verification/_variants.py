@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..circuits import (
     Design,
     adc_codes,
@@ -14,6 +13,7 @@ from ..circuits import (
     scan,
     volts_of_codes,
 )
+from ..common.arrays import FloatArray
 
 
 def replaced(design: Design, section: str, **values: Any) -> Design:

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import plots
-from ..arrays import BoolArray, FloatArray
 from ..circuits import adc_codes
+from ..common import plots
+from ..common.arrays import BoolArray, FloatArray
 from ..driver import Frame, Skin
 from ..emulator import BoardSettings, Contact, PtyPort, Rectangle, Scene, SkinSettings, running
 from ..errors import InputError

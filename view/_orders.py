@@ -6,9 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from ..config import Finite, Section
+from ..common.config import Finite, Section
+from ..common.text import printable, shortened
 from ..errors import InputError
-from ..text import printable, shortened
 
 LARGEST_BYTES = 4096
 """of an order; a browser that sends more is disconnected"""

@@ -15,7 +15,7 @@ from array import array
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
+from ..common.arrays import FloatArray, IntArray
 from ..driver import Frame, Skin
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, ProtocolError
 from ._frame_message import HEADER, pack_frame

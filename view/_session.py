@@ -11,8 +11,8 @@ import contextlib
 import json
 from typing import TYPE_CHECKING
 
+from ..common.text import one_line
 from ..errors import InputError, LinkEnded, OhmskinError
-from ..text import one_line
 from ._orders import FrameOrder, MakeTare, NextFrame, ShowNumber, ShowTime, TraceCells, UndoTare, read_order
 from ._source import Source, Told
 

@@ -8,9 +8,9 @@ from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import Any, Self
 
+from ..common.text import printable
 from ..driver import Frame, Skin
 from ..errors import InputError
-from ..text import printable
 from ._orders import FrameOrder, TraceCells
 
 Told = dict[str, Any]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 
-from ..checks import of_kind
+from ..common.checks import of_kind
 from ..errors import InputError
 from ._protocol import BoardProtocol, Family, HostProtocol, Layout
 from .boards import BOARDS

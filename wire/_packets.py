@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..common.frozen import frozen
 from ..errors import InputError
-from ..frozen import frozen
 
 VERSION = 2
 """version of the native protocol"""

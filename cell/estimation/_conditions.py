@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import FloatArray, IntArray
+from ...common.arrays import FloatArray, IntArray
 from . import _loops as loops
 from ._conditions import Conditions
 from ._inversion import DOUBT, DOUBTED_LOAD, LIGHT_LOAD, NO_LOAD_SIGMAS, USUAL, Inversion

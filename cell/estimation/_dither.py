@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
-from ...arrays import FloatArray
-from ...compiled import loop
+from ...common.arrays import FloatArray
+from ...common.compiled import loop
 
 DITHER = math.pi**2 / 24.0
 """constant of the exponent. In a mean, noise of variance v leaves the fraction exp(-x) of the error of steps q, where

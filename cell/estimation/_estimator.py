@@ -25,9 +25,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ... import compiled
-from ...arrays import BoolArray, FloatArray, IntArray
-from ...compiled import Loop
+from ...common import compiled
+from ...common.arrays import BoolArray, FloatArray, IntArray
+from ...common.compiled import Loop
 from ...errors import InputError
 from . import _loops as loops
 from . import _noise as noise_meter

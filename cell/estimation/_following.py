@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from . import _loops as loops
 from . import _smoothing as smoothing
 from ._deviation import Deviation, total

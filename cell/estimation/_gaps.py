@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray
+from ...common.arrays import BoolArray, FloatArray, IntArray
 from ._conditions import Conditions
 
 AFTER_GAP, AFTER_GAP_S = 0.3, 10.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 
 LOADED = 0.05
 """fraction of full scale above which a cell counts as loaded"""

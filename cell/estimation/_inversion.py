@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray, columns, put_columns
-from ...compiled import Loop
+from ...common.arrays import BoolArray, FloatArray, IntArray, columns, put_columns
+from ...common.compiled import Loop
 from . import _loops as loops
 from ._rows import GAIN, NOISE, PRESSURE, READING, SMOOTHED, STD
 from ._smoothing import Looked

@@ -1,4 +1,4 @@
-"""Compiled loops (:mod:`ohmskin.compiled`) over cells for the part of a frame that all estimators share.
+"""Compiled loops (:mod:`ohmskin.common.compiled`) over cells for the part of a frame that all estimators share.
 
 Each loop repeats array operations of :mod:`._inversion`, :mod:`._sleep`, :mod:`._smoothing` or :mod:`._deviation`,
 operation for operation and in the same order, so that the results agree to the last bit. Rare events (cells that wake,
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from ...compiled import FixedRow, Flags, Places, Row, Rows, SpacedRows, loop
+from ...common.compiled import FixedRow, Flags, Places, Row, Rows, SpacedRows, loop
 from ._rows import GAIN, NOISE, PRESSURE, READING, STD, VARIANCE
 from ._smoothing import LEVEL
 

@@ -13,8 +13,8 @@ import math
 
 import numpy as np
 
-from ...arrays import FloatArray
-from ...compiled import loop
+from ...common.arrays import FloatArray
+from ...common.compiled import loop
 
 CLEAR = 3.0
 """standard deviations by which the multiplicative share must exceed 0 to be believed"""

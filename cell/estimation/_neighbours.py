@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import IntArray, spaced, spaced_columns, whole
+from ...common.arrays import IntArray, spaced, spaced_columns, whole
 
 REACH = 2
 """rows and columns to either side; a fingertip or a gripper's pad covers about as many"""

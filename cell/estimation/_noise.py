@@ -24,8 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray, median
-from ...compiled import Places, Row, Rows, loop
+from ...common.arrays import BoolArray, FloatArray, IntArray, median
+from ...common.compiled import Places, Row, Rows, loop
 from ._multiplicative import COMMON, FOUND, WEIGHT, MultiplicativeNoise, additive, additive_of
 from ._window import WINDOW, Window
 

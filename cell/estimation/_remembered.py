@@ -9,7 +9,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray, columns, put_columns, spaced, spaced_anything, spaced_columns
+from ...common.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    columns,
+    put_columns,
+    spaced,
+    spaced_anything,
+    spaced_columns,
+)
 from . import _loops as loops
 from . import _smoothing as smoothing
 from ._inversion import Inversion

@@ -32,8 +32,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray
-from ...compiled import Flags, Row, Rows, loop
+from ...common.arrays import BoolArray, FloatArray, IntArray
+from ...common.compiled import Flags, Row, Rows, loop
 from . import _shared_steps as shared_steps
 from ._noise import NoiseMeter
 

@@ -24,8 +24,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray
-from ...compiled import Flags, Row, loop
+from ...common.arrays import BoolArray, FloatArray, IntArray
+from ...common.compiled import Flags, Row, loop
 from ._dither import undithered_of
 
 TELLING = 3

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray
+from ...common.arrays import BoolArray, FloatArray, IntArray
 from . import _loops as loops
 from . import _smoothing as smoothing
 from ._loops import CALM_SIGMAS, LEVEL_BANDS

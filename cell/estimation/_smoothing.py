@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
-from ...compiled import Flags, Places, Row, Rows, loop
+from ...common.arrays import BoolArray, FloatArray
+from ...common.compiled import Flags, Places, Row, Rows, loop
 from ._rows import NOISE, READING, SMOOTHED, STD
 
 ALLOWED = 0.75

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray, columns, put_columns, spaced_anything
+from ...common.arrays import BoolArray, FloatArray, IntArray, columns, put_columns, spaced_anything
 from . import _loops as loops
 from . import _smoothing as smoothing
 from ._gaps import Gaps

@@ -20,7 +20,7 @@ import math
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray, scatter
+from ...common.arrays import BoolArray, FloatArray, IntArray, scatter
 from . import _smoothing as smoothing
 from ._inversion import Inversion
 from ._noise import ENOUGH

@@ -18,8 +18,8 @@ import math
 
 import numpy as np
 
-from ...arrays import FloatArray, IntArray
-from ...compiled import Places, Row, Rows, SpacedRows, loop
+from ...common.arrays import FloatArray, IntArray
+from ...common.compiled import Places, Row, Rows, SpacedRows, loop
 from ._noise import CROSSED
 from ._rows import GAIN, NOISE, PRESSURE, READING, STD
 from ._smoothing import LEVEL, Looked

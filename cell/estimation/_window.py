@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import FloatArray, IntArray
-from ...compiled import Places, Row, Rows, loop
+from ...common.arrays import FloatArray, IntArray
+from ...common.compiled import Places, Row, Rows, loop
 
 WINDOW = 12
 """number of readings that are kept, and to which parabolas are fitted"""

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
+from ...common.progress import Progress, silent
 from ...errors import InputError
-from ...progress import Progress, silent
 from .._cell import Calibrated, Cell, EstimatorName
 from ..estimation import Estimator, longest_s
 from ..inversions import DRIFT, Seen

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from pydantic import ValidationError
 
-from ...arrays import BoolArray, FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from ...errors import InputError
 from ..materials import ContactModel
 from ._fitted import Fit, Parameter

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from ..materials import M10Model, Model
 
 Simulation = Callable[[np.random.Generator, FloatArray, float], FloatArray]

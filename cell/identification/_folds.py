@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from ...errors import InputError
 from ..inversions import play_follow
 from ._recording import Recording

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from ...errors import InputError
 from ..materials import Model, simulate
 from ._contact_fit import fit_contact

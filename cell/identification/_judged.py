@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...arrays import FloatArray, IntArray
+from ...common.arrays import FloatArray, IntArray
 from ._folds import Fold, pressing
 from ._recording import Recording
 

@@ -14,7 +14,7 @@ from functools import partial
 import numpy as np
 from pydantic import ValidationError
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from ...errors import InputError
 from ..inversions import play_follow
 from ..materials import AsymmetricModel, M10Model, Model, PaperModel, simulate

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from ._kinds import Kind
 
 STARTS = 3

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...common.arrays import BoolArray, FloatArray
+from ...common.tables import read_columns
 from ...errors import InputError
-from ...tables import read_columns
 from ..materials import smoothed, smoothing_s, white_noise
 
 COLUMNS = ("time_s", "pressure_kpa", "resistance_ohm")

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ... import plots
-from ...files import whole_file
+from ...common import plots
+from ...common.files import whole_file
 from ._calibrate import CalibrationResult, estimate_recording
 
 KPA_PER_PSI, KPA_PER_BAR = 6.894757, 100.0

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from ..inversions import BEYOND, DRIFT, UNKNOWN_DRIFT, Bank, Learned, Limits, Reached, StaticCurve, Terms
 from ..materials import simulate
 from ._fitted import Simulation

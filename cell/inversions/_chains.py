@@ -21,8 +21,8 @@ import math
 
 import numpy as np
 
-from ...arrays import FloatArray, IntArray
-from ...compiled import Row, Rows, SpacedPlaces, SpacedRows, loop
+from ...common.arrays import FloatArray, IntArray
+from ...common.compiled import Row, Rows, SpacedPlaces, SpacedRows, loop
 from ..estimation import PRESSURE
 from ..materials import M10Model
 from . import _meter as meter

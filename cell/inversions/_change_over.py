@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 
 ACCURACY = 1e-11
 """of full scale: accuracy of a step with a change-over"""

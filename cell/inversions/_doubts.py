@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
-from ...compiled import FlagRows, Row, Rows, SpacedRows, loop
+from ...common.arrays import BoolArray, FloatArray
+from ...common.compiled import FlagRows, Row, Rows, SpacedRows, loop
 from ..estimation import FAR, PRESSURE, VARIANCE
 from . import _earlier as third
 from ._earlier import EARLIER, FALLEN, follow_of, likely_kpa_of

@@ -23,8 +23,8 @@ import math
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
-from ...compiled import Row, Rows, SpacedRows, loop
+from ...common.arrays import BoolArray, FloatArray
+from ...common.compiled import Row, Rows, SpacedRows, loop
 from ..estimation import FAR, PRESSURE, RESTED
 from ..materials import PaperModel
 from ._limits import USUAL_KPA

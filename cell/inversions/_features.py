@@ -19,8 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import FloatArray
-from ...compiled import Row, Rows, SpacedRows, loop
+from ...common.arrays import FloatArray
+from ...common.compiled import Row, Rows, SpacedRows, loop
 
 _FOLLOWED = 1
 """index of the play whose motion the paths sum up"""

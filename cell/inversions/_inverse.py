@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray
-from ...compiled import Loop
+from ...common.arrays import BoolArray, FloatArray, IntArray
+from ...common.compiled import Loop
 from ...errors import InputError
 from ..estimation import (
     DOUBT,

@@ -1,4 +1,4 @@
-"""The frame of :class:`._inverse.AsymmetricInversion` as loops over cells for :mod:`ohmskin.compiled`.
+"""The frame of :class:`._inverse.AsymmetricInversion` as loops over cells for :mod:`ohmskin.common.compiled`.
 
 The loops do what the array operations of its ``advance`` do, in the same order. A step has three parts: the quadratic
 equation of every cell, Newton's method for all cells together of which a branch changes over, and the new memory.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from ...compiled import Places, Row, Rows, SpacedRows, loop
+from ...common.compiled import Places, Row, Rows, SpacedRows, loop
 from ..estimation import GAIN, PRESSURE, SMOOTHED, STD, VARIANCE
 
 LOAD, BRANCH, BROKEN, ANCHOR, MOVED, BEFORE, ERROR, MISSED = 3, 4, 6, 7, 8, 9, 10, 13

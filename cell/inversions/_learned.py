@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from ...arrays import BoolArray, FloatArray, IntArray
-from ...config import Finite, NotNegative, Positive, Section
+from ...common.arrays import BoolArray, FloatArray, IntArray
+from ...common.config import Finite, NotNegative, Positive, Section
 from ..estimation import GAIN, PRESSURE, VARIANCE, Inversion
 from ._features import Bank
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import FloatArray, columns
-from ...compiled import Row, Rows, SpacedRows, loop
+from ...common.arrays import FloatArray, columns
+from ...common.compiled import Row, Rows, SpacedRows, loop
 from ..estimation import (
     DOUBT,
     HIDDEN,

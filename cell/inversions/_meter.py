@@ -21,8 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray
-from ...compiled import Rows, SpacedPlaces, SpacedRows, loop
+from ...common.arrays import BoolArray, FloatArray, IntArray
+from ...common.compiled import Rows, SpacedPlaces, SpacedRows, loop
 from . import _together as together
 from . import _variances as variances
 from . import _way as way

@@ -36,8 +36,8 @@ import math
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, columns
-from ...compiled import Row, SpacedRows, loop
+from ...common.arrays import BoolArray, FloatArray, columns
+from ...common.compiled import Row, SpacedRows, loop
 from ..estimation import FAR, PRESSURE, RECENT, REST_VARIANCE, RESTED, VARIANCE
 from ..materials import PaperModel, lag
 from ._paper_steps import Constants, borne_before, fast_r, numbered, step_weights

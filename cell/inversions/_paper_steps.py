@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from ..materials import PaperModel, lag
 
 

@@ -21,8 +21,8 @@ import math
 
 import numpy as np
 
-from ...arrays import FloatArray, columns
-from ...compiled import Row, SpacedRows, loop
+from ...common.arrays import FloatArray, columns
+from ...common.compiled import Row, SpacedRows, loop
 from ..estimation import FAR, PRESSURE, RECENT, REST_VARIANCE, RESTED, VARIANCE
 from ..estimation import GAIN as GAIN_ROW
 from ..materials import PaperModel

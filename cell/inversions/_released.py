@@ -16,8 +16,8 @@ import math
 
 import numpy as np
 
-from ...arrays import FloatArray
-from ...compiled import Row, SpacedRows, loop
+from ...common.arrays import FloatArray
+from ...common.compiled import Row, SpacedRows, loop
 from ..estimation import RECENT
 from ..materials import PaperModel
 from ._paper_steps import Constants, fast_r, numbered, step_weights

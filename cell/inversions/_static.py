@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from ..estimation import GAIN, PRESSURE, UNKNOWN, USUAL, VARIANCE, Inversion
 from ..materials import AsymmetricModel, ContactModel, M10Model, Model, PaperModel, equilibrium_curve, equilibrium_gain
 from ._learned import BEYOND, STEEPER, StaticCurve, credible_range

@@ -17,8 +17,8 @@ import math
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
-from ...compiled import Row, SpacedRows, loop
+from ...common.arrays import BoolArray, FloatArray
+from ...common.compiled import Row, SpacedRows, loop
 
 NAMES = ("mean_load", "held_load", "swing", "doubt_per_s")
 """names of the rows of the memory: recent mean of the load; the level at which it is held; mean distance of the load

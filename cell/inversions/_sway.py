@@ -22,8 +22,8 @@ import math
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray
-from ...compiled import Places, Row, Rows, SpacedPlaces, SpacedRows, loop
+from ...common.arrays import BoolArray, FloatArray, IntArray
+from ...common.compiled import Places, Row, Rows, SpacedPlaces, SpacedRows, loop
 from ..estimation import FAR, GAIN, PRESSURE, RECENT, RESTED, VARIANCE
 from ..materials import PaperModel
 from . import _meter as meter

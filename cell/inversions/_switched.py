@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from ..estimation import PRESSURE, Inversion, credible_readings
 from ..materials import ByStep, PaperModel, lag
 from ._paper_steps import fast_r, step_weights

@@ -15,8 +15,8 @@ import math
 
 import numpy as np
 
-from ...arrays import FloatArray, IntArray, columns
-from ...compiled import Row, Rows, SpacedRows, loop
+from ...common.arrays import FloatArray, IntArray, columns
+from ...common.compiled import Row, Rows, SpacedRows, loop
 from ..estimation import FAR, GAIN, PRESSURE, VARIANCE
 from ..materials import PaperModel
 from . import _onset as onset

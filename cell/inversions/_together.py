@@ -25,8 +25,8 @@ import math
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray
-from ...compiled import Rows, SpacedPlaces, SpacedRows, loop
+from ...common.arrays import BoolArray, FloatArray, IntArray
+from ...common.compiled import Rows, SpacedPlaces, SpacedRows, loop
 from ..estimation import ALIKE
 from . import _variances as variances
 from ._variances import ALL_SERIES, READINGS, SCALES, SHARE, count_of, differences_of, scaled, take_of

@@ -36,8 +36,8 @@ from typing import Any
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray
-from ...compiled import Loop
+from ...common.arrays import BoolArray, FloatArray, IntArray
+from ...common.compiled import Loop
 from ..estimation import (
     DOUBTED_LOAD,
     FAR,

@@ -1,4 +1,4 @@
-"""The frame of :class:`._turning.TurningInversion` as loops over cells for :mod:`ohmskin.compiled`.
+"""The frame of :class:`._turning.TurningInversion` as loops over cells for :mod:`ohmskin.common.compiled`.
 
 The loops do what the array operations do, in the same order. The loops of each question are beside its array
 operations: :mod:`._turns`, :mod:`._takeover`, :mod:`._earlier`, :mod:`._doubts` and :mod:`._limits`. The two matrix
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from ...compiled import FlagRows, Places, Row, Rows, SpacedRows, loop
+from ...common.compiled import FlagRows, Places, Row, Rows, SpacedRows, loop
 from ..estimation import FAR, PRESSURE, STD, VARIANCE
 from ._doubts import begin_anew_each
 from ._earlier import sign_before_of

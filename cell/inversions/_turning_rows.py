@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import FloatArray
-from ...compiled import Rows, SpacedRows, loop
+from ...common.arrays import FloatArray
+from ...common.compiled import Rows, SpacedRows, loop
 from ..estimation import FAR, GAIN, PRESSURE, SMOOTHED
 from ._paper_steps import TurnWeights
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
-from ...compiled import Row, Rows, SpacedRows, loop
+from ...common.arrays import BoolArray, FloatArray
+from ...common.compiled import Row, Rows, SpacedRows, loop
 from ..estimation import FAR, GAIN, LOADS, PRESSURE, undithered, undithered_of
 from ..materials import PaperModel
 from ._paper_steps import TurnWeights, fast_r

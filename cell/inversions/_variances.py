@@ -19,8 +19,8 @@ import math
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
-from ...compiled import Rows, SpacedRows, loop
+from ...common.arrays import BoolArray, FloatArray
+from ...common.compiled import Rows, SpacedRows, loop
 
 SCALES = 4
 """number of block lengths: one, two, four and eight times the readings from one look to the next"""

@@ -21,8 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import FloatArray
-from ...compiled import Rows, SpacedRows, loop
+from ...common.arrays import FloatArray
+from ...common.compiled import Rows, SpacedRows, loop
 from ._variances import DOWN, LOOKS_IN_BLOCK, READINGS, SCALES, SHARE, UP
 
 MEMORY_S, LEAST_SHARE = 1.5, 1.0 / 64.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from ._models import AsymmetricModel, ContactModel, M10Model, Model, PaperModel
 
 

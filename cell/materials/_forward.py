@@ -13,7 +13,7 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...arrays import BoolArray, FloatArray, IntArray
+from ...common.arrays import BoolArray, FloatArray, IntArray
 from ...errors import InputError
 from . import _lag as lag
 from ._models import AsymmetricModel, ContactModel, M10Model, Model, PaperModel

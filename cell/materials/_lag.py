@@ -13,7 +13,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 
 M = TypeVar("M")
 T = TypeVar("T")

@@ -10,7 +10,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from ...config import Finite, NotNegative, Positive, Section
+from ...common.config import Finite, NotNegative, Positive, Section
 
 
 class Burgers(Section):

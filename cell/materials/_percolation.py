@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from ...errors import InputError
 
 

@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, scatter
-from ...compiled import Row, Rows, loop
+from ...common.arrays import BoolArray, FloatArray, scatter
+from ...common.compiled import Row, Rows, loop
 from . import _lag as lag
 
 FEW_CELLS = 8

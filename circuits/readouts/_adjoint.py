@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import FloatArray, IntArray
+from ...common.arrays import FloatArray, IntArray
 from .._parts import Parts
 from ..solvers import IDEAL_WIRE, inverted, siemens
 from ._ends import Ends

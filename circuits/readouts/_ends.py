@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from .._parts import Parts
 from ..solvers import IDEAL_WIRE, Rounded, eliminate_leading, siemens
 

@@ -18,7 +18,7 @@ from math import inf, isfinite, isinf
 import numpy as np
 from numpy.typing import NDArray
 
-from ...arrays import BoolArray, FloatArray, IntArray
+from ...common.arrays import BoolArray, FloatArray, IntArray
 from ...errors import SolverError
 from .._parts import Parts
 from ..solvers import IDEAL_WIRE, LARGEST_PART, Lines, Wires

@@ -17,7 +17,7 @@ from math import inf
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from ..solvers import ULP, Attenuated, Lines, Wires
 
 

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray
+from ...common.arrays import BoolArray, FloatArray, IntArray
 from .._parts import LEAST_SHORT_OHM, Parts
 
 _CAPPED = 2.0  # times a short's conductance: largest conductance of a cell in the search, as readings are rounded

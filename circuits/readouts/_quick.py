@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import FloatArray
-from ...compiled import FixedRow, FixedRows, Rows, load, loop
+from ...common.arrays import FloatArray
+from ...common.compiled import FixedRow, FixedRows, Rows, load, loop
 from .._parts import Parts
 from ._ends import Ends
 

@@ -11,7 +11,7 @@ from math import isfinite
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from .._parts import Parts
 from ..solvers import series_conductance, siemens
 from ._ends import sum_of_others

@@ -12,7 +12,7 @@ from math import inf
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from ...arrays import FloatArray, IntArray
+from ...common.arrays import FloatArray, IntArray
 from .._parts import Parts
 from ..solvers import Rounded, inverted
 from ._adjoint import SensitivityGroup, TerminatedColumns, terminated_groups

@@ -21,7 +21,7 @@ from math import inf
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from .._board import Board, cell_alone
 from ..solvers import siemens
 from ._amplified_base import AttenuationBases, Base, Relinearisation

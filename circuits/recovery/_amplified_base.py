@@ -21,8 +21,8 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from ...arrays import FloatArray, read_only
-from ...compiled import FixedRow, FixedRows, Rows, loop
+from ...common.arrays import FloatArray, read_only
+from ...common.compiled import FixedRow, FixedRows, Rows, loop
 from ..solvers import AttenuatedFrame
 from ._amplified_board import FAR, LEAST_SHARE, ZERO, AmplifiedBoard, above_floor
 from ._amplified_prices import AmplifiedPrices

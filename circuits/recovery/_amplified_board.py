@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from .._adc import adc_error
 from .._board import Board
 from ..solvers import FrameTransfer, Lines

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import FloatArray, read_only
-from ...compiled import FixedRow, FixedRows, Rows, loop
+from ...common.arrays import FloatArray, read_only
+from ...common.compiled import FixedRow, FixedRows, Rows, loop
 from ._amplified_base import Base
 from ._amplified_board import SIMILAR_MARGIN, ZERO, AmplifiedBoard
 from ._heavy_leads import Propagation

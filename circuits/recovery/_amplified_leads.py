@@ -11,7 +11,7 @@ from math import inf
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from ._amplified_base import Base, loss_at
 from ._amplified_board import FAR, MARGIN, AmplifiedBoard, above_floor, similar
 from ._amplified_prices import AmplifiedPrices

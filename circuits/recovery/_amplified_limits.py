@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, read_only
+from ...common.arrays import BoolArray, FloatArray, read_only
 from .._adc import adc_error
 from ._amplified_base import Base
 from ._amplified_board import BOUNDLESS, MARGIN, SIMILAR_MARGIN, AmplifiedBoard, floor_of, similar

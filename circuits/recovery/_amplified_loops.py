@@ -15,8 +15,8 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from ...arrays import AnyArray, FloatArray
-from ...compiled import Row, Rows, loop
+from ...common.arrays import AnyArray, FloatArray
+from ...common.compiled import Row, Rows, loop
 from ._amplified_base import SECOND_ORDER, Base, lost_along_lines
 from ._amplified_board import FAR, LEAST_SHARE, AmplifiedBoard
 from ._amplified_errors import SIMILAR_GAINS, Levels

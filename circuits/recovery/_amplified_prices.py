@@ -6,7 +6,7 @@ from math import inf, sqrt
 
 import numpy as np
 
-from ...arrays import BoolArray
+from ...common.arrays import BoolArray
 from ._amplified_board import AmplifiedBoard
 from ._frame_account import FIRST_FRAMES, USUAL_FRAMES
 from ._heavy_leads import MOST_CELLS

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...compiled import FixedRow, FixedRows, FlagRows, Row, Rows, loop
+from ...common.compiled import FixedRow, FixedRows, FlagRows, Row, Rows, loop
 from ._amplified_board import BOUNDLESS, MARGIN
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from ._coupled_board import CoupledBoard, Frame, Known
 from ._frame_budget import Budget
 from ._linearised import Base

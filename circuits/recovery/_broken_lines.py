@@ -23,7 +23,7 @@ from math import inf
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from ...errors import SolverError
 from ._coupled_board import CoupledBoard
 from ._frame_budget import Budget

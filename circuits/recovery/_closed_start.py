@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from .._board import cell_alone
 from ..solvers import siemens
 from ._column_blocks import ColumnBlocks

@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from .._board import Board
 
 _MOST_TAKEN = 0.8  # largest share of a voltage that a row's lead takes in a first guess

@@ -34,7 +34,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray
+from ...common.arrays import BoolArray, FloatArray, IntArray
 from ._coupled_board import CoupledBoard, Frame, Known
 from ._coupled_prices import CoupledPrices
 from ._frame_budget import Budget

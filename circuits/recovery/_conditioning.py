@@ -8,7 +8,7 @@ from math import inf
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from ...errors import InputError
 from .._design import Design
 from ._frame_model import Model

@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from ...errors import SolverError
 from .._board import Board
 from ._below_range import BelowRange

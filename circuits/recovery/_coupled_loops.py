@@ -1,4 +1,4 @@
-"""Compiled loops for the steps on coupled boards, for :mod:`ohmskin.compiled`.
+"""Compiled loops for the steps on coupled boards, for :mod:`ohmskin.common.compiled`.
 
 The loops compute the same as :class:`._linearised.Base` and :class:`._column_blocks.Step` do by array operations. Their
 sums may have another order.
@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
-from ...compiled import FixedFlags, FixedRow, FixedRows, Row, loop
+from ...common.arrays import BoolArray, FloatArray
+from ...common.compiled import FixedFlags, FixedRow, FixedRows, Row, loop
 from ._column_blocks import Step
 
 OWN, BY_SUM, DRIVEN, SECOND, FREE, THROUGH_LEAD, SHARE, PARTS = range(8)

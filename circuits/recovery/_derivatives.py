@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from .._board import Board
 from .._grid import exact_ports
 from ._normal_matrix import PER_DERIVATIVE, Meter

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from .._board import Board
 from .._sensitivity import LARGEST, board_sensitivity
 

@@ -28,7 +28,7 @@ from math import inf
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from ._frame_model import Model
 from ._inversion import Found, Held, Inverter
 from ._unknown import Unknown

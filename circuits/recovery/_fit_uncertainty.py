@@ -6,7 +6,7 @@ from math import hypot
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from ._coupled_board import CoupledBoard, Frame
 from ._gauss_newton import FITS, Fit
 from ._linearised import Base

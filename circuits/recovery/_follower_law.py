@@ -14,8 +14,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
-from ...compiled import FlagRows, Flags, Row, Rows, loop
+from ...common.arrays import BoolArray, FloatArray
+from ...common.compiled import FlagRows, Flags, Row, Rows, loop
 
 LEAST = 1e-30
 """S, or A: counts as zero"""

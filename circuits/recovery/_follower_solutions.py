@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from ._coupled_board import CoupledBoard, Frame, Known
 from ._follower_law import LEAST, FollowerLaw, enclose
 from ._frame_budget import Budget

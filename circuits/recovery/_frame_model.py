@@ -6,7 +6,7 @@ from math import inf
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from .._design import Design
 from .._exact import read_exactly
 from .._sensitivity import LARGEST

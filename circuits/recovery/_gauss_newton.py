@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from ._coupled_board import Compared, CoupledBoard, Frame, Known
 from ._frame_budget import Budget
 from ._linearised import Base, Linearised, Moved

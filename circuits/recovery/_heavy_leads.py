@@ -26,7 +26,7 @@ from typing import Any, NamedTuple, Protocol, cast
 import numpy as np
 from scipy.linalg.lapack import dgecon, dgesv, dlange, sgecon, sgesv, slange
 
-from ...arrays import AnyArray, FloatArray
+from ...common.arrays import AnyArray, FloatArray
 
 ROUNDS = 16
 """largest number in one frame; usually three to six"""

@@ -40,7 +40,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from ...errors import SolverError
 from .._sensitivity import LARGEST
 from ..solvers import ULP

@@ -13,7 +13,7 @@ from math import inf
 import numpy as np
 from scipy.linalg import LinAlgWarning, lu_factor, lu_solve
 
-from ...arrays import BoolArray, FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from ...errors import SolverError
 from .._board import Board
 from .._sensitivity import board_sensitivity

@@ -6,7 +6,7 @@ from math import inf
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray
+from ...common.arrays import BoolArray, FloatArray, IntArray
 from ._amplified_board import AmplifiedBoard
 
 

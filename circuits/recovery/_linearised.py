@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ... import compiled
-from ...arrays import BoolArray, FloatArray
+from ...common import compiled
+from ...common.arrays import BoolArray, FloatArray
 from ...errors import InputError
 from . import _coupled_loops as loops
 from ._column_blocks import ColumnBlocks, beyond_linear

@@ -19,7 +19,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from .._board import Board
 
 _SWEEPS = 4

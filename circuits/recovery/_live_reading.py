@@ -10,8 +10,8 @@ from typing import ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ...arrays import BoolArray, FloatArray
-from ...checks import number
+from ...common.arrays import BoolArray, FloatArray
+from ...common.checks import number
 from ...errors import InputError
 
 ACCURACY = 0.5

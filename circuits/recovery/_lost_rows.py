@@ -21,7 +21,7 @@ from math import inf
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from .._parts import LEAST_SHORT_OHM
 from ._coupled_board import CoupledBoard, Frame
 

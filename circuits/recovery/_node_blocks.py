@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from .._board import Board, broken_off
 from ._column_blocks import beyond_linear
 from ._port_derivatives import PortDerivatives

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 
 _LEAST = 2**23  # least limit of multiplications in one instalment
 _PER_ENTRY = 32  # the same per entry of the matrix, where each step reads all of them anyway

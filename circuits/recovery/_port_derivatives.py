@@ -19,7 +19,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from ..readouts import PortFields, QuickFields
 
 

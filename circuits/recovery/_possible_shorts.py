@@ -7,7 +7,7 @@ from math import inf
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from ._coupled_board import CoupledBoard, Frame, Known
 from ._frame_budget import Budget
 from ._live_reading import SIGMAS

@@ -20,7 +20,7 @@ from enum import Enum, auto
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from .._board import Board
 from .._exact import read_exactly
 from .._sensitivity import basis_drops

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from ...errors import SolverError
 from ._coupled_board import CoupledBoard, Frame
 from ._gauss_newton import Convergence

@@ -37,7 +37,7 @@ from math import inf
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...arrays import BoolArray, FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from ...errors import InputError, SolverError
 from .._board import Board, broken_off, cell_alone
 from .._design import Design

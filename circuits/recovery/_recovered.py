@@ -8,7 +8,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 
 
 class Status(IntEnum):

@@ -44,7 +44,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import FloatArray, SingleArray
+from ...common.arrays import FloatArray, SingleArray
 from ._elimination import ULP
 from ._ladders import Ladders, profile_rounding
 from ._ports import Lines

@@ -17,7 +17,7 @@ from math import inf
 import numpy as np
 from scipy.linalg.lapack import dpbtrf, dtbtrs, dtrtrs
 
-from ...arrays import FloatArray, IntArray
+from ...common.arrays import FloatArray, IntArray
 from ._elimination import ULP
 from ._ports import Lines
 

@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...arrays import BoolArray, FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from ._dissection_leaves import far_rims, fill_leaves, leaf_scratch, reduce_leaves
 from ._dissection_plan import Merge, Plan, plan
 from ._elimination import inverted

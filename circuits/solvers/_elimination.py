@@ -32,7 +32,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 
 SAFE_SHARE = 1e-3  # of a node's conductance must leave the block for LU; four digits may cancel, of sixteen
 ULP = float(np.finfo(np.float64).eps) / 2.0

@@ -6,7 +6,7 @@ from math import inf
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from . import _banded
 from ._ports import Lines, has_ideal_lines, transfer_conductances
 

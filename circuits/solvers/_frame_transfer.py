@@ -1,8 +1,8 @@
 """Line attenuation and exact port conductances of one grid, frame by frame, for live recovery.
 
 On one small grid, array operations spend most of their time on call overhead. Both models therefore also exist as
-loops over the nodes, which :mod:`ohmskin.compiled` turns into machine code. A loop and the array operations of the same
-formula agree up to rounding, because neither subtracts.
+loops over the nodes, which :mod:`ohmskin.common.compiled` turns into machine code. A loop and the array operations of
+the same formula agree up to rounding, because neither subtracts.
 
 * Line attenuation takes its profiles from ladders (:func:`.by_ladders`). Without machine code, large grids take the
   closed form instead, as in :func:`.attenuate`: its error is about 1e-7, and its cost a fraction.
@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import FloatArray, read_only
-from ...compiled import FixedRows, Rows, loop
+from ...common.arrays import FloatArray, read_only
+from ...common.compiled import FixedRows, Rows, loop
 from ._attenuation import CLOSED_FORM_LIMIT, LARGEST_IN_SINGLE, SLACK, Wires, by_ladders, closed_form
 from ._elimination import ULP
 from ._exact import exact_transfer

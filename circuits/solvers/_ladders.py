@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from ._elimination import ULP
 
 

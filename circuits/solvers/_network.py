@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray
+from ...common.arrays import BoolArray, FloatArray, IntArray
 from ._elimination import ULP, Rounded, eliminate_leading
 from ._ports import IDEAL_WIRE, LARGEST_PART
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from ._dissection import Tree, dissect
 from ._elimination import ULP, Rounded, eliminate_leading, inverted
 

@@ -36,7 +36,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray
+from ...common.arrays import BoolArray, FloatArray, IntArray
 from ._attenuation import SLACK, Wires
 from ._elimination import ULP
 from ._ladders import Ladders, profile_rounding

@@ -15,7 +15,7 @@ from math import inf
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from ._attenuation import SLACK, Attenuated, Wires, by_ladders, geometric_sum
 from ._elimination import ULP
 from ._ladders import Ladders

@@ -26,9 +26,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.constants import Boltzmann
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
+from ...common.text import printable
 from ...errors import InputError, SolverError
-from ...text import printable
 from .._amplifier_model import AmplifierModel
 from .._board import Board
 from .._design import Design

@@ -22,7 +22,7 @@ from math import inf, isinf
 from numpy.typing import ArrayLike
 from scipy.cluster.hierarchy import DisjointSet
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from ...errors import InputError, SolverError
 from .._board import Board
 from .._design import Design

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from ...errors import MissingExtra, SolverError
 from .._design import Design
 from ..readouts import REFERENCE

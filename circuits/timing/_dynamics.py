@@ -20,7 +20,7 @@ from math import inf, pi
 import numpy as np
 from scipy.linalg import inv
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from ...errors import InputError
 from .._board import Board
 from .._grid import exact_ports

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from scipy.constants import Boltzmann
 from scipy.linalg import solve_continuous_lyapunov
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from ...errors import InputError
 from .._board import Board
 from .._design import Design

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import expm, solve
 from scipy.optimize import brentq, minimize_scalar
 
-from ...arrays import ComplexArray, FloatArray
+from ...common.arrays import ComplexArray, FloatArray
 from ...errors import InputError, SolverError
 from .._design import Design
 from .._scan import scan

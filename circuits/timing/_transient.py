@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
-from ...arrays import FloatArray
+from ...common.arrays import FloatArray
 from .._design import Design
 from ._dynamics import Dynamics, column_conductances, column_dynamics, require_amplifiers
 

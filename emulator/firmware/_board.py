@@ -15,8 +15,8 @@ from typing import Self
 
 import numpy as np
 
-from ...arrays import FloatArray
 from ...circuits import adc_codes
+from ...common.arrays import FloatArray
 from ...errors import InputError
 from ...wire import FramePacket, Identity, PacketDecoder, encode
 from .._hand import Hand

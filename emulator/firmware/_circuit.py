@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import FloatArray
 from ...circuits import Design, Fault, Transient, adc_codes, scan, volts_of_codes
+from ...common.arrays import FloatArray
 from .._hand import Hand
 from .._scene import Scene
 from .._skin import ScenePhysics

@@ -19,7 +19,7 @@ from contextlib import contextmanager, nullcontext
 from math import inf
 from pathlib import Path
 
-from ...checks import positive
+from ...common.checks import positive
 from .._faults import Line, Schedule, may_lose
 from .._hand import Hand
 from .._ports import Port

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ...arrays import FloatArray
 from ...circuits import Design, Settling, scan
+from ...common.arrays import FloatArray
 from ...wire import Flag, FramePacket, Order, PacketDecoder, Reply, Status, host_protocol
 from .._scene import Scene
 from .._skin import Sample

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from . import _signals
+from .common import _signals
 
 
 def main() -> None:

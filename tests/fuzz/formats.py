@@ -36,12 +36,12 @@ from ohmskin.calibration import Plan, Progress, calibrate_cells
 from ohmskin.cell import Cell
 from ohmskin.circuits import Design, scan
 from ohmskin.cli import run
-from ohmskin.config import parse
+from ohmskin.common.config import parse
+from ohmskin.common.tables import read_cells, read_columns
+from ohmskin.common.text import one_line
 from ohmskin.driver import Calibration, ReplayPort, Skin
 from ohmskin.emulator import Scene
 from ohmskin.errors import InputError, LinkEnded, LinkError, OhmskinError, SolverError
-from ohmskin.tables import read_cells, read_columns
-from ohmskin.text import one_line
 from ohmskin.verification._record import compare, load_record
 from ohmskin.wire import BOARDS, FramePacket, Order, board_protocol, host_protocol
 

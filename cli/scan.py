@@ -7,8 +7,9 @@ from pathlib import Path
 import click
 import numpy as np
 
-from .. import circuits, tables
+from .. import circuits
 from ..circuits import CIRCUITS, METHODS, Design, scan
+from ..common import tables
 from . import arguments
 from ._json import json_text
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from ..progress import Progress, silent
+from ..common.progress import Progress, silent
 
 
 @contextmanager

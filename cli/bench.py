@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from .. import bench, tables
+from .. import bench
 from ..bench import _driver as of_drivers
 from ..bench import _emulator as of_boards
 from ..bench import _estimators as of_cells
@@ -23,6 +23,7 @@ from ..bench import _rest as of_rests
 from ..bench import _taps as of_taps
 from ..bench import _view as of_pages
 from ..bench import _worst_frames as of_events
+from ..common import tables
 from . import arguments
 from ._bar import progress_bar
 from ._json import json_text

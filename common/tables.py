@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ..errors import InputError
 from .arrays import FloatArray
-from .errors import InputError
 from .files import read_lines, whole_file
 from .text import shortened
 

@@ -52,7 +52,7 @@ _MEDIAN_OF_NORMAL = 0.6745
 
 
 def read_only(values: AnyArray) -> AnyArray:
-    """A contiguous copy in double precision that nobody may write to, as loops of :mod:`ohmskin.compiled` take."""
+    """A contiguous, read-only copy in double precision, as loops of :mod:`ohmskin.common.compiled` take."""
     copy = np.array(values, dtype=np.float64, order="C")
     copy.flags.writeable = False
     return copy

@@ -6,9 +6,9 @@ from dataclasses import asdict
 
 import click
 
+from ..common.text import one_line
 from ..doctor import Finding, State, examine_device, examine_installation, examine_ports, examine_traffic
 from ..errors import LinkError
-from ..text import one_line
 from . import arguments
 from ._json import json_text
 

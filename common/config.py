@@ -20,7 +20,7 @@ import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
-from .errors import InputError
+from ..errors import InputError
 from .files import read_text
 from .tables import write_text
 from .text import printable, shortened, shown

@@ -10,8 +10,8 @@ import click
 
 from ..cell import Cell
 from ..circuits import Design
+from ..common.files import check_writable, make_folder, write_together
 from ..errors import MissingExtra
-from ..files import check_writable, make_folder, write_together
 from ..verification import (
     Subject,
     Variation,

@@ -30,9 +30,10 @@ from typing import Any
 import click
 from click.shell_completion import shell_complete
 
-from .. import __version__, _signals
+from .. import __version__
+from ..common import _signals
+from ..common.text import one_line, shortened
 from ..errors import OhmskinError
-from ..text import one_line, shortened
 
 # name -> one-line help. The module cli/NAME.py (`_` for `-`) holds a click command called `command`.
 COMMANDS = {

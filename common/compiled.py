@@ -40,7 +40,7 @@ Row = Annotated[FloatArray, "float64[::1]"]
 Rows = Annotated[FloatArray, "float64[:, ::1]"]
 Places = Annotated[IntArray, "intp[::1]"]
 Flags = Annotated[BoolArray, "boolean[::1]"]
-# Rows that need not follow each other without a gap, since there are many of them (`ohmskin.arrays.spaced`).
+# Rows that need not follow each other without a gap, since there are many of them (`ohmskin.common.arrays.spaced`).
 SpacedRows = Annotated[FloatArray, "float64[:, :]"]
 SpacedPlaces = Annotated[IntArray, "intp[:, :]"]
 FlagRows = Annotated[BoolArray, "boolean[:, ::1]"]

@@ -1,7 +1,7 @@
 """Argument checks of the Python interface: an argument of the wrong type is an InputError, as a wrong value is.
 
-Tables of configuration files are checked by :mod:`ohmskin.config`. These functions check the arguments of a call, and
-return them with their type.
+Tables of configuration files are checked by :mod:`ohmskin.common.config`. These functions check the arguments
+of a call, and return them with their type.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Protocol, Self, TypeVar
 
-from .errors import InputError
+from ..errors import InputError
 from .text import shown
 
 

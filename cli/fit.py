@@ -15,7 +15,7 @@ from ..cell import (
     check_protocol,
     protocol_text,
 )
-from ..files import check_writable
+from ..common.files import check_writable
 from . import arguments
 from ._bar import progress_bar
 from ._json import json_text

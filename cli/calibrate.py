@@ -9,9 +9,9 @@ import click
 import numpy as np
 
 from ..calibration import Guide, Plan, Press, Verdict, align, calibrate_cells, read_reference, with_reference
+from ..common.files import check_writable
 from ..driver import Calibration
 from ..errors import InputError
-from ..files import check_writable
 from . import arguments
 from ._json import json_text
 from ._opening import Opening, opening_options

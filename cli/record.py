@@ -8,9 +8,9 @@ from pathlib import Path
 
 import click
 
+from ..common.text import one_line
 from ..driver import LinkStatistics, Skin
 from ..errors import InputError, LinkEnded, LinkTimeout
-from ..text import one_line
 from . import arguments
 from ._bar import progress_bar
 from ._json import json_text

@@ -18,8 +18,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
+from ..errors import InputError, OhmskinError
 from .checks import path_text
-from .errors import InputError, OhmskinError
 
 MOST_BYTES = 16 * 2**20
 """size limit of a configuration file: 1024 x 1024 calibrated cells fit"""

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import click
 
-from .. import tables
 from ..circuits import Design
 from ..circuits.spice import netlist
+from ..common import tables
 from . import arguments
 
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import click
 import numpy as np
 
-from ..arrays import AnyArray
+from ..common.arrays import AnyArray
+from ..common.files import check_writable, whole_file
 from ..driver import FRAME_NUMBERS, Frame, Skin, stack, to_xarray
 from ..errors import InputError, MissingExtra
-from ..files import check_writable, whole_file
 from . import arguments
 from ._recording import played_frames
 

@@ -14,10 +14,10 @@ import click
 
 from ..cell import Cell
 from ..circuits import Design
+from ..common.files import check_writable, make_folder
+from ..common.tables import read_cells
+from ..common.text import printable
 from ..errors import InputError, MissingExtra
-from ..files import check_writable, make_folder
-from ..tables import read_cells
-from ..text import printable
 from ..verification import CATALOGUE, Report, load_record, load_requirements, prototype, schema, verify
 from . import arguments
 from ._bar import progress_bar

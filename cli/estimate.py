@@ -7,10 +7,10 @@ from pathlib import Path
 import click
 import numpy as np
 
-from ..arrays import FloatArray
 from ..cell import Cell, check_resistances, check_times, estimate_recording
+from ..common.arrays import FloatArray
+from ..common.tables import read_columns, write_columns
 from ..errors import InputError
-from ..tables import read_columns, write_columns
 from . import arguments
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from .errors import MissingExtra
+from ..errors import MissingExtra
 
 # Okabe and Ito's palette: told apart by colour-blind readers and in grey print.
 INK, BLUE, ORANGE, GREEN, RED, SKY, PURPLE = "#1d2430", "#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7"
