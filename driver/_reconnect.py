@@ -34,8 +34,8 @@ class PortFinder:
 
     The number of a closed pseudo-terminal goes to the next program that opens one. Under such numbers the finder
     therefore looks only for emulated boards, at the places that they announce (:mod:`ohmskin.common.rendezvous`). An
-    emulator that was stopped and started again may be at any number or TCP port: if the board was emulated on this machine,
-    ports that have appeared since include those of emulated boards.
+    emulator that was stopped and started again may be at any number or TCP port: if the board was emulated on this
+    machine, ports that have appeared since include those of emulated boards.
     """
 
     def __init__(self, name: str, *, baudrate: int, dtr: bool | None = None, rts: bool | None = None) -> None:
