@@ -16,7 +16,7 @@ LOOP   := emulator/firmware
 # The packages below ohmskin: in a checkout src/ohmskin links to the folders at the top.
 ROOMS  := $(filter-out __pycache__,$(notdir $(patsubst %/,%,$(wildcard src/ohmskin/*/))))
 
-.PHONY: demo test lint links system-test-packages clean
+.PHONY: demo test test-all test-environment lint links system-test-packages clean
 
 demo: $(VENV)/demo.stamp
 	@$(BIN)/ohmskin verify -o ohmskin-report; code=$$?; \
@@ -24,10 +24,18 @@ demo: $(VENV)/demo.stamp
 	 if [ $$code = 3 ]; then echo "Some checks could not be run here; the report says which and why."; exit 0; fi; \
 	 exit $$code
 
+# `make test` leaves out what is marked slow; `make test-all` runs everything, for before a release.
 # Bytecode is kept, in images too that switch it off: hundreds of programs that the tests start would compile all again.
 # Three workers keep two cores busy, since tests of links wait for a sixth of their time.
-test: system-test-packages $(VENV)/dev.stamp $(LOOP)/node_modules/.package-lock.json lint
-	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist worksteal
+PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist worksteal
+
+test: test-environment lint
+	$(PYTEST) -m 'not slow'
+
+test-all: test-environment lint
+	$(PYTEST)
+
+test-environment: system-test-packages $(VENV)/dev.stamp $(LOOP)/node_modules/.package-lock.json
 
 lint: $(VENV)/dev.stamp
 	$(BIN)/ruff check .
