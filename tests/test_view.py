@@ -30,6 +30,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from ohmskin.bench._view import measured_page, table
+from ohmskin.circuits import Reason
 from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import Frame, Skin
 from ohmskin.emulator import Board, Hand, PtyPort, Scene, running
@@ -149,7 +150,7 @@ def test_contacts_that_have_run_into_another_are_named_beside_it(browser: Browse
             const names = [...document.querySelectorAll("#contacts tbody td:first-child")].map((one) => one.innerText);
             return [names, read.contacts.map((contact) => [contact.id, contact.joined])];
         }"""
-        message = base64.b64encode(pack_frame(three, number=0, time_s=0.0)).decode()
+        message = base64.b64encode(pack_frame(three, number=0, time_s=0.0, cell_area_mm2=25.0)).decode()
         names, contacts = page.evaluate(read, message)
         assert contacts == [[7, [3, 2**31]], [9, []]]
         assert names == ["7+3+2147483648", "9"]
@@ -173,7 +174,8 @@ def test_the_cell_under_the_pointer_is_told_in_full(browser: Browser) -> None:
             kpa = "–" if math.isnan(pressure) else f"{pressure:.3f}"
             assert text["cell-pressure"] == f"{kpa} kPa{'' if valid else ' (kept)'}"
             assert text["cell-counts"] == str(frame.counts[place])
-            assert text["cell-valid"] == ("valid" if valid else "not valid")
+            why = Reason(int(frame.reason[place])).name.lower().replace("_", " ")
+            assert text["cell-valid"] == ("valid" if valid else f"not valid: {why}")
             if valid:
                 assert text["cell-std"] == f"± {np.float32(frame.pressure_std[place]):.3f} kPa"
                 number, unit = text["cell-resistance"].split()
@@ -204,6 +206,65 @@ def test_clicked_cells_are_plotted_from_before_the_click(browser: Browser) -> No
             assert [kpa, std] == [float(np.float32(a[2, 3])) for a in (frame.pressure, frame.pressure_std)]
         page.click("#chosen button")
         expect(page.locator("#chosen button")).to_have_count(0)
+
+
+def test_a_turned_and_mirrored_map_shows_each_cell_where_the_pointer_finds_it(browser: Browser) -> None:
+    """Quarter turns are rotations: four of them are none, and each maps every cell to a square of its own."""
+    with live() as board, opened(browser, board.url) as page:
+        board.hand.press(bump())
+        until(page, "ohmskin.frame.contacts.length === 1")
+        paused(page)
+        squares = "Array.from({length: 48}, (_, k) => ohmskin.map.squareOf(k))"
+        for mirrored in (False, True):
+            for turns in range(4):
+                rows, columns = np.indices((6, 8))
+                grid = np.rot90((rows * 8 + columns)[:, ::-1] if mirrored else rows * 8 + columns, -turns)
+                assert [grid[y, x] for x, y in page.evaluate(squares)] == list(range(48))
+                x, y = page.evaluate("ohmskin.map.corner(2 * 8 + 3).map((at) => (at + 4) / ohmskin.map.ratio)")
+                page.hover("#map", position={"x": x, "y": y})
+                expect(page.locator("#cell-place")).to_have_text("2, 3")
+                assert any(colour[3] for colour in colours_of_cells(page, "marks")[2 * 8 + 3]), "the contact's cross"
+                page.click("#rotate")
+            page.click("#mirror")
+        assert page.evaluate("ohmskin.map.labels(0)") == [str(column) for column in range(8)]
+        page.select_option("#axes", "mm")
+        assert [float(label) for label in page.evaluate("ohmskin.map.labels(0)")] == [5.0 * k for k in range(8)]
+
+
+def test_total_force_threshold_and_what_can_be_saved(browser: Browser) -> None:
+    with live(event=[SHORTED]) as board, opened(browser, board.url, accept_downloads=True) as page:
+        since = board.hand.press(bump())
+        until(page, "since => ohmskin.frame.deviceTime_s > since + 1", since)
+        values = paused(page)
+        frame = board.frame_of(values)
+        force = float(frame.pressure[frame.valid].sum()) * 25.0e-3
+        assert values["totalForce_n"] == pytest.approx(force, rel=1e-6)
+        expect(page.locator("#total")).to_have_text(f"{force:.2f} N")
+        page.select_option("#plotted", "force")
+        page.fill("#threshold", "0.5")
+        assert page.evaluate("[ohmskin.plotView().unit, ohmskin.plotView().threshold]") == ["N", 0.5]
+        assert page.evaluate("ohmskin.total.at(ohmskin.total.length - 1)[1]") == pytest.approx(force, rel=0.05)
+        with page.expect_download() as told:
+            page.click("#numbers")
+        lines = told.value.path().read_text().splitlines()
+        assert lines[0] == "row,column,pressure_kpa,std_kpa,resistance_ohm,counts,valid"
+        table = [line.split(",") for line in lines[1:]]
+        assert [int(line[5]) for line in table] == frame.counts.ravel().tolist()
+        assert [line[6] == "1" for line in table] == frame.valid.ravel().tolist()
+        with page.expect_download() as told:
+            page.click("#picture")
+        assert told.value.path().read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_map_fills_its_panel_and_nothing_is_cut_off(browser: Browser) -> None:
+    with live() as board, opened(browser, board.url, viewport={"width": 1440, "height": 900}) as page:
+        boxes = page.evaluate(
+            "['#cells', '.skin', '#plot'].map((one) => document.querySelector(one).getBoundingClientRect().toJSON())"
+        )
+        cells, panel, plot = boxes
+        assert cells["width"] * cells["height"] > 0.6 * panel["width"] * panel["height"]
+        assert plot["bottom"] < 900
+        assert page.evaluate("document.documentElement.scrollHeight") <= 900
 
 
 def test_the_colour_map_is_uniform_and_ordered_by_lightness(browser: Browser) -> None:

@@ -8,6 +8,7 @@ from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import Any, Self
 
+from ..circuits import Reason
 from ..common.text import printable
 from ..driver import Frame, Skin
 from ..errors import InputError
@@ -68,8 +69,15 @@ class Source(ABC):
             "serial_number": skin.serial_number,
             "firmware": "" if identity is None else identity.firmware,
             "circuit": skin.design.readout.circuit,
+            "reasons": [reason.name.lower().replace("_", " ") for reason in Reason],
             "live": self.live,
         }
+
+    @property
+    def cell_area_mm2(self) -> float:
+        """Area of a cell, for the total force."""
+        across, down = self.skin.pitch_xy_m
+        return 1e6 * across * down
 
     @property
     @abstractmethod

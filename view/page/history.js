@@ -50,7 +50,9 @@ export class Series {
     const missing = (value) => (value === null ? NaN : value);
     return {
       length: trace.time_s.length,
-      at: (k) => [trace.time_s[k], missing(trace.pressure_kpa[k]), missing(trace.std_kpa[k])],
+      at: trace.force_n
+        ? (k) => [trace.time_s[k], missing(trace.force_n[k]), NaN]
+        : (k) => [trace.time_s[k], missing(trace.pressure_kpa[k]), missing(trace.std_kpa[k])],
     };
   }
 
