@@ -49,7 +49,7 @@ def command(
     design = Design.load(design_file)
     beside = [requirement for file in requirement_files for requirement in load_requirements(file)]
     requirements = (*design.requirement, *beside) or default_requirements(design)
-    check_requirements(requirements, design_file.parent)
+    check_requirements(requirements)
     subject = Subject(design, None if cell_file is None else Cell.load(cell_file), seed=seed)
     folder = None if output is None else make_folder(output)
     if folder is not None:

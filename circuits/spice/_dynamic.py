@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.constants import Boltzmann
+from scipy.constants import Boltzmann, zero_Celsius
 
 from ...common.arrays import FloatArray
 from ...common.text import printable
@@ -40,7 +40,6 @@ LEAST_OHM = 1e-6
 """Wires without resistance are written as this."""
 POINTS_PER_DECADE = 200
 """of the loop gain"""
-_KELVIN_AT_ZERO_CELSIUS = 273.15
 
 
 def dynamic_netlist(
@@ -153,7 +152,7 @@ class _Writer:
         yield f"* ohmskin: {self.rows} driven x {self.columns} sensed lines, {driven} {selected} selected at t = 0"
         yield f"* noise and phase margin are those of {sensed} {judged}"
         yield "* ngspice -b FILE runs all analyses; LTspice opens the file"
-        yield f".temp {kelvin - _KELVIN_AT_ZERO_CELSIUS!r}"
+        yield f".temp {kelvin - zero_Celsius!r}"
         model = readout.amplifier_model
         # The transistors and limiters of macro-models converge to SPICE's usual tolerances, and not far below.
         yield ".options reltol=1e-6 abstol=1e-15 vntol=1e-9" if model is None else ".options reltol=1e-4"
