@@ -18,7 +18,7 @@ import sys
 from types import FrameType
 from typing import Any
 
-NAMES = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "hung up"}
+NAMES: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "hung up"}
 _AGAIN_S = 0.02
 """until a lost signal is sent again: most destructors and callbacks have returned by then"""
 _mine = False
