@@ -69,7 +69,8 @@ class DividerScan:
         phases: dict[int, list[_Phase]] = {}
         self._rows: list[tuple[list[_Phase], list[FloatArray]]] = []
         """phases of each row and their settled voltages (S,); rows with the same network share their phases"""
-        for network, current in _rows(board, cells):
+        seen = list(_rows(board, cells))  # all alive, so that their identities differ
+        for network, current in seen:
             if id(network) not in phases:
                 phases[id(network)] = [self._phase(network, state) for state in self._states]
             own = phases[id(network)]
@@ -85,6 +86,8 @@ class DividerScan:
                 each = [phase.carry(duration) for phase, duration in zip(phases, seconds, strict=True)]
                 carried[id(phases)] = each, reduce(lambda before, next: next @ before, each)
         nodes = len(self._rows[0][1][0])
+        state: FloatArray
+        through: FloatArray
         # The state at the end of a frame that starts from zero; then the fixed point of a frame.
         through, state = np.eye(nodes), np.zeros(nodes)
         for phases, goals in self._rows:
@@ -109,7 +112,7 @@ class DividerScan:
         rates = np.concatenate([phase.rates for phases, _ in self._rows for phase in phases])
         rates = np.unique(rates[rates > _SLOWEST * rates.max(initial=0.0)])
         share = self._board.shape[1] if self._one_by_one else 1  # of the waiting time
-        return Modes(-rates.astype(complex) / share, np.full(len(rates), 2.0 * self._signal))
+        return Modes(-rates.astype(np.complex128) / share, np.full(len(rates), 2.0 * self._signal))
 
     @cached_property
     def unhurried(self) -> float:
@@ -198,7 +201,7 @@ class _Capacitors(NamedTuple):
         count = len(self.columns)
         return np.full(len(columns), count) if self.shared else count + columns
 
-    def joined(self, conductance: FloatArray, connected: int | None) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def joined(self, conductance: FloatArray, connected: int | None) -> tuple[FloatArray, FloatArray, IntArray]:
         """The network (S, S) of all nodes, their capacitances (S,), and the node (S,) that each one is part of."""
         count = len(self.columns)
         if not self.sampling or (not self.shared and not self.switch):
