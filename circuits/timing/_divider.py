@@ -95,7 +95,8 @@ class DividerScan:
             through = product @ through
             for goal, propagator in zip(goals, propagators, strict=True):
                 state = goal + propagator @ (state - goal)
-        state = np.linalg.lstsq(np.eye(nodes) - through, state, rcond=None)[0]  # isolated nodes stay at 0
+        # Nodes that nothing is connected to stay at 0.
+        state = np.asarray(np.linalg.lstsq(np.eye(nodes) - through, state, rcond=None)[0], dtype=np.float64)
         repeated, from_rest = np.empty((2, *self._board.shape))
         for row, (phases, goals) in enumerate(self._rows):
             rested = np.zeros(nodes)
