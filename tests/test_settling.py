@@ -201,8 +201,8 @@ def test_a_divider_against_an_ngspice_transient(name: str) -> None:
     np.testing.assert_allclose(divider_transient(design, cells, 150e-6, 5), sampled, atol=2e-4 * settling.signal)
 
 
-def test_a_divider_against_a_published_deck() -> None:
-    """ngspice's samples of a column with edges of 100 ns: 2.7515 of 2.888 V, and 151 mV in the resting row read next."""
+def test_a_divider_against_a_deck_by_hand() -> None:
+    """ngspice with edges of 100 ns: 2.7515 of 2.888 V, and 151 mV in the resting row that is read next."""
     readout = {"reference_resistance": 1e4, "column_capacitance": 1e-8, "idle_columns": "load"}
     design = divider(4, 1, idle_rows="ground", row_lead=100.0).replace(drive={"voltage": 5.0}, readout=readout)
     settling = Settling(design, np.array([[7e3], [1e6], [1e6], [1e6]]))
