@@ -304,7 +304,7 @@ def _judge_cells(data: bytes, rng: random.Random, folder: Path) -> str:
     path = folder / "cells.csv"
     path.write_bytes(data)
     found = _read(path, lambda path: read_cells(path, SHAPE))
-    if _unusual(data):
+    if _unusual(data) or re.search(rb"[kKMG]|ol", data, re.IGNORECASE):
         return REFUSED if found is None else ACCEPTED
     expected = _simple_cells(data.decode("utf-8-sig"))
     assert (found is None) == (expected is None), f"read as {found}, expected {expected}"
@@ -315,7 +315,12 @@ def _judge_cells(data: bytes, rng: random.Random, folder: Path) -> str:
 
 
 def _simple_cells(text: str) -> list[list[float]] | None:
-    rows = [[_float(field) for field in line.split(",")] for line in _lines(text)]
+    lines = [line.split(",") for line in _lines(text)]
+    if lines and not any(_is_number(field) or field.lstrip()[:1].isdigit() for field in lines[0]):
+        width = len(lines.pop(0))  # a header
+        if any(len(line) != width for line in lines):
+            return None
+    rows = [[_float(field) for field in line] for line in lines]
     if len(rows) != SHAPE[0] or any(len(row) != SHAPE[1] for row in rows):
         return None
     return rows if all(value >= 0 for row in rows for value in row) else None  # NaN fails here, too
@@ -343,6 +348,8 @@ def _judge_recording(data: bytes, rng: random.Random, folder: Path) -> str:
 
 def _simple_columns(text: str) -> dict[str, list[float]] | None:
     lines = [line.split(",") for line in _lines(text)]
+    if lines and not text.endswith(("\n", "\r")) and len(lines[-1]) < len(lines[0]):
+        lines.pop()  # cut off
     if len(lines) < 2 or any(len(line) != len(lines[0]) for line in lines):
         return None
     header = [name.strip() for name in lines[0]]
@@ -372,12 +379,12 @@ def _float(field: str) -> float:
 
 
 def _unusual(data: bytes) -> bool:
-    """Quotes, lone carriage returns and broken UTF-8, of which the simple reader knows nothing."""
+    """Quotes, lone carriage returns, broken UTF-8, and the forms of spreadsheets: not for the simple reader."""
     try:
         data.decode("utf-8-sig")
     except UnicodeDecodeError:
         return True
-    return b'"' in data or b"\r" in data.replace(b"\r\n", b"")
+    return bool(re.search(rb'[";\t#:]|sep=', data, re.IGNORECASE)) or b"\r" in data.replace(b"\r\n", b"")
 
 
 # --- the protocol of the board ----------------------------------------------------------------------------------------
