@@ -111,7 +111,7 @@ class Drive(Spreadable):
     def _drives(self) -> Self:
         if (self.idle_rows == "pull") != (self.idle_row_resistance is not None):
             raise ValueError(
-                "idle_rows = \"pull\" needs idle_row_resistance in ohm"
+                'idle_rows = "pull" needs idle_row_resistance in ohm'
                 if self.idle_rows == "pull"
                 else f'idle_row_resistance has no effect with idle_rows = "{self.idle_rows}"; expected "pull"'
             )

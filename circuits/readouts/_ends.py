@@ -33,7 +33,7 @@ class Ends(NamedTuple):
 
 
 def terminate(ports: FloatArray, rows: int, resistance: FloatArray) -> Rounded:
-    """The network in S between the first ``rows`` terminals of ``ports`` and the far ends of ``resistance`` (M,) in ohm.
+    """The network in S between the first ``rows`` ports and the far ends of ``resistance`` (M,) in ohm.
 
     ``ports`` is the network between row terminals and column terminals. Each resistance is connected behind a column
     terminal, and the column terminals are then eliminated.

@@ -193,11 +193,32 @@ class InvertingAmplifier(ReadoutCircuit):
 
             v_minus = A/(1+A) v_plus + i Rref/(1+A) + lack        v_out = v_minus - Rref i
         """
+        if writer.one_by_one:
+            yield from self._shared_amplifier(writer)
+            return
         yield "* Inverting amplifiers, one per column."
         if writer.board.supply != (-inf, inf):
             yield "* lack_J: how far its supply keeps the output from the voltage that its feedback asks for."
         for j in range(writer.columns):
             yield from self._amplifier(writer, j)
+
+    def _shared_amplifier(self, writer: CardWriter) -> Iterator[str]:
+        """The equivalent of the amplifier at each column that is read (:func:`amplifier_ends`), and its output."""
+        yield "* One inverting amplifier behind a switch: what each column sees of it, and what it puts out then."
+        ends, (low, high) = amplifier_ends(writer.board), writer.board.supply
+        parts = (part.tolist() for part in (ends.resistance, ends.source, ends.output, ends.slope))
+        for j, (resistance, source, output, slope) in enumerate(zip(*parts, strict=True)):
+            minus = writer.name[self.column_end(j)]
+            if minus in writer.drivers or minus == writer.reference:
+                raise SolverError(
+                    f"column {j}'s amplifier sits directly on a driver or the reference (parts of 0 ohm); a netlist of "
+                    "multiplexed columns cannot express that, give array.column_lead a resistance"
+                )
+            yield from writer.switched_end(j, minus, f"{source!r}+{resistance!r}*i(Vend_{j})")
+            volts = f"{output!r}+{slope!r}*i(Vend_{j})"
+            volts = f"min({volts},{high!r})" if high < inf else volts
+            volts = f"max({volts},{low!r})" if low > -inf else volts
+            yield f"Bout_{j} out_{j} {writer.ground} V = {volts}"
 
     def _amplifier(self, writer: CardWriter, j: int) -> Iterator[str]:
         board, reference = writer.board, writer.reference

@@ -149,6 +149,8 @@ class VoltageDivider(ReadoutCircuit):
             end, ohm = writer.name[self.column_end(j)], float(writer.board.reference[j])
             if end == writer.reference:
                 yield f"* end_{j} is shorted to the reference"
+            elif writer.one_by_one and writer.board.idle_columns == "ground":
+                yield from writer.switched_end(j, end, f"{ohm!r}*i(Vend_{j})")
             elif writer.one_by_one:
                 yield f"Bload_{j} {end} {writer.reference} I = {writer.chosen(j)} ? v({end})/{ohm!r} : 0"
             else:
