@@ -214,7 +214,7 @@ def _lead(
 ) -> list[tuple[Node, Node, float]]:
     """The lead of a line, a break behind it, and between both the pull-down of a driven line."""
     kind, line = outside
-    if kind != "drive" or design.drive.idle_row_resistance is None:
+    if kind != "drive" or isinf(design.drive.idle_row_resistance):
         return [(outside, first, lead + broken)]
     start: Node = ("start", line)
     return [(outside, start, lead), (start, first, broken), (start, REFERENCE, design.drive.idle_row_resistance)]

@@ -72,7 +72,7 @@ class Board(Parts):
             supply=readout.supply,
             turned=turned,
             floating=drive.idle_rows != "ground" and not circuit.drives_idle_lines,
-            pull=inf if drive.idle_row_resistance is None else drive.idle_row_resistance,
+            pull=drive.idle_row_resistance,
             row_lead=row_lead,
             multiplexed=readout.columns == "multiplexed",
             idle_columns=readout.idle_columns,
@@ -82,6 +82,11 @@ class Board(Parts):
             readout=readout,
             adc=adc,
         )
+
+    @property
+    def virtual_grounds(self) -> bool:
+        """Whether amplifiers hold all columns at the reference at once, each measuring its column's current."""
+        return self.circuit.virtual_ground and not self.multiplexed
 
     @cached_property
     def linear(self) -> LinearReadout | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from math import inf
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -122,7 +123,7 @@ class Design(Section):
         drive: dict[str, object] = {}
         readout: dict[str, object] = {"circuit": circuit}
         if other.drives_idle_lines:
-            drive = {"idle_rows": "ground", "idle_row_resistance": None}
+            drive = {"idle_rows": "ground", "idle_row_resistance": inf}
             readout |= {"columns": "parallel", "idle_columns": "float"}
         elif other.virtual_ground and self.readout.columns == "parallel":
             readout["idle_columns"] = "float"

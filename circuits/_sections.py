@@ -103,13 +103,13 @@ class Drive(Spreadable):
     idle_rows: Literal["ground", "float", "pull"] = "ground"
     """driven lines that are not selected: at the reference, open, or open with pull-down resistors;
     "voltage-feedback" drives them itself"""
-    idle_row_resistance: Annotated[float, Field(ge=LEAST_REFERENCE_OHM, le=MOST)] | None = None
+    idle_row_resistance: Annotated[float, Field(ge=LEAST_REFERENCE_OHM)] = inf
     """ohm, idle_rows = "pull" only: from each driven line, where its lead ends, to the reference. The resistor stays
     there while its line is selected"""
 
     @model_validator(mode="after")
     def _drives(self) -> Self:
-        if (self.idle_rows == "pull") != (self.idle_row_resistance is not None):
+        if (self.idle_rows == "pull") != (self.idle_row_resistance < inf):
             raise ValueError(
                 'idle_rows = "pull" needs idle_row_resistance in ohm'
                 if self.idle_rows == "pull"
