@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from ..common.config import LEAST, NotNegative
 from ._amplifier_model import AmplifierModel
-from ._sections import Gains, Numbers, PositiveOhms, Volts
+from ._sections import Gains, Numbers, PositiveOhms, Volts, in_kelvin
 from ._spread import Spreadable
 from .readouts import CIRCUITS
 
@@ -73,7 +73,7 @@ class Readout(Spreadable):
     """V/sqrt(Hz), of each amplifier"""
     current_noise: NotNegative = 0.0
     """A/sqrt(Hz), at each inverting input"""
-    temperature: NotNegative = 0.0
+    temperature: Annotated[NotNegative, AfterValidator(lambda kelvin: kelvin and in_kelvin(kelvin))] = 0.0
     """K, of all resistors, for their thermal noise; 0: no thermal noise"""
     amplifier_model: Annotated[AmplifierModel | None, Field(exclude=True)] = None
     """the maker's macro-model, for transient SPICE netlists; boards do not send it"""

@@ -121,6 +121,7 @@ def command(
             require_all=require_all,
             command=_command(design_file, cell_file, requirement_files, paper, seed, samples),
             progress=progress,
+            announce=lambda said: click.echo(printable(said)),
         )
     report = replace(report, explore_command=_explore_command(design_file, cell_file, requirement_files))
     if old is not None:

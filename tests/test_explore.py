@@ -206,3 +206,24 @@ def test_the_command_writes_a_table_and_a_picture(tmp_path: Path, capsys: pytest
     said = capsys.readouterr().out
     assert "the design itself" in said
     assert "R: array.row_lead times" in said
+
+
+def test_what_is_not_known_is_neither_zero_nor_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A divider without capacitances and without a full scale in kPa, at a stated frame rate."""
+    file = tmp_path / "design.toml"
+    file.write_text(
+        "[array]\nrows = 2\ncolumns = 2\nrow_lead = 50.0\n[drive]\nvoltage = 3.3\n"
+        '[readout]\ncircuit = "voltage-divider"\nreference_resistance = 1e4\nidle_columns = "load"\n'
+        "[cells]\nrest_resistance = 1e5\nfull_scale_resistance = 1e4\n[operation]\nframe_rate = 100.0\n"
+        '[[requirement]]\nid = "R"\nquantity = "latency"\nmax = 1.0\n'
+    )
+    assert run(["explore", str(file), "-o", str(tmp_path / "out"), "--points", "3"]) == 0
+    said = capsys.readouterr().out
+    assert "nan" not in said
+    assert " 0 %" not in said
+    assert "settling: not known, missing: readout.column_capacitance" in said
+    assert "resolution: not known, missing: cells.full_scale_kpa" in said
+    with (tmp_path / "out" / "explore.csv").open() as table:
+        rows = list(csv.DictReader(table))
+    assert {row["settling_error_percent"] for row in rows} == {row["resolution_kpa"] for row in rows} == {""}
+    assert "1" in {row["pareto_front"] for row in rows}
