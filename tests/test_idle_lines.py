@@ -10,7 +10,7 @@ from needs import need
 from numpy.typing import NDArray
 from parts_at_random import real_design
 
-from ohmskin.circuits import Design, apparent_resistance, scan, sensitivity
+from ohmskin.circuits import Design, Settling, apparent_resistance, scan, sensitivity
 from ohmskin.circuits.spice import command_available, command_scan
 from ohmskin.errors import InputError
 
@@ -132,6 +132,31 @@ def test_derivatives_are_those_of_the_reading(circuit: str, seed: int) -> None:
     )
     expected = (found.reference_resistance * scale).sum(axis=-1)
     np.testing.assert_allclose(slope(above, below, 2 * h), expected, rtol=1e-4, atol=1e-9)
+
+
+@pytest.mark.parametrize("rows", ["ground", "pull"])
+def test_a_grounded_column_charges_from_the_reference_with_one_time_constant(rows: str) -> None:
+    """Idle columns are at the reference, so that the column that is read is the only node with a charge."""
+    cells, load, farad, period = np.array([[7e3, 1e5, 1e6], [2e5, 7e3, 5e4]]), 10e3, 10e-9, 200e-6
+    pull = 20e3 if rows == "pull" else None
+    drive = {"voltage": 5.0, "idle_rows": rows} | ({} if pull is None else {"idle_row_resistance": pull})
+    readout = {
+        "reference_resistance": load,
+        "columns": "multiplexed",
+        "idle_columns": "ground",
+        "column_capacitance": farad,
+    }
+    design = board("voltage-divider", 2, 3, drive=drive, readout=readout).replace(array={"column_lead": 0.0})
+
+    def settled(ohm: float) -> Floats:
+        ends = (ohm, 1e-6)
+        return nodal_column_volts(cells, drive=5.0, row_lead=70.0, pull=pull, grounded_rows=rows == "ground", ends=ends)
+
+    one, half = settled(load), settled(load / 2)
+    source_ohm = load * (one - half) / (2 * half - one)  # of the divider: V = Voc load / (load + source)
+    seconds = farad / (1 / load + 1 / source_ohm)
+    expected = one * -np.expm1(-period / 3 / seconds)
+    np.testing.assert_allclose(Settling(design, cells).sampled(period), expected, rtol=1e-6)
 
 
 @pytest.mark.parametrize(
