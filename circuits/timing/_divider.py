@@ -143,7 +143,7 @@ class DividerScan:
         conductance[state.loaded, state.loaded] += 1.0 / self._board.reference[state.loaded]
         if self._board.idle_columns == "ground":
             idle = np.delete(np.arange(len(network)), state.loaded)
-            conductance[idle, idle] += _GROUNDED * conductance.max()
+            np.add.at(conductance, (idle, idle), _GROUNDED * conductance.max())
         return _Phase.of(*self._capacitors.joined(conductance, state.connected))
 
 
