@@ -67,7 +67,6 @@ def _readout(draw: Draw, shape: tuple[int, int]) -> Tables:
         "circuit": circuit,
         "reference_resistance": _alike(draw, [1e3, 1e4, 1.0], sensed),
         "open_loop_gain": _alike(draw, [inf, 1e5, 1e5, 10.0, 1.0], sensed),
-        "idle_columns": str(draw.choice(["float", "load"])),
         "reference_voltage": float(draw.choice([0.0, 0.0, 1.65])),
     }
     if draw.random() < 0.3:
@@ -76,8 +75,23 @@ def _readout(draw: Draw, shape: tuple[int, int]) -> Tables:
         readout["bias_current"] = _alike(draw, [1e-7, 0.0], sensed)
     if draw.random() < 0.2:
         readout["supply"] = [-0.5, 3.3]
-    drive = {"voltage": float(draw.choice([-1.0, 1.0, 3.3])), "idle_rows": str(draw.choice(["ground", "float"]))}
+    drive: Tables = {"voltage": float(draw.choice([-1.0, 1.0, 3.3]))}
+    if circuit != "voltage-feedback":
+        _idle_lines(draw, drive, readout)
     return {"array": {"rows": shape[0], "columns": shape[1]}, "drive": drive, "readout": readout}
+
+
+def _idle_lines(draw: Draw, drive: Tables, readout: Tables) -> None:
+    """What lines do that are not selected, or not read."""
+    drive["idle_rows"] = str(draw.choice(["ground", "float", "pull"]))
+    if drive["idle_rows"] == "pull":
+        drive["idle_row_resistance"] = float(draw.choice([1e2, 1e4, 1e6]))
+    if draw.random() < 0.3:
+        readout |= {"columns": "multiplexed", "idle_columns": str(draw.choice(["float", "ground", "load"]))}
+        shared = {key: value[0] for key, value in readout.items() if key != "supply" and isinstance(value, list)}
+        readout |= shared
+    elif readout["circuit"] == "voltage-divider":
+        readout["idle_columns"] = str(draw.choice(["float", "load"]))
 
 
 def _alike(draw: Draw, values: list[float], count: int) -> float | list[float]:

@@ -60,8 +60,11 @@ class Readout(Spreadable):
     """A, into the input that the column is tied to"""
     supply: Annotated[tuple[float, float], Field(strict=False)] = (-inf, inf)
     """V, output swing"""
-    idle_columns: Literal["float", "load"] = "float"
-    """"voltage-divider" only: idle columns are open, or end in their loads"""
+    columns: Literal["parallel", "multiplexed"] = "parallel"
+    """an amplifier or a load for each sensed line, or one for all of them behind a switch"""
+    idle_columns: Literal["float", "ground", "load"] = "float"
+    """sensed lines that are not read, of dividers and of multiplexed lines: open, at the reference, or connected to it
+    by reference_resistance"""
     column_capacitance: NotNegative = 0.0
     """F, from each inverting input to ground: column line and amplifier"""
     feedback_capacitance: NotNegative = 0.0

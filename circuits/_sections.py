@@ -112,11 +112,21 @@ class Drive(Spreadable):
 
     voltage: Volts
     """V, selected row against the reference"""
-    idle_rows: Literal["ground", "float"] = "ground"
-    """driven lines that are not selected: at the reference, or open; "voltage-feedback" drives them itself"""
+    idle_rows: Literal["ground", "float", "pull"] = "ground"
+    """driven lines that are not selected: at the reference, open, or open with pull-down resistors;
+    "voltage-feedback" drives them itself"""
+    idle_row_resistance: Annotated[float, Field(ge=LEAST_REFERENCE_OHM)] = inf
+    """ohm, idle_rows = "pull" only: from each driven line, where its lead ends, to the reference. The resistor stays
+    there while its line is selected"""
 
     @model_validator(mode="after")
     def _drives(self) -> Self:
+        if (self.idle_rows == "pull") != (self.idle_row_resistance < inf):
+            raise ValueError(
+                'idle_rows = "pull" needs idle_row_resistance in ohm'
+                if self.idle_rows == "pull"
+                else f'idle_row_resistance has no effect with idle_rows = "{self.idle_rows}"; expected "pull"'
+            )
         if abs(self.voltage) < LEAST_DRIVE_V:
             raise ValueError(f"voltage must be at least {LEAST_DRIVE_V:g} V, up or down: nothing would be read")
         return self

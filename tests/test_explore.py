@@ -15,7 +15,7 @@ from verified import AMPLIFIED, complete
 from ohmskin.cell import Percolation
 from ohmskin.circuits import Design, Requirement
 from ohmskin.cli import run
-from ohmskin.verification import Subject, Variation, prototype, remedies, verify
+from ohmskin.verification import Subject, Variation, explore, prototype, remedies, verify
 from ohmskin.verification._explore import (
     AVERAGING,
     KNOWN_FRACTION,
@@ -227,3 +227,23 @@ def test_what_is_not_known_is_neither_zero_nor_left_out(tmp_path: Path, capsys: 
         rows = list(csv.DictReader(table))
     assert {row["settling_error_percent"] for row in rows} == {row["resolution_kpa"] for row in rows} == {""}
     assert "1" in {row["pareto_front"] for row in rows}
+
+
+def test_other_idle_lines_and_circuits_come_first() -> None:
+    """A matrix as makers build it: rows on pull-downs, one load behind a switch."""
+    tables = {
+        "array": {"rows": 2, "columns": 2, "row_lead": 5.0},
+        "drive": {"voltage": 5.0, "idle_rows": "pull", "idle_row_resistance": 10e3},
+        "readout": {"circuit": "voltage-divider", "reference_resistance": 10e3},
+        "adc": {"bits": 12, "range": [0.0, 5.0]},
+        "cells": {"rest_resistance": 1e5, "full_scale_resistance": 5e3},
+    }
+    subject = Subject(Design.model_validate(tables))
+    crosstalk = Requirement(id="D1", quantity="crosstalk", max=2.0, unit="%")
+    found = [remedy for remedy in remedies(subject, (crosstalk,)) if not remedy.factor]
+    assert [remedy.part.split()[0] for remedy in found if remedy.kept] == ["a", "inverting"]
+    for remedy in found:
+        assert remedy.after < remedy.before
+    named = [variation.name for variation in explore(subject, points=4)]
+    assert named[0] == "the design itself"
+    assert {remedy.part for remedy in found} <= set(named)

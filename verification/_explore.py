@@ -7,12 +7,13 @@ all of them and better in one. Variations in which an output or the converter le
 does not carry, are kept in the table and are not on the front.
 
 A remedy is one part that, changed alone, keeps a requirement. It is found by solving the requirement's quantity again
-with the changed part, never by extrapolation.
+with the changed part, never by extrapolation. Of crosstalk and reading errors the first remedies are other idle lines
+and another circuit (:func:`wirings`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
@@ -39,6 +40,8 @@ from ._units import LEAST_SHOWN, UNITS, conversion, engineering
 
 KNOWN_FRACTION = 0.015
 """carbon black by mass of the cell of the design; the paper's choice"""
+WIRING = "wiring"
+"""axis of :func:`wirings`"""
 DOWN, UP = "down", "up"
 AVERAGING = "frames averaged"
 AXES: dict[str, tuple[float, ...]] = {
@@ -122,8 +125,8 @@ class Variation:
     )
     """of a table whose rows are :attr:`line`"""
 
-    changes: dict[str, float]
-    """by axis, as in :data:`AXES`; empty: the design itself"""
+    changes: dict[str, float | str]
+    """by axis, as in :data:`AXES` and :func:`wirings`; empty: the design itself"""
     reading_error_percent: float
     crosstalk_percent: float
     resolution_kpa: float
@@ -144,7 +147,8 @@ class Variation:
     @property
     def name(self) -> str:
         """For a reader."""
-        return ", ".join(f"{axis} {_shown(axis, value)}" for axis, value in self.changes.items()) or "the design itself"
+        each = (value if axis == WIRING else f"{axis} {_shown(axis, value)}" for axis, value in self.changes.items())
+        return ", ".join(map(str, each)) or "the design itself"
 
     @property
     def line(self) -> str:
@@ -170,18 +174,23 @@ class Remedy:
     requirement: str
     part: str
     factor: float
-    """on the part's value; for "adc.bits" and "frames averaged", on 1: the number itself"""
+    """on the part's value; for "adc.bits" and "frames averaged", on 1: the number itself; 0 for another wiring"""
     before: float
     after: float
     """the quantity, solved again with the changed part"""
     unit: str
     value: str = ""
     """of the changed part, with its unit; empty where lines differ"""
+    kept: bool = True
+    """whether the requirement is kept; another wiring that halves the quantity is named even so"""
 
     @property
     def line(self) -> str:
         """For a reader."""
         was, now = engineering(self.before, self.unit), engineering(self.after, self.unit)
+        if not self.factor:
+            enough = "" if self.kept else ", which is not enough"
+            return f"{self.requirement}: {was} becomes {now} with {self.part}{enough}"
         if self.part in ("adc.bits", AVERAGING):
             return f"{self.requirement}: {self.factor:.0f} {self.part} in place of {self.value} bring {was} to {now}"
         to = f" ({self.value})" if self.value else ""
@@ -294,10 +303,51 @@ def remedies(
         ways = WAYS[requirement.quantity]
         if (missed := _judge(subject, requirement)) is None or missed.kept:
             continue
+        if requirement.quantity in TARGETS:
+            for name, design in wirings(subject).items():
+                there = _judge(replace(subject, design=design, memo={}), requirement)
+                if there is not None and (there.kept or there.value < missed.value / 2):
+                    values = missed.value, there.value, missed.unit
+                    yield Remedy(requirement.id, name, 0.0, *values, kept=there.kept)
         for key, direction in ways:
             remedy = _remedy(subject, requirement, key, direction, missed)
             if remedy is not None:
                 yield remedy
+
+
+def wirings(subject: Subject) -> dict[str, Design]:
+    """The same array and converter with other idle lines or another circuit, by what is different.
+
+    Amplifiers in place of a divider have the reference at the middle of the converter's range, are driven by half of
+    it, and have a reference resistor with which the least resistance of a cell reaches its end.
+    """
+    design, found = subject.design, dict[str, Design]()
+    circuit, readout = design.board.circuit, design.readout
+    if design.drive.idle_rows != "ground":
+        drive = {"idle_rows": "ground", "idle_row_resistance": inf}
+        found[f"idle {design.board.line_kinds[0]}s at the reference"] = design.replace(drive=drive)
+    if readout.columns == "multiplexed" and readout.idle_columns != "ground":
+        found["idle columns at the reference"] = design.replace(readout={"idle_columns": "ground"})
+    if circuit.virtual_ground and readout.columns == "multiplexed":
+        found["an amplifier for each line"] = design.replace(readout={"columns": "parallel", "idle_columns": "float"})
+    if not circuit.mixes_cells:
+        return found
+    found["a follower that drives idle lines (voltage-feedback)"] = design.with_circuit("voltage-feedback")
+    if design.adc is not None:
+        low, high = design.adc.range
+        half = (high - low) / 2
+        ohm = min(subject.rest, subject.pressed)
+        grounded = design.with_circuit("inverting-amplifier").replace(
+            drive={"idle_rows": "ground", "idle_row_resistance": inf, "voltage": -half},
+            readout={
+                "columns": "parallel",
+                "idle_columns": "float",
+                "reference_voltage": low + half,
+                "reference_resistance": ohm,
+            },
+        )
+        found[f"inverting amplifiers (Rref {engineering(ohm, 'ohm', 3)}, drive {-half:g} V)"] = grounded
+    return found
 
 
 def may_be_mended(requirement: Requirement) -> bool:
@@ -327,29 +377,34 @@ def picture(variations: list[Variation]) -> str:
         return plots.svg(figure)
 
 
-def _combinations(subject: Subject, points: int) -> Iterator[dict[str, float]]:
+def _combinations(subject: Subject, points: int) -> Iterator[dict[str, float | str]]:
     absent: dict[str, Any] = {"ADC bits": subject.design.adc, "frame rate": subject.design.operation.frame_rate}
     if subject.pressed < subject.rest:  # percolation says nothing of cells whose contacts decide
         absent["carbon black"] = None
     axes = {axis: values for axis, values in AXES.items() if absent.get(axis, axis) is not None}
-    single = [{}, *({axis: value} for axis, values in axes.items() for value in values)]
+    single: list[dict[str, float | str]] = [{}]
+    single += [{WIRING: name} for name in wirings(subject)]
+    single += [{axis: value} for axis, values in axes.items() for value in values]
     yield from single[:points]
     random = np.random.default_rng(subject.seed)
-    seen: list[dict[str, float]] = []
+    seen: list[dict[str, float | str]] = []
     for _ in range(_TRIES * points):  # a design with few axes may have fewer combinations than points
         if len(single) + len(seen) >= points:
             return
         chosen = random.choice(list(axes), size=min(int(random.integers(2, 4)), len(axes)), replace=False)
-        changes = {axis: float(random.choice(axes[axis])) for axis in axes if axis in chosen}
+        changes: dict[str, float | str] = {axis: float(random.choice(axes[axis])) for axis in axes if axis in chosen}
         if changes not in seen:
             seen.append(changes)
             yield changes
 
 
-def varied(subject: Subject, changes: dict[str, float]) -> Subject:
+def varied(subject: Subject, changes: Mapping[str, float | str]) -> Subject:
     """The subject with some axes changed."""
     design, cells = subject.design, None
     for axis, value in changes.items():
+        if isinstance(value, str):
+            design = wirings(subject)[value]
+            continue
         match axis:
             case "reference resistor":
                 design = _scaled(design, "readout.reference_resistance", value)
@@ -380,7 +435,7 @@ def varied(subject: Subject, changes: dict[str, float]) -> Subject:
     return Subject(design, subject.given_cell, subject.target, subject.seed, subject.samples)
 
 
-def _judged(subject: Subject, changes: dict[str, float]) -> Variation:
+def _judged(subject: Subject, changes: dict[str, float | str]) -> Variation:
     here = varied(subject, changes)
     error, crosstalk = (_value(here, quantity) for quantity in ("reading_error", "crosstalk"))
     unknown: list[str] = []
@@ -519,7 +574,7 @@ def _scaled(design: Design, key: str, factor: float) -> Design:
     return design.replace(**{section: {name: scaled}})
 
 
-def _shown(axis: str, value: float) -> str:
+def _shown(axis: str, value: float | str) -> str:
     if axis == "carbon black":
         return f"{100 * value:.3g} %"
     return f"{value:+g}" if axis == "ADC bits" else f"× {value:g}"

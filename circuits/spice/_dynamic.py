@@ -77,7 +77,7 @@ def dynamic_netlist(
 
     """
     board = design.board
-    if not board.circuit.virtual_ground:
+    if not board.virtual_grounds:
         modelled = "amplifiers that hold all sensed lines"
         raise InputError(f'readout.circuit = "{board.circuit.name}": dynamics are modelled for {modelled}')
     if board.continuous or board.faults:
@@ -227,6 +227,8 @@ class _Writer:
             source = "drive" if i == self.row else "ref"
             if i == self.row or not board.floating:
                 yield f"Rrow{i} {source} r{i}_0 {_wire(board.row_ohms[i, 0])!r}"
+            if board.pulled:
+                yield f"Rpull{i} r{i}_0 ref {board.pull!r}"
             for j in range(1, self.columns):
                 yield f"Rrs{i}_{j} r{i}_{j - 1} r{i}_{j} {_wire(board.row_ohms[i, j])!r}"
         for j in range(self.columns):

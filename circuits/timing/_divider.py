@@ -13,8 +13,8 @@ A step consists of phases, in each of which the network does not change:
 =========================  =======================================================================================
 idle columns at loads      The columns settle together. With ``adc.acquisition_time``, one sampling capacitor is
                            connected to each column in turn at the end of the step.
-idle columns open          The columns have equal shares of the step, in which they alone have a load. With
-                           ``adc.acquisition_time`` the sampling capacitor is connected at the end of a share.
+idle columns open, or at   The columns have equal shares of the step, in which they alone have a load. With
+the reference              ``adc.acquisition_time`` the sampling capacitor is connected at the end of a share.
 =========================  =======================================================================================
 """
 
@@ -37,6 +37,8 @@ _LEAK = 1e-18
 """of the largest conductance: gives a settled voltage to nodes that nothing is connected to"""
 _SLOWEST = 1e-9
 """of the fastest rate: slower modes are those of nodes that keep their charge"""
+_GROUNDED = 1e8
+"""of the largest conductance: stands for the switch that keeps an idle column at the reference"""
 _LONG = 60.0
 """time constants after which a deviation is below rounding"""
 
@@ -140,6 +142,9 @@ class DividerScan:
     def _phase(self, network: FloatArray, state: _State) -> _Phase:
         conductance = network.copy()
         conductance[state.loaded, state.loaded] += 1.0 / self._board.reference[state.loaded]
+        if self._board.idle_columns == "ground":
+            idle = np.delete(np.arange(len(network)), state.loaded)
+            np.add.at(conductance, (idle, idle), _GROUNDED * conductance.max())
         return _Phase.of(*self._capacitors.joined(conductance, state.connected))
 
 
@@ -163,7 +168,7 @@ def _rows(board: Board, cells: FloatArray) -> Iterator[tuple[FloatArray, FloatAr
 
     """
     rows, columns = board.shape
-    network = terminate(exact_ports(board, cells).value, rows, board.column_lead).value
+    network = terminate(exact_ports(board, cells).value, rows + board.pulled, board.column_lead).value
     every = np.arange(columns)
 
     def conductance(between: FloatArray, to_rows: FloatArray) -> FloatArray:
@@ -178,9 +183,10 @@ def _rows(board: Board, cells: FloatArray) -> Iterator[tuple[FloatArray, FloatAr
         if not board.floating:
             yield grounded, board.drive * network[row, rows:]
             continue
-        order = np.r_[np.delete(np.arange(rows), row), row, rows : rows + columns]
+        order = np.r_[np.delete(np.arange(rows), row), row, rows : len(network)]
         alone = eliminate_leading(network[np.ix_(order, order)], rows - 1).value
-        yield conductance(alone[1:, 1:], alone[0, 1:]), board.drive * alone[0, 1:]
+        held = len(alone) - columns  # the selected row, and the reference behind pull-downs
+        yield conductance(alone[held:, held:], alone[:held, held:].sum(axis=0)), board.drive * alone[0, held:]
 
 
 class _Capacitors(NamedTuple):
