@@ -28,7 +28,7 @@ MAY_IMPORT = {
     "calibration": SHARED | {"circuits", "cell", "wire", "driver"},
     "doctor": SHARED | {"circuits", "wire", "driver"},
     "hil": SHARED | {"driver", "emulator"},
-    "view": SHARED | {"driver"},
+    "view": SHARED | {"circuits", "driver"},
     "verification": SHARED | {"circuits", "cell", "wire", "emulator", "driver", "bench"},
 }
 ROOMS = [*MAY_IMPORT, "errors", "cli"]
