@@ -14,6 +14,7 @@ from ..cell import Cell
 from ..circuits import Design
 from ..driver import Skin, Tare
 from ..wire import BOARDS
+from ._bar import progress_bar
 
 
 @dataclass(frozen=True)
@@ -29,15 +30,17 @@ class Opening:
 
     def open(self, port: str, **more: Any) -> Skin:
         """The skin at a port or in a recording, tared; ``more`` goes to ``Skin.open``."""
-        skin = Skin.open(
-            port,
-            board=self.board,
-            design=self.design,
-            cell=self.cell,
-            calibration=self.calibration,
-            estimator=self.estimator,
-            **more,
-        )
+        with progress_bar("reading") as tell:
+            skin = Skin.open(
+                port,
+                board=self.board,
+                design=self.design,
+                cell=self.cell,
+                calibration=self.calibration,
+                estimator=self.estimator,
+                progress=tell,
+                **more,
+            )
         if self.tare is not None:
             try:
                 skin.use_tare(self.tare)

@@ -283,8 +283,11 @@ class Converter:
             return self._measured.get(frame.index)
 
     def _convert(self, frame: RawFrame) -> Measurement:
+        due = None
         while self._rest_changes and frame.time_s > self._rest_changes[0][0]:
-            rest = self._rest_changes.popleft()[1]
+            due = self._rest_changes.popleft()
+        if due is not None:  # of several between two frames the last one counts
+            rest = due[1]
             self.use_rest(None if rest is None else rest.reshape(self.design.array.shape))
         gap_s = 0.0 if self._last_s is None else round(frame.time_s - self._last_s, CLOCK_DIGITS)
         self._last, self._last_s = frame, frame.time_s if self._last_s is None else self._last_s + gap_s

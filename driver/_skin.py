@@ -15,6 +15,7 @@ from ..cell import Cell
 from ..circuits import Design
 from ..common import compiled
 from ..common.checks import count, function, loaded, number, of_kind, path_text, positive
+from ..common.progress import Progress, silent
 from ..common.text import printable
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ..wire import Description, Family, Identity, Order
@@ -190,6 +191,7 @@ class Skin:
         overwrite: bool = False,
         speed: float | None = None,
         calibration: Calibration | str | Path | None = None,
+        progress: Progress = silent,
     ) -> Skin:
         """Open a serial device, a pty, ``socket://HOST:PORT`` or a recording; see :meth:`__init__` for the rest.
 
@@ -214,6 +216,8 @@ class Skin:
             speed: replay speed of a recording, relative to real time; None: as fast as the file is read. A live board
                 sets its own pace.
             calibration: as for :meth:`__init__`; None: that of the recording, else none.
+            progress: called with the bytes of a recording that were looked through, and with all of them, before it
+                plays.
 
         Raises:
             LinkError: the port does not exist, may not be used, or is in use, or another board is behind it.
@@ -225,7 +229,7 @@ class Skin:
         opened: BytePort
         reopen: Callable[[], BytePort]
         name = None if port is None else path_text("port", port, "the name of a port or of a recording")
-        played = ReplayPort(name, speed) if name is not None and name.endswith(".mcap") else None
+        played = ReplayPort(name, speed, progress) if name is not None and name.endswith(".mcap") else None
         if played is None and speed is not None:
             raise InputError(f"speed is {speed}, but only a recording (a file that ends in .mcap) has one")
         recorded = NOTHING_RECORDED if played is None else played.settings

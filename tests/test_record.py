@@ -11,9 +11,11 @@ import subprocess
 import sys
 import threading
 import time
+import tracemalloc
 from itertools import islice
 from pathlib import Path
 
+import hostile
 import numpy as np
 import pytest
 from boards import Script, Wire, gone, scene
@@ -360,6 +362,67 @@ def test_what_is_no_recording_is_one_line(tmp_path: Path, content: bytes) -> Non
     assert "\n" not in str(caught.value)
     with pytest.raises(InputError, match="cannot be read: No such file"):
         Skin.open(str(tmp_path / "nowhere.mcap"))
+
+
+HOSTILE = {
+    "deep_chunks": (50, "more bytes, decompressed,"),
+    "many_tares": (30_000, "more records"),
+    "many_arrivals": (30_000, "more records"),
+}
+
+
+@pytest.mark.parametrize("kind", HOSTILE)
+def test_a_small_file_that_asks_for_much_is_refused(kind: str, tmp_path: Path) -> None:
+    path, opened = tmp_path / "hostile.mcap", []
+    count, said = HOSTILE[kind]
+    getattr(hostile, kind)(path, count)
+    assert path.stat().st_size < 2**19
+    with pytest.raises(InputError, match=rf"hostile\.mcap: {said} than a recording of \d+ (KiB|bytes) has"):
+        Skin.open(str(path), progress=lambda done, total, _: opened.append(done / total))
+    assert all(0 < share <= 1 for share in opened)
+
+
+def test_what_a_chunk_says_of_its_size_is_not_believed(tmp_path: Path) -> None:
+    """zstd and LZ4 know their own size, by which a library would decompress."""
+    for compression in ("zstd", "lz4"):
+        path = tmp_path / f"{compression}.mcap"
+        hostile.deep_chunks(path, 1, said=1000, compression=compression)
+        tracemalloc.start()
+        with pytest.raises(LinkEnded):  # damaged, so the recording ends there
+            Skin.open(str(path), timeout=0.1)
+        assert tracemalloc.get_traced_memory()[1] < hostile.DEEP / 4
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize(
+    ("message", "said"),
+    [
+        (
+            ("/ohmskin/events", b'{"event": "x", "y": [' + b"[]," * 10**5 + b"[]]}"),
+            "an event of more than 100000 values",
+        ),
+        (("/ohmskin/bytes", bytes(17 * 2**20)), "an arrival of 17 MiB"),
+    ],
+)
+def test_one_message_that_asks_for_much_is_refused(message: tuple[str, bytes], said: str, tmp_path: Path) -> None:
+    path = tmp_path / "hostile.mcap"
+    hostile.write(path, [message])
+    with pytest.raises(InputError, match=said):
+        Skin.open(str(path))
+
+
+def test_many_tares_between_two_frames_cost_one(tmp_path: Path) -> None:
+    """Only the last one counts, and each would set the estimator up anew."""
+    from mcap.reader import make_reader
+
+    path, tared = tmp_path / "tared.mcap", []
+    hostile.many_tares(path, 5_000, frames=(0, 1))
+    with Skin.open(str(path), record=tmp_path / "copy.mcap") as skin:
+        assert len(list(skin)) == 2
+    with (tmp_path / "copy.mcap").open("rb") as file:
+        for _, _, message in make_reader(file).iter_messages(topics=["/ohmskin/events"]):
+            tared.append(json.loads(message.data)["event"])
+    assert tared.count("rest") == 1
 
 
 def test_the_commands_record_replay_and_export(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
