@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ohmskin.errors import InputError, ProtocolError
@@ -441,6 +441,7 @@ def test_idle_zeros_are_no_events() -> None:
     assert PacketDecoder().feed(bytes(1000)) == []
 
 
+@settings(max_examples=25)
 @given(st.lists(packets, max_size=3), st.lists(noise, min_size=4, max_size=4), st.sampled_from([b"\0", b"\0a", b"a\0"]))
 def test_noise_of_many_delimiters_is_few_stretches(sent: list[Packet], between: list[bytes], dense: bytes) -> None:
     """The packets within are found as in other noise, and no byte is lost."""
