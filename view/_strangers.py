@@ -8,7 +8,6 @@ is not the oldest.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
 from http import HTTPStatus
 from typing import TYPE_CHECKING, Any
 
@@ -33,7 +32,7 @@ class Strangers:
         """The connection has become a browser's, or is closed."""
         self._waiting.pop(connection, None)
 
-    def connections(self) -> Callable[..., ServerConnection]:
+    def connections(self) -> type[ServerConnection]:
         """For ``create_connection`` of the server: the class of its connections."""
         from websockets.asyncio.server import ServerConnection
 
