@@ -6,6 +6,7 @@ import base64
 import csv
 import json
 import re
+import resource
 import signal
 import subprocess
 import sys
@@ -328,6 +329,23 @@ def test_a_full_disk_ends_the_recording_and_not_the_skin() -> None:
     with pytest.raises(InputError, match=r"/dev/full: cannot be written: No space left on device"):  # noqa: SIM117
         with Skin(Script(*pieces(range(5))), delivery="lossless", record="/dev/full") as skin:
             assert [next(skin).sequence for _ in range(5)] == list(range(5))
+
+
+@pytest.mark.parametrize("room", [0, 100])
+def test_a_disk_that_is_full_already_leaves_no_file_and_replaces_none(room: int, tmp_path: Path) -> None:
+    """No room for the head of a recording, or for a part of it."""
+    old, new, limits = tmp_path / "old.mcap", tmp_path / "new.mcap", resource.getrlimit(resource.RLIMIT_FSIZE)
+    recorded(old, 2)
+    before = old.read_bytes()
+    for path in (old, new):
+        try:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (room, limits[1]))
+            with pytest.raises(InputError, match=rf"{path.name}: cannot be written: File too large"):
+                Skin(Script(*pieces(range(5))), delivery="lossless", record=path, overwrite=True)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert old.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [old]
 
 
 def test_a_replay_at_a_speed_takes_its_time(tmp_path: Path) -> None:
