@@ -143,7 +143,7 @@ def parse(tables: Mapping[str, Any], model: type[S], *, source: str) -> S:
     except RecursionError as error:
         raise InputError(f"{source}: tables are nested too deeply") from error
     except ValidationError as error:
-        raise InputError(f"{source}: {describe(error, model, tables)}") from error
+        raise InputError(f"{source}: {describe(error, model, tables)}") from None  # which repeats keys raw
 
 
 def fingerprint(values: BaseModel | Mapping[str, Any]) -> str:

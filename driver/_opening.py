@@ -45,6 +45,8 @@ Delivery = Literal["newest", "every", "lossless"]
     that wait for their host; a real board then has to drop frames itself.
 """
 QUEUE = 256
+MOST_ABANDONED = 2
+"""set-ups that took too long and go on for nobody: each takes a thread, and up to hundreds of MB"""
 LOOK_S = 0.05
 """s between checks whether the compiler is at work, and how much processor time the set-up has used"""
 PATIENCE = 10.0
@@ -237,7 +239,12 @@ def _within(limit_s: float, work: Callable[[], Converter]) -> Converter | None:
     The limit is for descriptions from which nothing can be computed. Two delays are not the description's fault: the
     compiler, for which the first skin on a machine waits, and other programs that use the processor. The compiler's
     time does not count. Of the real time, at least a share of 1 / :data:`PATIENCE` counts.
+
+    Nothing ends a thread from outside. While :data:`MOST_ABANDONED` works that were given up go on, another one waits
+    for one of them, within ``limit_s``.
     """
+    if not _room_within(limit_s):
+        return None
     results: list[Converter] = []
     errors: list[BaseException] = []
     clocks: list[int] = []
@@ -260,9 +267,28 @@ def _within(limit_s: float, work: Callable[[], Converter]) -> Converter | None:
         processor_s = _processor_s(clocks, processor_before_s + elapsed_s)
         if not is_compiling():
             left_s -= max(processor_s - processor_before_s, elapsed_s / PATIENCE)
+    if thread.is_alive():
+        _abandoned.append(thread)
     if errors:
         raise errors[0]
     return results[0] if results else None
+
+
+def _room_within(limit_s: float) -> bool:
+    """Wait until fewer than :data:`MOST_ABANDONED` threads are at work for nobody; False after ``limit_s``."""
+    until = time.monotonic() + limit_s
+    while True:
+        _abandoned[:] = [thread for thread in _abandoned if thread.is_alive()]
+        left_s = until - time.monotonic()
+        if len(_abandoned) < MOST_ABANDONED:
+            return True
+        if left_s <= 0:
+            return False
+        _abandoned[0].join(min(left_s, LOOK_S))
+
+
+_abandoned: list[threading.Thread] = []
+"""set-ups that were given up, and that may still be at work"""
 
 
 def _processor_s(clocks: list[int], otherwise_s: float) -> float:

@@ -78,6 +78,7 @@ class Recording:
         self._writer: Writer | None = writer(self._file, chunk_size=CHUNK_BYTES)
         self._channels: dict[str, int] = {}
         self._guarded(lambda: self._begin(settings))
+        self._guarded(self._writer.flush)
         self._flush_at = time.monotonic() + FLUSH_S
         self._waiting: queue.Queue[Frame | None] = queue.Queue(MOST_WAITING)
         self._thread = threading.Thread(target=self._write_frames, name=f"ohmskin recorder {path}", daemon=True)
@@ -95,7 +96,6 @@ class Recording:
         }
         for topic, schema in MESSAGE_SCHEMAS.items():
             self._channels[topic] = writer.register_channel(topic, "json", self._schema(schema))
-        writer.flush()
 
     @classmethod
     def check(cls, path: str | Path, *, overwrite: bool = False) -> None:

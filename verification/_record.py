@@ -132,8 +132,8 @@ def load_record(path: str | Path) -> ReportRecord:
         first = error.errors()[0]
         if first["type"] == "json_invalid":
             reason = first["ctx"]["error"]
-            raise InputError(f"{path}: not valid JSON: {reason}; expected a report.json of ohmskin verify") from error
-        raise InputError(f"{path}: not a report.json of this version: {describe(error, ReportRecord, {})}") from error
+            raise InputError(f"{path}: not valid JSON: {reason}; expected a report.json of ohmskin verify") from None
+        raise InputError(f"{path}: not a report.json of this version: {describe(error, ReportRecord, {})}") from None
 
 
 def number(value: float | None) -> Number:

@@ -287,6 +287,8 @@ class Corrupt:
     size: int
     """bytes on the line, delimiters not counted"""
     reason: str
+    is_description: bool = False
+    """True: a description came whole, in packets without fault, and cannot be read; no noise of the line does that"""
 
 
 Packet = FramePacket | Identity | DescriptionPiece | SelfTest | Reply | Command
