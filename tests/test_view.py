@@ -30,6 +30,7 @@ import pytest
 from boards import DESIGN, Script, Wire, gone, scene
 from boards import until as wait_until
 from pages import colours_of_cells, opened, paused, served, shown, start, until
+from patience import HANG_S, Patience
 from playwright.sync_api import Browser, expect, sync_playwright
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
@@ -70,9 +71,9 @@ class Live:
 
     def frame_of(self, values: dict[str, Any]) -> Frame:
         """The driver's frame with the time that a frame of the page has."""
-        deadline = time.monotonic() + 60.0
+        patience = Patience()
         while values["hostTime_s"] not in self.frames:  # the page may be told before this test is
-            assert time.monotonic() < deadline
+            patience.spend()
             time.sleep(0.01)
         return self.frames[values["hostTime_s"]]
 
@@ -487,7 +488,7 @@ def answer_to(socket: ClientConnection, order: str | bytes) -> Any:
 
 def next_answer(socket: ClientConnection) -> Any:
     while True:
-        answer = socket.recv(timeout=30)
+        answer = socket.recv(timeout=HANG_S)
         if isinstance(answer, bytes):
             return answer
         told = json.loads(answer)
@@ -498,7 +499,7 @@ def next_answer(socket: ClientConnection) -> Any:
 def status_of(url: str, host: str, path: str | None = None, method: str = "GET") -> int:
     """The HTTP status of a request with a Host header of one's own."""
     parts = urlsplit(url)
-    connection = HTTPConnection(parts.hostname or "", parts.port, timeout=30)
+    connection = HTTPConnection(parts.hostname or "", parts.port, timeout=HANG_S)
     connection.request(method, parts.path if path is None else path, headers={"Host": host})
     response = connection.getresponse()
     assert "default-src 'none'" in response.headers.get("Content-Security-Policy", "") or method != "GET"
@@ -722,13 +723,13 @@ def test_the_command_prints_the_address_and_ends_with_ctrl_c(tmp_path: Path) -> 
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
     url = process.stdout.readline().strip()
-    with urllib.request.urlopen(url, timeout=30) as response:
+    with urllib.request.urlopen(url, timeout=HANG_S) as response:
         assert b"<title>ohmskin</title>" in response.read()
     with join(url) as socket:
         assert json.loads(socket.recv())["source"] == f"{file} (emulated)"
         assert isinstance(answer_to(socket, '{"do": "next", "after": -1}'), bytes)
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=HANG_S)
     assert (process.returncode, out, err) == (130, "", "")
 
 
