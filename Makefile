@@ -18,7 +18,7 @@ LOOP   := emulator/firmware
 # The packages below ohmskin: in a checkout src/ohmskin links to the folders at the top.
 ROOMS  := $(filter-out __pycache__,$(notdir $(patsubst %/,%,$(wildcard src/ohmskin/*/))))
 
-.PHONY: demo test test-all test-environment lint links system-demo-packages system-demo-install system-test-packages clean
+.PHONY: demo test test-all test-newest test-environment lint links system-demo-packages system-demo-install system-test-packages clean
 
 demo: system-demo-packages $(VENV)/demo.stamp
 	@$(BIN)/ohmskin verify -o ohmskin-report; code=$$?; \
@@ -36,6 +36,15 @@ test: test-environment lint
 
 test-all: test-environment lint
 	$(PYTEST)
+
+# The newest versions of everything that pyproject.toml leaves open, on the newest Python that is here; Numba has wheels
+# for 3.14 since 0.63. `make test` keeps the versions that its environment was made with.
+NEWEST ?= $(firstword $(shell command -v python3.14 python3.13 python3.12 $(PYTHON)))
+test-newest: | links
+	$(MAKE) VENV=.venv-newest PYTHON=$(NEWEST) .venv-newest/bin/python
+	.venv-newest/bin/pip install -q --disable-pip-version-check --upgrade --upgrade-strategy eager -e '.[dev]'
+	@touch .venv-newest/dev.stamp
+	$(MAKE) VENV=.venv-newest PYTHON=$(NEWEST) test
 
 test-environment: system-test-packages $(VENV)/dev.stamp $(LOOP)/node_modules/.package-lock.json
 
@@ -85,5 +94,5 @@ $(VENV)/dev.stamp: $(BIN)/python pyproject.toml | links
 
 clean:
 	rm -rf $(LOOP)/node_modules firmware/build
-	rm -rf $(VENV) build dist ohmskin-report *.egg-info src/*.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) .venv-newest build dist ohmskin-report *.egg-info src/*.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -prune -exec rm -rf {} +

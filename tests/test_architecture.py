@@ -23,7 +23,7 @@ MAY_IMPORT = {
     "circuits": SHARED,
     "cell": SHARED,
     "wire": SHARED,
-    "bench": SHARED | {"circuits", "cell", "wire", "emulator", "driver"},
+    "bench": SHARED | {"circuits", "cell", "wire", "emulator", "driver", "view"},
     "emulator": SHARED | {"circuits", "cell", "wire"},
     "driver": SHARED | {"circuits", "cell", "wire"},
     "calibration": SHARED | {"circuits", "cell", "wire", "driver"},

@@ -15,9 +15,6 @@ from ohmskin.emulator.firmware import missing_for, running_firmware
 from ohmskin.hil.plugin import target
 
 BOARD = {"frame_rate": 100.0, "reference_resistances": [10e3, 20e3]}
-SLOW_HZ = 20.0
-"""over RFC 2217: pyserial's client hands over each byte by itself, between two threads. Where other programs use the
-processor it falls behind 55 kB/s, without a limit on what waits, so that no answer comes in any time"""
 SKIN = {"design": DESIGN | {"array": {"rows": 16, "columns": 16}}}
 LINKS = ("pty", "tcp", "rfc2217", "in-process", "firmware")
 
@@ -55,6 +52,5 @@ def port(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
             end = TcpPort.at(":0")
         case _:
             end = Rfc2217Port.at(":0")
-    rate = {"frame_rate": SLOW_HZ} if request.param == "rfc2217" else {}
-    with running(scene(skin=SKIN, board=BOARD | rate), end):
+    with running(scene(skin=SKIN, board=BOARD), end):
         yield end.name
