@@ -39,7 +39,8 @@ test-all: test-environment lint
 
 # The newest versions of everything that pyproject.toml leaves open, on the newest Python that is here; Numba has wheels
 # for 3.14 since 0.63. `make test` keeps the versions that its environment was made with.
-NEWEST ?= $(firstword $(shell command -v python3.14 python3.13 python3.12 $(PYTHON)))
+NEWEST ?= $(shell for p in python3.14 python3.13 python3.12 $(PYTHON); do \
+             $$p -c '' 2>/dev/null && { echo $$p; break; }; done)
 test-newest: | links
 	$(MAKE) VENV=.venv-newest PYTHON=$(NEWEST) .venv-newest/bin/python
 	.venv-newest/bin/pip install -q --disable-pip-version-check --upgrade --upgrade-strategy eager -e '.[dev]'
