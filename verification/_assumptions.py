@@ -141,9 +141,12 @@ def _matters(design: Design, section: str, key: str) -> bool:
     """Whether a key has an effect on the circuit."""
     circuit = design.board.circuit
     match section, key:
+        case "drive", "idle_row_resistance":
+            return design.drive.idle_rows == "pull"
         case "readout", "idle_columns":
-            return circuit.mixes_cells and not circuit.drives_idle_lines
-        case "drive", "idle_rows":
+            shared = not circuit.virtual_ground or design.readout.columns == "multiplexed"
+            return shared and not circuit.drives_idle_lines
+        case ("drive", "idle_rows") | ("readout", "columns"):
             return not circuit.drives_idle_lines
         case "readout", _ if key in _AMPLIFIED_ONLY:
             return circuit.has_amplifiers
