@@ -54,7 +54,8 @@ def _one_pole(design: Design) -> bool:
 
 def _in_time(design: Design) -> bool:
     """Whether settling and noise are computed at all."""
-    return design.board.circuit.virtual_ground or not _amplified(design)
+    parallel = design.readout.columns == "parallel"
+    return not _amplified(design) or (design.board.circuit.virtual_ground and parallel)
 
 
 EFFECTS = (
@@ -62,7 +63,7 @@ EFFECTS = (
     Effect("saturation recovery", "An amplifier leaves its limit at once.", "settling, crosstalk", _amplified),
     Effect("further amplifier poles", "Amplifiers have one pole; no model is named.", "phase margin", _one_pole),
     Effect("output impedance", "Amplifiers drive any load; no model is named.", "phase margin, headroom", _one_pole),
-    Effect("dynamics of followers", "Settling and noise have no number.", "settling, noise", lambda d: not _in_time(d)),
+    Effect("all dynamics", "Nothing takes time in this circuit.", "settling, noise", lambda d: not _in_time(d)),
     Effect("supply rejection", "Supplies, common mode and their ripple do not matter.", "noise", _amplified),
     Effect(
         "swing tolerance",
