@@ -3,7 +3,8 @@
 A model file is a program of somebody else. ngspice would run a ``.control`` block or a line that begins with ``*#``
 inside the file, shell commands included, and read any file that ``.include`` or a code model names. This module
 therefore accepts only lines that describe a circuit. It has lists of the allowed cards, devices and model types; every
-other line is an error that names file and line.
+other line is an error that names file and line. Subcircuits that the model does not call are left out of the netlist,
+whatever they contain: libraries have hundreds.
 
 Two things of makers' files that ngspice does not understand are translated: the end-of-file byte of DOS, and resistors
 without noise. PSpice marks such resistors by a model of temperature zero (``T_ABS=-273.15``), which ngspice drops
@@ -37,6 +38,7 @@ MODEL_TYPES = (
 )
 LTSPICE_ONLY = re.compile(r"^[bcdefghilrv].*\s(noiseless\b|(?:rpar|cpar|rser|lser|rlshunt)\s*=)", re.IGNORECASE)
 """Words of LTspice on devices, which ngspice refuses."""
+_ENCRYPTED = re.compile(r"\$CDNENC|\* Begin:.*Encrypt|^\*?\s*LTspice Encrypted", flags=re.IGNORECASE | re.MULTILINE)
 _DOS_END_OF_FILE = "\x1a"
 _ABSOLUTE = re.compile(r"\bt_abs\s*=\s*([-+]?[\d.]+(?:e[-+]?\d+)?)", re.IGNORECASE)
 _NOISELESS_CELSIUS = -273.0
@@ -76,13 +78,19 @@ class AmplifierModel(Section):
         path = folder / self.file
         # Makers use various code pages; only comments may contain more than ASCII.
         content = read_bytes(path, most_bytes=MOST_MODEL_BYTES).decode("latin-1")
-        cards = list(_checked_cards(content, str(path)))
-        self._check_pins(cards, str(path))
-        return self.replace(text="\n".join(_without_thermal_noise(cards)))
+        if _ENCRYPTED.search(content):
+            raise InputError(f"{path}: the model is encrypted; expected plain text")
+        cards = [card for card in _statements(content, str(path)) if card.words[0] != ".end"]
+        used = self._used(cards, str(path))
+        for card in used:
+            _check_card(card, str(path))
+        return self.replace(text="\n".join(_without_thermal_noise(used)))
 
-    def _check_pins(self, cards: list[_Card], path: str) -> None:
+    def _used(self, cards: list[_Card], path: str) -> list[_Card]:
+        """The cards of the subcircuit, of those that it calls, and outside of all; libraries have many others."""
         outside: dict[str, list[str]] = {}
         calls: dict[str, set[str]] = {}
+        belongs: list[str | None] = []
         inside: list[str] = []
         for card in cards:
             words = card.words
@@ -92,17 +100,21 @@ class AmplifierModel(Section):
                 if not inside:
                     outside.setdefault(words[1], _before_parameters(words[2:]))
                 inside.append(words[1])
-            elif words[0] == ".ends":
+            belongs.append(inside[0] if inside else None)
+            if words[0] == ".ends":
                 if not inside:
                     raise InputError(f"{path}: line {card.line}: .ENDS without .SUBCKT")
                 inside.pop()
-            elif not words[0].startswith(".") and not inside:
-                raise InputError(
-                    f"{path}: line {card.line}: '{shortened(one_line(card.text))}' stands outside a .SUBCKT"
-                )
+            elif not inside:
+                _check_card(card, path)
+                if not words[0].startswith("."):
+                    raise InputError(
+                        f"{path}: line {card.line}: '{shortened(one_line(card.text))}' stands outside a .SUBCKT"
+                    )
             elif words[0].startswith("x"):
                 callee = _before_parameters(words[1:])[-1:]
-                calls.setdefault(inside[-1], set()).update(callee)
+                for caller in {inside[0], inside[-1]}:
+                    calls.setdefault(caller, set()).update(callee)
         if inside:
             raise InputError(f"{path}: .SUBCKT {one_line(inside[-1])} has no .ENDS")
         name = self.subcircuit.lower()
@@ -115,7 +127,8 @@ class AmplifierModel(Section):
                 f"({shortened(one_line(' '.join(outside[name])))}), but readout.amplifier_model.pins names "
                 f"{len(self.pins)}"
             )
-        _refuse_recursion(name, calls, path)
+        reached = {None, *_reached(name, calls, path)}
+        return [card for card, owner in zip(cards, belongs, strict=True) if owner in reached]
 
 
 class _Card(NamedTuple):
@@ -130,33 +143,27 @@ class _Card(NamedTuple):
         return self.text.lower().replace("=", " = ").split()
 
 
-def _checked_cards(content: str, path: str) -> Iterator[_Card]:
-    """Statements of a model; InputError for kinds that are not allowed."""
-    if re.search(r"\$CDNENC|\* Begin:.*Encrypt|^\*?\s*LTspice Encrypted", content, flags=re.IGNORECASE | re.MULTILINE):
-        raise InputError(f"{path}: the model is encrypted; expected plain text")
-    for card in _statements(content, path):
-        first = card.words[0]
-        where = f"{path}: line {card.line}"
-        shown = shortened(one_line(card.text))
-        if not card.text.isascii() or not card.text.isprintable() or "`" in card.text:
-            raise InputError(f"{where}: expected plain ASCII text outside comments, got '{shown}'")
-        if first == ".end":
-            continue
-        if first.startswith("."):
-            if first not in CARDS:
-                raise InputError(f"{where}: '{shown}' is not part of a model; expected only {', '.join(CARDS)}")
-            if first == ".model":
-                _check_model_type(card, where, shown)
-        elif first[0] == "a":
-            raise InputError(f"{where}: '{shown}' is a device of LTspice, or a code model, which are not supported")
-        elif dialect := LTSPICE_ONLY.search(card.text):
-            word = dialect[1].rstrip("= ")
-            raise InputError(f"{where}: '{shown}': '{word}' is LTspice's own, and ngspice does not read it")
-        elif first[0] not in DEVICES:
-            raise InputError(f"{where}: '{shown}' is no device of a model; expected one of {DEVICES.upper()}")
-        if re.search(r"\bfile\s*=", card.text, flags=re.IGNORECASE):
-            raise InputError(f"{where}: '{shown}' would read a file")
-        yield card
+def _check_card(card: _Card, path: str) -> None:
+    """Raise InputError for a statement of a kind that is not allowed."""
+    first = card.words[0]
+    where = f"{path}: line {card.line}"
+    shown = shortened(one_line(card.text))
+    if not card.text.isascii() or not card.text.isprintable() or "`" in card.text:
+        raise InputError(f"{where}: expected plain ASCII text outside comments, got '{shown}'")
+    if first.startswith("."):
+        if first not in CARDS:
+            raise InputError(f"{where}: '{shown}' is not part of a model; expected only {', '.join(CARDS)}")
+        if first == ".model":
+            _check_model_type(card, where, shown)
+    elif first[0] == "a":
+        raise InputError(f"{where}: '{shown}' is a device of LTspice, or a code model, which are not supported")
+    elif dialect := LTSPICE_ONLY.search(card.text):
+        word = dialect[1].rstrip("= ")
+        raise InputError(f"{where}: '{shown}': '{word}' is LTspice's own, and ngspice does not read it")
+    elif first[0] not in DEVICES:
+        raise InputError(f"{where}: '{shown}' is no device of a model; expected one of {DEVICES.upper()}")
+    if re.search(r"\bfile\s*=", card.text, flags=re.IGNORECASE):
+        raise InputError(f"{where}: '{shown}' would read a file")
 
 
 def _statements(content: str, path: str) -> Iterator[_Card]:
@@ -235,8 +242,10 @@ def _before_parameters(words: list[str]) -> list[str]:
     return found
 
 
-def _refuse_recursion(name: str, calls: dict[str, set[str]], path: str) -> None:
-    """Raise InputError for a subcircuit that contains itself, which ngspice would expand until memory ends."""
+def _reached(name: str, calls: dict[str, set[str]], path: str) -> set[str]:
+    """The subcircuit and all that it calls. Raises InputError for one that contains itself, which ngspice would expand
+    until memory ends.
+    """
     finished: set[str] = set()
     stack = [(name, iter(sorted(calls.get(name, ()))))]
     while stack:
@@ -249,3 +258,4 @@ def _refuse_recursion(name: str, calls: dict[str, set[str]], path: str) -> None:
             raise InputError(f"{path}: .SUBCKT {one_line(callee)} contains itself")
         elif callee not in finished:
             stack.append((callee, iter(sorted(calls.get(callee, ())))))
+    return finished

@@ -146,9 +146,11 @@ HOSTILE = [
     (".tran 1n 1", "is not part of a model"),
     (".print tran v(1)", "is not part of a model"),
     ("Vsteal drive 0 5", "stands outside a .SUBCKT"),
-    (".subckt S 1 2\nA1 [1] [2] reader\n.ends", "or a code model"),
+    (".subckt FOLLOWER 1 2\nA1 [1] [2] reader\n.ends", "or a code model"),
+    (".subckt S 1 2\nA1 [1] [2] reader\n.ends", None),
     (".model reader filesource(file=/etc/passwd)", "unknown type of model"),
-    (".subckt S 1 2\nV1 1 2 PWL FILE=/etc/passwd\n.ends", "would read a file"),
+    (".subckt FOLLOWER 1 2\nV1 1 2 PWL FILE=/etc/passwd\n.ends", "would read a file"),
+    (".subckt S 1 2\nV1 1 2 PWL FILE=/etc/passwd\n.ends", None),
     (".param x={`touch hacked`}", "expected plain ASCII"),
     (".param \u03bc=1", "expected plain ASCII"),
     (".subckt S 1 2\nX1 1 2 S\n.ends", None),
@@ -161,8 +163,10 @@ HOSTILE = [
 @pytest.mark.parametrize(("line", "message"), HOSTILE)
 def test_what_is_no_circuit_is_refused(line: str, message: str | None, folder: Path) -> None:
     (folder / "opa.lib").write_text(f"* model\n{line}\n" + MODEL.replace("\xe9", "").replace("\xb5", ""))
-    if message is None:  # a subcircuit that the design does not use
-        assert _design(folder).readout.amplifier_model
+    if message is None:  # a subcircuit that the design does not use, and that does not get into the netlist
+        model = _design(folder).readout.amplifier_model
+        assert model is not None
+        assert ".subckt S" not in model.text
         return
     with pytest.raises(InputError) as caught:
         _design(folder)

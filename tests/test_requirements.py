@@ -303,6 +303,31 @@ def test_bad_requirements_are_one_line_of_bad_input(
     assert said.count("\n") == 1
 
 
+def test_a_divider_that_has_no_time_to_settle_fails() -> None:
+    """10 nF per column, 10 kohm, cells of 7 kohm to 1 Mohm: ngspice shows 4.7 % for one column alone at 2 kHz."""
+    design = Design.model_validate(
+        {
+            "array": {"rows": 4, "columns": 4, "row_lead": 100.0},
+            "drive": {"voltage": 5.0},
+            "readout": {
+                **{"circuit": "voltage-divider", "reference_resistance": 1e4},
+                **{"idle_columns": "load", "column_capacitance": 1e-8},
+            },
+            "adc": {"bits": 10, "range": (0.0, 5.0), "sampling_capacitance": 14e-12},
+            "cells": {"rest_resistance": 1e6, "full_scale_resistance": 7e3},
+            "operation": {"frame_rate": 2000.0},
+        }
+    )
+    fast = verify(design, only=["D8", "D9"])
+    assert outcomes_of(fast) == {"settling_error": "fail", "fastest_scan": "fail"}
+    settling, scan_rate = (result.measurement for result in fast.results)
+    assert settling is not None
+    assert scan_rate is not None
+    assert 4.7 < settling.value < 5.5
+    slow = verify(design.replace(operation={"frame_rate": 0.99 * scan_rate.value}), only=["D8", "D9"])
+    assert outcomes_of(slow) == {"settling_error": "pass", "fastest_scan": "pass"}
+
+
 def test_a_designs_code_is_loaded_from_its_folder_only_if_it_is_selected(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

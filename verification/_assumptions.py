@@ -54,7 +54,8 @@ def _one_pole(design: Design) -> bool:
 
 def _in_time(design: Design) -> bool:
     """Whether settling and noise are computed at all."""
-    return design.board.circuit.virtual_ground or not _amplified(design)
+    parallel = design.readout.columns == "parallel"
+    return not _amplified(design) or (design.board.circuit.virtual_ground and parallel)
 
 
 EFFECTS = (
@@ -62,7 +63,7 @@ EFFECTS = (
     Effect("saturation recovery", "An amplifier leaves its limit at once.", "settling, crosstalk", _amplified),
     Effect("further amplifier poles", "Amplifiers have one pole; no model is named.", "phase margin", _one_pole),
     Effect("output impedance", "Amplifiers drive any load; no model is named.", "phase margin, headroom", _one_pole),
-    Effect("dynamics of followers", "Settling and noise have no number.", "settling, noise", lambda d: not _in_time(d)),
+    Effect("all dynamics", "Nothing takes time in this circuit.", "settling, noise", lambda d: not _in_time(d)),
     Effect("supply rejection", "Supplies, common mode and their ripple do not matter.", "noise", _amplified),
     Effect(
         "swing tolerance",
@@ -141,9 +142,12 @@ def _matters(design: Design, section: str, key: str) -> bool:
     """Whether a key has an effect on the circuit."""
     circuit = design.board.circuit
     match section, key:
+        case "drive", "idle_row_resistance":
+            return design.drive.idle_rows == "pull"
         case "readout", "idle_columns":
-            return circuit.mixes_cells and not circuit.drives_idle_lines
-        case "drive", "idle_rows":
+            shared = not circuit.virtual_ground or design.readout.columns == "multiplexed"
+            return shared and not circuit.drives_idle_lines
+        case ("drive", "idle_rows") | ("readout", "columns"):
             return not circuit.drives_idle_lines
         case "readout", _ if key in _AMPLIFIED_ONLY:
             return circuit.has_amplifiers

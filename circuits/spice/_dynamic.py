@@ -369,6 +369,7 @@ class _Writer:
         yield from ("let back = -i(vloop)", "let forward = 1 - back", "let tv = {$voltage_run}.voltage_gain")
         yield "let loop_gain = (tv*back - forward)/((tv + 2)*forward + back)"
         yield from ("let gain_db = db(loop_gain)", "let angle = 180/pi*cph(loop_gain)")
+        yield from ("let start_db = gain_db[0]", "print start_db")  # also where there is no crossover
         yield "meas ac crossover WHEN gain_db=0 FALL=LAST"
         yield "meas ac angle_there FIND angle WHEN gain_db=0 FALL=LAST"
         yield from ("let phase_margin = 180 + angle_there", "print crossover", "print phase_margin")

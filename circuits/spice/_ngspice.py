@@ -30,7 +30,7 @@ from .._design import Design
 from ..readouts import REFERENCE
 from ._netlist import Deck, frame_deck, step_deck
 
-LEAST_LIMIT_S, LIMIT_PER_CARD_S = 30, 0.05
+LEAST_LIMIT_S, LIMIT_PER_CARD_S = 20, 0.05
 """of processor time for one run of the command, as a constant and by cards of the netlist; a macro-model may find no
 convergence for ever"""
 _WAITING = 20.0
