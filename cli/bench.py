@@ -23,6 +23,7 @@ from ..bench import _rest as of_rests
 from ..bench import _taps as of_taps
 from ..bench import _view as of_pages
 from ..bench import _worst_frames as of_events
+from ..bench import judges
 from ..common import tables
 from . import arguments
 from ._bar import progress_bar
@@ -69,6 +70,15 @@ class _ManyValues(click.Command):
     is_flag=True,
     help="Measure contacts instead: short taps found, fingers followed, false contacts.",
 )
+@click.option(
+    "--judges", "of_judges", is_flag=True, help="Judge an estimator by the scenes and gates of judges.toml instead."
+)
+@click.option("--only", default="", metavar="PATTERN", help="Of the judges: rows whose name or gate contains it.")
+@click.option("--quick", is_flag=True, help="Of the judges: a selection of about 20 s.")
+@click.option(
+    "--estimator", metavar="NAME", help="Of the judges: what is judged; also module:function(cell, shape). [cell's own]"
+)
+@click.option("--freeze", is_flag=True, help="Of the judges: write the figures into the table as today's.")
 @click.option("--view", "of_page", is_flag=True, help="Measure the page of `ohmskin view` instead, in Chromium.")
 @arguments.as_json("the measurements")
 def command(
@@ -82,12 +92,20 @@ def command(
     of_emulator: bool,
     of_driver: bool,
     of_contacts: bool,
+    of_judges: bool,
+    only: str,
+    quick: bool,
+    estimator: str | None,
+    freeze: bool,
     of_page: bool,
     as_json: bool,
 ) -> None:
     """Measure N x N arrays of 10 kohm to 1 Mohm with R ohm per line segment and lead: time per frame, true error,
     certified bound and memory of every method. Set OPENBLAS_NUM_THREADS=1 to compare on one thread.
     """
+    if of_judges:
+        _judge(only, quick, estimator, freeze, as_json)
+        return
     if estimators:
         judged = of_cells.estimators()
         click.echo(_as_json(judged) if as_json else of_cells.table(judged))
@@ -126,6 +144,25 @@ def command(
     if picture is not None:
         tables.write_text(picture, bench.picture(rows))
     click.echo(_as_json(rows) if as_json else bench.table(rows), nl=as_json)
+
+
+def _judge(only: str, quick: bool, estimator: str | None, freeze: bool, as_json: bool) -> None:
+    """Print today's and the measured figures of each row, and whether its gate holds."""
+    chosen, make = judges.rows(only, quick=quick), judges.maker(estimator)
+    verdicts = []
+    if not as_json:
+        click.echo(judges.HEADER)
+    with progress_bar("judging") as progress:
+        for done, row in enumerate(chosen):
+            progress(done, len(chosen), row.name)
+            for verdict in judges.judge([row], make):
+                verdicts.append(verdict)
+                if not as_json:
+                    click.echo(judges.line(verdict))
+    if freeze:
+        judges.freeze(verdicts)
+    records = [judges.record(verdict) for verdict in verdicts]
+    click.echo(json_text(records, indent=1) if as_json else "\n" + judges.summary(verdicts))
 
 
 def _as_json(rows: Iterable[Any]) -> str:
