@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..cell import Cell, ContactModel, equilibrium_curve
+from ..cell import Cell, ContactModel
 from ..common.arrays import BoolArray, FloatArray
 from ..common.files import read_bytes, whole_file
 from ..common.text import count_of, printable
@@ -164,6 +164,8 @@ class RestReadings:
     """(frames,) increasing"""
     noisy: BoolArray | None = None
     """(rows, columns) cells that only noise keeps from being valid in most frames; None: no cells"""
+    without_current: BoolArray | None = None
+    """(rows, columns) cells that read no current in most frames; None: no cells"""
 
     def tare(
         self,
@@ -192,22 +194,27 @@ class RestReadings:
             spread: relative deviation of a cell from the others that is no sign of a load.
 
         Raises:
-            InputError: no cell has a valid reading.
+            InputError: no cell has a valid reading, and none reads no current while its resistance falls under load.
 
         """
         readings = np.isfinite(self.resistance_ohm).sum(axis=0)
         measured = readings > 0
-        if not measured.any():
+        idle = np.zeros_like(measured)
+        if cell is not None and cell.falls and self.without_current is not None:
+            idle = self.without_current & ~measured
+        if not (measured | idle).any():
             raise InputError("no cell has a valid reading to tare with")
         mean = np.nansum(self.resistance_ohm, axis=0) / np.maximum(readings, 1)
         deviation = np.where(np.isfinite(self.resistance_ohm), self.resistance_ohm - mean, 0.0)
         std = np.sqrt((deviation**2).sum(axis=0) / np.maximum(readings - 1, 1))
         expected = np.ones_like(mean) if calibrated_ohm is None else calibrated_ohm
-        typical = float(np.median((mean / expected)[measured]))
-        otherwise = typical * expected if cell is None or calibrated_ohm is not None else cell.rest_resistance_ohm
+        sheet = np.nan if cell is None else cell.rest_resistance_ohm
+        typical = float(np.median((mean / expected)[measured])) if measured.any() else sheet
+        otherwise = typical * expected if cell is None or calibrated_ohm is not None else sheet
+        otherwise = np.where(idle, sheet, otherwise)
         unlike = _unlike_others(mean, typical * expected, measured, cell, spread)
         signs = (
-            far_from_sheet(typical, cell) if calibrated_ohm is None else _far_from_calibration(typical),
+            far_from_sheet(typical, cell) if calibrated_ohm is None or idle.all() else _far_from_calibration(typical),
             unlike,
             ""
             if earlier is None
@@ -223,7 +230,7 @@ class RestReadings:
             if not frames_advised:
                 spread_advised = _spread_of_all(ratio[measured])
         elif not remarks:
-            frames_advised = self._frames_to_cover(measured)
+            frames_advised = self._frames_to_cover(measured | idle)
         return Tare(
             rest_resistance_ohm=np.where(measured, mean, otherwise),
             measured=measured,
@@ -314,7 +321,7 @@ def far_from_sheet(typical_ohm: float, cell: Cell | None) -> str:
         return ""
     ratio = typical_ohm / cell.rest_resistance_ohm
     # Electrodes in light contact may have any resistance above that of the data sheet.
-    if 1 / SHEET_FACTOR <= ratio <= (np.inf if isinstance(cell.model, ContactModel) else SHEET_FACTOR):
+    if 1 / SHEET_FACTOR <= ratio <= (np.inf if cell.falls else SHEET_FACTOR):
         return ""
     return (
         f"the typical resistance is {typical_ohm:.4g} ohm, {ratio:.2g} times the {cell.rest_resistance_ohm:.4g} ohm "
@@ -399,8 +406,7 @@ def _changed_since(
 
 def _sign_of_load(cell: Cell) -> float:
     """1.0 if a load raises the resistance, -1.0 if it lowers it."""
-    full = equilibrium_curve(cell.model, cell.full_scale_kpa, cell.rest_resistance_ohm, np.ones(1))
-    return -1.0 if full[0] < 0 else 1.0
+    return -1.0 if cell.falls else 1.0
 
 
 def _worst(amount: FloatArray) -> tuple[int, int]:

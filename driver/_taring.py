@@ -137,7 +137,10 @@ class Tares:
         readings = RestReadings(
             np.array([frame.resistance for frame in taken]),
             np.array([frame.monotonic_time for frame in taken]),
-            2 * np.count_nonzero([frame.reason == Reason.UNCERTAIN for frame in taken], axis=0) > len(taken),
+            *(
+                2 * np.count_nonzero([frame.reason == why for frame in taken], axis=0) > len(taken)
+                for why in (Reason.UNCERTAIN, Reason.NO_CURRENT)
+            ),
         )
         return readings.tare(
             self._converter.cell,

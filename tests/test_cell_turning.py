@@ -15,6 +15,7 @@ from ohmskin.cell.estimation._conditions import Conditions
 from ohmskin.cell.estimation._estimator import Estimator
 from ohmskin.cell.estimation._inversion import Inversion, RecentReadings
 from ohmskin.cell.estimation._neighbours import Neighbours
+from ohmskin.cell.estimation._scale import Ratio
 from ohmskin.cell.inversions import _doubts as doubts
 from ohmskin.cell.inversions import _turning_rows as turning_rows
 from ohmskin.cell.inversions._switched import SwitchedInversion
@@ -49,7 +50,8 @@ def rmse(inversion: Inversion, noise: float | None, read: np.ndarray, load: np.n
 def errors(inversion: Inversion, noise: float | None, read: np.ndarray, load: np.ndarray, dt: float) -> np.ndarray:
     """(n, *shape) over full scale, for readings (n, *shape) of cells under normalised loads (n, *shape)."""
     shape = read.shape[1:]
-    estimator = Estimator(inversion, shape, np.full(shape or 1, REST), Conditions(noise=noise))
+    rest = np.full(shape or 1, REST)
+    estimator = Estimator(inversion, shape, rest, Ratio(rest), Conditions(noise=noise))
     if len(read) > BY_ARRAYS:
         estimator.compile()
     return np.array([estimator.step(dt, r) for r in read]) / FULL - load
