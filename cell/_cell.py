@@ -117,8 +117,15 @@ class Cell(Section):
 
     @property
     def falls(self) -> bool:
-        """Whether a load lowers the resistance. Such a cell bears no load where no current is read."""
+        """Whether a load lowers the resistance."""
         return self.log_span is not None or isinstance(self.model, ContactModel)
+
+    @property
+    def open_at_rest(self) -> bool:
+        """Whether a cell that reads no current bears no load, as of an FSR or Velostat; else it is not connected."""
+        if isinstance(self.model, ContactModel):
+            return self.rest_resistance_ohm >= OPEN * self.model.full_scale_resistance_ohm
+        return self.log_span is not None
 
     def equilibrium_ohm(self, load: ArrayLike) -> FloatArray:
         """Resistance of the cell under shares of full scale ``load`` that are held for long."""
@@ -192,8 +199,9 @@ class Cell(Section):
         """What turns readings of n cells with these rest resistances (n,) into r."""
         if isinstance(self.model, ContactModel):
             if self.estimators is None:
-                return Contact(rest_resistance_ohm, self._contact_ohm(rest_resistance_ohm))
-            return Ratio(rest_resistance_ohm, falls=True)
+                unit = self._contact_ohm(rest_resistance_ohm)
+                return Contact(rest_resistance_ohm, unit, open_at_rest=self.open_at_rest)
+            return Ratio(rest_resistance_ohm, falls=True, open_at_rest=self.open_at_rest)
         if self.log_span is not None:
             return Logarithm(rest_resistance_ohm, self.log_span)
         return Ratio(rest_resistance_ohm)

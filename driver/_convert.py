@@ -332,7 +332,7 @@ class Converter:
             estimator.resolve(*reading.resolution)
         assert self._column_steps is not None, "it is made with the estimator"
         resistance, taken_out = self._column_steps.without(reading)
-        if self.cell is not None and self.cell.falls and not reading.all_valid:
+        if self.cell is not None and self.cell.open_at_rest and not reading.all_valid:
             resistance = np.where(reading.reason == Reason.NO_CURRENT, np.inf, resistance)
         common = estimator.step(gap_s, resistance)
         systematic = self._systematic.take(reading, taken_out, rest_known=self._rest_known)
@@ -362,7 +362,7 @@ class Converter:
             self._reasons[Reason.VALID] += reading.valid.size
         else:
             told = np.bincount(reading.reason.ravel(), minlength=len(Reason))
-            if self.cell is not None and self.cell.falls:  # an open cell bears no load: no fault
+            if self.cell is not None and self.cell.open_at_rest:  # a cell without current bears no load: no fault
                 told[Reason.VALID] += told[Reason.NO_CURRENT]
                 told[Reason.NO_CURRENT] = 0
             self._reasons += told

@@ -194,13 +194,13 @@ class RestReadings:
             spread: relative deviation of a cell from the others that is no sign of a load.
 
         Raises:
-            InputError: no cell has a valid reading, and none reads no current while its resistance falls under load.
+            InputError: no cell has a valid reading, and cells are not open at rest.
 
         """
         readings = np.isfinite(self.resistance_ohm).sum(axis=0)
         measured = readings > 0
         idle = np.zeros_like(measured)
-        if cell is not None and cell.falls and self.without_current is not None:
+        if cell is not None and cell.open_at_rest and self.without_current is not None:
             idle = self.without_current & ~measured
         if not (measured | idle).any():
             raise InputError("no cell has a valid reading to tare with")

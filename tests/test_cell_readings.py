@@ -96,6 +96,22 @@ def test_without_current_a_contact_is_at_rest_and_another_cell_is_not_read() -> 
     assert silicone.std_kpa > 0.02 * Cell.example().full_scale_kpa
 
 
+@given(st.floats(1.5, 1e4))
+def test_a_contact_that_conducts_at_rest_is_not_connected_where_it_reads_no_current(factor: float) -> None:
+    """Its load stays as it was. Intervals say the same where they exclude its rest resistance."""
+    cell = SENSOR.replace(rest_resistance_ohm=5.0 * FULL_OHM)
+    estimator, other = cell.estimator(()), cell.estimator((1,))
+    bound = 1.0 / (cell.rest_resistance_ohm * factor)
+    for n in range(50):
+        pressed = 1.0 / (1.0 / cell.rest_resistance_ohm + 0.4 / FULL_OHM)
+        pressure = estimator.step(0.02, pressed if n < 40 else np.inf)
+        told = (1.0 / pressed, 0.99 / pressed, 1.01 / pressed) if n < 40 else (np.nan, 0.0, bound)
+        bounded = other.step_readings(0.02, read(*told))
+    assert pressure == pytest.approx(0.4 * FULL_KPA, rel=1e-6)
+    assert bounded[0] == pytest.approx(0.4 * FULL_KPA, rel=1e-6)
+    assert estimator.std_kpa > 0.01 * FULL_KPA
+
+
 def test_readings_of_another_shape_are_refused() -> None:
     with pytest.raises(InputError, match="conductance has shape"):
         SENSOR.estimator((2,)).step_readings(0.02, read(1e-4, 1e-4, 1e-4))

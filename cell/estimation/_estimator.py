@@ -3,8 +3,8 @@
 Each frame passes these steps:
 
 1. Readings become r, the normalised resistance or what else the cell's scale says (:mod:`._scale`). A reading counts as
-   missing if it is NaN, open, shorted, or beyond every credible load. Without current a cell whose resistance falls
-   under load bears none. Its cell keeps its pressure, and the standard deviation grows (:mod:`._gaps`).
+   missing if it is NaN, open, shorted, or beyond every credible load. Without current a cell that is open at rest
+   bears no load. Its cell keeps its pressure, and the standard deviation grows (:mod:`._gaps`).
 2. Noise that the cells of a column share is subtracted (:mod:`._shared_noise`). The remaining noise is measured
    (:mod:`._noise`).
 3. Cells at rest sleep: only their mean is monitored, until the mean or a reading leaves the noise (:mod:`._sleep`).
@@ -167,7 +167,7 @@ class Estimator:
         Args:
             elapsed_s: seconds since the last frame.
             resistance_ohm: (shape) in ohm; NaN and not positive entries are missing. An infinite entry reads no
-                current: no load, on a cell whose resistance falls under load; else it is missing, as of an open cell.
+                current: no load, on a cell that is open at rest; else it is missing, as of one that is not connected.
 
         Returns:
             (shape) pressure in kPa. A cell whose reading is missing keeps its last value; NaN before its first reading.
@@ -214,6 +214,8 @@ class Estimator:
         light, heavy = (self._held_kpa(bound) for bound in (near, far))
         heavy = np.minimum(heavy, USUAL * full) if falls else heavy
         unloaded = light <= 0.0
+        if not self._scale.open_at_rest:
+            light = np.where(least_ohm > self._rest_ohm, np.nan, light) if falls else light
         stands = np.where(unloaded, self._rest_ohm, near if falls else np.nan)
         stands[~(heavy >= light)] = np.nan
         std = (heavy - np.maximum(light, 0.0)) / EVENLY
@@ -240,7 +242,7 @@ class Estimator:
         dt, exact = float(elapsed_s) if self._frames else 1.0, self.inversion.exact
         r = self._reading = np.empty(resistance.size)
         quiet = None
-        if self._scale.falls and np.isinf(resistance).any():
+        if self._scale.open_at_rest and np.isinf(resistance).any():
             quiet = np.isinf(resistance) & (resistance > 0.0)  # no current, hence no load, and no noise to be measured
             resistance = np.where(quiet, self._rest_ohm, resistance)
         known = self._known = self._normalise(resistance, r)

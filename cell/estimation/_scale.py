@@ -22,7 +22,9 @@ class Scale(ABC):
     """Turns resistances of n cells into r."""
 
     falls = False
-    """whether a load lowers the resistance. Such a cell bears no load where no current is read"""
+    """whether a load lowers the resistance"""
+    open_at_rest = False
+    """whether a cell at rest may read no current; otherwise a cell that does is not connected"""
 
     @abstractmethod
     def read(self, resistance_ohm: FloatArray, r: FloatArray, credible: tuple[float, float], *, compiled: bool) -> bool:
@@ -43,8 +45,8 @@ class Scale(ABC):
 class Ratio(Scale):
     """r = R/R0 - 1, of cells with rest resistances R0 (n,)."""
 
-    def __init__(self, rest_resistance_ohm: FloatArray, *, falls: bool = False) -> None:
-        self._per_ohm, self.falls = 1.0 / rest_resistance_ohm, falls
+    def __init__(self, rest_resistance_ohm: FloatArray, *, falls: bool = False, open_at_rest: bool = False) -> None:
+        self._per_ohm, self.falls, self.open_at_rest = 1.0 / rest_resistance_ohm, falls, open_at_rest
 
     def read(self, resistance_ohm: FloatArray, r: FloatArray, credible: tuple[float, float], *, compiled: bool) -> bool:
         if compiled:
@@ -60,7 +62,7 @@ class Ratio(Scale):
 class Logarithm(Scale):
     """r = ln(R0/R)/span, of cells with rest resistances R0 (n,) whose resistance falls under load."""
 
-    falls = True
+    falls = open_at_rest = True
 
     def __init__(self, rest_resistance_ohm: FloatArray, span: float) -> None:
         self._rest_ohm, self._span = rest_resistance_ohm, span
@@ -86,8 +88,9 @@ class Contact(Scale):
 
     falls = True
 
-    def __init__(self, rest_resistance_ohm: FloatArray, scale_ohm: float) -> None:
+    def __init__(self, rest_resistance_ohm: FloatArray, scale_ohm: float, *, open_at_rest: bool) -> None:
         """``scale_ohm`` is 1/g."""
+        self.open_at_rest = open_at_rest
         self._scale_ohm = scale_ohm
         self._shift = 1.0 / scale_ohm - 1.0 / rest_resistance_ohm
 
