@@ -14,7 +14,7 @@ import numpy as np
 from ...common.arrays import FloatArray
 from . import _loops as loops
 
-BELOW = 0.02
+BELOW = 0.1
 """least r on scales of cells whose resistance falls under load: at rest their resistance may be anything above R0"""
 
 
