@@ -39,7 +39,7 @@ def command(recording: Path, output: Path) -> None:
         if kind == ".nc":
             content = _as_netcdf(frames, skin)
         else:
-            arrays = stack(frames, skin.design.array.shape)
+            arrays = stack(frames, skin.shape)
     with whole_file(output) as file:
         if kind == ".nc":
             file.write(content)

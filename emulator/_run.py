@@ -69,7 +69,7 @@ def emulate(
         duration_s: s of board time.
         seed: for noise, faults and jitter.
         truth: file for every frame as it truly was; None: none.
-        family: whose protocol the board speaks, a key of :data:`ohmskin.wire.BOARDS`.
+        family: whose protocol the board speaks, as for :func:`ohmskin.wire.board_family`.
         hand: presses beside the scene's contacts.
         ready: called when the board is there, and nothing of what was asked for is refused any more.
         stop: asks for the end.
