@@ -91,7 +91,7 @@ class TextFrame(_LinesFrame):
 
     format: Literal["text"]
     separator: Annotated[str, Field(min_length=1, max_length=8, pattern=r"^[^0-9A-Za-z+\-.\r\n]+$")] | None = None
-    """between two numbers; None: any run of spaces, tabs, commas and semicolons"""
+    """between two numbers; None: any run of spaces, tabs, and , ; : |"""
     prefix: Annotated[str, Field(max_length=200)] = ""
     """text at the head of every line with numbers; other lines are skipped"""
 

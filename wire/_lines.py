@@ -33,7 +33,7 @@ AMBIGUOUS = (
 MOST_LISTS = 8
 """lists in each other in a JSON document"""
 
-_SEPARATORS = re.compile(r"[\s,;]+")
+_SEPARATORS = re.compile(r"[\s,;:|]+")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _BARE_NAN = re.compile(rb"(?<=[\[,:\s])[+-]?(nan|inf|ovf)(?=[\],\s}])", re.IGNORECASE)
 """what C prints for numbers that JSON lacks"""
@@ -61,7 +61,7 @@ class LineFormat:
             return None
         text = line[len(self.prefix) :]
         if self.separator is None:
-            words = _SEPARATORS.split(text.strip(" \t,;"))
+            words = _SEPARATORS.split(text.strip(" \t,;:|"))
         else:
             words = [word.strip() for word in text.split(self.separator)]
             if len(words) == expected + 1 and not words[-1]:
