@@ -82,7 +82,8 @@ def _folds(data: bytes, chunks: Sequence[Chunk]) -> Iterator[tuple[int, int]]:
     kinds, seen = np.unique(pair[returns] * len(stream) + gap[returns], return_counts=True)
     lengths = kinds % len(stream)
     covered: dict[int, int] = {}
-    for length, bytes_covered in zip(lengths.tolist(), (seen * lengths).tolist(), strict=True):
+    often = seen >= FEWEST_FRAMES - 1
+    for length, bytes_covered in zip(lengths[often].tolist(), (seen * lengths)[often].tolist(), strict=True):
         covered[length] = max(covered.get(length, 0), bytes_covered)
     starts = _burst_starts(chunks)
     for length in sorted(covered, key=lambda one: -covered[one])[:3]:

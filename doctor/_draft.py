@@ -59,7 +59,8 @@ class Draft:
     @property
     def questions(self) -> list[str]:
         """What the bytes do not tell."""
-        return [remark.removeprefix("? ") for remark in self.guess.remarks.values() if remark.startswith("?")]
+        remarks = self.guess.remarks.items()
+        return [f"{key}: {remark.removeprefix('? ')}" for key, remark in remarks if remark.startswith("?")]
 
 
 def draft(chunks: Sequence[Chunk], *, baudrate: int, poll: bytes = b"") -> Draft | None:

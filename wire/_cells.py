@@ -127,6 +127,8 @@ class Pauses:
         self._period = period
         self._pause_s: dict[int, float] = {}
         self._latest: float | None = None
+        self._longest_s, self._usual_s = 0.0, math.inf
+        """longest pause of this period, and of the usual one"""
         self._since = self._counted = 0
         self.origin = 0
         """place at which frames begin if no pause is clear: that of the first unit, or of the last clear pause"""
@@ -135,15 +137,20 @@ class Pauses:
         """Count units that came together; returns the place of the first of them in the period."""
         place = self._counted % self._period
         if self._latest is not None:
-            # A pause of the operating system, however long, counts as one of the board.
-            usual_s = (1.0 - self.FORGET) * max(self._pause_s.values(), default=0.0) if self.decided else math.inf
-            self._pause_s[place] = self._pause_s.get(place, 0.0) + min(max(received_at - self._latest, 0.0), usual_s)
+            # A pause of the operating system, however long, counts as two of the board.
+            pause_s = min(max(received_at - self._latest, 0.0), 2.0 * self._usual_s)
+            self._longest_s = max(self._longest_s, pause_s)
+            self._pause_s[place] = self._pause_s.get(place, 0.0) + pause_s
         self._latest = received_at
         self._counted += units
         self._since += units
         while self._since >= self._period:
             self._since -= self._period
             self._pause_s = {at: self.FORGET * pause for at, pause in self._pause_s.items() if pause > 1e-9}
+            if self.decided:
+                usual_s = self._longest_s if math.isinf(self._usual_s) else self._usual_s
+                self._usual_s = self.FORGET * usual_s + (1.0 - self.FORGET) * self._longest_s
+            self._longest_s = 0.0
         return place
 
     def begin(self) -> None:

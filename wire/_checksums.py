@@ -20,6 +20,24 @@ class Checksum:
     """the checksum of some bytes, as it is sent"""
 
 
+def _crc8(data: bytes) -> int:
+    """CRC-8 with the polynomial 0x07, start 0 (SMBus specification 3.1, 6.4.1.1)."""
+    table, crc = _crc8_table(), 0
+    for byte in data:
+        crc = table[crc ^ byte]
+    return crc
+
+
+@cache
+def _crc8_table() -> tuple[int, ...]:
+    def entry(crc: int) -> int:
+        for _ in range(8):
+            crc = (crc << 1 ^ 0x07 if crc & 0x80 else crc << 1) & 0xFF
+        return crc
+
+    return tuple(map(entry, range(256)))
+
+
 def _crc16_modbus(data: bytes) -> int:
     """CRC-16 with the polynomial 0x8005 reflected, start 0xFFFF (Modbus over serial line, V1.02, 2.5.1.2)."""
     table, crc = _modbus_table(), 0xFFFF
@@ -48,6 +66,7 @@ def _kinds() -> dict[str, Checksum]:
     }
     kinds = {
         "sum8": Checksum(1, lambda data: bytes([sum(data) % 256])),
+        "crc8": Checksum(1, lambda data: bytes([_crc8(data)])),
         "xor8": Checksum(1, lambda data: bytes([reduce(xor, data, 0)])),
     }
     for name, (size, of) in numbers.items():
