@@ -82,4 +82,6 @@ def _range(numbers: FloatArray, word: str | None) -> tuple[int, tuple[float, flo
         if low >= 0 and high <= 1.001 * top and not whole:
             return 16, (0.0, top), seen
     top = 2.0 ** math.ceil(math.log2(max(abs(low), abs(high), 1.0) * 1.5))
+    if word is not None and "int32" in word:
+        top = min(top, 2.0**32 - 1 if word.startswith("u") else 2.0**31 - 1)
     return 16, (0.0 if low >= 0 else -top, top), seen

@@ -228,7 +228,7 @@ EXAMPLES = sorted((Path(__file__).parent.parent / "examples/boards").glob("*.tom
 
 
 def streamed(path: Path, count: int = 40) -> tuple[list[Chunk], list[NDArray[np.uint16]]]:
-    """What a board of a file sends at 30 Hz, joined in the middle of a frame: noise at rest, and a finger that moves."""
+    """What a board of a file sends at 30 Hz, joined in mid-frame: noise at rest, and a finger that moves."""
     family, rng = board_family(path), np.random.default_rng(4)
     rows, columns, most = family.layout.rows, family.layout.columns, 2**family.layout.adc_bits - 1
     board, chunks, shown = board_protocol(family), [], []

@@ -157,6 +157,12 @@ class BoardFile(Section):
             raise ValueError(f"board: {board.rows} x {board.columns} cells; expected at most {MOST_CELLS}")
         if frame.range is not None and not frame.range[0] < frame.range[1]:
             raise ValueError(f"frame.range: expected the smaller number first (got {list(frame.range)})")
+        word = frame.word if isinstance(frame, BinaryFrame) else "float64le"
+        if frame.range is not None and not WORDS[word].holds(*frame.range, steps=2**board.bits - 1):
+            raise ValueError(
+                f"frame.range: a {word} cannot tell 2^{board.bits} numbers in {list(frame.range)} apart; "
+                "expected fewer board.bits, or another range"
+            )
         if isinstance(frame, BinaryFrame) and frame.range is None and board.bits > WORDS[frame.word].bits:
             raise ValueError(
                 f"board.bits: a {frame.word} has {WORDS[frame.word].bits} bits for counts; expected no more, "

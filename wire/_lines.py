@@ -71,7 +71,7 @@ class LineFormat:
 
     def write(self, numbers: Numbers, ahead: list[int]) -> str:
         """A line with these numbers."""
-        values = [*ahead, *(int(value) if value.is_integer() else float(f"{value:.8g}") for value in numbers.tolist())]
+        values = [*ahead, *(int(value) if value.is_integer() else float(f"{value:.15g}") for value in numbers.tolist())]
         if self.json_key is None:
             separator = " " if self.separator is None else self.separator
             return self.prefix + separator.join(map(str, values)) + self.newline

@@ -41,7 +41,15 @@ class Word:
 
     dtype: np.dtype[np.generic]
     bits: int
-    """for counts; a float has those of its mantissa"""
+    """for counts; a float has those of its mantissa, less those that text of 15 digits lacks"""
+
+    def holds(self, low: float, high: float, *, steps: int) -> bool:
+        """Whether the word can hold so many even steps from ``low`` to ``high``."""
+        step = (high - low) / steps
+        if self.dtype.kind == "f":
+            return step > 2.0 ** (2 - self.bits) * max(abs(low), abs(high))
+        limits = np.iinfo(self.dtype)  # type: ignore[type-var]  # its kind is not f
+        return bool(limits.min <= low and high <= limits.max and step >= 1.0)
 
 
 WORDS = {
@@ -59,8 +67,8 @@ WORDS = {
         ("int32be", ">i4", 31),
         ("float32le", "<f4", 24),
         ("float32be", ">f4", 24),
-        ("float64le", "<f8", 53),
-        ("float64be", ">f8", 53),
+        ("float64le", "<f8", 49),
+        ("float64be", ">f8", 49),
     )
 }
 """by name"""
