@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import struct
 import zlib
 from collections.abc import Iterator
@@ -342,19 +343,18 @@ def test_noise_without_end_takes_bounded_memory(path: Path) -> None:
 
 # With driver, emulator and recordings
 
-PRESS = {"cells": [[1, 1]], "load_kpa": [[0.0, 0.0], [0.05, 12.0]]}
-
 
 def emulated(family: Family, rate_hz: float = 40.0) -> Any:
     """A scene whose board has the array and the converter of the family, a divider in each column."""
     layout = family.layout
+    press = {"cells": [[min(layout.rows - 1, 1), 1]], "load_kpa": [[0.0, 0.0], [0.05, 12.0]]}
     design = {
         "array": {"rows": layout.rows, "columns": layout.columns},
         "drive": {"voltage": 3.3, "idle_rows": "ground"},
         "readout": {"circuit": "voltage-divider", "reference_resistance": 1e3},
         "adc": {"bits": layout.adc_bits, "range": [0.0, 3.3]},
     }
-    return scene(skin={"design": design}, contact=[PRESS], board={"frame_rate": rate_hz})
+    return scene(skin={"design": design}, contact=[press], board={"frame_rate": rate_hz})
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
@@ -491,6 +491,32 @@ def test_a_design_of_another_size_is_refused() -> None:
         InputError, match=r"board 'mat' has 2 x 3 cells of 8 bits in its BOARD\.toml; the design has 4 x 4"
     ):
         host_protocol(text(), shape=(4, 4))
+
+
+def test_the_family_of_the_documentation_works_and_its_recordings_open_with_it_alone(tmp_path: Path) -> None:
+    page = (Path(__file__).parent.parent / "docs/boards.md").read_text()
+    (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    names: dict[str, Any] = {}
+    exec(code, names)  # the reader's own program
+    family, port = names["HEX"], PtyPort()
+    with (
+        running(emulated(family), port, family=family),
+        Skin.open(port.name, board=family, timeout=30.0, record=tmp_path / "x.mcap") as skin,
+    ):
+        counts = skin.read().counts
+    assert counts.shape == (1, 8)
+    with pytest.raises(InputError, match=r"x\.mcap: a recording of the board 'hex', .* give it \(board=\)"):
+        Skin.open(tmp_path / "x.mcap")
+    with Skin.open(tmp_path / "x.mcap", board=family) as again:
+        np.testing.assert_array_equal(next(again).counts, counts)
+
+
+def test_the_page_names_every_key_and_every_example() -> None:
+    page = (Path(__file__).parent.parent / "docs/boards.md").read_text()
+    frame = BoardFile.model_json_schema()["$defs"]
+    keys = {key for name, table in frame.items() if name.endswith(("Frame", "Table")) for key in table["properties"]}
+    assert not {key for key in keys if f"`{key}" not in page and f"\n{key} = " not in page}
+    assert not [path.name for path in EXAMPLES if f"({'../examples/boards/' + path.name})" not in page]
 
 
 def test_a_family_of_ones_own_package_is_found_by_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -200,7 +200,7 @@ def stream(rng: random.Random) -> bytes:
     write = FORMATS[number][1]
     pieces = [bytes([number]), rng.choice((b"", b"rst:0x1 boot\r\n\0", b"\n\0"))]
     for _ in range(rng.randrange(3, 6)):
-        pieces.append(write([float(rng.randrange(4096)) for _ in range(CELLS)]))
+        pieces.append(write([None if rng.random() < 0.1 else float(rng.randrange(4200)) for _ in range(CELLS)]))
         pieces.append(rng.choice((b"", b"", b"[wifi] rssi -60\r\n")))
     return b"".join(pieces)
 
