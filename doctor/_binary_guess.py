@@ -11,7 +11,7 @@ import numpy as np
 from cobs import cobs
 from numpy.typing import NDArray
 
-from ..common.arrays import FloatArray
+from ..common.arrays import FloatArray, IntArray
 from ..wire import CHECKSUMS, WORDS
 from ._guess import Chunk, Guess, board_guess, shapes
 
@@ -20,7 +20,7 @@ MOST_BYTES = 2**17
 LEAST_FRAME = 8
 FEWEST_FRAMES = 3
 USUAL = 0.8
-LONGEST_HEADER = 4
+LONGEST_HEADER = 8
 MOST_AHEAD = 8
 """bytes between header and words, at most"""
 PAUSE_S = 0.003
@@ -28,6 +28,10 @@ COVERED = 0.6
 """share of the stream that the returns of two bytes after one length make up, if these are a header"""
 PROOF = 20.0
 """likelihood that a right checksum adds"""
+HALF = 0.05
+"""ratio of the scatter of every other number to that of the rest, below which they are halves of longer words"""
+LEFT_OVER = 6.0
+"""likelihood that a constant byte other than zero takes away where it would be a cell's"""
 MOST_TRIED = 24
 _WORDS = ("uint8", "uint16le", "uint16be", "int16le", "int16be", "uint32le", "uint32be", "float32le", "float32be")
 Bytes = NDArray[np.uint8]
@@ -75,16 +79,10 @@ def _folds(data: bytes, chunks: Sequence[Chunk]) -> Iterator[tuple[int, int]]:
     stream = np.frombuffer(data, np.uint8).astype(np.int64)
     if len(stream) < FEWEST_FRAMES * LEAST_FRAME:
         return
-    pairs = stream[:-1] * 256 + stream[1:]
-    order = np.argsort(pairs, kind="stable")
-    gap, pair = np.diff(order), pairs[order][:-1]
-    returns = (np.diff(pairs[order]) == 0) & (gap >= LEAST_FRAME)
-    kinds, seen = np.unique(pair[returns] * len(stream) + gap[returns], return_counts=True)
-    lengths = kinds % len(stream)
     covered: dict[int, int] = {}
-    often = seen >= FEWEST_FRAMES - 1
-    for length, bytes_covered in zip(lengths[often].tolist(), (seen * lengths)[often].tolist(), strict=True):
-        covered[length] = max(covered.get(length, 0), bytes_covered)
+    for codes in (stream[:-1] * 256 + stream[1:], stream):
+        for length, covers in _returns(codes).items():
+            covered[length] = max(covered.get(length, 0), covers)
     starts = _burst_starts(chunks)
     for length in sorted(covered, key=lambda one: -covered[one])[:3]:
         if covered[length] < COVERED * len(data):
@@ -98,6 +96,21 @@ def _folds(data: bytes, chunks: Sequence[Chunk]) -> Iterator[tuple[int, int]]:
         paused = [phase for phase, seen in pauses.most_common(1) if constant[phase] and seen > USUAL * len(starts)]
         for phase in paused or _headers(constant, common)[:4]:
             yield length, phase
+
+
+def _returns(codes: IntArray) -> dict[int, int]:
+    """Lengths after which a code returns again and again -> bytes of the stream that its returns cover, at most."""
+    order = np.argsort(codes, kind="stable")
+    gap, code = np.diff(order), codes[order][:-1]
+    returns = (np.diff(codes[order]) == 0) & (gap >= LEAST_FRAME)
+    kinds, seen = np.unique(code[returns] * len(codes) + gap[returns], return_counts=True)
+    often = seen >= FEWEST_FRAMES - 1
+    covered: dict[int, int] = {}
+    for length, covers in zip(
+        (kinds % len(codes))[often].tolist(), (seen * (kinds % len(codes)))[often].tolist(), strict=True
+    ):
+        covered[length] = max(covered.get(length, 0), covers)
+    return covered
 
 
 def _headers(constant: NDArray[np.bool_], common: FloatArray) -> list[int]:
@@ -132,12 +145,15 @@ def _framed_guesses(frames: Bytes) -> Iterator[Likely]:
     ends = [n for n in (2, 1) if n <= tail and bytes(frames[0, -n:]) in (b"\r\n", b"\n\r", b"\n", b"\r")] or []
     trailers = [*ends, 0] + ([1] if tail == 1 and 1 not in ends and frames[0, -1] != 0 else [])
     for header, trailer in product(range(min(run, LONGEST_HEADER), 0, -1), trailers):
+        # Constant bytes that are not zero are a header's rather than those of cells.
+        left_over = int(np.count_nonzero(frames[0, header:run]))
         frame: dict[str, Any] = {"format": "binary", "header": frames[0, :header].tolist()}
         if trailer:
             frame["trailer"] = frames[0, -trailer:].tolist()
         body = frames[:, : frames.shape[1] - trailer]
         for likely, guess in _inner_guesses(body, frame, header):
-            yield likely + 0.1 * (header + trailer), guess
+            passed = min(guess.tables["frame"].get("before", 0), left_over)
+            yield likely + 0.1 * (header + trailer) - LEFT_OVER * (left_over - passed), guess
 
 
 def _inner_guesses(frames: Bytes, frame: dict[str, Any], header: int) -> Iterator[Likely]:
@@ -225,7 +241,14 @@ def _likelihood(numbers: FloatArray, name: str) -> float:
         return -1.0 - 0.1 * WORDS[name].dtype.itemsize
     steps = np.abs(np.diff(filled, axis=0)).mean() / span
     across = np.abs(np.diff(filled, axis=1)).mean() / span if filled.shape[1] > 1 else steps
-    likely = -2.0 * float(np.log10(max(steps, 1e-4))) - 1.0 * float(np.log10(max(across, 1e-4)))
+    # Every other number constant beside its neighbours: the high half of a longer word.
+    halves = sorted(float(filled[:, side::2].std()) for side in (0, 1)) if filled.shape[1] > 1 else [1.0, 1.0]
+    likely = -2.5 * (halves[0] < HALF * halves[1])
+    likely += -2.0 * float(np.log10(max(steps, 1e-4))) - 1.0 * float(np.log10(max(across, 1e-4)))
+    if name.startswith("uint"):
+        bits = 8 * WORDS[name].dtype.itemsize
+        signed = np.where(filled < 2.0 ** (bits - 1), filled, filled - 2.0**bits)
+        likely -= 4.0 * (float(signed.max() - signed.min()) < 0.5 * span)
     if name.startswith("float"):
         likely += 2.0
     elif name.startswith("int"):

@@ -59,17 +59,19 @@ class Draft:
     @property
     def questions(self) -> list[str]:
         """What the bytes do not tell."""
-        remarks = self.guess.remarks.items()
-        return [f"{key}: {remark.removeprefix('? ')}" for key, remark in remarks if remark.startswith("?")]
+        tables, remarks = self.guess.tables, self.guess.remarks
+        keys = [f"{table}.{key}" for table, values in tables.items() for key in values]
+        return [f"{key}: {remarks[key].removeprefix('? ')}" for key in keys if remarks.get(key, "").startswith("?")]
 
 
-def draft(chunks: Sequence[Chunk], *, baudrate: int, poll: bytes = b"") -> Draft | None:
+def draft(chunks: Sequence[Chunk], *, baudrate: int, send: bytes = b"", poll: bytes = b"") -> Draft | None:
     """The description that accounts best for what a board has sent; None where none does.
 
     Args:
         chunks: what came, with the times.
         baudrate: at which it came.
-        poll: bytes that asked for it.
+        send: bytes after which it came.
+        poll: bytes that asked for each frame.
 
     """
     received = sum(len(chunk.data) for chunk in chunks)
@@ -78,7 +80,7 @@ def draft(chunks: Sequence[Chunk], *, baudrate: int, poll: bytes = b"") -> Draft
     guesses = text_guesses(chunks) if is_text(chunks) else binary_guesses(chunks)
     best: Draft | None = None
     for number, guess in enumerate(guesses):
-        tried = _tried(_with_port(guess, baudrate, poll), chunks, received)
+        tried = _tried(_with_port(guess, baudrate, send, poll), chunks, received)
         if tried is not None and (best is None or tried.accounted > best.accounted + 0.02):
             best = tried
         if number >= MOST_GUESSES or (best is not None and best.accounted >= GOOD_ACCOUNTED):
@@ -86,12 +88,16 @@ def draft(chunks: Sequence[Chunk], *, baudrate: int, poll: bytes = b"") -> Draft
     return best
 
 
-def _with_port(guess: Guess, baudrate: int, poll: bytes) -> Guess:
+def _with_port(guess: Guess, baudrate: int, send: bytes, poll: bytes) -> Guess:
     tables = {name: dict(values) for name, values in guess.tables.items()}
     tables["board"]["baudrate"] = baudrate
-    if poll:
-        tables["start"] = {"poll": list(poll) if not poll.decode("latin-1").isprintable() else poll.decode("latin-1")}
-    return Guess(tables, guess.remarks)
+    remarks = dict(guess.remarks)
+    asked = {"send": send, "poll": poll}
+    start = {key: data.decode() if data.isalnum() else list(data) for key, data in asked.items() if data}
+    if start:
+        tables["start"] = start
+        remarks["start.send"] = "? the board was silent, and sent frames after this; it may have begun by itself"
+    return Guess(tables, remarks)
 
 
 def _tried(guess: Guess, chunks: Sequence[Chunk], received: int) -> Draft | None:

@@ -188,17 +188,25 @@ def _answer(
         doing = f"{port}: silent; asking like '{family.name}' at {setting.baud_rate} baud"
         _collect(line, listen_s / len(orders), answer, doing, tell)
     chunks += answer
-    poll = protocol.request(Order.ONE_FRAME) if family.polled else b""
-    return _judged(port, setting.baud_rate, answer, poll) if answer else None
+    if not answer:
+        return None
+    request = protocol.request(Order.ONE_FRAME)
+    after: list[Chunk] = []
+    _collect(line, listen_s, after, f"{port}: listening at {setting.baud_rate} baud", tell)
+    if len(_joined(after)) > len(_joined(answer)) / 2:  # it goes on by itself: it was started, or has booted meanwhile
+        return _judged(port, setting.baud_rate, after, send=request)
+    return _judged(port, setting.baud_rate, answer, poll=request)
 
 
-def _judged(port: str, baud_rate: int, chunks: Sequence[Chunk], poll: bytes = b"") -> Traffic | None:
+def _judged(
+    port: str, baud_rate: int, chunks: Sequence[Chunk], *, send: bytes = b"", poll: bytes = b""
+) -> Traffic | None:
     """The family that the bytes are of, or the description that accounts for them."""
     data = _joined(chunks)
     verdict = judge(data)
     if verdict is not None:
         return Traffic(_recognised(port, baud_rate, data, verdict), None, baud_rate)
-    found = draft(chunks, baudrate=baud_rate, poll=poll)
+    found = draft(chunks, baudrate=baud_rate, send=send, poll=poll)
     return None if found is None else Traffic(_described(port, baud_rate, chunks, found), found, baud_rate)
 
 

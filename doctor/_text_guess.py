@@ -28,8 +28,9 @@ MOST_ROWS = 256
 
 _WORD = r"(?:[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?nan|null|[+-]?inf|ovf)"
 _BETWEEN = r"[\s,;:|]"
-_NUMBERS = re.compile(rf"{_BETWEEN}*{_WORD}(?:{_BETWEEN}+{_WORD})+{_BETWEEN}*$|{_WORD}?(?:\s*,\s*{_WORD}?)+$", re.I)
+_NUMBERS = re.compile(rf"{_BETWEEN}*{_WORD}(?:{_BETWEEN}+{_WORD})*{_BETWEEN}*$|{_WORD}?(?:\s*,\s*{_WORD}?)+$", re.I)
 """the end of a line that is numbers, with or without empty places between commas"""
+_LABEL = re.compile(r"[A-Za-z_]\w*\s*[:=]\s*")
 _DIGITS = re.compile(r"\d+")
 _LIST = re.compile(r"(?<=[\[,:\s])[+-]?(nan|inf|ovf)(?=[\],\s}])", re.I)
 
@@ -55,6 +56,15 @@ def text_guesses(chunks: Sequence[Chunk]) -> Iterator[Guess]:
     lines = _lines(chunks)
     yield from _json_guesses(lines)
     parsed = [_parsed(line) for line in lines]
+    if 2 * sum(len(_LABEL.findall(line.text)) > 1 for line in lines) > sum(bool(line.text) for line in lines):
+        bare = [_parsed(_Line(_LABEL.sub("", line.text), line.time_s)) for line in lines]
+        for guess in _guesses_of(bare):
+            guess.tables["frame"]["labels"] = True
+            yield guess
+    yield from _guesses_of(parsed)
+
+
+def _guesses_of(parsed: Sequence[_Line]) -> Iterator[Guess]:
     kinds = Counter((line.prefix, len(line.numbers)) for line in parsed if line.numbers)
     for (prefix, count), seen in kinds.most_common(3):
         if seen >= FEWEST_LINES:
@@ -79,7 +89,7 @@ def _parsed(line: _Line) -> _Line:
         found = _NUMBERS.match(text, place)
         if found is not None:
             words = _words(found[0])
-            if len(words) > 1:
+            if words:
                 return _Line(text, line.time_s, text[:place], tuple(map(_value, words)))
     return line
 
@@ -109,12 +119,18 @@ def _line_guesses(lines: Sequence[_Line], prefix: str, count: int) -> Iterator[G
     if prefix:
         frame["prefix"] = prefix.rstrip()
     ended = _end(lines, mine)
-    if ended is not None:
+    if ended is not None and count > 1:
         end, rows = ended
         keys: dict[str, Any] = {"layout": "row-per-line", "end": end}
         yield board_guess(rows, count, frame | keys, numbers, known_shape=True)
+    if count == 1:
+        for lines_in_frame in [ended[1]] if ended else [rows for rows, _ in _rows_without_end(mine, numbers)]:
+            keys = {"layout": "cell-per-line"} | ({"end": ended[0]} if ended else {})
+            for rows, columns in shapes(lines_in_frame)[:1] or [(1, lines_in_frame)]:
+                yield board_guess(rows, columns, _without(frame, "separator") | keys, numbers, known_shape=False)
+        return
     numbered = _numbered_rows(numbers[:, 0])
-    if numbered and count > 1:
+    if numbered:
         keys = {"layout": "row-per-line", "skip": 1, "numbered_rows": True}
         yield board_guess(numbered, count - 1, frame | keys, numbers[:, 1:], known_shape=True)
     if ended is None:
@@ -127,6 +143,10 @@ def _line_guesses(lines: Sequence[_Line], prefix: str, count: int) -> Iterator[G
         keys = {"layout": "frame-per-line"} | ({"skip": ahead} if ahead else {})
         for rows, columns in shapes(count - ahead)[:1] or [(1, count - ahead)]:
             yield board_guess(rows, columns, frame | keys, numbers[:, ahead:], known_shape=False)
+
+
+def _without(frame: dict[str, Any], key: str) -> dict[str, Any]:
+    return {name: value for name, value in frame.items() if name != key}
 
 
 def _separator(lines: Sequence[_Line], prefix: str, count: int) -> str | None:

@@ -122,6 +122,13 @@ def test_a_line_for_each_row_until_an_end_line(end: str) -> None:
     assert frames(heard(family, told, *rows[:3], b"wifi: x\n", *rows[3:])) == [A, B]
 
 
+def test_a_line_for_each_cell_and_numbers_with_names() -> None:
+    family = text("cell-per-line", end="")
+    lines = [f"{k}\n".encode() for k in range(1, 7)]
+    assert frames(heard(family, b"5\n\n", *lines, b"\n", *lines[1:], b"\n", *lines, b"\n")) == [A, A]
+    assert frames(heard(text(labels=True), b"\nA0:1,A1:2 A2 = 3 left:4,right: 5,up:6\n")) == [A]
+
+
 def test_numbered_rows_show_where_a_frame_begins() -> None:
     family = text("row-per-line", skip=1, numbered_rows=True)
     for first in (0, 1):

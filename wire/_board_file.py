@@ -17,7 +17,7 @@ from ..common.config import Finite, Section, load, parse
 from ..errors import InputError
 from ._cells import CellOrder, Cells
 from ._checksums import CHECKSUMS
-from ._lines import LineFormat, TextBoard, TextHost
+from ._lines import LineFormat, LineLayout, TextBoard, TextHost
 from ._protocol import Family, Layout
 from ._words import WORDS, BinaryBoard, BinaryHost, CobsHost, WordFormat
 
@@ -65,9 +65,9 @@ class _AnyFrame(Section):
 class _LinesFrame(_AnyFrame):
     """Keys of formats that send lines."""
 
-    layout: Literal["row-per-line", "frame-per-line"] = "frame-per-line"
+    layout: LineLayout = "frame-per-line"
     end: Annotated[str, Field(max_length=200)] | None = None
-    """row-per-line: line, or beginning of the line, that ends a frame; "": an empty line; None: none does"""
+    """unless frame-per-line: line, or beginning of the line, that ends a frame; "": an empty line; None: none does"""
     skip: Annotated[int, Field(ge=0, le=64)] = 0
     """numbers ahead of the cells in each line"""
     numbered_rows: bool = False
@@ -77,10 +77,10 @@ class _LinesFrame(_AnyFrame):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        if self.layout == "frame-per-line":
-            for key, given in (("end", self.end is not None), ("numbered_rows", self.numbered_rows)):
-                if given:
-                    raise ValueError(f'{key} has no effect on layout = "frame-per-line"; expected "row-per-line"')
+        if self.layout == "frame-per-line" and self.end is not None:
+            raise ValueError('end has no effect on layout = "frame-per-line"; expected "row-per-line"')
+        if self.layout != "row-per-line" and self.numbered_rows:
+            raise ValueError(f'numbered_rows has no effect on layout = "{self.layout}"; expected "row-per-line"')
         if self.numbered_rows and not self.skip:
             raise ValueError("numbered_rows needs skip = 1 or more: the first skipped number is that of the row")
         return self
@@ -92,6 +92,8 @@ class TextFrame(_LinesFrame):
     format: Literal["text"]
     separator: Annotated[str, Field(min_length=1, max_length=8, pattern=r"^[^0-9A-Za-z+\-.\r\n]+$")] | None = None
     """between two numbers; None: any run of spaces, tabs, and , ; : |"""
+    labels: bool = False
+    """each number has its name ahead, as in ``A0:512``; the names are not read"""
     prefix: Annotated[str, Field(max_length=200)] = ""
     """text at the head of every line with numbers; other lines are skipped"""
 
@@ -249,13 +251,14 @@ def _ends(frame: TextFrame | JsonFrame | BinaryFrame, send: bytes, poll: bytes) 
         return partial(host, words, cells, send, poll), partial(BinaryBoard, words, cells, send, poll)
     text = isinstance(frame, TextFrame)
     lines = LineFormat(
-        by_rows=frame.layout == "row-per-line",
+        layout=frame.layout,
         end=frame.end,
         skip=frame.skip,
         numbered_rows=frame.numbered_rows,
         newline=frame.newline,
         separator=frame.separator if isinstance(frame, TextFrame) else None,
         prefix=frame.prefix if isinstance(frame, TextFrame) else "",
+        labels=isinstance(frame, TextFrame) and frame.labels,
         json_key=None if text else frame.key,  # type: ignore[union-attr]  # text is the check
     )
     return partial(TextHost, lines, cells, send, poll), partial(TextBoard, lines, cells, send, poll)

@@ -1,8 +1,8 @@
 """Frames in lines: numbers with separators, or JSON documents, as ``[frame]`` of BOARD.toml describes them.
 
-A line is whole or dropped. A line without numbers (boot messages, debug output) is skipped and counted. With
-``row-per-line`` a frame ends at its end line, or its rows are numbered; where neither is so, the pauses between frames
-show which row is the first (:class:`._cells.Pauses`).
+A line is whole or dropped. A line without numbers (boot messages, debug output) is skipped and counted. A frame of
+several lines ends at its end line, or its rows are numbered; where neither is so, the pauses between frames show which
+line is the first (:class:`._cells.Pauses`).
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import math
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -20,6 +21,8 @@ from ._framing import DescribedBoard, LineHost
 from ._packets import Corrupt, Event, FramePacket, Order
 from ._protocol import Family, Layout
 
+LineLayout = Literal["frame-per-line", "row-per-line", "cell-per-line"]
+"""what a line carries"""
 LONGEST_NUMBER = 40
 """characters of a number in a line"""
 LEAST_LINE = 1024
@@ -35,6 +38,7 @@ MOST_LISTS = 8
 
 _SEPARATORS = re.compile(r"[\s,;:|]+")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_LABEL = re.compile(r"[A-Za-z_]\w*\s*[:=]\s*")
 _BARE_NAN = re.compile(rb"(?<=[\[,:\s])[+-]?(nan|inf|ovf)(?=[\],\s}])", re.IGNORECASE)
 """what C prints for numbers that JSON lacks"""
 
@@ -43,15 +47,26 @@ _BARE_NAN = re.compile(rb"(?<=[\[,:\s])[+-]?(nan|inf|ovf)(?=[\],\s}])", re.IGNOR
 class LineFormat:
     """What a line is made of; the fields are the keys of ``[frame]``."""
 
-    by_rows: bool
+    layout: LineLayout
     end: str | None
     skip: int
     numbered_rows: bool
     newline: str
     separator: str | None
     prefix: str
+    labels: bool
     json_key: str | None
     """None: the lines are text"""
+
+    @property
+    def by_frames(self) -> bool:
+        """Whether a line is a whole frame."""
+        return self.layout == "frame-per-line"
+
+    def cells(self, shape: tuple[int, int]) -> int:
+        """Cells in a line."""
+        rows, columns = shape
+        return {"frame-per-line": rows * columns, "row-per-line": columns, "cell-per-line": 1}[self.layout]
 
     def read(self, line: str, expected: int) -> list[float] | None:
         """The numbers of a line, NaN where one is missing; None: the line is no line of numbers."""
@@ -60,6 +75,8 @@ class LineFormat:
         if not line.startswith(self.prefix):
             return None
         text = line[len(self.prefix) :]
+        if self.labels:
+            text = _LABEL.sub("", text)
         if self.separator is None:
             words = _SEPARATORS.split(text.strip(" \t,;:|"))
         else:
@@ -74,7 +91,8 @@ class LineFormat:
         values = [*ahead, *(int(value) if value.is_integer() else float(f"{value:.15g}") for value in numbers.tolist())]
         if self.json_key is None:
             separator = " " if self.separator is None else self.separator
-            return self.prefix + separator.join(map(str, values)) + self.newline
+            words = [f"c{k}:{value}" for k, value in enumerate(values)] if self.labels else map(str, values)
+            return self.prefix + separator.join(words) + self.newline
         document: object = values
         for key in reversed(self.json_key.split(".") if self.json_key else []):
             document = {key: document}
@@ -130,8 +148,9 @@ class TextHost(LineHost):
         super().__init__(family, layout)
         self._form, self._cells = form, cells(layout)
         self._send, self._poll = send, poll
-        self._expected = form.skip + (layout.columns if form.by_rows else self._cells.count)
-        """numbers in a line"""
+        in_line = form.cells((layout.rows, layout.columns))
+        self._expected, self._lines = form.skip + in_line, self._cells.count // in_line
+        """numbers in a line, and lines in a frame"""
         self.longest = max(self._expected * (LONGEST_NUMBER // 2) + len(form.prefix), LEAST_LINE)
         self._rows: list[list[float]] = []
         """of the frame under way"""
@@ -143,7 +162,7 @@ class TextHost(LineHost):
             self._fault = "the host joined in the middle of a frame"
         # The beginning of a first line may be missing, unless its prefix or its brackets show that it is whole.
         self._first = not (family.polled or form.prefix or form.json_key is not None)
-        self._pauses = Pauses(layout.rows)
+        self._pauses = Pauses(self._lines)
         self._ahead = 0
         """bytes of lines that came before it was known where a frame begins"""
 
@@ -160,7 +179,7 @@ class TextHost(LineHost):
         except UnicodeDecodeError:
             self._fault = self._fault or "a line with bytes that are no text"
             return [Corrupt(size, "a line with bytes that are no text")]
-        if self._form.by_rows and self._form.is_end(text):
+        if not self._form.by_frames and self._form.is_end(text):
             self._size += size
             return self._finish(received_at)
         if not text:
@@ -175,7 +194,7 @@ class TextHost(LineHost):
             return [Corrupt(size, f"a line of text: {text[:40]!r}")]
         wrong = len(numbers) != self._expected
         fault = f"a line of {len(numbers)} numbers; expected {self._expected}" if wrong else ""
-        if not self._form.by_rows:
+        if self._form.by_frames:
             cells = np.array(numbers[self._form.skip :])
             return [Corrupt(size, fault) if fault else self._cells.event(cells, size, received_at)]
         events: list[Event] = []
@@ -188,9 +207,9 @@ class TextHost(LineHost):
                 events = self._drop()
         self._size += size
         self._fault = self._fault or fault
-        if len(self._rows) <= self.layout.rows:  # more rows need not be kept to know that they are too many
+        if len(self._rows) <= self._lines:  # more rows need not be kept to know that they are too many
             self._rows.append(numbers)
-        if self._form.end is None and len(self._rows) == self.layout.rows:
+        if self._form.end is None and len(self._rows) == self._lines:
             events += self._finish(received_at)
         return events
 
@@ -212,7 +231,7 @@ class TextHost(LineHost):
             reason = AMBIGUOUS if self._pauses.clear is None else "lines ahead of the first pause"
             events.append(Corrupt(self._ahead, reason))
         if self._rows or self._fault:
-            fault = self._fault or f"a frame of {len(self._rows)} lines; expected {self.layout.rows}"
+            fault = self._fault or f"a frame of {len(self._rows)} lines; expected {self._lines}"
             events.append(Corrupt(self._size, fault))
         self._rows, self._size, self._fault, self._ahead = [], 0, "", 0
         return events
@@ -223,7 +242,7 @@ class TextHost(LineHost):
         if not rows and not self._fault:
             self._size = 0
             return []  # an end line behind another
-        if self._fault or len(rows) != self.layout.rows:
+        if self._fault or len(rows) != self._lines:
             return self._drop()
         if form.numbered_rows and any(row[0] != rows[0][0] + k for k, row in enumerate(rows)):
             self._fault = "rows whose numbers do not follow each other"
@@ -249,10 +268,10 @@ class TextBoard(DescribedBoard):
 
     def write(self, frame: FramePacket) -> bytes:
         numbers, form = self._cells.numbers(frame), self._form
-        if not form.by_rows:
+        if form.by_frames:
             return form.write(numbers, [0] * form.skip).encode()
         lines = "".join(
             form.write(row, [number, *[0] * (form.skip - 1)][: form.skip])
-            for number, row in enumerate(numbers.reshape(self.layout.rows, self.layout.columns))
+            for number, row in enumerate(numbers.reshape(-1, form.cells((self.layout.rows, self.layout.columns))))
         )
         return (lines + ("" if form.end is None else form.end + "\r\n")).encode()
