@@ -29,6 +29,7 @@ from ohmskin.doctor import (
     examine_device,
     examine_installation,
     examine_traffic,
+    has_baud_rate,
     judge,
 )
 from ohmskin.driver import Skin
@@ -281,6 +282,17 @@ def test_a_draft_is_written_and_can_be_opened(
             assert skin.read().counts.shape == (8, 13)
         assert run(["doctor", port.name, "-o", "board.toml"]) == 2
     assert (tmp_path / "board.toml").read_text() == "mine"
+
+
+def test_only_ports_with_a_uart_are_tried_at_several_baud_rates(tmp_path: Path) -> None:
+    told: list[str] = []
+    with PtyPort(tmp_path / "skin") as port:
+        assert not any(map(has_baud_rate, (port.name, str(tmp_path / "skin"), "socket://127.0.0.1:9")))
+        traffic = examine_traffic(port.name, listen_s=0.1, tell=told.append)
+    assert all(map(has_baud_rate, ("/dev/ttyUSB0", "rfc2217://127.0.0.1:9")))
+    assert traffic.finding.found == "silent, also when asked in each family's way"
+    assert told
+    assert all("115200 baud" in text for text in told)
 
 
 def test_random_bytes_sound_like_no_board() -> None:
