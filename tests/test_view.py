@@ -332,7 +332,7 @@ def test_a_board_without_a_circuit_shows_counts(browser: Browser) -> None:
             page.locator("#tare").click()
             expect(page.locator("#tare-answer")).to_contain_text("5 of 6 cells measured")
             line[:] = [b"15,20,30,40,,60\n"]
-            page.wait_for_function("ohmskin.frame && ohmskin.frame.change[0] === 5")
+            until(page, "ohmskin.frame && ohmskin.frame.change[0] === 5")
             assert page.evaluate("[...ohmskin.frame.valid]") == [1, 1, 1, 1, 0, 1]
             assert page.evaluate("[...ohmskin.frame.change].slice(1, 4)") == [0, 0, 0]
             expect(page.locator("#contacts-title")).not_to_be_visible()
