@@ -188,7 +188,7 @@ class Converter:
         self._read = self._new_reader()
 
     def _new_reader(self) -> CountReader | PlainReader:
-        return PlainReader() if self.design is None else CountReader(self.design, accuracy=self._accuracy)
+        return PlainReader(self.shape) if self.design is None else CountReader(self.design, accuracy=self._accuracy)
 
     def use_rest(self, rest_ohm: FloatArray | None) -> None:
         """Use these rest resistances (rows, columns) from now on (None: those without a tare); memory is dropped."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, ProtocolError
 from ._frame import Frame
 from ._reading import Reading
 from ._tare import DRIFT_STDS, Tare
@@ -19,11 +19,14 @@ DRIFT_COUNTS = 2.0
 class PlainReader:
     """Stands in for a :class:`._reading.CountReader`: every count is valid, and no resistance is known."""
 
-    def __init__(self) -> None:
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self._shape = shape
         self._counts: NDArray[np.uint16] | None = None
 
     def __call__(self, counts: NDArray[np.uint16]) -> Reading:
-        """The reading of one frame (rows, columns)."""
+        """The reading of one frame (rows, columns). Raises ProtocolError if the frame has another shape."""
+        if counts.shape != self._shape:
+            raise ProtocolError("a frame of {} x {} cells; this board has {} x {}".format(*counts.shape, *self._shape))
         self._counts = counts
         return Reading(
             resistance=np.full(counts.shape, np.nan),
