@@ -1052,7 +1052,7 @@ class TestBoards:
         assert first.valid.all()
         assert np.isnan(first.resistance).all()
         other = replace(family, layout=Layout(9, 9, 12))
-        with lossless(Script(frame(0)), board=other) as skin, pytest.raises(ProtocolError, match="this board has 9 x 9"):
+        with lossless(Script(frame(0)), board=other) as skin, pytest.raises(ProtocolError, match="has 9 x 9"):
             skin.read()
 
     def test_a_polled_board_is_asked_for_every_frame_and_for_no_more_than_fit(self) -> None:
