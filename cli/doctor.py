@@ -46,9 +46,12 @@ USUAL_FILE = "board.toml"
     metavar="BOARD.toml",
     help=f"Where to draft the description of a board of no known family [{USUAL_FILE}, or board-2.toml ...].",
 )
+@click.option("--draft", "described", is_flag=True, help="Draft, even if the board sounds like a known family.")
 @click.option("--overwrite", is_flag=True, help="Replace BOARD.toml if it is there already.")
 @arguments.as_json("the findings")
-def command(port: str | None, baud: int | None, output: Path | None, overwrite: bool, as_json: bool) -> int:
+def command(
+    port: str | None, baud: int | None, output: Path | None, described: bool, overwrite: bool, as_json: bool
+) -> int:
     """Look at this installation and its serial ports, or at PORT alone, and say what to type to mend each problem.
 
     The board at PORT is listened to, and asked if it is silent. If no known family sends what it sends, its format is
@@ -62,7 +65,7 @@ def command(port: str | None, baud: int | None, output: Path | None, overwrite: 
                 raise InputError(f"{name} needs a PORT")
         findings = [*examine_installation(), *examine_ports()]
     else:
-        findings = _examine_port(port, baud, _place(output, overwrite=overwrite))
+        findings = _examine_port(port, baud, _place(output, overwrite=overwrite), described=described)
     if as_json:
         click.echo(json_text([asdict(finding) for finding in findings], indent=1))
     else:
@@ -84,12 +87,12 @@ def _place(output: Path | None, *, overwrite: bool) -> Path:
     return output
 
 
-def _examine_port(port: str, baud: int | None, output: Path) -> list[Finding]:
+def _examine_port(port: str, baud: int | None, output: Path, *, described: bool) -> list[Finding]:
     """The device first; its traffic only where the device can be opened."""
     findings = [] if "://" in port else examine_device(port)
     try:
         with _progress() as tell:
-            traffic = examine_traffic(port, baud=baud, tell=tell)
+            traffic = examine_traffic(port, baud=baud, described=described, tell=tell)
     except LinkError as error:
         if any(finding.state is State.PROBLEM for finding in findings):
             return findings  # which say why it cannot be opened

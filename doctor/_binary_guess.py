@@ -140,7 +140,9 @@ def _burst_starts(chunks: Sequence[Chunk]) -> list[int]:
 def _framed_guesses(frames: Bytes) -> Iterator[Likely]:
     """Guesses for frames (frames, bytes) that begin with their header."""
     constant = (frames == frames[0]).mean(axis=0) > USUAL
-    run = 1 if constant.all() else int(np.argmin(constant))
+    # Where nothing varies, the header ends where the value begins that most cells have.
+    same = frames[0] == np.bincount(frames[0]).argmax()
+    run = max(int(np.argmax(same)), 1) if constant.all() else int(np.argmin(constant))
     tail = int(np.argmin(constant[::-1])) if not constant.all() else 0
     ends = [n for n in (2, 1) if n <= tail and bytes(frames[0, -n:]) in (b"\r\n", b"\n\r", b"\n", b"\r")] or []
     trailers = [*ends, 0] + ([1] if tail == 1 and 1 not in ends and frames[0, -1] != 0 else [])
@@ -237,7 +239,7 @@ def _likelihood(numbers: FloatArray, name: str) -> float:
             return -10.0
     filled = np.where(known, numbers, 0.0)
     span = float(filled.max() - filled.min())
-    if span == 0.0:
+    if span == 0.0 or not np.diff(filled, axis=0).any():  # nothing changes, and so nothing tells words apart
         return -1.0 - 0.1 * WORDS[name].dtype.itemsize
     steps = np.abs(np.diff(filled, axis=0)).mean() / span
     across = np.abs(np.diff(filled, axis=1)).mean() / span if filled.shape[1] > 1 else steps

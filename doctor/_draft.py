@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..errors import InputError
-from ..wire import BoardFile, Corrupt, FramePacket
+from ..wire import BoardFile, Corrupt, Family, FramePacket
 from ._binary_guess import binary_guesses
 from ._guess import Chunk, Guess
 from ._text_guess import is_text, text_guesses
@@ -24,6 +24,7 @@ LEAST_ACCOUNTED = 0.5
 """share of the bytes in frames from which on a guess is taken: boot messages come ahead"""
 GOOD_ACCOUNTED = 0.97
 """share from which on no further guess is tried"""
+CLEAR_ACCOUNTED, MANY_FRAMES = 0.995, 10
 MOST_GUESSES = 200
 
 
@@ -47,6 +48,11 @@ class Draft:
                 remark = self.guess.remarks.get(f"{table}.{key}", "")
                 lines.append(f"{key} = {_toml(key, value)}" + (f"  # {remark}" if remark else ""))
         return "\n".join(lines) + "\n"
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether more bytes could hardly change the draft: they are all in frames, and many."""
+        return self.frames >= MANY_FRAMES and self.accounted >= CLEAR_ACCOUNTED
 
     @property
     def summary(self) -> str:
@@ -74,13 +80,12 @@ def draft(chunks: Sequence[Chunk], *, baudrate: int, send: bytes = b"", poll: by
         poll: bytes that asked for each frame.
 
     """
-    received = sum(len(chunk.data) for chunk in chunks)
-    if not received:
+    if not any(chunk.data for chunk in chunks):
         return None
     guesses = text_guesses(chunks) if is_text(chunks) else binary_guesses(chunks)
     best: Draft | None = None
     for number, guess in enumerate(guesses):
-        tried = _tried(_with_port(guess, baudrate, send, poll), chunks, received)
+        tried = _tried(_with_port(guess, baudrate, send, poll), chunks)
         if tried is not None and (best is None or tried.accounted > best.accounted + 0.02):
             best = tried
         if number >= MOST_GUESSES or (best is not None and best.accounted >= GOOD_ACCOUNTED):
@@ -100,12 +105,22 @@ def _with_port(guess: Guess, baudrate: int, send: bytes, poll: bytes) -> Guess:
     return Guess(tables, remarks)
 
 
-def _tried(guess: Guess, chunks: Sequence[Chunk], received: int) -> Draft | None:
+def _tried(guess: Guess, chunks: Sequence[Chunk]) -> Draft | None:
     """What the described protocol makes of the bytes; None if they are hardly frames."""
     try:
         family = BoardFile.parse(guess.tables, "draft").family()
     except InputError:
         return None
+    times, accounted = decoded(family, chunks)
+    if len(times) < FEWEST_FRAMES or accounted < LEAST_ACCOUNTED:
+        return None
+    elapsed_s = times[-1] - times[0]
+    return Draft(guess, len(times), accounted, (len(times) - 1) / elapsed_s if elapsed_s > 0 else math.nan)
+
+
+def decoded(family: Family, chunks: Sequence[Chunk]) -> tuple[list[float], float]:
+    """Times of the frames that a family's decoder finds, and the share of the bytes after the first one in frames."""
+    received = sum(len(chunk.data) for chunk in chunks)
     host = family.host(family, family.layout)
     times: list[float] = []
     before = corrupt = passed = 0
@@ -119,11 +134,7 @@ def _tried(guess: Guess, chunks: Sequence[Chunk], received: int) -> Draft | None
             elif isinstance(event, Corrupt) and times:
                 corrupt += event.size
     left = received - before
-    accounted = 1.0 - min(corrupt / left, 1.0) if left else 0.0
-    if len(times) < FEWEST_FRAMES or accounted < LEAST_ACCOUNTED:
-        return None
-    elapsed_s = times[-1] - times[0]
-    return Draft(guess, len(times), accounted, (len(times) - 1) / elapsed_s if elapsed_s > 0 else math.nan)
+    return times, 1.0 - min(corrupt / left, 1.0) if left else 0.0
 
 
 def _toml(key: str, value: Any) -> str:

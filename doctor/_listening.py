@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from ..common.text import shortened
 from ..driver import BytePort, open_port
 from ..wire import BOARDS, Corrupt, Description, Family, FramePacket, Identity, Order, host_protocol
-from ._draft import Draft, draft
+from ._draft import Draft, decoded, draft
 from ._finding import Finding, State
 from ._guess import Chunk
 from ._text_guess import is_text
@@ -33,6 +33,8 @@ COMMON_RATES = (115_200, 1_000_000, 250_000, 2_000_000, 500_000, 921_600, 9_600,
 FEWEST_FRAMES = 2
 MOST_CORRUPT = 0.5
 """share of the bytes that may be no part of a packet; a recording begins and ends within a packet"""
+SURE = 0.995
+"""share of the bytes after the first frame in frames, from which on the format of a file is taken for right"""
 SHOWN_BYTES = 16
 SHOWN_TEXT = 60
 
@@ -84,7 +86,12 @@ Tell = Callable[[str], None]
 
 
 def examine_traffic(
-    port: str, *, listen_s: float | None = None, baud: int | None = None, tell: Tell = lambda text: None
+    port: str,
+    *,
+    listen_s: float | None = None,
+    baud: int | None = None,
+    described: bool = False,
+    tell: Tell = lambda text: None,
 ) -> Traffic:
     """Listen to a port, and ask where it is silent; name the family, or draft a description.
 
@@ -92,6 +99,7 @@ def examine_traffic(
         port: a serial device, a pty, or ``socket://HOST:PORT``.
         listen_s: how long to listen before the bytes are judged, in s; None: :data:`LISTEN_S`.
         baud: the only baud rate to try; None: all common ones, if the port has a UART.
+        described: draft a description, whatever family the board sounds like.
         tell: progress.
 
     Raises:
@@ -106,10 +114,10 @@ def examine_traffic(
         line = open_port(port, baudrate=setting.baud_rate, dtr=setting.dtr, rts=setting.rts)
         try:
             chunks: list[Chunk] = []
-            found = _listened(port, line, setting, chunks, GLANCE_S if silent else listen_s, tell)
+            found = _listened(port, line, setting, chunks, GLANCE_S if silent else listen_s, tell, described=described)
             asked = [] if chunks else _families_to_ask(port, setting)
             for family in asked:
-                found = found or _answer(port, line, setting, family, chunks, listen_s, tell)
+                found = found or _answer(port, line, setting, family, chunks, listen_s, tell, described=described)
         finally:
             line.close()
         if found is not None and (found.draft is None or _shows_where_frames_begin(found.draft)):
@@ -160,7 +168,7 @@ def _families_to_ask(port: str, setting: _Setting) -> list[Family]:
 
 
 def _listened(
-    port: str, line: BytePort, setting: _Setting, chunks: list[Chunk], listen_s: float, tell: Tell
+    port: str, line: BytePort, setting: _Setting, chunks: list[Chunk], listen_s: float, tell: Tell, *, described: bool
 ) -> Traffic | None:
     """What comes by itself; longer if bytes come that are no frames yet."""
     longest_s = LONGEST_LISTENING_S * listen_s / LISTEN_S
@@ -170,14 +178,22 @@ def _listened(
         passed_s += listen_s
         if not chunks:
             return None
-        found = _judged(port, setting.baud_rate, chunks)
-        if found is not None and (found.draft is None or passed_s >= listen_s):
+        found = _judged(port, setting.baud_rate, chunks, described=described)
+        if found is not None and (found.draft is None or found.draft.is_clear):
             return found
     return found
 
 
 def _answer(
-    port: str, line: BytePort, setting: _Setting, family: Family, chunks: list[Chunk], listen_s: float, tell: Tell
+    port: str,
+    line: BytePort,
+    setting: _Setting,
+    family: Family,
+    chunks: list[Chunk],
+    listen_s: float,
+    tell: Tell,
+    *,
+    described: bool,
 ) -> Traffic | None:
     """What comes after a family's own way of asking."""
     protocol = host_protocol(family.name)
@@ -194,19 +210,30 @@ def _answer(
     after: list[Chunk] = []
     _collect(line, listen_s, after, f"{port}: listening at {setting.baud_rate} baud", tell)
     if len(_joined(after)) > len(_joined(answer)) / 2:  # it goes on by itself: it was started, or has booted meanwhile
-        return _judged(port, setting.baud_rate, after, send=request)
-    return _judged(port, setting.baud_rate, answer, poll=request)
+        return _judged(port, setting.baud_rate, after, described=described, send=request)
+    return _judged(port, setting.baud_rate, answer, described=described, poll=request)
 
 
 def _judged(
-    port: str, baud_rate: int, chunks: Sequence[Chunk], *, send: bytes = b"", poll: bytes = b""
+    port: str,
+    baud_rate: int,
+    chunks: Sequence[Chunk],
+    *,
+    described: bool,
+    send: bytes = b"",
+    poll: bytes = b"",
 ) -> Traffic | None:
     """The family that the bytes are of, or the description that accounts for them."""
     data = _joined(chunks)
-    verdict = judge(data)
-    if verdict is not None:
+    verdict = None if described else judge(data)
+    if verdict is not None and verdict.family.tables is None:
+        return Traffic(_recognised(port, baud_rate, data, verdict), None, baud_rate)
+    # The formats of files have little that tells them from others: one that accounts for more bytes is the right one.
+    if verdict is not None and decoded(verdict.family, chunks)[1] > SURE:
         return Traffic(_recognised(port, baud_rate, data, verdict), None, baud_rate)
     found = draft(chunks, baudrate=baud_rate, send=send, poll=poll)
+    if verdict is not None and (found is None or found.accounted < SURE):
+        return Traffic(_recognised(port, baud_rate, data, verdict), None, baud_rate)
     return None if found is None else Traffic(_described(port, baud_rate, chunks, found), found, baud_rate)
 
 
@@ -237,7 +264,8 @@ def _recognised(port: str, baud_rate: int, data: bytes, verdict: Verdict) -> Fin
         f"sounds like a board of the family '{verdict.family.name}' at {baud_rate} baud{shape}: "
         f"{verdict.frames} frames, {share:.0f} % of {len(data)} bytes in packets"
     )
-    return Finding(State.OK, port, found)
+    other = "if it is another board, describe it: " + f"ohmskin doctor {port} --draft"
+    return Finding(State.OK, port, found, other if verdict.family.tables is not None else "")
 
 
 def _described(port: str, baud_rate: int, chunks: Sequence[Chunk], found: Draft) -> Finding:

@@ -26,11 +26,12 @@ ALIKE = 0.8
 """ratio of the differences between lines some lines apart and one apart, below which a frame has that many lines"""
 MOST_ROWS = 256
 
-_WORD = r"(?:[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?nan|null|[+-]?inf|ovf)"
+_WORD = r"(?:[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?|[+-]?nan|null|[+-]?inf|ovf)"
 _BETWEEN = r"[\s,;:|]"
 _NUMBERS = re.compile(rf"{_BETWEEN}*{_WORD}(?:{_BETWEEN}+{_WORD})*{_BETWEEN}*$|{_WORD}?(?:\s*,\s*{_WORD}?)+$", re.I)
 """the end of a line that is numbers, with or without empty places between commas"""
 _LABEL = re.compile(r"[A-Za-z_]\w*\s*[:=]\s*")
+_TAIL = re.compile(r"[^\w,;:|.+-]+$")
 _DIGITS = re.compile(r"\d+")
 _LIST = re.compile(r"(?<=[\[,:\s])[+-]?(nan|inf|ovf)(?=[\],\s}])", re.I)
 
@@ -62,6 +63,13 @@ def text_guesses(chunks: Sequence[Chunk]) -> Iterator[Guess]:
             guess.tables["frame"]["labels"] = True
             yield guess
     yield from _guesses_of(parsed)
+    tails = Counter(tail[0] for line in lines if (tail := _TAIL.search(line.text)) is not None)
+    for tail, seen in tails.most_common(1):
+        if 2 * seen > sum(bool(line.text) for line in lines):
+            bare = [_parsed(_Line(line.text.removesuffix(tail), line.time_s)) for line in lines]
+            for guess in _guesses_of(bare):
+                guess.tables["frame"]["suffix"] = tail
+                yield guess
 
 
 def _guesses_of(parsed: Sequence[_Line]) -> Iterator[Guess]:

@@ -95,6 +95,10 @@ def test_text_is_skipped_and_counted_and_damaged_lines_are_dropped() -> None:
 
 
 def test_a_prefix_tells_lines_with_numbers_from_others() -> None:
+    assert frames(heard(text(prefix="{", suffix="}"), b"{1,2,3,4,5,6}\n1,2,3,4,5,6\n{7,8,9\n{7 8 9 10 11 12 }\n")) == [
+        A,
+        B,
+    ]
     assert frames(heard(text(prefix="data:"), b"data: 1 2 3 4 5 6\n9 9 9 9 9 9\ndata:7 8 9 10 11 12\n")) == [A, B]
 
 

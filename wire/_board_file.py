@@ -96,6 +96,8 @@ class TextFrame(_LinesFrame):
     """each number has its name ahead, as in ``A0:512``; the names are not read"""
     prefix: Annotated[str, Field(max_length=200)] = ""
     """text at the head of every line with numbers; other lines are skipped"""
+    suffix: Annotated[str, Field(max_length=200)] = ""
+    """text at the end of every line with numbers, likewise"""
 
 
 class JsonFrame(_LinesFrame):
@@ -258,6 +260,7 @@ def _ends(frame: TextFrame | JsonFrame | BinaryFrame, send: bytes, poll: bytes) 
         newline=frame.newline,
         separator=frame.separator if isinstance(frame, TextFrame) else None,
         prefix=frame.prefix if isinstance(frame, TextFrame) else "",
+        suffix=frame.suffix if isinstance(frame, TextFrame) else "",
         labels=isinstance(frame, TextFrame) and frame.labels,
         json_key=None if text else frame.key,  # type: ignore[union-attr]  # text is the check
     )

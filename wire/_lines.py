@@ -37,7 +37,7 @@ MOST_LISTS = 8
 """lists in each other in a JSON document"""
 
 _SEPARATORS = re.compile(r"[\s,;:|]+")
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
 _LABEL = re.compile(r"[A-Za-z_]\w*\s*[:=]\s*")
 _BARE_NAN = re.compile(rb"(?<=[\[,:\s])[+-]?(nan|inf|ovf)(?=[\],\s}])", re.IGNORECASE)
 """what C prints for numbers that JSON lacks"""
@@ -54,6 +54,7 @@ class LineFormat:
     newline: str
     separator: str | None
     prefix: str
+    suffix: str
     labels: bool
     json_key: str | None
     """None: the lines are text"""
@@ -72,9 +73,9 @@ class LineFormat:
         """The numbers of a line, NaN where one is missing; None: the line is no line of numbers."""
         if self.json_key is not None:
             return _in_json(line, self.json_key)
-        if not line.startswith(self.prefix):
+        if not (line.startswith(self.prefix) and line[len(self.prefix) :].endswith(self.suffix)):
             return None
-        text = line[len(self.prefix) :]
+        text = line[len(self.prefix) : len(line) - len(self.suffix)]
         if self.labels:
             text = _LABEL.sub("", text)
         if self.separator is None:
@@ -92,7 +93,7 @@ class LineFormat:
         if self.json_key is None:
             separator = " " if self.separator is None else self.separator
             words = [f"c{k}:{value}" for k, value in enumerate(values)] if self.labels else map(str, values)
-            return self.prefix + separator.join(words) + self.newline
+            return self.prefix + separator.join(words) + self.suffix + self.newline
         document: object = values
         for key in reversed(self.json_key.split(".") if self.json_key else []):
             document = {key: document}
@@ -151,7 +152,7 @@ class TextHost(LineHost):
         in_line = form.cells((layout.rows, layout.columns))
         self._expected, self._lines = form.skip + in_line, self._cells.count // in_line
         """numbers in a line, and lines in a frame"""
-        self.longest = max(self._expected * (LONGEST_NUMBER // 2) + len(form.prefix), LEAST_LINE)
+        self.longest = max(self._expected * (LONGEST_NUMBER // 2) + len(form.prefix + form.suffix), LEAST_LINE)
         self._rows: list[list[float]] = []
         """of the frame under way"""
         self._size = 0
