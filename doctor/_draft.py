@@ -41,7 +41,7 @@ class Draft:
 
     def toml(self, head: Sequence[str]) -> str:
         """The text of a BOARD.toml, with ``head`` as comments at its top."""
-        lines = [*(f"# {line}" for line in head)]
+        lines = [f"# {line}".rstrip() for line in head]
         for table, values in self.guess.tables.items():
             lines += ["", f"[{table}]"]
             for key, value in values.items():

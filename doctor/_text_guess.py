@@ -63,7 +63,8 @@ def text_guesses(chunks: Sequence[Chunk]) -> Iterator[Guess]:
             guess.tables["frame"]["labels"] = True
             yield guess
     yield from _guesses_of(parsed)
-    tails = Counter(tail[0] for line in lines if (tail := _TAIL.search(line.text)) is not None)
+    found = [_TAIL.search(line.text) for line in lines]
+    tails = Counter(one[0] for one in found if one is not None)
     for tail, seen in tails.most_common(1):
         if 2 * seen > sum(bool(line.text) for line in lines):
             bare = [_parsed(_Line(line.text.removesuffix(tail), line.time_s)) for line in lines]
