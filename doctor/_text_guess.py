@@ -30,7 +30,7 @@ _WORD = r"(?:[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?|[+-]?nan|null|[+-]?in
 _BETWEEN = r"[\s,;:|]"
 _NUMBERS = re.compile(rf"{_BETWEEN}*{_WORD}(?:{_BETWEEN}+{_WORD})*{_BETWEEN}*$|{_WORD}?(?:\s*,\s*{_WORD}?)+$", re.I)
 """the end of a line that is numbers, with or without empty places between commas"""
-_LABEL = re.compile(r"[A-Za-z_]\w*\s*[:=]\s*")
+_LABEL = re.compile(r"\b[A-Za-z_]\w*\s*[:=]\s*")
 _TAIL = re.compile(r"[^\w,;:|.+-]+$")
 _DIGITS = re.compile(r"\d+")
 _LIST = re.compile(r"(?<=[\[,:\s])[+-]?(nan|inf|ovf)(?=[\],\s}])", re.I)

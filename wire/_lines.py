@@ -38,7 +38,7 @@ MOST_LISTS = 8
 
 _SEPARATORS = re.compile(r"[\s,;:|]+")
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
-_LABEL = re.compile(r"[A-Za-z_]\w*\s*[:=]\s*")
+_LABEL = re.compile(r"\b[A-Za-z_]\w*\s*[:=]\s*")
 _BARE_NAN = re.compile(rb"(?<=[\[,:\s])[+-]?(nan|inf|ovf)(?=[\],\s}])", re.IGNORECASE)
 """what C prints for numbers that JSON lacks"""
 
