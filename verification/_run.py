@@ -89,6 +89,8 @@ def verify(
     title: str | None = None,
     target: str = "emulated",
     jig: FloatArray | None = None,
+    board: str = "ohmskin",
+    baud: int | None = None,
     samples: int = SAMPLES,
     seed: int = SEED,
     jobs: int = 1,
@@ -113,6 +115,8 @@ def verify(
         title: what the report calls the design.
         target: the board that is measured: "emulated", "firmware", or a serial port.
         jig: (rows, columns) ohm of known resistors on the board; None: the skin is untouched.
+        board: family of the board at a port, or its BOARD.toml.
+        baud: baud rate of the port; None: that of the board.
         samples: boards of the Monte Carlo analysis.
         seed: of all random numbers.
         jobs: processes side by side.
@@ -131,10 +135,10 @@ def verify(
     if samples < 1:
         raise InputError(f"samples is {samples}; expected at least 1")
     if target not in NO_PORT:
-        with Skin.open(target) as skin:
+        with Skin.open(target, board=board, baudrate=baud) as skin:
             next(skin)
     start = time.perf_counter()
-    subject = Subject(prototype() if design is None else design, cell, target, seed, samples, jig)
+    subject = Subject(prototype() if design is None else design, cell, target, seed, samples, jig, board, baud)
     wanted = tuple(requirements if requirements is not None else subject.design.requirement)
     wanted = wanted or default_requirements(subject.design)
     here = folder or Path()
