@@ -382,44 +382,57 @@ class Played:
         )
 
 
-def play(scene: Scene) -> Played:
-    """The frames of a scene.
+def play(scene: Scene, cell: Cell | None = None) -> Played:
+    """The frames of a scene; ``cell`` is that of the scene's name, unless it is given.
 
     Raises:
         InputError: no such load or cell.
 
     """
-    for what, name, known in (("load", scene.load, LOADS), ("cell", scene.cell, cells())):
-        if name not in known:
-            raise InputError(f"no {what} '{name}'; expected one of {', '.join(known)}")
-    load, cell, frame_s = LOADS[scene.load], cells()[scene.cell], 1.0 / scene.rate_hz
+    if scene.load not in LOADS:
+        raise InputError(f"no load '{scene.load}'; expected one of {', '.join(LOADS)}")
+    if cell is None and scene.cell not in cells():
+        raise InputError(f"no cell '{scene.cell}'; expected one of {', '.join(cells())}")
+    load, cell, frame_s = LOADS[scene.load], cell or cells()[scene.cell], 1.0 / scene.rate_hz
     frames = round(load.seconds * scene.rate_hz)
     if load.seconds <= USUAL_S:
         frames = min(frames, MOST_FRAMES)
     random = np.random.default_rng(zlib.crc32(scene.name.encode()))
-    step_s = frame_s / SUBSTEPS
-    fine = load.share(step_s * np.arange(1.0, frames * SUBSTEPS + 1), frame_s)
-    steps = np.full(len(fine), step_s)
-    ohm = cell.forward(fine.shape[1:]).run(steps, fine * cell.full_scale_kpa)[SUBSTEPS - 1 :: SUBSTEPS]
-    if scene.fault == "degrading":
+    fine = load.share(frame_s / SUBSTEPS * np.arange(1.0, frames * SUBSTEPS + 1), frame_s)
+    return read(cell, fine, frame_s, scene.noise_mv, random, scene.bits, scene.fault)
+
+
+def read(
+    cell: Cell,
+    share: FloatArray,
+    frame_s: float,
+    noise_mv: float,
+    random: np.random.Generator,
+    bits: int = 12,
+    fault: Fault = "",
+) -> Played:
+    """Frames of a board under loads ``share`` (n SUBSTEPS, *cells) of full scale: white noise of volts, and an ADC."""
+    steps = np.full(len(share), frame_s / SUBSTEPS)
+    ohm = cell.forward(share.shape[1:]).run(steps, share * cell.full_scale_kpa)[SUBSTEPS - 1 :: SUBSTEPS]
+    if fault == "degrading":
         ohm = _degraded(ohm, cell.rest_resistance_ohm)
     full_scale_ohm = float(cell.forward(()).step(1.0, np.asarray(cell.full_scale_kpa)))
     volts_per_siemens = MOST_VOLTS * min(cell.rest_resistance_ohm, full_scale_ohm)
-    step_v = RANGE_V / 2**scene.bits
-    volts = volts_per_siemens / ohm + 1e-3 * scene.noise_mv * random.standard_normal(ohm.shape)
-    counts, arrives = _faulty(np.round(volts / step_v), scene.fault, frame_s, volts_per_siemens / step_v)
-    counts = np.clip(counts, 0.0, 2**scene.bits - 1)
-    inside = (counts > 0) & (counts < 2**scene.bits - 1)
+    step_v = RANGE_V / 2**bits
+    volts = volts_per_siemens / ohm + 1e-3 * noise_mv * random.standard_normal(ohm.shape)
+    counts, arrives = _faulty(np.round(volts / step_v), fault, frame_s, volts_per_siemens / step_v)
+    counts = np.clip(counts, 0.0, 2**bits - 1)
+    inside = (counts > 0) & (counts < 2**bits - 1)
     step_siemens = step_v / volts_per_siemens
     return Played(
         frame_s=frame_s,
-        pressure_kpa=fine[SUBSTEPS - 1 :: SUBSTEPS] * cell.full_scale_kpa,
+        pressure_kpa=share[SUBSTEPS - 1 :: SUBSTEPS] * cell.full_scale_kpa,
         siemens=np.where(inside, counts * step_siemens, np.nan),
         counts=counts,
         arrives=arrives,
-        noise_siemens=1e-3 * scene.noise_mv / volts_per_siemens,
+        noise_siemens=1e-3 * noise_mv / volts_per_siemens,
         step_siemens=step_siemens,
-        most_counts=2**scene.bits - 1,
+        most_counts=2**bits - 1,
     )
 
 
