@@ -118,7 +118,8 @@ class Cell(Section):
     @property
     def falls(self) -> bool:
         """Whether a load lowers the resistance."""
-        return self.log_span is not None or isinstance(self.model, ContactModel)
+        full_r = equilibrium_gain(self.model, self.full_scale_kpa, self.rest_resistance_ohm)
+        return self.log_span is not None or full_r < 0.0
 
     @property
     def open_at_rest(self) -> bool:
@@ -204,7 +205,7 @@ class Cell(Section):
             return Ratio(rest_resistance_ohm, falls=True, open_at_rest=self.open_at_rest)
         if self.log_span is not None:
             return Logarithm(rest_resistance_ohm, self.log_span)
-        return Ratio(rest_resistance_ohm)
+        return Ratio(rest_resistance_ohm, falls=self.falls)
 
     def _contact_ohm(self, rest_resistance_ohm: FloatArray) -> float:
         """The resistance at which the scale of contacts with these rest resistances (n,) begins."""
