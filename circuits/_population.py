@@ -11,8 +11,10 @@ Loan, Matrix Computations, 4.5), vectorised over the boards:
    0 ohm needs no special case.
 3. What the columns end in is attached at the last row.
 
-The cost is N solves of M x M equations per board: 16 x 16 takes about 0.2 ms of one core. A loop over :func:`.scan` is
-the reference of the tests, and the fallback for the designs that the elimination does not cover.
+The cost is N solves of M x M equations per board: 16 x 16 takes about 0.2 ms of one core. With floating rows each
+driven line takes as many; the readings of one line alone (``driven``) cost no more than those of grounded rows. A board
+that drives columns is read in line coordinates (:mod:`._parts`). A loop over :func:`.scan` is the reference of the
+tests, and the fallback for the designs that the elimination does not cover.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from ..common.arrays import BoolArray, FloatArray
+from ..common.arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError
 from ._design import Design
 from ._scan import scan
@@ -82,6 +84,14 @@ class Boards:
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return Boards(**{name: value if len(value) == 1 else value[some] for name, value in values.items()})
 
+    @property
+    def turned(self) -> Boards:
+        """The same boards in line coordinates, of a circuit that drives columns."""
+        other = {"row_lead": "column_lead", "row_segment": "column_segment"}
+        other |= {theirs: ours for ours, theirs in other.items()}
+        names = (field.name for field in fields(self))
+        return Boards(**{name: getattr(self, other.get(name, name))[:, ::-1] for name in names})
+
     def design(self, nominal: Design, board: int) -> Design:
         """The design of one board."""
 
@@ -109,7 +119,12 @@ class PopulationReading(NamedTuple):
 
 
 def scan_population(
-    design: Design, boards: Boards, cells: FloatArray, *, resolve_saturation: bool = True
+    design: Design,
+    boards: Boards,
+    cells: FloatArray,
+    *,
+    driven: IntArray | None = None,
+    resolve_saturation: bool = True,
 ) -> PopulationReading:
     """Read one frame of cells through each board.
 
@@ -117,6 +132,8 @@ def scan_population(
         design: circuit, supply and faults, which all boards share.
         boards: the part values of S boards, or of one.
         cells: (S, N, M) ohm, or (1, N, M) for all boards.
+        driven: (S,) the one line (row, or column where columns are driven) whose readings are wanted of each board; the
+            volts of all others are NaN. None: all lines.
         resolve_saturation: solve boards with a saturated output exactly, one by one. If False their volts are limited
             to the supply, and the other outputs of such a frame are those of amplifiers without limits.
 
@@ -132,23 +149,33 @@ def scan_population(
         raise InputError(f"{boards.count} boards and {len(cells)} frames of cells; expected equally many, or one")
     volts = np.empty((count, rows, columns))
     saturated = np.zeros(volts.shape, dtype=np.bool_)
+    board = design.board
+    wanted = np.ones(volts.shape, dtype=np.bool_)
+    if driven is not None:
+        lines = np.indices((rows, columns))[1 if board.turned else 0]
+        wanted = lines == np.reshape(driven, (-1, 1, 1))
     if _covered(design):
         low, high = design.readout.supply
-        for some in _chunks(count, max(1, _TOGETHER // columns**2)):
+        ours = boards.turned if board.turned else boards
+        places = None if driven is None else board.shape[0] - 1 - driven if board.turned else driven
+        for some in _chunks(count, max(1, _TOGETHER // board.shape[1] ** 2)):
+            line = None if places is None else places[some]
+            frames = board.turn(cells if len(cells) == 1 else cells[some])
             with np.errstate(all="ignore"):  # boards with a NaN are solved again below
-                volts[some] = _read(design, boards.part(some), cells if len(cells) == 1 else cells[some])
-        if design.board.circuit.has_amplifiers:
+                volts[some] = board.turn(_read(design, ours.part(some), frames, line))
+        if board.circuit.has_amplifiers:
             saturated = (volts < low) | (volts > high)
-        again = ~np.isfinite(volts).all(axis=(1, 2))
+        again = (wanted & ~np.isfinite(volts)).any(axis=(1, 2))
         if resolve_saturation:
             again |= saturated.any(axis=(1, 2))
         else:
             np.clip(volts, low, high, out=volts)
     else:
         again = np.ones(count, dtype=np.bool_)
-    for board in np.flatnonzero(again):
-        result = scan(boards.design(design, int(board)), cells[0 if len(cells) == 1 else board], method="exact")
-        volts[board], saturated[board] = result.volts, result.saturated
+    for number in np.flatnonzero(again):
+        result = scan(boards.design(design, int(number)), cells[0 if len(cells) == 1 else number], method="exact")
+        volts[number] = np.where(wanted[number], result.volts, np.nan)
+        saturated[number] = wanted[number] & result.saturated
     return PopulationReading(volts, saturated)
 
 
@@ -170,7 +197,7 @@ class _Rows(NamedTuple):
     admittance: FloatArray
     """(S, N, M, M) S"""
     current: FloatArray
-    """(S, N, M) S: short-circuit current for 1 V on the driver; 0 for floating rows"""
+    """(S, N, M) S: short-circuit current for 1 V on the driver; 0 for idle rows"""
 
 
 class _Columns(NamedTuple):
@@ -182,19 +209,27 @@ class _Columns(NamedTuple):
     """(S, M, R) S: short-circuit currents for 1 V on each of R drivers"""
 
 
-def _read(design: Design, boards: Boards, cells: FloatArray) -> FloatArray:
-    """Output volts (S, N, M) without supply limits."""
+def _read(design: Design, boards: Boards, cells: FloatArray, driven: IntArray | None) -> FloatArray:
+    """Output volts (S, N, M) without supply limits, in line coordinates; NaN for lines that are not wanted."""
     conductance = 1.0 / cells
     count = max(boards.count, len(cells))
     conductance = np.broadcast_to(conductance, (count, *cells.shape[1:]))
     grounded = _row_ladders(conductance, boards.row_lead, boards.row_segment)
-    if design.drive.idle_rows == "ground":
+    floats = design.board.floating
+    open_lead = np.full_like(boards.row_lead, np.inf)
+    floating = _row_ladders(conductance, open_lead, boards.row_segment) if floats else grounded
+    volts = np.full(conductance.shape, np.nan)
+    if driven is not None:
+        each = np.arange(count)
+        one = _only_driven(grounded, floating, np.broadcast_to(driven, count))
+        seen = _down_the_columns(one, boards.column_segment, together=True)
+        volts[each, driven] = _outputs(design, boards, seen)[..., 0]
+    elif floats:
+        for row, seen in enumerate(_one_driven(grounded, floating, boards.column_segment)):
+            volts[:, row] = _outputs(design, boards, seen)[..., 0]
+    else:
         seen = _down_the_columns(grounded, boards.column_segment)
-        return _outputs(design, boards, seen).swapaxes(1, 2)
-    floating = _row_ladders(conductance, np.full_like(boards.row_lead, np.inf), boards.row_segment)
-    volts = np.empty(conductance.shape)
-    for row, seen in enumerate(_one_driven(grounded, floating, boards.column_segment)):
-        volts[:, row] = _outputs(design, boards, seen)[..., 0]
+        volts[:] = _outputs(design, boards, seen).swapaxes(1, 2)
     return volts
 
 
@@ -232,20 +267,32 @@ def _row_ladders(conductance: FloatArray, lead: FloatArray, segment: FloatArray)
     return _Rows(admittance, far * np.where(np.isinf(lead), 0.0, driven)[..., None])
 
 
-def _down_the_columns(rows: _Rows, segment: FloatArray) -> _Columns:
-    """Eliminate the column nodes from the first row to the last, with all rows at their drivers."""
+def _only_driven(driven: _Rows, floating: _Rows, line: IntArray) -> _Rows:
+    """One row (S,) of each board at its driver, and all others idle."""
+    chosen = np.arange(driven.current.shape[1]) == line[:, None]
+    admittance = driven.admittance
+    if floating is not driven:
+        admittance = np.where(chosen[..., None, None], driven.admittance, floating.admittance)
+    return _Rows(admittance, np.where(chosen[..., None], driven.current, 0.0))
+
+
+def _down_the_columns(rows: _Rows, segment: FloatArray, *, together: bool = False) -> _Columns:
+    """Eliminate the column nodes from the first row to the last.
+
+    The currents of the drivers are those of 1 V on each of them in turn, or with ``together`` on all of them at once.
+    """
     count, size, columns = rows.current.shape
     if not segment.any():
-        return _Columns(rows.admittance.sum(axis=1), rows.current.swapaxes(1, 2))
-    together = np.empty((count, columns, columns + size))
-    admittance, current = together[..., :columns], together[..., columns:]
-    admittance[:] = rows.admittance[:, 0]
-    current[..., 0] = rows.current[:, 0]
-    for row in range(1, size):
-        known = columns + row
-        together[..., :known] = _through(admittance, segment, together[..., :known])
+        current = rows.current.sum(axis=1)[..., None] if together else rows.current.swapaxes(1, 2)
+        return _Columns(rows.admittance.sum(axis=1), current)
+    both = np.zeros((count, columns, columns + (1 if together else size)))
+    admittance, current = both[..., :columns], both[..., columns:]
+    for row in range(size):
+        if row:
+            known = columns + (1 if together else row)
+            both[..., :known] = _through(admittance, segment, both[..., :known])
         admittance += rows.admittance[:, row]
-        current[..., row] = rows.current[:, row]
+        current[..., 0 if together else row] += rows.current[:, row]
     return _Columns(admittance, current)
 
 
@@ -287,6 +334,8 @@ def _outputs(design: Design, boards: Boards, seen: _Columns) -> FloatArray:
         source = share * offset - inverse * (level + lift)
         current = _end_currents(seen, lead + inverse * reference, drive, source)
         return share * (level + offset + lift) - share * reference * current
+    if design.board.circuit.drives_idle_lines:
+        return _followed(boards, seen)
     if design.readout.idle_columns == "load":
         return level + reference * _end_currents(seen, lead + reference, drive, np.zeros_like(reference))
     columns = seen.admittance.shape[-1]
@@ -294,6 +343,23 @@ def _outputs(design: Design, boards: Boards, seen: _Columns) -> FloatArray:
     own = np.einsum("...jj->...j", inner)[..., None]
     volts: FloatArray = level + drive * (inner @ seen.current) * reference / (reference + lead + own)
     return volts
+
+
+def _followed(boards: Boards, seen: _Columns) -> FloatArray:
+    """Output volts (S, M, R) of followers that drive all idle lines: :class:`.readouts.VoltageFeedback`."""
+    parts = (boards.reference_resistance, boards.open_loop_gain, boards.offset_voltage, boards.bias_current)
+    reference, gain, offset, bias = (part[..., None] for part in parts)
+    level, drive = boards.reference_voltage[..., None], boards.voltage[..., None]
+    inverse, share = 1.0 / (1.0 + gain), 1.0 / (1.0 + 1.0 / gain)
+    from_row, all_lines = seen.current, seen.admittance
+    if boards.column_lead.any():
+        columns = from_row.shape[1]
+        behind = _through(all_lines, boards.column_lead, np.concatenate([all_lines, from_row], axis=-1))
+        all_lines, from_row = behind[..., :columns], behind[..., columns:]
+    idle = np.einsum("...jj->...j", all_lines)[..., None] - from_row
+    current = from_row * drive - bias + idle * (share * offset - inverse * level)
+    column = current / (from_row + idle * inverse + 1.0 / reference)
+    return share * (level + column + offset)
 
 
 def _end_currents(seen: _Columns, resistance: FloatArray, drive: FloatArray, source: FloatArray) -> FloatArray:

@@ -40,6 +40,12 @@ DESIGNS = {
     "one row": amplifier(1, 3, lead=10.0, segment=1.0, **AMPLIFIED),
     "one column": amplifier(3, 1, lead=10.0, segment=1.0, **AMPLIFIED),
     "follower": amplifier(3, 3, lead=10.0, circuit="voltage-feedback", open_loop_gain=1e3),
+    "follower, segments": amplifier(4, 3, lead=10.0, segment=2.0, **AMPLIFIED).with_circuit("voltage-feedback"),
+    "follower, ideal lines": amplifier(3, 4, **AMPLIFIED).with_circuit("voltage-feedback"),
+    "sensed rows": amplifier(3, 4, lead=10.0, segment=2.0, **AMPLIFIED).with_circuit("row-amplifier"),
+    "sensed rows, floating columns": amplifier(4, 3, lead=10.0, segment=2.0, **AMPLIFIED)
+    .replace(drive={"idle_rows": "float"})
+    .with_circuit("row-amplifier"),
     "saturating": amplifier(3, 3, lead=10.0, supply=(-0.4, 0.4), **{**AMPLIFIED, "reference_voltage": 0.0}),
 }
 
@@ -55,6 +61,22 @@ def test_every_board_is_read_as_by_a_scan_of_its_own(name: str) -> None:
         alone = scan(boards.design(design, board), cells[board], method="exact")
         assert found.volts[board] == pytest.approx(alone.volts, rel=1e-9, abs=1e-12)
         assert (found.saturated[board] == alone.saturated).all()
+
+
+@pytest.mark.parametrize("name", DESIGNS)
+def test_one_driven_line_is_read_as_among_all_lines(name: str) -> None:
+    design = DESIGNS[name]
+    random = np.random.default_rng(8)
+    cells = 10 ** random.uniform(3.0, 4.5, (COUNT, *design.array.shape))
+    boards = _boards(design, 9)
+    whole = scan_population(design, boards, cells)
+    kind = 1 if design.readout.circuit == "row-amplifier" else 0
+    driven = random.integers(0, design.array.shape[kind], COUNT)
+    one = scan_population(design, boards, cells, driven=driven)
+    for board, line in enumerate(driven):
+        known = np.take(one.volts[board], line, axis=kind)
+        assert known == pytest.approx(np.take(whole.volts[board], line, axis=kind), rel=1e-10)
+        assert np.isnan(np.delete(one.volts[board], line, axis=kind)).all()
 
 
 @pytest.mark.parametrize("fault", [0.0, np.inf])
