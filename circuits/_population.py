@@ -359,7 +359,8 @@ def _followed(boards: Boards, seen: _Columns) -> FloatArray:
     idle = np.einsum("...jj->...j", all_lines)[..., None] - from_row
     current = from_row * drive - bias + idle * (share * offset - inverse * level)
     column = current / (from_row + idle * inverse + 1.0 / reference)
-    return share * (level + column + offset)
+    volts: FloatArray = share * (level + column + offset)
+    return volts
 
 
 def _end_currents(seen: _Columns, resistance: FloatArray, drive: FloatArray, source: FloatArray) -> FloatArray:

@@ -228,7 +228,7 @@ class Report:
             settings=self.settings(),
             environment=environment(),
             schematic=schematic(self.design),
-            budget=error_budget(self.subject),
+            budget=error_budget(self.results),
             pictures={r.requirement.id: _pictures(r) for r in self.results},
             netlist=base64.b64encode(self.netlist.encode()).decode(),
             engineering=engineering,
@@ -482,11 +482,11 @@ def _tornado(result: Result, found: Measurement) -> Figure:
         panel.barh(range(len(items)), values, color=[plots.BLUE if v >= 0 else plots.ORANGE for v in values])
         panel.set_yticks(range(len(items)), [name for name, _ in items])
         panel.axvline(0, color=plots.INK, lw=0.8)
-        panel.set_xlabel(f"contribution / {unit}" if unit else "contribution")
+        panel.set_xlabel(f"{result.title.lower()} / {unit}" if unit else result.title.lower())
         panel.grid(visible=False, axis="y")
         return Figure(
             plots.svg(figure),
-            f"{result.title}: what each kind of part adds at its own worst corner, all others nominal (tornado).",
+            f"{result.title} by each kind of part alone, all others nominal (tornado).",
         )
 
 

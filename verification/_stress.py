@@ -7,7 +7,7 @@ import numpy as np
 from ..circuits import Requirement
 from ._outcome import Measurement, NotRun
 from ._parameters import SECTION
-from ._static import output_extremes
+from ._static import excursion_of, worst_of
 from ._subject import Subject
 from ._units import engineering
 
@@ -31,9 +31,8 @@ def _swing(subject: Subject) -> float:
 
 
 def _saturates(subject: Subject) -> bool:
-    (low, _), (high, _) = output_extremes(subject)
-    limits = subject.design.readout.supply
-    return low < limits[0] or high > limits[1]
+    limited = excursion_of(subject.design, "output_headroom") is not None
+    return limited and worst_of(subject, "output_headroom").value > 0
 
 
 def cell_voltage(subject: Subject, requirement: Requirement, method: str) -> Measurement:
