@@ -1,7 +1,7 @@
 """A nodal analysis of its own, to judge the solvers and the worst cases by: one dense system per driven line.
 
-It shares nothing with the package but the numbers of a design. Modified nodal analysis: potentials of all nodes, and the
-currents of what has no conductance (parts of 0 ohm, sources, amplifier outputs).
+It shares nothing with the package but the numbers of a design. Modified nodal analysis: potentials of all nodes, and
+the currents of what has no conductance (parts of 0 ohm, sources, amplifier outputs).
 """
 
 from __future__ import annotations

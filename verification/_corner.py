@@ -35,7 +35,7 @@ from ._targets import Box, Corners, Frame, Press, Target, evaluate, frames_of, s
 LEAST_SOLVED, MOST_UNKNOWNS = 64, 256 * 256
 """Corners are solved for every cell as long as cells times cells are no more than that, and for fewer of larger arrays;
 per sign and state."""
-MOST_WORK = 3_000_000
+MOST_WORK = 1_000_000
 """cells that are solved, all frames of all flips together, while corners are improved"""
 MOST_FLIPS = 400_000
 """cells of all flips of one corner, up to which flips are solved"""
@@ -390,7 +390,7 @@ def _linearised(box: Box, factors: FloatArray, cells: FloatArray) -> _Linear:
     }
     by_factor = np.zeros((*cells.shape, len(box.factors)))
     for name, section in SECTION.items():
-        matrix = box.factors.matrix[f"{section}.{name}"]
+        matrix = box.factors.slopes(f"{section}.{name}")
         if not matrix.any():
             continue
         if name in by_part:
@@ -402,7 +402,7 @@ def _linearised(box: Box, factors: FloatArray, cells: FloatArray) -> _Linear:
     if box.design.adc is not None:
         for name, unit in zip(CONVERTER, 1e-6 * np.eye(len(CONVERTER)), strict=True):
             moved = box.converted(found.volts, converter + unit)
-            by_factor += ((moved - volts) / 1e-6)[..., None] * box.factors.matrix[f"adc.{name}"][0]
+            by_factor += ((moved - volts) / 1e-6)[..., None] * box.factors.slopes(f"adc.{name}")[0]
     return _Linear(found.volts, volts, by_factor, found.cells)
 
 

@@ -258,6 +258,9 @@ class Result:
         """The margin with its unit, and its share of the limit."""
         if self.margin is None:
             return ""
+        resolution = 0.0 if self.measurement is None else self.measurement.resolution
+        if abs(self.margin) <= resolution:
+            return f"within ±{engineering(resolution, self.unit, 2)}"
         limits = [abs(limit) for limit in (self.requirement.min, self.requirement.max) if limit]
         if not limits:
             return engineering(self.margin, self.unit)

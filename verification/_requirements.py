@@ -66,7 +66,12 @@ def default_requirements(design: Design) -> tuple[Requirement, ...]:
         ),
         ask(19, "spice_agreement", "An independent simulator finds the same.", max=1.0),
         ask(20, "valid_cells", "The driver can tell every cell.", min=100.0),
+        ask(23, "output_current", "Amplifiers can deliver their currents.", max=limits.output_current),
+        ask(24, "switch_current", "A driver can deliver the current of its line.", max=limits.driver_current),
     )
+    if design.drive.idle_leakage:
+        leakage = limits.reading_error_percent / 5
+        shipped = (*shipped, ask(25, "leakage_error", "Idle switches do not shift readings.", max=leakage))
     if design.readout.amplifier_model is None:
         return shipped
     return (
