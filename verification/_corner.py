@@ -86,12 +86,13 @@ class WorstCase:
     @property
     def factors(self) -> FloatArray:
         """(F,) of the corner."""
-        return self.box.split(self.corner.x)[0][0]
+        found: FloatArray = self.box.split(self.corner.x)[0][0]
+        return found
 
     @property
     def by_cell(self) -> FloatArray:
         """(N, M) the largest value that was solved for each cell; NaN where none was."""
-        largest = np.max(self.by_sign, axis=0)
+        largest = self.by_sign.max(axis=0)
         return np.where(largest > -inf, largest, np.nan)
 
     @property
@@ -154,7 +155,7 @@ class WorstCase:
     @property
     def cells_solved(self) -> int:
         """Cells that at least one corner was solved for."""
-        return int(np.isfinite(self.by_cell).sum() + np.isinf(self.by_cell).sum())
+        return int((~np.isnan(self.by_cell)).sum())
 
     @cached_property
     def by_part(self) -> dict[str, float]:

@@ -46,7 +46,8 @@ def sample_block(target: Target, box: Box, presses: Sequence[Press], seed: int, 
 
     """
     values, _ = values_of_boards(target, box, _drawn(box, seed, block), presses)
-    return np.max(values, axis=1)
+    worst: FloatArray = values.max(axis=1)
+    return worst
 
 
 def worst_board(target: Target, box: Box, presses: Sequence[Press], seed: int, values: FloatArray) -> Corners:

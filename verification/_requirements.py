@@ -43,7 +43,7 @@ def default_requirements(design: Design) -> tuple[Requirement, ...]:
     def ask(number: int, quantity: str, text: str, **keys: Any) -> Requirement:
         return Requirement(id=f"D{number}", quantity=quantity, text=text, source=DEFAULT_SOURCE, **keys)
 
-    shipped = (
+    shipped: tuple[Requirement, ...] = (
         ask(1, "crosstalk", "A press does not show on untouched cells.", max=limits.crosstalk_percent),
         ask(2, "reading_error", "Resistances are right without calibration.", max=limits.reading_error_percent),
         ask(3, "gain_error", "A press is read at its true size.", max=limits.reading_error_percent),
