@@ -154,7 +154,7 @@ def scan_population(
     if driven is not None:
         lines = np.indices((rows, columns))[1 if board.turned else 0]
         wanted = lines == np.reshape(driven, (-1, 1, 1))
-    if _covered(design):
+    if read_together(design):
         low, high = design.readout.supply
         ours = boards.turned if board.turned else boards
         places = None if driven is None else board.shape[0] - 1 - driven if board.turned else driven
@@ -179,8 +179,8 @@ def scan_population(
     return PopulationReading(volts, saturated)
 
 
-def _covered(design: Design) -> bool:
-    """Whether the elimination covers this kind of design."""
+def read_together(design: Design) -> bool:
+    """Whether the elimination covers this kind of design; if not, each board takes a scan, tens of times longer."""
     board = design.board
     special = board.pulled or board.virtual_grounds != board.circuit.virtual_ground or board.idle_columns == "ground"
     return not special and board.circuit.in_populations and design.array.sheet == "sliced" and not design.fault

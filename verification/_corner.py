@@ -27,7 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..circuits import Boards, Design, scan_population, sensitivity
+from ..circuits import Boards, Design, read_together, scan_population, sensitivity
 from ..common.arrays import BoolArray, FloatArray, IntArray
 from ._parameters import CONVERTER, SECTION
 from ._targets import Box, Corners, Frame, Press, Target, evaluate, frames_of, scanned
@@ -37,6 +37,8 @@ LEAST_SOLVED, MOST_UNKNOWNS = 64, 256 * 256
 per sign and state."""
 MOST_WORK = 1_000_000
 """cells that are solved, all frames of all flips together, while corners are improved"""
+ALONE = 30
+"""by which less is solved of a design whose boards are scanned one by one"""
 MOST_FLIPS = 400_000
 """cells of all flips of one corner, up to which flips are solved"""
 FIRST_ORDER_BEYOND = 100
@@ -207,7 +209,8 @@ class _Search:
         self.parts: list[tuple[Corners, FloatArray]] = []
         flips = int(self.free.sum()) * box.cells * target.frames
         self.exact = flips <= MOST_FLIPS
-        self.climbs = max(2 * _FEWEST, MOST_WORK // (3 * max(flips, 1))) if self.exact else 2 * _FEWEST
+        work = MOST_WORK if read_together(box.design) else MOST_WORK // ALONE
+        self.climbs = max(2 * _FEWEST, work // (3 * max(flips, 1))) if self.exact else 2 * _FEWEST
 
     def solve(self, corners: Corners) -> FloatArray:
         """Solve corners and keep them; returns their values."""
