@@ -6,6 +6,8 @@ the currents of what has no conductance (parts of 0 ohm, sources, amplifier outp
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -66,14 +68,17 @@ class _Circuit:
         return np.linalg.solve(matrix, right)
 
 
-def read(design: Design, cells: Array) -> Array:
-    """V (rows, columns) at the outputs, without supply limits, of a design without faults and a sliced sheet."""
+def read(design: Design, cells: Array, *, limited: bool = False) -> Array:
+    """V (rows, columns) at the outputs of a design without faults and with a sliced sheet.
+
+    With ``limited``, inverting amplifiers that would leave the supply are held at its limit, which shifts others.
+    """
     rows, columns = design.array.shape
     volts = np.empty((rows, columns))
     circuit = design.readout.circuit
     if circuit == "row-amplifier":
         for column in range(columns):
-            volts[:, column] = _step(design, cells, column)
+            volts[:, column] = _within(design, cells, column, limited=limited)
         return volts
     one_by_one = circuit == "voltage-feedback" or (
         circuit == "voltage-divider" and design.readout.idle_columns == "float"
@@ -83,12 +88,30 @@ def read(design: Design, cells: Array) -> Array:
             for column in range(columns):
                 volts[row, column] = _step(design, cells, row, column)[column]
         else:
-            volts[row] = _step(design, cells, row)
+            volts[row] = _within(design, cells, row, limited=limited)
     return volts
 
 
-def _step(design: Design, cells: Array, driven: int, sensed: int | None = None) -> Array:
-    """Outputs of one scan step."""
+def _within(design: Design, cells: Array, driven: int, *, limited: bool) -> Array:
+    """Outputs of one scan step; more and more of them held at their limits, until none is beyond."""
+    held: dict[int, float] = {}
+    while True:
+        volts = _step(design, cells, driven, held=held)
+        low, high = design.readout.supply
+        beyond = [line for line in np.flatnonzero((volts < low) | (volts > high)) if line not in held]
+        if not limited or not beyond:
+            return volts
+        held |= {int(line): float(np.clip(volts[line], low, high)) for line in beyond}
+
+
+def _step(
+    design: Design,
+    cells: Array,
+    driven: int,
+    sensed: int | None = None,
+    held: Mapping[int, float] | None = None,
+) -> Array:
+    """Outputs of one scan step; ``held`` are outputs at a limit, V by line."""
     array, readout = design.array, design.readout
     rows, columns = array.shape
     by_rows = readout.circuit == "row-amplifier"
@@ -137,7 +160,10 @@ def _step(design: Design, cells: Array, driven: int, sensed: int | None = None) 
         else:
             made.resistor(end, ("out", line), float(reference[line]))
             made.drawn[made.node(end)] = float(bias[line])
-            made.amplifier("reference", end, ("out", line), float(gain[line]), float(offset[line]))
+            if held and line in held:
+                made.source(("out", line), held[line])
+            else:
+                made.amplifier("reference", end, ("out", line), float(gain[line]), float(offset[line]))
     potential = made.solve()
     if follows:
         return np.full(count_sensed, potential[made.node("follower")])

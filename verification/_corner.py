@@ -38,7 +38,7 @@ per sign and state."""
 MOST_WORK = 1_000_000
 """cells that are solved, all frames of all flips together, while corners are improved"""
 ALONE = 30
-"""by which less is solved of a design whose boards are scanned one by one"""
+"""by which less is solved of a design whose boards are scanned one by one, as all are whose outputs saturate"""
 MOST_FLIPS = 400_000
 """cells of all flips of one corner, up to which flips are solved"""
 FIRST_ORDER_BEYOND = 100
@@ -209,7 +209,7 @@ class _Search:
         self.parts: list[tuple[Corners, FloatArray]] = []
         flips = int(self.free.sum()) * box.cells * target.frames
         self.exact = flips <= MOST_FLIPS
-        work = MOST_WORK if read_together(box.design) else MOST_WORK // ALONE
+        work = MOST_WORK // ALONE if box.saturates or not read_together(box.design) else MOST_WORK
         self.climbs = max(2 * _FEWEST, work // (3 * max(flips, 1))) if self.exact else 2 * _FEWEST
 
     def solve(self, corners: Corners) -> FloatArray:

@@ -52,7 +52,8 @@ def worst_of(subject: Subject, quantity: str, *, spread: bool = True) -> WorstCa
             # A corner that leaves a range is an infinite error there, whatever leads to it.
             ranges = [worst_of(subject, name, spread=spread) for name in HEADROOM if excursion_of(box.design, name)]
             starts = [found.corner for found in ranges if found.value >= 0]
-            subject.memo[key] = worst_case(TARGETS[quantity], box, starts)
+            saturates = any(found.value >= 0 and found.target.name == "output" for found in ranges)
+            subject.memo[key] = worst_case(TARGETS[quantity], replace(box, saturates=saturates), starts)
         else:
             excursion = excursion_of(box.design, quantity)
             assert excursion is not None

@@ -44,6 +44,8 @@ class Box:
     pressed_ohm: float
     cell_spread: float
     """relative, of every cell on its own"""
+    saturates: bool = False
+    """whether an output may reach its supply limit, so that what it does to the other readings is to be solved"""
 
     @property
     def cells(self) -> int:
@@ -313,7 +315,7 @@ def _evaluate(target: Target, box: Box, corners: Corners) -> FloatArray:
     driven = corners.column if box.design.board.turned else corners.row
     frames = []
     for cells in frames_of(target, box, corners):
-        found = scan_population(box.design, population.boards, cells, driven=driven)
+        found = scan_population(box.design, population.boards, cells, driven=driven, resolve_saturation=box.saturates)
         own = (each, corners.row, corners.column)
         volts = box.converted(found.volts[own], population.converter)
         frames.append(Frame(found.volts[own], volts, cells[own], found.saturated[own] | box.clipped(volts)))
@@ -369,7 +371,7 @@ def values_of_boards(target: Target, box: Box, x: FloatArray, presses: Sequence[
         place = (np.array([cell[0]]), np.array([cell[1]]))
         # Where all cells are judged, a board with a saturated output has an infinite error whatever the others read.
         pressed = target.pressed(pattern[None].astype(np.float64), *place)
-        frames = [read(frame[0], resolve=not judged.all()) for frame in pressed]
+        frames = [read(frame[0], resolve=box.saturates and not judged.all()) for frame in pressed]
         for sign in (1.0, -1.0):
             found = target.value(box, lambda volts: apparent_resistance(box.design, volts), frames, sign)
             found = np.where(judged, found, -inf).reshape(len(x), -1)
