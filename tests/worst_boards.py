@@ -57,11 +57,12 @@ def random_board(seed: int, *, largest: int = 8) -> Design:
     smallest = signal * min(1.0, 1.0 / change) / max(1.0, change) if amplified else 0.1 * signal
     level = float(random.choice([0.0, 1.65]))
     reach = 1.3 * signal if random.random() < 0.7 else 1.02 * signal
+    idle = "float" if random.random() < 0.2 and circuit != "voltage-feedback" else "ground"
     tables: dict[str, Any] = {
         "array": {"rows": rows, "columns": columns}
         | {name: part(float(10 ** random.uniform(-1, 2.3))) for name in ("row_lead", "column_lead")}
         | {name: part(float(10 ** random.uniform(-2, 0.7))) for name in ("row_segment", "column_segment")},
-        "drive": {"voltage": part(drive), "idle_rows": "float" if random.random() < 0.2 else "ground"},
+        "drive": {"voltage": part(drive), "idle_rows": idle},
         "readout": {
             "circuit": circuit,
             "reference_resistance": part(reference),
