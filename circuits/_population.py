@@ -182,7 +182,7 @@ def scan_population(
 def read_together(design: Design) -> bool:
     """Whether the elimination covers this kind of design; if not, each board takes a scan, tens of times longer."""
     board = design.board
-    special = board.pulled or board.virtual_grounds != board.circuit.virtual_ground or board.idle_columns == "ground"
+    special = board.virtual_grounds != board.circuit.virtual_ground and board.idle_columns == "load"
     return not special and board.circuit.in_populations and design.array.sheet == "sliced" and not design.fault
 
 
@@ -214,10 +214,12 @@ def _read(design: Design, boards: Boards, cells: FloatArray, driven: IntArray | 
     conductance = 1.0 / cells
     count = max(boards.count, len(cells))
     conductance = np.broadcast_to(conductance, (count, *cells.shape[1:]))
-    grounded = _row_ladders(conductance, boards.row_lead, boards.row_segment)
-    floats = design.board.floating
-    open_lead = np.full_like(boards.row_lead, np.inf)
-    floating = _row_ladders(conductance, open_lead, boards.row_segment) if floats else grounded
+    board, floats = design.board, design.board.floating
+    passed = 1.0 / (1.0 + boards.row_lead / board.pull)  # by the divider of lead and pull-down; 1 without
+    grounded = _row_ladders(conductance, boards.row_lead * passed, boards.row_segment)
+    grounded = grounded._replace(current=grounded.current * passed[..., None])
+    idle_lead = np.full_like(boards.row_lead, board.pull)
+    floating = _row_ladders(conductance, idle_lead, boards.row_segment) if floats else grounded
     volts = np.full(conductance.shape, np.nan)
     if driven is not None:
         each = np.arange(count)
@@ -327,22 +329,47 @@ def _outputs(design: Design, boards: Boards, seen: _Columns) -> FloatArray:
     """Output volts (S, M, R) of the circuit at the columns' ends."""
     reference, lead = boards.reference_resistance[..., None], boards.column_lead[..., None]
     level, drive = boards.reference_voltage[..., None], boards.voltage[..., None]
-    if design.board.circuit.virtual_ground:
+    board = design.board
+    if board.circuit.drives_idle_lines:
+        return _followed(boards, seen)
+    alone = (
+        None if board.idle_columns == "load" or board.virtual_grounds else _one_by_one(boards, seen, board.idle_columns)
+    )
+    if board.circuit.virtual_ground:
         inverse = 1.0 / (1.0 + boards.open_loop_gain[..., None])
         share = 1.0 / (1.0 + 1.0 / boards.open_loop_gain[..., None])
         offset, lift = boards.offset_voltage[..., None], reference * boards.bias_current[..., None]
         source = share * offset - inverse * (level + lift)
-        current = _end_currents(seen, lead + inverse * reference, drive, source)
+        if alone is None:
+            current = _end_currents(seen, lead + inverse * reference, drive, source)
+        else:
+            current = (drive * alone.current - source * alone.admittance) / (
+                1.0 + inverse * reference * alone.admittance
+            )
         return share * (level + offset + lift) - share * reference * current
-    if design.board.circuit.drives_idle_lines:
-        return _followed(boards, seen)
-    if design.readout.idle_columns == "load":
+    if alone is None:
         return level + reference * _end_currents(seen, lead + reference, drive, np.zeros_like(reference))
-    columns = seen.admittance.shape[-1]
-    inner = _solve(seen.admittance, np.broadcast_to(np.eye(columns), seen.admittance.shape))
-    own = np.einsum("...jj->...j", inner)[..., None]
-    volts: FloatArray = level + drive * (inner @ seen.current) * reference / (reference + lead + own)
+    volts: FloatArray = level + drive * alone.current / (alone.admittance + 1.0 / reference)
     return volts
+
+
+def _one_by_one(boards: Boards, seen: _Columns, idle: str) -> _Columns:
+    """Each column's end, alone: its admittance (S, M, 1), and its short-circuit currents (S, M, R).
+
+    The other columns end at the reference behind their leads (``idle`` "ground"), or are open ("float").
+    """
+    lead = boards.column_lead[..., None]
+    if idle == "float":
+        columns = seen.admittance.shape[-1]
+        inner = _solve(seen.admittance, np.broadcast_to(np.eye(columns), seen.admittance.shape))
+        behind = np.einsum("...jj->...j", inner)[..., None] + lead
+        return _Columns(1.0 / behind, inner @ seen.current / behind)
+    from_rows, all_lines = seen.current, seen.admittance
+    if lead.any():
+        columns = from_rows.shape[1]
+        ended = _through(all_lines, boards.column_lead, np.concatenate([all_lines, from_rows], axis=-1))
+        all_lines, from_rows = ended[..., :columns], ended[..., columns:]
+    return _Columns(np.einsum("...jj->...j", all_lines)[..., None], from_rows)
 
 
 def _followed(boards: Boards, seen: _Columns) -> FloatArray:
@@ -351,12 +378,8 @@ def _followed(boards: Boards, seen: _Columns) -> FloatArray:
     reference, gain, offset, bias = (part[..., None] for part in parts)
     level, drive = boards.reference_voltage[..., None], boards.voltage[..., None]
     inverse, share = 1.0 / (1.0 + gain), 1.0 / (1.0 + 1.0 / gain)
-    from_row, all_lines = seen.current, seen.admittance
-    if boards.column_lead.any():
-        columns = from_row.shape[1]
-        behind = _through(all_lines, boards.column_lead, np.concatenate([all_lines, from_row], axis=-1))
-        all_lines, from_row = behind[..., :columns], behind[..., columns:]
-    idle = np.einsum("...jj->...j", all_lines)[..., None] - from_row
+    ended = _one_by_one(boards, seen, "ground")
+    from_row, idle = ended.current, ended.admittance - ended.current
     current = from_row * drive - bias + idle * (share * offset - inverse * level)
     column = current / (from_row + idle * inverse + 1.0 / reference)
     volts: FloatArray = share * (level + column + offset)

@@ -19,10 +19,18 @@ def _boards(design: Design, seed: int) -> Boards:
     random = np.random.default_rng(seed)
     nominal = Boards.of(design)
     values = {field.name: getattr(nominal, field.name) for field in fields(nominal)}
-    return Boards(**{name: value * random.uniform(0.7, 1.3, (COUNT, value.shape[1])) for name, value in values.items()})
+    if design.readout.columns == "multiplexed":  # its lines share one amplifier or load
+        shared = ("reference_resistance", "open_loop_gain", "offset_voltage", "bias_current")
+        values |= {name: values[name][:, :1] for name in shared}
+    drawn = {name: value * random.uniform(0.7, 1.3, (COUNT, value.shape[1])) for name, value in values.items()}
+    sizes = {field.name: getattr(nominal, field.name).shape[1] for field in fields(nominal)}
+    return Boards(**{name: np.broadcast_to(value, (COUNT, sizes[name])) for name, value in drawn.items()})
 
 
 AMPLIFIED = {"open_loop_gain": 1e4, "offset_voltage": 4e-3, "bias_current": 1e-8, "reference_voltage": 1.65}
+PULL = {"idle_rows": "pull", "idle_row_resistance": 2e3}
+GROUNDED = {"columns": "multiplexed", "idle_columns": "ground"}
+ONE = amplifier(4, 3, lead=30.0, segment=2.0, **AMPLIFIED)
 DESIGNS = {
     "ideal wires": amplifier(3, 4, **AMPLIFIED),
     "leads": amplifier(4, 3, lead=70.0, **AMPLIFIED),
@@ -46,6 +54,13 @@ DESIGNS = {
     "sensed rows, floating columns": amplifier(4, 3, lead=10.0, segment=2.0, **AMPLIFIED)
     .replace(drive={"idle_rows": "float"})
     .with_circuit("row-amplifier"),
+    "pull-downs": amplifier(3, 4, lead=30.0, segment=2.0, **AMPLIFIED).replace(drive=PULL),
+    "divider, pull-downs": divider(3, 4, row_lead=30.0, column_lead=5.0, row_segment=2.0).replace(drive=PULL),
+    "divider, pull-downs, grounded columns": divider(3, 4, row_lead=30.0).replace(drive=PULL, readout=GROUNDED),
+    "divider, grounded columns": divider(4, 3, column_lead=5.0, column_segment=2.0).replace(readout=GROUNDED),
+    "one amplifier, open columns": ONE.replace(readout={"columns": "multiplexed"}),
+    "one amplifier, grounded columns": ONE.replace(readout=GROUNDED),
+    "one amplifier, loaded columns": ONE.replace(readout={"columns": "multiplexed", "idle_columns": "load"}),
     "saturating": amplifier(3, 3, lead=10.0, supply=(-0.4, 0.4), **{**AMPLIFIED, "reference_voltage": 0.0}),
 }
 

@@ -106,13 +106,13 @@ class Factors:
                 if key not in MAXIMA or not value.any():
                     continue
                 centre[key] = np.zeros_like(value)
-                for line, width in enumerate(np.abs(value)):
-                    found.append(Factor(key, line if len(value) > 1 else None))
-                    columns.append((key, _unit(len(value), line, width)))
+                for line, column in _own(np.abs(value), shared=_is_shared(design, key)):
+                    found.append(Factor(key, line))
+                    columns.append((key, column))
                 continue
             low, high = (kelvin - NOMINAL_K for kelvin in design.operation.temperature_range or (NOMINAL_K, NOMINAL_K))
             drifts = abs(spread.temperature_coefficient) * max(abs(low), abs(high)) if key in MAXIMA else 0.0
-            for factor, column in _of_part(key, value, spread, drifts):
+            for factor, column in _of_part(key, value, spread, drifts, shared=_is_shared(design, key)):
                 found.append(factor)
                 columns.append((key, column))
             if spread.temperature_coefficient and (low or high) and key not in MAXIMA:
@@ -236,7 +236,14 @@ def _signs(lines: list[tuple[str, int]]) -> str:
     return f"{word} at {', '.join(few)}, {other} elsewhere"
 
 
-def _of_part(key: str, value: FloatArray, spread: Spread, drift: float) -> Iterator[tuple[Factor, FloatArray]]:
+def _is_shared(design: Design, key: str) -> bool:
+    """Whether all lines have one and the same part: that of a multiplexed readout."""
+    return design.board.multiplexed and key.startswith("readout.")
+
+
+def _of_part(
+    key: str, value: FloatArray, spread: Spread, drift: float, *, shared: bool
+) -> Iterator[tuple[Factor, FloatArray]]:
     """The factors of one kind of part, each with its column of the matrix (L,); ``drift`` is each line's own."""
     count = len(value)
     width = spread.tolerance * np.abs(value) + spread.deviation + drift
@@ -248,16 +255,17 @@ def _of_part(key: str, value: FloatArray, spread: Spread, drift: float) -> Itera
             members = np.arange(count) // size == package
             if common[members].any():
                 yield Factor(key, None, package, spread.distribution), np.where(members, common, 0.0)
-    for line in range(count):
+    for line, column in _own(width, shared=shared):
+        yield Factor(key, line, None, spread.distribution), column
+
+
+def _own(width: FloatArray, *, shared: bool) -> Iterator[tuple[int | None, FloatArray]]:
+    """Each line with its column of the matrix (L,) for deviations of its own of at most ``width`` (L,)."""
+    if shared and width[0] > 0 and np.isfinite(width[0]):
+        yield None, width
+    for line in range(0 if shared else len(width)):
         if width[line] > 0 and np.isfinite(width[line]):
-            factor = Factor(key, line if count > 1 else None, None, spread.distribution)
-            yield factor, _unit(count, line, float(width[line]))
-
-
-def _unit(count: int, line: int, width: float) -> FloatArray:
-    column = np.zeros(count)
-    column[line] = width
-    return column
+            yield line if len(width) > 1 else None, np.where(np.arange(len(width)) == line, width[line], 0.0)
 
 
 def _nominal_values(design: Design) -> dict[str, FloatArray]:
