@@ -3,9 +3,11 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 SUDO   := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
+# The Debian package that a verdict without "not run" needs.
+DEMO_PACKAGES := ngspice
 # Debian packages that the tests need: the SPICE library, and its command for the netlist tests; the compiler of the
 # firmware, and simavr, the second emulator of its processor; the browser for the page of `ohmskin view`.
-TEST_PACKAGES := chromium libngspice0 ngspice gcc-avr avr-libc gcc libc6-dev libsimavr-dev libelf-dev
+TEST_PACKAGES := chromium $(DEMO_PACKAGES) libngspice0 gcc-avr avr-libc gcc libc6-dev libsimavr-dev libelf-dev
 # Node.js comes from Debian only where no other one is installed.
 ifeq ($(shell command -v npm),)
 TEST_PACKAGES += nodejs npm
@@ -16,9 +18,9 @@ LOOP   := emulator/firmware
 # The packages below ohmskin: in a checkout src/ohmskin links to the folders at the top.
 ROOMS  := $(filter-out __pycache__,$(notdir $(patsubst %/,%,$(wildcard src/ohmskin/*/))))
 
-.PHONY: demo test test-all test-environment lint links system-test-packages clean
+.PHONY: demo test test-all test-newest test-environment lint links system-demo-packages system-demo-install system-test-packages clean
 
-demo: $(VENV)/demo.stamp
+demo: system-demo-packages $(VENV)/demo.stamp
 	@$(BIN)/ohmskin verify -o ohmskin-report; code=$$?; \
 	 echo; echo "Report: $(CURDIR)/ohmskin-report/report.html"; \
 	 if [ $$code = 3 ]; then echo "Some checks could not be run here; the report says which and why."; exit 0; fi; \
@@ -35,6 +37,16 @@ test: test-environment lint
 test-all: test-environment lint
 	$(PYTEST)
 
+# The newest versions of everything that pyproject.toml leaves open, on the newest Python that is here; Numba has wheels
+# for 3.14 since 0.63. `make test` keeps the versions that its environment was made with.
+NEWEST ?= $(shell for p in python3.14 python3.13 python3.12 $(PYTHON); do \
+             $$p -c '' 2>/dev/null && { echo $$p; break; }; done)
+test-newest: | links
+	$(MAKE) VENV=.venv-newest PYTHON=$(NEWEST) .venv-newest/bin/python
+	.venv-newest/bin/pip install -q --disable-pip-version-check --upgrade --upgrade-strategy eager -e '.[dev]'
+	@touch .venv-newest/dev.stamp
+	$(MAKE) VENV=.venv-newest PYTHON=$(NEWEST) test
+
 test-environment: system-test-packages $(VENV)/dev.stamp $(LOOP)/node_modules/.package-lock.json
 
 lint: $(VENV)/dev.stamp
@@ -42,11 +54,23 @@ lint: $(VENV)/dev.stamp
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-system-test-packages:
-	@missing=""; for p in $(TEST_PACKAGES); do \
+# Install those of the packages $(1) that are missing.
+define install
+	@missing=""; for p in $(1); do \
 	   dpkg -s $$p 2>/dev/null | grep -q '^Status: install ok' || missing="$$missing $$p"; done; \
 	 if [ -n "$$missing" ]; then \
 	   $(SUDO) apt-get update -qq && DEBIAN_FRONTEND=noninteractive $(SUDO) apt-get install -y -qq $$missing >/dev/null; fi
+endef
+
+# Without ngspice, where it cannot be had, the report says what was not run.
+system-demo-packages:
+	@command -v ngspice >/dev/null || $(MAKE) -s system-demo-install || echo "cannot install: $(DEMO_PACKAGES)"
+
+system-demo-install:
+	$(call install,$(DEMO_PACKAGES))
+
+system-test-packages:
+	$(call install,$(TEST_PACKAGES))
 
 $(LOOP)/node_modules/.package-lock.json: $(LOOP)/package-lock.json | system-test-packages
 	npm ci --prefix $(LOOP) --no-audit --no-fund --silent
@@ -71,5 +95,5 @@ $(VENV)/dev.stamp: $(BIN)/python pyproject.toml | links
 
 clean:
 	rm -rf $(LOOP)/node_modules firmware/build
-	rm -rf $(VENV) build dist ohmskin-report *.egg-info src/*.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) .venv-newest build dist ohmskin-report *.egg-info src/*.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -prune -exec rm -rf {} +

@@ -57,16 +57,23 @@ def reference_volts(design: Design, resistance: ArrayLike) -> FloatArray:
     cells = design.resistance(resistance)
     rows, columns = cells.shape
     volts = np.empty(cells.shape)
-    circuit = design.readout.circuit
+    circuit, idle_columns = design.readout.circuit, design.readout.idle_columns
+    one_by_one = (
+        circuit == "voltage-feedback"
+        or (circuit == "voltage-divider" and idle_columns != "load")
+        or design.readout.columns == "multiplexed"
+    )
+
+    def together(lines: int) -> list[list[int]]:
+        return [[line] for line in range(lines)] if one_by_one else [list(range(lines))]
+
     if circuit == "row-amplifier":
         for column in range(columns):
-            volts[:, column] = _step(design, cells, column, list(range(rows)))
+            for read in together(rows):
+                volts[read, column] = _step(design, cells, column, read)
         return volts
-    one_by_one = circuit == "voltage-feedback" or (
-        circuit == "voltage-divider" and design.readout.idle_columns == "float"
-    )
     for row in range(rows):
-        for read in [[j] for j in range(columns)] if one_by_one else [list(range(columns))]:
+        for read in together(columns):
             volts[row, read] = _step(design, cells, row, read)
     return volts
 
@@ -131,8 +138,13 @@ def _solve(
     vref = number(readout.reference_voltage)
     amplified = readout.circuit in {"inverting-amplifier", "row-amplifier"}
     for j in range(read_lines):
-        if feedback and j not in read:
+        if j in read:
+            continue
+        if feedback:
             parts.append((("end", j), FOLLOWER, 0.0))
+        elif readout.idle_columns != "float":
+            ohm = 0.0 if readout.idle_columns == "ground" else _of(readout.reference_resistance, j)
+            parts.append((("end", j), REFERENCE, ohm))
     for j, rail in zip(read, stuck_at, strict=True):
         rref, vos = number(_of(readout.reference_resistance, j)), number(_of(readout.offset_voltage, j))
         bias, inverse_gain = number(_of(readout.bias_current, j)), _inverse(_of(readout.open_loop_gain, j))
@@ -171,8 +183,8 @@ def _grid(design: Design, cells: FloatArray) -> list[tuple[Node, Node, float]]:
     severed = _in_series(design, "broken-column")
     opened = _in_series(design, "open-cell")
     for i in range(rows):
-        ahead: Node = ("end", i) if on_rows else ("drive", i)
-        parts.append((ahead, ("row", i, 0), _of(array.row_lead, i) + broken.get((i, 0), 0.0)))
+        ahead = ("end", i) if on_rows else ("drive", i)
+        parts += _lead(design, ahead, ("row", i, 0), _of(array.row_lead, i), broken.get((i, 0), 0.0))
         for j in range(columns):
             if j:
                 ohm = _of(array.row_segment, i) + broken.get((i, j), 0.0)
@@ -182,8 +194,10 @@ def _grid(design: Design, cells: FloatArray) -> list[tuple[Node, Node, float]]:
                 parts.append((("column", i - 1, j), ("column", i, j), ohm))
             parts.append((("row", i, j), ("column", i, j), float(cells[i, j]) + opened.get((i, j), 0.0)))
     for j in range(columns):
-        ohm = _of(array.column_lead, j) + severed.get((rows - 1, j), 0.0)
-        parts.append((("column", rows - 1, j), ("drive", j) if on_rows else ("end", j), ohm))
+        behind = ("drive", j) if on_rows else ("end", j)
+        parts += _lead(
+            design, behind, ("column", rows - 1, j), _of(array.column_lead, j), severed.get((rows - 1, j), 0.0)
+        )
     for fault in design.fault:
         i, j = fault.place
         if fault.kind == "shorted-cell":
@@ -193,6 +207,17 @@ def _grid(design: Design, cells: FloatArray) -> list[tuple[Node, Node, float]]:
         elif fault.kind == "bridged-columns":
             parts.append((("column", i, j), ("column", i, j + 1 if fault.to is None else fault.to), fault.ohms))
     return parts
+
+
+def _lead(
+    design: Design, outside: tuple[str, int], first: Node, lead: float, broken: float
+) -> list[tuple[Node, Node, float]]:
+    """The lead of a line, a break behind it, and between both the pull-down of a driven line."""
+    kind, line = outside
+    if kind != "drive" or isinf(design.drive.idle_row_resistance):
+        return [(outside, first, lead + broken)]
+    start: Node = ("start", line)
+    return [(outside, start, lead), (start, first, broken), (start, REFERENCE, design.drive.idle_row_resistance)]
 
 
 def _join(system: _Equations, held: DisjointSet, parts: list[tuple[Node, Node, float]]) -> None:

@@ -20,7 +20,7 @@ from __future__ import annotations
 import contextlib
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from math import inf
 from typing import Any
@@ -67,7 +67,6 @@ def _readout(draw: Draw, shape: tuple[int, int]) -> Tables:
         "circuit": circuit,
         "reference_resistance": _alike(draw, [1e3, 1e4, 1.0], sensed),
         "open_loop_gain": _alike(draw, [inf, 1e5, 1e5, 10.0, 1.0], sensed),
-        "idle_columns": str(draw.choice(["float", "load"])),
         "reference_voltage": float(draw.choice([0.0, 0.0, 1.65])),
     }
     if draw.random() < 0.3:
@@ -76,8 +75,23 @@ def _readout(draw: Draw, shape: tuple[int, int]) -> Tables:
         readout["bias_current"] = _alike(draw, [1e-7, 0.0], sensed)
     if draw.random() < 0.2:
         readout["supply"] = [-0.5, 3.3]
-    drive = {"voltage": float(draw.choice([-1.0, 1.0, 3.3])), "idle_rows": str(draw.choice(["ground", "float"]))}
+    drive: Tables = {"voltage": float(draw.choice([-1.0, 1.0, 3.3]))}
+    if circuit != "voltage-feedback":
+        _idle_lines(draw, drive, readout)
     return {"array": {"rows": shape[0], "columns": shape[1]}, "drive": drive, "readout": readout}
+
+
+def _idle_lines(draw: Draw, drive: Tables, readout: Tables) -> None:
+    """What lines do that are not selected, or not read."""
+    drive["idle_rows"] = str(draw.choice(["ground", "float", "pull"]))
+    if drive["idle_rows"] == "pull":
+        drive["idle_row_resistance"] = float(draw.choice([1e2, 1e4, 1e6]))
+    if draw.random() < 0.3:
+        readout |= {"columns": "multiplexed", "idle_columns": str(draw.choice(["float", "ground", "load"]))}
+        shared = {key: value[0] for key, value in readout.items() if key != "supply" and isinstance(value, list)}
+        readout |= shared
+    elif readout["circuit"] == "voltage-divider":
+        readout["idle_columns"] = str(draw.choice(["float", "load"]))
 
 
 def _alike(draw: Draw, values: list[float], count: int) -> float | list[float]:
@@ -277,12 +291,37 @@ def table(tallies: dict[str, Tally]) -> str:
     return "\n".join(lines)
 
 
+def _shown(finding: str, known: Collection[str], *, live: bool) -> str:
+    """The design and the cells of FAMILY:NUMBER, with --live those of each frame, and what was read of them."""
+    family, _, number = finding.rpartition(":")
+    if family not in known or not number.isdecimal():
+        families = ", ".join(known)
+        raise click.BadParameter(f"'{finding}'; expected FAMILY:NUMBER with one of {families}", param_hint="--show")
+    if not live:
+        design, cells = subject(family, int(number))
+        return f"{_as_json(design)}\ncells = {cells.tolist()}"
+    made = _live_streams.stream(family, int(number))
+    if made is None:
+        return f"{finding}: a board that cannot be read"
+    frames = zip(made.cells.tolist(), made.noise_steps.tolist(), made.counts, strict=True)
+    return "\n".join(
+        [
+            _as_json(made.design),
+            *(f"cells = {cells}, noise_steps = {noise}, counts = {read.tolist()}" for cells, noise, read in frames),
+        ]
+    )
+
+
+def _as_json(design: Design) -> str:
+    return json.dumps(design.model_dump(exclude_defaults=True, warnings=False))
+
+
 @click.command()
 @click.option("--seconds", default=60.0, show_default=True, help="How long to search.")
 @click.option("--seed", default=0, show_default=True, help="Where to start; another one gives other designs.")
 @click.option("--family", multiple=True, help="Only these; default: all. Those of --live have other names.")
 @click.option("--live", is_flag=True, help="Search for wrong live readings of quantised streams instead.")
-@click.option("--show", help="Print the design of a finding: FAMILY:NUMBER.")
+@click.option("--show", help="Print the design of a finding, with --live its stream: FAMILY:NUMBER.")
 def main(seconds: float, seed: int, family: tuple[str, ...], live: bool, show: str | None) -> None:
     """Search for readings that differ from exact arithmetic by more than they say."""
     known = _live_streams.FAMILIES if live else FAMILIES
@@ -290,14 +329,11 @@ def main(seconds: float, seed: int, family: tuple[str, ...], live: bool, show: s
         raise click.BadParameter(
             f"{', '.join(sorted(unknown))}; expected some of {', '.join(known)}", param_hint="--family"
         )
+    if show is not None:
+        click.echo(_shown(show, known, live=live))
+        return
     if live:
         raise SystemExit(1 if _live_hunt.run(seed, seconds, family) else 0)
-    if show:
-        name, number = show.rsplit(":", 1)
-        design, cells = subject(name, int(number))
-        click.echo(json.dumps(design.model_dump(exclude_defaults=True, warnings=False)))
-        click.echo(f"cells = {cells.tolist()}")
-        return
     tallies = {name: Tally() for name in family or FAMILIES}
     with contextlib.suppress(KeyboardInterrupt):  # the search may be ended at any time
         for finding in search(tallies, seed, seconds):

@@ -11,11 +11,11 @@ from .identification import (
     calibration_text,
     check_protocol,
     check_resistances,
-    check_times,
     checked_recording,
     estimate_recording,
     protocol_load,
     protocol_text,
+    read_recording,
     recovery_branches,
 )
 from .materials import (
@@ -48,13 +48,13 @@ __all__ = [
     "calibration_text",
     "check_protocol",
     "check_resistances",
-    "check_times",
     "checked_recording",
     "drifted_rest_resistance",
     "equilibrium_curve",
     "estimate_recording",
     "protocol_load",
     "protocol_text",
+    "read_recording",
     "recovery_branches",
     "sensitivity",
 ]

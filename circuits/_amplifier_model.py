@@ -3,7 +3,12 @@
 A model file is a program of somebody else. ngspice would run a ``.control`` block or a line that begins with ``*#``
 inside the file, shell commands included, and read any file that ``.include`` or a code model names. This module
 therefore accepts only lines that describe a circuit. It has lists of the allowed cards, devices and model types; every
-other line is an error that names file and line.
+other line is an error that names file and line. Subcircuits that the model does not call are left out of the netlist,
+whatever they contain: libraries have hundreds.
+
+Two things of makers' files that ngspice does not understand are translated: the end-of-file byte of DOS, and resistors
+without noise. PSpice marks such resistors by a model of temperature zero (``T_ABS=-273.15``), which ngspice drops
+without a word; its own mark is ``noisy=0``.
 """
 
 from __future__ import annotations
@@ -31,6 +36,13 @@ MODEL_TYPES = (
     *("r", "c", "l", "d", "npn", "pnp", "njf", "pjf", "nmf", "pmf", "nmos", "pmos", "vdmos", "sw", "csw"),
     *("res", "cap", "ind", "vswitch", "iswitch", "ltra"),
 )
+LTSPICE_ONLY = re.compile(r"^[bcdefghilrv].*\s(noiseless\b|(?:rpar|cpar|rser|lser|rlshunt)\s*=)", re.IGNORECASE)
+"""Words of LTspice on devices, which ngspice refuses."""
+_ENCRYPTED = re.compile(r"\$CDNENC|\* Begin:.*Encrypt|^\*?\s*LTspice Encrypted", flags=re.IGNORECASE | re.MULTILINE)
+_DOS_END_OF_FILE = "\x1a"
+_ABSOLUTE = re.compile(r"\bt_abs\s*=\s*([-+]?[\d.]+(?:e[-+]?\d+)?)", re.IGNORECASE)
+_NOISELESS_CELSIUS = -273.0
+"""A resistor that is at most this warm is meant to have no thermal noise."""
 
 
 class AmplifierModel(Section):
@@ -38,7 +50,7 @@ class AmplifierModel(Section):
 
     file: Annotated[str, Field(min_length=1)]
     """path of the model file, relative to the design"""
-    subcircuit: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.\-+]+$")]
+    subcircuit: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.\-+/]+$")]
     """name of the .SUBCKT in the file"""
     pins: Annotated[tuple[Pin, ...], Field(strict=False)] = PINS
     """function of each pin, in the order of the .SUBCKT line; "ground" is tied to 0 V, "open" to nothing"""
@@ -66,13 +78,19 @@ class AmplifierModel(Section):
         path = folder / self.file
         # Makers use various code pages; only comments may contain more than ASCII.
         content = read_bytes(path, most_bytes=MOST_MODEL_BYTES).decode("latin-1")
-        cards = list(_checked_cards(content, str(path)))
-        self._check_pins(cards, str(path))
-        return self.replace(text="\n".join(card.text for card in cards))
+        if _ENCRYPTED.search(content):
+            raise InputError(f"{path}: the model is encrypted; expected plain text")
+        cards = [card for card in _statements(content, str(path)) if card.words[0] != ".end"]
+        used = self._used(cards, str(path))
+        for card in used:
+            _check_card(card, str(path))
+        return self.replace(text="\n".join(_without_thermal_noise(used)))
 
-    def _check_pins(self, cards: list[_Card], path: str) -> None:
+    def _used(self, cards: list[_Card], path: str) -> list[_Card]:
+        """The cards of the subcircuit, of those that it calls, and outside of all; libraries have many others."""
         outside: dict[str, list[str]] = {}
         calls: dict[str, set[str]] = {}
+        belongs: list[str | None] = []
         inside: list[str] = []
         for card in cards:
             words = card.words
@@ -82,17 +100,21 @@ class AmplifierModel(Section):
                 if not inside:
                     outside.setdefault(words[1], _before_parameters(words[2:]))
                 inside.append(words[1])
-            elif words[0] == ".ends":
+            belongs.append(inside[0] if inside else None)
+            if words[0] == ".ends":
                 if not inside:
                     raise InputError(f"{path}: line {card.line}: .ENDS without .SUBCKT")
                 inside.pop()
-            elif not words[0].startswith(".") and not inside:
-                raise InputError(
-                    f"{path}: line {card.line}: '{shortened(one_line(card.text))}' stands outside a .SUBCKT"
-                )
+            elif not inside:
+                _check_card(card, path)
+                if not words[0].startswith("."):
+                    raise InputError(
+                        f"{path}: line {card.line}: '{shortened(one_line(card.text))}' stands outside a .SUBCKT"
+                    )
             elif words[0].startswith("x"):
                 callee = _before_parameters(words[1:])[-1:]
-                calls.setdefault(inside[-1], set()).update(callee)
+                for caller in {inside[0], inside[-1]}:
+                    calls.setdefault(caller, set()).update(callee)
         if inside:
             raise InputError(f"{path}: .SUBCKT {one_line(inside[-1])} has no .ENDS")
         name = self.subcircuit.lower()
@@ -105,7 +127,8 @@ class AmplifierModel(Section):
                 f"({shortened(one_line(' '.join(outside[name])))}), but readout.amplifier_model.pins names "
                 f"{len(self.pins)}"
             )
-        _refuse_recursion(name, calls, path)
+        reached = {None, *_reached(name, calls, path)}
+        return [card for card, owner in zip(cards, belongs, strict=True) if owner in reached]
 
 
 class _Card(NamedTuple):
@@ -120,38 +143,38 @@ class _Card(NamedTuple):
         return self.text.lower().replace("=", " = ").split()
 
 
-def _checked_cards(content: str, path: str) -> Iterator[_Card]:
-    """Statements of a model; InputError for kinds that are not allowed."""
-    if re.search(r"\$CDNENC|\* Begin:.*Encrypt|^\*?\s*LTspice Encrypted", content, flags=re.IGNORECASE | re.MULTILINE):
-        raise InputError(f"{path}: the model is encrypted; expected plain text")
-    for card in _statements(content, path):
-        first = card.words[0]
-        where = f"{path}: line {card.line}"
-        shown = shortened(one_line(card.text))
-        if not card.text.isascii() or not card.text.isprintable() or "`" in card.text:
-            raise InputError(f"{where}: expected plain ASCII text outside comments, got '{shown}'")
-        if first == ".end":
-            continue
-        if first.startswith("."):
-            if first not in CARDS:
-                raise InputError(f"{where}: '{shown}' is not part of a model; expected only {', '.join(CARDS)}")
-            if first == ".model":
-                _check_model_type(card, where, shown)
-        elif first[0] not in DEVICES:
-            raise InputError(f"{where}: '{shown}' is no device of a model; expected one of {DEVICES.upper()}")
-        if re.search(r"\bfile\s*=", card.text, flags=re.IGNORECASE):
-            raise InputError(f"{where}: '{shown}' would read a file")
-        yield card
+def _check_card(card: _Card, path: str) -> None:
+    """Raise InputError for a statement of a kind that is not allowed."""
+    first = card.words[0]
+    where = f"{path}: line {card.line}"
+    shown = shortened(one_line(card.text))
+    if not card.text.isascii() or not card.text.isprintable() or "`" in card.text:
+        raise InputError(f"{where}: expected plain ASCII text outside comments, got '{shown}'")
+    if first.startswith("."):
+        if first not in CARDS:
+            raise InputError(f"{where}: '{shown}' is not part of a model; expected only {', '.join(CARDS)}")
+        if first == ".model":
+            _check_model_type(card, where, shown)
+    elif first[0] == "a":
+        raise InputError(f"{where}: '{shown}' is a device of LTspice, or a code model, which are not supported")
+    elif dialect := LTSPICE_ONLY.search(card.text):
+        word = dialect[1].rstrip("= ")
+        raise InputError(f"{where}: '{shown}': '{word}' is LTspice's own, and ngspice does not read it")
+    elif first[0] not in DEVICES:
+        raise InputError(f"{where}: '{shown}' is no device of a model; expected one of {DEVICES.upper()}")
+    if re.search(r"\bfile\s*=", card.text, flags=re.IGNORECASE):
+        raise InputError(f"{where}: '{shown}' would read a file")
 
 
 def _statements(content: str, path: str) -> Iterator[_Card]:
     """Statements with their continuation lines; comments are dropped, and commands in comments refused."""
     start, parts = 0, []
-    for number, raw in enumerate(re.split(r"\r\n|\r|\n", content), 1):
+    for number, raw in enumerate(re.split(r"\r\n|\r|\n", content.replace(_DOS_END_OF_FILE, "\n")), 1):
         line = raw.strip()
         if line.startswith("*#"):
             raise InputError(f"{path}: line {number}: '{shortened(one_line(line))}' is a command to ngspice")
         line = re.split(r";|\s\$\s|//", line, maxsplit=1)[0].strip()
+        line = re.sub(r"^(\.ends\b[^*]*)\*.*", r"\1", line, flags=re.IGNORECASE)
         if not line or line.startswith(("*", "$")):
             continue
         if line.startswith("+"):
@@ -172,6 +195,43 @@ def _check_model_type(card: _Card, where: str, shown: str) -> None:
         raise InputError(f"{where}: '{shown}': unknown type of model; expected one of {', '.join(MODEL_TYPES)}")
 
 
+def _without_thermal_noise(cards: list[_Card]) -> Iterator[str]:
+    """The statements, with ``noisy=0`` on resistors whose model has a temperature of zero kelvin."""
+    scopes = _resistor_models(cards)
+    inside: list[int] = []
+    for number, card in enumerate(cards):
+        first, text = card.words[0], card.text
+        if first == ".subckt":
+            inside.append(number)
+        elif first == ".ends":
+            inside.pop()
+        elif first == ".model" and (found := _ABSOLUTE.search(text)) and float(found[1]) <= _NOISELESS_CELSIUS:
+            text = _ABSOLUTE.sub("", text, count=1)
+        elif first[0] == "r":
+            # The nearest model of that name counts, as in ngspice.
+            known = (scopes.get(scope, {}).get(word) for word in card.words[3:5] for scope in (*reversed(inside), None))
+            if next((noiseless for noiseless in known if noiseless is not None), False):
+                text = f"{text} noisy=0"
+        yield text
+
+
+def _resistor_models(cards: list[_Card]) -> dict[int | None, dict[str, bool]]:
+    """Whether models of resistors are without noise, by name, for each .SUBCKT by its place; None: outside of all."""
+    scopes: dict[int | None, dict[str, bool]] = {}
+    inside: list[int | None] = [None]
+    for number, card in enumerate(cards):
+        words = card.text.lower().replace("(", " ").split()
+        if words[0] == ".subckt":
+            inside.append(number)
+        elif words[0] == ".ends":
+            inside.pop()
+        elif words[0] == ".model" and words[2] in ("r", "res"):
+            found = _ABSOLUTE.search(card.text)
+            noiseless = found is not None and float(found[1]) <= _NOISELESS_CELSIUS
+            scopes.setdefault(inside[-1], {})[words[1]] = noiseless
+    return scopes
+
+
 def _before_parameters(words: list[str]) -> list[str]:
     """Words before any parameter: the nodes of a .SUBCKT line, or the nodes and the subcircuit of a call."""
     found = []
@@ -182,8 +242,10 @@ def _before_parameters(words: list[str]) -> list[str]:
     return found
 
 
-def _refuse_recursion(name: str, calls: dict[str, set[str]], path: str) -> None:
-    """Raise InputError for a subcircuit that contains itself, which ngspice would expand until memory ends."""
+def _reached(name: str, calls: dict[str, set[str]], path: str) -> set[str]:
+    """The subcircuit and all that it calls. Raises InputError for one that contains itself, which ngspice would expand
+    until memory ends.
+    """
     finished: set[str] = set()
     stack = [(name, iter(sorted(calls.get(name, ()))))]
     while stack:
@@ -196,3 +258,4 @@ def _refuse_recursion(name: str, calls: dict[str, set[str]], path: str) -> None:
             raise InputError(f"{path}: .SUBCKT {one_line(callee)} contains itself")
         elif callee not in finished:
             stack.append((callee, iter(sorted(calls.get(callee, ())))))
+    return finished

@@ -51,7 +51,8 @@ class Board(Parts):
             faults = tuple(_turned_fault(fault, array.shape) for fault in faults)
         severed = series_ohms(faults, "broken-column", (rows, columns))
         row_ohms = np.repeat(each(driven[1], rows)[:, None], columns, axis=1)
-        row_ohms[:, 0] = each(driven[0], rows)
+        row_lead = each(driven[0], rows)
+        row_ohms[:, 0] = row_lead
         column_ohms = np.repeat(each(sensed[1], columns)[None], rows, axis=0)
         column_ohms[0] = 0.0
         column_ohms[1:] += severed[:-1]
@@ -70,7 +71,10 @@ class Board(Parts):
             level=readout.reference_voltage,
             supply=readout.supply,
             turned=turned,
-            floating=drive.idle_rows == "float" and not circuit.drives_idle_lines,
+            floating=drive.idle_rows != "ground" and not circuit.drives_idle_lines,
+            pull=drive.idle_row_resistance,
+            row_lead=row_lead,
+            multiplexed=readout.columns == "multiplexed",
             idle_columns=readout.idle_columns,
             continuous=array.sheet == "continuous",
             sheet=sheet,
@@ -78,6 +82,11 @@ class Board(Parts):
             readout=readout,
             adc=adc,
         )
+
+    @property
+    def virtual_grounds(self) -> bool:
+        """Whether amplifiers hold all columns at the reference at once, each measuring its column's current."""
+        return self.circuit.virtual_ground and not self.multiplexed
 
     @cached_property
     def linear(self) -> LinearReadout | None:

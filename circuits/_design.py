@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from math import inf
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -52,6 +53,7 @@ class Design(Section):
                 by_row = sensed_rows if key.startswith("readout") else key.startswith("array.row")
                 line = "row" if by_row else "column"
                 raise ValueError(f"{key} has {len(value)} entries, expected one number or {lines} (one per {line})")
+        self._refuse_keys_without_effect()
         for number, fault in enumerate(self.fault):
             for row, column in fault.ends if fault.bridge else [fault.place]:
                 if not (0 <= row < rows and 0 <= column < columns):
@@ -64,6 +66,37 @@ class Design(Section):
                     f"fault[{number}] ({fault.kind}) joins a line to itself; expected another line in 'to'"
                 )
         return self
+
+    def _refuse_keys_without_effect(self) -> None:
+        """Raise ValueError if a key about idle lines has no effect on the chosen circuit."""
+        readout, circuit = self.readout, CIRCUITS[self.readout.circuit]
+        given = f'with readout.circuit = "{circuit.name}"'
+        if circuit.drives_idle_lines:
+            for key, value, usual in (
+                ("drive.idle_rows", self.drive.idle_rows, "ground"),
+                ("readout.columns", readout.columns, "parallel"),
+                ("readout.idle_columns", readout.idle_columns, "float"),
+            ):
+                if value != usual:
+                    raise ValueError(f'{key} = "{value}" has no effect {given}, which drives all idle lines itself')
+        if readout.columns == "multiplexed":
+            for key in PER_LINE:
+                if isinstance(getattr(readout, key), tuple):
+                    raise ValueError(
+                        f'readout.{key} has one entry per line, but readout.columns = "multiplexed" shares one part; '
+                        "expected one number"
+                    )
+        elif readout.idle_columns != "float" and circuit.virtual_ground:
+            raise ValueError(
+                f'readout.idle_columns = "{readout.idle_columns}" has no effect {given} and readout.columns = '
+                '"parallel": every line ends in an amplifier of its own; expected columns = "multiplexed", or no '
+                "idle_columns"
+            )
+        elif readout.idle_columns == "ground" and not circuit.drives_idle_lines:
+            raise ValueError(
+                'readout.idle_columns = "ground" needs readout.columns = "multiplexed": lines that have a load each '
+                'cannot be grounded; expected "float" or "load"'
+            )
 
     @classmethod
     def load(cls, path: str | Path) -> Design:
@@ -85,8 +118,16 @@ class Design(Section):
         return found
 
     def with_circuit(self, circuit: str) -> Design:
-        """A copy of the design with another readout circuit."""
-        return self.replace(readout={"circuit": circuit})
+        """A copy of the design with another readout circuit; keys of idle lines that it lacks have their defaults."""
+        other = CIRCUITS[circuit]
+        drive: dict[str, object] = {}
+        readout: dict[str, object] = {"circuit": circuit}
+        if other.drives_idle_lines:
+            drive = {"idle_rows": "ground", "idle_row_resistance": inf}
+            readout |= {"columns": "parallel", "idle_columns": "float"}
+        elif other.virtual_ground and self.readout.columns == "parallel":
+            readout["idle_columns"] = "float"
+        return self.replace(drive=drive, readout=readout)
 
     @cached_property
     def board(self) -> Board:

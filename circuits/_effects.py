@@ -177,7 +177,7 @@ class _DerivativeEstimates:
 
 def _effect_size(board: Board, cells: FloatArray) -> EffectSize:
     """The estimate that suits the board, or one that always returns None."""
-    if board.circuit.virtual_ground and not board.floating:
+    if board.virtual_grounds and not board.floating:
         return _ClosedFormulas(board, cells)
     if not board.continuous and cells.size <= _MOST_CELLS:
         return _DerivativeEstimates(board, cells)
@@ -207,7 +207,7 @@ def _limits(board: Board, cells: FloatArray) -> Iterator[Effect]:
 def _dynamic_effects(board: Board, cells: FloatArray) -> Iterator[Effect]:
     """Effects of time: noise and settling. A scan has neither; :mod:`.timing` models both."""
     part, live = board.readout, _ordinary_cells(cells)
-    if not board.circuit.virtual_ground:
+    if not board.virtual_grounds:
         yield Effect("noise", False, None, "no simple law")
         yield Effect("settling", False, None, "no simple law")
         return

@@ -16,7 +16,9 @@ _SHORT = 1e-60  # ohm; resistances up to this count as ideal wires, see :func:`.
 
 
 def exact_ports(board: Board, cells: FloatArray) -> Rounded:
-    """Port conductances (..., N + M, N + M) in S of the board's grid, row leads included, with their rounding bound.
+    """Port conductances (..., P, P) in S of the board's grid, row leads included, with their rounding bound.
+
+    The ports are N row terminals, the reference if rows have pull-downs, and M column terminals.
 
     Args:
         board: the lines and their faults.
@@ -35,9 +37,11 @@ def exact_ports(board: Board, cells: FloatArray) -> Rounded:
 def grid_network(board: Board, cells: FloatArray) -> Network:
     """All nodes and branches. Nodes: N row terminals, then the row lines' crosspoints (row by row), then the column
     lines', then the faces between the cells of a continuous sheet. Branches: row lines, column lines (from row 1), the
-    cells of a sliced sheet, bridges. Ports: row terminals, then the column lines' last crosspoints.
+    cells of a sliced sheet, bridges. Ports: row terminals, then the column lines' last crosspoints. Pull-downs are one
+    more column, ahead of the others.
     """
-    rows, columns = board.shape
+    rows, columns = board.lines.row.shape
+    ahead_of_cells = int(board.pulled)
     batch = cells.shape[:-2]
     row_node = rows + np.arange(rows * columns).reshape(rows, columns)
     column_node = row_node + rows * columns
@@ -55,14 +59,19 @@ def grid_network(board: Board, cells: FloatArray) -> Network:
         values.append(board.cell_conductance(cells))
     else:
         cells = cells + board.series_ohms
-        faces, elements = sheet.pieces(board.sheet, cells, row_node, column_node, rows + 2 * rows * columns)
+        of_sheet = row_node[:, ahead_of_cells:], column_node[:, ahead_of_cells:]
+        faces, elements = sheet.pieces(board.sheet, cells, *of_sheet, rows + 2 * rows * columns)
         place.append(faces)
+        if board.pulled:
+            ends.append(np.stack([row_node[:, 0], column_node[:, 0]], axis=-1))
+            values.append(np.full((*batch, rows), 1.0 / board.pull))
     extra = board.bridges + (board.shorts if board.continuous else ())
     for fault in extra:
+        of_row, of_column = row_node[:, ahead_of_cells:], column_node[:, ahead_of_cells:]
         first, second = (
-            (row_node[fault.place], column_node[fault.place])
+            (of_row[fault.place], of_column[fault.place])
             if fault.kind == "shorted-cell"
-            else ((row_node if fault.kind == "bridged-rows" else column_node)[end] for end in fault.ends)
+            else ((of_row if fault.kind == "bridged-rows" else of_column)[end] for end in fault.ends)
         )
         ends.append(np.array([[first, second]]))
         values.append(np.full((*batch, 1), siemens(fault.ohms)))
@@ -95,11 +104,12 @@ def refuse_contradictions(board: Board, cells: FloatArray) -> BoolArray | None:
     if cells.min() > _SHORT and not any(fault.ohms <= _SHORT for fault in board.faults):
         return None
     row, column = np.isinf(board.lines.row), np.isinf(board.lines.column)
-    rows, columns = board.shape
+    rows, columns = board.lines.row.shape
+    ahead_of_cells = int(board.pulled)
     drivers, ends = np.arange(rows), rows + np.arange(columns)
     on_row = rows + columns + np.arange(rows * columns).reshape(rows, columns)
     on_column = on_row + rows * columns
-    ideal = board.circuit.ideal_inputs(board)
+    ideal = np.insert(board.circuit.ideal_inputs(board), 0, [False] * ahead_of_cells)
     joints = [
         (np.column_stack([drivers, on_row[:, :-1]])[row], on_row[row]),
         (on_column[:-1][column[1:]], on_column[1:][column[1:]]),
@@ -109,19 +119,20 @@ def refuse_contradictions(board: Board, cells: FloatArray) -> BoolArray | None:
     for fault in board.bridges:
         if fault.ohms <= _SHORT:
             line = on_row if fault.kind == "bridged-rows" else on_column
-            here, there = fault.ends
+            here, there = ((row, column + ahead_of_cells) for row, column in fault.ends)
             joints.append((np.array([line[here]]), np.array([line[there]])))
     joints.append((on_row[shorted], on_column[shorted]))
     first_nodes, second_nodes = (np.concatenate(side) for side in zip(*joints, strict=True))
     size = rows + columns + 2 * rows * columns
     links = coo_array((np.ones(len(first_nodes)), (first_nodes, second_nodes)), shape=(size, size))
     island: IntArray = np.asarray(connected_components(links, directed=False)[1], dtype=np.intp)
-    found = board.circuit.contradiction(board, island[drivers], island[ends])
+    drivers, ends = island[drivers], island[ends[ahead_of_cells:]]
+    found = board.circuit.contradiction(board, drivers, ends)
     if found is not None:
         raise SolverError(
             f"{found.what} are joined by parts of 0 ohm; give what joins them, or {found.remedy}, a resistance"
         )
-    undetermined = board.circuit.undetermined(board, island[drivers], island[ends])
+    undetermined = board.circuit.undetermined(board, drivers, ends)
     if undetermined is None:
         return None
     frames = np.asarray(np.isinf(board.cell_conductance(cells)).any(axis=(-2, -1)))

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import inf, isfinite
 from typing import Literal, TypeVar
 
 import numpy as np
@@ -63,8 +64,14 @@ class Parts:
     """whether the array's rows are sensed and its columns driven"""
     floating: bool
     """whether rows that are not selected are left open"""
-    idle_columns: Literal["float", "load"]
-    """end of a divider's idle columns: open, or their loads"""
+    pull: float
+    """ohm from each row, where its lead ends, to the reference; inf: none"""
+    row_lead: FloatArray
+    """(N,) ohm of the rows' leads, the part of ``row_ohms[:, 0]`` between driver and pull-down"""
+    multiplexed: bool
+    """whether one amplifier or load reads one column after the other"""
+    idle_columns: Literal["float", "ground", "load"]
+    """end of columns that are not read, where these are read one by one"""
     continuous: bool
     """whether the sheet conducts from cell to cell"""
     sheet: Sheet
@@ -112,10 +119,35 @@ class Parts:
         """(M,) V across the reference resistor by the bias current."""
         return self.reference * self.bias
 
+    @property
+    def pulled(self) -> bool:
+        """Whether idle rows are connected to the reference by pull-down resistors.
+
+        The grid then has one more column, ahead of the others: the pull-downs are its cells, and it ends at the
+        reference. :attr:`lines` and :meth:`cell_conductance` contain it, and so does the network between the ports.
+        """
+        return isfinite(self.pull)
+
+    @cached_property
+    def idle_resistance(self) -> FloatArray:
+        """(M,) ohm behind the lead of each column that is not read, to the reference; inf is open."""
+        match self.idle_columns:
+            case "float":
+                return np.full(self.shape[1], inf)
+            case "ground":
+                return np.zeros(self.shape[1])
+            case "load":
+                return self.reference
+
     @cached_property
     def lines(self) -> Lines:
         """Series conductances along the lines in S, with row leads, without column leads."""
-        return Lines(siemens(self.row_ohms), siemens(self.column_ohms))
+        row_ohms, column_ohms = self.row_ohms, self.column_ohms
+        if self.pulled:
+            row_ohms = np.insert(row_ohms, 0, self.row_lead, axis=1)
+            row_ohms[:, 1] -= self.row_lead
+            column_ohms = np.insert(column_ohms, 0, 0.0, axis=1)
+        return Lines(siemens(row_ohms), siemens(column_ohms))
 
     @cached_property
     def bridges(self) -> tuple[Fault, ...]:
@@ -133,10 +165,8 @@ class Parts:
         return not self.continuous and not self.bridges
 
     def cell_conductance(self, cells: FloatArray) -> FloatArray:
-        """S of cells (..., N, M) in ohm, open-cell and shorted-cell faults included."""
-        if not self.faults:
-            return siemens(cells)
-        conductance = siemens(cells + self.series_ohms)
+        """S of cells (..., N, M) in ohm, open-cell and shorted-cell faults included, pull-downs ahead of them."""
+        conductance = siemens(cells + self.series_ohms) if self.faults else siemens(cells)
         for fault in self.shorts:
             conductance[(..., *fault.place)] += siemens(fault.ohms)
-        return conductance
+        return np.insert(conductance, 0, 1.0 / self.pull, axis=-1) if self.pulled else conductance

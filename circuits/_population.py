@@ -154,7 +154,9 @@ def scan_population(
 
 def _covered(design: Design) -> bool:
     """Whether the elimination covers this kind of design."""
-    return design.board.circuit.in_populations and design.array.sheet == "sliced" and not design.fault
+    board = design.board
+    special = board.pulled or board.virtual_grounds != board.circuit.virtual_ground or board.idle_columns == "ground"
+    return not special and board.circuit.in_populations and design.array.sheet == "sliced" and not design.fault
 
 
 def _chunks(count: int, size: int) -> Iterator[slice]:

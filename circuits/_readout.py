@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from ..common.config import LEAST, NotNegative
 from ._amplifier_model import AmplifierModel
-from ._sections import Gains, Numbers, PositiveOhms, Volts
+from ._sections import Gains, Numbers, PositiveOhms, Volts, in_kelvin
 from ._spread import Spreadable
 from .readouts import CIRCUITS
 
@@ -60,8 +60,11 @@ class Readout(Spreadable):
     """A, into the input that the column is tied to"""
     supply: Annotated[tuple[float, float], Field(strict=False)] = (-inf, inf)
     """V, output swing"""
-    idle_columns: Literal["float", "load"] = "float"
-    """"voltage-divider" only: idle columns are open, or end in their loads"""
+    columns: Literal["parallel", "multiplexed"] = "parallel"
+    """an amplifier or a load for each sensed line, or one for all of them behind a switch"""
+    idle_columns: Literal["float", "ground", "load"] = "float"
+    """sensed lines that are not read, of dividers and of multiplexed lines: open, at the reference, or connected to it
+    by reference_resistance"""
     column_capacitance: NotNegative = 0.0
     """F, from each inverting input to ground: column line and amplifier"""
     feedback_capacitance: NotNegative = 0.0
@@ -70,7 +73,7 @@ class Readout(Spreadable):
     """V/sqrt(Hz), of each amplifier"""
     current_noise: NotNegative = 0.0
     """A/sqrt(Hz), at each inverting input"""
-    temperature: NotNegative = 0.0
+    temperature: Annotated[NotNegative, AfterValidator(lambda kelvin: kelvin and in_kelvin(kelvin))] = 0.0
     """K, of all resistors, for their thermal noise; 0: no thermal noise"""
     amplifier_model: Annotated[AmplifierModel | None, Field(exclude=True)] = None
     """the maker's macro-model, for transient SPICE netlists; boards do not send it"""

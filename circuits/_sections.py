@@ -10,7 +10,8 @@ from collections.abc import Callable
 from math import inf
 from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import Field, PlainValidator, model_validator
+from pydantic import AfterValidator, Field, PlainValidator, model_validator
+from scipy.constants import zero_Celsius
 
 from ..common.config import MOST, Finite, NotNegative, Positive, Section
 from ._spread import Spreadable
@@ -18,6 +19,9 @@ from ._spread import Spreadable
 LEAST_DRIVE_V, MOST_V, LEAST_REFERENCE_OHM = 1e-6, 1e4, 1e-6
 """Limits far beyond any board. Within these limits an offset is at most 1e16 times the signal of a cell of 1 ohm, so
 that the solvers can distinguish a finite output from that of a short."""
+
+COLDEST_K = 150.0
+"""The project's own limit, below every skin and above every temperature that may be meant in degrees Celsius."""
 
 FaultKind = Literal["open-cell", "shorted-cell", "broken-row", "broken-column", "bridged-rows", "bridged-columns"]
 
@@ -34,6 +38,14 @@ def _per_line(expected: str, allowed: Callable[[float], bool]) -> PlainValidator
     return PlainValidator(check)
 
 
+def in_kelvin(value: float) -> float:
+    """The value, unless it is so low that it must be in another unit. Raises ValueError."""
+    if value < COLDEST_K:
+        raise ValueError(f"expected K, from {COLDEST_K:g} K up: {value:g} °C is {value + zero_Celsius:g} K")
+    return value
+
+
+Kelvin = Annotated[float, Field(le=MOST, allow_inf_nan=False), AfterValidator(in_kelvin)]
 Volts = Annotated[float, Field(ge=-MOST_V, le=MOST_V, allow_inf_nan=False)]
 PerLine = float | tuple[float, ...]
 Ohms = Annotated[PerLine, _per_line("a number of ohm >= 0", lambda x: 0 <= x <= MOST)]
@@ -100,11 +112,21 @@ class Drive(Spreadable):
 
     voltage: Volts
     """V, selected row against the reference"""
-    idle_rows: Literal["ground", "float"] = "ground"
-    """driven lines that are not selected: at the reference, or open; "voltage-feedback" drives them itself"""
+    idle_rows: Literal["ground", "float", "pull"] = "ground"
+    """driven lines that are not selected: at the reference, open, or open with pull-down resistors;
+    "voltage-feedback" drives them itself"""
+    idle_row_resistance: Annotated[float, Field(ge=LEAST_REFERENCE_OHM)] = inf
+    """ohm, idle_rows = "pull" only: from each driven line, where its lead ends, to the reference. The resistor stays
+    there while its line is selected"""
 
     @model_validator(mode="after")
     def _drives(self) -> Self:
+        if (self.idle_rows == "pull") != (self.idle_row_resistance < inf):
+            raise ValueError(
+                'idle_rows = "pull" needs idle_row_resistance in ohm'
+                if self.idle_rows == "pull"
+                else f'idle_row_resistance has no effect with idle_rows = "{self.idle_rows}"; expected "pull"'
+            )
         if abs(self.voltage) < LEAST_DRIVE_V:
             raise ValueError(f"voltage must be at least {LEAST_DRIVE_V:g} V, up or down: nothing would be read")
         return self
@@ -228,7 +250,7 @@ class Operation(Section):
     """Hz: frames of all rows"""
     baudrate: Annotated[float, Field(gt=0, le=1e12)] | None = None
     """bit/s of the link to the host, start and stop bits included"""
-    temperature_range: Annotated[tuple[NotNegative, NotNegative], Field(strict=False)] | None = None
+    temperature_range: Annotated[tuple[Kelvin, Kelvin], Field(strict=False)] | None = None
     """K, lowest and highest ambient temperature; None: 298.15 K only"""
     readings_per_calibration: Annotated[int, Field(ge=1)] = 20
     """frames of the untouched skin that the driver averages when it is tared"""

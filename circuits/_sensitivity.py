@@ -178,7 +178,7 @@ def _with_small_resistances(board: Board, network: Network, shorts: BoolArray) -
 
 
 def basis_drops(board: Board, cells: FloatArray) -> FloatArray:
-    """Voltages (N + M, N, M) across the cells while one port of the grid is at 1 V and all other ports are at 0 V.
+    """Voltages (ports, N, M) across the cells while one port of the grid is at 1 V and all other ports are at 0 V.
 
     Args:
         board: with a sliced sheet.
@@ -192,18 +192,20 @@ class _BasisFields(NamedTuple):
     """Basis fields: one port of the grid at 1 V and all other ports at 0 V."""
 
     drops: FloatArray
-    """(N + M, N, M) V: voltage across each cell, from row to column"""
+    """(ports, N, M) V: voltage across each cell, from row to column"""
     conductance: FloatArray
     """(N, M) S"""
     leaving_row: FloatArray
-    """(N + M, N, M) A: current out of each crosspoint of a row line into its cell and bridges"""
+    """(ports, N, M) A: current out of each crosspoint of a row line into its cell and bridges; with pull-downs one more
+    crosspoint ahead of the cells"""
     entering_column: FloatArray
-    """(N + M, N, M) A: current into each crosspoint of a column line from its cell and bridges"""
+    """(ports, N, M) A: current into each crosspoint of a column line from its cell and bridges"""
 
     @classmethod
     def of(cls, board: Board, cells: FloatArray, network: Network) -> _BasisFields:
         """Solve for the basis fields of ``network``, which is the board's grid with these cells and no shorts."""
-        rows, columns = cells.shape
+        rows, columns = board.lines.row.shape
+        ahead_of_cells = columns - cells.shape[1]
         cell_at = rows * columns + (rows - 1) * columns
         conductance = network.conductance
         # The ends of an ideal wire are the same node.
@@ -222,21 +224,22 @@ class _BasisFields(NamedTuple):
             potential = _sparse_potentials(a, b, value, port, size)
         first, second = potential[node[network.ends[cell_at:]]].transpose(1, 2, 0)
         drops, siemens_at = first - second, conductance[cell_at:]
-        ours = slice(cells.size)
+        ours = slice(rows * columns)
         current = (drops * siemens_at).reshape(rows + columns, -1)
         leaving = current[:, ours].reshape(-1, rows, columns).copy()
         entering = leaving.copy()
-        for bridge, fault in enumerate(board.bridges, start=cells.size):
-            here, there = fault.ends
+        for bridge, fault in enumerate(board.bridges, start=rows * columns):
+            here, there = ((row, column + ahead_of_cells) for row, column in fault.ends)
             if fault.kind == "bridged-rows":
                 leaving[:, *here] += current[:, bridge]
                 leaving[:, *there] -= current[:, bridge]
             else:
                 entering[:, *here] -= current[:, bridge]
                 entering[:, *there] += current[:, bridge]
-        across = siemens_at[ours].reshape(rows, columns)
+        across = siemens_at[ours].reshape(rows, columns)[:, ahead_of_cells:]
         own = np.minimum(siemens(cells + board.series_ohms), across)  # without faults in parallel
-        return cls(drops[:, ours].reshape(-1, rows, columns), own, leaving, entering)
+        of_cells = drops[:, ours].reshape(-1, rows, columns)[..., ahead_of_cells:]
+        return cls(of_cells, own, leaving, entering[..., ahead_of_cells:])
 
 
 def _dense_potentials(a: IntArray, b: IntArray, value: FloatArray, port: IntArray, size: int) -> FloatArray | None:
@@ -339,7 +342,8 @@ def _write_derivatives(result: Sensitivity, fields: _BasisFields, group: Sensiti
         along.append(np.cumsum(leaving[..., ::-1], axis=-1)[..., ::-1])
         down.append(np.cumsum(np.tensordot(field, fields.entering_column, axes=1), axis=-2)[..., :-1, :])
     result.row_lead[at] = along[0][..., 0] * along[1][..., 0]
-    result.row_segment[at] = along[0][..., 1:] * along[1][..., 1:]
+    segments = np.s_[..., along[0].shape[-1] - result.row_segment.shape[-1] :]
+    result.row_segment[at] = along[0][segments] * along[1][segments]
     result.column_segment[at] = down[0] * down[1]
     result.column_lead[at] = group.lead_current * group.adjoint_lead_current
     for name, values in group.own_parts.items():

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from ..common.config import Finite, NotNegative, Section
 
@@ -21,7 +21,7 @@ from ..common.config import Finite, NotNegative, Section
 class Spread(Section):
     """How the values of one kind of part scatter from line to line and from board to board."""
 
-    tolerance: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    tolerance: Annotated[float, Field(ge=0)] = 0.0
     """largest deviation, relative to the nominal value"""
     deviation: NotNegative = 0.0
     """largest deviation in the unit of the part, in addition to ``tolerance``"""
@@ -35,6 +35,13 @@ class Spread(Section):
     "two-point": always at one end or the other"""
     temperature_coefficient: Finite = 0.0
     """1/K, relative to the nominal value, which holds at 298.15 K"""
+
+    @field_validator("tolerance", "matching")
+    @classmethod
+    def _fraction(cls, value: float | None) -> float | None:
+        if value is not None and value >= 1:
+            raise ValueError(f"expected a fraction below 1 of the nominal value: {value:g} % is {value / 100:g}")
+        return value
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -140,7 +140,7 @@ def run(args: Sequence[str] | None = None) -> int:
     except click.exceptions.Exit as error:
         return error.exit_code
     except (KeyboardInterrupt, click.Abort) as error:
-        number = getattr(error, "signal_number", signal.SIGINT)
+        number = _signals.number_of(error)
         return _failed(_signals.NAMES.get(number, "interrupted"), 128 + number, state)
     except click.ClickException as error:
         words = (shortened(word, LONGEST_WORD) for word in error.format_message().split())

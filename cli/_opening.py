@@ -1,4 +1,4 @@
-"""Options with which a command opens a skin: family, design, cell, calibration, tare and estimator."""
+"""Options with which a command opens a skin: board, baud rate, design, cell, calibration, tare and estimator."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from ..cell import Cell
 from ..circuits import Design
 from ..driver import Skin, Tare
 from ..wire import BOARDS
+from ._bar import progress_bar
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,7 @@ class Opening:
     """What the command line says of a skin, with its files read; None: as the board or the driver says."""
 
     board: str = "ohmskin"
+    baud: int | None = None
     design: Design | None = None
     cell: Cell | None = None
     calibration: Path | None = None
@@ -29,15 +31,18 @@ class Opening:
 
     def open(self, port: str, **more: Any) -> Skin:
         """The skin at a port or in a recording, tared; ``more`` goes to ``Skin.open``."""
-        skin = Skin.open(
-            port,
-            board=self.board,
-            design=self.design,
-            cell=self.cell,
-            calibration=self.calibration,
-            estimator=self.estimator,
-            **more,
-        )
+        with progress_bar("reading") as tell:
+            skin = Skin.open(
+                port,
+                board=self.board,
+                baudrate=self.baud,
+                design=self.design,
+                cell=self.cell,
+                calibration=self.calibration,
+                estimator=self.estimator,
+                progress=tell,
+                **more,
+            )
         if self.tare is not None:
             try:
                 skin.use_tare(self.tare)
@@ -47,14 +52,13 @@ class Opening:
         return skin
 
 
+BOARD_HELP = f"Family of the board ({', '.join(BOARDS)}), or BOARD.toml that describes it, as `doctor` drafts it."
+
 _file = click.Path(path_type=Path)
 _OPTIONS = {
-    "board": click.option(
-        "--board",
-        default="ohmskin",
-        show_default=True,
-        metavar="NAME",
-        help=f"Family of the board: {', '.join(BOARDS)}.",
+    "board": click.option("--board", default="ohmskin", show_default=True, metavar="NAME|FILE.toml", help=BOARD_HELP),
+    "baud": click.option(
+        "--baud", type=click.IntRange(min=1), metavar="N", help="Baud rate of the UART [the board's usual one]."
     ),
     "design": click.option("--design", type=_file, metavar="DESIGN.toml", help="Of the readout."),
     "cell": click.option("--cell", type=_file, metavar="CELL.toml", help="Of the skin."),

@@ -25,7 +25,9 @@ def played_frames(path: Path, doing: str) -> Iterator[tuple[Skin, Iterator[Frame
     """
     if path.suffix.lower() != ".mcap":
         raise InputError(f"{path}: is no name of a recording; expected FILE.mcap")
-    with Skin.open(str(path)) as skin, progress_bar(doing) as tell:
+    with progress_bar("reading") as tell:
+        skin = Skin.open(str(path), progress=tell)
+    with skin, progress_bar(doing) as tell:
         whole_ms = round(1e3 * (skin.recorded_s or 0.0))
 
         def frames() -> Iterator[Frame]:

@@ -9,6 +9,8 @@ from typing import Any
 
 import click
 
+from ..common.text import one_line
+
 design_file = click.argument("design_file", metavar="DESIGN.toml", type=click.Path(path_type=Path))
 cells = click.option(
     "--cells", required=True, metavar="CELLS.csv", help="N lines of M resistances in ohm; inf = open, 0 = short."
@@ -36,6 +38,11 @@ positive = _Positive()
 def as_json(what: str) -> Callable[[Any], Any]:
     """The option ``--json``, for commands whose answer a program may read."""
     return click.option("--json", "as_json", is_flag=True, help=f"Print {what} as JSON.")
+
+
+def note(said: str) -> None:
+    """Tell the user something that does not end the command."""
+    click.echo(f"ohmskin: {one_line(said)}", err=True)
 
 
 def example(*lines: str) -> str:

@@ -7,9 +7,9 @@ from pathlib import Path
 import click
 import numpy as np
 
-from ..cell import Cell, check_resistances, check_times, estimate_recording
+from ..cell import Cell, check_resistances, estimate_recording, read_recording
 from ..common.arrays import FloatArray
-from ..common.tables import read_columns, write_columns
+from ..common.tables import write_columns
 from ..errors import InputError
 from . import arguments
 
@@ -21,9 +21,8 @@ from . import arguments
 @click.option("--estimator", metavar="NAME", help="static, paper, inverse, play or distilled [the cell's choice].")
 def command(recording: Path, cell_file: Path, output: Path, estimator: str | None) -> None:
     """Estimate pressure from the columns time_s,resistance_ohm of IN.csv, causally, sample by sample."""
-    columns = read_columns(recording, ("time_s", "resistance_ohm"))
+    columns = read_recording(recording, ("time_s", "resistance_ohm"), note=arguments.note)
     time, resistance = columns["time_s"], columns["resistance_ohm"]
-    check_times(time, str(recording))
     check_resistances(resistance, str(recording))
     cell = Cell.load(cell_file)
     pressure, std = estimate_recording(cell.estimator((), estimator), time, resistance)

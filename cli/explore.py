@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from math import isnan
 from pathlib import Path
 
 import click
@@ -11,6 +12,7 @@ import click
 from ..cell import Cell
 from ..circuits import Design
 from ..common.files import check_writable, make_folder, write_together
+from ..common.text import printable
 from ..errors import MissingExtra
 from ..verification import (
     Subject,
@@ -25,7 +27,6 @@ from ..verification import (
     remedies,
 )
 from . import arguments
-from ._bar import progress_bar
 
 
 @click.command(epilog=arguments.example("ohmskin explore design.toml -o variations"))
@@ -49,21 +50,31 @@ def command(
     design = Design.load(design_file)
     beside = [requirement for file in requirement_files for requirement in load_requirements(file)]
     requirements = (*design.requirement, *beside) or default_requirements(design)
-    check_requirements(requirements, design_file.parent)
+    check_requirements(requirements)
     subject = Subject(design, None if cell_file is None else Cell.load(cell_file), seed=seed)
     folder = None if output is None else make_folder(output)
     if folder is not None:
         check_writable(folder / "explore.csv", folder / "explore.svg")
-    with progress_bar("exploring") as progress:
-        variations = explore(subject, points=points, progress=progress)
-    best = best_carbon_black(subject)
     click.echo(Variation.HEAD)
+
+    def tell(done: int, total: int, found: Variation) -> None:
+        click.echo(f"{found.line}  ({done} of {total})")
+
+    variations = explore(subject, points=points, tell=tell)
+    click.echo("The Pareto front:")
     for variation in sorted(variations, key=lambda v: v.reading_error_percent):
         if variation.front or not variation.changes:
             click.echo(variation.line)
+    for reason in variations[0].unknown:
+        click.echo(printable(reason))
+    best = best_carbon_black(subject)
     if best is not None:
         click.echo(carbon_black_line(best, variations[0]))
-    for remedy in remedies(subject, requirements):
+
+    def tell_requirement(done: int, total: int, what: str) -> None:
+        click.echo(f"ohmskin: looking for remedies, {done + 1} of {total}: {what}", err=True)
+
+    for remedy in remedies(subject, requirements, progress=tell_requirement):
         click.echo(remedy.line)
     if folder is None:
         return
@@ -81,6 +92,6 @@ def _table(variations: list[Variation], best: Variation | None) -> str:
     names = ["reading_error_percent", "crosstalk_percent", "resolution_kpa", "settling_error_percent", "frame_rate_hz"]
     writer.writerow(["variation", *names, "pareto_front", "best_carbon_black"])
     for v in [*variations, *([] if best is None else [best])]:
-        figures = (repr(float(getattr(v, name))) for name in names)
+        figures = ("" if isnan(value := float(getattr(v, name))) else repr(value) for name in names)
         writer.writerow([v.name, *figures, int(v.front), int(v is best)])
     return text.getvalue()

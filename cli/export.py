@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -16,6 +16,9 @@ from ..errors import InputError, MissingExtra
 from . import arguments
 from ._recording import played_frames
 
+OF_CIRCUIT = {"pressure": "pressure_kpa", "resistance": "resistance_ohm"}
+OF_COUNTS = {name: name for name in ("counts", "rest_counts", "valid")}
+"""grids of a table, and the heads of their columns: with a known circuit, and without"""
 KINDS = (".npz", ".csv", ".parquet", ".nc")
 
 
@@ -28,7 +31,8 @@ def command(recording: Path, output: Path) -> None:
     """Convert FILE.mcap as the driver does, and write every frame.
 
     .npz has an array for each field of a frame, with the frames along its first axis, and `time`, the host's. .csv and
-    .parquet have a row for each frame: its numbers, then pressure_kpa_R_C and resistance_ohm_R_C for each cell. .nc is
+    .parquet have a row for each frame: its numbers, then pressure_kpa_R_C and resistance_ohm_R_C for each cell;
+    counts_R_C, rest_counts_R_C and valid_R_C where the board's circuit is not known. .nc is
     netCDF for xarray, with the dimensions time, row, column, units, and places of the cells in mm.
     """
     kind = output.suffix.lower()
@@ -39,19 +43,20 @@ def command(recording: Path, output: Path) -> None:
         if kind == ".nc":
             content = _as_netcdf(frames, skin)
         else:
-            arrays = stack(frames, skin.design.array.shape)
+            arrays = stack(frames, skin.shape)
+            titles = OF_CIRCUIT if skin.knows_circuit else OF_COUNTS
     with whole_file(output) as file:
         if kind == ".nc":
             file.write(content)
         elif kind == ".npz":
             np.savez_compressed(file, allow_pickle=False, **arrays, time=arrays["host_time"])
         elif kind == ".csv":
-            columns = _columns(arrays)
+            columns = _columns(arrays, titles)
             file.write((",".join(columns) + "\n").encode())
             for row in zip(*columns.values(), strict=True):
                 file.write((",".join(map(_text, row)) + "\n").encode())
         else:
-            _write_parquet(_columns(arrays), file)
+            _write_parquet(_columns(arrays, titles), file)
 
 
 def _as_netcdf(frames: Iterable[Frame], skin: Skin) -> bytes:
@@ -66,9 +71,9 @@ def _as_netcdf(frames: Iterable[Frame], skin: Skin) -> bytes:
         raise MissingExtra(f".nc files need {' and '.join(missing)}: pip install 'ohmskin[data]'") from error
 
 
-def _columns(arrays: dict[str, AnyArray]) -> dict[str, AnyArray]:
+def _columns(arrays: dict[str, AnyArray], titles: Mapping[str, str]) -> dict[str, AnyArray]:
     columns = {name: arrays[name] for name in FRAME_NUMBERS}
-    for name, title in (("pressure", "pressure_kpa"), ("resistance", "resistance_ohm")):
+    for name, title in titles.items():
         rows, count = arrays[name].shape[1:]
         columns |= {f"{title}_{r}_{c}": arrays[name][:, r, c] for r in range(rows) for c in range(count)}
     return columns

@@ -50,7 +50,7 @@ def command(
         click.echo(protocol_text())
         return
     check_writable(*(path for path in (output, plot) if path is not None))
-    recording = Recording.load(steps, trust_units=trust_units)
+    recording = Recording.load(steps, trust_units=trust_units, note=arguments.note)
     if protocol:
         for line in check_protocol(recording, full_scale):
             click.echo(line, err=as_json)

@@ -11,6 +11,7 @@ from ..driver import ReplayPort
 from ..emulator import PtyPort, Stop, stop_on_signals
 from ..errors import LinkEnded, LinkError
 from . import arguments
+from ._bar import progress_bar
 
 POLL_S = 0.01
 LISTENER_S = 1.0
@@ -28,7 +29,8 @@ def command(recording: Path, link: Path | None, speed: float) -> int:
     reads too slowly makes the recording wait. `Skin.open("FILE.mcap")` plays a recording without a port. A driver on
     this machine takes the end of the recording for a regular end.
     """
-    played = ReplayPort(recording, speed)
+    with progress_bar("reading") as tell:
+        played = ReplayPort(recording, speed, tell)
     with stop_on_signals() as stop, PtyPort(link, listed=False) as port:
         click.echo(port.name)
         _wait_for_host(port, stop)

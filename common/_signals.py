@@ -3,20 +3,28 @@
 While modules are loaded and while the interpreter shuts down, an exception could surface in code that cannot handle it,
 and Python would print a traceback. A signal then ends the process at once. During the work it raises
 :class:`Interrupted`, so that partial files are removed and worker processes end.
+
+Python can drop such an exception: those that surface in destructors, weak-reference callbacks and callbacks from C are
+reported and forgotten, and foreign code may swallow any. An :class:`Interrupted` that is destroyed before
+:func:`number_of` has seen it therefore sends its signal again, after a delay, by SIGALRM. Sending it at once would
+raise the next one within the same destructor.
 """
 
 from __future__ import annotations
 
-import _thread
 import os
 import signal
 import sys
 from types import FrameType
 from typing import Any
 
-NAMES = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "hung up"}
+NAMES: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "hung up"}
+_AGAIN_S = 0.02
+"""until a lost signal is sent again: most destructors and callbacks have returned by then"""
 _mine = False
 """whether this process belongs to the command line; a program that calls ``cli.run`` keeps its own handlers"""
+_lost: int = signal.SIGINT
+"""the signal that SIGALRM stands for"""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -25,6 +33,25 @@ class Interrupted(KeyboardInterrupt):
     def __init__(self, signal_number: int) -> None:
         super().__init__()
         self.signal_number = signal_number
+        self.arrived = False
+        """whether :func:`number_of` has seen it"""
+
+    def __del__(self) -> None:
+        global _lost  # noqa: PLW0603  # signals belong to the process, too
+        if not self.arrived and not sys.is_finalizing():
+            _lost = self.signal_number
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+
+
+def number_of(error: BaseException) -> int:
+    """The signal that ended the work with this error, which may have taken the place of an :class:`Interrupted`."""
+    found: int = signal.SIGINT
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, Interrupted):
+            cause.arrived, found = True, cause.signal_number
+        cause = cause.__context__
+    return found
 
 
 def leave_at_once() -> None:
@@ -32,13 +59,14 @@ def leave_at_once() -> None:
     global _mine  # noqa: PLW0603  # signals belong to the process, too
     _mine = True
     signal.signal(signal.SIGINT, _leave)
-    sys.unraisablehook = _raise_again
 
 
 def raise_from_now_on() -> None:
     """The phase of the work."""
     if not _mine:
         return
+    sys.unraisablehook = _report_others
+    signal.signal(signal.SIGALRM, lambda number, frame: _raise(_lost, frame))
     for number in NAMES:
         # A program that was started to ignore a signal (nohup) goes on ignoring it.
         if signal.getsignal(number) is not signal.SIG_IGN:
@@ -65,9 +93,7 @@ def _raise(number: int, frame: FrameType | None) -> None:
     raise Interrupted(number)
 
 
-def _raise_again(unraisable: Any) -> None:
-    """An interrupt that hit a destructor or a callback, where Python cannot raise it, is sent once more."""
-    if issubclass(unraisable.exc_type, KeyboardInterrupt):
-        _thread.interrupt_main(getattr(unraisable.exc_value, "signal_number", signal.SIGINT))
-    else:
+def _report_others(unraisable: Any) -> None:
+    """Python's report of errors in destructors and callbacks, without interrupts, which are not lost."""
+    if not issubclass(unraisable.exc_type, Interrupted):
         sys.__unraisablehook__(unraisable)

@@ -6,6 +6,7 @@ of a call, and return them with their type.
 
 from __future__ import annotations
 
+import ipaddress
 import math
 import os
 from collections.abc import Callable
@@ -81,3 +82,13 @@ def loaded(name: str, value: R | str | Path, kind: type[R]) -> R:
     if isinstance(value, kind):
         return value
     return kind.load(path_text(name, value, f"a {kind.__name__} or the path of its file"))
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a name or address is this machine's own, and can be no other."""
+    if host.lower() == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False

@@ -67,8 +67,8 @@ class Section(BaseModel):
         return parse(tables, type(self), source=type(self).__name__)
 
     def _tables(self) -> dict[str, Any]:
-        """Values by key, without what the section has worked out for itself (``cached_property``)."""
-        return {key: getattr(self, key) for key in type(self).model_fields}
+        """Values of the keys that were given, so that a copy knows which were, too."""
+        return {key: getattr(self, key) for key in type(self).model_fields if key in self.model_fields_set}
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """As pydantic's, but an update goes through :meth:`replace`: pydantic would not check it."""
@@ -143,7 +143,7 @@ def parse(tables: Mapping[str, Any], model: type[S], *, source: str) -> S:
     except RecursionError as error:
         raise InputError(f"{source}: tables are nested too deeply") from error
     except ValidationError as error:
-        raise InputError(f"{source}: {describe(error, model, tables)}") from error
+        raise InputError(f"{source}: {describe(error, model, tables)}") from None  # which repeats keys raw
 
 
 def fingerprint(values: BaseModel | Mapping[str, Any]) -> str:

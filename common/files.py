@@ -202,6 +202,11 @@ class Output:
             os.fchmod(descriptor, stat.S_IMODE(old.st_mode))
         return os.fdopen(descriptor, "wb")
 
+    @property
+    def is_new(self) -> bool:
+        """Whether :meth:`replace` would put a new file in its place; False for what is written through."""
+        return self._partial is not None
+
     def finish(self) -> None:
         """Everything written; what the disk cannot hold is found here."""
         self.file.close()

@@ -2,8 +2,15 @@
 
 The operating system lists no pseudo-terminals and no listening sockets as ports, and makes the same hang-up of a board
 that has come to its end and of one whose program was killed. The files tell both: which ports there are, and which of
-them are over. Boards and hosts meet in ``$OHMSKIN_RUNTIME_DIR``, else in ``ohmskin-UID`` of the directory for temporary
-files, so they must be of one user and one machine. Without such a directory there are merely no announcements.
+them are over. Boards and hosts meet in ``$OHMSKIN_RUNTIME_DIR``, else in ``$XDG_RUNTIME_DIR/ohmskin``, and where there
+is none in ``ohmskin-UID`` of the directory for temporary files, so they must be of one user and one machine. Without
+such a directory there are merely no announcements.
+
+A host opens what the files name. So only this user may have written them: the directory must be no link, belong to this
+user and let nobody else in (mode 700); each file must be a regular one of this user, too. Anything else is as if it
+were not there. A file may name a pseudo-terminal, a serial device, or a socket of the loopback
+(:func:`_may_be_announced`). It cannot name a URL of pyserial that writes files, or an ``ohmskin://`` address: those are
+for users to type.
 
 A file is locked (flock) as long as its emulator lives. The kernel drops the lock when the emulator dies, however it
 dies, so a file that can be locked was left behind. A host keeps the file open and can read it after it was removed.
@@ -14,6 +21,8 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import re
+import secrets
 import socket
 import stat
 import tempfile
@@ -21,6 +30,8 @@ import weakref
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
+
+from .checks import is_loopback
 
 END_OF_TRANSMISSION = b"\x04"
 """what a board over TCP sends as urgent data before it ends: to hosts of other machines, which see no files of this one
@@ -43,15 +54,24 @@ class Announcement:
     def __init__(self, port: str, *, listed: bool = True) -> None:
         self._state = b"" if listed else _UNLISTED
         self._file, self._path = -1, Path()
-        with contextlib.suppress(OSError):
-            self._file, path = tempfile.mkstemp(SUFFIX, f"{os.getpid()}-", _made_directory())
-            self._path = Path(path)
-            fcntl.flock(self._file, fcntl.LOCK_EX)
+        for directory in _directories():
+            with contextlib.suppress(OSError), _opened(directory, make=True) as folder:
+                name = f"{os.getpid()}-{secrets.token_hex(8)}{SUFFIX}"
+                options = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
+                self._file, self._path = os.open(name, options, 0o600, dir_fd=folder), directory / name
+                break
+        if self._file >= 0:
+            with contextlib.suppress(OSError):
+                fcntl.flock(self._file, fcntl.LOCK_EX)
             self.move(port)
 
     def move(self, port: str) -> None:
-        """Tell the present name of the port; empty while the port is away."""
-        self._write(port.encode() + b"\n" + self._state)
+        """Tell the present name of the port; empty while the port is away.
+
+        A socket that listens at all addresses is announced at the loopback's. Hosts ignore one that listens at another
+        address only.
+        """
+        self._write(_local(port).encode() + b"\n" + self._state)
 
     def over(self) -> None:
         """Tell that the board has come to its regular end: no byte will follow."""
@@ -83,8 +103,9 @@ class AnnouncedPort:
 
     @property
     def name(self) -> str:
-        """The present name of the port; empty while the port is away."""
-        return self._content()[0].decode(errors="replace")
+        """The present name of the port; empty while the port is away, and where no such name may be announced."""
+        name = self._content()[0].decode(errors="replace")
+        return name if _may_be_announced(name) else ""
 
     @property
     def is_over(self) -> bool:
@@ -109,15 +130,18 @@ class AnnouncedPort:
 
 def announced_ports() -> Iterator[AnnouncedPort]:
     """The ports of the emulated boards that are there now; files of emulators that have died are removed."""
-    with contextlib.suppress(OSError):
-        for path in sorted(_directory().glob(f"*{SUFFIX}")):
-            with contextlib.suppress(OSError):
-                file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-                port = AnnouncedPort(file)
-                if _is_left_behind(file):
-                    path.unlink()
-                elif port.name and not port.is_over:
-                    yield port
+    for directory in _directories():
+        with contextlib.suppress(OSError), _opened(directory) as folder:
+            for name in sorted(name for name in os.listdir(folder) if name.endswith(SUFFIX)):
+                with contextlib.suppress(OSError):
+                    file = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=folder)
+                    port = AnnouncedPort(file)
+                    if not _is_own(os.fstat(file)):
+                        continue
+                    if _is_left_behind(file):
+                        os.unlink(name, dir_fd=folder)
+                    elif port.name and not port.is_over:
+                        yield port
 
 
 def announced(port: str) -> AnnouncedPort | None:
@@ -125,19 +149,47 @@ def announced(port: str) -> AnnouncedPort | None:
     return next((one for one in announced_ports() if one.is_at(port)), None)
 
 
-def _directory() -> Path:
-    given = os.environ.get("OHMSKIN_RUNTIME_DIR")
-    return Path(given) if given else Path(tempfile.gettempdir()) / f"ohmskin-{os.getuid()}"
+def _directories() -> list[Path]:
+    """Where announcements may be: a board takes the first one that it can, a host looks into all of them.
+
+    A program that no login has started, such as a service, may be without ``XDG_RUNTIME_DIR``.
+    """
+    if given := os.environ.get("OHMSKIN_RUNTIME_DIR"):
+        return [Path(given)]
+    of_login = os.environ.get("XDG_RUNTIME_DIR", "")
+    usual = Path(tempfile.gettempdir()) / f"ohmskin-{os.getuid()}"
+    # A program that was started by `sudo` may have the directory of another user's login.
+    is_own = os.path.isdir(of_login) and os.stat(of_login).st_uid == os.getuid()
+    return [Path(of_login) / "ohmskin", usual] if is_own else [usual]
 
 
-def _made_directory() -> Path:
-    """The directory, which nobody else may write to; OSError where there can be none."""
-    directory = _directory()
-    directory.mkdir(mode=0o700, parents=True, exist_ok=True)
-    there = directory.lstat()
-    if not stat.S_ISDIR(there.st_mode) or there.st_uid != os.getuid():
-        raise PermissionError(f"{directory} is somebody else's")
-    return directory
+@contextlib.contextmanager
+def _opened(directory: Path, *, make: bool = False) -> Iterator[int]:
+    """Descriptor of a directory that is this user's alone; OSError where there is none."""
+    if make:
+        directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+    folder = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    try:
+        status = os.fstat(folder)
+        if status.st_uid != os.getuid() or status.st_mode & 0o077:
+            raise PermissionError(f"{directory} is open to others")
+        yield folder
+    finally:
+        os.close(folder)
+
+
+def _is_own(status: os.stat_result) -> bool:
+    return stat.S_ISREG(status.st_mode) and status.st_uid == os.getuid()
+
+
+def _may_be_announced(name: str) -> bool:
+    """Whether ``name`` is a pseudo-terminal or a serial device, perhaps by a link, or a socket of the loopback."""
+    if not name.isprintable():
+        return False
+    if "://" not in name:
+        return os.path.isabs(name) and re.fullmatch(r"/dev/(pts/[0-9]+|tty\w+)", os.path.realpath(name)) is not None
+    found = re.fullmatch(r"(?:socket|rfc2217)://(?:([0-9.]+)|\[([0-9a-f:]+)\]):[0-9]{1,5}", name)
+    return found is not None and is_loopback(found[1] or found[2])
 
 
 def _is_left_behind(file: int) -> bool:
@@ -161,14 +213,16 @@ def _same_place(one: str, other: str) -> bool:
     if "://" not in one and "://" not in other:
         return os.path.realpath(one) == os.path.realpath(other)
     try:
-        here, there = urlsplit(one), urlsplit(other)
+        here, there = urlsplit(_local(one)), urlsplit(_local(other))
         if here.scheme != there.scheme or here.port != there.port or not (here.hostname and there.hostname):
             return False
-        return here.hostname == there.hostname or socket.gethostbyname(there.hostname) in _addresses(here.hostname)
+        return here.hostname == there.hostname or socket.gethostbyname(there.hostname) == here.hostname
     except (OSError, ValueError):
         return False
 
 
-def _addresses(listening: str) -> tuple[str, ...]:
-    """Addresses of this machine at which a socket that listens at ``listening`` is surely reached."""
-    return ("127.0.0.1",) if listening in ("0.0.0.0", "::") else (listening,)
+def _local(name: str) -> str:
+    """A name that holds in every folder; for a socket that listens at all addresses, the loopback's."""
+    if name and "://" not in name:
+        return os.path.abspath(name)
+    return name.replace("://0.0.0.0:", "://127.0.0.1:").replace("://[::]:", "://[::1]:")

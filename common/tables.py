@@ -2,89 +2,166 @@
 
 from __future__ import annotations
 
-import csv
 import math
+import re
 from array import array
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import InputError
+from ._spreadsheet import Rows
 from .arrays import FloatArray
-from .files import read_lines, whole_file
+from .files import whole_file
 from .text import shortened
 
 MOST_CELL_BYTES = 64 * 2**20
 """size limit of a frame: 1024 x 1024 numbers of 25 characters take 26 MiB"""
 MOST_RECORDING_BYTES = 512 * 2**20
 """size limit of a recording: a day at 100 samples/s takes about 400 MB"""
-LONGEST_LINE = 2**20
-"""bytes: 1024 numbers take 26 KiB"""
+TIME, LINE = "time_s", "line"
+OPEN = "OL"
+"""what multimeters show beyond their range"""
+_PREFIXES = {"": 1.0, "k": 1e3, "K": 1e3, "M": 1e6, "G": 1e9}
+_WITH_PREFIX = re.compile(r"([\d.,]+)\s*([kKMG])(?:ohm|Ω)?")
 
 
 def read_cells(path: str | Path, shape: tuple[int, int]) -> FloatArray:
-    """Read lines of comma-separated cell resistances in ohm (``inf`` = open, 0 = short) as an array of ``shape``.
+    """Read lines of cell resistances in ohm as an array of ``shape``; :mod:`._spreadsheet` has the forms of a file.
+
+    ``inf`` and ``OL``, which multimeters show, are open cells, 0 is a short, and ``4.7k``, ``1M`` are taken. A first
+    line without a number is a header.
 
     Raises:
         InputError: unreadable, empty or ragged file, another shape, a field that is not a number, negative or NaN.
 
     """
-    values = array("d")
-    rows = columns = 0
-    for line, fields in _lines(path, MOST_CELL_BYTES):
-        values.extend(_resistance(path, line, field) for field in fields)
-        rows, columns = rows + 1, columns or len(fields)
-        if len(fields) != columns:
-            raise InputError(f"{path}: line {line}: lines of unequal length, {len(fields)} fields after {columns}")
-    if (rows, columns) != shape:
-        found, wanted = f"{rows} lines of {columns} numbers", "{} lines of {}".format(*shape)
+    rows = Rows(path, MOST_CELL_BYTES)
+    table = _matrix(path, rows, lambda line, field: _resistance(path, rows, line, field), header=True)
+    if table.shape != shape:
+        found, wanted = "{} lines of {} numbers".format(*table.shape), "{} lines of {}".format(*shape)
         raise InputError(f"{path}: has {found}, expected {wanted} (rows x columns of the design)")
-    return np.array(values).reshape(shape)
+    return table
 
 
 def read_matrix(path: str | Path) -> FloatArray:
-    """Read lines of as many comma-separated numbers each as a two-dimensional array.
+    """Read lines of as many numbers each as a two-dimensional array; :mod:`._spreadsheet` has the forms of a file.
 
     Raises:
         InputError: unreadable, empty or ragged file, or a field that is not a number.
 
     """
+    rows = Rows(path, MOST_CELL_BYTES)
+    return _matrix(path, rows, rows.number, header=False)
+
+
+def _matrix(path: str | Path, rows: Rows, number: Callable[[int, str], float], *, header: bool) -> FloatArray:
+    """Lines of numbers; with ``header``, a first line of which no field looks like a number is left out."""
     values = array("d")
-    rows = columns = 0
-    for line, fields in _lines(path, MOST_CELL_BYTES):
-        values.extend(_number(path, line, field) for field in fields)
-        rows, columns = rows + 1, columns or len(fields)
+    count = columns = 0
+    for line, fields in rows:
+        if header:
+            header = False
+            columns = len(fields)
+            if not any(_reads(number, line, field) or field.lstrip()[:1].isdigit() for field in fields):
+                continue
+        values.extend(number(line, field) for field in fields)
+        count, columns = count + 1, columns or len(fields)
         if len(fields) != columns:
             raise InputError(f"{path}: line {line}: lines of unequal length, {len(fields)} fields after {columns}")
-    return np.array(values).reshape(rows, columns)
+    return np.array(values).reshape(count, columns)
 
 
-def read_columns(path: str | Path, names: Sequence[str]) -> dict[str, FloatArray]:
-    """Read the named columns of a CSV file with a header line; an empty field or ``nan`` is NaN.
+def _reads(number: Callable[[int, str], float], line: int, field: str) -> bool:
+    try:
+        number(line, field)
+    except InputError:
+        return False
+    return True
+
+
+def read_columns(
+    path: str | Path, names: Sequence[str], *, note: Callable[[str], None] = lambda said: None
+) -> dict[str, FloatArray]:
+    """Read the named columns of a CSV file with a header line; :mod:`._spreadsheet` has the forms of a file.
+
+    An empty field or ``nan`` is NaN. A column ``time_s`` may have dates (ISO 8601), which become seconds since the
+    first one.
+
+    Args:
+        path: of the file.
+        names: of the columns.
+        note: told of a last line that was cut off while it was written, and is left out.
+
+    Returns:
+        The columns, and under :data:`LINE` the line of each row.
 
     Raises:
         InputError: unreadable or empty file, a missing column, or a field that is not a number.
 
     """
-    lines = _lines(path, MOST_RECORDING_BYTES)
-    _, header = next(lines)
+    rows = Rows(path, MOST_RECORDING_BYTES)
+    lines = iter(rows)
+    first, header = next(lines)
     header = [name.strip() for name in header]
     missing = [name for name in names if name not in header]
     if missing:
         raise InputError(
-            f"{path}: line 1: no column '{missing[0]}'; expected {','.join(names)}, got {shortened(','.join(header))}"
+            f"{path}: line {first}: no column '{missing[0]}'; expected {','.join(names)}, got "
+            f"{shortened(','.join(header))}"
         )
     places = [header.index(name) for name in names]
+    dates = _Dates(path)
     values = array("d")
     for line, fields in lines:
         if len(fields) != len(header):
+            if rows.cut and len(fields) < len(header):
+                note(f"{path}: line {line} is cut off, and left out")
+                break
             raise InputError(f"{path}: line {line}: {len(fields)} fields, expected {len(header)}")
-        values.extend(_number(path, line, fields[k], empty_is_nan=True) for k in places)
+        for name, place in zip(names, places, strict=True):
+            field = fields[place]
+            if not field.strip():
+                values.append(math.nan)
+            elif name == TIME and (seconds := dates.seconds(line, field)) is not None:
+                values.append(seconds)
+            else:
+                values.append(rows.number(line, field))
+        values.append(line)
     if not values:
         raise InputError(f"{path}: no data below the header")
-    table = np.array(values).reshape(-1, len(names))
-    return {name: table[:, k].copy() for k, name in enumerate(names)}
+    table = np.array(values).reshape(-1, len(names) + 1)
+    return {name: table[:, k].copy() for k, name in enumerate((*names, LINE))}
+
+
+class _Dates:
+    """Dates of one column as seconds since the first one."""
+
+    def __init__(self, path: str | Path) -> None:
+        self._path = path
+        self._first: datetime | None = None
+        self._numbers = False
+
+    def seconds(self, line: int, field: str) -> float | None:
+        """None for a field that is no date. Raises InputError for dates among numbers and among other dates."""
+        date = None
+        if ":" in field:  # no number has a colon
+            with suppress(ValueError):
+                date = datetime.fromisoformat(field.strip())
+        among_dates, among_numbers = self._first is not None, self._numbers
+        if (date is None and among_dates) or (date is not None and among_numbers):
+            raise InputError(f"{self._path}: line {line}: expected dates in all lines, or numbers of seconds in all")
+        if date is None:
+            self._numbers = True
+            return None
+        self._first = self._first or date
+        try:
+            return (date - self._first).total_seconds()
+        except TypeError as error:
+            raise InputError(f"{self._path}: line {line}: a date with a time zone among dates without one") from error
 
 
 def write_matrix(path: str | Path, matrix: FloatArray) -> None:
@@ -113,35 +190,13 @@ def write_text(path: str | Path, text: str) -> None:
         file.write(text.encode("utf-8", "backslashreplace"))
 
 
-def _lines(path: str | Path, most_bytes: int) -> Iterator[tuple[int, list[str]]]:
-    """Non-blank lines with their numbers, split into fields."""
-    empty = True
-    reader = csv.reader(read_lines(path, most_bytes=most_bytes, longest_line=LONGEST_LINE))
-    try:
-        for fields in reader:
-            if any(field.strip() for field in fields):
-                empty = False
-                yield reader.line_num, fields
-    except csv.Error as error:
-        raise InputError(f"{path}: line {reader.line_num}: cannot be read: {error}") from error
-    if empty:
-        raise InputError(f"{path}: the file is empty")
-
-
-def _resistance(path: str | Path, line: int, field: str) -> float:
-    value = _number(path, line, field)
+def _resistance(path: str | Path, rows: Rows, line: int, field: str) -> float:
+    text = field.strip()
+    if text.upper() == OPEN:
+        return math.inf
+    found = _WITH_PREFIX.fullmatch(text)
+    number, prefix = (found[1], found[2]) if found else (text, "")
+    value = rows.number(line, number) * _PREFIXES[prefix]
     if not value >= 0:
-        raise InputError(f"{path}: line {line}: {field.strip()} is not a resistance; expected ohm >= 0 or inf")
+        raise InputError(f"{path}: line {line}: {text} is not a resistance; expected ohm >= 0 or inf")
     return value
-
-
-def _number(path: str | Path, line: int, field: str, *, empty_is_nan: bool = False) -> float:
-    if empty_is_nan and not field.strip():
-        return math.nan
-    try:
-        return float(field)
-    except ValueError:
-        shown = shortened(field.strip(), 40)
-        raise InputError(
-            f"{path}: line {line}: {shown!r} is not a number; expected numbers separated by commas"
-        ) from None

@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Literal
 
 from ..cell import ESTIMATORS, Cell
-from ..circuits import Design, ValidityRule
+from ..circuits import Design, Sheet, ValidityRule
 from ..common.checks import count, loaded, number, of_kind, positive
 from ..common.compiled import is_compiling
 from ..errors import InputError, OhmskinError, ProtocolError
-from ..wire import Family, HostProtocol, board_family, host_protocol
+from ..wire import Family, HostProtocol, Layout, board_family, host_protocol
 from ._calibration import Calibration
 from ._convert import Converter
 from ._introduce import Introduction
@@ -45,6 +45,8 @@ Delivery = Literal["newest", "every", "lossless"]
     that wait for their host; a real board then has to drop frames itself.
 """
 QUEUE = 256
+MOST_ABANDONED = 2
+"""set-ups that took too long and go on for nobody: each takes a thread, and up to hundreds of MB"""
 LOOK_S = 0.05
 """s between checks whether the compiler is at work, and how much processor time the set-up has used"""
 PATIENCE = 10.0
@@ -70,7 +72,7 @@ class Opening:
     def of(
         cls,
         *,
-        board: str | Family,
+        board: str | Path | Family,
         design: Design | str | Path | None,
         cell: Cell | str | Path | None,
         estimator: str | None,
@@ -92,6 +94,8 @@ class Opening:
             raise InputError(f"no estimator '{estimator}'; expected one of {', '.join(ESTIMATORS)}")
         ValidityRule.of(accuracy)
         family = board_family(board)
+        design = family.files.get("design") if design is None else design
+        cell = family.files.get("cell") if cell is None else cell
         settings = RecordedSettings(
             family.name,
             None if design is None else loaded("design", design, Design),
@@ -100,7 +104,15 @@ class Opening:
             None if pitch is None else Pitch.of(pitch),
             accuracy,
             None if calibration is None else loaded("calibration", calibration, Calibration),
+            family.tables if family.design is None else None,
         )
+        if settings.design is None and family.design is None and not family.has_description:
+            given = [name for name in ("cell", "calibration") if getattr(settings, name) is not None]
+            if given:
+                raise InputError(
+                    f"a {given[0]} for board '{family.name}', whose circuit is not known; expected a design, too "
+                    "(--design DESIGN.toml, or design = in BOARD.toml)"
+                )
         if delivery not in ("newest", "every", "lossless"):
             raise InputError(f"delivery '{delivery}'; expected newest, every or lossless")
         if serial_number is not None:
@@ -183,6 +195,8 @@ class Link:
         if family.has_description:
             return host_protocol(family)
         design = self.introduction.design()
+        if isinstance(design, Layout):
+            return host_protocol(family)
         adc_bits = None if design.adc is None else design.adc.bits
         return host_protocol(family, shape=design.array.shape, adc_bits=adc_bits)
 
@@ -190,7 +204,7 @@ class Link:
         """The converter for the board, after a trial conversion."""
         introduction, settings = self.introduction, self._opening.settings
         design, cell = introduction.design(), introduction.cell()
-        if settings.calibration is not None:
+        if settings.calibration is not None and isinstance(design, Design):
             try:
                 settings.calibration.check_board(design, cell, introduction.serial_number)
             except InputError as error:
@@ -200,7 +214,9 @@ class Link:
                 design,
                 cell,
                 settings.estimator,
-                Pitch.of(design.sheet.pitch) if settings.pitch is None else settings.pitch,
+                Pitch.of(design.sheet.pitch if isinstance(design, Design) else Sheet().pitch)
+                if settings.pitch is None
+                else settings.pitch,
                 self.counters,
                 self._port.rest.changes if isinstance(self._port, ReplayPort) else (),
                 settings.accuracy,
@@ -237,7 +253,12 @@ def _within(limit_s: float, work: Callable[[], Converter]) -> Converter | None:
     The limit is for descriptions from which nothing can be computed. Two delays are not the description's fault: the
     compiler, for which the first skin on a machine waits, and other programs that use the processor. The compiler's
     time does not count. Of the real time, at least a share of 1 / :data:`PATIENCE` counts.
+
+    Nothing ends a thread from outside. While :data:`MOST_ABANDONED` works that were given up go on, another one waits
+    for one of them, within ``limit_s``.
     """
+    if not _room_within(limit_s):
+        return None
     results: list[Converter] = []
     errors: list[BaseException] = []
     clocks: list[int] = []
@@ -260,9 +281,28 @@ def _within(limit_s: float, work: Callable[[], Converter]) -> Converter | None:
         processor_s = _processor_s(clocks, processor_before_s + elapsed_s)
         if not is_compiling():
             left_s -= max(processor_s - processor_before_s, elapsed_s / PATIENCE)
+    if thread.is_alive():
+        _abandoned.append(thread)
     if errors:
         raise errors[0]
     return results[0] if results else None
+
+
+def _room_within(limit_s: float) -> bool:
+    """Wait until fewer than :data:`MOST_ABANDONED` threads are at work for nobody; False after ``limit_s``."""
+    until = time.monotonic() + limit_s
+    while True:
+        _abandoned[:] = [thread for thread in _abandoned if thread.is_alive()]
+        left_s = until - time.monotonic()
+        if len(_abandoned) < MOST_ABANDONED:
+            return True
+        if left_s <= 0:
+            return False
+        _abandoned[0].join(min(left_s, LOOK_S))
+
+
+_abandoned: list[threading.Thread] = []
+"""set-ups that were given up, and that may still be at work"""
 
 
 def _processor_s(clocks: list[int], otherwise_s: float) -> float:

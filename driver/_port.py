@@ -31,6 +31,8 @@ WRITE_TIMEOUT_S = 1.0
 URL_WAIT_S = 0.1
 """longest wait for a byte by pyserial's own method, which cannot be interrupted"""
 CONNECT_TIMEOUT_S = 5.0
+NEGOTIATION_S = 15.0
+"""longest wait for an RFC 2217 server to agree on its options"""
 UNHEARD_S = 3.0
 """a TCP peer that acknowledges nothing for this long is gone; a cable pulled at its end gives no other sign"""
 _CHUNK = 65536
@@ -414,6 +416,13 @@ def over(name: str) -> LinkEnded:
     return LinkEnded(f"{name}: the emulated board has come to the end of its time")
 
 
+def _patient(name: str) -> str:
+    """The name of a port, with more time for Telnet's negotiation than pyserial's 3 s: either end may be starved."""
+    if not name.startswith("rfc2217://") or "timeout=" in name:
+        return name
+    return f"{name}{'&' if '?' in name else '?'}timeout={NEGOTIATION_S:g}"
+
+
 def _open_serial(name: str, baudrate: int, dtr: bool | None, rts: bool | None) -> serial.SerialBase:
     refuse_terminal(name)
     if name.startswith(EMULATED_HERE) and _EMULATOR not in serial.protocol_handler_packages:
@@ -423,7 +432,7 @@ def _open_serial(name: str, baudrate: int, dtr: bool | None, rts: bool | None) -
     timeout_s = URL_WAIT_S if "://" in name else 0.0
     try:
         device = serial.serial_for_url(
-            name, baudrate, timeout=timeout_s, write_timeout=write_timeout_s, do_not_open=True
+            _patient(name), baudrate, timeout=timeout_s, write_timeout=write_timeout_s, do_not_open=True
         )
         device.exclusive = True
         if dtr is not None:

@@ -49,11 +49,12 @@ def is_linked_terminal(name: str) -> bool:
 
 
 def linked_terminals(directory: Path) -> list[str]:
-    """The links to pseudo-terminals in a directory."""
+    """This user's links to pseudo-terminals in a directory; others may have links there, too."""
     try:
-        return [str(path) for path in sorted(directory.iterdir()) if is_linked_terminal(str(path))]
+        own = [str(path) for path in sorted(directory.iterdir()) if path.lstat().st_uid == os.getuid()]
     except OSError:
         return []
+    return [name for name in own if is_linked_terminal(name)]
 
 
 def refuse_missing(name: str) -> None:

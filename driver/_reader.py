@@ -32,6 +32,12 @@ PROOF_S = 3.0
 """after a reconnection: time for a board to prove that it is the same one"""
 MOST_READS = 64
 """reads in one turn, so that a board that never pauses cannot block a taker"""
+LONGEST_TURN_S = 0.02
+"""the same in s, for bytes without a frame"""
+LONGEST_REST_S = 1.0
+"""most time that the thread rests after such bytes; it rests as long as it took to look through them"""
+POLL_S = 0.05
+"""how long a taker waits for the thread to have read, before it looks for a frame"""
 MOST_HEARD = 2**20
 """bytes kept for a recorder that joins"""
 MOST_UNPROVEN = 1000
@@ -105,6 +111,8 @@ class Reader:
         self._away_because: LinkError | None = None
         self._received, self._reason = 0, "no end of a packet"
         """bytes since the last frame, and why the last of them formed no packet"""
+        self._unreadable = ""
+        """why the description that the board has sent cannot be read"""
         self._forgotten = False
         self._thread = threading.Thread(target=self._run, name=f"ohmskin reader {port.name}", daemon=True)
 
@@ -145,6 +153,8 @@ class Reader:
             return LinkTimeout(f"{where}: the queue is full of frames for another reader of this skin, who takes none")
         if self._mailbox.away is not None:
             return LinkTimeout(f"{where}: {self._mailbox.away}; trying to open the port again")
+        if self._unreadable and not self.introduction.complete:
+            return ProtocolError(f"{where}: the board describes itself wrongly: {self._unreadable}")
         if not self._received:
             last = self._mailbox.newest
             if last is None:
@@ -162,11 +172,14 @@ class Reader:
         return LinkTimeout(f"{where}: the board is there, but sends none")
 
     def poll(self) -> None:
-        """Read the bytes that have come. Errors of the port are left to the thread."""
-        try:
-            self._read()
-        except OhmskinError:
-            return
+        """Read the bytes that have come. Errors of the port are left to the thread, and so are bytes of a flood."""
+        if self._reading.acquire(timeout=POLL_S):
+            try:
+                self._read()
+            except OhmskinError:
+                return
+            finally:
+                self._reading.release()
 
     def now(self) -> float:
         """Present time on the port's clock."""
@@ -298,7 +311,10 @@ class Reader:
                 ask_at = time.monotonic() + ASK_AGAIN_S
                 continue
             if port.wait(ask_at - time.monotonic()):
-                self._read()
+                began = time.monotonic()
+                if self._read():
+                    # Half of the interpreter's time is left to others, who may be setting up the circuit's inverse.
+                    self._stop.wait(min(time.monotonic() - began, LONGEST_REST_S))
             now = time.monotonic()
             if now > self._proof_until:
                 raise LinkError(f"{port.name}: the board there does not show that it is the one from before")
@@ -325,9 +341,10 @@ class Reader:
         if self._family.polled:
             self.send(Order.ONE_FRAME)
 
-    def _read(self) -> None:
+    def _read(self) -> bool:
+        """Read the bytes that have come; whether there were some, and no frame among them."""
         try:
-            self._drain()
+            return self._drain()
         except OhmskinError:
             raise
         except Exception as error:
@@ -335,14 +352,15 @@ class Reader:
             self._mailbox.finish(LinkError(f"{self.port_name}: reading failed: {error!r}"))
             raise
 
-    def _drain(self) -> None:
+    def _drain(self) -> bool:
+        only_noise, until = False, time.monotonic() + LONGEST_TURN_S
         with self._reading:
-            for _ in range(MOST_READS):
+            for turn in range(MOST_READS):
                 if self._port is None or (self._lossless and self._mailbox.is_full()):
-                    return
+                    break
                 arrival = self._port.read()
                 if not arrival.data:
-                    return
+                    break
                 self._received += len(arrival.data)
                 for tap in self.taps:
                     tap(arrival)
@@ -356,9 +374,13 @@ class Reader:
                 for event in events:
                     self._handle(event, arrival)
                 self._mailbox.tell()
+                only_noise = not frames and (only_noise or not turn)
                 # Another frame may have come while several were decoded; it would be the newest one.
                 if not arrival.more and frames <= 1:
-                    return
+                    break
+                if only_noise and time.monotonic() > until:
+                    break
+        return only_noise
 
     def _keep(self, data: bytes, *, has_frame: bool) -> None:
         """Keep the last bytes for a recorder that joins."""
@@ -381,6 +403,8 @@ class Reader:
                 self._get_to_know(event)
             case Corrupt():
                 self._reason = event.reason
+                if event.is_description:
+                    self._unreadable = event.reason
                 self.stream.corrupt(event)
 
     def _hear(self, packet: FramePacket, arrival: Arrival) -> None:

@@ -76,19 +76,26 @@ class Recording:
         self._file: BinaryIO = self._output.file
         self._lock = threading.Lock()
         self._writer: Writer | None = writer(self._file, chunk_size=CHUNK_BYTES)
-        self._flush_at = time.monotonic() + FLUSH_S
-        self._writer.start(profile="", library=f"ohmskin {__version__}")
-        self._writer.add_metadata(METADATA, {"format": FORMAT, **settings})
-        self._channels = {
-            BYTES_TOPIC: self._writer.register_channel(BYTES_TOPIC, "application/octet-stream", 0),
-            EVENTS_TOPIC: self._writer.register_channel(EVENTS_TOPIC, "json", 0),
-        }
-        for topic, schema in MESSAGE_SCHEMAS.items():
-            self._channels[topic] = self._writer.register_channel(topic, "json", self._schema(schema))
+        self._channels: dict[str, int] = {}
+        self._guarded(lambda: self._begin(settings))
         self._guarded(self._writer.flush)
+        self._flush_at = time.monotonic() + FLUSH_S
         self._waiting: queue.Queue[Frame | None] = queue.Queue(MOST_WAITING)
         self._thread = threading.Thread(target=self._write_frames, name=f"ohmskin recorder {path}", daemon=True)
         self._thread.start()
+
+    def _begin(self, settings: Mapping[str, str]) -> None:
+        """Write the head of the file. OSError if that fails."""
+        writer = self._writer
+        assert writer is not None
+        writer.start(profile="", library=f"ohmskin {__version__}")
+        writer.add_metadata(METADATA, {"format": FORMAT, **settings})
+        self._channels |= {
+            BYTES_TOPIC: writer.register_channel(BYTES_TOPIC, "application/octet-stream", 0),
+            EVENTS_TOPIC: writer.register_channel(EVENTS_TOPIC, "json", 0),
+        }
+        for topic, schema in MESSAGE_SCHEMAS.items():
+            self._channels[topic] = writer.register_channel(topic, "json", self._schema(schema))
 
     @classmethod
     def check(cls, path: str | Path, *, overwrite: bool = False) -> None:
@@ -99,7 +106,14 @@ class Recording:
         check_writable(file)
 
     def keep(self) -> None:
-        """Move the file to its place, where it grows from now on. InputError if that fails."""
+        """Move the file to its place, where it grows from now on.
+
+        Raises:
+            InputError: that fails, or the disk was full so far: no file without a beginning is left.
+
+        """
+        if self.error is not None and self._output.is_new:
+            raise self.error
         self._output.replace()
 
     def discard(self) -> None:

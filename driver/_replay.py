@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import base64
+import io
 import json
 import math
+import os
 import threading
 import time
+import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
@@ -19,17 +22,34 @@ from ..circuits import Design
 from ..common.arrays import FloatArray
 from ..common.checks import number
 from ..common.config import LEAST, MOST, parse
-from ..common.text import shortened
-from ..errors import InputError, LinkEnded, LinkError, MissingExtra, ProtocolError
-from ..wire import read_description, write_description
+from ..common.files import size as size_text
+from ..common.progress import Progress, silent
+from ..common.text import shortened, shown
+from ..errors import InputError, LinkEnded, LinkError, MissingExtra, OhmskinError, ProtocolError
+from ..wire import BoardFile, Family, board_family, read_description, write_description
 from ._calibration import Calibration
 from ._past import Past
 from ._pitch import Pitch
 from ._port import Arrival
 from ._recording import BYTES_TOPIC, EVENTS_TOPIC, FORMAT, METADATA, STAMP
 
+if TYPE_CHECKING:
+    from mcap.records import Chunk
+
 MOST_S = 1e12
 """30,000 years: no time of arrival is later"""
+LARGEST = 160 * 2**20
+"""bytes of a record, and of the content of a chunk: the checkpoint of a skin of 256 x 256 cells takes 130 MB"""
+LONGEST_ARRIVAL = 16 * 2**20
+"""bytes that come at once, after a host was kept from reading for seconds"""
+MOST_RECORDS, BYTES_PER_RECORD = 10_000, 4
+"""limit on the number of records: so many, and one for so many bytes of the file. The times of an arrival alone take
+more, compressed"""
+MOST_CONTENT, MOST_EXPANSION = 2**29, 4000
+"""limit on decompressed bytes: so many, and so many for each byte of the file. Without noise, 256 x 256 equal cells
+compress to a 2500th; an eighth of this is the limit on what the board sent, the rest is for viewers"""
+MOST_VALUES = 100_000
+"""limit on the numbers, texts and lists of an event"""
 
 
 @dataclass(frozen=True)
@@ -47,6 +67,8 @@ class RecordedSettings:
     accuracy: float | None = None
     """relative uncertainty up to which cells are valid; None: the default"""
     calibration: Calibration | None = None
+    board_file: Mapping[str, Any] | None = None
+    """tables of the BOARD.toml; None: the family is known by its name"""
 
     def as_metadata(self) -> dict[str, str]:
         """Texts for the metadata of the file."""
@@ -58,6 +80,7 @@ class RecordedSettings:
         known = {
             "estimator": self.estimator,
             "calibration": None if self.calibration is None else self.calibration.as_json(),
+            "board_file": None if self.board_file is None else json.dumps(self.board_file),
         }
         known |= {name: " ".join(float(value).hex() for value in values) for name, values in numbers.items()}
         return {"board": self.board, "given": tables} | {key: value for key, value in known.items() if value}
@@ -87,11 +110,38 @@ class RecordedSettings:
             calibration=None
             if calibration is None
             else Calibration.from_json(calibration, source=f"{path}: calibration"),
+            board_file=_board_tables(metadata, path),
         )
+
+    def family(self, path: str) -> Family:
+        """The family of the recorded board. InputError if only the user's own program knows it."""
+        if self.board_file is not None:
+            return BoardFile.parse(self.board_file, f"{path}: board_file").family()
+        try:
+            return board_family(self.board)
+        except InputError as error:
+            raise InputError(
+                f"{path}: a recording of the board {shown(self.board)}, which is no known family; give it (board=)"
+            ) from error
 
 
 NOTHING_RECORDED = RecordedSettings("", None, None, None, None)
 """for a live board"""
+
+
+def _board_tables(metadata: Mapping[str, str], path: Path) -> Mapping[str, Any] | None:
+    """Tables of the BOARD.toml in a file's metadata; InputError if they are invalid."""
+    text = metadata.get("board_file")
+    if text is None:
+        return None
+    try:
+        tables = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: board_file: is no JSON: {shortened(str(error))}") from error
+    if not isinstance(tables, dict):
+        raise InputError(f"{path}: board_file: expected a JSON object")
+    BoardFile.parse(tables, f"{path}: board_file")
+    return tables
 
 
 class RestSchedule:
@@ -111,12 +161,20 @@ class ReplayPort:
 
     """
 
-    def __init__(self, path: str | Path, speed: float | None = None) -> None:
+    def __init__(self, path: str | Path, speed: float | None = None, progress: Progress = silent) -> None:
+        """Look through the recording, and check it.
+
+        Args:
+            path: of the file.
+            speed: relative to real time; None: as fast as it is read.
+            progress: told how many bytes of the file have been looked through.
+
+        """
         if speed is not None and not 0 < number("speed", speed) < math.inf:
             raise InputError(f"speed {speed}; expected a positive number")
         self.path = Path(path)
         self.name = str(path)
-        self.settings, self.past, self.rest, self.arrivals, self.seconds = _survey(self.path)
+        self.settings, self.past, self.rest, self.arrivals, self.seconds = _survey(self.path, progress)
         """settings of the skin; its checkpoint when the recorder joined, None: recorded from its opening; its tares;
         number of arrivals; duration in s"""
         self._speed = speed
@@ -214,12 +272,16 @@ def _hexadecimals(metadata: Mapping[str, str], name: str, path: Path, *, most: i
     return values
 
 
-def _survey(path: Path) -> tuple[RecordedSettings, Past | None, RestSchedule, int, float]:
+def _survey(path: Path, progress: Progress) -> tuple[RecordedSettings, Past | None, RestSchedule, int, float]:
     settings, past, rest = None, None, RestSchedule()
+    given: dict[str, str] | None = None
     arrivals, first, last = 0, None, 0.0
-    for topic, data in _records(path):
+    for topic, data in _records(path, progress):
         if topic == METADATA:
-            settings = RecordedSettings.of(data, path)
+            if given not in (None, data):
+                raise InputError(f"{path}: the metadata '{METADATA}' twice; expected the settings of one skin")
+            if given is None:
+                given, settings = data, RecordedSettings.of(data, path)
         elif topic == BYTES_TOPIC:
             arrivals += 1
             last = _arrival(data, path).received_at
@@ -227,6 +289,8 @@ def _survey(path: Path) -> tuple[RecordedSettings, Past | None, RestSchedule, in
         elif topic == EVENTS_TOPIC:
             event = _event(data, path)
             if event["event"] == "joined":
+                if past is not None:
+                    raise InputError(f"{path}: a second event 'joined'; expected one, at the beginning")
                 past = Past.parse(event.get("past"), f"{path}: what was before")
             if event["event"] == "rest":
                 rest.changes.append(_rest_change(event, path))
@@ -247,6 +311,8 @@ def _arrival(data: bytes, path: Path) -> Arrival:
     """Bytes and times of an arrival; InputError if the message is none."""
     if len(data) < STAMP.size:
         raise InputError(f"{path}: an arrival of {len(data)} bytes; expected at least {STAMP.size}, its times")
+    if len(data) > LONGEST_ARRIVAL:
+        raise InputError(f"{path}: an arrival of {size_text(len(data))}; no port holds so many bytes")
     received_at, wall_time = STAMP.unpack_from(data)
     if not (abs(received_at) <= MOST_S and abs(wall_time) <= MOST_S):
         raise InputError(f"{path}: an arrival at {received_at:g} s, {wall_time:g} s since the epoch; expected times")
@@ -255,6 +321,8 @@ def _arrival(data: bytes, path: Path) -> Arrival:
 
 def _event(data: bytes, path: Path) -> dict[str, Any]:
     """A message of the events' topic; InputError if it is invalid."""
+    if sum(data.count(mark) for mark in (b",", b"[", b"{")) > MOST_VALUES:
+        raise InputError(f"{path}: an event of more than {MOST_VALUES} values; expected numbers of arrays as base64")
     try:
         event = json.loads(data)
     except (ValueError, RecursionError) as error:
@@ -273,31 +341,76 @@ def _rest_change(event: Mapping[str, Any], path: Path) -> tuple[float, FloatArra
         ohm = np.frombuffer(base64.b64decode(event["rest_ohm"], validate=True), dtype="<f8").astype(np.float64)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{path}: an event 'rest' that cannot be read: {shortened(str(error))}") from error
-    if math.isnan(after) or not ((ohm >= LEAST) & (ohm <= MOST)).all():
+    if math.isnan(after) or not ((ohm >= LEAST) & (ohm <= MOST) | (ohm == 0)).all():  # counts at rest may be 0
         raise InputError(f"{path}: an event 'rest': expected a time and positive resistances")
     return after, ohm
 
 
-def _records(path: Path) -> Iterator[tuple[str, Any]]:
-    """Topic and data of each message in the order of writing, and the metadata; up to where the file is cut off."""
+class _Allowance:
+    """What may still come of a file: its size limits the work that reading it takes."""
+
+    def __init__(self, path: Path, size: int) -> None:
+        self._path, self._size = path, size
+        self._records = MOST_RECORDS + size // BYTES_PER_RECORD
+        self._content = MOST_CONTENT + MOST_EXPANSION * size
+        self._messages = self._content // 8
+
+    def record(self) -> None:
+        """Another record, of whatever kind."""
+        self._records -= 1
+        if self._records < 0:
+            raise self._refusal("more records")
+
+    def content(self, count: int) -> None:
+        """Decompressed bytes of a chunk."""
+        self._content -= count
+        if count > LARGEST or self._content < 0:
+            raise self._refusal("more bytes, decompressed,")
+
+    def message(self, count: int) -> None:
+        """Bytes that the driver has to read."""
+        self._messages -= count
+        if self._messages < 0:
+            raise self._refusal("more bytes of the board")
+
+    def _refusal(self, what: str) -> InputError:
+        return InputError(f"{self._path}: {what} than a recording of {size_text(self._size)} has; is it damaged?")
+
+
+def _records(path: Path, progress: Progress = silent) -> Iterator[tuple[str, Any]]:
+    """Topic and data of each message in the order of writing, and the metadata; up to where the file is cut off.
+
+    Raises:
+        InputError: the file cannot be read, or holds more than a recording of its size.
+        MissingExtra: mcap is not installed.
+
+    """
     try:
         from mcap.records import Channel, Message, Metadata
-        from mcap.stream_reader import StreamReader
     except ImportError as error:
         raise MissingExtra("recordings need mcap: pip install 'ohmskin[record]'") from error
     topics: dict[int, str] = {}
     found = False
     try:
         with path.open("rb") as file:
-            for record in StreamReader(file, record_size_limit=2**30, validate_crcs=True).records:
+            size = os.fstat(file.fileno()).st_size
+            allowed = _Allowance(path, size)
+            for record in _opened(file, allowed):
                 found = True
                 match record:
+                    case Message():
+                        topic = topics[record.channel_id]
+                        if topic in (BYTES_TOPIC, EVENTS_TOPIC):
+                            allowed.message(len(record.data))
+                            yield topic, record.data
                     case Metadata() if record.name == METADATA:
                         yield METADATA, record.metadata
                     case Channel():
                         topics[record.id] = record.topic
-                    case Message():
-                        yield topics[record.channel_id], record.data
+                    case None:
+                        progress(file.tell(), size, "")
+    except OhmskinError:
+        raise
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     except Exception as error:
@@ -305,3 +418,54 @@ def _records(path: Path) -> Iterator[tuple[str, Any]]:
         # many kinds. The part written before is whole, as its checksums show.
         if not found:
             raise InputError(f"{path}: is no MCAP file; expected a recording of `ohmskin record`") from error
+
+
+def _opened(file: BinaryIO, allowed: _Allowance) -> Iterator[Any]:
+    """The records of a file, and those within its chunks one at a time; None after each chunk.
+
+    mcap's own reader makes all records of a chunk at once, and decompresses as much as the compressed data say.
+    """
+    from mcap.data_stream import ReadDataStream
+    from mcap.opcode import Opcode
+    from mcap.records import Channel, Chunk, Message
+    from mcap.stream_reader import StreamReader
+
+    for record in StreamReader(file, record_size_limit=LARGEST, emit_chunks=True, validate_crcs=True).records:
+        allowed.record()
+        if not isinstance(record, Chunk):
+            yield record
+            continue
+        allowed.content(record.uncompressed_size)
+        content = _decompressed(record)
+        stream = ReadDataStream(io.BytesIO(content))
+        while stream.count < len(content):
+            opcode, length = stream.read1(), stream.read8()
+            allowed.record()
+            match opcode:
+                case Opcode.MESSAGE:
+                    yield Message.read(stream, length)
+                case Opcode.CHANNEL:
+                    yield Channel.read(stream)
+                case _:
+                    stream.read(length)
+        yield None
+
+
+def _decompressed(chunk: Chunk) -> bytes:
+    """The content of a chunk, never longer than the chunk says; ValueError if it is damaged."""
+    size, data = chunk.uncompressed_size, chunk.data
+    match chunk.compression:
+        case "zstd":
+            import zstandard
+
+            with zstandard.ZstdDecompressor().stream_reader(data) as reader:
+                content = reader.read(size + 1)
+        case "lz4":
+            from lz4.frame import LZ4FrameDecompressor
+
+            content = LZ4FrameDecompressor().decompress(data, max_length=size + 1)
+        case _:
+            content = data
+    if len(content) != size or chunk.uncompressed_crc not in (0, zlib.crc32(content)):
+        raise ValueError("a damaged chunk")
+    return content

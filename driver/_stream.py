@@ -55,6 +55,8 @@ class RawFrame:
     """total"""
     reboots: int
     """total"""
+    absent: tuple[int, ...] = ()
+    """cells, counted row by row, of which the board has sent no count"""
 
 
 class _Succession(enum.Enum):
@@ -147,6 +149,7 @@ class FrameStream:
     def corrupt(self, event: Corrupt) -> None:
         """Count a stretch of bytes that was no packet."""
         self.counters.corrupt += 1
+        self.counters.why_corrupt = event.reason
         self._in_step = False
 
     def end(self, sequence: int, boot_id: int | None, time_us: int) -> None:
@@ -215,6 +218,7 @@ class FrameStream:
             counters.overruns,
             counters.reconnects,
             counters.reboots,
+            packet.absent,
         )
 
     def _remember(self, stamp: tuple[int | None, int | None, int | None]) -> None:

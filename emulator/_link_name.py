@@ -83,6 +83,9 @@ class LinkName:
                 os.close(lock)
                 raise InputError(f"{self._lock_path}: cannot be locked: {error.strerror}") from error
             if self._is_lock_file(lock):
+                if os.fstat(lock).st_uid != os.getuid():  # its content would say which link may be replaced
+                    os.close(lock)
+                    raise InputError(f"{self._lock_path}: belongs to another user; expected a free name")
                 return lock
             os.close(lock)  # its owner removed the file in between
 

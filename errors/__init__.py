@@ -14,9 +14,18 @@
 The command line turns each into one line on standard error; see :mod:`ohmskin.cli` for the exit codes.
 """
 
+from ..common.text import printable
+
 
 class OhmskinError(Exception):
-    """Base of all errors raised on purpose."""
+    """Base of all errors raised on purpose.
+
+    The text is one line without control characters: a board, a file or a file name that it repeats may hold escape
+    sequences, which would command the terminal on which a traceback is shown.
+    """
+
+    def __str__(self) -> str:
+        return printable(super().__str__().replace("\n", " "))
 
 
 class InputError(OhmskinError, ValueError):

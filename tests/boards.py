@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from patience import Patience
 
 from ohmskin.driver import Arrival, BytePort, Skin
 from ohmskin.emulator import Board, Line, Scene
@@ -68,9 +69,9 @@ def described(*pieces: bytes, last: Callable[[], bytes] | None = None) -> Script
 
 def until(condition: Callable[[], bool], limit_s: float = 120.0) -> None:
     """Wait for another thread."""
-    deadline = time.monotonic() + limit_s
+    patience = Patience(limit_s)
     while not condition():
-        assert time.monotonic() < deadline, "waited in vain"
+        patience.spend()
         time.sleep(0.002)
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 import together
 from hypothesis import settings
+from patience import HANG_S
 
 from ohmskin.common import compiled
 from ohmskin.driver import Skin, discover
@@ -22,7 +23,7 @@ pytest_plugins = ["ohmskin.hil.plugin"]  # also where the installed entry point 
 # A busy machine is no failure, and a failure must come again.
 settings.register_profile("ohmskin", deadline=None, derandomize=True)
 settings.load_profile("ohmskin")
-PATIENCE_S = 60.0
+PATIENCE_S = HANG_S
 """for which the driver waits in tests that do not say for how long: a process may be kept from running for seconds"""
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from needs import need
+from patience import Patience
 from playwright.sync_api import Browser, Page, Playwright, expect
 
 from ohmskin.view import Source, serve
@@ -100,9 +100,9 @@ def _socket(url: str) -> str:
 
 def until(page: Page, condition: str, argument: Any = None) -> None:
     """Wait until a condition holds on the page. Playwright's own way needs eval(), which the page forbids."""
-    deadline = time.monotonic() + PATIENCE_MS / 1e3
+    patience = Patience(PATIENCE_MS / 1e3)
     while not page.evaluate(condition, argument):
-        assert time.monotonic() < deadline, f"{condition}: {page.locator('body').inner_text()}"
+        patience.spend(condition)
         page.wait_for_timeout(20)
 
 

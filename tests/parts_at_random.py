@@ -15,9 +15,18 @@ SENSING_COLUMNS = ("inverting-amplifier", "voltage-divider", "voltage-feedback")
 
 
 def real_design(
-    seed: int, *, circuit: str | None = None, faults: int = 0, largest: int = 4, **readout: Any
+    seed: int,
+    *,
+    circuit: str | None = None,
+    faults: int = 0,
+    largest: int = 4,
+    idle_lines: bool = False,
+    **readout: Any,
 ) -> tuple[Design, NDArray[np.float64]]:
-    """A design with one number per line for every part, and cells from 100 ohm to 1 Mohm."""
+    """A design with one number per line for every part, and cells from 100 ohm to 1 Mohm.
+
+    ``idle_lines``: rows on pull-downs and multiplexed columns occur as well.
+    """
     rng = np.random.default_rng(seed)
     rows, columns = (int(n) for n in rng.integers(2, largest + 1, 2))
     cells = 10 ** rng.uniform(2, 6, (rows, columns))
@@ -50,7 +59,28 @@ def real_design(
         | readout,
         "fault": [_fault(rng, rows, columns) for _ in range(faults)],
     }
+    if circuit == "voltage-feedback":
+        tables["drive"]["idle_rows"] = "ground"
+    if circuit != "voltage-divider":
+        del tables["readout"]["idle_columns"]
+    if idle_lines:
+        _choose_idle_lines(np.random.default_rng([seed, 1]), tables)
     return Design.model_validate(tables), cells
+
+
+def _choose_idle_lines(rng: np.random.Generator, tables: dict[str, Any]) -> None:
+    """Idle lines of any kind that the circuit can have."""
+    drive, readout = tables["drive"], tables["readout"]
+    if readout["circuit"] == "voltage-feedback":
+        return
+    drive["idle_rows"] = str(rng.choice(["ground", "float", "pull"]))
+    if drive["idle_rows"] == "pull":
+        drive["idle_row_resistance"] = float(10 ** rng.uniform(2, 5))
+    if rng.random() < 0.6:
+        readout |= {"columns": "multiplexed", "idle_columns": str(rng.choice(["float", "ground", "load"]))}
+        for key in ("reference_resistance", "open_loop_gain", "offset_voltage", "bias_current"):
+            value = readout[key]
+            readout[key] = value[0] if isinstance(value, list) else value
 
 
 def _fault(rng: np.random.Generator, rows: int, columns: int) -> dict[str, Any]:

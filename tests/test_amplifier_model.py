@@ -146,9 +146,11 @@ HOSTILE = [
     (".tran 1n 1", "is not part of a model"),
     (".print tran v(1)", "is not part of a model"),
     ("Vsteal drive 0 5", "stands outside a .SUBCKT"),
-    (".subckt S 1 2\nA1 [1] [2] reader\n.ends", "is no device of a model"),
+    (".subckt FOLLOWER 1 2\nA1 [1] [2] reader\n.ends", "or a code model"),
+    (".subckt S 1 2\nA1 [1] [2] reader\n.ends", None),
     (".model reader filesource(file=/etc/passwd)", "unknown type of model"),
-    (".subckt S 1 2\nV1 1 2 PWL FILE=/etc/passwd\n.ends", "would read a file"),
+    (".subckt FOLLOWER 1 2\nV1 1 2 PWL FILE=/etc/passwd\n.ends", "would read a file"),
+    (".subckt S 1 2\nV1 1 2 PWL FILE=/etc/passwd\n.ends", None),
     (".param x={`touch hacked`}", "expected plain ASCII"),
     (".param \u03bc=1", "expected plain ASCII"),
     (".subckt S 1 2\nX1 1 2 S\n.ends", None),
@@ -161,8 +163,10 @@ HOSTILE = [
 @pytest.mark.parametrize(("line", "message"), HOSTILE)
 def test_what_is_no_circuit_is_refused(line: str, message: str | None, folder: Path) -> None:
     (folder / "opa.lib").write_text(f"* model\n{line}\n" + MODEL.replace("\xe9", "").replace("\xb5", ""))
-    if message is None:  # a subcircuit that the design does not use
-        assert _design(folder).readout.amplifier_model
+    if message is None:  # a subcircuit that the design does not use, and that does not get into the netlist
+        model = _design(folder).readout.amplifier_model
+        assert model is not None
+        assert ".subckt S" not in model.text
         return
     with pytest.raises(InputError) as caught:
         _design(folder)
@@ -265,3 +269,101 @@ def test_the_report_depends_on_the_model(folder: Path) -> None:
     assert first.fingerprint != second.fingerprint
     assert [s.value for s in first.settings() if s.key == "amplifier_model"] == ["twopole of opa.lib"]
     assert "amplifier_model" not in first.design.model_dump()["readout"]  # boards do not send it
+
+
+PUBLISHED = """* one pole of 1 MHz, gain 1e5, as makers write it
+.MODEL QUIET RES(T_ABS=-273.15)
+.MODEL WARM RES(R=1 {warm})
+.SUBCKT AMP/X INP INN VCC VEE OUT
+RIN INP INN 10Meg
+E0 S0 0 INP INN 1
+RS S0 S QUIET 10Meg
+RW VCC VEE WARM 1Meg
+G1 0 P S 0 0.1
+R1 P 0 1Meg
+C1 P 0 15.9155n
+E1 B 0 P 0 1
+RO B OUT 10
+RQ VCC VEE 1Meg
+{more}
+.ENDS* next part
+\x1a"""
+"""A DOS end of file, text behind .ENDS, a slash in the name, and a resistor without noise."""
+NO_TRANSIENT = "BX X 0 V={TIME>0 ? (V(X)>2.5 ? 0 : 5) : 1}\nRX X 0 1k"
+"""No state after t = 0, which only a transient analysis minds."""
+NEVER_ENDING = "BX X 0 V={SIN(6.28e12*TIME)}\nRX X Y 1k\nCX Y 0 1p"
+
+
+def _published(tmp_path: Path, *, warm: str = "", more: str = "") -> Design:
+    (tmp_path / "amp.lib").write_text(PUBLISHED.format(warm=warm, more=more))
+    model = AmplifierModel(file="amp.lib", subcircuit="AMP/X").read(tmp_path)
+    return Design.model_validate(
+        {
+            "array": {"rows": 2, "columns": 2, "row_lead": 50.0},
+            "drive": {"voltage": -0.5},
+            "readout": {
+                **{"circuit": "inverting-amplifier", "reference_resistance": 10e3, "reference_voltage": 1.5},
+                **{"open_loop_gain": 1e5, "gain_bandwidth": 1e6, "supply": (0.0, 5.0), "column_capacitance": 100e-12},
+                **{"feedback_capacitance": 10e-12, "temperature": 300.15, "amplifier_model": model},
+            },
+            "cells": {"rest_resistance": 10e3, "full_scale_resistance": 17.75e3},
+            "operation": {"frame_rate": 50.0},
+        }
+    )
+
+
+def _judged(design: Design) -> dict[str, Result]:
+    limits = {"phase_margin": {"min": 45.0}, "settling_error": {"max": 1.0}, "noise": {"max": 1e-3}}
+    asked = [Requirement.model_validate({"id": q, "quantity": q, "method": "spice"} | k) for q, k in limits.items()]
+    return _found(verify(design, requirements=asked))
+
+
+def test_a_published_model_is_taken_as_it_is(tmp_path: Path) -> None:
+    need(spice.command_available())
+    found = _judged(_published(tmp_path))
+    assert {str(result.outcome) for result in found.values()} == {"pass"}
+    noise = found["noise"].measurement
+    assert noise is not None
+    assert noise.value == pytest.approx(24.91e-6, rel=1e-3)
+
+
+def test_a_model_settles_over_its_own_time(tmp_path: Path) -> None:
+    """The design says 100 MHz and the model has 1 MHz; the row period of 10 ms is enough for both."""
+    need(spice.command_available())
+    result = _judged(_published(tmp_path).replace(readout={"gain_bandwidth": 100e6}))["settling_error"]
+    assert result.measurement is not None
+    assert result.measurement.value < 0.01
+
+
+def test_analyses_that_succeed_are_kept_when_one_fails(tmp_path: Path) -> None:
+    need(spice.command_available())
+    found = _judged(_published(tmp_path, more=NO_TRANSIENT))
+    assert str(found["phase_margin"].outcome) == str(found["noise"].outcome) == "pass"
+    assert "Timestep too small" in found["settling_error"].reason
+
+
+def test_parameters_that_the_simulator_drops_decide_nothing(tmp_path: Path) -> None:
+    need(spice.command_available())
+    for warm, name in (("T_ABS=25", "T_ABS"), ("VENDOR=3", "vendor")):
+        result = _judged(_published(tmp_path, warm=warm))["noise"]
+        assert str(result.outcome) == "not run"
+        assert f"ngspice does not know {name}" in result.why
+        assert result.measurement is not None
+        assert result.measurement.value == pytest.approx(24.91e-6, rel=1e-3)
+
+
+def test_a_hopeless_run_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    need(spice.command_available())
+    monkeypatch.setattr("ohmskin.circuits.spice._ngspice.LEAST_LIMIT_S", 1)
+    design = _published(tmp_path, more=NEVER_ENDING)
+    with pytest.raises(SolverError, match="s of processor time"):
+        spice.dynamic_reading(design, np.full((2, 2), 1e4), 0, period=1.0, analyses=["transient"])
+
+
+@pytest.mark.parametrize(
+    ("line", "word"),
+    [("A1 0 P 0 0 0 0 OUT 0 OTA", "LTspice"), ("C9 P 0 1n Rpar=1Meg", "'Rpar'"), ("R9 P 0 1k noiseless", "noiseless")],
+)
+def test_dialects_that_ngspice_does_not_read_are_named_with_the_line(line: str, word: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=f"line 15: .*{word}"):
+        _published(tmp_path, more=line)

@@ -12,6 +12,7 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
+from patience import HANG_S
 
 from ohmskin.circuits.readouts import CIRCUITS
 
@@ -22,13 +23,13 @@ MAY_IMPORT = {
     "circuits": SHARED,
     "cell": SHARED,
     "wire": SHARED,
-    "bench": SHARED | {"circuits", "cell", "wire", "emulator", "driver"},
+    "bench": SHARED | {"circuits", "cell", "wire", "emulator", "driver", "view"},
     "emulator": SHARED | {"circuits", "cell", "wire"},
     "driver": SHARED | {"circuits", "cell", "wire"},
     "calibration": SHARED | {"circuits", "cell", "wire", "driver"},
     "doctor": SHARED | {"circuits", "wire", "driver"},
     "hil": SHARED | {"driver", "emulator"},
-    "view": SHARED | {"driver"},
+    "view": SHARED | {"circuits", "driver"},
     "verification": SHARED | {"circuits", "cell", "wire", "emulator", "driver", "bench"},
 }
 ROOMS = [*MAY_IMPORT, "errors", "cli"]
@@ -171,7 +172,7 @@ HEAVY = ["scipy.signal", "scipy.stats", "scipy.interpolate", "numba", "matplotli
 @pytest.mark.parametrize(("room", "heavy"), [("driver", HEAVY), ("cell", ["scipy", "numba", "matplotlib"])])
 def test_rooms_start_without_packages_that_take_long_to_load(room: str, heavy: list[str]) -> None:
     program = f"import sys, ohmskin.{room}; print([name for name in {heavy} if name in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=HANG_S)
     assert done.stdout.strip() == "[]"
 
 

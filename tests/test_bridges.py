@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import pytest
 from boards import EXAMPLES, Script, Wire, gone, scene
+from patience import HANG_S
 from test_record import pieces
 
 from ohmskin.driver import Frame, Skin
@@ -266,7 +267,7 @@ def test_foxglove_receives_the_frames(pressed: list[Frame]) -> None:
 @pytest.mark.skipif(find_spec("foxglove") is None, reason="foxglove-sdk is not installed")
 def test_the_foxglove_program_says_in_one_line_what_is_wrong() -> None:
     words = [sys.executable, str(EXAMPLES / "bridges" / "foxglove_live.py"), "/dev/nothing-here", "--listen", "0"]
-    ended = subprocess.run(words, capture_output=True, text=True, check=False, timeout=120)
+    ended = subprocess.run(words, capture_output=True, text=True, check=False, timeout=HANG_S)
     assert ended.returncode == 1
     assert ended.stderr.startswith("/dev/nothing-here: no such port")
     assert ended.stderr.count("\n") == 1
@@ -280,7 +281,7 @@ def test_the_foxglove_program_is_ended_by_an_interrupt_without_a_traceback(board
         assert program.stdout.readline().startswith("ws://127.0.0.1:")
         program.send_signal(signal.SIGINT)
         try:
-            _, errors = program.communicate(timeout=120)
+            _, errors = program.communicate(timeout=HANG_S)
         finally:
             program.kill()
     assert program.returncode == 130

@@ -94,14 +94,14 @@ def test_faults_are_one_line(steps: Path, tmp_path: Path, capsys: pytest.Capture
 
 
 @pytest.mark.parametrize("times", ["0\n0", "2\n1", "0\nnan", "0\ninf"])
-def test_estimate_names_the_sample_whose_time_does_not_follow(
+def test_estimate_names_the_line_whose_time_does_not_follow(
     times: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cell, read, out = tmp_path / "cell.toml", tmp_path / "read.csv", tmp_path / "out.csv"
     Cell.example().save(cell)
     read.write_text("time_s,resistance_ohm\n" + "".join(f"{time},10000\n" for time in times.split()))
     assert run(["estimate", str(read), "--cell", str(cell), "-o", str(out)]) == 2
-    assert f"{read}: time_s must increase and be finite, but sample 2 is at" in capsys.readouterr().err
+    assert f"{read}: time_s must increase and be finite, but line 3 is at" in capsys.readouterr().err
     assert not out.exists()
 
 
@@ -122,3 +122,24 @@ def test_estimate_refuses_readings_that_give_no_pressure(
     assert run(["estimate", str(read), "--cell", str(cell), "-o", str(out)]) == 2
     assert f"{read}: {message}" in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_a_repeated_time_costs_one_row_and_a_note(
+    steps: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Clocks of coarse steps repeat a time now and then; times that go back, or repeat often, are refused by line."""
+    head, *rows = steps.read_text().splitlines()[:200]
+    Cell.example().save(tmp_path / "cell.toml")
+    run_csv, out = tmp_path / "run.csv", tmp_path / "out.csv"
+    command = ["estimate", str(run_csv), "--cell", str(tmp_path / "cell.toml"), "-o", str(out)]
+    repeated = [*rows[:50], rows[49], *rows[50:]]
+    run_csv.write_text("\n".join([head, *repeated]) + "\n")
+    assert run(command) == 0
+    assert (
+        capsys.readouterr().err == f"ohmskin: {run_csv}: line 52 repeats the time of the line before, and is left out\n"
+    )
+    assert len(read_columns(out, ("time_s",))["time_s"]) == len(rows)
+    for wrong, line in (([*rows[:50], rows[3], *rows[50:]], 52), ([row for row in rows for _ in "ab"], 3)):
+        run_csv.write_text("# by hand\n" + "\n".join([head, *wrong]) + "\n")
+        assert run(command) == 2
+        assert f"line {line + 1} is at" in capsys.readouterr().err

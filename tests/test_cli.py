@@ -131,7 +131,7 @@ def test_a_bad_design_is_one_clear_line(fault: str, folder: Path, capsys: pytest
         ("1,2,3\n4,nan,6\n", ["cells.csv", "line 2", "nan"]),
         ("1,2,3\n4,five,6\n", ["cells.csv", "line 2", "'five'"]),
         ("1,2,3\n4,5\n", ["cells.csv", "line 2", "unequal"]),
-        ("1;2;3\n4;5;6\n", ["cells.csv", "line 1", "separated by commas"]),
+        ("1 2 3\n4 5 6\n", ["cells.csv", "line 1", "separated by commas"]),
         ("1,2,3\n4,5,\n", ["cells.csv", "line 2"]),
         ("1,2\n3,4\n5,6\n", ["cells.csv", "3 lines of 2"]),
     ],

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from patience import HANG_S, Patience
 
 from ohmskin.cli import run
 from ohmskin.emulator import Recording, Sample, Truth, TruthFile, score, score_text
@@ -144,9 +145,9 @@ def start_emulator(folder: Path) -> subprocess.Popen[str]:
     assert board.stdout is not None
     assert board.stdout.readline()
     spool = folder / "t.npz.spool.npy"
-    deadline = time.monotonic() + 60
+    patience = Patience()
     while not (spool.exists() and spool.stat().st_size > 5000):
-        assert time.monotonic() < deadline
+        patience.spend()
         time.sleep(0.05)
     return board
 
@@ -154,7 +155,7 @@ def start_emulator(folder: Path) -> subprocess.Popen[str]:
 def test_a_killed_emulator_leaves_its_frames(tmp_path: Path) -> None:
     board = start_emulator(tmp_path)
     board.kill()
-    board.communicate(timeout=30)
+    board.communicate(timeout=HANG_S)
     truth = Truth.load(tmp_path / "t.npz.spool.npy")
     assert len(truth.sequence) > 10
     np.testing.assert_array_equal(truth.sequence, np.arange(len(truth.sequence)))
@@ -165,7 +166,7 @@ def test_a_killed_emulator_leaves_its_frames(tmp_path: Path) -> None:
 def test_a_hang_up_ends_the_run_with_a_whole_truth(tmp_path: Path, number: int, code: int) -> None:
     board = start_emulator(tmp_path)
     board.send_signal(number)
-    _, errors = board.communicate(timeout=60)
+    _, errors = board.communicate(timeout=HANG_S)
     assert (board.returncode, errors.count("Traceback")) == (code, 0)
     truth = Truth.load(tmp_path / "t.npz")
     np.testing.assert_array_equal(truth.sequence, np.arange(len(truth.sequence)))

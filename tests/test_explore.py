@@ -15,7 +15,7 @@ from verified import AMPLIFIED, complete
 from ohmskin.cell import Percolation
 from ohmskin.circuits import Design, Requirement
 from ohmskin.cli import run
-from ohmskin.verification import Subject, Variation, prototype, remedies, verify
+from ohmskin.verification import Subject, Variation, explore, prototype, remedies, verify
 from ohmskin.verification._explore import (
     AVERAGING,
     KNOWN_FRACTION,
@@ -206,3 +206,44 @@ def test_the_command_writes_a_table_and_a_picture(tmp_path: Path, capsys: pytest
     said = capsys.readouterr().out
     assert "the design itself" in said
     assert "R: array.row_lead times" in said
+
+
+def test_what_is_not_known_is_neither_zero_nor_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A divider without capacitances and without a full scale in kPa, at a stated frame rate."""
+    file = tmp_path / "design.toml"
+    file.write_text(
+        "[array]\nrows = 2\ncolumns = 2\nrow_lead = 50.0\n[drive]\nvoltage = 3.3\n"
+        '[readout]\ncircuit = "voltage-divider"\nreference_resistance = 1e4\nidle_columns = "load"\n'
+        "[cells]\nrest_resistance = 1e5\nfull_scale_resistance = 1e4\n[operation]\nframe_rate = 100.0\n"
+        '[[requirement]]\nid = "R"\nquantity = "latency"\nmax = 1.0\n'
+    )
+    assert run(["explore", str(file), "-o", str(tmp_path / "out"), "--points", "3"]) == 0
+    said = capsys.readouterr().out
+    assert "nan" not in said
+    assert " 0 %" not in said
+    assert "settling: not known, missing: readout.column_capacitance" in said
+    assert "resolution: not known, missing: cells.full_scale_kpa" in said
+    with (tmp_path / "out" / "explore.csv").open() as table:
+        rows = list(csv.DictReader(table))
+    assert {row["settling_error_percent"] for row in rows} == {row["resolution_kpa"] for row in rows} == {""}
+    assert "1" in {row["pareto_front"] for row in rows}
+
+
+def test_other_idle_lines_and_circuits_come_first() -> None:
+    """A matrix as makers build it: rows on pull-downs, one load behind a switch."""
+    tables = {
+        "array": {"rows": 2, "columns": 2, "row_lead": 5.0},
+        "drive": {"voltage": 5.0, "idle_rows": "pull", "idle_row_resistance": 10e3},
+        "readout": {"circuit": "voltage-divider", "reference_resistance": 10e3},
+        "adc": {"bits": 12, "range": [0.0, 5.0]},
+        "cells": {"rest_resistance": 1e5, "full_scale_resistance": 5e3},
+    }
+    subject = Subject(Design.model_validate(tables))
+    crosstalk = Requirement(id="D1", quantity="crosstalk", max=2.0, unit="%")
+    found = [remedy for remedy in remedies(subject, (crosstalk,)) if not remedy.factor]
+    assert [remedy.part.split()[0] for remedy in found if remedy.kept] == ["a", "inverting"]
+    for remedy in found:
+        assert remedy.after < remedy.before
+    named = [variation.name for variation in explore(subject, points=4)]
+    assert named[0] == "the design itself"
+    assert {remedy.part for remedy in found} <= set(named)

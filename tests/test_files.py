@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from ohmskin.common.config import read_toml, write_toml
@@ -183,3 +184,54 @@ def test_a_signal_leaves_no_partial_file(number: int, tmp_path: Path) -> None:
         process.send_signal(number)
         assert process.wait() != 0
     assert not list(tmp_path.iterdir())
+
+
+SPREADSHEETS = {
+    "semicolons, decimal commas": "1000,5;OL\n0;4,7k\n",
+    "tabs": "1000.5\tinf\n0\t4700\n",
+    "tabs, decimal commas": "1000,5\tinf\n0\t4700,0\n",
+    "declared, a header, comments": "sep=;\n# by hand\ncolumn 1;column 2\n1000,5;ol\n\n0;4.7 kohm\n",
+    "a header between commas": "c0,c1\n1000.5,inf\n0,4.7k\n",
+}
+
+
+@pytest.mark.parametrize("name", SPREADSHEETS)
+def test_cells_as_spreadsheets_write_them(name: str, tmp_path: Path) -> None:
+    file = tmp_path / "cells.csv"
+    file.write_text(SPREADSHEETS[name])
+    assert read_cells(file, (2, 2)).tolist() == [[1000.5, np.inf], [0.0, 4700.0]]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1;2\n3;x\n", "line 2: 'x' is not a number"),
+        ("1\t2\n4,700\t3\n", "line 2: '4,700' may be a decimal comma or a thousands separator"),
+        ("1.000,5;2\n3;4\n", "line 1: '1.000,5' is not a number"),
+        ("4k7,1\n1,1\n", "line 1: '4k7' is not a number"),
+        ("# only\n", "is empty"),
+        ("a,b\n1,2\n", "has 1 lines of 2"),
+    ],
+)
+def test_cells_that_could_mean_two_things_are_refused(text: str, message: str, tmp_path: Path) -> None:
+    file = tmp_path / "cells.csv"
+    file.write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_cells(file, (2, 2))
+
+
+def test_recordings_as_spreadsheets_write_them(tmp_path: Path) -> None:
+    """Dates become seconds, and a last line that was cut off is left out with a note."""
+    file = tmp_path / "run.csv"
+    rows = [f"2026-03-01T12:00:{second:02d}.5;{1000 + second},5" for second in range(20)]
+    file.write_text("sep=;\ntime_s;resistance_ohm\n" + "\n".join([*rows, "2026-03-01T12:0"]))
+    notes: list[str] = []
+    found = read_columns(file, ("time_s", "resistance_ohm"), note=notes.append)
+    assert found["time_s"].tolist() == list(range(20))
+    assert found["resistance_ohm"][1] == 1001.5
+    assert found["line"].tolist() == list(range(3, 23))
+    assert notes == [f"{file}: line 23 is cut off, and left out"]
+    for more in ("5;1\n", "2026-03-01T12:00:59+00:00;1\n"):
+        file.write_text("time_s;resistance_ohm\n" + "\n".join([*rows, more]))
+        with pytest.raises(InputError, match="line 22: "):
+            read_columns(file, ("time_s", "resistance_ohm"))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from math import inf
 
 import numpy as np
@@ -155,3 +157,20 @@ def test_the_command_prints_counts_and_shows_a_design() -> None:
     shown = CliRunner().invoke(hunt.main, ["--show", "ties:3"])
     assert shown.exit_code == 0
     assert "cells = [[" in shown.output
+
+
+def test_the_command_shows_the_stream_of_a_live_finding() -> None:
+    """It searched instead, until the time was up."""
+    shown = CliRunner().invoke(hunt.main, ["--live", "--show", "inverting:3"])
+    assert shown.exit_code == 0
+    design, *frames = shown.output.splitlines()
+    shape = Design.model_validate(json.loads(design)).array.shape
+    assert frames
+    for frame in frames:
+        values = re.fullmatch(r"cells = (.*), noise_steps = (.*), counts = (.*)", frame)
+        assert values is not None
+        assert np.shape(json.loads(values[3])) == shape
+    for wrong in ("ties:3", "inverting:x", "inverting"):
+        refused = CliRunner().invoke(hunt.main, ["--live", "--show", wrong])
+        assert refused.exit_code == 2
+        assert "expected FAMILY:NUMBER" in refused.output

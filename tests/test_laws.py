@@ -157,18 +157,35 @@ EXTREME_CELLS = {
 }
 
 
+AMPLIFIERS = ["inverting-amplifier", "row-amplifier"]
+IDLE_LINES = [
+    ("voltage-feedback", "ground", "parallel", "float"),
+    *((circuit, rows, "parallel", "float") for circuit in AMPLIFIERS for rows in ("ground", "float", "pull")),
+    *product(
+        [*AMPLIFIERS, "voltage-divider"], ["ground", "float", "pull"], ["multiplexed"], ["float", "ground", "load"]
+    ),
+]
+"""circuit, idle rows, columns, idle columns: every kind of idle lines that a circuit can have"""
+
+
 @pytest.mark.parametrize("kind", EXTREME_CELLS)
-@pytest.mark.parametrize("circuit", CIRCUITS)
-@pytest.mark.parametrize("idle", list(product(["ground", "float"], ["float", "load"])))
-def test_extreme_parts_keep_eleven_digits(circuit: str, kind: str, idle: tuple[str, str]) -> None:
+@pytest.mark.parametrize("idle", IDLE_LINES, ids="-".join)
+def test_extreme_parts_keep_eleven_digits(idle: tuple[str, str, str, str], kind: str) -> None:
+    circuit, idle_rows, columns, idle_columns = idle
     random = np.random.default_rng(9)
     cells = EXTREME_CELLS[kind](random)
     for ohms in [(1e-6, 1e-6, 1e-6), (1e6, 1e6, 1e6), (1e-6, 1e6, 0.0), (100.0, 0.0, 1e6)]:
         lead, row, column = ohms
-        design = amplifier(3, 3, lead=lead, open_loop_gain=[1.0, 1e6, 1e12], offset_voltage=[1e-3, 0.0, -1e-3])
-        design = changed(design, "array", row_segment=row, column_segment=column)
-        design = changed(design.with_circuit(circuit), "drive", idle_rows=idle[0])
-        design = changed(design, "readout", idle_columns=idle[1])
+        parts: dict[str, Any] = {"open_loop_gain": [1.0, 1e6, 1e12], "offset_voltage": [1e-3, 0.0, -1e-3]}
+        if columns == "multiplexed":
+            parts = {"open_loop_gain": 1e6, "offset_voltage": 1e-3}
+        pull = {"idle_row_resistance": 1e4} if idle_rows == "pull" else {}
+        design = amplifier(3, 3, lead=lead, **parts).with_circuit(circuit)
+        design = design.replace(
+            array={"row_segment": row, "column_segment": column},
+            drive={"idle_rows": idle_rows, **pull},
+            readout={"columns": columns, "idle_columns": idle_columns},
+        )
         expected = reference_volts(design, cells)
         np.testing.assert_allclose(scan(design, cells).volts, expected, rtol=1e-11, atol=1e-18)
 

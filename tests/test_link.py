@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import pytest
 from boards import DESIGN, scene, until
+from patience import HANG_S
 
 from ohmskin.circuits import Design, adc_codes
 from ohmskin.cli import run
@@ -427,7 +428,7 @@ def test_the_driver_example_runs_as_it_is(scene_file: Path, tmp_path: Path) -> N
     assert len(example.read_text().splitlines()) <= 10
     with command(scene_file, "--link", tmp_path / "skin", "--clock", "fast", "--duration", "100") as (_, port):
         done = subprocess.run(
-            [sys.executable, str(example), port], capture_output=True, text=True, timeout=60, check=False
+            [sys.executable, str(example), port], capture_output=True, text=True, timeout=HANG_S, check=False
         )
     assert done.stdout.count("kPa") > 2
     assert (done.returncode, done.stderr) == (0, "")  # the board's time is over: an end, no failure
@@ -438,7 +439,7 @@ def test_the_latency_example_runs_as_it_is() -> None:
     port = PtyPort()
     with running(scene(board={"frame_rate": 200.0}), port):
         arguments = [sys.executable, str(example), port.name, "5", "0.5"]
-        done = subprocess.run(arguments, capture_output=True, text=True, timeout=60, check=False)
+        done = subprocess.run(arguments, capture_output=True, text=True, timeout=HANG_S, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert re.search(r"^age    / ms 50 %: \d+\.\d+  95 %: ", done.stdout)
     assert re.search(r"\d+ frames/s came, \d+ lost, \d+ skipped; CPU \d+ %", done.stdout)

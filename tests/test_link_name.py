@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from boards import scene
+from patience import HANG_S
 
 from ohmskin.emulator import PtyPort, running
 from ohmskin.errors import InputError
@@ -125,7 +126,7 @@ def test_of_emulators_that_race_for_a_name_exactly_one_gets_it(scene_file: Path,
         winner = racers[first_lines.index(str(link))]
         losers = [racer for racer in racers if racer is not winner]
         for loser in losers:
-            _, errors = loser.communicate(timeout=30)
+            _, errors = loser.communicate(timeout=HANG_S)
             assert loser.returncode == 2
             assert errors.count("\n") == 1
             assert "in use by another emulator" in errors

@@ -6,14 +6,17 @@ import base64
 import csv
 import json
 import re
+import resource
 import signal
 import subprocess
 import sys
 import threading
 import time
+import tracemalloc
 from itertools import islice
 from pathlib import Path
 
+import hostile
 import numpy as np
 import pytest
 from boards import Script, Wire, gone, scene
@@ -26,7 +29,7 @@ from ohmskin.emulator import Board, PtyPort, running
 from ohmskin.errors import InputError, LinkEnded, ProtocolError
 from ohmskin.wire import DescriptionPiece, Flag, FramePacket, Identity, encode, write_description
 
-ARRAYS = ("counts", "valid", "resistance", "pressure", "pressure_std")
+ARRAYS = ("counts", "rest_counts", "valid", "resistance", "pressure", "pressure_std")
 NUMBERS = (
     "sequence",
     "device_time",
@@ -328,6 +331,23 @@ def test_a_full_disk_ends_the_recording_and_not_the_skin() -> None:
             assert [next(skin).sequence for _ in range(5)] == list(range(5))
 
 
+@pytest.mark.parametrize("room", [0, 100])
+def test_a_disk_that_is_full_already_leaves_no_file_and_replaces_none(room: int, tmp_path: Path) -> None:
+    """No room for the head of a recording, or for a part of it."""
+    old, new, limits = tmp_path / "old.mcap", tmp_path / "new.mcap", resource.getrlimit(resource.RLIMIT_FSIZE)
+    recorded(old, 2)
+    before = old.read_bytes()
+    for path in (old, new):
+        try:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (room, limits[1]))
+            with pytest.raises(InputError, match=rf"{path.name}: cannot be written: File too large"):
+                Skin(Script(*pieces(range(5))), delivery="lossless", record=path, overwrite=True)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert old.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [old]
+
+
 def test_a_replay_at_a_speed_takes_its_time(tmp_path: Path) -> None:
     path = tmp_path / "paced.mcap"
     port = Script(*pieces(range(1)))
@@ -360,6 +380,67 @@ def test_what_is_no_recording_is_one_line(tmp_path: Path, content: bytes) -> Non
     assert "\n" not in str(caught.value)
     with pytest.raises(InputError, match="cannot be read: No such file"):
         Skin.open(str(tmp_path / "nowhere.mcap"))
+
+
+HOSTILE = {
+    "deep_chunks": (50, "more bytes, decompressed,"),
+    "many_tares": (30_000, "more records"),
+    "many_arrivals": (30_000, "more records"),
+}
+
+
+@pytest.mark.parametrize("kind", HOSTILE)
+def test_a_small_file_that_asks_for_much_is_refused(kind: str, tmp_path: Path) -> None:
+    path, opened = tmp_path / "hostile.mcap", []
+    count, said = HOSTILE[kind]
+    getattr(hostile, kind)(path, count)
+    assert path.stat().st_size < 2**19
+    with pytest.raises(InputError, match=rf"hostile\.mcap: {said} than a recording of \d+ (KiB|bytes) has"):
+        Skin.open(str(path), progress=lambda done, total, _: opened.append(done / total))
+    assert all(0 < share <= 1 for share in opened)
+
+
+def test_what_a_chunk_says_of_its_size_is_not_believed(tmp_path: Path) -> None:
+    """zstd and LZ4 know their own size, by which a library would decompress."""
+    for compression in ("zstd", "lz4"):
+        path = tmp_path / f"{compression}.mcap"
+        hostile.deep_chunks(path, 1, said=1000, compression=compression)
+        tracemalloc.start()
+        with pytest.raises(LinkEnded):  # damaged, so the recording ends there
+            Skin.open(str(path), timeout=0.1)
+        assert tracemalloc.get_traced_memory()[1] < hostile.DEEP / 4
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize(
+    ("message", "said"),
+    [
+        (
+            ("/ohmskin/events", b'{"event": "x", "y": [' + b"[]," * 10**5 + b"[]]}"),
+            "an event of more than 100000 values",
+        ),
+        (("/ohmskin/bytes", bytes(17 * 2**20)), "an arrival of 17 MiB"),
+    ],
+)
+def test_one_message_that_asks_for_much_is_refused(message: tuple[str, bytes], said: str, tmp_path: Path) -> None:
+    path = tmp_path / "hostile.mcap"
+    hostile.write(path, [message])
+    with pytest.raises(InputError, match=said):
+        Skin.open(str(path))
+
+
+def test_many_tares_between_two_frames_cost_one(tmp_path: Path) -> None:
+    """Only the last one counts, and each would set the estimator up anew."""
+    from mcap.reader import make_reader
+
+    path, tared = tmp_path / "tared.mcap", []
+    hostile.many_tares(path, 5_000, frames=(0, 1))
+    with Skin.open(str(path), record=tmp_path / "copy.mcap") as skin:
+        assert len(list(skin)) == 2
+    with (tmp_path / "copy.mcap").open("rb") as file:
+        for _, _, message in make_reader(file).iter_messages(topics=["/ohmskin/events"]):
+            tared.append(json.loads(message.data)["event"])
+    assert tared.count("rest") == 1
 
 
 def test_the_commands_record_replay_and_export(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -35,6 +35,31 @@ LINKS: dict[str, Callable[[], Port]] = {
     "tcp": lambda: TcpPort.at(":0"),
     "rfc2217": lambda: Rfc2217Port.at(":0"),
 }
+FOREIGN = (
+    "spy://{tty}?file={victim}",
+    "spy://{tty}?file={victim}&all",
+    "loop://",
+    "alt://{tty}?class=VTIMESerial",
+    "hwgrep://.*",
+    "ohmskin://{scene}?truth={victim}",
+    "SPY://{tty}?file={victim}",
+    "rfc2217://127.0.0.1:{number}?logging=debug",
+    "socket://127.0.0.1:{number}/{victim}",
+    "socket://user@127.0.0.1:{number}",
+    "socket://192.0.2.1:7000",
+    "socket://robot.example:7000",
+    "socket://0x7f000001:7000",
+    "socket:// 127.0.0.1:7000",
+    "{victim}",
+    "/dev/null",
+    "/dev/../{victim}",
+    "/dev/pts/../../{victim}",
+    "/dev/pts/0\0{victim}",
+    "/dev/ttyS0\x1b[2J",
+    "dev/pts/0",
+    "/dev/pts/ptmx",
+)
+"""names that stand in notes for no port of this machine: of the port {tty}, the TCP port {number}, a file"""
 CLOSED_IN_GOOD_ORDER = (
     r"the other end has closed the connection in good order, and nobody listens there since \(0\.5 s\)"
 )
@@ -493,3 +518,91 @@ class TestFiles:
         looking.join()
         assert failures == []
         assert files() == []
+
+
+class TestForeignNotes:
+    """What another user, or a program gone wrong, could put where boards are announced: nothing of it is opened."""
+
+    @pytest.fixture
+    def meeting_place(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+        monkeypatch.delenv("OHMSKIN_RUNTIME_DIR")
+        monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+        monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+        return tmp_path / "ohmskin"
+
+    def test_a_note_that_names_no_port_of_this_machine_is_not_followed(self, tmp_path: Path) -> None:
+        victim, listening = tmp_path / "victim", TcpPort.at(":0")
+        victim.write_text("precious")
+        with PtyPort() as port, listening, contextlib.ExitStack() as notes:
+            number = listening.name.rpartition(":")[2]
+            for name in FOREIGN:
+                said = name.format(tty=port.name, victim=victim, scene=FINGERS.resolve(), number=number)
+                notes.callback(Announcement(said).close)
+            assert len(files()) == len(FOREIGN) + 2
+            assert {found.name for found in announced_ports()} == {port.name, listening.name}
+            assert discover(timeout=0.1) == []
+            with pytest.raises(LinkError, match="no board with serial number EMU"):
+                Skin.open(serial_number="EMU", timeout=0.1)
+        assert victim.read_text() == "precious"
+
+    def test_a_note_that_changes_while_a_host_holds_it_is_not_followed_either(self) -> None:
+        """Reconnection asks the same note again for the present name of the port."""
+        there = Announcement("/dev/pts/1000")
+        held = announced("/dev/pts/1000")
+        assert held is not None
+        there.move("spy:///dev/null?file=/tmp/victim")
+        assert (held.name, held.is_listed) == ("", False)
+        there.move("/dev/pts/1001")
+        assert held.name == "/dev/pts/1001"
+        there.close()
+
+    @pytest.mark.parametrize("mode", [0o701, 0o710, 0o740, 0o755, 0o777, 0o1777])
+    def test_a_folder_that_is_open_to_others_is_as_if_it_were_not_there(self, meeting_place: Path, mode: int) -> None:
+        with PtyPort() as port:
+            assert [found.name for found in announced_ports()] == [port.name]
+            meeting_place.chmod(mode)
+            assert list(announced_ports()) == []
+            assert announced(port.name) is None
+            with PtyPort() as elsewhere:  # announces itself in the other place
+                assert [found.name for found in announced_ports()] == [elsewhere.name]
+        meeting_place.chmod(0o700)
+        assert list(announced_ports()) == []
+
+    def test_a_link_to_a_folder_is_none(self, meeting_place: Path) -> None:
+        with PtyPort():
+            moved = meeting_place.rename(meeting_place.with_name("moved"))
+            meeting_place.symlink_to(moved)
+            assert list(announced_ports()) == []
+
+    def test_a_link_or_a_pipe_among_the_notes_is_not_read(self, meeting_place: Path) -> None:
+        there = Announcement("/dev/pts/1000")
+        (note,) = meeting_place.iterdir()
+        note.rename(note.with_suffix(".moved"))
+        note.symlink_to(note.with_suffix(".moved"))
+        os.mkfifo(note.with_name("pipe.port"))
+        note.with_name("folder.port").mkdir()
+        assert list(announced_ports()) == []
+        there.close()
+
+    @pytest.mark.skipif(os.getuid() != 0, reason="only root can give files away")
+    def test_a_folder_or_a_note_of_another_user_is_as_if_it_were_not_there(self, meeting_place: Path) -> None:
+        there = Announcement("/dev/pts/1000")
+        (note,) = meeting_place.iterdir()
+        os.chown(note, 65534, 65534)
+        assert list(announced_ports()) == []
+        assert note.exists()
+        os.chown(note, 0, 0)
+        assert [found.name for found in announced_ports()] == ["/dev/pts/1000"]
+        os.chown(meeting_place, 65534, 65534)
+        assert list(announced_ports()) == []
+        os.chown(meeting_place, 0, 0)
+        os.chown(meeting_place.parent, 65534, 65534)  # the runtime directory of another user's login
+        assert list(announced_ports()) == []
+        there.close()
+
+    def test_boards_at_all_addresses_are_announced_at_the_loopback(self) -> None:
+        with TcpPort.at("0.0.0.0:0") as port:
+            number = port.name.rpartition(":")[2]
+            assert [found.name for found in announced_ports()] == [f"socket://127.0.0.1:{number}"]
+            for name in (port.name, f"socket://localhost:{number}"):
+                assert announced(name) is not None

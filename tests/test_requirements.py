@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -298,6 +301,108 @@ def test_bad_requirements_are_one_line_of_bad_input(
     said = capsys.readouterr().err
     assert message in said
     assert said.count("\n") == 1
+
+
+def test_a_divider_that_has_no_time_to_settle_fails() -> None:
+    """10 nF per column, 10 kohm, cells of 7 kohm to 1 Mohm: ngspice shows 4.7 % for one column alone at 2 kHz."""
+    design = Design.model_validate(
+        {
+            "array": {"rows": 4, "columns": 4, "row_lead": 100.0},
+            "drive": {"voltage": 5.0},
+            "readout": {
+                **{"circuit": "voltage-divider", "reference_resistance": 1e4},
+                **{"idle_columns": "load", "column_capacitance": 1e-8},
+            },
+            "adc": {"bits": 10, "range": (0.0, 5.0), "sampling_capacitance": 14e-12},
+            "cells": {"rest_resistance": 1e6, "full_scale_resistance": 7e3},
+            "operation": {"frame_rate": 2000.0},
+        }
+    )
+    fast = verify(design, only=["D8", "D9"])
+    assert outcomes_of(fast) == {"settling_error": "fail", "fastest_scan": "fail"}
+    settling, scan_rate = (result.measurement for result in fast.results)
+    assert settling is not None
+    assert scan_rate is not None
+    assert 4.7 < settling.value < 5.5
+    slow = verify(design.replace(operation={"frame_rate": 0.99 * scan_rate.value}), only=["D8", "D9"])
+    assert outcomes_of(slow) == {"settling_error": "pass", "fastest_scan": "pass"}
+
+
+def test_a_designs_code_is_loaded_from_its_folder_only_if_it_is_selected(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    outside, folder = tmp_path / "outside.py", tmp_path / "board"
+    outside.write_text(
+        "from pathlib import Path\nPath(__file__).with_suffix('.ran').touch()\ndef f(design, cell): return 1\n"
+    )
+    folder.mkdir()
+    (folder / "link.py").symlink_to(outside)
+    (folder / "beside.py").write_text("def f(design, cell): return 1\n")
+    names = {"A": "../outside.py", "B": str(outside), "C": "link.py", "D": "beside.py"}
+    tables = "".join(f'[[requirement]]\nid = "{id}"\nquantity = "{name}:f"\nmax = 1.0\n' for id, name in names.items())
+    (folder / "design.toml").write_text(AMPLIFIED + tables)
+    command = ["verify", str(folder / "design.toml"), "-o", str(tmp_path / "out"), "--only"]
+    for id in "ABC":
+        assert run([*command, id]) == 2
+        assert f"requirement {id}: " in capsys.readouterr().err
+    assert run([*command, "D"]) == 0
+    assert capsys.readouterr().out.splitlines()[0] == "the design's own code is run: beside.py:f"
+    assert not outside.with_suffix(".ran").exists()
+
+
+def test_an_id_of_a_requirement_is_not_taken_for_a_shipped_one() -> None:
+    asked = (Requirement(id="S1", quantity="cell_voltage", max=10.0), Requirement(id="P2", quantity="latency", max=9.0))
+    report = verify(requirements=asked, only=["S1", "P2"])
+    assert [result.requirement.id for result in report.results] == ["S1", "P2"]
+    assert not report.sections
+
+
+DROPS_ERRORS = """
+import ctypes, time
+class Destroyed:
+    def __del__(self):
+        wait()
+def wait():
+    print("waiting", flush=True)
+    time.sleep(1.0)
+def destructor(design, cell):
+    Destroyed()
+    time.sleep(600.0)
+def callback(design, cell):
+    ctypes.CFUNCTYPE(None)(wait)()
+    time.sleep(600.0)
+"""
+
+
+@pytest.mark.parametrize("where", ["destructor", "callback"])
+def test_a_signal_ends_the_run_even_where_python_drops_exceptions(where: str, tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(DROPS_ERRORS)
+    (tmp_path / "design.toml").write_text(
+        f'{AMPLIFIED}[[requirement]]\nid = "A"\nquantity = "own.py:{where}"\nmax = 1.0\n'
+    )
+    command = [sys.executable, "-m", "ohmskin", "verify", "design.toml"]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        while process.stdout.readline() != b"waiting\n":
+            pass
+        process.send_signal(signal.SIGTERM)
+        _, said = process.communicate()
+    assert (process.returncode, said) == (128 + signal.SIGTERM, b"ohmskin: terminated\n")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("nominal = -1.0", "nominal = -1.0, tolerance = 5"), "5 % is 0.05"),
+        (("300.0", "25.0"), "25 °C is 298.15 K"),
+        (("[operation]", "[operation]\ntemperature_range = [-10.0, 40.0]"), "-10 °C is 263.15 K"),
+    ],
+)
+def test_a_number_in_another_unit_is_told_so(change: tuple[str, str], message: str, tmp_path: Path) -> None:
+    text = complete(AMPLIFIED).replace("voltage = -1.0", "voltage = { nominal = -1.0 }")
+    assert change[0] in text
+    with pytest.raises(InputError, match=message):
+        _design(tmp_path, text.replace(*change))
 
 
 def test_an_id_is_given_once() -> None:

@@ -127,13 +127,114 @@ def test_against_an_ngspice_transient(name: str) -> None:
     np.testing.assert_allclose(transient(design, period, 4), sampled, atol=2e-5 * scale)
 
 
+SHARED = {"sampling_capacitance": 5e-9, "switch_resistance": 2e3, "acquisition_time": 10e-6}
+DIVIDERS: dict[str, dict[str, Any]] = {
+    "loads": {},
+    "loads, a capacitor each": {"adc": {"sampling_capacitance": 5e-9, "switch_resistance": 2e3}},
+    "loads, ideal switches": {"adc": {"sampling_capacitance": 5e-9}},
+    "loads, one capacitor": {"adc": SHARED},
+    "open": {"idle_columns": "float"},
+    "open, floating rows": {"idle_columns": "float", "idle_rows": "float"},
+    "loads, floating rows": {"idle_rows": "float"},
+    "open, one capacitor": {"idle_columns": "float", "adc": SHARED},
+}
+"""Circuits whose samples are far from settled after 150 us per row."""
+
+
+def divider_transient(design: Design, cells: np.ndarray, period: float, frames: int) -> np.ndarray:
+    """As :func:`transient`, of a divider: its switches are currents that pulses turn on and off."""
+    (rows, columns), part, adc = cells.shape, design.readout, design.adc
+    frame, one_by_one = rows * period, part.idle_columns == "float"
+    acquisition = adc.acquisition_time if adc else 0.0
+    slot = period / columns if one_by_one else acquisition
+
+    def pulse(name: str, start: float, width: float, every: float) -> str:
+        return f"V{name} {name} 0 PULSE(0 1 {start!r} 1n 1n {width - 1e-9!r} {every!r})"
+
+    cards = ["* a divider in time"]
+    for i in range(rows):
+        cards.append(pulse(f"row{i}", i * period, period, frame))
+        level = f"v(row{i})*{design.drive.voltage!r}"
+        on = f"v(row{i})*" if design.drive.idle_rows == "float" else ""
+        cards.append(f"Blead{i} 0 r{i} I = {on}({level}-v(r{i}))/{design.array.row_lead!r}")
+        cards += [f"R{i}{j} r{i} c{j} {float(cells[i, j])!r}" for j in range(columns)]
+    for j in range(columns):
+        cards += [f"Rlead{j} c{j} e{j} {design.array.column_lead!r}", f"C{j} e{j} 0 {part.column_capacitance!r}"]
+        start = period - (columns - j) * slot
+        if one_by_one:
+            cards.append(pulse(f"on{j}", start, slot, period))
+            cards.append(f"Bload{j} e{j} 0 I = v(on{j})*v(e{j})/{part.reference_resistance!r}")
+        else:
+            cards.append(f"Rload{j} e{j} 0 {part.reference_resistance!r}")
+        if adc and not acquisition:
+            cards.append(f"Rs{j} e{j} q{j} {adc.switch_resistance or 1e-2!r}")
+            cards.append(f"Cs{j} q{j} 0 {adc.sampling_capacitance!r}")
+        elif adc:
+            end = start + slot
+            cards.append(pulse(f"take{j}", end - acquisition, acquisition, period))
+            cards.append(f"Bsw{j} e{j} q I = v(take{j})*(v(e{j})-v(q))/{adc.switch_resistance!r}")
+    if adc and acquisition:
+        cards.append(f"Cs q 0 {adc.sampling_capacitance!r}")
+    cards.append(".options reltol=1e-6 abstol=1e-14 vntol=1e-9 chgtol=1e-18 trtol=1")
+    cards += [f".tran {period / 100!r} {frames * frame!r} 0 {period / 1000!r}", ".end"]
+    vectors = run_library("\n".join(cards))
+    ends = np.arange((frames - 1) * rows, frames * rows)[:, None] * period + period
+    ends = ends - (columns - 1 - np.arange(columns)) * slot
+    nodes = ["q" if acquisition else f"q{j}" if adc else f"e{j}" for j in range(columns)]
+    return np.column_stack([np.interp(ends[:, j], vectors["time"], vectors[node]) for j, node in enumerate(nodes)])
+
+
+@pytest.mark.parametrize("name", DIVIDERS)
+def test_a_divider_against_an_ngspice_transient(name: str) -> None:
+    need(available())
+    cells = np.array([[7e3, 1e6, 2e4], [3e4, 5e4, 1e6], [1e6, 9e3, 1e5]])
+    keys = dict(DIVIDERS[name])
+    adc, idle = keys.pop("adc", None), keys.pop("idle_rows", "ground")
+    design = divider(3, 3, row_lead=100.0, column_lead=100.0).replace(
+        drive={"voltage": 5.0, "idle_rows": idle},
+        readout={"reference_resistance": 1e4, "column_capacitance": 1e-8, "idle_columns": "load"} | keys,
+        adc=None if adc is None else Adc.model_validate({"bits": 12, "range": (0.0, 5.0)} | adc),
+    )
+    settling = Settling(design, cells)
+    sampled = settling.sampled(150e-6)
+    assert np.abs(sampled - settling.settled).max() > 0.02 * settling.signal
+    np.testing.assert_allclose(divider_transient(design, cells, 150e-6, 5), sampled, atol=2e-4 * settling.signal)
+
+
+def test_a_divider_against_a_deck_by_hand() -> None:
+    """ngspice with edges of 100 ns: 2.7515 of 2.888 V, and 151 mV in the resting row that is read next."""
+    readout = {"reference_resistance": 1e4, "column_capacitance": 1e-8, "idle_columns": "load"}
+    design = divider(4, 1, idle_rows="ground", row_lead=100.0).replace(drive={"voltage": 5.0}, readout=readout)
+    settling = Settling(design, np.array([[7e3], [1e6], [1e6], [1e6]]))
+    np.testing.assert_allclose(settling.settled[:2, 0], [2.888, 0.0205], rtol=2e-3)
+    np.testing.assert_allclose(settling.sampled(125e-6)[:3, 0], [2.7515, 0.15059, 0.02668], atol=1e-3)
+
+
+@pytest.mark.parametrize("idle_columns", ["load", "float"])
+def test_a_divider_of_one_column_charges_like_one_rc(idle_columns: str) -> None:
+    """tau = C (load, cells and lead in parallel); a sampler of 0 ohm adds its capacitance to that of the column."""
+    adc = Adc(bits=10, range=(0.0, 5.0), sampling_capacitance=2e-9)
+    readout = {"reference_resistance": 1e4, "column_capacitance": 8e-9, "idle_columns": idle_columns}
+    design = divider(2, 1, idle_rows="ground").replace(readout=readout, adc=adc)
+    settling = Settling(design, np.array([[7e3], [1e6]]))
+    tau = 1e-8 / (1 / 1e4 + 1 / 7e3 + 1 / 1e6)
+    np.testing.assert_allclose(settling.sampled_from_rest(1e-4), settling.settled * (1 - exp(-1e-4 / tau)), rtol=1e-9)
+    assert settling.shortest_period(1e-3) == pytest.approx(tau * log(1e3), rel=1e-6)
+
+
+def test_what_has_no_capacitance_settles_at_once() -> None:
+    settling = Settling(divider(2, 2, idle_columns="float"), np.array([[7e3, np.inf], [1e6, 2e4]]))
+    np.testing.assert_allclose(settling.sampled(1e-12), settling.settled, rtol=1e-9)
+    assert settling.shortest_period(1e-6) == 0
+
+
 @pytest.mark.parametrize("capacitance", [0.0, 1e-11], ids=["an ideal sampler", "a capacitor"])
 def test_one_sampling_capacitor_serves_the_columns_in_turn(capacitance: float) -> None:
     """Against an ODE solver that runs amplifiers and capacitor through many frames, each column in its own slot."""
     slot, period = 2e-7, 2e-6
     design = board({"sampling_capacitance": capacitance, "switch_resistance": 1e4, "acquisition_time": slot})
     settling, tau = Settling(design, CELLS), 1e4 * capacitance
-    dynamics = settling._dynamics[0]
+    dynamics = settling._scan.dynamics[0]
     rows, columns = CELLS.shape
     state, samples = np.r_[settling.settled[-1], 0.0], np.zeros(CELLS.shape)
     for step in range(6 * rows):
@@ -195,7 +296,7 @@ def test_a_ringing_amplifier_keeps_its_error_at_every_longer_period(seed: int) -
         margin = float(stability(design, cells).phase_margin.min())
     settling, error = Settling(design, cells), float(10 ** rng.uniform(-4, -0.5))
     period = settling.shortest_period(error)
-    ringing = np.abs(np.linalg.eigvals(settling._dynamics[0].matrix)).max()
+    ringing = np.abs(np.linalg.eigvals(settling._scan.dynamics[0].matrix)).max()
     longer = period + np.linspace(0.0, min(2.0 * period, 60.0 / ringing), 400)
     assert max(map(settling.error, longer)) <= error * (1 + 1e-9)
     assert settling.error(0.9999 * period) > error
@@ -258,7 +359,7 @@ def test_floating_rows_leave_less_to_drive() -> None:
 
 def test_what_is_not_modelled_is_refused() -> None:
     with pytest.raises(InputError, match="inverting-amplifier"):
-        Settling(divider(2, 3), CELLS)
+        Settling(divider(2, 3).with_circuit("voltage-feedback"), CELLS)
     with pytest.raises(SolverError, match="saturates"):
         Settling(board(supply=(0.0, 0.5)), CELLS)
     with pytest.raises(InputError, match="gain_bandwidth"):

@@ -178,3 +178,36 @@ def test_best_carbon_black_is_finer_than_its_neighbours(design: Design) -> None:
         assert beyond or other.resolution_kpa >= best.resolution_kpa
     pressed_conducts = noisy.replace(cells={"rest_resistance": 24e3, "full_scale_resistance": 15e3})
     assert best_carbon_black(Subject(pressed_conducts, None)) is None
+
+
+def test_what_is_left_out_follows_from_the_design(design: Design) -> None:
+    """Nothing that is modelled for a circuit is listed, and no key that is given or has no effect."""
+    asked = (Requirement(id="R", quantity="cell_voltage", max=10.0),)
+    passive = design.with_circuit("voltage-divider")
+    drifting = design.replace(
+        cells={
+            "rest_resistance": 10e3,
+            "full_scale_resistance": 17.75e3,
+            "spread": {"rest_resistance": {"temperature_coefficient": 1e-3}},
+        }
+    )
+    amplified, divided, drifts = (verify(each, requirements=asked).record() for each in (design, passive, drifting))
+    assert {"slewing", "1/f noise", "further amplifier poles", "cell temperature"} <= set(amplified.not_modelled)
+    assert not {"slewing", "supply rejection", "output impedance"} & set(divided.not_modelled)
+    assert "cell temperature" not in drifts.not_modelled
+    assert amplified.not_given["readout.gain_bandwidth"] == "infinite"
+    assert "readout.gain_bandwidth" not in divided.not_given
+    assert "readout.column_capacitance" in divided.not_given
+    given = verify(design.replace(readout={"column_capacitance": 1e-10}), requirements=asked).record()
+    assert "readout.column_capacitance" not in given.not_given
+    assert "readout.column_capacitance" in given.exact
+
+
+def test_page_one_says_what_is_left_out(design: Design) -> None:
+    report = _verified(design, quantity="cell_voltage", max=10.0)
+    page = report.html()
+    front = page[: page.index("The readout")]
+    assert "slewing" in front
+    assert "readout.gain_bandwidth" in front
+    assert 'id="assumed"' in page
+    assert "slewing" in report.markdown()

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
+import logging
 import math
 import os
 import re
+import resource
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 import urllib.request
 from collections.abc import Iterator
@@ -24,13 +29,16 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 from boards import DESIGN, Script, Wire, gone, scene
+from boards import until as wait_until
 from pages import colours_of_cells, opened, paused, served, shown, start, until
+from patience import HANG_S, Patience
 from playwright.sync_api import Browser, expect, sync_playwright
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from ohmskin.bench._view import measured_page
 from ohmskin.bench.harness import table
+from ohmskin.circuits import Reason
 from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import Frame, Skin
 from ohmskin.emulator import Board, Hand, PtyPort, Scene, running
@@ -39,7 +47,7 @@ from ohmskin.view import LiveSource, RecordedSource
 from ohmskin.view._frame_message import pack_frame
 from ohmskin.view._recorded import extremes
 from ohmskin.view._source import TimeAxis
-from ohmskin.wire import DescriptionPiece, Flag, FramePacket, Identity, encode, write_description
+from ohmskin.wire import BoardFile, DescriptionPiece, Flag, FramePacket, Identity, encode, write_description
 
 WIDE = {**DESIGN, "array": {"rows": 6, "columns": 8, "row_lead": 70.0}}
 SHORTED = {"at_s": 0.0, "kind": "shorted-cell", "place": [0, 7]}
@@ -65,9 +73,9 @@ class Live:
 
     def frame_of(self, values: dict[str, Any]) -> Frame:
         """The driver's frame with the time that a frame of the page has."""
-        deadline = time.monotonic() + 60.0
+        patience = Patience()
         while values["hostTime_s"] not in self.frames:  # the page may be told before this test is
-            assert time.monotonic() < deadline
+            patience.spend()
             time.sleep(0.01)
         return self.frames[values["hostTime_s"]]
 
@@ -150,7 +158,7 @@ def test_contacts_that_have_run_into_another_are_named_beside_it(browser: Browse
             const names = [...document.querySelectorAll("#contacts tbody td:first-child")].map((one) => one.innerText);
             return [names, read.contacts.map((contact) => [contact.id, contact.joined])];
         }"""
-        message = base64.b64encode(pack_frame(three, number=0, time_s=0.0)).decode()
+        message = base64.b64encode(pack_frame(three, number=0, time_s=0.0, cell_area_mm2=25.0)).decode()
         names, contacts = page.evaluate(read, message)
         assert contacts == [[7, [3, 2**31]], [9, []]]
         assert names == ["7+3+2147483648", "9"]
@@ -174,7 +182,8 @@ def test_the_cell_under_the_pointer_is_told_in_full(browser: Browser) -> None:
             kpa = "–" if math.isnan(pressure) else f"{pressure:.3f}"
             assert text["cell-pressure"] == f"{kpa} kPa{'' if valid else ' (kept)'}"
             assert text["cell-counts"] == str(frame.counts[place])
-            assert text["cell-valid"] == ("valid" if valid else "not valid")
+            why = Reason(int(frame.reason[place])).name.lower().replace("_", " ")
+            assert text["cell-valid"] == ("valid" if valid else f"not valid: {why}")
             if valid:
                 assert text["cell-std"] == f"± {np.float32(frame.pressure_std[place]):.3f} kPa"
                 number, unit = text["cell-resistance"].split()
@@ -205,6 +214,65 @@ def test_clicked_cells_are_plotted_from_before_the_click(browser: Browser) -> No
             assert [kpa, std] == [float(np.float32(a[2, 3])) for a in (frame.pressure, frame.pressure_std)]
         page.click("#chosen button")
         expect(page.locator("#chosen button")).to_have_count(0)
+
+
+def test_a_turned_and_mirrored_map_shows_each_cell_where_the_pointer_finds_it(browser: Browser) -> None:
+    """Quarter turns are rotations: four of them are none, and each maps every cell to a square of its own."""
+    with live() as board, opened(browser, board.url) as page:
+        board.hand.press(bump())
+        until(page, "ohmskin.frame.contacts.length === 1")
+        paused(page)
+        squares = "Array.from({length: 48}, (_, k) => ohmskin.map.squareOf(k))"
+        for mirrored in (False, True):
+            for turns in range(4):
+                rows, columns = np.indices((6, 8))
+                grid = np.rot90((rows * 8 + columns)[:, ::-1] if mirrored else rows * 8 + columns, -turns)
+                assert [grid[y, x] for x, y in page.evaluate(squares)] == list(range(48))
+                x, y = page.evaluate("ohmskin.map.corner(2 * 8 + 3).map((at) => (at + 4) / ohmskin.map.ratio)")
+                page.hover("#map", position={"x": x, "y": y})
+                expect(page.locator("#cell-place")).to_have_text("2, 3")
+                assert any(colour[3] for colour in colours_of_cells(page, "marks")[2 * 8 + 3]), "the contact's cross"
+                page.click("#rotate")
+            page.click("#mirror")
+        assert page.evaluate("ohmskin.map.labels(0)") == [str(column) for column in range(8)]
+        page.select_option("#axes", "mm")
+        assert [float(label) for label in page.evaluate("ohmskin.map.labels(0)")] == [5.0 * k for k in range(8)]
+
+
+def test_total_force_threshold_and_what_can_be_saved(browser: Browser) -> None:
+    with live(event=[SHORTED]) as board, opened(browser, board.url, accept_downloads=True) as page:
+        since = board.hand.press(bump())
+        until(page, "since => ohmskin.frame.deviceTime_s > since + 1", since)
+        values = paused(page)
+        frame = board.frame_of(values)
+        force = float(frame.pressure[frame.valid].sum()) * 25.0e-3
+        assert values["totalForce_n"] == pytest.approx(force, rel=1e-6)
+        expect(page.locator("#total")).to_have_text(f"{force:.2f} N")
+        page.select_option("#plotted", "force")
+        page.fill("#threshold", "0.5")
+        assert page.evaluate("[ohmskin.plotView().unit, ohmskin.plotView().threshold]") == ["N", 0.5]
+        assert page.evaluate("ohmskin.total.at(ohmskin.total.length - 1)[1]") == pytest.approx(force, rel=0.05)
+        with page.expect_download() as told:
+            page.click("#numbers")
+        lines = told.value.path().read_text().splitlines()
+        assert lines[0] == "row,column,pressure_kpa,std_kpa,resistance_ohm,counts,valid"
+        table = [line.split(",") for line in lines[1:]]
+        assert [int(line[5]) for line in table] == frame.counts.ravel().tolist()
+        assert [line[6] == "1" for line in table] == frame.valid.ravel().tolist()
+        with page.expect_download() as told:
+            page.click("#picture")
+        assert told.value.path().read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_map_fills_its_panel_and_nothing_is_cut_off(browser: Browser) -> None:
+    with live() as board, opened(browser, board.url, viewport={"width": 1440, "height": 900}) as page:
+        boxes = page.evaluate(
+            "['#cells', '.skin', '#plot'].map((one) => document.querySelector(one).getBoundingClientRect().toJSON())"
+        )
+        cells, panel, plot = boxes
+        assert cells["width"] * cells["height"] > 0.6 * panel["width"] * panel["height"]
+        assert plot["bottom"] < 900
+        assert page.evaluate("document.documentElement.scrollHeight") <= 900
 
 
 def test_the_colour_map_is_uniform_and_ordered_by_lightness(browser: Browser) -> None:
@@ -243,6 +311,35 @@ def test_tare_undo_and_a_refusal(browser: Browser) -> None:
         page.click("#tare-anyway")
         expect(page.locator("#tare-answer")).to_contain_text("tared over 20 frames, although")
         assert board.skin.tared is not None
+
+
+def test_a_board_without_a_circuit_shows_counts(browser: Browser) -> None:
+    """A missing number is hatched, and a tare leaves what is above it."""
+    family = BoardFile.parse(
+        {"board": {"name": "mat", "rows": 2, "columns": 3}, "frame": {"format": "text", "separator": ","}}, "mat"
+    ).family()
+    port, ended, line = Script(b"cut\n"), threading.Event(), [b"10,20,30,40,,60\n"]
+
+    def play() -> None:
+        while not ended.wait(0.01):
+            port.say(*line)
+
+    board = threading.Thread(target=play)
+    board.start()
+    try:
+        with served(LiveSource(Skin(port, board=family, timeout=30.0))) as url, opened(browser, url) as page:
+            expect(page.locator("#source")).to_contain_text("2 × 3")
+            assert page.locator("#quantity option").all_inner_texts() == ["counts above rest", "counts"]
+            page.locator("#tare").click()
+            expect(page.locator("#tare-answer")).to_contain_text("5 of 6 cells measured")
+            line[:] = [b"15,20,30,40,,60\n"]
+            until(page, "ohmskin.frame && ohmskin.frame.change[0] === 5")
+            assert page.evaluate("[...ohmskin.frame.valid]") == [1, 1, 1, 1, 0, 1]
+            assert page.evaluate("[...ohmskin.frame.change].slice(1, 4)") == [0, 0, 0]
+            expect(page.locator("#contacts-title")).not_to_be_visible()
+    finally:
+        ended.set()
+        board.join()
 
 
 def test_light_dark_and_a_phone(browser: Browser) -> None:
@@ -422,7 +519,7 @@ def answer_to(socket: ClientConnection, order: str | bytes) -> Any:
 
 def next_answer(socket: ClientConnection) -> Any:
     while True:
-        answer = socket.recv(timeout=30)
+        answer = socket.recv(timeout=HANG_S)
         if isinstance(answer, bytes):
             return answer
         told = json.loads(answer)
@@ -433,7 +530,7 @@ def next_answer(socket: ClientConnection) -> Any:
 def status_of(url: str, host: str, path: str | None = None, method: str = "GET") -> int:
     """The HTTP status of a request with a Host header of one's own."""
     parts = urlsplit(url)
-    connection = HTTPConnection(parts.hostname or "", parts.port, timeout=30)
+    connection = HTTPConnection(parts.hostname or "", parts.port, timeout=HANG_S)
     connection.request(method, parts.path if path is None else path, headers={"Host": host})
     response = connection.getresponse()
     assert "default-src 'none'" in response.headers.get("Content-Security-Policy", "") or method != "GET"
@@ -479,6 +576,91 @@ def test_elsewhere_everything_needs_the_token(browser: Browser) -> None:
             join(here, origin="http://evil.example")
     with still(host="0.0.0.0") as (another, _):
         assert urlsplit(another).path.strip("/") != token
+
+
+def raw_status(url: str, request: bytes) -> int:
+    """The HTTP status of any bytes."""
+    parts = urlsplit(url)
+    with socket.create_connection((parts.hostname, parts.port or 0), timeout=60) as stranger:
+        stranger.sendall(request)
+        answer = stranger.makefile("rb").readline()
+    return int(answer.split()[1])
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
+def test_requests_that_contradict_themselves_are_bad_requests(host: str) -> None:
+    with still(host=host) as (shown, _):
+        url = f"http://127.0.0.1:{urlsplit(shown).port}{urlsplit(shown).path}"
+        name, path = f"Host: {urlsplit(url).netloc}\r\n".encode(), urlsplit(url).path.encode()
+        upgrade = (
+            b"Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+            b"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
+        )
+        origin = b"Origin: http://" + urlsplit(url).netloc.encode() + b"\r\n"
+        assert raw_status(url, b"GET %s HTTP/1.1\r\n%s\r\n" % (path, name)) == 200
+        assert raw_status(url, b"GET %sframes HTTP/1.1\r\n%s%s%s\r\n" % (path, name, upgrade, origin)) == 101
+        for request in (
+            b"GET %sframes HTTP/1.1\r\n%s%s%s\r\n" % (path, name, upgrade, 2 * origin),
+            b"GET %sframes HTTP/1.1\r\n%s%s%s\r\n" % (path, 2 * name, upgrade, origin),
+            b"GET %sframes HTTP/1.1\r\n%s%sOrigin: http://[\r\n\r\n" % (path, name, upgrade),
+            b"GET //[/ HTTP/1.1\r\n%s\r\n" % name,
+            b"GET http://[ HTTP/1.1\r\n%s\r\n" % name,
+            b"GET %s\xc3\xa4 HTTP/1.1\r\n%s\r\n" % (path, name),
+            b"GET /\xff HTTP/1.1\r\n%s\r\n" % name,
+        ):
+            assert raw_status(url, request) == 400, request
+
+
+def test_strangers_are_few_and_in_nobodys_way() -> None:
+    """They come faster than they are closed; the page is served all the time, and those who came first are gone."""
+    with still(host="0.0.0.0") as (shown, port), contextlib.ExitStack() as crowd:
+        address = ("127.0.0.1", urlsplit(shown).port or 0)
+        url = f"http://127.0.0.1:{address[1]}{urlsplit(shown).path}"
+        before = len(os.listdir("/proc/self/fd"))
+        with join(url) as browser:
+            for number in range(4):
+                strangers = [crowd.enter_context(socket.create_connection(address, timeout=60)) for _ in range(100)]
+                for stranger in strangers[::2]:
+                    stranger.sendall(b"GET / HTTP/1.1\r\nHost: ")
+                assert status_of(url, urlsplit(url).netloc) == 200
+                assert isinstance(answer_to(browser, f'{{"do": "next", "after": {number - 1}}}'), bytes)
+                port.say(*board_says(range(number + 2, number + 3))[2:])
+                if not number:
+                    first = strangers
+            for stranger in first:
+                with suppress(ConnectionError):
+                    assert stranger.recv(100) == b""
+            served_now = len(os.listdir("/proc/self/fd")) - before - 400
+            assert served_now < 140, "of 400 that hold on, which are of this process, too"
+
+
+def test_a_stranger_who_says_nothing_is_hung_up_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ohmskin.view._server.REQUEST_S", 0.2)
+    with (
+        still() as (url, _),
+        socket.create_connection(("127.0.0.1", urlsplit(url).port or 0), timeout=60) as idle,
+        socket.create_connection(("127.0.0.1", urlsplit(url).port or 0), timeout=60) as slow,
+    ):
+        slow.sendall(b"GET / HTTP/1.1\r\nHost:")
+        for stranger in (idle, slow):
+            with suppress(ConnectionError):
+                assert stranger.recv(100) == b""
+
+
+def test_what_asyncio_says_of_strangers_does_not_reach_the_terminal(caplog: pytest.LogCaptureFixture) -> None:
+    """Where there are too many open files it has much to say, once a second."""
+    with still() as (url, _), contextlib.ExitStack() as waiting:
+        address, limits = ("127.0.0.1", urlsplit(url).port or 0), resource.getrlimit(resource.RLIMIT_NOFILE)
+        logging.getLogger("ohmskin.view").setLevel(logging.ERROR)
+        stranger = waiting.enter_context(socket.socket())
+        try:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (len(os.listdir("/proc/self/fd")) - 1, limits[1]))
+            stranger.connect(address)
+            wait_until(lambda: any("accept" in record.message for record in caplog.records))
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+        assert {record.name for record in caplog.records} == {"ohmskin.view"}
+        assert status_of(url, urlsplit(url).netloc) == 200
 
 
 def test_junk_is_answered_in_one_line_and_harms_nobody() -> None:
@@ -572,13 +754,13 @@ def test_the_command_prints_the_address_and_ends_with_ctrl_c(tmp_path: Path) -> 
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
     url = process.stdout.readline().strip()
-    with urllib.request.urlopen(url, timeout=30) as response:
+    with urllib.request.urlopen(url, timeout=HANG_S) as response:
         assert b"<title>ohmskin</title>" in response.read()
     with join(url) as socket:
         assert json.loads(socket.recv())["source"] == f"{file} (emulated)"
         assert isinstance(answer_to(socket, '{"do": "next", "after": -1}'), bytes)
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=HANG_S)
     assert (process.returncode, out, err) == (130, "", "")
 
 

@@ -40,16 +40,17 @@ def any_design(seed: int, largest: int = 5) -> tuple[Design, NDArray[np.float64]
         {"voltage": float(rng.choice([-1.0, 0.5, 3.3])), "idle_rows": str(rng.choice(["ground", "float"]))}
     )
     limited = rng.random() < 0.4
+    circuit = str(rng.choice(["inverting-amplifier", "voltage-divider"], p=[0.7, 0.3]))
     readout = Readout.model_validate(
         {
-            "circuit": str(rng.choice(["inverting-amplifier", "voltage-divider"], p=[0.7, 0.3])),
+            "circuit": circuit,
             "reference_resistance": float(10 ** rng.uniform(2, 5)),
             "reference_voltage": float(rng.choice([0.0, 1.65])),
             "open_loop_gain": float(rng.choice([inf, 1e9, 1e5, 1e3, 10.0])),
             "offset_voltage": float(rng.choice([0.0, 1e-3, -2e-3])),
             "bias_current": float(rng.choice([0.0, 1e-8])),
             "supply": (-0.2, 3.3) if limited else (-inf, inf),
-            "idle_columns": str(rng.choice(["float", "load"])),
+            "idle_columns": str(rng.choice(["float", "load"])) if circuit == "voltage-divider" else "float",
         }
     )
     return Design(array=array, drive=drive, readout=readout), cells

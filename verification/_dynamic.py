@@ -55,6 +55,8 @@ def _need(design: Design, *keys: str) -> None:
 
 
 SETTLING_PARTS = ("readout.gain_bandwidth", "readout.column_capacitance")
+PASSIVE_SETTLING_PARTS = ("readout.column_capacitance",)
+"""of a divider"""
 NOISE_PARTS = ("readout.voltage_noise", "readout.temperature", "readout.gain_bandwidth")
 """of an amplifier that holds its line"""
 PASSIVE_NOISE_PARTS = ("readout.temperature", "adc.sampling_capacitance")
@@ -66,7 +68,7 @@ def missing_dynamics(design: Design) -> list[str]:
     circuit = design.board.circuit
     if circuit.virtual_ground:
         return missing(design, tuple(dict.fromkeys((*NOISE_PARTS, *SETTLING_PARTS))))
-    return [] if circuit.has_amplifiers else missing(design, PASSIVE_NOISE_PARTS)
+    return [] if circuit.has_amplifiers else missing(design, (*PASSIVE_NOISE_PARTS, *PASSIVE_SETTLING_PARTS))
 
 
 def _amplifiers_only(design: Design, quantity: str) -> None:
@@ -120,14 +122,23 @@ def frames_of(subject: Subject) -> Iterator[tuple[str, FloatArray]]:
         cells[first::2] = high
         span = f"{engineering(low, 'ohm')} and {engineering(high, 'ohm')}"
         yield f"{board.line_kinds[0]}s alternate between {span}", board.turn(cells)
+    if not board.circuit.has_amplifiers and board.shape[0] > 2:
+        # Columns without amplifiers are slowest where few cells conduct.
+        cells = np.full(board.shape, high)
+        cells[0] = low
+        others = f"all others at {engineering(high, 'ohm')}"
+        yield f"{board.line_kinds[0]} 0 at {engineering(low, 'ohm')}, {others}", board.turn(cells)
     for ohms in (low, high):
         yield f"all cells at {engineering(ohms, 'ohm')}", np.full(subject.design.array.shape, ohms)
 
 
 def _settlings(subject: Subject) -> list[tuple[str, Settling]]:
     design = subject.design
-    _amplifiers_only(design, "settling")
-    _need(design, *SETTLING_PARTS)
+    if design.board.circuit.has_amplifiers:
+        _amplifiers_only(design, "settling")
+        _need(design, *SETTLING_PARTS)
+    else:
+        _need(design, *PASSIVE_SETTLING_PARTS)
     if "settling" not in subject.memo:
         try:
             subject.memo["settling"] = [
@@ -155,8 +166,9 @@ def largest_settling_error(subject: Subject, requirement: Requirement) -> Measur
     rate = rate_of(subject, requirement)
     settlings = _settlings(subject)
     period = 1.0 / (rate * subject.design.board.shape[0])
+    largest = max(settling.signal for _, settling in settlings)
     try:
-        errors = [(100 * settling.error(period), where) for where, settling in settlings]
+        errors = [(100 * settling.error(period) * settling.signal / largest, where) for where, settling in settlings]
     except InputError as error:
         return Measurement(np.inf, "%", where=f"row period {engineering(period, 's')}: {error}")
     worst, where = max(errors)

@@ -7,16 +7,17 @@ all of them and better in one. Variations in which an output or the converter le
 does not carry, are kept in the table and are not on the front.
 
 A remedy is one part that, changed alone, keeps a requirement. It is found by solving the requirement's quantity again
-with the changed part, never by extrapolation.
+with the changed part, never by extrapolation. Of crosstalk and reading errors the first remedies are other idle lines
+and another circuit (:func:`wirings`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
-from math import inf
+from math import inf, isnan, nan
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -25,13 +26,13 @@ import numpy as np
 from ..cell import Percolation
 from ..circuits import Design, Requirement
 from ..common import plots
-from ..common.arrays import BoolArray
+from ..common.arrays import BoolArray, FloatArray
 from ..common.progress import Progress, silent
 from ..errors import InputError, SolverError
 from ._corner import worst_case
 from ._dynamic import largest_settling_error, pressure_resolution
 from ._link import lost_frames
-from ._outcome import DoesNotApply, NotRun, Outcome
+from ._outcome import DoesNotApply, Measurement, NotRun, Outcome
 from ._requirements import evaluate
 from ._static import TARGETS, adc_headroom, box_of, output_headroom
 from ._subject import Subject
@@ -39,6 +40,8 @@ from ._units import LEAST_SHOWN, UNITS, conversion, engineering
 
 KNOWN_FRACTION = 0.015
 """carbon black by mass of the cell of the design; the paper's choice"""
+WIRING = "wiring"
+"""axis of :func:`wirings`"""
 DOWN, UP = "down", "up"
 AVERAGING = "frames averaged"
 AXES: dict[str, tuple[float, ...]] = {
@@ -115,23 +118,24 @@ _STEPS = 7  # of the bisection, in the logarithm of the factor
 
 @dataclass(frozen=True)
 class Variation:
-    """One varied design and its figures; NaN where there is none."""
+    """One varied design and its figures; NaN where the design does not say enough."""
 
     HEAD: ClassVar[str] = (
         f"{'reading error':>14} {'crosstalk':>10} {'resolution':>13} {'settling':>11} {'rate':>10}  the Pareto front"
     )
     """of a table whose rows are :attr:`line`"""
 
-    changes: dict[str, float]
-    """by axis, as in :data:`AXES`; empty: the design itself"""
+    changes: dict[str, float | str]
+    """by axis, as in :data:`AXES` and :func:`wirings`; empty: the design itself"""
     reading_error_percent: float
     crosstalk_percent: float
     resolution_kpa: float
-    settling_error_percent: float = 0.0
-    """0 where no frame rate is stated, or nothing has to settle"""
+    settling_error_percent: float = nan
     frame_rate_hz: float = inf
     """inf where none is stated"""
     front: bool = False
+    unknown: tuple[str, ...] = ()
+    """which figures are not known, and why"""
 
     @property
     def figures(self) -> tuple[float, ...]:
@@ -143,17 +147,23 @@ class Variation:
     @property
     def name(self) -> str:
         """For a reader."""
-        return ", ".join(f"{axis} {_shown(axis, value)}" for axis, value in self.changes.items()) or "the design itself"
+        each = (value if axis == WIRING else f"{axis} {_shown(axis, value)}" for axis, value in self.changes.items())
+        return ", ".join(map(str, each)) or "the design itself"
 
     @property
     def line(self) -> str:
         """The figures and the changes in a row of a table; a star marks the Pareto front."""
-        error, crosstalk, settling = (
-            engineering(percent, "%", digits=3)
-            for percent in (self.reading_error_percent, self.crosstalk_percent, self.settling_error_percent)
+        error, crosstalk, resolution, settling = (
+            engineering(value, unit, digits=3) if not isnan(value) else "not known"
+            for value, unit in (
+                (self.reading_error_percent, "%"),
+                (self.crosstalk_percent, "%"),
+                (self.resolution_kpa, "kPa"),
+                (self.settling_error_percent, "%"),
+            )
         )
         rate = f"{self.frame_rate_hz:7.4g} Hz" if self.frame_rate_hz < inf else "not given"
-        figures = f"{error:>14} {crosstalk:>10} {self.resolution_kpa:9.3g} kPa {settling:>11} {rate:>10}"
+        figures = f"{error:>14} {crosstalk:>10} {resolution:>13} {settling:>11} {rate:>10}"
         return f"{figures} {'*' if self.front else ' '} {self.name}"
 
 
@@ -164,26 +174,39 @@ class Remedy:
     requirement: str
     part: str
     factor: float
-    """on the part's value; for "adc.bits" and "frames averaged", on 1: the number itself"""
+    """on the part's value; for "adc.bits" and "frames averaged", on 1: the number itself; 0 for another wiring"""
     before: float
     after: float
     """the quantity, solved again with the changed part"""
     unit: str
     value: str = ""
     """of the changed part, with its unit; empty where lines differ"""
+    kept: bool = True
+    """whether the requirement is kept; another wiring that halves the quantity is named even so"""
 
     @property
     def line(self) -> str:
         """For a reader."""
         was, now = engineering(self.before, self.unit), engineering(self.after, self.unit)
+        if not self.factor:
+            enough = "" if self.kept else ", which is not enough"
+            return f"{self.requirement}: {was} becomes {now} with {self.part}{enough}"
         if self.part in ("adc.bits", AVERAGING):
             return f"{self.requirement}: {self.factor:.0f} {self.part} in place of {self.value} bring {was} to {now}"
         to = f" ({self.value})" if self.value else ""
         return f"{self.requirement}: {self.part} times {self.factor:.3g}{to} brings {was} to {now}"
 
 
-def explore(subject: Subject, *, points: int = 60, progress: Progress = silent) -> list[Variation]:
+def explore(
+    subject: Subject, *, points: int = 60, tell: Callable[[int, int, Variation], None] = lambda done, total, found: None
+) -> list[Variation]:
     """The design, each axis alone, and random combinations, ``points`` in all.
+
+    Args:
+        subject: the design and its cell.
+        points: how many variations.
+        tell: called with each variation as it is found: its number, the number of all, and the variation without its
+            place on the front.
 
     Raises:
         InputError: the design has no sensitivities (a continuous sheet, more than 64 x 64 cells), or too few points.
@@ -194,9 +217,14 @@ def explore(subject: Subject, *, points: int = 60, progress: Progress = silent) 
     wanted = list(_combinations(subject, points))
     for number, changes in enumerate(wanted, 1):
         found.append(_judged(subject, changes))
-        progress(number, len(wanted), found[-1].name)
-    front = pareto(np.array([variation.figures for variation in found]))
-    return [replace(v, front=bool(best)) for v, best in zip(found, front, strict=True)]
+        tell(number, len(wanted), found[-1])
+    return [replace(v, front=bool(best)) for v, best in zip(found, pareto(_compared(found)), strict=True)]
+
+
+def _compared(variations: list[Variation]) -> FloatArray:
+    """Figures (variations, figures) by which the front is found: those that are known of any variation."""
+    figures = np.array([variation.figures for variation in variations])
+    return figures[:, ~np.isnan(figures).all(axis=0)]
 
 
 def best_carbon_black(subject: Subject) -> Variation | None:
@@ -261,22 +289,64 @@ def pareto(figures: np.ndarray) -> BoolArray:
     return np.asarray(front)
 
 
-def remedies(subject: Subject, requirements: tuple[Requirement, ...]) -> list[Remedy]:
+def remedies(
+    subject: Subject, requirements: tuple[Requirement, ...], *, progress: Progress = silent
+) -> Iterator[Remedy]:
     """For each requirement that nominal parts or the worst case do not keep: the parts that would mend it alone.
 
-    Requirements without :data:`WAYS`, on the yield, and on a real board have none.
+    Requirements without :data:`WAYS`, on the yield, and on a real board have none. Each remedy is yielded as soon as it
+    is found.
     """
-    found = []
-    for requirement in requirements:
-        if not may_be_mended(requirement):
-            continue
+    mendable = [requirement for requirement in requirements if may_be_mended(requirement)]
+    for number, requirement in enumerate(mendable):
+        progress(number, len(mendable), f"{requirement.id} {requirement.quantity}")
         ways = WAYS[requirement.quantity]
         if (missed := _judge(subject, requirement)) is None or missed.kept:
             continue
+        if requirement.quantity in TARGETS:
+            for name, design in wirings(subject).items():
+                there = _judge(replace(subject, design=design, memo={}), requirement)
+                if there is not None and (there.kept or there.value < missed.value / 2):
+                    values = missed.value, there.value, missed.unit
+                    yield Remedy(requirement.id, name, 0.0, *values, kept=there.kept)
         for key, direction in ways:
             remedy = _remedy(subject, requirement, key, direction, missed)
             if remedy is not None:
-                found.append(remedy)
+                yield remedy
+
+
+def wirings(subject: Subject) -> dict[str, Design]:
+    """The same array and converter with other idle lines or another circuit, by what is different.
+
+    Amplifiers in place of a divider have the reference at the middle of the converter's range, are driven by half of
+    it, and have a reference resistor with which the least resistance of a cell reaches its end.
+    """
+    design, found = subject.design, dict[str, Design]()
+    circuit, readout = design.board.circuit, design.readout
+    if design.drive.idle_rows != "ground":
+        drive = {"idle_rows": "ground", "idle_row_resistance": inf}
+        found[f"idle {design.board.line_kinds[0]}s at the reference"] = design.replace(drive=drive)
+    if readout.columns == "multiplexed" and readout.idle_columns != "ground":
+        found["idle columns at the reference"] = design.replace(readout={"idle_columns": "ground"})
+    if circuit.virtual_ground and readout.columns == "multiplexed":
+        found["an amplifier for each line"] = design.replace(readout={"columns": "parallel", "idle_columns": "float"})
+    if not circuit.mixes_cells:
+        return found
+    found["a follower that drives idle lines (voltage-feedback)"] = design.with_circuit("voltage-feedback")
+    if design.adc is not None:
+        low, high = design.adc.range
+        half = (high - low) / 2
+        ohm = min(subject.rest, subject.pressed)
+        grounded = design.with_circuit("inverting-amplifier").replace(
+            drive={"idle_rows": "ground", "idle_row_resistance": inf, "voltage": -half},
+            readout={
+                "columns": "parallel",
+                "idle_columns": "float",
+                "reference_voltage": low + half,
+                "reference_resistance": ohm,
+            },
+        )
+        found[f"inverting amplifiers (Rref {engineering(ohm, 'ohm', 3)}, drive {-half:g} V)"] = grounded
     return found
 
 
@@ -286,50 +356,55 @@ def may_be_mended(requirement: Requirement) -> bool:
 
 
 def picture(variations: list[Variation]) -> str:
-    """Reading error against pressure resolution, the crosstalk as colour, the front joined."""
-    known = [v for v in variations if np.isfinite(v.figures).all()]
+    """Reading error against pressure resolution, or against crosstalk if that is not known; the front is circled."""
+    resolved = any(np.isfinite(v.resolution_kpa) for v in variations)
+    label = "one standard deviation of pressure / kPa" if resolved else "worst crosstalk / %"
+    known = [v for v, figures in zip(variations, _compared(variations), strict=True) if np.isfinite(figures).all()]
     with plots.drawing(1, 1, width=7.6, height=4.2) as (figure, ((panel,),)):
         if known:
             error, crosstalk, kpa = np.array([v.figures[:3] for v in known]).T
-            drawn = panel.scatter(kpa, error, c=crosstalk, cmap="viridis_r", s=26)
+            across = kpa if resolved else crosstalk
+            drawn = panel.scatter(across, error, c=crosstalk, cmap="viridis_r", s=26)
             figure.colorbar(drawn, ax=panel, label="crosstalk / %")
-            for v in known:
-                if v.front:
-                    panel.scatter(
-                        v.resolution_kpa, v.reading_error_percent, s=90, facecolors="none", edgecolors=plots.RED
-                    )
-            own = next((v for v in known if not v.changes), None)
-            if own is not None:
-                panel.annotate("the design", (own.resolution_kpa, own.reading_error_percent), fontsize=8)
+            front = np.array([v.front for v in known])
+            panel.scatter(across[front], error[front], s=90, facecolors="none", edgecolors=plots.RED)
+            for v, x, y in zip(known, across, error, strict=True):
+                if not v.changes:
+                    panel.annotate("the design", (x, y), fontsize=8)
             panel.set(xscale="log", yscale="log")
-        panel.set(xlabel="one standard deviation of pressure / kPa", ylabel="worst reading error / %")
+        panel.set(xlabel=label, ylabel="worst reading error / %")
         panel.set_title("Variations; circled: the Pareto front")
         return plots.svg(figure)
 
 
-def _combinations(subject: Subject, points: int) -> Iterator[dict[str, float]]:
+def _combinations(subject: Subject, points: int) -> Iterator[dict[str, float | str]]:
     absent: dict[str, Any] = {"ADC bits": subject.design.adc, "frame rate": subject.design.operation.frame_rate}
     if subject.pressed < subject.rest:  # percolation says nothing of cells whose contacts decide
         absent["carbon black"] = None
     axes = {axis: values for axis, values in AXES.items() if absent.get(axis, axis) is not None}
-    single = [{}, *({axis: value} for axis, values in axes.items() for value in values)]
+    single: list[dict[str, float | str]] = [{}]
+    single += [{WIRING: name} for name in wirings(subject)]
+    single += [{axis: value} for axis, values in axes.items() for value in values]
     yield from single[:points]
     random = np.random.default_rng(subject.seed)
-    seen: list[dict[str, float]] = []
+    seen: list[dict[str, float | str]] = []
     for _ in range(_TRIES * points):  # a design with few axes may have fewer combinations than points
         if len(single) + len(seen) >= points:
             return
         chosen = random.choice(list(axes), size=min(int(random.integers(2, 4)), len(axes)), replace=False)
-        changes = {axis: float(random.choice(axes[axis])) for axis in axes if axis in chosen}
+        changes: dict[str, float | str] = {axis: float(random.choice(axes[axis])) for axis in axes if axis in chosen}
         if changes not in seen:
             seen.append(changes)
             yield changes
 
 
-def varied(subject: Subject, changes: dict[str, float]) -> Subject:
+def varied(subject: Subject, changes: Mapping[str, float | str]) -> Subject:
     """The subject with some axes changed."""
     design, cells = subject.design, None
     for axis, value in changes.items():
+        if isinstance(value, str):
+            design = wirings(subject)[value]
+            continue
         match axis:
             case "reference resistor":
                 design = _scaled(design, "readout.reference_resistance", value)
@@ -360,32 +435,26 @@ def varied(subject: Subject, changes: dict[str, float]) -> Subject:
     return Subject(design, subject.given_cell, subject.target, subject.seed, subject.samples)
 
 
-def _judged(subject: Subject, changes: dict[str, float]) -> Variation:
+def _judged(subject: Subject, changes: dict[str, float | str]) -> Variation:
     here = varied(subject, changes)
     error, crosstalk = (_value(here, quantity) for quantity in ("reading_error", "crosstalk"))
-    try:
-        asked = Requirement(id="explore", quantity="pressure_resolution")
-        kpa = pressure_resolution(here, asked, "nominal").value
-    except (NotRun, InputError, SolverError):
-        kpa = np.nan
-    settling, rate = _in_time(here)
-    return Variation(changes, error, crosstalk, kpa, settling, rate)
+    unknown: list[str] = []
+    asked = Requirement(id="explore", quantity="pressure_resolution")
+    kpa = _known(lambda: pressure_resolution(here, asked, "nominal"), "resolution", unknown)
+    settling = _known(lambda: largest_settling_error(here, asked), "settling", unknown)
+    rate = here.design.operation.frame_rate
+    if rate is not None and _known(lambda: lost_frames(here, asked, "nominal"), "", []) > 0:
+        settling = inf
+    return Variation(changes, error, crosstalk, kpa, settling, rate or inf, unknown=tuple(unknown))
 
 
-def _in_time(subject: Subject) -> tuple[float, float]:
-    """Settling error in % and frame rate in Hz; an infinite error where the line does not carry the frames."""
-    rate = subject.design.operation.frame_rate
-    if rate is None:
-        return 0.0, np.inf
-    asked = Requirement(id="explore", quantity="settling_error")
+def _known(quantity: Callable[[], Measurement], name: str, unknown: list[str]) -> float:
+    """The value of a quantity; NaN, and a line in ``unknown``, where the design does not say enough."""
     try:
-        error = largest_settling_error(subject, asked).value
-    except (NotRun, InputError, SolverError):
-        error = 0.0
-    with suppress(NotRun):
-        if lost_frames(subject, asked, "nominal").value > 0:
-            error = np.inf
-    return error, rate
+        return quantity().value
+    except (NotRun, InputError, SolverError) as error:
+        unknown.append(f"{name}: not known, {error}")
+        return nan
 
 
 def _value(subject: Subject, quantity: str) -> float:
@@ -505,7 +574,7 @@ def _scaled(design: Design, key: str, factor: float) -> Design:
     return design.replace(**{section: {name: scaled}})
 
 
-def _shown(axis: str, value: float) -> str:
+def _shown(axis: str, value: float | str) -> str:
     if axis == "carbon black":
         return f"{100 * value:.3g} %"
     return f"{value:+g}" if axis == "ADC bits" else f"× {value:g}"

@@ -160,11 +160,14 @@ def _true_cells(subject: Subject) -> FloatArray:
 def _readings(subject: Subject) -> Readings:
     if "readings" not in subject.memo:
         try:
-            with _board(subject) as port, Skin.open(port, delivery="every", timeout=PATIENCE_S) as skin:
-                if skin.design.array.shape != subject.design.array.shape:
-                    raise NotRun(
-                        f"the board has {skin.design.array.shape} cells, the design {subject.design.array.shape}"
-                    )
+            with (
+                _board(subject) as port,
+                Skin.open(
+                    port, board=subject.board, baudrate=subject.baud, delivery="every", timeout=PATIENCE_S
+                ) as skin,
+            ):
+                if skin.shape != subject.design.array.shape:
+                    raise NotRun(f"the board has {skin.shape} cells, the design {subject.design.array.shape}")
                 frames: list[Frame] = list(islice(skin, FRAMES))
         except (LinkError, ProtocolError, MissingExtra) as error:
             raise NotRun(f"no board: {error}") from error

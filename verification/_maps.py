@@ -53,13 +53,19 @@ def heat_maps(
 
 
 def value_map(array: FloatArray, *, label: str, top: float, limit: float | None) -> str:
-    """One array (rows, columns) of magnitudes from 0 to ``top``, the limit marked on the scale; NaN stays empty."""
+    """One array (rows, columns) of magnitudes from 0 to ``top``, the limit marked on the scale; NaN stays empty.
+
+    Where every cell is beyond the limit, the scale begins at the least value, and no cell is outlined.
+    """
     rows, columns = array.shape
     numbered = rows * columns <= 64
     side = min(NUMBERED_CELL_IN if numbered else CELL_IN, LARGEST_MAP_IN / max(rows, columns))
     width, height = max(3.2, side * columns + 1.6), max(2.0, side * rows + 0.6)
+    known = array[np.isfinite(array)]
+    all_beyond = limit is not None and known.size > 0 and float(known.min()) > limit
+    bottom = float(known.min()) if all_beyond and float(known.min()) < top else 0.0
     with plots.drawing(1, 1, width=width, height=height) as (figure, ((panel,),)):
-        image = panel.imshow(array, cmap="viridis_r", vmin=0.0, vmax=top, interpolation="nearest")
+        image = panel.imshow(array, cmap="viridis_r", vmin=bottom, vmax=top, interpolation="nearest")
         panel.grid(visible=False)
         panel.set(xlabel="column", ylabel="row")
         panel.set_xticks(range(columns) if columns <= 16 else [0, columns - 1])
@@ -68,12 +74,14 @@ def value_map(array: FloatArray, *, label: str, top: float, limit: float | None)
         if numbered:
             for (i, j), value in np.ndenumerate(array):
                 if np.isfinite(value):
-                    colour = "w" if value > 0.6 * top else plots.INK
+                    colour = "w" if value - bottom > 0.6 * (top - bottom) else plots.INK
                     panel.text(
                         j, i, f"{value:.2f}", ha="center", va="center", fontsize=7, color=colour, in_layout=False
                     )
         bar = figure.colorbar(image, ax=panel, shrink=0.9, label=label)
-        if limit is not None:
+        if all_beyond:
+            panel.set_title("every cell is beyond the limit", fontsize=8.5, color=plots.RED)
+        elif limit is not None:
             bar.ax.axhline(limit, color=plots.RED, lw=2)
             bar.ax.text(-0.15, limit, "limit ", color=plots.RED, ha="right", va="center", fontsize=8)
             for i, j in np.argwhere(np.nan_to_num(array, nan=0.0) > limit):

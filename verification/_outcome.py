@@ -157,7 +157,8 @@ class Measurement:
     proven: bool | None = None
     """Monte Carlo: whether the lower confidence bound of the yield keeps the wanted yield; None: the value decides"""
     undecided: str = ""
-    """Monte Carlo: why the boards neither prove the wanted yield nor miss it, and what would decide"""
+    """why the value is no verdict: too few boards neither prove the wanted yield nor miss it, or a simulator has left
+    out a part of a model; and what would decide"""
     figures: Sequence[Figure] = ()
     tables: Sequence[Table] = ()
     corner: Corner | None = None
@@ -204,6 +205,8 @@ class Result:
         if found.proven is not None:
             missed = Outcome.NOT_RUN if found.undecided else Outcome.FAIL
             return Outcome.PASS if found.proven else missed
+        if found.undecided:
+            return Outcome.NOT_RUN
         return Outcome.PASS if self.margin is not None and self.margin >= 0 else Outcome.FAIL
 
     @property

@@ -109,6 +109,9 @@ class ReportRecord(_Record):
     environment: dict[str, str]
     requirements: list[RequirementRecord]
     not_judged: list[str] = Field(description="quantities of the catalogue that no requirement names")
+    not_modelled: list[str] = Field(default=[], description="effects that no quantity models for this design")
+    not_given: dict[str, str] = Field(default={}, description="keys of the design that are not given: what is taken")
+    exact: list[str] = Field(default=[], description="keys of parts that are given without a tolerance")
     claims: list[ClaimRecord]
     appendices: list[ClaimRecord]
     changes: list[ChangeRecord]
@@ -129,8 +132,8 @@ def load_record(path: str | Path) -> ReportRecord:
         first = error.errors()[0]
         if first["type"] == "json_invalid":
             reason = first["ctx"]["error"]
-            raise InputError(f"{path}: not valid JSON: {reason}; expected a report.json of ohmskin verify") from error
-        raise InputError(f"{path}: not a report.json of this version: {describe(error, ReportRecord, {})}") from error
+            raise InputError(f"{path}: not valid JSON: {reason}; expected a report.json of ohmskin verify") from None
+        raise InputError(f"{path}: not a report.json of this version: {describe(error, ReportRecord, {})}") from None
 
 
 def number(value: float | None) -> Number:

@@ -24,6 +24,7 @@ from ..common.config import fingerprint
 from ..common.files import make_folder, write_together
 from ..common.text import printable
 from ..errors import MissingExtra, OhmskinError
+from ._assumptions import Assumptions, assumptions_of
 from ._budget import error_budget
 from ._catalogue import CATALOGUE
 from ._explore import may_be_mended
@@ -120,11 +121,26 @@ class Report:
         failed = result.outcome is Outcome.FAIL and may_be_mended(result.requirement)
         return self.explore_command if failed else ""
 
+    @cached_property
+    def assumptions(self) -> Assumptions:
+        """What this verdict leaves out."""
+        return assumptions_of(self.design)
+
     @property
     def not_judged(self) -> list[str]:
         """Quantities of the catalogue that no requirement names."""
         named = {result.requirement.quantity for result in self.results}
         return [name for name in CATALOGUE if name not in named]
+
+    @property
+    def assumed(self) -> str:
+        """The assumptions in one line."""
+        known = self.assumptions
+        effects = ", ".join(effect.name for effect in known.effects)
+        return (
+            f"Not modelled: {effects}. Not given: {', '.join(key for key, _ in known.not_given) or 'nothing'}. "
+            f"Without tolerance: {', '.join(known.exact) or 'nothing'}."
+        )
 
     @property
     def left_out(self) -> list[tuple[str, str, str]]:
@@ -240,6 +256,9 @@ class Report:
             environment=environment(),
             requirements=[_requirement_record(result) for result in self.results],
             not_judged=self.not_judged,
+            not_modelled=[effect.name for effect in self.assumptions.effects],
+            not_given=dict(self.assumptions.not_given),
+            exact=list(self.assumptions.exact),
             claims=[_claim_record(claim) for claim in self.claims],
             appendices=[_claim_record(claim) for claim in self.appendices],
             changes=self.changes,
@@ -319,6 +338,7 @@ class Report:
             where = "" if r.measurement is None else r.measurement.where if r.outcome is Outcome.PASS else r.why
             cells = (f"{r.requirement.id} {r.title}", r.outcome, r.limit, r.found, r.margin_shown, where)
             lines.append("| " + " | ".join(printable(str(c)).replace("|", "\\|") for c in cells) + " |")
+        lines += ["", self.assumed]
         mended = [r.requirement.id for r in self.results if self.to_mend(r)]
         if mended:
             lines += ["", f"Which single part would mend {', '.join(mended)}: `{printable(self.explore_command)}`"]

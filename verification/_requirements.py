@@ -82,8 +82,8 @@ def _percent_of_scale(design: Design, percent: float) -> float:
     return percent / 100 * (full or 15.5)
 
 
-def check_requirements(requirements: Iterable[Requirement], folder: Path) -> None:
-    """Find bad requirements before anything is run.
+def check_requirements(requirements: Iterable[Requirement]) -> None:
+    """Find bad requirements before anything is run. Functions of a design's own are not looked at.
 
     Raises:
         InputError: an id that is given twice, an unknown quantity, a method or a unit that does not fit.
@@ -96,7 +96,6 @@ def check_requirements(requirements: Iterable[Requirement], folder: Path) -> Non
         seen.add(requirement.id)
         try:
             if _is_own(requirement):
-                _own_function(requirement.quantity, folder)
                 continue
             quantity = quantity_of(requirement.quantity)
             _factor(requirement, quantity.unit)
@@ -107,6 +106,22 @@ def check_requirements(requirements: Iterable[Requirement], folder: Path) -> Non
                 f"{name}: '{quantity.name}' is not verified by '{requirement.method}'; "
                 f"expected {', '.join((*quantity.methods, HARDWARE))}"
             )
+
+
+def load_own_functions(requirements: Iterable[Requirement], folder: Path) -> list[str]:
+    """Run the files of the functions of the design's own that these requirements name; returns "FILE.py:FUNCTION" each.
+
+    Raises:
+        InputError: a file that is not below ``folder``, or has no such function.
+    """
+    found = []
+    for requirement in filter(_is_own, requirements):
+        try:
+            _own_function(requirement.quantity, folder)
+        except InputError as error:
+            raise InputError(f"requirement {requirement.id}: {error}") from error
+        found.append(requirement.quantity)
+    return list(dict.fromkeys(found))
 
 
 def evaluate(subject: Subject, requirement: Requirement, folder: Path) -> Result:
@@ -157,6 +172,10 @@ def _own_function(quantity: str, folder: Path) -> Callable[..., Any]:
     """The function of ``FILE.py:FUNCTION``. Raises InputError."""
     name, _, function = quantity.rpartition(":")
     path = folder / name
+    if Path(name).is_absolute() or not path.resolve().is_relative_to(folder.resolve()):
+        raise InputError(f"{name}: a function is loaded from beside the design only, not from outside its folder")
+    if ".." in Path(name).parts:
+        raise InputError(f"{name}: expected a path below the design's folder, without '..'")
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
     spec = importlib.util.spec_from_file_location(path.stem, path)

@@ -12,7 +12,7 @@ import importlib.resources
 import json
 import time
 import traceback
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor, as_completed
 from functools import partial
 from pathlib import Path
@@ -38,7 +38,7 @@ from ._hardware import twins
 from ._montecarlo import BLOCK, Samples, blocks, sample_block
 from ._outcome import Claim, Finding, Result, not_run
 from ._report import Report
-from ._requirements import check_requirements, default_requirements, evaluate
+from ._requirements import check_requirements, default_requirements, evaluate, load_own_functions
 from ._static import box_of, patterns_of
 from ._subject import SAMPLES, SEED, Subject, everything_of
 
@@ -89,6 +89,8 @@ def verify(
     title: str | None = None,
     target: str = "emulated",
     jig: FloatArray | None = None,
+    board: str = "ohmskin",
+    baud: int | None = None,
     samples: int = SAMPLES,
     seed: int = SEED,
     jobs: int = 1,
@@ -98,6 +100,7 @@ def verify(
     require_all: bool = False,
     command: str = "ohmskin verify",
     progress: Progress = silent,
+    announce: Callable[[str], None] = lambda said: None,
 ) -> Report:
     """Verify a design against its requirements, and on request against the paper's claims.
 
@@ -112,6 +115,8 @@ def verify(
         title: what the report calls the design.
         target: the board that is measured: "emulated", "firmware", or a serial port.
         jig: (rows, columns) ohm of known resistors on the board; None: the skin is untouched.
+        board: family of the board at a port, or its BOARD.toml.
+        baud: baud rate of the port; None: that of the board.
         samples: boards of the Monte Carlo analysis.
         seed: of all random numbers.
         jobs: processes side by side.
@@ -121,6 +126,7 @@ def verify(
         require_all: what could not be run counts as failed.
         command: what the report says makes it again.
         progress: told of each task that is done.
+        announce: told, before anything is computed, whether functions of the design's own are run.
 
     Raises:
         InputError: bad requirements, an unknown id, no samples.
@@ -129,18 +135,20 @@ def verify(
     if samples < 1:
         raise InputError(f"samples is {samples}; expected at least 1")
     if target not in NO_PORT:
-        with Skin.open(target) as skin:
+        with Skin.open(target, board=board, baudrate=baud) as skin:
             next(skin)
     start = time.perf_counter()
-    subject = Subject(prototype() if design is None else design, cell, target, seed, samples, jig)
+    subject = Subject(prototype() if design is None else design, cell, target, seed, samples, jig, board, baud)
     wanted = tuple(requirements if requirements is not None else subject.design.requirement)
     wanted = wanted or default_requirements(subject.design)
     here = folder or Path()
-    check_requirements(wanted, here)
+    check_requirements(wanted)
     wanted = twins(subject, wanted)
     with_paper = design is None and requirements is None if paper is None else paper
     statements = [*(STATEMENTS if with_paper else ()), *(APPENDICES if speed else ())]
     wanted, statements = _chosen(wanted, statements, tuple(only))
+    if own := load_own_functions(wanted, here):
+        announce(f"the design's own code is run: {', '.join(own)}")
     work = Work(subject, wanted, here)
     memory = _Store(store, _fingerprint(work))
     if target != "emulated":  # another board may answer at the same port by now
@@ -176,7 +184,9 @@ def _chosen(
     chosen = {id for given in only for id in ([given] if given in there else given.split(","))}
     for id in sorted(chosen - there):
         raise InputError(f"--only {id}: no such requirement; expected one of {', '.join([*sorted(known), *every])}")
-    return tuple(r for r in requirements if r.id in chosen), [s for s in every.values() if s.id in chosen]
+    # An id that a requirement has taken means a statement only where that was asked for as well (--paper, --speed).
+    wanted = [s for s in every.values() if s.id in chosen and (s.id not in known or s in statements)]
+    return tuple(r for r in requirements if r.id in chosen), wanted
 
 
 def _compute(

@@ -10,7 +10,7 @@ from ..circuits import Design
 from ._units import engineering
 
 _STROKE = 'fill="none" stroke="currentColor" stroke-width="1.4"'
-PITCH_X, PITCH_Y = 190.0, 120.0
+PITCH_X, PITCH_Y = 260.0, 120.0
 LEFT, TOP = 270.0, 60.0
 
 

@@ -8,7 +8,10 @@ names one.
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Iterator
 from math import inf, isfinite, nan
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,9 +32,10 @@ SHARE_OF_SETTLING = 0.25
 DEGREES = 90.0
 """Differences of phase margins are given relative to this."""
 SETTLED, TIMES_SETTLED = 1e-9, 4.0
-"""A sample later than so many times the one-pole amplifier's time to settle to this error is not waited for."""
-SIMULATED = ("phase_margin", "settling_error", "noise")
-"""quantities that a requirement can have judged in ngspice"""
+"""A sample of a one-pole amplifier later than so many times its time to settle to this error is not waited for."""
+SIMULATED = {"phase_margin": ("°", "loop gain"), "settling_error": ("%", "transient"), "noise": ("V", "noise")}
+"""quantities that a requirement can have judged in ngspice: unit, and the analysis that finds them"""
+_log = logging.getLogger(__name__)
 
 
 def spice_agreement(subject: Subject, requirement: Requirement, method: str) -> Measurement:
@@ -74,45 +78,76 @@ def measured_in_spice(subject: Subject, requirement: Requirement) -> Measurement
     if quantity not in SIMULATED:
         raise NotRun(f"'{quantity}' has no netlist; expected one of {', '.join(SIMULATED)}")
     if not design.board.circuit.has_amplifiers:
-        raise DoesNotApply("a divider has no amplifier")
+        if quantity == "phase_margin":
+            raise DoesNotApply("a divider has no amplifier")
+        raise NotRun("the netlist in time is for amplifiers, and this circuit is a divider")
     if design.adc is not None and design.adc.acquisition_time and quantity == "settling_error":
         raise NotRun("adc.acquisition_time: the netlist has no multiplexer ahead of the converter")
     try:
-        found = _simulated(subject, requirement)
+        found = list(_simulated(subject, requirement))
     except MissingExtra as error:
         raise NotRun(str(error)) from error
     except (SolverError, InputError) as error:
         raise NotRun(f"ngspice: {error}") from error
-    pick = min if quantity == "phase_margin" else max
-    value, where = pick(found)
+    value, where = _worst_of(quantity, found)
     model = design.readout.amplifier_model
     amplifier = "amplifier of one pole" if model is None else f"macro-model {model.subcircuit} of {model.file}"
-    unit = {"phase_margin": "°", "settling_error": "%", "noise": "V"}[quantity]
-    return Measurement(value, unit, where=where, confidence=f"ngspice, nominal parts, {amplifier}; {len(found)} frames")
+    dropped = dict.fromkeys(name for frame in found for name in frame.dropped)
+    return Measurement(
+        value,
+        SIMULATED[quantity][0],
+        where=where,
+        confidence=f"ngspice, nominal parts, {amplifier}; {len(found)} frames",
+        undecided=f"ngspice does not know {', '.join(dropped)} of the macro-model, and leaves it out"
+        if dropped
+        else "",
+    )
 
 
-def _simulated(subject: Subject, requirement: Requirement) -> list[tuple[float, str]]:
-    """The quantity for each hard frame, with the frame it belongs to."""
-    found = []
-    whole = subject.design
-    for state, frame in frames_of(subject):
+class _Frame(NamedTuple):
+    """What ngspice found for one of the hard frames."""
+
+    name: str
+    value: float
+    """in SI units or degrees; for a settling error the deviation in V"""
+    signal: float
+    """V"""
+    dropped: tuple[str, ...]
+
+
+def _worst_of(quantity: str, frames: list[_Frame]) -> tuple[float, str]:
+    """The deciding value in the unit of the quantity, and the frame it belongs to."""
+    pick = min if quantity == "phase_margin" else max
+    decisive = pick(frames, key=lambda frame: frame.value)
+    if quantity == "settling_error":
+        return 100 * decisive.value / max(frame.signal for frame in frames), decisive.name
+    return decisive.value, decisive.name
+
+
+def _simulated(subject: Subject, requirement: Requirement) -> Iterator[_Frame]:
+    """The quantity for each hard frame."""
+    whole, quantity = subject.design, requirement.quantity
+    frames = list(frames_of(subject))
+    for number, (state, frame) in enumerate(frames, 1):
+        _log.info("%s: ngspice computes frame %d of %d", requirement.id, number, len(frames))
         design = _excerpt(whole, *((MOST_SENSED, MOST_DRIVEN) if whole.board.turned else (MOST_DRIVEN, MOST_SENSED)))
         rows, columns = design.array.shape
         cells = frame[:rows, :columns]
-        if requirement.quantity == "settling_error":
-            rate = rate_of(subject, requirement)
-            latest = TIMES_SETTLED * Settling(_linear(design), cells).shortest_period(SETTLED)
-            period = min(1.0 / (rate * whole.board.shape[0]), latest)
-            reading = spice.dynamic_reading(design, cells, 0, period=period)
-            signal = np.abs(reading.settled - design.readout.reference_voltage).max()
-            value = float(100 * np.abs(reading.sampled - reading.settled).max() / signal)
+        period, signal = None, 0.0
+        if quantity == "settling_error":
+            period = 1.0 / (rate_of(subject, requirement) * whole.board.shape[0])
+            if design.readout.amplifier_model is None:
+                latest = TIMES_SETTLED * Settling(_linear(design), cells).shortest_period(SETTLED)
+                period = min(period, latest)
+        reading = spice.dynamic_reading(design, cells, 0, period=period, analyses=[SIMULATED[quantity][1]])
+        if quantity == "settling_error":
+            signal = float(np.abs(reading.settled - design.readout.reference_voltage).max())
+            value = float(np.abs(reading.sampled - reading.settled).max())
         else:
-            reading = spice.dynamic_reading(design, cells, 0)
-            value = reading.phase_margin if requirement.quantity == "phase_margin" else reading.noise
+            value = reading.phase_margin if quantity == "phase_margin" else reading.noise
         if not np.isfinite(value):
             raise NotRun(f"ngspice found no number for {state}: the loop gain has no crossover, or nothing settled")
-        found.append((value, state))
-    return found
+        yield _Frame(state, value, signal, reading.dropped)
 
 
 def _excerpt(design: Design, most_rows: int, most_columns: int) -> Design:
@@ -193,23 +228,40 @@ def _beside_the_model(design: Design, cells: FloatArray) -> Table:
     settled = _of_line(alike, settling.settled, line)
     signal = float(np.abs(settled - design.readout.reference_voltage).max())
     left = float(np.abs(_of_line(alike, settling.sampled_from_rest(period), line) - settled).max() / signal)
-    found = spice.dynamic_reading(design, cells, line, period=period)
-    its_left = float(np.abs(found.sampled - found.settled).max() / signal)
     margin = float(_of_line(alike, stability(alike, cells).phase_margin, line)[0])
-    rows = [
-        ["settled reading", *_pair(float(settled[0]), float(found.settled[0]), "V")],
-        [f"error after {engineering(period, 's')}", *_pair(100 * left, 100 * its_left, "%")],
-        ["phase margin", *_pair(margin, found.phase_margin, "°")],
-    ]
+    rows = []
+    found, why = _its(design, cells, line, period, "transient")
+    if found is None:
+        rows.append(["transient analysis", "", f"not run: {why}", ""])
+    else:
+        its_left = float(np.abs(found.sampled - found.settled).max() / signal)
+        rows.append(["settled reading", *_pair(float(settled[0]), float(found.settled[0]), "V")])
+        rows.append([f"error after {engineering(period, 's')}", *_pair(100 * left, 100 * its_left, "%")])
+    found, why = _its(design, cells, line, period, "loop gain")
+    its_margin = _pair(margin, found.phase_margin, "°") if found else [engineering(margin, "°"), f"not run: {why}", ""]
+    rows.append(["phase margin", *its_margin])
     if design.readout.temperature:
         rms = float(_of_line(alike, noise(alike, cells).before_adc, line)[0])
-        rows.append(["noise before the converter", *_pair(rms, found.noise, "V")])
+        found, why = _its(design, cells, line, period, "noise")
+        its_noise = _pair(rms, found.noise, "V") if found else [engineering(rms, "V"), f"not run: {why}", ""]
+        rows.append(["noise before the converter", *its_noise])
+    dropped = "" if not found or not found.dropped else f" ngspice leaves out its {', '.join(found.dropped)}."
     return Table(
         ["quantity, first line", "one-pole analysis", "macro-model", "difference"],
         rows,
         f"The maker's model {model.subcircuit} in place of the one-pole amplifier. The amplifiers differ here, not the "
-        'solvers. A requirement with the method "spice" is judged by the model.',
+        f'solvers. A requirement with the method "spice" is judged by the model.{dropped}',
     )
+
+
+def _its(
+    design: Design, cells: FloatArray, line: int, period: float, analysis: str
+) -> tuple[spice.DynamicReading | None, str]:
+    """One analysis of the macro-model; or None, and ngspice's reason."""
+    try:
+        return spice.dynamic_reading(design, cells, line, period=period, analyses=[analysis]), ""
+    except SolverError as error:
+        return None, str(error)
 
 
 def _pair(ours: float, its: float, unit: str) -> list[str]:

@@ -9,13 +9,13 @@ are checked. Any other address needs a token, the first part of the path, so tha
 from __future__ import annotations
 
 import hmac
-import ipaddress
 import secrets
 from collections.abc import Mapping
 from dataclasses import dataclass
 from http import HTTPStatus
 from urllib.parse import urlsplit
 
+from ..common.checks import is_loopback
 from ..errors import OhmskinError
 
 TOKEN_BYTES = 32
@@ -69,16 +69,6 @@ class Access:
         origin = urlsplit(headers.get("Origin", ""))
         if origin.scheme not in ("http", "https") or origin.netloc != headers.get("Host", ""):
             raise Refused(HTTPStatus.FORBIDDEN, "only the page itself may open the connection")
-
-
-def is_loopback(host: str) -> bool:
-    """Whether a name or address is this machine's own, and can be no other."""
-    if host.lower() == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def _name(host: str) -> str:

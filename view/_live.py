@@ -120,7 +120,13 @@ class LiveSource(Source):
             await woken
         if newest.message is None:
             frame = newest.frame
-            newest.message = pack_frame(frame, number=newest.number, time_s=newest.time_s, age_s=frame.age)
+            newest.message = pack_frame(
+                frame,
+                number=newest.number,
+                time_s=newest.time_s,
+                cell_area_mm2=self.cell_area_mm2,
+                age_s=frame.age,
+            )
         return newest.message
 
     async def make_tare(self, *, force: bool) -> Told:
@@ -142,7 +148,8 @@ class LiveSource(Source):
             raise InputError("no tare was made here that could be undone")
         self._tares -= 1
         tare = await asyncio.to_thread(self.skin.undo_tare)
-        before = "the data sheet's rest resistances" if tare is None else f"the tare over {tare.frames} frames before"
+        untared = "the data sheet's rest resistances" if self.skin.knows_circuit else "the counts as they come"
+        before = untared if tare is None else f"the tare over {tare.frames} frames before"
         return {"kind": "tared", "text": f"back to {before}", "remarks": []}
 
 

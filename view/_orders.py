@@ -41,12 +41,14 @@ class ShowNumber(Section):
 
 
 class TraceCells(Section):
-    """Pressures of some cells over a whole recording, thinned to about ``points`` points each."""
+    """Pressures of some cells, or the total force, over a whole recording, thinned to about ``points`` points each."""
 
     do: Literal["trace"]
     cells: Annotated[list[tuple[_Line, _Line]], Field(max_length=MOST_TRACES)]
     """row and column"""
     points: Annotated[int, Field(ge=2, le=MOST_POINTS)]
+    total: bool = False
+    """whether the total force is asked for, too"""
 
 
 class MakeTare(Section):

@@ -18,7 +18,7 @@ import numpy as np
 from ..common.arrays import FloatArray, IntArray
 from ..driver import Frame, Skin
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, ProtocolError
-from ._frame_message import HEADER, pack_frame
+from ._frame_message import HEADER, TOTAL_FORCE_AT, pack_frame
 from ._orders import FrameOrder, NextFrame, ShowTime, TraceCells
 from ._source import Source, TimeAxis, Told, statistics
 
@@ -81,7 +81,7 @@ class RecordedSource(Source):
 
     def _append(self, frame: Frame, time_s: float) -> None:
         number, place = len(self._times_s), self._ends[-1]
-        message = pack_frame(frame, number=number, time_s=time_s)
+        message = pack_frame(frame, number=number, time_s=time_s, cell_area_mm2=self.cell_area_mm2)
         os.pwrite(self._file.fileno(), message, place)
         with self._grown:
             self._times_s.append(time_s)
@@ -127,23 +127,33 @@ class RecordedSource(Source):
             self._grown.wait_for(lambda: len(self._times_s) > 0 or self._complete)
 
     async def trace(self, order: TraceCells) -> Told:
-        """Pressure of some cells over all that is decoded; null where a cell was not valid."""
-        rows, columns = self.skin.design.array.shape
+        """Pressure of some cells, or the total force, over all that is decoded; null where a cell was not valid."""
+        rows, columns = self.skin.shape
         for row, column in order.cells:
             if row >= rows or column >= columns:
                 raise InputError(f"cell ({row}, {column}); this skin has {rows} x {columns} cells")
         traces = [await asyncio.to_thread(self._trace, r, c, order.points) for r, c in order.cells]
+        if order.total:
+            traces.append(await asyncio.to_thread(self._trace_of_force, order.points))
         return {"kind": "trace", "traces": traces}
 
+    def _trace_of_force(self, points: int) -> Told:
+        count = len(self._times_s)
+        times, starts = np.array(self._times_s[:count]), np.array(self._ends[:count], dtype=np.int64)
+        force = self._bytes(starts + TOTAL_FORCE_AT, 8).copy().view("<f8")[:, 0]
+        kept = extremes(force, points)
+        return {"cell": None, "time_s": times[kept].tolist(), "force_n": _for_json(force[kept])}
+
     def _trace(self, row: int, column: int, points: int) -> Told:
-        rows, columns = self.skin.design.array.shape
+        rows, columns = self.skin.shape
         cells, cell = rows * columns, row * columns + column
+        shown = 0 if self.skin.knows_circuit else 3
         count = len(self._times_s)
         times, ends = np.array(self._times_s[:count]), np.array(self._ends[: count + 1], dtype=np.int64)
-        pressure = self._numbers(ends[:-1] + HEADER.size + 4 * cell)
+        pressure = self._numbers(ends[:-1] + HEADER.size + 4 * (shown * cells + cell))
         std = self._numbers(ends[:-1] + HEADER.size + 4 * (cells + cell))
-        valid = self._bytes(ends[1:] - cells + cell, 1)[:, 0] != 0
-        pressure[~valid] = np.nan
+        reason = self._bytes(ends[:-1] + HEADER.size + 18 * cells + cell, 1)[:, 0]
+        pressure[reason != 0] = np.nan
         kept = extremes(pressure, points)
         return {
             "cell": [row, column],

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import importlib.resources
 import logging
 import socket
-from collections.abc import AsyncIterator, Mapping, Sequence
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
+from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass
 from http import HTTPStatus
 from typing import TYPE_CHECKING
@@ -17,6 +18,7 @@ from ._access import Access, Refused
 from ._orders import LARGEST_BYTES
 from ._session import Session
 from ._source import Source
+from ._strangers import REQUEST_S, Strangers
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import Server, ServerConnection
@@ -67,31 +69,50 @@ async def serve(source: Source, *, host: str = "127.0.0.1", ports: Sequence[int]
     # Strangers must not fill the terminal: what they send wrong is answered, and not logged.
     quiet = logging.getLogger("ohmskin.view")
     quiet.setLevel(logging.CRITICAL + 1)
-    desk = _FrontDesk(source, Access.for_host(host), _files())
+    strangers = Strangers()
+    desk = _FrontDesk(source, Access.for_host(host), _files(), strangers)
     server = None
-    for port in ports:
+    with _asyncio_tells(quiet):
+        for port in ports:
+            try:
+                server = await listen(
+                    desk.follow,
+                    host,
+                    port,
+                    process_request=desk.answer,
+                    compression=None,  # frames of float32 hardly shrink, at a cost per frame
+                    max_size=LARGEST_BYTES,
+                    max_queue=4,
+                    open_timeout=REQUEST_S,
+                    create_connection=strangers.connections(),
+                    logger=quiet,
+                    server_header=None,
+                )
+                break
+            except OSError as error:
+                if port == ports[-1]:
+                    raise InputError(_why_not(error, host, port)) from error
+        assert server is not None
         try:
-            server = await listen(
-                desk.follow,
-                host,
-                port,
-                process_request=desk.answer,
-                compression=None,  # frames of float32 hardly shrink, at a cost per frame
-                max_size=LARGEST_BYTES,
-                max_queue=4,
-                logger=quiet,
-                server_header=None,
-            )
-            break
-        except OSError as error:
-            if port == ports[-1]:
-                raise InputError(_why_not(error, host, port)) from error
-    assert server is not None
+            found = next(iter(server.sockets)).getsockname()[1]
+            yield Page(f"http://{_shown_host(host)}:{found}{desk.access.prefix}", found)
+        finally:
+            strangers.hang_up()
+            await _shut(server)
+
+
+@contextmanager
+def _asyncio_tells(logger: logging.Logger) -> Iterator[None]:
+    """Let asyncio tell ``logger`` what goes wrong, such as too many open files, and not the terminal."""
+    loop = asyncio.get_running_loop()
+    before = loop.get_exception_handler()
+    loop.set_exception_handler(
+        lambda _, context: logger.error("%s", context["message"], exc_info=context.get("exception"))
+    )
     try:
-        found = next(iter(server.sockets)).getsockname()[1]
-        yield Page(f"http://{_shown_host(host)}:{found}{desk.access.prefix}", found)
+        yield
     finally:
-        await _shut(server)
+        loop.set_exception_handler(before)
 
 
 async def _shut(server: Server) -> None:
@@ -104,8 +125,11 @@ async def _shut(server: Server) -> None:
 class _FrontDesk:
     """Answers requests: a file, a WebSocket, or a refusal."""
 
-    def __init__(self, source: Source, access: Access, files: Mapping[str, tuple[str, bytes]]) -> None:
+    def __init__(
+        self, source: Source, access: Access, files: Mapping[str, tuple[str, bytes]], strangers: Strangers
+    ) -> None:
         self.access = access
+        self._strangers = strangers
         self._source = source
         self._files = files
         self._browsers = 0
@@ -128,10 +152,13 @@ class _FrontDesk:
             return _response(HTTPStatus.NOT_FOUND, "text/plain", b"there is no such page\n")
         except Refused as error:
             return _response(error.status, "text/plain", f"{error}\n".encode())
+        except (LookupError, ValueError):  # two Host headers; an address with half a bracket
+            return _response(HTTPStatus.BAD_REQUEST, "text/plain", b"a request that contradicts itself\n")
         return _response(HTTPStatus.OK, kind, content)
 
     async def follow(self, connection: ServerConnection) -> None:
         """Serve one browser until it leaves."""
+        self._strangers.accept(connection)
         self._browsers += 1
         try:
             await Session(connection, self._source).run()

@@ -7,6 +7,7 @@ The invariant: whatever bytes arrive, in whatever pieces, :meth:`PacketDecoder.f
 from __future__ import annotations
 
 import math
+import re
 import struct
 import zlib
 from collections.abc import Callable
@@ -52,6 +53,10 @@ _RATE = struct.Struct("<I")  # us between two frames
 
 _MAX_RAW = _HEADER.size + MAX_PAYLOAD + _CRC.size
 _MAX_STUFFED = _MAX_RAW + _MAX_RAW // 254 + 1
+_LEAST_STUFFED = _HEADER.size + _CRC.size + 1
+_LONG = re.compile(rb"[^\0]{%d,}" % _LEAST_STUFFED)
+_DENSE = 1024
+"""bytes by which so many delimiters are more than those of packets, at the head and end of an arrival"""
 _KNOWN_FLAGS = sum(flag.value for flag in Flag)
 _NO_FLAGS = Flag.NONE
 _FIRST_COMMAND = 0x80
@@ -131,7 +136,8 @@ def decode(stuffed: bytes, received_at: float = math.nan) -> Packet | BadCommand
 class PacketDecoder:
     """Bytes to native packets, for either end. Holds at most one packet of the longest kind, and never raises.
 
-    After noise the decoder is in step again at the next delimiter. Empty stretches are idle fill and are skipped.
+    After noise the decoder is in step again at the next delimiter. Empty stretches are idle fill and are skipped. Where
+    bytes come at once that are mostly delimiters, stretches shorter than any packet are reported as one.
     """
 
     def __init__(self) -> None:
@@ -142,6 +148,8 @@ class PacketDecoder:
     def feed(self, data: bytes, received_at: float = math.nan) -> list[Packet | BadCommand | Corrupt]:
         """The packets and corrupt stretches completed by ``data``, in order of arrival."""
         found: list[Packet | BadCommand | Corrupt] = []
+        if data.count(0) * _LEAST_STUFFED > len(data) + _DENSE:
+            return self._feed_noise(bytes(data), received_at)
         *completed, rest = bytes(data).split(b"\0")
         for piece in completed:
             if piece and not self._stretch and not self._too_long and len(piece) <= _MAX_STUFFED:
@@ -153,10 +161,29 @@ class PacketDecoder:
             self._collect(rest, found)
         return found
 
+    def _feed_noise(self, data: bytes, received_at: float) -> list[Packet | BadCommand | Corrupt]:
+        """As :meth:`feed`; what is shorter than any packet is one stretch, up to the next that is not.
+
+        Noise of many delimiters then costs no more than other noise.
+        """
+        begun, _, data = data.partition(b"\0")
+        data, _, rest = data.rpartition(b"\0")
+        found: list[Packet | BadCommand | Corrupt] = []
+        self._collect(begun, found)
+        self._finish(found, received_at)
+        place = 0
+        for long in _LONG.finditer(data):
+            found += _short(data[place : long.start()])
+            found.append(_decoded(long[0], received_at) if len(long[0]) <= _MAX_STUFFED else _too_long(long[0]))
+            place = long.end()
+        found += _short(data[place:])
+        self._collect(rest, found)
+        return found
+
     def _collect(self, piece: bytes, found: list[Packet | BadCommand | Corrupt]) -> None:
         self._stretch += piece
         if len(self._stretch) > _MAX_STUFFED:
-            found.append(Corrupt(len(self._stretch), "no delimiter within the longest packet"))
+            found.append(_too_long(self._stretch))
             self._stretch.clear()
             self._too_long = True
 
@@ -170,6 +197,16 @@ class PacketDecoder:
             found.append(Corrupt(len(stretch), "the end of a stretch longer than any packet"))
             return
         found.append(_decoded(stretch, received_at))
+
+
+def _too_long(stretch: bytes | bytearray) -> Corrupt:
+    return Corrupt(len(stretch), "no delimiter within the longest packet")
+
+
+def _short(stretches: bytes) -> list[Corrupt]:
+    """Stretches that are shorter than any packet, and the delimiters between them."""
+    count = len(stretches) - stretches.count(0)
+    return [Corrupt(count, f"{count} bytes in stretches shorter than any packet")] if count else []
 
 
 def _decoded(stretch: bytes, received_at: float) -> Packet | BadCommand | Corrupt:

@@ -11,7 +11,7 @@
 
 from ._calibrate import CalibrationResult, calibrate, estimate_recording
 from ._protocol import check_protocol, protocol_load, protocol_text
-from ._recording import Recording, check_resistances, check_times, checked_recording
+from ._recording import Recording, check_resistances, checked_recording, read_recording
 from ._recovery_curve import recovery_branches
 from ._report import calibration_figure, calibration_record, calibration_text
 
@@ -24,10 +24,10 @@ __all__ = [
     "calibration_text",
     "check_protocol",
     "check_resistances",
-    "check_times",
     "checked_recording",
     "estimate_recording",
     "protocol_load",
     "protocol_text",
+    "read_recording",
     "recovery_branches",
 ]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray
-from ...common.tables import read_columns
+from ...common.tables import LINE, TIME, read_columns
 from ...errors import InputError
 from ..materials import smoothed, smoothing_s, white_noise
 
@@ -17,6 +18,8 @@ SHORTEST_S, FEWEST = 20.0, 100
 SPARK, SPARK_SIGMAS = 0.08, 8.0
 """least jump of a single reading that counts as a bad contact: over the range of the readings, and in standard
 deviations of noise"""
+MOST_REPEATED = 0.01
+"""largest share of rows that may repeat the time of the row before, as clocks of coarse steps do"""
 LONGEST_PRESS_S = 3600.0
 """median length of a press beyond which the time column can hardly be in seconds"""
 PRESSURES_KPA, RESISTANCES_OHM = (0.01, 1e4), (0.1, 1e10)
@@ -48,13 +51,20 @@ class Recording:
     """the load including rows without a resistance; None: there are no such rows"""
 
     @classmethod
-    def load(cls, path: str | Path, *, trust_units: bool = False) -> Recording:
+    def load(
+        cls, path: str | Path, *, trust_units: bool = False, note: Callable[[str], None] = lambda said: None
+    ) -> Recording:
         """Read ``time_s,pressure_kpa,resistance_ohm``; of rows without a reading (NaN, open) only the load is used.
+
+        Args:
+            path: of the file.
+            trust_units: whether numbers that look like other units are taken as they are.
+            note: told of rows that are left out.
 
         Raises:
             InputError: the file cannot be read, or :func:`checked_recording` refuses its content.
         """
-        columns = read_columns(path, COLUMNS)
+        columns = read_recording(path, COLUMNS, note=note)
         return checked_recording(*(columns[name] for name in COLUMNS), name=str(path), trust_units=trust_units)
 
     @property
@@ -111,15 +121,37 @@ class Recording:
         )
 
 
-def check_times(time_s: FloatArray, name: str) -> None:
-    """InputError, naming the sample, unless times (n,) are finite and increase."""
+def read_recording(path: str | Path, names: Sequence[str], *, note: Callable[[str], None]) -> dict[str, FloatArray]:
+    """Columns of a recording, the first of which is ``time_s``; a few rows that repeat a time are left out.
+
+    Args:
+        path: of the CSV file.
+        names: of the columns.
+        note: told of rows that are left out.
+
+    Raises:
+        InputError: the file cannot be read, or times do not increase.
+    """
+    columns = read_columns(path, names, note=note)
+    time, line = columns[TIME], columns.pop(LINE)
+    repeats = np.diff(time, prepend=-np.inf) == 0
+    if 0 < repeats.sum() <= MOST_REPEATED * len(time):
+        first = int(line[np.argmax(repeats)])
+        more = f", and {repeats.sum() - 1} more like it" if repeats.sum() > 1 else ""
+        note(f"{path}: line {first} repeats the time of the line before, and is left out{more}")
+        columns, line = {name: values[~repeats] for name, values in columns.items()}, line[~repeats]
+    _check_times(columns[TIME], str(path), line)
+    return columns
+
+
+def _check_times(time_s: FloatArray, name: str, line: FloatArray | None = None) -> None:
+    """InputError, naming the sample or its line (n,), unless times (n,) are finite and increase."""
     follows = np.isfinite(time_s) & (np.diff(time_s, prepend=-np.inf) > 0)
     if not follows.all():
         at = int(np.argmin(follows))
         after = f" after {float(time_s[at - 1])} s" if at else ""
-        raise InputError(
-            f"{name}: time_s must increase and be finite, but sample {at + 1} is at {float(time_s[at])} s{after}"
-        )
+        where = f"sample {at + 1}" if line is None else f"line {int(line[at])}"
+        raise InputError(f"{name}: time_s must increase and be finite, but {where} is at {float(time_s[at])} s{after}")
 
 
 def check_resistances(resistance_ohm: FloatArray, name: str) -> None:
@@ -154,7 +186,7 @@ def checked_recording(
         InputError: time does not increase, resistance is not positive, the columns look exchanged, too few samples,
             too short, a pressure that does not change or is never released, or numbers that look like other units.
     """
-    check_times(time_s, name)
+    _check_times(time_s, name)
     if not np.isfinite(pressure_kpa).all():
         at = int(np.flatnonzero(~np.isfinite(pressure_kpa))[0])
         raise InputError(f"{name}: pressure_kpa of sample {at + 1} is {pressure_kpa[at]}; expected a number")

@@ -19,7 +19,7 @@
 from ._adjoint import SensitivityGroup
 from ._cards import COLUMN_INDEX, FOLLOWER, REFERENCE, ROW_INDEX, CardWriter
 from ._circuit import Reading, ReadoutCircuit
-from ._ends import sum_of_others
+from ._ends import sum_of_others, terminate
 from ._inverting_amplifier import InvertingAmplifier
 from ._linear import LinearReadout, output_rounding
 from ._quick import PortFields, QuickFields, QuickNetwork
@@ -48,4 +48,5 @@ __all__ = [
     "SensitivityGroup",
     "output_rounding",
     "sum_of_others",
+    "terminate",
 ]

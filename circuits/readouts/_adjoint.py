@@ -76,7 +76,7 @@ class TerminatedColumns(NamedTuple):
     columns: IntArray
     """columns that are read"""
     one_by_one: bool
-    """whether each column is read on its own, with all other columns open"""
+    """whether each column is read on its own, while the others end as idle columns do"""
     ends: Ends
     own_parts: Callable[[IntArray, FloatArray, FloatArray], dict[str, FloatArray]]
     """function of columns, currents (rows, 1, M) and adjoint currents (1, columns, M) in A; returns
@@ -88,25 +88,27 @@ def terminated_groups(board: Parts, ports: FloatArray, steps: TerminatedColumns)
     one by one.
     """
     rows, columns = board.shape
+    held = rows + board.pulled  # the ports ahead of the columns
     ends = steps.ends
     for some_rows in np.split(steps.rows, len(steps.rows)) if board.floating else [steps.rows]:
         for some in np.split(steps.columns, len(steps.columns)) if steps.one_by_one else [steps.columns]:
             if not len(some):
                 continue
-            tie = np.zeros(rows + columns)
+            read = np.isin(np.arange(columns), some) if steps.one_by_one else np.ones(columns, dtype=np.bool_)
+            tie = np.zeros(held + columns)
             tie[some_rows if board.floating else slice(rows)] = np.inf
-            tied = rows + (some if steps.one_by_one else np.arange(columns))
-            tie[tied] = siemens((ends.resistance + board.column_lead)[tied - rows])
+            tie[rows:held] = np.inf
+            tie[held:] = siemens(np.where(read, ends.resistance, board.idle_resistance) + board.column_lead)
             ties = TiedPorts.of(ports, tie)
-            behind = np.zeros((len(some_rows), rows + columns))
-            behind[:, rows:] = ends.source
+            behind = np.zeros((len(some_rows), held + columns))
+            behind[:, held:] = np.where(read, ends.source, 0.0)
             behind[np.arange(len(some_rows)), some_rows] = board.drive
             forward = ties.potentials(behind)
-            unit = np.zeros((len(some), rows + columns))
-            unit[np.arange(len(some)), rows + some] = ends.slope[some]
+            unit = np.zeros((len(some), held + columns))
+            unit[np.arange(len(some)), held + some] = ends.slope[some]
             adjoint = ties.potentials(unit)
-            current = ties.currents(forward, behind)[:, None, rows:]
-            adjoint_current = ties.currents(adjoint, unit)[None, :, rows:]
+            current = ties.currents(forward, behind)[:, None, held:]
+            adjoint_current = ties.currents(adjoint, unit)[None, :, held:]
             yield SensitivityGroup(
                 rows=some_rows,
                 columns=some,

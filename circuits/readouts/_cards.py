@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from .._parts import Parts
 
 REFERENCE = "0"  # SPICE's node 0
@@ -31,6 +33,25 @@ class CardWriter:
     def chosen(self, j: int) -> str:
         """SPICE condition that is true while column ``j`` is read."""
         return f"abs(v({COLUMN_INDEX})-{j})<0.5"
+
+    def switched_end(self, j: int, node: str, read: str) -> Iterator[str]:
+        """Cards of the end of column ``j`` where columns are read one by one.
+
+        Args:
+            j: number of the column.
+            node: the end of its lead.
+            read: SPICE expression of the volts at the node while the column is read, a function of ``i(Vend_j)``, the
+                current out of the grid.
+
+        """
+        current = f"i(Vend_{j})"
+        idle = {
+            "float": f"v({node})+{current}",  # this equation sets the current of the source to 0
+            "ground": "0",
+            "load": f"{float(self.board.reference[j])!r}*{current}",
+        }[self.board.idle_columns]
+        yield f"Bend_{j} {node} end_of_{j} V = {self.chosen(j)} ? {read} : {idle}"
+        yield f"Vend_{j} end_of_{j} {self.reference} DC 0"
 
     def amplifier_parts(self, j: int) -> tuple[float, float, float, float]:
         """Open-loop gain, Rref in ohm, offset voltage in V and bias current in A of column j's amplifier."""

@@ -82,7 +82,7 @@ class ReadoutCircuit(ABC):
 
         """
         ends = self.ends(board)
-        if ends is None or not (ends.resistance + board.column_lead).all():
+        if board.pulled or ends is None or not (ends.resistance + board.column_lead).all():
             return None
         return terminated_outputs(board, network, ends)
 
@@ -92,7 +92,7 @@ class ReadoutCircuit(ABC):
         Arguments, and None, as for :meth:`quick_outputs`.
         """
         ends = self.ends(board)
-        if ends is None or not (ends.resistance + board.column_lead).all():
+        if board.pulled or ends is None or not (ends.resistance + board.column_lead).all():
             return None
         return terminated_fields(board, network, ends)
 

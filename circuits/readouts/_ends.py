@@ -6,6 +6,7 @@ network with these ends. The currents into the ends then follow for all scan ste
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -32,7 +33,7 @@ class Ends(NamedTuple):
 
 
 def terminate(ports: FloatArray, rows: int, resistance: FloatArray) -> Rounded:
-    """The network (..., N + M, N + M) in S between row terminals and the far ends of ``resistance`` (M,) in ohm.
+    """The network in S between the first ``rows`` ports and the far ends of ``resistance`` (M,) in ohm.
 
     ``ports`` is the network between row terminals and column terminals. Each resistance is connected behind a column
     terminal, and the column terminals are then eliminated.
@@ -72,7 +73,7 @@ def column_currents(board: Parts, terminated: Rounded, source: FloatArray) -> Cu
 
     Args:
         board: drive and idle rows.
-        terminated: (..., N + M, N + M) S between the row terminals and the sources.
+        terminated: (..., P, P) S between the row terminals, the reference if rows have pull-downs, and the sources.
         source: V against the reference.
 
     """
@@ -93,16 +94,46 @@ def column_currents(board: Parts, terminated: Rounded, source: FloatArray) -> Cu
         )
     currents, sizes, cancelled = np.empty((3, *network.shape[:-2], rows, columns))
     worst = np.zeros(relative.shape)  # each step is solved on its own
-    for row in range(rows):
-        order = np.r_[np.delete(np.arange(rows), row), row, rows : rows + columns]
-        alone, step = eliminate_leading(network[..., order[:, None], order], rows - 1)
+    applied = np.array([board.drive, 0.0][: 1 + board.pulled])[:, None]
+    for row, (alone, step) in enumerate(_one_driven(network, rows)):
         worst = np.maximum(worst, step)
-        driven = alone[..., 0, 1:] * (board.drive - source)
-        currents[..., row, :] = driven + (alone[..., 1:, 1:] * difference).sum(axis=-1)
-        sizes[..., row, :] = np.abs(driven) + (alone[..., 1:, 1:] * np.abs(difference)).sum(axis=-1)
-        cancelled[..., row, :] = (alone[..., 1:, 1:] * before).sum(axis=-1)
-        cancelled[..., row, :] += alone[..., 0, 1:] * (abs(board.drive) + np.abs(source))
+        held, between = alone[..., : len(applied), len(applied) :], alone[..., len(applied) :, len(applied) :]
+        driven = held * (applied - source)
+        currents[..., row, :] = driven.sum(axis=-2) + (between * difference).sum(axis=-1)
+        sizes[..., row, :] = np.abs(driven).sum(axis=-2) + (between * np.abs(difference)).sum(axis=-1)
+        cancelled[..., row, :] = (between * before).sum(axis=-1)
+        cancelled[..., row, :] += (held * (np.abs(applied) + np.abs(source))).sum(axis=-2)
     return Currents(currents, sizes, cancelled, relative + worst)
+
+
+def _one_driven(network: FloatArray, rows: int) -> Iterator[Rounded]:
+    """For each selected row, the network between its terminal and all ports that are no rows, the other rows open."""
+    others = np.arange(rows, network.shape[-1])
+    for row in range(rows):
+        order = np.r_[np.delete(np.arange(rows), row), row, others]
+        yield eliminate_leading(network[..., order[:, None], order], rows - 1)
+
+
+def currents_one_by_one(board: Parts, ports: FloatArray, ends: Ends) -> Currents:
+    """Currents into the columns' ends where each column is read alone and the others end as idle columns do.
+
+    Args:
+        board: drive, idle rows and idle columns.
+        ports: (..., P, P) S between the row terminals, the reference if rows have pull-downs, and the column terminals.
+        ends: the end of each column while it is read.
+
+    """
+    parts: list[Currents] = []
+    for j in range(board.shape[1]):
+        own = np.arange(board.shape[1]) == j
+        behind = np.where(own, ends.resistance, board.idle_resistance) + board.column_lead
+        terminated = terminate(ports, board.shape[0] + board.pulled, behind)
+        parts.append(column_currents(board, terminated, np.where(own, ends.source, 0.0)))
+    value, magnitude, cancelled = (
+        np.stack([getattr(part, name)[..., j] for j, part in enumerate(parts)], axis=-1)
+        for name in ("value", "magnitude", "cancelled")
+    )
+    return Currents(value, magnitude, cancelled, np.max([part.relative for part in parts], axis=0))
 
 
 def sum_of_others(values: FloatArray) -> FloatArray:

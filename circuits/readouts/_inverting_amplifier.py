@@ -25,7 +25,7 @@ from ..solvers import IDEAL_WIRE, LARGEST_PART, Lines, Wires
 from ._adjoint import SensitivityGroup, TerminatedColumns, terminated_groups
 from ._cards import CardWriter
 from ._circuit import Reading, ReadoutCircuit, rounding_floor
-from ._ends import Ends, column_currents, terminate
+from ._ends import Ends, column_currents, currents_one_by_one, terminate
 from ._linear import LinearReadout
 
 SignArray = NDArray[np.int8]
@@ -44,13 +44,19 @@ class InvertingAmplifier(ReadoutCircuit):
     def read(self, board: Parts, ports: FloatArray) -> Reading:
         rows, columns = board.shape
         ends = amplifier_ends(board)
-        network = terminate(ports, rows, ends.resistance + board.column_lead)
-        currents = column_currents(board, network, ends.source)
+        if board.multiplexed:
+            currents = currents_one_by_one(board, ports, ends)
+        else:
+            network = terminate(ports, rows + board.pulled, ends.resistance + board.column_lead)
+            currents = column_currents(board, network, ends.source)
         volts, relative = ends.output + ends.slope * currents.value, float(currents.relative.max(initial=0.0))
         magnitude, cancelled = (np.abs(ends.slope) * part for part in (currents.magnitude, currents.cancelled))
         low, high = board.supply
         saturated = (volts < low) | (volts > high)
-        if saturated.any():
+        if board.multiplexed:  # one amplifier at a time: its limited output is the nearest limit
+            magnitude, cancelled = (np.where(saturated, 0.0, part) for part in (magnitude, cancelled))
+            volts = np.clip(volts, low, high)
+        elif saturated.any():
             frames = ports.reshape(-1, *ports.shape[-2:])
             parts = [part.reshape(-1, rows, columns) for part in (volts, saturated, magnitude, cancelled)]
             for frame in np.flatnonzero(parts[1].any(axis=(1, 2))):
@@ -61,15 +67,19 @@ class InvertingAmplifier(ReadoutCircuit):
                 relative = max(relative, own)
         return Reading(volts, saturated, magnitude, cancelled, relative)
 
+    def columns_one_by_one(self, board: Parts) -> bool:
+        return board.multiplexed
+
     def end_resistance(self, board: Parts) -> FloatArray:
-        return amplifier_ends(board).resistance
+        own = amplifier_ends(board).resistance
+        return np.minimum(own, board.idle_resistance) if board.multiplexed else own
 
     def ends(self, board: Parts) -> Ends | None:
-        return amplifier_ends(board)
+        return None if board.multiplexed else amplifier_ends(board)
 
     def linear(self, board: Parts) -> LinearReadout | None:
         """Linear with grounded idle rows and inputs that all stand at one potential; None otherwise."""
-        if board.floating or not board.plain:
+        if board.floating or board.multiplexed or not board.plain:
             return None
         ends = amplifier_ends(board)
         resistance = ends.resistance + board.column_lead
@@ -148,8 +158,8 @@ class InvertingAmplifier(ReadoutCircuit):
             columns = TerminatedColumns(
                 rows=np.flatnonzero(pattern_of.ravel() == number),
                 columns=np.flatnonzero(pattern == 0),  # an output at a limit does not move
-                one_by_one=False,
-                ends=amplifier_ends(board, pattern),
+                one_by_one=board.multiplexed,
+                ends=amplifier_ends(board, None if board.multiplexed else pattern),
                 own_parts=lambda some, current, adjoint, linear=pattern == 0: _by_own_parts(  # type: ignore[misc]
                     board, linear, some, current, adjoint
                 ),
@@ -183,11 +193,32 @@ class InvertingAmplifier(ReadoutCircuit):
 
             v_minus = A/(1+A) v_plus + i Rref/(1+A) + lack        v_out = v_minus - Rref i
         """
+        if writer.one_by_one:
+            yield from self._shared_amplifier(writer)
+            return
         yield "* Inverting amplifiers, one per column."
         if writer.board.supply != (-inf, inf):
             yield "* lack_J: how far its supply keeps the output from the voltage that its feedback asks for."
         for j in range(writer.columns):
             yield from self._amplifier(writer, j)
+
+    def _shared_amplifier(self, writer: CardWriter) -> Iterator[str]:
+        """The equivalent of the amplifier at each column that is read (:func:`amplifier_ends`), and its output."""
+        yield "* One inverting amplifier behind a switch: what each column sees of it, and what it puts out then."
+        ends, (low, high) = amplifier_ends(writer.board), writer.board.supply
+        parts = (part.tolist() for part in (ends.resistance, ends.source, ends.output, ends.slope))
+        for j, (resistance, source, output, slope) in enumerate(zip(*parts, strict=True)):
+            minus = writer.name[self.column_end(j)]
+            if minus in writer.drivers or minus == writer.reference:
+                raise SolverError(
+                    f"column {j}'s amplifier sits directly on a driver or the reference (parts of 0 ohm); a netlist of "
+                    "multiplexed columns cannot express that, give array.column_lead a resistance"
+                )
+            yield from writer.switched_end(j, minus, f"{source!r}+{resistance!r}*i(Vend_{j})")
+            volts = f"{output!r}+{slope!r}*i(Vend_{j})"
+            volts = f"min({volts},{high!r})" if high < inf else volts
+            volts = f"max({volts},{low!r})" if low > -inf else volts
+            yield f"Bout_{j} out_{j} {writer.ground} V = {volts}"
 
     def _amplifier(self, writer: CardWriter, j: int) -> Iterator[str]:
         board, reference = writer.board, writer.reference
@@ -292,7 +323,7 @@ def _read_saturated(board: Parts, ports: FloatArray, unlimited: Reading) -> Read
             if not len(steps):
                 continue
             ends = amplifier_ends(board, pattern)
-            network = terminate(ports, rows, ends.resistance + board.column_lead)
+            network = terminate(ports, rows + board.pulled, ends.resistance + board.column_lead)
             every = column_currents(board, network, ends.source)
             currents, relative = every.value[steps], max(relative, float(every.relative))
             magnitude[steps] = np.abs(ends.slope) * every.magnitude[steps]
@@ -332,6 +363,10 @@ def _by_own_parts(
     share, reference = board.loop_share, board.reference
     end = current * adjoint
     source = np.broadcast_to(adjoint, end.shape)
+    if board.multiplexed:  # the amplifier is at the column that is read; idle columns have at most a resistor
+        idle = ~np.isin(np.arange(end.shape[-1]), some)
+        end = np.where(idle & (board.idle_columns != "load"), 0.0, end)
+        source, linear = np.where(idle, 0.0, source), ~idle
     weight = np.where(linear, board.inverse_gain, 1.0)
     lift = board.level + board.offset + board.lift
     by_name = {

@@ -22,15 +22,15 @@ def energy_bound(board: Parts, ports: FloatArray, relative: float, end_resistanc
 
     Args:
         board: sources, leads and reference resistors.
-        ports: (..., N + M, N + M) S between row terminals and column terminals.
+        ports: (..., P, P) S between row terminals, the reference if rows have pull-downs, and column terminals.
         relative: bound on the relative error of all conductances.
         end_resistance: (M,) ohm behind the column leads.
 
     """
     behind = board.column_lead + end_resistance
     rows = board.shape[0]
-    total = ports.sum(axis=-1)[..., rows:]
-    row = np.sqrt(conductance_into_rows(ports, rows, behind))
+    total = ports.sum(axis=-1)[..., rows + board.pulled :]
+    row = np.sqrt(conductance_into_rows(ports, rows, np.insert(behind, 0, 0.0) if board.pulled else behind))
     column = np.sqrt(series_conductance(total, siemens(behind)))
     limits = [abs(limit - board.level) for limit in board.supply if isfinite(limit)]
     others = np.maximum(np.abs(board.offset) + abs(board.level) * board.inverse_gain, max(limits, default=0.0))

@@ -18,7 +18,7 @@ from ..solvers import Rounded, inverted
 from ._adjoint import SensitivityGroup, TerminatedColumns, terminated_groups
 from ._cards import CardWriter
 from ._circuit import Reading, ReadoutCircuit, rounding_floor
-from ._ends import Ends, column_currents, terminate
+from ._ends import Ends, column_currents, currents_one_by_one, terminate
 from ._inverting_amplifier import drive_over_signal
 from ._quick import (
     QuickFields,
@@ -43,8 +43,12 @@ class VoltageDivider(ReadoutCircuit):
     def read(self, board: Parts, ports: FloatArray) -> Reading:
         rows, columns = board.shape
         load, behind = board.reference, board.reference + board.column_lead
-        if not self.columns_one_by_one(board):
-            currents = column_currents(board, terminate(ports, rows, behind), np.zeros(columns))
+        one_by_one = self.columns_one_by_one(board)
+        if not one_by_one or board.pulled or board.idle_columns == "ground":
+            if one_by_one:
+                currents = currents_one_by_one(board, ports, _loads(board))
+            else:
+                currents = column_currents(board, terminate(ports, rows + board.pulled, behind), np.zeros(columns))
             signal, relative = load * currents.value, currents.relative
         elif not board.floating:
             inner, relative = inverted(ports[..., rows:, rows:], ports[..., :rows, rows:].sum(axis=-2), rows)
@@ -63,11 +67,15 @@ class VoltageDivider(ReadoutCircuit):
         )
 
     def quick_outputs(self, board: Parts, network: QuickNetwork) -> FloatArray | None:
+        if board.pulled or board.idle_columns == "ground":
+            return None
         if self.columns_one_by_one(board):
             return open_column_outputs(board, network)
         return board.level + terminated_outputs(board, network, _loads(board))
 
     def quick_fields(self, board: Parts, network: QuickNetwork) -> QuickFields | None:
+        if board.pulled or board.idle_columns == "ground":
+            return None
         if self.columns_one_by_one(board):
             return open_column_fields(board, network)
         return terminated_fields(board, network, _loads(board))
@@ -81,10 +89,10 @@ class VoltageDivider(ReadoutCircuit):
         return np.broadcast_to(by_own, driven.shape), -by_sum
 
     def end_resistance(self, board: Parts) -> FloatArray:
-        return board.reference
+        return np.minimum(board.reference, board.idle_resistance)
 
     def columns_one_by_one(self, board: Parts) -> bool:
-        return board.idle_columns == "float"
+        return board.idle_columns != "load"
 
     def ideal_volts(self, board: Parts, cells: FloatArray) -> FloatArray:
         volts: FloatArray = board.level + board.drive * board.reference / (board.reference + cells)
@@ -119,12 +127,13 @@ class VoltageDivider(ReadoutCircuit):
 
     def sensitivity_groups(self, board: Parts, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
         rows, columns = board.shape
+        one_by_one = self.columns_one_by_one(board)
         loads = TerminatedColumns(
             rows=np.arange(rows),
             columns=np.arange(columns),
-            one_by_one=self.columns_one_by_one(board),
+            one_by_one=one_by_one,
             ends=_loads(board),
-            own_parts=_by_loads,
+            own_parts=_by_load_alone if one_by_one else _by_loads,
         )
         yield from terminated_groups(board, ports, loads)
 
@@ -140,6 +149,8 @@ class VoltageDivider(ReadoutCircuit):
             end, ohm = writer.name[self.column_end(j)], float(writer.board.reference[j])
             if end == writer.reference:
                 yield f"* end_{j} is shorted to the reference"
+            elif writer.one_by_one and writer.board.idle_columns == "ground":
+                yield from writer.switched_end(j, end, f"{ohm!r}*i(Vend_{j})")
             elif writer.one_by_one:
                 yield f"Bload_{j} {end} {writer.reference} I = {writer.chosen(j)} ? v({end})/{ohm!r} : 0"
             else:
@@ -157,6 +168,12 @@ def _by_loads(some: IntArray, current: FloatArray, adjoint: FloatArray) -> dict[
     load = current * adjoint
     load[:, np.arange(len(some)), some] += current[:, 0, some]
     return {"reference_resistance": load}
+
+
+def _by_load_alone(some: IntArray, current: FloatArray, adjoint: FloatArray) -> dict[str, FloatArray]:
+    """As :func:`_by_loads` for columns that are read one by one: idle columns have no load."""
+    load = _by_loads(some, current, adjoint)["reference_resistance"]
+    return {"reference_resistance": np.where(np.isin(np.arange(load.shape[-1]), some), load, 0.0)}
 
 
 def effective_resistance(ports: FloatArray, rows: int) -> Rounded:

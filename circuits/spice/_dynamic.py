@@ -17,14 +17,15 @@ into that node the current loop gain Ti = Iy/Ix, and ``T = (Tv Ti - 1)/(Tv + Ti 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Collection, Iterator
 from math import inf, isfinite, isinf, nan, pi
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.constants import Boltzmann
+from scipy.constants import Boltzmann, zero_Celsius
 
 from ...common.arrays import FloatArray
 from ...common.text import printable
@@ -32,25 +33,34 @@ from ...errors import InputError, SolverError
 from .._amplifier_model import AmplifierModel
 from .._board import Board
 from .._design import Design
-from ._ngspice import run_control
+from ._ngspice import simulate
 
 LARGEST_GAIN = 1e7
 """An infinite open-loop gain is written as this."""
 LEAST_OHM = 1e-6
 """Wires without resistance are written as this."""
+ANALYSES = ("transient", "noise", "loop gain")
+SHARPEST_EDGE_S = 1e-9
+"""of the selected row, if a macro-model has to follow: faster edges than any board's stop the convergence of some"""
 POINTS_PER_DECADE = 200
 """of the loop gain"""
-_KELVIN_AT_ZERO_CELSIUS = 273.15
 
 
 def dynamic_netlist(
-    design: Design, resistance: ArrayLike, row: int, *, column: int = 0, period: float | None = None
+    design: Design,
+    resistance: ArrayLike,
+    row: int,
+    *,
+    column: int = 0,
+    period: float | None = None,
+    analyses: Collection[str] = ANALYSES,
 ) -> str:
     """The netlist of the step in which ``row`` is selected at t = 0, all outputs having settled without a signal.
 
     It prints, for each column J in V: ``rest_J`` before the selection, ``sampled_J`` at the end of ``period``, and
-    ``settled_J`` long after. ``noise_rms`` is the noise in V rms at the converter of ``column``; ``crossover`` in Hz
-    and ``phase_margin`` in degrees are those of its amplifier, and not printed if its loop gain is below 1 throughout.
+    ``settled_J``, the operating point while the row stays selected. ``noise_rms`` is the noise in V rms at the
+    converter of ``column``; ``crossover`` in Hz and ``phase_margin`` in degrees are those of its amplifier, and not
+    printed if its loop gain is below 1 throughout.
 
     Rows here are the lines that the circuit drives, and columns those that it senses, by the array's own numbers.
 
@@ -59,14 +69,15 @@ def dynamic_netlist(
         resistance: (rows, columns) ohm.
         row: number of the driven line that is selected.
         column: number of the sensed line whose noise and loop gain are found.
-        period: s until the sample; None: twenty time constants of the slowest amplifier.
+        period: s until the sample, from the middle of the edge; None: twenty time constants of the slowest amplifier.
+        analyses: which of :data:`ANALYSES`.
 
     Raises:
         InputError: another circuit, a continuous sheet, faults, an infinite gain-bandwidth, or no such line.
 
     """
     board = design.board
-    if not board.circuit.virtual_ground:
+    if not board.virtual_grounds:
         modelled = "amplifiers that hold all sensed lines"
         raise InputError(f'readout.circuit = "{board.circuit.name}": dynamics are modelled for {modelled}')
     if board.continuous or board.faults:
@@ -77,14 +88,14 @@ def dynamic_netlist(
     if not 0 <= row < board.shape[0] or not 0 <= column < board.shape[1]:
         driven, sensed = board.line_kinds
         raise InputError(f"{driven} {row}, {sensed} {column}: outside the array")
-    return _Writer(board, cells, board.driven_line(row), board.sensed_line(column), period).text()
+    return _Writer(board, cells, board.driven_line(row), board.sensed_line(column), period).text(analyses)
 
 
 class DynamicReading(NamedTuple):
     """What ngspice makes of one scan step in time."""
 
     sampled: FloatArray
-    """(sensed lines,) V at the end of the period"""
+    """(sensed lines,) V at the end of the period; NaN without a transient analysis, like what follows"""
     settled: FloatArray
     """(sensed lines,) V long after"""
     noise: float
@@ -93,30 +104,47 @@ class DynamicReading(NamedTuple):
     """Hz at which the loop gain of that column's amplifier falls below 1; NaN if it never does"""
     phase_margin: float
     """degrees, at the crossover"""
+    dropped: tuple[str, ...] = ()
+    """parameters of the macro-model that ngspice does not know: the numbers are those of a model without them"""
 
 
 def dynamic_reading(
-    design: Design, resistance: ArrayLike, row: int, *, column: int = 0, period: float | None = None
+    design: Design,
+    resistance: ArrayLike,
+    row: int,
+    *,
+    column: int = 0,
+    period: float | None = None,
+    analyses: Collection[str] = ANALYSES,
 ) -> DynamicReading:
     """Run :func:`dynamic_netlist` by the ngspice command.
 
     Raises:
         InputError: as :func:`dynamic_netlist`.
         MissingExtra: the command is not installed.
-        SolverError: ngspice gave no result.
+        SolverError: ngspice gave no result for one of the analyses; the message holds its reason.
 
     """
-    pspice = design.readout.amplifier_model is not None  # the dialect of most makers
-    found = run_control(dynamic_netlist(design, resistance, row, column=column, period=period), pspice=pspice)
-    columns = range(design.board.shape[1])
-    try:
-        sampled = [found[f"sampled_{j}"] for j in columns]
-        settled = [found[f"settled_{j}"] for j in columns]
-        noise = found["noise_rms"]
-    except KeyError as error:
-        raise SolverError(f"ngspice gave no {error} in its transient or noise analysis") from error
-    loop = (found.get(name, nan) for name in ("crossover", "phase_margin"))
-    return DynamicReading(np.array(sampled), np.array(settled), noise, *loop)
+    model = design.readout.amplifier_model
+    text = dynamic_netlist(design, resistance, row, column=column, period=period, analyses=analyses)
+    run = simulate(text, pspice=model is not None)  # the dialect of most makers
+    lines = range(design.board.shape[1])
+    wanted = [f"{name}_{j}" for name in ("sampled", "settled") for j in lines] if "transient" in analyses else []
+    wanted += ["noise_rms"] if "noise" in analyses else []
+    if any(name not in run.printed for name in wanted):
+        raise SolverError(run.complaints or f"ngspice printed only {', '.join(run.printed)}")
+    sampled, settled = (
+        np.array([run.printed.get(f"{name}_{j}", nan) for j in lines]) for name in ("sampled", "settled")
+    )
+    silently = ("T_ABS",) if model is not None and re.search(r"\bt_abs\s*=", model.text, re.IGNORECASE) else ()
+    return DynamicReading(
+        sampled,
+        settled,
+        noise=run.printed.get("noise_rms", nan),
+        crossover=run.printed.get("crossover", nan),
+        phase_margin=run.printed.get("phase_margin", nan),
+        dropped=(*silently, *run.dropped),
+    )
 
 
 class _Writer:
@@ -139,11 +167,17 @@ class _Writer:
         ringing = 2 * reference * (readout.feedback_capacitance + readout.column_capacitance)
         return gain / (2 * pi * readout.gain_bandwidth) + ringing + sampling
 
-    def text(self) -> str:
+    @property
+    def rise(self) -> float:
+        """s of the edge by which the row is selected."""
+        sharpest = 0.0 if self.board.readout.amplifier_model is None else SHARPEST_EDGE_S
+        return max(min(self.period, self.slow) * 1e-6, sharpest)
+
+    def text(self, analyses: Collection[str]) -> str:
         cards = [*self._head(), *self._grid()]
         for column in range(self.columns):
             cards += [*self._feedback(column), *self._amplifier(column), *self._sample(column)]
-        return "\n".join([*cards, *self._analyses(), ".end", ""])
+        return "\n".join([*cards, *self._analyses(analyses), ".end", ""])
 
     def _head(self) -> Iterator[str]:
         readout = self.board.readout
@@ -153,7 +187,7 @@ class _Writer:
         yield f"* ohmskin: {self.rows} driven x {self.columns} sensed lines, {driven} {selected} selected at t = 0"
         yield f"* noise and phase margin are those of {sensed} {judged}"
         yield "* ngspice -b FILE runs all analyses; LTspice opens the file"
-        yield f".temp {kelvin - _KELVIN_AT_ZERO_CELSIUS!r}"
+        yield f".temp {kelvin - zero_Celsius!r}"
         model = readout.amplifier_model
         # The transistors and limiters of macro-models converge to SPICE's usual tolerances, and not far below.
         yield ".options reltol=1e-6 abstol=1e-15 vntol=1e-9" if model is None else ".options reltol=1e-4"
@@ -161,7 +195,7 @@ class _Writer:
             yield from self._model_cards(model)
         yield f"Vreference ref 0 DC {readout.reference_voltage!r}"
         final = readout.reference_voltage + self.board.drive
-        rise = min(self.period, self.slow) * 1e-6
+        rise = self.rise
         yield (
             f"Vdrive drive 0 DC {readout.reference_voltage!r} AC 1 "
             f"PULSE({readout.reference_voltage!r} {final!r} 0 {rise!r} {rise!r} {1e3 * self.slow + self.period!r})"
@@ -193,6 +227,8 @@ class _Writer:
             source = "drive" if i == self.row else "ref"
             if i == self.row or not board.floating:
                 yield f"Rrow{i} {source} r{i}_0 {_wire(board.row_ohms[i, 0])!r}"
+            if board.pulled:
+                yield f"Rpull{i} r{i}_0 ref {board.pull!r}"
             for j in range(1, self.columns):
                 yield f"Rrs{i}_{j} r{i}_{j - 1} r{i}_{j} {_wire(board.row_ohms[i, j])!r}"
         for j in range(self.columns):
@@ -280,35 +316,46 @@ class _Writer:
             yield f"Rni{j} ni{j} 0 {ohm!r}"
             yield f"Gni{j} 0 minus{j} ni{j} 0 {readout.current_noise / density!r}"
 
-    def _analyses(self) -> Iterator[str]:
-        """The transient analysis as a card; all three as commands of ngspice, which LTspice takes for comments."""
-        stop = self.slow + self.period
-        transient = f"tran {self.period / 200!r} {stop!r} 0 {min(self.period, self.slow) / 200!r}"
+    def _analyses(self, analyses: Collection[str]) -> Iterator[str]:
+        """The transient analysis as a card; all as commands of ngspice, which LTspice takes for comments."""
+        stop = self.period + self.rise
+        longest = min(self.period, self.slow) / 200
+        if self.board.readout.amplifier_model is not None:
+            longest = self.period / 200  # its own time constants are not known; ngspice controls the step
+        transient = f"tran {self.period / 200!r} {stop!r} 0 {longest!r}"
+        outputs = [(j, self.board.sensed_line(j)) for j in range(self.columns)]
         measured = [
-            f"meas tran {name}_{self.board.sensed_line(j)} FIND v(sample{j}) AT={at!r}"
-            for j in range(self.columns)
-            for name, at in (("sampled", self.period), ("settled", 0.999 * stop))
+            f"meas tran sampled_{line} FIND v(sample{j}) AT={self.period + self.rise / 2!r}" for j, line in outputs
         ]
         noise = f"noise v(sample{self.column}) Vdrive dec 100 1 {1e4 * self.board.readout.gain_bandwidth!r}"
         yield f".{transient}"
         yield from (f".{line}" for line in measured)
         yield f"* For LTspice, in place of .tran: .{noise}"
-        yield from ("*# set numdgt=16", "*# op")
-        for j in range(self.columns):
-            yield f"*# let rest_{self.board.sensed_line(j)} = v(sample{j})"
-            yield f"*# print rest_{self.board.sensed_line(j)}"
-        yield f"*# {transient}"
-        for line in measured:
-            yield f"*# {line}"
-            yield f"*# print {line.split()[2]}"
-        final = self.board.readout.reference_voltage + self.board.drive
-        yield f"*# alter vdrive dc = {final!r}"
-        # ngspice's own onoise_total is now and then no number: its integration divides by zero for some slopes.
-        yield from (f"*# {noise}", "*# setplot noise1", "*# let density = onoise_spectrum*onoise_spectrum")
-        yield from ("*# let variance = integ(density)", "*# let noise_rms = sqrt(variance[length(variance)-1])")
-        yield "*# print noise_rms"
-        yield from (f"*# {line}" for line in self._loop_gain())
+        yield "*# set numdgt=16"
+        if "transient" in analyses:
+            yield from self._operating_point("rest")
+            yield f"*# {transient}"
+            for line in measured:
+                yield f"*# {line}"
+                yield f"*# print {line.split()[2]}"
+        yield f"*# alter vdrive dc = {self.board.readout.reference_voltage + self.board.drive!r}"
+        if "transient" in analyses:
+            yield from self._operating_point("settled")
+        if "noise" in analyses:
+            # ngspice's own onoise_total is now and then no number: its integration divides by zero for some slopes.
+            yield from (f"*# {noise}", "*# setplot previous", "*# let density = onoise_spectrum*onoise_spectrum")
+            yield from ("*# let variance = integ(density)", "*# let noise_rms = sqrt(variance[length(variance)-1])")
+            yield "*# print noise_rms"
+        if "loop gain" in analyses:
+            yield from (f"*# {line}" for line in self._loop_gain())
         yield "*# quit"
+
+    def _operating_point(self, name: str) -> Iterator[str]:
+        yield "*# op"
+        for j in range(self.columns):
+            line = self.board.sensed_line(j)
+            yield f"*# let {name}_{line} = v(sample{j})"
+            yield f"*# print {name}_{line}"
 
     def _loop_gain(self) -> Iterator[str]:
         """ngspice's commands for Middlebrook's double injection, at the operating point of the selected row."""
@@ -322,6 +369,7 @@ class _Writer:
         yield from ("let back = -i(vloop)", "let forward = 1 - back", "let tv = {$voltage_run}.voltage_gain")
         yield "let loop_gain = (tv*back - forward)/((tv + 2)*forward + back)"
         yield from ("let gain_db = db(loop_gain)", "let angle = 180/pi*cph(loop_gain)")
+        yield from ("let start_db = gain_db[0]", "print start_db")  # also where there is no crossover
         yield "meas ac crossover WHEN gain_db=0 FALL=LAST"
         yield "meas ac angle_there FIND angle WHEN gain_db=0 FALL=LAST"
         yield from ("let phase_margin = 180 + angle_there", "print crossover", "print phase_margin")

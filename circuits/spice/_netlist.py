@@ -28,6 +28,7 @@ from .._board import Board
 from .._design import Design
 from ..readouts import COLUMN_INDEX, FOLLOWER, REFERENCE, ROW_INDEX, CardWriter
 
+_IDLE_COLUMNS = {"float": "are open", "ground": "stay at the reference", "load": "have a load each"}
 NONLINEAR_OPTIONS = ".options reltol=1e-9 vntol=1e-12 abstol=1e-15"
 
 
@@ -184,6 +185,10 @@ class DeckWriter(CardWriter):
         """Node at the driven end of row i's lead. For an idle row this is the reference or the follower's output."""
         return f"drive_{i}" if self.row in {None, i} else FOLLOWER if self.feedback else REFERENCE
 
+    def _start(self, i: int) -> str:
+        """Node of row i's pull-down, where the lead ends; a break at the first crosspoint lies behind this node."""
+        return f"start_{i}" if self.row_ohms[i, 0] != self.board.row_lead[i] else self._row(i, 0)
+
     def _row(self, i: int, j: int) -> str:
         return f"row_{i}_{j}" if self.row_ohms[i, 1:].any() else f"row_{i}"
 
@@ -196,8 +201,17 @@ class DeckWriter(CardWriter):
         All crosspoints of a line without segment resistance are one node.
         """
         row, column = self.row_ohms.tolist(), self.column_ohms.tolist()
-        for i in self.driven:
-            yield f"Rlead_row_{i}", self._driver(i), self._row(i, 0), row[i][0]
+        if self.board.pulled:
+            lead = self.board.row_lead.tolist()
+            for i in range(self.rows):
+                yield f"Rpull_row_{i}", self._start(i), REFERENCE, self.board.pull
+                if self._start(i) != self._row(i, 0):
+                    yield f"Rbreak_row_{i}", self._start(i), self._row(i, 0), row[i][0] - lead[i]
+                if i in self.driven:
+                    yield f"Rlead_row_{i}", self._driver(i), self._start(i), lead[i]
+        else:
+            for i in self.driven:
+                yield f"Rlead_row_{i}", self._driver(i), self._row(i, 0), row[i][0]
         for j, ohm in enumerate(self.board.column_lead.tolist()):
             yield f"Rlead_col_{j}", self._column(self.rows - 1, j), self.circuit.column_end(j), ohm
         for i, cells in enumerate(self.resistance.tolist()):
@@ -246,7 +260,10 @@ class DeckWriter(CardWriter):
         if self.ground != REFERENCE:
             yield "* Node 0 is the reference; board ground lies below it."
             yield f"Vreference {REFERENCE} {self.ground} DC {level!r}"
-        idle = "are open" if self.floating else f"stay at the {'follower' if self.feedback else 'reference'}"
+        if self.floating:
+            idle = "have pull-downs" if self.board.pulled else "are open"
+        else:
+            idle = f"stay at the {'follower' if self.feedback else 'reference'}"
         if self.row is not None:
             yield f"* Row {self.row} is driven; the idle rows {idle}."
             yield f"Vdrive_{self.row} {self._driver(self.row)} {REFERENCE} DC {volts!r}"
@@ -262,8 +279,8 @@ class DeckWriter(CardWriter):
                     yield f"Bdrive_{i} {drive} open_{i} V = {selected} ? {volts!r} : v({drive})+i(Vopen_{i})"
                     yield f"Vopen_{i} open_{i} {REFERENCE} DC 0"
         if self.one_by_one:
-            others = "stay at the follower" if self.feedback else "are open"
-            yield f"* Only the column whose number is v({COLUMN_INDEX}) has its load; the others {others}."
+            others = "stay at the follower" if self.feedback else _IDLE_COLUMNS[self.board.idle_columns]
+            yield f"* Only the column whose number is v({COLUMN_INDEX}) is read; the others {others}."
             yield f"Vcolumn {COLUMN_INDEX} {REFERENCE} DC 0"
 
     def _grid(self) -> Iterator[str]:
@@ -290,7 +307,7 @@ class DeckWriter(CardWriter):
         for _, a, b, ohm in self._resistors():
             if ohm < inf:
                 held.merge(self.name[a], self.name[b])
-        if self.feedback or not self.one_by_one:
+        if self.feedback or not self.one_by_one or self.board.idle_columns != "float":
             for j in range(self.columns):
                 held.merge(self.name[self.circuit.column_end(j)], REFERENCE)
         driven_one_by_one = self.row is None and self.floating
@@ -305,8 +322,11 @@ class DeckWriter(CardWriter):
             if len(drivers) == self.rows:
                 continue  # one of these rows is always driven
             yield f"* Nothing else holds the island of {node}; no current flows here."
-            if drivers:
-                idle = " && ".join(f"abs(v({ROW_INDEX})-{i})>0.5" for i in drivers)
-                yield f"Btie_{number} {node} {REFERENCE} I = {idle} ? v({node}) : 0"
+            idle = [f"abs(v({ROW_INDEX})-{i})>0.5" for i in drivers]
+            if self.one_by_one and self.circuit.has_amplifiers:  # an amplifier holds the column that is read
+                ends = [self.name[self.circuit.column_end(j)] for j in range(self.columns)]
+                idle += [f"abs(v({COLUMN_INDEX})-{j})>0.5" for j, end in enumerate(ends) if end in island]
+            if idle:
+                yield f"Btie_{number} {node} {REFERENCE} I = {' && '.join(idle)} ? v({node}) : 0"
             else:
                 yield f"Rtie_{number} {node} {REFERENCE} 1"

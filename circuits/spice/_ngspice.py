@@ -12,13 +12,14 @@ import logging
 import os
 import re
 import shutil
+import signal
 import subprocess
 import tempfile
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,8 +30,11 @@ from .._design import Design
 from ..readouts import REFERENCE
 from ._netlist import Deck, frame_deck, step_deck
 
-PATIENCE_S = 600.0
-"""for one run of the command: a macro-model may find no convergence for ever"""
+LEAST_LIMIT_S, LIMIT_PER_CARD_S = 20, 0.05
+"""of processor time for one run of the command, as a constant and by cards of the netlist; a macro-model may find no
+convergence for ever"""
+_WAITING = 20.0
+"""ratio of time to processor time on a busy machine, beyond which a run is given up all the same"""
 COMMAND = "*# "
 """begins a line that ngspice runs, and that other simulators take for a comment"""
 Vectors = dict[str, NDArray[Any]]
@@ -130,8 +134,29 @@ def run_command(text: str) -> Vectors:
         return _read_raw(raw.read_bytes())
 
 
-def run_control(text: str, *, pspice: bool = False) -> dict[str, float]:
+def run_control(text: str) -> dict[str, float]:
     """Run a netlist that prints its own results (``name = number``) under ``ngspice -b`` and return those.
+
+    Raises:
+        MissingExtra: the command is not installed.
+        SolverError: as :func:`simulate`.
+    """
+    return simulate(text).printed
+
+
+class Simulated(NamedTuple):
+    """What ngspice printed."""
+
+    printed: dict[str, float]
+    """results by name"""
+    dropped: tuple[str, ...]
+    """parameters of models that ngspice does not know and has left out"""
+    complaints: str
+    """its errors and warnings about an analysis that failed; empty: none"""
+
+
+def simulate(text: str, *, pspice: bool = False) -> Simulated:
+    """As :func:`run_control`, with what ngspice said.
 
     Args:
         text: of the netlist.
@@ -139,7 +164,8 @@ def run_control(text: str, *, pspice: bool = False) -> dict[str, float]:
 
     Raises:
         MissingExtra: the command is not installed.
-        SolverError: nothing was printed, or not in time; the message holds what ngspice said instead.
+        SolverError: nothing was printed, or not within the limit of processor time, which grows with the netlist; the
+            message holds what ngspice said instead.
     """
     if reason := command_available():
         raise MissingExtra(reason)
@@ -148,16 +174,28 @@ def run_control(text: str, *, pspice: bool = False) -> dict[str, float]:
         # In this mode ngspice takes *# for a comment, but runs .control blocks.
         command[1:1] = ["-D", "ngbehavior=psa"]
         text = _with_control_block(text)
+    limit = round(LEAST_LIMIT_S + LIMIT_PER_CARD_S * text.count("\n"))
     try:
         process = subprocess.run(
-            command, input=text, text=True, errors="replace", capture_output=True, check=False, timeout=PATIENCE_S
+            ["sh", "-c", 'ulimit -t "$0"; exec "$@"', str(limit), *command],
+            input=text,
+            text=True,
+            errors="replace",
+            capture_output=True,
+            check=False,
+            timeout=_WAITING * limit,
         )
     except subprocess.TimeoutExpired as error:
-        raise SolverError(f"ngspice found no result within {PATIENCE_S:g} s") from error
+        raise SolverError(f"ngspice found no result within {_WAITING * limit:g} s") from error
+    if process.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+        raise SolverError(f"ngspice found no result within {limit} s of processor time")
     printed = re.findall(r"^(\w+) = (\S+)\s*$", process.stdout, flags=re.MULTILINE)
+    said = process.stderr + process.stdout
     if not printed:
-        raise SolverError(f"ngspice gave no result: {_gist(process.stderr)}")
-    return {name: float(number) for name, number in printed}
+        raise SolverError(f"ngspice gave no result: {_gist(said)}")
+    dropped = re.findall(r"unrecognized parameter \((\w+)\) - ignored", said)
+    complaints = _gist(said) if re.search(_COMPLAINT, said, flags=re.IGNORECASE) else ""
+    return Simulated({name: float(number) for name, number in printed}, tuple(dict.fromkeys(dropped)), complaints)
 
 
 def _with_control_block(text: str) -> str:
@@ -196,9 +234,13 @@ def _read_raw(content: bytes) -> Vectors:
     return {_canonical(name): column for name, column in zip(names, table.T, strict=True)}
 
 
+_COMPLAINT = "error|singular|fail|fatal|too small|no convergence|trouble|abort"
+
+
 def _gist(said: str) -> str:
     """What matters in ngspice's many words about a failure."""
-    lines = [line.strip() for line in said.splitlines() if re.search("error|singular|fail|fatal", line.lower())]
+    spoken = (line.strip() for line in said.splitlines() if not re.match(r"\s*(error: )?meas", line, re.IGNORECASE))
+    lines = [line for line in spoken if re.search(_COMPLAINT, line, flags=re.IGNORECASE)]
     return "; ".join(list(dict.fromkeys(lines))[:3]) or said.strip()[-200:] or "it said nothing"
 
 

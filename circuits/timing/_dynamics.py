@@ -67,9 +67,10 @@ def column_conductances(board: Board, cells: FloatArray) -> FloatArray:
     else:
         between, to_ground = np.empty((rows, columns, columns)), np.empty((rows, columns))
         for row in range(rows):
-            order = np.r_[np.delete(np.arange(rows), row), row, rows : rows + columns]
+            order = np.r_[np.delete(np.arange(rows), row), row, rows : len(ports)]
             alone = eliminate_leading(ports[np.ix_(order, order)], rows - 1).value
-            between[row], to_ground[row] = alone[1:, 1:], alone[0, 1:]
+            held = len(alone) - columns  # the selected row, and the reference behind pull-downs
+            between[row], to_ground[row] = alone[held:, held:], alone[:held, held:].sum(axis=0)
     conductances = -between
     diagonal = np.arange(columns)
     conductances[:, diagonal, diagonal] = to_ground + between.sum(axis=-1) - between[:, diagonal, diagonal]
@@ -150,6 +151,10 @@ def column_dynamics(board: Board, conductance: FloatArray) -> Dynamics:
 
 def require_amplifiers(board: Board) -> None:
     """Raise InputError for circuits whose dynamics are not modelled."""
-    if not board.circuit.virtual_ground:
+    if not board.virtual_grounds:
         modelled = " and ".join(f'"{circuit.name}"' for circuit in CIRCUITS.values() if circuit.virtual_ground)
-        raise InputError(f'readout.circuit = "{board.circuit.name}": settling and noise are modelled for {modelled}')
+        here = " with multiplexed columns" if board.circuit.virtual_ground else ""
+        raise InputError(
+            f'readout.circuit = "{board.circuit.name}"{here}: settling and noise are modelled for {modelled} with an '
+            "amplifier on each line"
+        )

@@ -12,6 +12,7 @@ from typing import TypeVar
 import pytest
 import serial
 from cobs import cobs
+from patience import HANG_S, TURN_S, Patience
 
 from ohmskin.wire import (
     Corrupt,
@@ -35,42 +36,46 @@ class Host:
     """A bare serial program: pyserial and the protocol object, no driver."""
 
     def __init__(self, port: str) -> None:
-        self.serial = serial.serial_for_url(port, 1_000_000, timeout=0.02)
+        patient = f"{port}?timeout={HANG_S}" if port.startswith("rfc2217://") else port  # of pyserial's negotiation
+        self.serial = serial.serial_for_url(patient, 1_000_000, timeout=TURN_S)
         self.protocol = host_protocol("ohmskin")
 
-    def listen(self, until: Callable[[list[Event]], bool], timeout_s: float = 60.0) -> list[Event]:
+    def listen(self, until: Callable[[list[Event]], bool]) -> list[Event]:
         """The events up to those that make ``until`` true."""
         events: list[Event] = []
-        deadline = time.monotonic() + timeout_s
+        patience = Patience()
         while not until(events):
-            assert time.monotonic() < deadline, events
+            patience.spend(events)
             events += self.protocol.feed(self.serial.read(1024), time.monotonic())
         return events
 
-    def hear(self, kind: type[E], count: int = 1, timeout_s: float = 60.0) -> list[E]:
+    def hear(self, kind: type[E], count: int = 1) -> list[E]:
         """The next ``count`` events of one kind."""
-        found = self.listen(lambda events: len(of(kind, events)) >= count, timeout_s)
+        found = self.listen(lambda events: len(of(kind, events)) >= count)
         return of(kind, found)
 
     def tell(self, order: Order, *, period_us: int = 0) -> None:
         self.serial.write(self.protocol.request(order, period_us=period_us))
 
     def ask(self, order: Order, answer: type[E], *, period_us: int = 0) -> E:
-        """Give an order, again once a second as a host does that may have been overheard, and wait for the answer."""
-        for _ in range(10):
+        """Give an order, again as a host does that may have been overheard, and wait for the answer."""
+        events: list[Event] = []
+        patience = Patience()
+        while not of(answer, events):
             self.tell(order, period_us=period_us)
-            asked = time.monotonic()
-            heard = self.listen(lambda events, asked=asked: bool(of(answer, events)) or time.monotonic() > asked + 1.0)
-            if of(answer, heard):
-                return of(answer, heard)[-1]
-        raise AssertionError(f"no {answer.__name__} after ten times {order.name}")
+            again = Patience(1.0)
+            while not (of(answer, events) or again.is_over):
+                patience.spend(f"no {answer.__name__} of {order.name}")
+                again.count()
+                events += self.protocol.feed(self.serial.read(1024), time.monotonic())
+        return of(answer, events)[-1]
 
     def taken(self, order: Order, *, period_us: int = 0) -> Reply:
         """Give an order until its own reply comes."""
-        while True:
-            reply = self.ask(order, Reply, period_us=period_us)
-            if reply.order == order.value:
-                return reply
+        patience = Patience()
+        while (reply := self.ask(order, Reply, period_us=period_us)).order != order.value:
+            patience.spend(reply)
+        return reply
 
 
 @pytest.fixture
@@ -193,14 +198,16 @@ def test_a_command_that_cannot_be_taken_gets_an_error_reply(host: Host) -> None:
         def answers(events: list[Event], sequence: int = sequence) -> list[Reply]:
             return [reply for reply in of(Reply, events) if reply.command_sequence == sequence]
 
-        replies: list[Reply] = []
-        for _ in range(10):
+        events: list[Event] = []
+        patience = Patience()
+        while not answers(events):
             host.serial.write(b"\0" + stuffed(kind, sequence, payload, version=version))
-            asked = time.monotonic()
-            events = host.listen(lambda events, asked=asked: bool(answers(events)) or time.monotonic() > asked + 1)
-            replies = answers(events)
-            if replies:
-                break
+            again = Patience(1.0)
+            while not (answers(events) or again.is_over):
+                patience.spend(events)
+                again.count()
+                events += host.protocol.feed(host.serial.read(1024), time.monotonic())
+        replies = answers(events)
         assert [(reply.order, reply.status) for reply in replies[:1]] == [(kind, status)]
     host.hear(FramePacket, 2)
 

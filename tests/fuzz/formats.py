@@ -43,8 +43,10 @@ from ohmskin.driver import Calibration, ReplayPort, Skin
 from ohmskin.emulator import Scene
 from ohmskin.errors import InputError, LinkEnded, LinkError, OhmskinError, SolverError
 from ohmskin.verification._record import compare, load_record
-from ohmskin.wire import BOARDS, FramePacket, Order, board_protocol, host_protocol
+from ohmskin.wire import BOARDS, BoardFile, FramePacket, Order, board_protocol, host_protocol
 
+from .described import board_text, judged_stream, round_trip
+from .described import stream as described_stream
 from .mutations import mutated
 
 ACCEPTED, REFUSED = "accepted", "refused"
@@ -304,7 +306,7 @@ def _judge_cells(data: bytes, rng: random.Random, folder: Path) -> str:
     path = folder / "cells.csv"
     path.write_bytes(data)
     found = _read(path, lambda path: read_cells(path, SHAPE))
-    if _unusual(data):
+    if _unusual(data) or re.search(rb"[kKMG]|ol", data, re.IGNORECASE):
         return REFUSED if found is None else ACCEPTED
     expected = _simple_cells(data.decode("utf-8-sig"))
     assert (found is None) == (expected is None), f"read as {found}, expected {expected}"
@@ -315,7 +317,12 @@ def _judge_cells(data: bytes, rng: random.Random, folder: Path) -> str:
 
 
 def _simple_cells(text: str) -> list[list[float]] | None:
-    rows = [[_float(field) for field in line.split(",")] for line in _lines(text)]
+    lines = [line.split(",") for line in _lines(text)]
+    if lines and not any(_is_number(field) or field.lstrip()[:1].isdigit() for field in lines[0]):
+        width = len(lines.pop(0))  # a header
+        if any(len(line) != width for line in lines):
+            return None
+    rows = [[_float(field) for field in line] for line in lines]
     if len(rows) != SHAPE[0] or any(len(row) != SHAPE[1] for row in rows):
         return None
     return rows if all(value >= 0 for row in rows for value in row) else None  # NaN fails here, too
@@ -343,6 +350,8 @@ def _judge_recording(data: bytes, rng: random.Random, folder: Path) -> str:
 
 def _simple_columns(text: str) -> dict[str, list[float]] | None:
     lines = [line.split(",") for line in _lines(text)]
+    if lines and not text.endswith(("\n", "\r")) and len(lines[-1]) < len(lines[0]):
+        lines.pop()  # cut off
     if len(lines) < 2 or any(len(line) != len(lines[0]) for line in lines):
         return None
     header = [name.strip() for name in lines[0]]
@@ -372,12 +381,12 @@ def _float(field: str) -> float:
 
 
 def _unusual(data: bytes) -> bool:
-    """Quotes, lone carriage returns and broken UTF-8, of which the simple reader knows nothing."""
+    """Quotes, lone carriage returns, broken UTF-8, and the forms of spreadsheets: not for the simple reader."""
     try:
         data.decode("utf-8-sig")
     except UnicodeDecodeError:
         return True
-    return b'"' in data or b"\r" in data.replace(b"\r\n", b"")
+    return bool(re.search(rb'[";\t#:]|sep=', data, re.IGNORECASE)) or b"\r" in data.replace(b"\r\n", b"")
 
 
 # --- the protocol of the board ----------------------------------------------------------------------------------------
@@ -481,6 +490,22 @@ def _judge_families(data: bytes, rng: random.Random, folder: Path) -> str:
         place = end
     assert frames <= len(data)
     return ACCEPTED if frames else REFUSED
+
+
+def _judge_board(data: bytes, rng: random.Random, folder: Path) -> str:
+    """What is accepted has the values of the file, and both ends that it describes understand each other."""
+    path = folder / "board.toml"
+    path.write_bytes(data)
+    file = _read(path, BoardFile.load)
+    if file is None:
+        return REFUSED
+    _agrees(_tables(data), file)
+    round_trip(path, rng)
+    return ACCEPTED
+
+
+def _judge_described(data: bytes, rng: random.Random, folder: Path) -> str:
+    return ACCEPTED if judged_stream(data, rng) else REFUSED
 
 
 def _commands(rng: random.Random) -> bytes:
@@ -743,6 +768,8 @@ FORMATS = {
         Format("recording", _recording_text, _judge_recording),
         Format("frames", _stream, _judge_stream, text=False),
         Format("families", _family_stream, _judge_families, text=False),
+        Format("board", board_text, _judge_board),
+        Format("described", described_stream, _judge_described, text=False),
         Format("commands", _commands, _judge_commands, text=False),
         Format("mcap", _recorded, _judge_recorded, text=False),
         Format("events", _told, _judge_told),

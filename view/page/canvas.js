@@ -25,13 +25,3 @@ export function themeColours() {
   colours.series = Array.from({ length: 6 }, (_, k) => themeColour(`series-${k}`));
   return colours;
 }
-
-/** Text with a halo of the other end of the scale, readable on every colour. */
-export function haloText(context, text, x, y, ratio) {
-  context.lineJoin = "round";
-  context.lineWidth = 3.5 * ratio;
-  context.strokeStyle = "rgb(0 0 0 / 0.75)";
-  context.strokeText(text, x, y);
-  context.fillStyle = "#ffffff";
-  context.fillText(text, x, y);
-}

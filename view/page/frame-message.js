@@ -1,7 +1,7 @@
 // Binary layout of a frame on the WebSocket, as view/_frame_message.py describes it. Little-endian, as browsers are.
 
-const VERSION = 1;
-const HEADER_BYTES = 48;
+const VERSION = 2;
+const HEADER_BYTES = 56;
 const CONTACT_BYTES = 24;
 const JOINED_BYTES = 8;
 
@@ -13,18 +13,19 @@ export function readFrame(buffer) {
   const columns = header.getUint16(10, true);
   const contactCount = header.getUint16(12, true);
   const cells = rows * columns;
-  const contactsAt = HEADER_BYTES + 12 * cells;
-  const countsAt = contactsAt + contactCount * CONTACT_BYTES;
+  const countsAt = HEADER_BYTES + 16 * cells;
+  const contactsAt = countsAt + 3 * cells;
+  const joinedAt = contactsAt + contactCount * CONTACT_BYTES;
   const contacts = [];
-  for (let k = 0; k < contactCount; k++) {
-    const at = contactsAt + k * CONTACT_BYTES;
-    const [x_mm, y_mm, force_n, peak_kpa, area_mm2] = new Float32Array(buffer, at + 4, 5);
+  for (let at = contactsAt; at < joinedAt; at += CONTACT_BYTES) {
+    const [x_mm, y_mm, force_n, peak_kpa, area_mm2] = [4, 8, 12, 16, 20].map((off) => header.getFloat32(at + off, true));
     contacts.push({ id: header.getUint32(at, true), joined: [], x_mm, y_mm, force_n, peak_kpa, area_mm2 });
   }
-  for (let at = countsAt + 3 * cells; at < buffer.byteLength; at += JOINED_BYTES) {
+  for (let at = joinedAt; at < buffer.byteLength; at += JOINED_BYTES) {
     const id = header.getUint32(at, true);
     contacts.find((contact) => contact.id === id).joined.push(header.getUint32(at + 4, true));
   }
+  const reason = new Uint8Array(buffer, countsAt + 2 * cells, cells);
   return {
     number: header.getUint32(4, true),
     rows,
@@ -37,8 +38,11 @@ export function readFrame(buffer) {
     pressure: new Float32Array(buffer, HEADER_BYTES, cells),
     std: new Float32Array(buffer, HEADER_BYTES + 4 * cells, cells),
     resistance: new Float32Array(buffer, HEADER_BYTES + 8 * cells, cells),
+    change: new Float32Array(buffer, HEADER_BYTES + 12 * cells, cells),
+    totalForce_n: header.getFloat64(48, true),
     contacts,
     counts: new Uint16Array(buffer, countsAt, cells),
-    valid: new Uint8Array(buffer, countsAt + 2 * cells, cells),
+    reason,
+    valid: reason.map((why) => (why === 0 ? 1 : 0)),
   };
 }

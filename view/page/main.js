@@ -5,6 +5,7 @@ import { Connection } from "./connection.js";
 import { readFrame } from "./frame-message.js";
 import { HeatMap } from "./heat-map.js";
 import { History, Series } from "./history.js";
+import { fixed } from "./numbers.js";
 import { element, linkPairs, showCell, showContacts, showPairs, showState, write } from "./panels.js";
 import { drawPlot, timeAt } from "./plot.js";
 import { drawHatching, drawScale } from "./scale.js";
@@ -17,12 +18,16 @@ const TRACE_EVERY_MS = 2000; // while a recording is still being decoded
 const PLOTTED_S = 30;
 const TRACE_POINTS = 3000;
 const THEMES = ["system", "light", "dark"];
+const MAP_SHARE = 0.62; // of the page's width, at most
+const BELOW_MAP = 84; // CSS pixels for the legend and the margins below the map
+const TRANSPORT = 84; // and for the controls of a recording
 
 /** What the heat map can show: unit, values of a frame, and the upper end of the fixed scale (null: none). */
 const QUANTITIES = {
   pressure: { label: "pressure", unit: "kPa", values: (frame) => frame.pressure, fullScale: (skin) => skin.full_scale_kpa },
   std: { label: "standard deviation", unit: "kPa", values: (frame) => frame.std, fullScale: () => null },
   resistance: { label: "resistance", unit: "Ω", values: (frame) => frame.resistance, fullScale: () => null },
+  change: { label: "counts above rest", unit: "", values: (frame) => frame.change, fullScale: (skin) => skin.full_scale_counts },
   counts: { label: "counts", unit: "", values: (frame) => frame.counts, fullScale: (skin) => skin.full_scale_counts },
 };
 
@@ -35,6 +40,7 @@ class View {
     this.asked = false; // for a newer frame
     this.paused = false;
     this.pointed = null; // index of the cell under the pointer
+    this.total = new Series(); // total force over time
     this.chosen = []; // plotted cells: {index, slot, series}
     this.scale = [0, 1];
     this.drawn = 0; // frames since the page was loaded
@@ -76,8 +82,10 @@ class View {
     element("pause").hidden = element("rest").hidden = !skin.live;
     element("transport").hidden = skin.live;
     if (!same) {
-      this.history = new History(skin.rows * skin.columns);
+      this.history = new History(skin.rows * skin.columns, skin.circuit === null);
+      document.body.classList.toggle("in-counts", skin.circuit === null);
       this.chosen = [];
+      this.total = new Series();
       this.offerQuantities();
       this.layOut();
       this.listChosen();
@@ -108,8 +116,10 @@ class View {
     this.arrived = frame;
     if (this.skin.live) {
       this.history.add(frame);
+      this.total.add(frame.time_s, frame.totalForce_n, NaN);
       for (const { index, series } of this.chosen) {
-        series.add(frame.time_s, frame.valid[index] ? frame.pressure[index] : NaN, frame.std[index]);
+        const plotted = this.skin.circuit === null ? frame.change : frame.pressure;
+        series.add(frame.time_s, frame.valid[index] ? plotted[index] : NaN, frame.std[index]);
       }
       if (!behind) this.askNext(frame.number);
     } else {
@@ -156,15 +166,16 @@ class View {
     this.drawScaleFor(quantity, values);
     this.map.drawCells(values, frame.valid, ...this.scale);
     const chosen = this.chosen.map(({ index, slot }) => ({ index, colour: this.colours.series[slot] }));
-    this.map.drawMarks(frame.contacts, this.skin.pitch_mm, chosen, this.pointed);
+    this.map.drawMarks(frame, this.skin.pitch_mm, chosen, this.pointed);
+    showContacts(frame.contacts);
     if (now - this.last.plot >= PLOT_EVERY_MS || this.hurry) {
       this.last.plot = now;
       this.drawPlot();
     }
     if (now - this.last.text >= TEXT_EVERY_MS || this.hurry) {
       this.last.text = now;
-      showCell(frame, this.pointed);
-      showContacts(frame.contacts);
+      showCell(frame, this.pointed, this.skin.reasons);
+      write(element("total"), `${fixed(frame.totalForce_n, 2)} N`);
     } else {
       this.textLater();
     }
@@ -209,15 +220,23 @@ class View {
   }
 
   drawPlot() {
-    const lines = this.chosen.map(({ slot, series }) => ({ series, colour: this.colours.series[slot] }));
+    const ofCells = this.chosen.map(({ slot, series }) => ({ series, colour: this.colours.series[slot] }));
+    const lines = this.plotsForce ? [{ series: this.total, colour: this.colours.accent }] : ofCells;
     drawPlot(element("plot"), lines, this.plotView(), this.colours);
   }
 
   plotView() {
     const now = this.frame.time_s;
-    const least = 0.1 * (this.skin.full_scale_kpa ?? 1);
-    if (this.skin.live) return { from: now - PLOTTED_S, to: now, origin: now, cursor: null, gaps: true, least };
-    return { from: 0, to: Math.max(this.transport.seconds, 1e-3), origin: 0, cursor: now, gaps: false, least };
+    const threshold = element("threshold").valueAsNumber;
+    const ofCells = this.skin.circuit === null ? ["counts", 10] : ["kPa", 0.1 * (this.skin.full_scale_kpa ?? 1)];
+    const [unit, least] = this.plotsForce ? ["N", 0.1] : ofCells;
+    const shown = { unit, least, threshold: threshold > 0 ? threshold : null };
+    if (this.skin.live) return { from: now - PLOTTED_S, to: now, origin: now, cursor: null, gaps: true, ...shown };
+    return { from: 0, to: Math.max(this.transport.seconds, 1e-3), origin: 0, cursor: now, gaps: false, ...shown };
+  }
+
+  get plotsForce() {
+    return element("plotted").value === "force";
   }
 
   /** Adds a cell to the plot, or takes it away. */
@@ -247,21 +266,28 @@ class View {
       button.addEventListener("click", () => this.choose(index));
       return button;
     });
-    const hint = this.chosen.length ? "band: ± 1 standard deviation" : "Click cells of the map to plot their pressure.";
-    element("chosen").replaceChildren(...buttons, hint);
+    const what = this.skin.circuit === null ? "counts" : "pressure";
+    const band = this.skin.circuit === null ? "counts above rest" : "band: ± 1 standard deviation";
+    const hint = this.chosen.length ? band : `Click cells of the map to plot their ${what}.`;
+    const force = "pressure times area, over all valid cells";
+    element("chosen").replaceChildren(...(this.plotsForce ? [force] : [...buttons, hint]));
   }
 
   askTraces(now = false) {
-    if (!this.skin || this.skin.live || !this.chosen.length) return;
+    if (!this.skin || this.skin.live || !(this.chosen.length || this.plotsForce)) return;
     const moment = performance.now();
     if (!now && moment - this.last.trace < TRACE_EVERY_MS) return;
     this.last.trace = moment;
     const cells = this.chosen.map(({ index }) => [Math.floor(index / this.skin.columns), index % this.skin.columns]);
-    this.connection.order({ do: "trace", cells, points: TRACE_POINTS });
+    this.connection.order({ do: "trace", cells, points: TRACE_POINTS, total: this.plotsForce });
   }
 
   plotTraces(traces) {
     for (const trace of traces) {
+      if (trace.cell === null) {
+        this.total = Series.of(trace);
+        continue;
+      }
       const index = trace.cell[0] * this.skin.columns + trace.cell[1];
       const one = this.chosen.find((cell) => cell.index === index);
       if (one) one.series = Series.of(trace);
@@ -271,7 +297,9 @@ class View {
 
   showTare() {
     const { tare, undoable } = this.status;
-    const text = tare === null ? "Rest resistances are those of the data sheet." : `Tared over ${tare.frames} frames.`;
+    const untared =
+      this.skin.circuit === null ? "No circuit is known: counts as they come." : "Rest resistances are those of the data sheet.";
+    const text = tare === null ? untared : `Tared over ${tare.frames} frames.`;
     write(element("tare-state"), text);
     element("undo").hidden = !undoable;
   }
@@ -307,8 +335,13 @@ class View {
   }
 
   offerQuantities() {
-    const known = Object.keys(QUANTITIES).filter((name) => this.skin.full_scale_kpa !== null || !"pressure std".includes(name));
+    const { circuit, full_scale_kpa } = this.skin;
+    const inCounts = ["change", "counts"];
+    const inOhms = full_scale_kpa === null ? ["resistance", "counts"] : ["pressure", "std", "resistance", "counts"];
+    const known = circuit === null ? inCounts : inOhms;
     element("quantity").replaceChildren(...known.map((name) => new Option(QUANTITIES[name].label, name)));
+    // The numbers of a board that nobody has described may use a small part of their range.
+    if (circuit === null) element("auto").checked = true;
   }
 
   /** Lays everything out for the room that the window has. */
@@ -316,11 +349,17 @@ class View {
     if (!this.skin) return;
     const holder = element("map").parentElement;
     const style = getComputedStyle(holder);
-    const width = holder.clientWidth - parseFloat(style.paddingLeft) - parseFloat(style.paddingRight);
+    const padding = parseFloat(style.paddingLeft) + parseFloat(style.paddingRight);
     const narrow = globalThis.innerWidth <= 960;
-    const height = narrow ? 1.25 * width : Math.max(globalThis.innerHeight - 392, 340);
-    this.map.layOut(this.skin.rows, this.skin.columns, width, height, this.colours);
-    this.legendWidth = Math.min(width - 100, 480);
+    const room = narrow ? holder.clientWidth : MAP_SHARE * holder.parentElement.clientWidth;
+    const below = element("transport").hidden ? BELOW_MAP : BELOW_MAP + TRANSPORT;
+    const above = element("map").getBoundingClientRect().top + globalThis.scrollY;
+    const width = room - padding;
+    const height = narrow ? 1.25 * width : Math.max(globalThis.innerHeight - above - below, 300);
+    const pitch_mm = element("axes").value === "mm" ? this.skin.pitch_mm : null;
+    this.map.layOut(this.skin.rows, this.skin.columns, width, height, this.colours, { ...this.orientation, pitch_mm });
+    this.legendWidth = Math.min(width - 100, this.map.cells.width / this.map.ratio - 100, 480);
+    this.legendWidth = Math.max(this.legendWidth, 160);
     this.scaleKey = "";
     drawHatching(element("hatching"), this.colours);
     this.refresh();
@@ -349,11 +388,47 @@ class View {
     element("tare-anyway").addEventListener("click", () => this.orderTare(true));
     element("undo").addEventListener("click", () => this.connection.order({ do: "undo tare" }));
     this.listenToMap();
+    this.listenToTools();
     element("plot").addEventListener("click", (event) => {
       if (!this.frame || this.skin.live) return;
       const time_s = timeAt(element("plot"), event, this.plotView());
       if (time_s !== null) this.transport.seek(time_s);
     });
+  }
+
+  /** Orientation, axes, the plot's kind and threshold, and what can be saved. */
+  listenToTools() {
+    this.orientation = { turns: Number(stored("turns", "0")) % 4, mirrored: stored("mirrored", "no") === "yes" };
+    element("axes").value = stored("axes", "cells");
+    const turn = (change) => {
+      Object.assign(this.orientation, change);
+      store("turns", String(this.orientation.turns));
+      store("mirrored", this.orientation.mirrored ? "yes" : "no");
+      this.layOut();
+    };
+    element("rotate").addEventListener("click", () => turn({ turns: (this.orientation.turns + 1) % 4 }));
+    element("mirror").addEventListener("click", () => turn({ mirrored: !this.orientation.mirrored }));
+    element("axes").addEventListener("change", () => {
+      store("axes", element("axes").value);
+      this.layOut();
+    });
+    element("plotted").addEventListener("change", () => {
+      this.listChosen();
+      this.askTraces(true);
+      this.refresh();
+    });
+    element("threshold").addEventListener("input", () => this.refresh());
+    element("picture").addEventListener("click", () => {
+      this.map.picture().toBlob((blob) => save(blob, `${this.fileStem()}.png`));
+    });
+    element("numbers").addEventListener("click", () => {
+      save(new Blob([frameTable(this.frame)], { type: "text/csv" }), `${this.fileStem()}.csv`);
+    });
+  }
+
+  fileStem() {
+    const source = this.skin.source.replace(/[^\w.-]+/g, "-").replace(/^-+|-+$/g, "");
+    return `${source || "skin"}-${this.frame.number}`;
   }
 
   listenToMap() {
@@ -373,17 +448,36 @@ class View {
     map.addEventListener("keydown", (event) => {
       const ways = { ArrowLeft: [0, -1], ArrowRight: [0, 1], ArrowUp: [-1, 0], ArrowDown: [1, 0] };
       if (event.key in ways) {
-        const { rows, columns } = this.skin;
         const [down, along] = ways[event.key];
-        const from = this.pointed ?? 0;
-        const row = (Math.floor(from / columns) + down + rows) % rows;
-        const column = ((from % columns) + along + columns) % columns;
-        point(row * columns + column);
+        const [x, y] = this.map.squareOf(this.pointed ?? 0);
+        const { across, down: tall } = this.map;
+        point(this.map.cellOf[((y + down + tall) % tall) * across + ((x + along + across) % across)]);
       } else if ((event.key === "Enter" || event.key === " ") && this.pointed !== null) this.choose(this.pointed);
       else return;
       event.preventDefault();
     });
   }
+}
+
+/** All numbers of a frame as CSV, one line per cell. */
+function frameTable(frame) {
+  const number = (value) => (Number.isFinite(value) ? String(value) : "");
+  const lines = ["row,column,pressure_kpa,std_kpa,resistance_ohm,counts,valid"];
+  for (let k = 0; k < frame.counts.length; k++) {
+    const place = [Math.floor(k / frame.columns), k % frame.columns];
+    const values = [frame.pressure[k], frame.std[k], frame.resistance[k]].map(number);
+    lines.push([...place, ...values, frame.counts[k], frame.valid[k]].join(","));
+  }
+  return `${lines.join("\n")}\n`;
+}
+
+/** Hands a file to the browser. */
+function save(blob, name) {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(blob);
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
 }
 
 /** Least and largest of the valid values, a little apart. */

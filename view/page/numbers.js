@@ -48,3 +48,8 @@ export function tickLabel(value, values) {
 export function ids(contact) {
   return [contact.id, ...contact.joined].join("+");
 }
+
+/** The force of a contact, alike wherever it is written. */
+export function newtons(contact) {
+  return fixed(contact.force_n, contact.force_n < 9.995 ? 2 : 1);
+}

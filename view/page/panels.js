@@ -1,6 +1,6 @@
 // The texts beside the heat map: the cell under the pointer, contacts, rest, and the link.
 
-import { fixed, ids, milliseconds, ohm } from "./numbers.js";
+import { fixed, ids, milliseconds, newtons, ohm } from "./numbers.js";
 
 const MOST_CONTACTS = 8;
 
@@ -11,8 +11,8 @@ export function write(target, text) {
   if (target.textContent !== text) target.textContent = text;
 }
 
-/** Shows one cell of a frame; null: none is pointed at. */
-export function showCell(frame, index) {
+/** Shows one cell of a frame; null: none is pointed at. `reasons`: why a cell is not valid, by number. */
+export function showCell(frame, index, reasons) {
   element("cell").hidden = index === null;
   element("cell-hint").hidden = index !== null;
   if (index === null) return;
@@ -22,7 +22,8 @@ export function showCell(frame, index) {
   write(element("cell-std"), `± ${fixed(frame.std[index], 3)} kPa`);
   write(element("cell-resistance"), ohm(frame.resistance[index]));
   write(element("cell-counts"), String(frame.counts[index]));
-  write(element("cell-valid"), valid ? "valid" : "not valid");
+  write(element("cell-change"), fixed(frame.change[index], 1));
+  write(element("cell-valid"), valid ? "valid" : `not valid: ${reasons[frame.reason[index]] ?? "unknown"}`);
   element("cell-valid").classList.toggle("invalid", !valid);
 }
 
@@ -42,7 +43,7 @@ export function showContacts(all) {
   contacts.forEach((contact, k) => {
     const texts = [
       ids(contact),
-      fixed(contact.force_n, 2),
+      newtons(contact),
       fixed(contact.peak_kpa, 1),
       `${fixed(contact.x_mm, 1)}, ${fixed(contact.y_mm, 1)}`,
       fixed(contact.area_mm2, 0),
@@ -72,7 +73,7 @@ export function linkPairs(introduction, status, cost) {
     ["frames", String(found.frames)],
     ["lost", found.lost === null ? "not known" : String(found.lost)],
     ["skipped", String(found.skipped)],
-    ["corrupt", String(found.corrupt)],
+    ["corrupt", found.why_corrupt ? `${found.corrupt} (${found.why_corrupt})` : String(found.corrupt)],
     ["reconnects", String(found.reconnects)],
     ["reboots", String(found.reboots)],
     ["unsolved", String(found.unsolved)],

@@ -14,7 +14,7 @@ const GAP_S = 0.5; // a longer pause between two samples is drawn as a gap
  * Draws the plot.
  * @param lines [{series, colour}]; a series has `length` and `at(k)` -> [time, kPa, standard deviation]
  * @param view {from, to, origin, cursor, least}: times in s; labels count from origin; cursor null for none;
- *   least: kPa that the vertical axis reaches at least
+ *   least: value that the vertical axis reaches at least; unit: of the values; threshold: null for none
  */
 export function drawPlot(canvas, lines, view, colours) {
   const box = canvas.getBoundingClientRect();
@@ -24,7 +24,7 @@ export function drawPlot(canvas, lines, view, colours) {
   context.clearRect(0, 0, width, height);
   const area = { left: LEFT, right: width - RIGHT, top: TOP, bottom: height - BOTTOM };
   const columns = lines.map(({ series }) => byColumn(series, view, area));
-  const [low, high] = verticalRange(columns, view.least);
+  const [low, high] = verticalRange(columns, Math.max(view.least, view.threshold ?? 0));
   const toY = (kpa) => area.bottom - ((kpa - low) / (high - low)) * (area.bottom - area.top);
   drawAxes(context, area, view, low, high, toY, colours);
   context.save();
@@ -34,6 +34,7 @@ export function drawPlot(canvas, lines, view, colours) {
   lines.forEach(({ colour }, k) => drawBand(context, columns[k], toY, colour));
   lines.forEach(({ colour }, k) => drawLine(context, columns[k], toY, colour));
   context.restore();
+  if (view.threshold !== null) drawThreshold(context, area, Math.round(toY(view.threshold)) + 0.5, colours);
   if (view.cursor !== null) drawCursor(context, area, view, colours);
 }
 
@@ -137,7 +138,7 @@ function drawAxes(context, area, view, low, high, toY, colours) {
   context.translate(11, (area.top + area.bottom) / 2);
   context.rotate(-Math.PI / 2);
   context.textBaseline = "middle";
-  context.fillText("kPa", 0, 0);
+  context.fillText(view.unit, 0, 0);
   context.restore();
 }
 
@@ -172,6 +173,14 @@ function drawLine(context, stretches, toY, colour) {
     if (stretch.length === 1) context.lineTo(stretch[0].x + 1, toY(stretch[0].last));
   }
   context.stroke();
+}
+
+function drawThreshold(context, area, y, colours) {
+  context.strokeStyle = colours.accent;
+  context.lineWidth = 1.25;
+  context.setLineDash([6, 4]);
+  line(context, area.left, y, area.right, y);
+  context.setLineDash([]);
 }
 
 function drawCursor(context, area, view, colours) {

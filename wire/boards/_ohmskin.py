@@ -107,7 +107,7 @@ class _Assembly:
         try:
             design, cell = read_description(text)
         except ProtocolError as error:
-            return Corrupt(len(text), str(error))
+            return Corrupt(len(text), str(error), is_description=True)
         return Description(piece.sequence, piece.time_us, design, cell, piece.boot_id, received_at=piece.received_at)
 
 

@@ -1,0 +1,102 @@
+"""Boards that flood, lie and stall: the driver says what is wrong in the time that it was given, and leaves nothing."""
+
+from __future__ import annotations
+
+import json
+import threading
+import traceback
+
+import pytest
+from boards import MemoryPort, Script, described, frame, identity
+
+from ohmskin.driver import Skin
+from ohmskin.errors import LinkError, OhmskinError, ProtocolError
+from ohmskin.wire import DescriptionPiece, encode
+
+DESIGN = {"array": {"rows": 3, "columns": 2}, "drive": {"voltage": -1.0}}
+ESCAPES = "\x1b[2J\n\x9b31m\u202e"
+"""clears a terminal, colours it, and turns the direction of what follows"""
+BLOCK = 65536
+"""bytes that a port gives at once"""
+
+
+class Flood(MemoryPort):
+    """A line on which more noise has always come, as from a board at another baud rate that never pauses."""
+
+    def __init__(self, noise: bytes) -> None:
+        super().__init__()
+        self._block = (noise * BLOCK)[:BLOCK]
+
+    def ready(self) -> bool:
+        return True
+
+    def next_bytes(self) -> bytes:
+        return self._block
+
+
+@pytest.mark.parametrize(("family", "noise"), [("ohmskin", b"\0x"), ("fsr-array", b"a"), ("snowboard", b"\n")])
+def test_a_flood_of_noise_ends_with_the_timeout(family: str, noise: bytes) -> None:
+    """Some formats take a second to look through what comes in a second: takers and set-up get their share."""
+    port = Flood(noise)
+    with (
+        pytest.raises(ProtocolError, match=f"expected a board of family '{family}'"),
+        Skin(port, board=family, timeout=1.0) as skin,
+    ):
+        skin.read()
+    assert port.closed
+
+
+def test_set_ups_that_take_too_long_leave_few_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    over = threading.Event()
+    monkeypatch.setattr("ohmskin.driver._convert.CountReader.__call__", lambda *_: over.wait(60.0))
+    try:
+        for _ in range(14):
+            with pytest.raises(ProtocolError, match=r"was not set up within 0\.02 s"):
+                Skin(described(frame(0)), timeout=0.02)
+        assert len([thread for thread in threading.enumerate() if thread.name == "ohmskin set-up"]) <= 2
+    finally:
+        over.set()
+    monkeypatch.undo()
+    with Skin(described(frame(0))) as skin:  # once they have ended another one begins
+        assert skin.read().sequence == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (b'{"design": ', "a description is not JSON: Expecting value"),
+        (b"[1, 2]", "a description is not a JSON object"),
+        (b'{"design": 1}', "a description whose 'design' is no object"),
+        (b"\xff" * 40, "a description is not JSON: 'utf-8' codec can't decode"),
+    ],
+)
+def test_a_description_that_cannot_be_read_is_named_though_frames_come(text: bytes, said: str) -> None:
+    port = Script(identity(), encode(DescriptionPiece(0, 0, 0, len(text), text, 1)), frame(1), frame(2))
+    with pytest.raises(ProtocolError, match=f"the board describes itself wrongly: {said}"):
+        Skin(port, timeout=0.3)
+
+
+@pytest.mark.parametrize(
+    "tables",
+    [
+        DESIGN | {ESCAPES: 1},
+        DESIGN | {"drive": {"voltage": ESCAPES}},
+        DESIGN | {"readout": {"circuit": ESCAPES}},
+        DESIGN | {"array": {ESCAPES: {ESCAPES: 1e200}}},
+        DESIGN | {"drive": {"idle_rows": ESCAPES * 500}},
+    ],
+)
+def test_no_traceback_commands_the_terminal(tables: dict[str, object]) -> None:
+    text = json.dumps({"design": tables}, ensure_ascii=False).encode()
+    piece = encode(DescriptionPiece(0, 0, 0, len(text), text, 1))
+    with pytest.raises(OhmskinError) as caught:
+        Skin(Script(identity(serial_number=ESCAPES), piece), timeout=0.3)
+    assert str(caught.value).isprintable()
+    assert "".join(traceback.format_exception(caught.value)).replace("\n", "").isprintable()
+
+
+def test_no_serial_number_commands_the_terminal() -> None:
+    with pytest.raises(OhmskinError, match=r"expected \\x1b\[2J") as caught:
+        Skin(Script(identity(serial_number=ESCAPES), identity(serial_number="B2")), timeout=0.3)
+    assert str(caught.value).isprintable()
+    assert str(LinkError(5, f"a name of a file{ESCAPES}")).isprintable()
