@@ -36,7 +36,8 @@ from playwright.sync_api import Browser, expect, sync_playwright
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from ohmskin.bench._view import measured_page, table
+from ohmskin.bench._view import measured_page
+from ohmskin.bench.harness import table
 from ohmskin.circuits import Reason
 from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import Frame, Skin
@@ -769,4 +770,4 @@ def test_the_bench_measures_a_page(browser: Browser) -> None:
     assert row.drawn_hz > 0
     assert row.board_hz > 0
     assert all(0 < cost < 1000 for cost in (row.draw_ms, row.main_thread_ms, row.server_ms))
-    assert "6 x 6" in table([row])
+    assert "6 x 6" in "".join(table([row]))
