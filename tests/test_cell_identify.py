@@ -272,7 +272,7 @@ def test_r0_of_a_recording_that_begins_under_load_is_found() -> None:
     found = fits(checked_recording(time[later], FULL * load[later], read[later]), FULL)
     assert found[0].rest_resistance_ohm == pytest.approx(EXAMPLE.rest_resistance_ohm, rel=0.02)
     assert found[0].error < 0.001
-    assert found[0].held_out_error < 0.01
+    assert found[0].held_out_error < 0.02
 
 
 def test_the_fast_simulation_of_paper_cells_is_their_forward_model() -> None:

@@ -84,7 +84,7 @@ def calibrate(
 
     Kinds of models and estimators are compared by rolling-origin cross-validation. The recording is cut into folds that
     each hold a whole press. Fits and training use the part before a fold, and the worst fold counts. The final model
-    and estimators are then fitted to the whole recording. A recording of hardly two presses has no folds: an
+    and estimators are then fitted to the whole recording. A recording of fewer than three presses has no folds: an
     information criterion then decides between the kinds, and simulated cells between the estimators. Deterministic.
 
     Args:

@@ -42,7 +42,7 @@ ALIKE = 0.25
 """coefficient of variation of the static curve's error from press to press; below, the presses are alike"""
 EXPLAINS_TOO = 2.0
 """a kind explains the recording as well as the best if its error is at most this multiple of the least error"""
-ELSEWHERE_CELLS, ELSEWHERE_STEP_S, ELSEWHERE_STEPS = 20, 0.25, 400
+ELSEWHERE_CELLS, ELSEWHERE_STEP_S, ELSEWHERE_STEPS = 12, 0.25, 640
 """simulated cells of each kind, their time step in seconds, and number of steps"""
 
 

@@ -11,10 +11,10 @@ from ...errors import InputError
 from ..inversions import play_follow
 from ._recording import Recording
 
-FIRST, TAUGHT, MOST_FOLDS = 0.45, 1.2, 3
+FIRST, TAUGHT, MOST_FOLDS = 0.45, 2.0, 3
 """the first fold begins when this fraction of the load's total path length (:func:`pressing`) is done, and that many
-presses to full scale; and the largest number of folds. With fewer presses before it, the error on a fold shows how
-little data a model needs, and not how well it describes the cell"""
+usual presses; and the largest number of folds. With fewer presses before it, the error on a fold shows how little data
+a model needs, and not how well it describes the cell"""
 WHOLE = 0.9
 """least path length of a fold, in presses. A part of a press may suit a model that misses the rest of it"""
 PRESSED = 0.05
@@ -98,7 +98,7 @@ def folds(recording: Recording, full_scale_kpa: float) -> tuple[Fold, ...]:
     """Consecutive folds with equal path lengths of the load (:func:`pressing`), however long the rests between presses.
 
     Each holds a whole press, and follows on presses to learn from (:data:`TAUGHT`). A recording of few presses has
-    fewer folds than :data:`MOST_FOLDS`, and one of hardly two presses has none.
+    fewer folds than :data:`MOST_FOLDS`, and one of fewer than three has none.
 
     Raises:
         InputError: there are hardly any readings before the first fold, or gaps take up most of the recording.
@@ -106,7 +106,7 @@ def folds(recording: Recording, full_scale_kpa: float) -> tuple[Fold, ...]:
     moved = pressing(recording, full_scale_kpa)
     moved += 1e-9 * np.arange(len(moved))
     press = strokes(recording, full_scale_kpa).press
-    first = max(FIRST * moved[-1], 2.0 * TAUGHT)
+    first = max(FIRST * moved[-1], TAUGHT * press)
     count = min(int((moved[-1] - first) / (WHOLE * press)), MOST_FOLDS) if press > 0 else 0
     at = np.searchsorted(moved, np.linspace(first, moved[-1], max(count, 0), endpoint=False)).clip(1, len(moved) - 1)
     time = recording.time_s
