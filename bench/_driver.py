@@ -270,7 +270,7 @@ def _times_as_fast(packets: list[bytes], board: Design, cell: Cell, name: str | 
 
 @contextlib.contextmanager
 def _old_objects_kept() -> Iterator[None]:
-    """Keep Python's garbage collector from what is there already, as ``docs/latency.md`` advises.
+    """Keep Python's garbage collector from what is there already, as ``docs/notes/latency.md`` advises.
 
     A look at all that Numba and SciPy have loaded takes as long as a thousand frames, and falls into one by chance.
     A program that has kept objects from it before keeps them: they cannot be told from those that are kept here.

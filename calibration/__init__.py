@@ -7,6 +7,16 @@
         for event in watch.feed(frame.device_time, frame.resistance):
             ...
     calibration = calibrate_cells(cell, watch.rest, watch.presses).calibration(design, cell, serial_number)
+
+======================================================  ========================================================
+:mod:`._plan`                                           which places, which loads
+:mod:`._watch`, :mod:`._hold`, :mod:`._rest`            frames to presses: a state machine without I/O
+:mod:`._fit`                                            presses to R0 and gain
+:mod:`._verdict`                                        what is refused, and the calibration
+:mod:`._progress`, :mod:`._reference`, :mod:`._guide`   the progress file; the reference sensor; the person at the skin
+======================================================  ========================================================
+
+The value, its file, and how it is applied are in :mod:`ohmskin.driver`.
 """
 
 from ._fit import Fit, fit_cells

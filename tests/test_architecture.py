@@ -99,11 +99,11 @@ def test_a_part_of_the_cell_imports_only_what_is_below_it(part: str) -> None:
 
 
 def test_every_module_of_the_cell_is_in_a_part_and_on_its_page() -> None:
-    page = (ROOT / "docs/cell.md").read_text()
+    page = (ROOT / "docs/notes/cell.md").read_text()
     files = [file for file in (ROOT / "cell").rglob("*.py") if file.name != "__init__.py"]
     assert {_place(file)[1].removesuffix(".py") for file in files} == CELL_MAY_IMPORT.keys()
     for file in files:
-        assert f"`{file.name}`" in page, f"docs/cell.md does not name {file.relative_to(ROOT)}"
+        assert f"`{file.name}`" in page, f"docs/notes/cell.md does not name {file.relative_to(ROOT)}"
 
 
 def test_modules_import_the_faces_of_sub_packages() -> None:

@@ -923,7 +923,7 @@ class TestBoards:
             find_board("slow", timeout=1.0)
 
     def test_taking_frames_leaves_nothing_to_the_garbage_collector(self) -> None:
-        """So it never runs because of the driver, however long a program does (docs/latency.md)."""
+        """So it never runs because of the driver, however long a program does (docs/notes/latency.md)."""
         port, numbers = described(), itertools.count()
         with lossless(port) as skin:
 

@@ -148,7 +148,7 @@ def test_the_exact_bound_covers_what_rounding_did() -> None:
 def test_bounds_stay_small_on_lines_and_cells_of_any_weight(
     row: float, column: float, most: float, lead: float
 ) -> None:
-    """As docs/solvers.md says of 64 x 64."""
+    """As docs/notes/solvers.md says of 64 x 64."""
     rng = np.random.default_rng(5)
     design = amplifier(64, 64, lead=lead).replace(array={"row_segment": row, "column_segment": column})
     for cells in (10 ** rng.uniform(0, 12, (64, 64)), rng.choice([1.0, 1e12], (64, 64))):

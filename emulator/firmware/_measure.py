@@ -1,6 +1,6 @@
 """Measurements on the firmware in the loop: settling error against dwell, and frame rates against ADC and line speed.
 
-``python -m ohmskin.emulator.firmware`` prints the tables of docs/hardware.md.
+``python -m ohmskin.emulator.firmware`` prints the figures of docs/hardware.md.
 """
 
 from __future__ import annotations
@@ -159,7 +159,7 @@ def line_rate(design: Design, baud: int) -> tuple[float, float]:
 
 
 def tables(kinds: Sequence[BoardKind], examples: Path) -> Iterator[str]:
-    """The tables of docs/hardware.md, line by line in Markdown.
+    """The figures of docs/hardware.md, line by line in Markdown tables.
 
     Args:
         kinds: the boards to measure.
