@@ -37,11 +37,11 @@ class Freshness:
     size: int
     """of the N x N array"""
     come_us: float
-    """processor time per frame that comes: packets, and numbering and timing of the frame"""
+    """processor time per frame that comes: packets, numbering and timing of the frame, counts to ohms to kPa"""
     taken_us: float
-    """per frame that is taken: counts to ohms to kPa with standard deviations, and handing over"""
+    """besides, per frame that is taken: standard deviations, and handing over"""
     contacts_us: float
-    """besides, per frame that is taken once contacts have been asked for, with about five fingers on the skin"""
+    """besides, per frame once contacts have been asked for, with about five fingers on the skin"""
     median_age: float
     """of the newest frame, in frames of a board at 1 kHz, when a reader gets it who works for 10 ms in each cycle"""
     worst_age: float
@@ -87,7 +87,7 @@ def _costs(board: Design, cells: FloatArray, cycles: int) -> tuple[float, float,
     kinds = [(*_opened(board, cells, step * (cycles + 2), 1.0, each=step), step) for step in (1, _BURST, 1)]
     with kinds[0][0], kinds[1][0], kinds[2][0] as asked:
         kinds[2][1].work(1.0)
-        _ = asked.latest(inf).contacts  # from now on contacts are found in every frame that is taken
+        _ = asked.latest(inf).contacts  # from now on contacts are found in every frame
         for cycle in range(cycles):
             for kind, (skin, port, step) in enumerate(kinds):
                 port.work(step)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import threading
-import warnings
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from ..cell import Cell, Estimator
 from ..circuits import Design, Reason, ValidityRule
 from ..common.arrays import BoolArray, FloatArray
-from ..errors import InputError
+from ..errors import InputError, ProtocolError
 from ._calibration import Calibration
 from ._column_steps import ColumnSteps
 from ._contacts import ContactsOfFrames, ContactTracker, PressureView
@@ -32,8 +31,9 @@ from ._systematic import SystematicError
 from ._tare import DRIFT as TARE_DRIFT
 from ._tare import KNOWN_DRIFT, far_from_sheet
 
-KEPT_MEASUREMENTS = 8
-"""number of kept measurements above which those that every taker has passed are dropped"""
+LATE_S = 0.005
+"""longest time for which a reader who gets the newest frame waits for the conversion of those before it. Frames
+that are left then are skipped: boards may send faster than a computer converts"""
 SMALL_AFTER = 32
 """newer frames after which a frame that somebody keeps has its standard deviation computed, to free its inputs"""
 KEEP_STATE_S = 60.0
@@ -79,10 +79,19 @@ class Measurement(NamedTuple):
     """number of times that the estimator has started without memory, up to this frame"""
 
 
-class Converter:
-    """Turns frames into measurements, each frame at most once, and in the order of arrival.
+class Measured(NamedTuple):
+    """A frame and its measurement."""
 
-    The estimator sees only the frames that are taken, and the time between them. Frames that nobody takes cost nothing.
+    frame: RawFrame
+    measurement: Measurement
+
+
+class Converter:
+    """Turns the frames of a mailbox into measurements: each frame once, in the order of arrival.
+
+    The material remembers every load, so the estimator has to see every frame. On live boards the thread that reads the
+    port converts the frames as they come (:meth:`keep_up`), whether anybody takes them or not. Where nothing may be
+    lost, a frame is converted when it is taken (:meth:`measure`), and those before it with it.
     """
 
     def __init__(
@@ -91,13 +100,19 @@ class Converter:
         cell: Cell | None,
         estimator: str | None,
         pitch: Pitch,
+        mailbox: Mailbox,
         counters: Counters,
+        *,
+        now: Callable[[], float],
+        newest_only: bool,
         rest_changes: Sequence[tuple[float, FloatArray | None]] = (),
         accuracy: float | None = None,
         calibration: Calibration | None = None,
     ) -> None:
         """Set up the circuit's inverse and the estimator; without ``cell`` pressures are NaN.
 
+        ``now`` gives s on the clock of the frames' monotonic times. With ``newest_only`` readers get the newest frame,
+        and wait for those before it for :data:`LATE_S` at most.
         ``rest_changes`` come from a recording: times on the time scale of the estimator, and the (cells,) rest
         resistances for the frames after them.
         ``accuracy`` is the relative uncertainty up to which cells are valid, see :class:`CountReader`.
@@ -111,6 +126,7 @@ class Converter:
         self.design = design
         self.cell = cell
         self.pitch = pitch
+        self._mailbox, self._now, self._newest_only = mailbox, now, newest_only
         self._estimator_name = estimator
         self._calibration = calibration
         self._counters = counters
@@ -146,16 +162,29 @@ class Converter:
             design.array.shape, pitch, full_scale_kpa, drift_kpa=drift_kpa, faults_press=faults_press
         )
         self.contacts = ContactsOfFrames(tracker)
+        self._converted = 0
         self._last: RawFrame | None = None
         self._last_s: float | None = None
         """of the last frame, on the estimator's time scale; may be a frame from before the recording that is played"""
-        self._measured: dict[int, Measurement] = {}
-        self._retained = Retained(SMALL_AFTER)
+        self._measured: dict[int, Measured] = {}
+        """number of a frame -> the frame and its measurement, of the last frames in order"""
+        self._hurry_until = math.inf
+        """when a reader of the newest frame will have waited for long enough"""
+        self.retained = Retained(SMALL_AFTER)
+        """of the frames that readers got"""
+        self.notices: deque[str] = deque()
+        """warnings for the next reader who takes a frame"""
 
     @property
     def last_index(self) -> int:
         """Number of the newest converted frame; 0 before the first."""
         return 0 if self._last is None else self._last.index
+
+    @property
+    def skipped(self) -> int:
+        """Number of frames before the newest converted one that were not converted."""
+        with self._lock:
+            return self.last_index - self._converted
 
     @property
     def starts(self) -> int:
@@ -185,6 +214,10 @@ class Converter:
                 self._counters.untared = self._why_to_tare()
             for tell in tuple(self.on_rest):
                 tell(rest_ohm, None if self._last is None else self._last.time_s)
+
+    def disown(self) -> None:
+        """In a forked process: replace the lock, whoever held it."""
+        self._lock = threading.RLock()
 
     def hand_over(self) -> MeasurementPast:
         """The memory of the frames so far, for a recording that begins with the next frame.
@@ -257,30 +290,67 @@ class Converter:
             self._systematic.rest_spread = past.rest_spread
         return remembers
 
-    def measure(self, frame: RawFrame, mailbox: Mailbox) -> Measurement | None:
-        """The measurement of ``frame``; frames before it that are still queued are converted first.
+    def measure(self, frame: RawFrame) -> Measurement | None:
+        """The measurement of ``frame``; frames before it that wait for their conversion are converted first.
 
         Returns:
-            None if a later frame has been converted already and this one was not.
-
-        Raises:
-            ProtocolError: the counts do not fit the design.
+            None if the frame was skipped, its counts do not fit the design, or it is older than those that are kept.
 
         """
         with self._lock:
-            done = self.last_index
-            if frame.index > done:
-                for queued in [*mailbox.between(done, frame.index), frame]:
-                    measurement = self._convert(queued)
-                    self._measured[queued.index] = measurement
-                    for tell in tuple(self.on_converted):
-                        tell(queued, measurement)
-                if len(self._measured) > KEPT_MEASUREMENTS:
-                    oldest = mailbox.oldest()
-                    self._measured = {
-                        k: value for k, value in self._measured.items() if k >= oldest or k == frame.index
-                    }
-            return self._measured.get(frame.index)
+            if frame.index > self.last_index:
+                self._convert_up_to(frame.index)
+            found = self._measured.get(frame.index)
+            return None if found is None else found.measurement
+
+    def keep_up(self, most: int | None = None) -> bool:
+        """Convert the frames that have come.
+
+        Args:
+            most: number of frames after which the thread that reads the port goes on with reading; None: a reader waits
+                for the newest frame.
+
+        Returns:
+            Whether frames are left.
+
+        """
+        if most is None and self._newest_only:
+            self._hurry_until = min(self._hurry_until, self._now() + LATE_S)
+        elif most is not None and self._hurry_until < math.inf:
+            return False  # a reader converts them, and shall not wait for the lock
+        with self._lock:
+            newest = self._mailbox.newest
+            return newest is not None and self._convert_up_to(newest.index, most)
+
+    def measured_since(self, monotonic_s: float) -> list[Measured]:
+        """The frames that came after this time and have been converted, in order; with the last one before them."""
+        with self._lock:
+            kept = list(self._measured.values())
+        first = next((k for k, one in enumerate(kept) if one.frame.monotonic_time > monotonic_s), len(kept))
+        return kept[max(first - 1, 0) :]
+
+    def _convert_up_to(self, last: int, most: int | None = None) -> bool:
+        """Convert the frames up to the number ``last``, at most ``most`` of them; returns whether frames are left."""
+        done = 0
+        while most is None or done < most:
+            frame = self._mailbox.next_unconverted(last)
+            if frame is None:
+                self._hurry_until = math.inf
+                return False
+            if frame.index < last and self._now() > self._hurry_until:
+                continue
+            done += 1
+            try:
+                measurement = self._convert(frame)
+            except ProtocolError as error:
+                self._mailbox.report(error, frame.index)
+                continue
+            self._measured[frame.index] = Measured(frame, measurement)
+            if len(self._measured) > self._mailbox.capacity:
+                del self._measured[next(iter(self._measured))]
+            for tell in tuple(self.on_converted):
+                tell(frame, measurement)
+        return True
 
     def _convert(self, frame: RawFrame) -> Measurement:
         due = None
@@ -293,7 +363,7 @@ class Converter:
         self._last, self._last_s = frame, frame.time_s if self._last_s is None else self._last_s + gap_s
         reading = self._read(frame.counts)
         counters = self._counters
-        counters.converted += 1
+        self._converted += 1
         if not reading.solved:
             counters.unsolved += 1
         if self._judged is not None:
@@ -335,7 +405,6 @@ class Converter:
         common = estimator.step(gap_s, resistance)
         systematic = self._systematic.take(reading, taken_out, rest_known=self._rest_known)
         std = Later(partial(_std, estimator.variance_of_last_step(), systematic, common, calibration))
-        self._retained.add(std)
         return common if calibration is None else calibration.applied(common), std
 
     def _without_faulty_lines(self, time_s: float, reading: Reading) -> Reading:
@@ -369,12 +438,12 @@ class Converter:
         if self._reasons[Reason.VALID] <= FEW * self._reasons.sum():
             self._counters.remark = self._why_none_valid()
             if self._counters.remark:
-                warnings.warn(self._counters.remark, RuntimeWarning, stacklevel=2)
+                self.notices.append(self._counters.remark)
         else:
             self._sheet = self._unlike_sheet(reading)
             self._counters.untared = self._why_to_tare()
             if self._counters.untared and self._sheet:
-                warnings.warn(self._counters.untared, RuntimeWarning, stacklevel=2)
+                self.notices.append(self._counters.untared)
 
     def _why_none_valid(self) -> str | None:
         cells, valid = self._reasons.sum(), self._reasons[Reason.VALID]

@@ -39,6 +39,7 @@ class Mailbox:
     """
 
     def __init__(self, capacity: int, *, drops_oldest: bool = True) -> None:
+        """``capacity``: number of frames that wait for takers, and of those that wait for their conversion."""
         # Ctrl-C cannot interrupt `with lock` halfway, since the lock is C code. `with condition` is Python code and can
         # be interrupted: the lock would stay taken, and the reader thread would wait for it for ever.
         self.lock = threading.RLock()
@@ -56,6 +57,7 @@ class Mailbox:
         self._waiting = 0
         """number of threads in :meth:`wait_for`"""
         self._frames: deque[RawFrame] = deque()
+        self._unconverted: deque[RawFrame] = deque()
         self._dropped: RawFrame | None = None
         """the frame before the oldest one kept"""
         self._places: list[Place] = []
@@ -67,19 +69,29 @@ class Mailbox:
             if self._closed:
                 return
             self.newest = frame
-            self._frames.append(frame)
+            for waiting in (self._frames, self._unconverted):
+                waiting.append(frame)
             if self._drops_oldest and len(self._frames) > self.capacity:
                 self._dropped = self._frames.popleft()
+            if self._drops_oldest and len(self._unconverted) > self.capacity:
+                self._unconverted.popleft()
+
+    def next_unconverted(self, last: int) -> RawFrame | None:
+        """Remove the oldest frame that waits for its conversion, up to the number ``last``; None if there is none."""
+        with self.lock:
+            waiting = self._unconverted
+            return waiting.popleft() if waiting and waiting[0].index <= last else None
 
     def tell(self) -> None:
         """Wake all waiting threads: once for all frames that came together, since each wake-up costs time."""
         with self.lock:
             self._tell()
 
-    def report(self, error: OhmskinError) -> None:
-        """Report a fault, after which frames go on, to every taker."""
+    def report(self, error: OhmskinError, after: int | None = None) -> None:
+        """Report a fault, after which frames go on, to every taker; ``after``: the last frame before (None: newest)."""
         with self.lock:
-            after = 0 if self.newest is None else self.newest.index
+            if after is None:
+                after = 0 if self.newest is None else self.newest.index
             self.fault = Fault(self.fault.number + 1, error, after)
             self._tell()
 
@@ -100,6 +112,7 @@ class Mailbox:
         with self.lock:
             self._closed = True
             self._frames.clear()
+            self._unconverted.clear()
             self.newest = None
             self.end = error
             self._tell()
@@ -114,13 +127,6 @@ class Mailbox:
         if not self._frames or self._frames[-1].index <= index:
             return None
         return self._frames[max(index + 1 - self._frames[0].index, 0)]
-
-    def between(self, index: int, end: int) -> list[RawFrame]:
-        """The frames beyond ``index`` and before ``end``, in order."""
-        if index + 1 >= end:
-            return []
-        with self.lock:
-            return [frame for frame in self._frames if index < frame.index < end]
 
     def join(self, *, from_start: bool) -> tuple[Place, RawFrame | None]:
         """A place for a new taker.
@@ -154,13 +160,6 @@ class Mailbox:
             if index > place.index:
                 place.index = index
                 self._drop_passed()
-
-    def oldest(self) -> int:
-        """Number of the oldest frame kept, or of the next one that will be."""
-        with self.lock:
-            if self._frames:
-                return self._frames[0].index
-            return 1 if self.newest is None else self.newest.index + 1
 
     def _passed(self) -> int:
         """Number of the last frame that all takers have passed; 0 if there are no takers."""

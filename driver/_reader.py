@@ -43,6 +43,10 @@ MOST_HEARD = 2**20
 MOST_UNPROVEN = 1000
 """frames kept until the board has proved that it is the same one"""
 _NO_FLAGS = Flag.NONE  # operations on flags take 1 us each
+READ_AGAIN_S = 0.0005
+"""a taker who has read and converted for longer reads again, since newer frames may have come meanwhile"""
+CONVERTED_IN_TURN = 4
+"""frames that the thread converts before it reads the port again, whose buffers hold some milliseconds"""
 JOIN_S = 2.0
 """how long closing waits for the thread, which may be busy opening a port"""
 
@@ -87,6 +91,8 @@ class Reader:
         """called with all bytes, as they arrive: for a recorder"""
         self.on_gone: list[Callable[[], None]] = []
         """called when the port has been lost"""
+        self.keep_up: Callable[[int | None], bool] = lambda most: False
+        """converts the frames that have come (:meth:`.Converter.keep_up`)"""
         self._port: BytePort | None = port
         self._family: Family = introduction.family
         self._new_protocol = protocol
@@ -172,7 +178,16 @@ class Reader:
         return LinkTimeout(f"{where}: the board is there, but sends none")
 
     def poll(self) -> None:
-        """Read the bytes that have come. Errors of the port are left to the thread, and so are bytes of a flood."""
+        """Read the bytes that have come, and convert their frames.
+
+        Errors of the port are left to the thread, and so are bytes of a flood.
+        """
+        began_s = self.now()
+        self._take_turn()
+        if self.now() - began_s > READ_AGAIN_S:
+            self._take_turn()
+
+    def _take_turn(self) -> None:
         if self._reading.acquire(timeout=POLL_S):
             try:
                 self._read()
@@ -180,6 +195,7 @@ class Reader:
                 return
             finally:
                 self._reading.release()
+        self._convert(None)
 
     def now(self) -> float:
         """Present time on the port's clock."""
@@ -305,16 +321,18 @@ class Reader:
             self.introduced.set()
         self._ask()
         ask_at = time.monotonic() + ASK_WHO_S
+        behind = False
         while not (self._is_ending or self._mailbox.end):
             if self._lossless and self._mailbox.is_full():
                 self._mailbox.wait_for_room(ASK_AGAIN_S)
                 ask_at = time.monotonic() + ASK_AGAIN_S
                 continue
-            if port.wait(ask_at - time.monotonic()):
+            if port.wait(0.0 if behind else ask_at - time.monotonic()):
                 began = time.monotonic()
                 if self._read():
                     # Half of the interpreter's time is left to others, who may be setting up the circuit's inverse.
                     self._stop.wait(min(time.monotonic() - began, LONGEST_REST_S))
+            behind = self._convert(CONVERTED_IN_TURN)
             now = time.monotonic()
             if now > self._proof_until:
                 raise LinkError(f"{port.name}: the board there does not show that it is the one from before")
@@ -341,10 +359,22 @@ class Reader:
         if self._family.polled:
             self.send(Order.ONE_FRAME)
 
+    def _convert(self, most: int | None) -> bool:
+        """Convert ``most`` of the frames that have come (None: all), and tell takers; whether frames are left."""
+        with self._errors_told():
+            left = self.keep_up(most)
+            self._mailbox.tell()
+            return left
+
     def _read(self) -> bool:
         """Read the bytes that have come; whether there were some, and no frame among them."""
-        try:
+        with self._errors_told():
             return self._drain()
+
+    @contextlib.contextmanager
+    def _errors_told(self) -> Iterator[None]:
+        try:
+            yield
         except OhmskinError:
             raise
         except Exception as error:
@@ -373,7 +403,6 @@ class Reader:
                 self._keep(arrival.data, has_frame=frames > 0)
                 for event in events:
                     self._handle(event, arrival)
-                self._mailbox.tell()
                 only_noise = not frames and (only_noise or not turn)
                 # Another frame may have come while several were decoded; it would be the newest one.
                 if not arrival.more and frames <= 1:

@@ -17,7 +17,7 @@ from ..common import compiled
 from ..common.checks import count, function, loaded, number, of_kind, path_text, positive
 from ..common.progress import Progress, silent
 from ..common.text import printable
-from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
+from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError
 from ..wire import Description, Family, Identity, Order
 from ._calibration import Calibration
 from ._convert import Measurement
@@ -361,6 +361,7 @@ class Skin:
     def _disown(self) -> None:
         """In a forked process: tell every reader that the skin belongs to the parent process."""
         self._tares.disown()
+        self._converter.disown()
         self._callbacks.clear()
         self._followers.clear()
         self._reader.disown()
@@ -482,10 +483,7 @@ class Skin:
                 raise copy.copy(self._mailbox.end)
             newest = self._mailbox.newest
             if newest is not None:
-                try:
-                    self._converter.measure(newest, self._mailbox)
-                except ProtocolError as error:
-                    self._mailbox.report(error)
+                self._converter.measure(newest)
             past = Past.of(heard, self._reader.stream.state(), self._converter.hand_over())
             recording.joined(past)
             if self._reader.away:
@@ -526,12 +524,9 @@ class Skin:
 
     def stats(self) -> LinkStatistics:
         """Statistics of the link: frames received and lost, and their ages."""
-        with self._mailbox.lock:
-            newest = self._mailbox.newest
-            pending = 0 if newest is None else newest.index - min(self._converter.last_index, newest.index)
         clock = self._reader.stream.clock
         return self._counters.snapshot(
-            pending=min(pending, self._mailbox.capacity), drift_ppm=clock.drift_ppm, clock_steps=clock.steps
+            skipped=self._converter.skipped, drift_ppm=clock.drift_ppm, clock_steps=clock.steps
         )
 
     def tare(

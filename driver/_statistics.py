@@ -38,7 +38,7 @@ class LinkStatistics:
     late: int
     """frames that others had overtaken, and that were dropped; the lost frames include them"""
     skipped: int
-    """frames that no reader of the skin took"""
+    """frames that the estimator has not seen, since they came faster than they could be converted"""
     unsolved: int
     """frames whose readings no cell resistances can give; many of them mean that the design is not that of the board"""
     not_valid: dict[str, int]
@@ -77,7 +77,6 @@ class Counters:
     late: int = 0
     clock_steps: int = 0
     """of the clock maps before the present one"""
-    converted: int = 0
     unsolved: int = 0
     reasons: NDArray[np.int8] | None = None
     """of the newest converted frame, a :class:`ohmskin.circuits.Reason` for each cell"""
@@ -92,8 +91,8 @@ class Counters:
     ages_s: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
     delays_s: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
 
-    def snapshot(self, *, pending: int, drift_ppm: float, clock_steps: int) -> LinkStatistics:
-        """The numbers as they are now; ``pending`` frames wait to be taken."""
+    def snapshot(self, *, skipped: int, drift_ppm: float, clock_steps: int) -> LinkStatistics:
+        """The numbers as they are now; ``skipped`` frames were not converted."""
         times = list(self.times_s)
         elapsed = times[-1] - times[0] if len(times) > 1 else 0.0
         return LinkStatistics(
@@ -106,7 +105,7 @@ class Counters:
             reboots=self.reboots,
             duplicates=self.duplicates,
             late=self.late,
-            skipped=max(self.frames - self.converted - pending, 0),
+            skipped=skipped,
             unsolved=self.unsolved,
             not_valid=_not_valid(self.reasons),
             remark=self.remark or self.faulty or self.untared,

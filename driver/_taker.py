@@ -7,6 +7,7 @@ import contextlib
 import copy
 import threading
 import time
+import warnings
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -41,6 +42,8 @@ class Source:
     """error for a wait that timed out; arguments: what was awaited, and for how many s"""
     newest_only: bool
     """True: a taker gets the newest frame; False: every frame that is still queued"""
+    eager: bool
+    """True: frames are converted as they come; False: when they are taken"""
 
 
 class FrameTaker:
@@ -206,9 +209,13 @@ class FrameTaker:
             self._frame = None
 
     def forget(self) -> None:
-        """Do not deliver the last frame again."""
+        """Deliver neither the last frame again, nor one that was converted before this call as soon as it came."""
+        source = self._source
         with self._lock:
             self._frame = None
+            if source.eager:
+                self._newest = max(self._newest, source.converter.last_index)
+                source.mailbox.move(self._place, self._newest)
 
     def leave(self) -> None:
         """Give up the place: the mailbox keeps no more frames for this taker."""
@@ -227,11 +234,11 @@ class FrameTaker:
     def _claim(self, raw: RawFrame) -> Frame | None:
         """Convert a frame and make it the last one taken; None if this taker, or all others, have passed the frame."""
         source = self._source
-        try:
-            measurement = source.converter.measure(raw, source.mailbox)
-        except Exception:
-            source.mailbox.move(self._place, raw.index)
-            raise
+        measurement = source.converter.measure(raw)
+        notices = source.converter.notices
+        while notices:
+            with contextlib.suppress(IndexError):  # another reader was quicker
+                warnings.warn(notices.popleft(), RuntimeWarning, stacklevel=2)
         with self._lock:
             if measurement is None or raw.index <= self._newest:
                 # This also covers an interrupt between the two steps below: the frame must not be offered for ever.
@@ -244,7 +251,9 @@ class FrameTaker:
 
     def _deliver(self, raw: RawFrame, measurement: Measurement) -> Frame:
         told, self._told = self._told, _Totals.of(raw, measurement.estimator_starts)
-        return _frame(raw, measurement, told, self._source)
+        frame = _frame(raw, measurement, told, self._source)
+        self._source.converter.retained.add(frame)
+        return frame
 
     def _check_fault(self) -> None:
         """Raise the newest fault unless this taker has raised it already."""

@@ -28,9 +28,8 @@ from ohmskin.cell import Cell
 from ohmskin.circuits import Design
 from ohmskin.common.config import parse
 from ohmskin.driver import Arrival, BytePort, Delivery, Frame, Skin, discover
-from ohmskin.driver._convert import Converter, Measurement
+from ohmskin.driver._convert import LATE_S, Converter, Measurement
 from ohmskin.driver._discover import FoundBoard, find_board
-from ohmskin.driver._mailbox import Mailbox
 from ohmskin.driver._opening import PATIENCE, _within
 from ohmskin.driver._port import DescriptorPort, UrlPort, open_port
 from ohmskin.driver._reader import Reader
@@ -80,7 +79,7 @@ def taking(skin: Skin, how: str) -> Iterator[Callable[[], Frame]]:
             return await anext(following)
 
         ways = {
-            "latest": lambda: skin.latest(max_age=0.002),
+            "latest": lambda: skin.latest(max_age=0.01),
             "read": lambda: skin.read(timeout=0.0),
             "iteration": lambda: next(skin),
             "frames": lambda: next(own),
@@ -103,7 +102,6 @@ class TestDelivery:
             until(lambda: skin.stats().frames == 503)
             last = next(skin)
         assert (last.sequence, last.skipped_before, last.lost_before) == (511, 2, 9)
-        assert skin.stats().skipped == 500
         assert skin.stats().lost == 9
 
     def test_a_frame_that_has_come_is_seen_without_waiting_for_the_reader_thread(self) -> None:
@@ -228,16 +226,17 @@ class TestFreshness:
             assert again.age > 100.0
             assert skin.latest(300.0) is again
 
+    @pytest.mark.parametrize("convert_s", [0.0002, 0.0009], ids=["small skin", "too slow for the board"])
     @pytest.mark.parametrize("deaf", [False, True], ids=["thread reads", "thread never runs"])
     @pytest.mark.parametrize("how", ["latest", "read", "iteration", "frames", "async"])
-    def test_a_slow_reader_at_1_khz_gets_the_frame_that_came_last(self, how: str, deaf: bool) -> None:
-        """On a clock of its own, hence on any machine: 10 ms of work per cycle, 0.9 ms to convert a frame."""
+    def test_a_slow_reader_at_1_khz_gets_the_frame_that_came_last(self, how: str, deaf: bool, convert_s: float) -> None:
+        """On a clock of its own, hence on any machine: 10 ms of work per cycle, and the time to convert a frame."""
         port = Flow(identity() + sheet(), frame, 0.001, at_once=97)
         with Skin(port) as skin, taking(skin, how) as take:
             convert = skin._converter._read
 
             def slowly(counts: np.ndarray) -> Reading:
-                port.work(0.0009)
+                port.work(convert_s)
                 return convert(counts)
 
             skin._converter._read = slowly  # type: ignore[assignment]
@@ -248,14 +247,47 @@ class TestFreshness:
                 newest = port.newest
                 one = take()
                 ages.append(one.age)
-                true_ages.append(port.time_s - 0.001 * (newest + 1))
+                assert one.sequence is not None
+                true_ages.append(port.time_s - 0.001 * (one.sequence + 1))
                 total += 1 + one.skipped_before
-                assert (one.sequence, one.lost_before) == (newest, 0)
-            stated = skin.stats().age_s
-        assert total == newest + 1
-        assert max(ages) < 0.002
+                assert one.sequence >= newest
+                assert one.lost_before == 0
+            stats, stated = skin.stats(), skin.stats().age_s
+        assert total == one.sequence + 1
+        assert max(ages) < (0.002 if convert_s < 0.0005 else 0.001 + LATE_S + 2 * convert_s)
+        assert convert_s > 0.0005 or stats.skipped == 0
         # The least delay that the clock map has seen is up to a part of a period, since frames are read in turns.
         np.testing.assert_allclose(list(stated.values()), np.percentile(true_ages, list(stated)), atol=0.0004)
+
+    def test_slow_loops_see_the_pressures_of_a_loop_that_takes_every_frame(self) -> None:
+        """The material remembers taps between the frames that a slow loop takes."""
+        design = DESIGN | {"array": {"rows": 8, "columns": 8, "row_lead": 70.0}}
+        taps = {"load_kpa": 10.0, "every_s": 0.31, "hold_s": 0.05, "rise_s": 0.01, "first_s": 0.5, "count": 4}
+        tapped = {"bump": {"center_mm": [17.0, 13.0], "sigma_mm": 4.0}, "taps": taps}
+        board = Board(
+            scene(skin={"design": design}, contact=[tapped], board={"frame_rate": 100.0, "noise": 0.001}), seed=1
+        )
+        for order in (Order.IDENTIFY, Order.DESCRIBE, Order.START):
+            board.receive(host_protocol("ohmskin").request(order))
+        introduction = b"".join(board.answers())
+        packets = [b"".join(board.tick()) for _ in range(241)]
+        seen: dict[int, dict[int | None, np.ndarray]] = {}
+        for rate_hz in (100, 20, 10, 5):
+            port = Flow(introduction, packets.__getitem__, 0.01, at_once=4096)
+            with Skin(port) as skin:
+                port.deaf = rate_hz < 20  # whoever takes a frame then converts those before it
+                seen[rate_hz] = {}
+                for _ in range(240 * rate_hz // 100):
+                    port.work(1 / rate_hz + 1e-9)
+                    one = skin.latest(max_age=0.02)
+                    seen[rate_hz][one.sequence] = one.pressure
+                assert skin.stats().skipped == 0
+        every = seen.pop(100)
+        assert len(every) == 240
+        for slow in seen.values():
+            assert len(slow) >= 12
+            for number, pressure in slow.items():
+                np.testing.assert_array_equal(pressure, every[number])
 
     def test_what_happened_before_a_frame_is_told_once(self) -> None:
         """A control loop that adds up what it lost, and asks more often than frames come."""
@@ -283,9 +315,9 @@ class TestFreshness:
             next(skin)
             slow = skin._converter.measure
 
-            def measure(raw: RawFrame, mailbox: Mailbox) -> Measurement | None:
+            def measure(raw: RawFrame) -> Measurement | None:
                 port.later_s = 100.0
-                return slow(raw, mailbox)
+                return slow(raw)
 
             skin._converter.measure = measure  # type: ignore[method-assign]
             port.say(frame(3))
