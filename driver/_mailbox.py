@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from queue import Empty, SimpleQueue
 
 from ..errors import LinkError, OhmskinError
 from ._stream import RawFrame
@@ -35,15 +38,13 @@ class Place:
 class Mailbox:
     """The newest frames. Each taker keeps its own place, so that takers do not disturb each other.
 
-    All attributes are read and written with ``lock`` held.
+    All attributes are written with ``lock`` held. Those who wait do so without it, each on a queue of its own: signals
+    may interrupt Python's conditions halfway (:mod:`ohmskin.common.events`).
     """
 
     def __init__(self, capacity: int, *, drops_oldest: bool = True) -> None:
         """``capacity``: number of frames that wait for takers, and of those that wait for their conversion."""
-        # Ctrl-C cannot interrupt `with lock` halfway, since the lock is C code. `with condition` is Python code and can
-        # be interrupted: the lock would stay taken, and the reader thread would wait for it for ever.
         self.lock = threading.RLock()
-        self._condition = threading.Condition(self.lock)
         self.capacity = capacity
         self.newest: RawFrame | None = None
         self.fault = Fault(0, LinkError("none"), 0)
@@ -54,8 +55,6 @@ class Mailbox:
         self._drops_oldest = drops_oldest
         self._closed = False
         self._room_wanted = False
-        self._waiting = 0
-        """number of threads in :meth:`wait_for`"""
         self._frames: deque[RawFrame] = deque()
         self._unconverted: deque[RawFrame] = deque()
         self._dropped: RawFrame | None = None
@@ -169,7 +168,7 @@ class Mailbox:
     def _drop_passed(self) -> None:
         self._drop_to(self._passed())
         if self._room_wanted and self._has_room():
-            self._condition.notify_all()
+            self._tell()
 
     def _drop_to(self, index: int) -> None:
         while self._frames and self._frames[0].index <= index:
@@ -188,31 +187,37 @@ class Mailbox:
 
     def wait_for(self, news: Callable[[], bool], timeout_s: float) -> None:
         """Wait until ``news`` returns True, for at most ``timeout_s``; it is called whenever something is new."""
-        with self.lock:
-            self._waiting += 1
-            try:
-                self._condition.wait_for(news, timeout_s)
-            finally:
-                self._waiting -= 1
+        bell: SimpleQueue[None] = SimpleQueue()
+
+        def ring() -> None:
+            bell.put(None)
+
+        until_s = time.monotonic() + timeout_s
+        try:
+            self.add_waker(ring)
+            while not news() and (left_s := until_s - time.monotonic()) > 0:
+                with contextlib.suppress(Empty):
+                    bell.get(timeout=min(left_s, threading.TIMEOUT_MAX))
+        finally:
+            self.remove_waker(ring)
 
     def disown(self, error: LinkError) -> None:
         """In a forked process: replace the lock, whoever held it, and end the stream with ``error``."""
         self.lock = threading.RLock()
-        self._condition, self._waiting = threading.Condition(self.lock), 0
         self._wakers.clear()
         self.close(error)
 
     def wait_for_room(self, timeout_s: float) -> None:
         """Wait until half of the queue is free, for at most ``timeout_s``."""
-        with self.lock:
-            self._room_wanted = True
-            self.wait_for(lambda: self._has_room() or self.end is not None, timeout_s)
-            self._room_wanted = False
+        self._room_wanted = True
+        self.wait_for(lambda: self._has_room() or self.end is not None, timeout_s)
+        self._room_wanted = False
 
     def _has_room(self) -> bool:
         # Half a queue at a time: threads that alternate with every frame spend more time on switching than on frames.
-        self._drop_unused()
-        return 2 * len(self._frames) <= self.capacity
+        with self.lock:
+            self._drop_unused()
+            return 2 * len(self._frames) <= self.capacity
 
     def add_waker(self, waker: Callable[[], None]) -> None:
         """Call ``waker`` from the reader thread whenever something is new."""
@@ -221,11 +226,9 @@ class Mailbox:
 
     def remove_waker(self, waker: Callable[[], None]) -> None:
         """Undo :meth:`add_waker`."""
-        with self.lock:
+        with self.lock, contextlib.suppress(ValueError):  # a forked process has none
             self._wakers.remove(waker)
 
     def _tell(self) -> None:
-        if self._waiting:  # the condition's own test takes longer than everything else here
-            self._condition.notify_all()
         for waker in self._wakers:
             waker()

@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from math import inf
 
+from ..common.events import SignalSafeEvent
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ..wire import Corrupt, Description, Event, Family, Flag, FramePacket, HostProtocol, Identity, Order
 from ._introduce import Introduction
@@ -85,7 +86,7 @@ class Reader:
     ) -> None:
         self.port_name = port.name
         self.introduction = introduction
-        self.introduced = threading.Event()
+        self.introduced = SignalSafeEvent()
         self.stream = FrameStream(port.name, counters)
         self.taps: list[Callable[[Arrival], None]] = []
         """called with all bytes, as they arrive: for a recorder"""
@@ -104,7 +105,7 @@ class Reader:
         """bytes from the last frame but one to the last frame, and from the last frame on"""
         self._reading = threading.RLock()
         """held by the thread that reads from the port, writes to it, or replaces it"""
-        self._stop = threading.Event()
+        self._stop = SignalSafeEvent()
         self._heard = False
         """a frame has come since the board was last asked"""
         self._proof_until = inf
@@ -137,7 +138,7 @@ class Reader:
             LinkError: the port is gone.
 
         """
-        if not self.introduced.wait(min(timeout_s, threading.TIMEOUT_MAX)):
+        if not self.introduced.wait(timeout_s):
             raise self.nothing_came("description", timeout_s)
         if not self.introduction.complete:
             end = self._mailbox.end
@@ -251,7 +252,7 @@ class Reader:
     def disown(self) -> None:
         """In a forked process: leave port and mailbox to the parent process, which opened them."""
         self._reading, self._port = threading.RLock(), None
-        self._stop = threading.Event()
+        self._stop = SignalSafeEvent()
         self._mailbox.disown(
             LinkError(
                 f"{self.port_name}: was opened by process {os.getppid()}, from which this one was forked; take frames "

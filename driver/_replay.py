@@ -22,6 +22,7 @@ from ..circuits import Design
 from ..common.arrays import FloatArray
 from ..common.checks import number
 from ..common.config import LEAST, MOST, parse
+from ..common.events import SignalSafeEvent
 from ..common.files import size as size_text
 from ..common.progress import Progress, silent
 from ..common.text import shortened
@@ -152,7 +153,7 @@ class ReplayPort:
         self._next: Arrival | LinkError | None = None
         self._latest = 0.0
         self._start: tuple[float, float] | None = None
-        self._interrupted = threading.Event()
+        self._interrupted = SignalSafeEvent()
         self._lock = threading.Lock()
         """one thread may wait while another reads"""
 

@@ -362,6 +362,8 @@ class Skin:
         """In a forked process: tell every reader that the skin belongs to the parent process."""
         self._tares.disown()
         self._converter.disown()
+        for recording in self._followers:
+            recording.disown()
         self._callbacks.clear()
         self._followers.clear()
         self._reader.disown()

@@ -348,7 +348,7 @@ class FrameCallback:
         self._keep = keep
         self._taker = FrameTaker(source)
         self._callback, self._on_end = callback, on_end
-        self._closed = threading.Event()
+        self._closed = False
         self._thread = _CallbackThread(target=self._run, name=f"ohmskin callback {source.name}", daemon=True)
         self._thread.start()
 
@@ -359,7 +359,7 @@ class FrameCallback:
 
     def end(self) -> None:
         """End the calls, without waiting for a running one."""
-        self._closed.set()
+        self._closed = True
 
     def close(self) -> None:
         """End the calls. Waits for a running call, for at most 2 s.
@@ -372,16 +372,16 @@ class FrameCallback:
 
     def _run(self) -> None:
         try:
-            while not self._closed.is_set():
+            while not self._closed:
                 try:
                     frame = self._taker.take(0.1)
                 except (LinkTimeout, ProtocolError):
                     continue
                 except LinkError as error:
-                    if self._on_end is not None and not self._closed.is_set():
+                    if self._on_end is not None and not self._closed:
                         self._on_end(error)
                     return
-                if not self._closed.is_set():
+                if not self._closed:
                     self._callback(frame)
         finally:
             self._taker.leave()

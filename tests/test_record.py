@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import csv
 import json
+import os
 import re
 import resource
 import signal
@@ -627,6 +628,43 @@ def test_a_recording_is_not_replaced_unless_asked(tmp_path: Path) -> None:
     with Skin(Script(*pieces(range(5), last=True)), delivery="lossless", record=file, overwrite=True) as skin:
         assert len(list(skin)) == 5
     assert len(list(Skin.open(str(file)))) == 5
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="files are marked by flock")
+def test_the_second_recorder_of_a_file_is_refused_whichever_came_first(tmp_path: Path) -> None:
+    path = tmp_path / "one.mcap"
+    with Skin(Wire(Board(scene())), delivery="lossless", record=path) as skin:
+        with pytest.raises(InputError, match=r"one\.mcap: is being recorded at present"):
+            Recorder(skin, path, overwrite=True)
+        with pytest.raises(InputError, match=r"one\.mcap: is being recorded at present"):
+            Skin(Wire(Board(scene())), record=path, overwrite=True)
+        taken = list(islice(skin, 30))
+    assert all(map(same, taken, replayed(path)))
+    assert [file.name for file in tmp_path.iterdir()] == ["one.mcap"]
+    with Skin(Wire(Board(scene())), delivery="lossless") as skin, Recorder(skin, path, overwrite=True):
+        next(skin)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_forked_process_that_ends_leaves_the_recording_to_its_parent(tmp_path: Path) -> None:
+    path = tmp_path / "parent.mcap"
+    program = f"""
+import os, sys
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+from boards import Wire, scene
+from ohmskin.driver import Skin
+from ohmskin.emulator import Board
+with Skin(Wire(Board(scene())), delivery="lossless", record={str(path)!r}) as skin:
+    skin.read()
+    if os.fork() == 0:
+        sys.exit(0)
+    os.wait()
+    for _ in range(99):
+        skin.read()
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=300)
+    with Skin.open(path) as skin:
+        assert len(list(islice(skin, 100))) == 100
 
 
 @pytest.mark.parametrize("before", [None, b"precious"])
