@@ -34,6 +34,9 @@ from ._tare import KNOWN_DRIFT, far_from_sheet
 LATE_S = 0.005
 """longest time for which a reader who gets the newest frame waits for the conversion of those before it. Frames
 that are left then are skipped: boards may send faster than a computer converts"""
+KNOWN_FRAMES = 20
+"""frames before new rest resistances that the estimator sees again with them: as many as a usual tare has. They tell it
+that the skin is at rest, or what lies on it"""
 SMALL_AFTER = 32
 """newer frames after which a frame that somebody keeps has its standard deviation computed, to free its inputs"""
 KEEP_STATE_S = 60.0
@@ -168,6 +171,8 @@ class Converter:
         """of the last frame, on the estimator's time scale; may be a frame from before the recording that is played"""
         self._measured: dict[int, Measured] = {}
         """number of a frame -> the frame and its measurement, of the last frames in order"""
+        self._recent: deque[tuple[float, Reading]] = deque(maxlen=KNOWN_FRAMES)
+        """times and readings of the last frames"""
         self._hurry_until = math.inf
         """when a reader of the newest frame will have waited for long enough"""
         self.retained = Retained(SMALL_AFTER)
@@ -206,10 +211,18 @@ class Converter:
         self._read = CountReader(self.design, accuracy=self._accuracy)
 
     def use_rest(self, rest_ohm: FloatArray | None) -> None:
-        """Use these rest resistances (rows, columns) from now on (None: those without a tare); memory is dropped."""
+        """Use these rest resistances (rows, columns) from now on (None: those without a tare).
+
+        The estimator begins anew with the last :data:`KNOWN_FRAMES` frames.
+        """
         with self._lock:
             self._rest_ohm = rest_ohm
             self._estimator = self._new_estimator()
+            before_s: float | None = None
+            for time_s, reading in self._recent:
+                gap_s = 0.0 if before_s is None else round(time_s - before_s, CLOCK_DIGITS)
+                self._estimate(gap_s, self._without_faulty_lines(time_s, reading))
+                before_s = time_s
             if self._judged is None:
                 self._counters.untared = self._why_to_tare()
             for tell in tuple(self.on_rest):
@@ -370,6 +383,8 @@ class Converter:
             self._judge(reading)
         if gap_s > KEEP_STATE_S:
             self._estimator = self._new_estimator()
+            self._recent.clear()
+        self._recent.append((frame.time_s, reading))
         reading = self._without_faulty_lines(frame.time_s, reading)
         counters.reasons = reading.reason
         for array in (reading.valid, reading.reason, reading.resistance):

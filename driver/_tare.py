@@ -78,10 +78,20 @@ class Tare:
     @property
     def covers(self) -> str:
         """How many cells have been measured, and how many frames would measure the cells that noise hides."""
-        told = f"{int(self.measured.sum())} of {count_of(self.measured.size, 'cell')} measured"
+        told = f"{int(self.measured.sum())} of {count_of(self.measured.size, 'cell')} measured{self._lines_left_out}"
         if self.remarks or not self.frames_advised:
             return told
         return f"{told}, noise hides the others; tare({self.frames_advised}) covers nearly all"
+
+    @property
+    def _lines_left_out(self) -> str:
+        """The lines of which no cell was measured, if others were and noise is not the cause."""
+        lines = [
+            f"{kind} {number}"
+            for kind, axis in (("row", 1), ("column", 0))
+            for number in np.flatnonzero(~self.measured.any(axis=axis))
+        ]
+        return f", without {', '.join(lines)}" if lines and self.measured.any() and not self.frames_advised else ""
 
     @property
     def taken_at(self) -> datetime:
@@ -164,6 +174,9 @@ class RestReadings:
     """(frames,) increasing"""
     noisy: BoolArray | None = None
     """(rows, columns) cells that only noise keeps from being valid in most frames; None: no cells"""
+    silent: BoolArray | None = None
+    """(rows, columns) cells without current in most frames: on a broken line, or with a resistance at rest that is too
+    high for the board; None: no cells. They have no ``resistance_ohm``, since in the other frames they show noise"""
 
     def tare(
         self,
@@ -192,13 +205,13 @@ class RestReadings:
             spread: relative deviation of a cell from the others that is no sign of a load.
 
         Raises:
-            InputError: no cell has a valid reading.
+            InputError: no cell has a valid reading, and none of the kind that has no current at rest.
 
         """
         readings = np.isfinite(self.resistance_ohm).sum(axis=0)
         measured = readings > 0
         if not measured.any():
-            raise InputError("no cell has a valid reading to tare with")
+            return self._without_current(cell, calibrated_ohm, lost, serial_number, wall_time)
         mean = np.nansum(self.resistance_ohm, axis=0) / np.maximum(readings, 1)
         deviation = np.where(np.isfinite(self.resistance_ohm), self.resistance_ohm - mean, 0.0)
         std = np.sqrt((deviation**2).sum(axis=0) / np.maximum(readings - 1, 1))
@@ -235,6 +248,28 @@ class RestReadings:
             remarks=remarks,
             frames_advised=frames_advised,
             spread_advised=spread_advised,
+        )
+
+    def _without_current(
+        self,
+        cell: Cell | None,
+        calibrated_ohm: FloatArray | None,
+        lost: int | None,
+        serial_number: str,
+        wall_time: float,
+    ) -> Tare:
+        """The rest resistances of a skin that conducts only under a load; InputError if no such skin reads so."""
+        if self.silent is None or not self.silent.any() or cell is None or _sign_of_load(cell) > 0:
+            raise InputError("no cell has a valid reading to tare with")
+        shape = self.silent.shape
+        return Tare(
+            rest_resistance_ohm=np.full(shape, cell.rest_resistance_ohm) if calibrated_ohm is None else calibrated_ohm,
+            measured=np.zeros(shape, dtype=np.bool_),
+            std_ohm=np.full(shape, np.nan),
+            frames=len(self.resistance_ohm),
+            lost=lost,
+            serial_number=serial_number,
+            wall_time=wall_time,
         )
 
     def _frames_to_tell(self, ratio: FloatArray, deviation: FloatArray, readings: FloatArray, spread: float) -> int:

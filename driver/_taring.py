@@ -134,10 +134,15 @@ class Tares:
     def _made_of(self, taken: list[Frame], serial_number: str, *, drift: float, spread: float) -> Tare:
         # Losses before the first of these frames, perhaps long ago, do not belong to the tare.
         losses = [frame.lost_before for frame in taken[1:]]
+        noisy, silent = (
+            2 * np.count_nonzero([frame.reason == why for frame in taken], axis=0) > len(taken)
+            for why in (Reason.UNCERTAIN, Reason.NO_CURRENT)
+        )
         readings = RestReadings(
-            np.array([frame.resistance for frame in taken]),
+            np.where(silent, np.nan, [frame.resistance for frame in taken]),
             np.array([frame.monotonic_time for frame in taken]),
-            2 * np.count_nonzero([frame.reason == Reason.UNCERTAIN for frame in taken], axis=0) > len(taken),
+            noisy,
+            silent,
         )
         return readings.tare(
             self._converter.cell,
