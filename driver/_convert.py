@@ -54,6 +54,10 @@ FEW = 0.02
 """fraction of valid cells in those frames below which the driver reports the reason"""
 CLEAR_SPREAD = 0.01
 """fraction of full scale: pressure error by unknown rest resistances from which on the driver reports them"""
+_NO_CELL = (
+    "the data of the cells are not known, so there are no pressures (NaN): the board does not send them; give them, "
+    'Skin.open(..., cell="cell.toml"), as `ohmskin fit` writes them'
+)
 _WHY_NONE = {
     Reason.NO_CURRENT: "their readings show no current; the drive's voltage, the converter's range and the reference "
     "resistor of the design may not fit each other, or the skin is not connected",
@@ -166,6 +170,7 @@ class Converter:
         )
         self.contacts = ContactsOfFrames(tracker)
         self._converted = 0
+        self._counters.untared = _NO_CELL if cell is None else None
         self._last: RawFrame | None = None
         self._last_s: float | None = None
         """of the last frame, on the estimator's time scale; may be a frame from before the recording that is played"""
@@ -495,7 +500,9 @@ class Converter:
 
     def _why_to_tare(self) -> str | None:
         """A remark if rest resistances that nobody measured leave a notable error of the pressures."""
-        if self.cell is None or self._systematic is None or self._rest_known:
+        if self.cell is None:
+            return _NO_CELL
+        if self._systematic is None or self._rest_known:
             return None
         if self._sheet:
             return self._sheet

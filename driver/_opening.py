@@ -171,7 +171,7 @@ class Link:
     def source(self, converter: Converter) -> Source:
         """The source from which takers get their frames."""
         return Source(
-            self._port.name,
+            lambda: self.reader.port_name,
             self.mailbox,
             converter,
             self.counters,

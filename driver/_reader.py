@@ -435,7 +435,7 @@ class Reader:
                 self._reason = event.reason
                 if event.is_description:
                     self._unreadable = event.reason
-                self.stream.corrupt(event)
+                self._counters.corrupt += 1
 
     def _hear(self, packet: FramePacket, arrival: Arrival) -> None:
         if not self.introduction.complete:
@@ -540,6 +540,7 @@ class Reader:
                 continue
             with self._reading:
                 self._port = port
+                self.port_name = self.introduction.port_name = port.name
                 self._protocol = self._new_protocol()
                 self._heard_before, self._heard_since = bytearray(), bytearray()
                 self._unproven.clear()

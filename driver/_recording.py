@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 from .. import __version__
 from ..common.arrays import FloatArray
 from ..common.checks import path_text
+from ..common.extras import install_command
 from ..common.files import Output, check_writable, claim, forget, is_claimed, one_at_a_time
 from ..errors import InputError, MissingExtra
 from ._frame import Frame
@@ -216,7 +217,7 @@ def _mcap_writer() -> type[Writer]:
     try:
         from mcap.writer import Writer
     except ImportError as error:
-        raise MissingExtra("recordings need mcap: pip install 'ohmskin[record]'") from error
+        raise MissingExtra(f"recordings need mcap: {install_command('record')}") from error
     return Writer
 
 

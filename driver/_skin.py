@@ -17,7 +17,7 @@ from ..common import compiled
 from ..common.checks import count, function, loaded, number, of_kind, path_text, positive
 from ..common.progress import Progress, silent
 from ..common.text import printable
-from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError
+from ..errors import InputError, LinkEnded, LinkError, LinkTimeout
 from ..wire import Description, Family, Identity, Order
 from ._calibration import Calibration
 from ._convert import Measurement
@@ -26,7 +26,7 @@ from ._frame import Frame
 from ._opening import QUEUE, Delivery, Link, Opening
 from ._past import Past
 from ._port import Arrival, BytePort
-from ._port_names import has_gone, refuse_missing, usb_serial_number
+from ._port_names import has_gone, is_unpaced, refuse_missing, usb_serial_number
 from ._reader import await_free
 from ._reconnect import PortFinder
 from ._recording import Recording
@@ -36,6 +36,9 @@ from ._stream import RawFrame
 from ._taker import AsyncFrames, ConvertedFrames, FrameCallback, FrameTaker
 from ._tare import KNOWN_DRIFT, SPREAD, Tare
 from ._taring import Tares
+
+MAX_AGE_S = 0.5
+"""default of :meth:`Skin.latest`: boards send at 10 Hz and more"""
 
 
 class Skin:
@@ -206,7 +209,8 @@ class Skin:
             estimator: likewise.
             timeout: likewise.
             baudrate: of the UART, where there is one; None: that of the family.
-            delivery: likewise; None: ``newest``, and ``lossless`` for a recording.
+            delivery: likewise; None: ``newest``, and ``lossless`` for a recording and for an emulated board that runs
+                as fast as it is read (``ohmskin://SCENE.toml?clock=fast``).
             queue: likewise.
             reconnect: likewise.
             pitch: likewise.
@@ -233,7 +237,8 @@ class Skin:
         if played is None and speed is not None:
             raise InputError(f"speed is {speed}, but only a recording (a file that ends in .mcap) has one")
         recorded = NOTHING_RECORDED if played is None else played.settings
-        usual: Delivery = "newest" if played is None else "lossless"
+        waits = played is not None or (name is not None and is_unpaced(name))
+        usual: Delivery = "lossless" if waits else "newest"
         # All errors in the arguments are reported before anybody waits for a board or for the compiler.
         asked = Opening.of(
             board=board if played is None else recorded.board,
@@ -300,8 +305,8 @@ class Skin:
 
     @property
     def port_name(self) -> str:
-        """Name of the port that was opened."""
-        return self._source.name
+        """Name of the port; after a reconnection, of the one where the board is now."""
+        return self._reader.port_name
 
     @property
     def pitch_m(self) -> float:
@@ -417,11 +422,11 @@ class Skin:
         """
         return self._taker.take(self._timeout if timeout is None else number("timeout", timeout, "s"))
 
-    def latest(self, max_age: float, timeout: float = 0.0) -> Frame:
+    def latest(self, max_age: float = MAX_AGE_S, timeout: float = 0.0) -> Frame:
         """The newest frame, taken before or not, never older than ``max_age``. For control loops.
 
         Args:
-            max_age: s since the arrival of the frame's last byte, at most.
+            max_age: s since the arrival of the frame's last byte, at most; infinite for a frame however old.
             timeout: s to wait if there is no such frame; 0 or less: do not wait.
 
         Raises:
@@ -433,15 +438,16 @@ class Skin:
         return self._taker.latest(positive("max_age", max_age, "s"), number("timeout", timeout, "s"))
 
     def on_frame(
-        self, callback: Callable[[Frame], None], on_end: Callable[[OhmskinError], None] | None = None
+        self, callback: Callable[[Frame], None], on_end: Callable[[Exception], None] | None = None
     ) -> FrameCallback:
         """Call ``callback`` with each frame from now on, one at a time, in a thread of its own.
 
         Args:
             callback: takes a frame.
             on_end: called once in the same thread when no frame will come any more, with the reason: a
-                :class:`~ohmskin.errors.LinkEnded` at the regular end, else a :class:`~ohmskin.errors.LinkError`. Not
-                called when ``close()`` of the skin or of the returned object ends the calls.
+                :class:`~ohmskin.errors.LinkEnded` at the regular end, else a :class:`~ohmskin.errors.LinkError`; or
+                with the exception of a callback that failed. Not called when ``close()`` of the skin or of the returned
+                object ends the calls.
 
         Returns:
             An object whose ``close()`` ends the calls. An exception in the callback ends them, too.

@@ -28,7 +28,7 @@ class LinkStatistics:
     corrupt: int
     """stretches of bytes that were no packets"""
     resyncs: int
-    """resynchronisations: packets followed such a stretch, or their numbers jumped in a way that no time explains"""
+    """times that the numbers of frames jumped in a way that no time explains"""
     reconnects: int
     """number of times that the port was reopened"""
     reboots: int
@@ -44,7 +44,7 @@ class LinkStatistics:
     not_valid: dict[str, int]
     """cells of the newest converted frame that are not valid, by the name of their :class:`ohmskin.circuits.Reason`"""
     remark: str | None
-    """why hardly any cell was valid in the first frames; or that the skin should be tared"""
+    """why hardly any cell was valid in the first frames; why there are no pressures; or that one should tare"""
     rate_hz: float
     """frames per second of the board's time, over the last 1000 frames; NaN before the second frame"""
     age_s: dict[int, float]

@@ -29,8 +29,8 @@ CLOSE_S = 2.0
 class Source:
     """The source from which takers get their frames."""
 
-    name: str
-    """name of the port, for messages"""
+    name: Callable[[], str]
+    """the port's present name, for messages"""
     mailbox: Mailbox
     converter: Converter
     counters: Counters
@@ -140,7 +140,7 @@ class FrameTaker:
             left = deadline - time.monotonic()
             if left <= 0:
                 raise LinkTimeout(
-                    f"{source.name}: no frame younger than {max_age_s:g} s: {self._why_none(newest, max_age_s)}"
+                    f"{source.name()}: no frame younger than {max_age_s:g} s: {self._why_none(newest, max_age_s)}"
                     + _because(source.mailbox.away)
                 )
             self._wait(left, since=newest)
@@ -337,11 +337,14 @@ class FrameCallback:
         self,
         source: Source,
         callback: Callable[[Frame], None],
-        on_end: Callable[[OhmskinError], None] | None = None,
+        on_end: Callable[[Exception], None] | None = None,
         *,
         keep: object = None,
     ) -> None:
-        """``keep``: as for :class:`AsyncFrames`, until the calls end. InputError if a callback is no function."""
+        """``keep``: as for :class:`AsyncFrames`, until the calls end. InputError if a callback is no function.
+
+        ``on_end`` is called with the reason when no frame will come any more, or with the error of the callback.
+        """
         function("callback", callback)
         if on_end is not None:
             function("on_end", on_end)
@@ -349,7 +352,7 @@ class FrameCallback:
         self._taker = FrameTaker(source)
         self._callback, self._on_end = callback, on_end
         self._closed = False
-        self._thread = _CallbackThread(target=self._run, name=f"ohmskin callback {source.name}", daemon=True)
+        self._thread = _CallbackThread(target=self._run, name=f"ohmskin callback {source.name()}", daemon=True)
         self._thread.start()
 
     @property
@@ -382,10 +385,18 @@ class FrameCallback:
                         self._on_end(error)
                     return
                 if not self._closed:
-                    self._callback(frame)
+                    self._call(frame)
         finally:
             self._taker.leave()
             self._keep = None
+
+    def _call(self, frame: Frame) -> None:
+        try:
+            self._callback(frame)
+        except Exception as error:
+            if self._on_end is not None:
+                self._on_end(error)
+            raise
 
 
 class _CallbackThread(threading.Thread):

@@ -226,8 +226,11 @@ class TestFreshness:
             assert again.age > 100.0
             assert skin.latest(300.0) is again
 
-    @pytest.mark.parametrize("convert_s", [0.0002, 0.0009], ids=["small skin", "too slow for the board"])
-    @pytest.mark.parametrize("deaf", [False, True], ids=["thread reads", "thread never runs"])
+    @pytest.mark.parametrize(
+        ("convert_s", "deaf"),
+        [(0.0002, False), (0.0002, True), (0.0009, True)],
+        ids=["thread reads", "thread never runs", "too slow for the board"],
+    )
     @pytest.mark.parametrize("how", ["latest", "read", "iteration", "frames", "async"])
     def test_a_slow_reader_at_1_khz_gets_the_frame_that_came_last(self, how: str, deaf: bool, convert_s: float) -> None:
         """On a clock of its own, hence on any machine: 10 ms of work per cycle, and the time to convert a frame."""
@@ -465,7 +468,7 @@ class TestDamage:
         pieces = [frame(0), b"\xa5noise\0", b"\xa5more\0", frame(1), b"x\0", frame(2, flags=Flag.LAST)]
         with lossless(described(*pieces)) as skin:
             assert len(list(skin)) == 3
-        assert (skin.stats().corrupt, skin.stats().resyncs) == (3, 2)
+        assert (skin.stats().corrupt, skin.stats().resyncs) == (3, 0)
 
     def test_a_boot_id_tells_a_reboot_that_numbers_and_times_do_not(self) -> None:
         """The board starts anew, runs for longer than before while nobody listens, and is heard again."""
