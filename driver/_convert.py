@@ -7,6 +7,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
+from time import thread_time
 from typing import NamedTuple
 
 import numpy as np
@@ -31,9 +32,9 @@ from ._systematic import SystematicError
 from ._tare import DRIFT as TARE_DRIFT
 from ._tare import KNOWN_DRIFT, far_from_sheet
 
-LATE_S = 0.005
-"""longest time for which a reader who gets the newest frame waits for the conversion of those before it. Frames
-that are left then are skipped: boards may send faster than a computer converts"""
+LATE_S = 0.01
+"""s of processor time that a reader of the newest frame spends on those before it. Those that are left then are
+skipped: boards may send faster than a computer converts"""
 KNOWN_FRAMES = 20
 """frames before new rest resistances that the estimator sees again with them: as many as a usual tare has. They tell it
 that the skin is at rest, or what lies on it"""
@@ -110,7 +111,6 @@ class Converter:
         mailbox: Mailbox,
         counters: Counters,
         *,
-        now: Callable[[], float],
         newest_only: bool,
         rest_changes: Sequence[tuple[float, FloatArray | None]] = (),
         accuracy: float | None = None,
@@ -118,8 +118,7 @@ class Converter:
     ) -> None:
         """Set up the circuit's inverse and the estimator; without ``cell`` pressures are NaN.
 
-        ``now`` gives s on the clock of the frames' monotonic times. With ``newest_only`` readers get the newest frame,
-        and wait for those before it for :data:`LATE_S` at most.
+        With ``newest_only`` readers get the newest frame, and spend :data:`LATE_S` on those before it at most.
         ``rest_changes`` come from a recording: times on the time scale of the estimator, and the (cells,) rest
         resistances for the frames after them.
         ``accuracy`` is the relative uncertainty up to which cells are valid, see :class:`CountReader`.
@@ -133,7 +132,7 @@ class Converter:
         self.design = design
         self.cell = cell
         self.pitch = pitch
-        self._mailbox, self._now, self._newest_only = mailbox, now, newest_only
+        self._mailbox, self._newest_only = mailbox, newest_only
         self._estimator_name = estimator
         self._calibration = calibration
         self._counters = counters
@@ -178,8 +177,8 @@ class Converter:
         """number of a frame -> the frame and its measurement, of the last frames in order"""
         self._recent: deque[tuple[float, Reading]] = deque(maxlen=KNOWN_FRAMES)
         """times and readings of the last frames"""
-        self._hurry_until = math.inf
-        """when a reader of the newest frame will have waited for long enough"""
+        self._awaited = False
+        """a reader converts frames, or waits for the lock to do so"""
         self.retained = Retained(SMALL_AFTER)
         """of the frames that readers got"""
         self.notices: deque[str] = deque()
@@ -332,30 +331,33 @@ class Converter:
             Whether frames are left.
 
         """
-        if most is None and self._newest_only:
-            self._hurry_until = min(self._hurry_until, self._now() + LATE_S)
-        elif most is not None and self._hurry_until < math.inf:
+        if most is None:
+            self._awaited = True
+        elif self._awaited:
             return False  # a reader converts them, and shall not wait for the lock
         with self._lock:
             newest = self._mailbox.newest
             return newest is not None and self._convert_up_to(newest.index, most)
 
     def measured_since(self, monotonic_s: float) -> list[Measured]:
-        """The frames that came after this time and have been converted, in order; with the last one before them."""
+        """The frames that came after this time and have been converted, in order; with the last one before them.
+
+        Frames from before the estimator's last start, as at a tare, are not among them.
+        """
         with self._lock:
-            kept = list(self._measured.values())
+            kept = [one for one in self._measured.values() if one.measurement.estimator_starts == self._starts]
         first = next((k for k, one in enumerate(kept) if one.frame.monotonic_time > monotonic_s), len(kept))
         return kept[max(first - 1, 0) :]
 
     def _convert_up_to(self, last: int, most: int | None = None) -> bool:
         """Convert the frames up to the number ``last``, at most ``most`` of them; returns whether frames are left."""
-        done = 0
+        done, until_s = 0, thread_time() + LATE_S
         while most is None or done < most:
             frame = self._mailbox.next_unconverted(last)
             if frame is None:
-                self._hurry_until = math.inf
+                self._awaited = False
                 return False
-            if frame.index < last and self._now() > self._hurry_until:
+            if self._newest_only and frame.index < last and thread_time() > until_s:
                 continue
             done += 1
             try:

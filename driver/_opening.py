@@ -208,7 +208,6 @@ class Link:
                 Pitch.of(design.sheet.pitch) if settings.pitch is None else settings.pitch,
                 self.mailbox,
                 self.counters,
-                now=self.reader.now,
                 newest_only=self._opening.delivery == "newest",
                 rest_changes=self._port.rest.changes if isinstance(self._port, ReplayPort) else (),
                 accuracy=settings.accuracy,

@@ -33,7 +33,7 @@ from ._recording import Recording
 from ._replay import NOTHING_RECORDED, ReplayPort
 from ._statistics import LinkStatistics
 from ._stream import RawFrame
-from ._taker import AsyncFrames, ConvertedFrames, FrameCallback, FrameTaker
+from ._taker import AsyncFrames, ConvertedFrames, FrameCallback, FrameTaker, frames_since
 from ._tare import KNOWN_DRIFT, SPREAD, Tare
 from ._taring import Tares
 
@@ -436,6 +436,27 @@ class Skin:
 
         """
         return self._taker.latest(positive("max_age", max_age, "s"), number("timeout", timeout, "s"))
+
+    def frames_since(self, monotonic_time: float) -> list[Frame]:
+        """All frames that came after a moment, the oldest first: for a policy at 30 Hz with a skin at 150 Hz.
+
+        Frames are not taken from other readers by that, and may be asked for again. The last ``queue`` frames are kept;
+        with ``lossless``, of those that some reader has taken. What the first frame says of losses counts from the
+        frame before it, if that is still kept.
+
+        Args:
+            monotonic_time: s on the clock of :attr:`Frame.monotonic_time` and of :func:`time.monotonic`, such as that
+                of the newest frame of the last call, or of the last image.
+
+        Raises:
+            InputError: ``monotonic_time`` is no number.
+            LinkEnded, LinkError: as for :meth:`read`, where there is no such frame.
+
+        """
+        frames = frames_since(self._source, number("monotonic_time", monotonic_time, "s"))
+        if not frames and self._mailbox.end is not None:
+            raise copy.copy(self._mailbox.end)
+        return frames
 
     def on_frame(
         self, callback: Callable[[Frame], None], on_end: Callable[[Exception], None] | None = None

@@ -416,6 +416,19 @@ class ConvertedFrames:
         self._receive(_frame(raw, measurement, before, self._source))
 
 
+def frames_since(source: Source, monotonic_s: float) -> list[Frame]:
+    """The frames that came after this time, in order, as :meth:`.Skin.frames_since`."""
+    if source.eager:
+        source.poll()
+    frames, told = [], _Totals()
+    for raw, measurement in source.converter.measured_since(monotonic_s):
+        if raw.monotonic_time > monotonic_s:
+            frames.append(_frame(raw, measurement, told, source))
+            source.converter.retained.add(frames[-1])
+        told = _Totals.of(raw, measurement.estimator_starts)
+    return frames
+
+
 @dataclass(slots=True)
 class _Totals:
     """Totals up to the last frame taken, which the reader knows already."""
