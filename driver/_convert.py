@@ -167,7 +167,7 @@ class Converter:
         tracker = ContactTracker(
             design.array.shape, pitch, full_scale_kpa, drift_kpa=drift_kpa, faults_press=faults_press
         )
-        self.contacts = ContactsOfFrames(tracker)
+        self.contacts = ContactsOfFrames(tracker, mailbox.capacity)
         self._converted = 0
         self._counters.untared = _NO_CELL if cell is None else None
         self._last: RawFrame | None = None
@@ -397,11 +397,9 @@ class Converter:
         for array in (reading.valid, reading.reason, reading.resistance):
             array.setflags(write=False)  # half of the time that array.flags takes
         pressure, std = self._estimate(gap_s, reading)
-        rise = None
-        if self._estimator is not None and self.contacts.asked:
-            rise = self._estimator.rise_of_last_step()
         pressure.setflags(write=False)
-        view = PressureView(frame.time_s, pressure, std, rise, self._starts)
+        unread = (reading.reason != int(Reason.VALID)) & (reading.reason != int(Reason.UNCERTAIN))
+        view = PressureView(frame.index, frame.time_s, pressure, std, unread)
         self.contacts.pass_by(view)
         self._starts_told = self._starts
         return Measurement(
