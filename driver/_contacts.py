@@ -199,7 +199,8 @@ class ContactTracker:
         if missing is not None:
             bridged, pressure_kpa = bridge(pressure_kpa, candidates, missing)
             candidates |= bridged
-        found, count = ndimage.label(candidates, structure=NEIGHBOURS)
+        patches, count = ndimage.label(candidates, structure=NEIGHBOURS)
+        found: IntArray = patches.astype(np.intp)
         kept = np.zeros(count + 1, dtype=np.bool_)
         kept[found[begins]] = True
         self._keep_lasting(found, kept, pressure_kpa)
@@ -350,8 +351,8 @@ def _together(excess: FloatArray, std_kpa: FloatArray) -> BoolArray:
 class PressureView(NamedTuple):
     """Input of the tracker for one frame."""
 
-    index: int
-    """number of the frame"""
+    number: int
+    """of the frame"""
     time_s: float
     pressure_kpa: FloatArray
     std_kpa: Later
@@ -386,16 +387,16 @@ class ContactsOfFrames:
                 self._look(view)
 
     def _look(self, view: PressureView) -> tuple[Contact, ...]:
-        found = self._found.get(view.index)
+        found = self._found.get(view.number)
         if found is not None:
             return found
         # A frame from before the first request gets its ids from the present contacts, which do not change.
-        is_next = view.index > self._newest
+        is_next = view.number > self._newest
         tracker = self._tracker if is_next else copy.deepcopy(self._tracker)
         found = tracker.update(view.time_s, view.pressure_kpa, view.std_kpa(), view.unread)
         if is_next:
-            self._newest = view.index
-        self._found[view.index] = found
+            self._newest = view.number
+        self._found[view.number] = found
         if len(self._found) > self._kept:
             del self._found[next(iter(self._found))]
         return found
