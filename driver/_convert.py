@@ -290,6 +290,7 @@ class Converter:
         if counts is not None and not ((counts >= 0) & (counts < 2**16)).all():
             raise InputError("counts: expected those of 16 bits")
         self._last_s, self._rest_ohm = past.time_s, rest_ohm
+        self._recent.clear()
         self._read = CountReader(self.design, accuracy=self._accuracy)
         self._read.remember(past.noise_steps, None if counts is None else counts.astype(np.uint16))
         remembers = True
