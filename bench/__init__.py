@@ -1,14 +1,12 @@
-"""Speed against error: the solvers of :mod:`ohmskin.circuits` and, where installed, their peers on the same arrays.
+"""Measurements: speed against error of solvers, boards and estimators, beside peers on the same work in one run.
 
-``measure(sizes=[8, 64], segments=[1.0])`` measures everything, row by row; :func:`table` and :func:`picture` show it.
+``ohmskin bench`` prints them. What a measurement has to say are the columns of its dataclass (:mod:`.harness`).
 
-:func:`live_estimators` and :func:`freshness` measure the live path of the driver, from bytes to kPa.
+Estimators: :mod:`.judges` plays the scenes of ``judges.toml`` (:mod:`.scenes`) and compares any estimator with gates,
+and with the figures that were frozen; :mod:`._estimators` compares all estimators on a material of nobody's
+(:mod:`._independent`). ``python -m ohmskin.bench.panel`` judges calibrations on the specimens of :mod:`._materials`.
 
-Solvers: :mod:`._measurement` beside :mod:`._peers`, with :mod:`._memory` in a process of its own; :mod:`._show` prints.
-
-Estimators: :mod:`._estimators` on a material of nobody's (:mod:`._independent`); :mod:`._honesty` of their standard
-deviations; :mod:`._hard_cases`, taps and sparks. ``python -m ohmskin.bench.panel`` judges calibrations on the specimens
-of :mod:`._materials`.
+Solvers: :mod:`._measurement` beside :mod:`._peers`.
 
 The live path: :mod:`._driver`, the age of frames (:mod:`._freshness`, over a :mod:`._paced_port`) and
 :mod:`._worst_frames`; contacts of short taps, and false ones of electrical faults (:mod:`._taps`);
@@ -24,8 +22,7 @@ ohmskin.bench.knowable`` states how well one frame can tell them at all.
 from ._driver import live_estimators, live_picture
 from ._estimators import INDEPENDENT, NOISE, estimators, noisy
 from ._freshness import Freshness, freshness
-from ._measurement import Row, board, cells, measure
-from ._show import picture, table
+from ._measurement import Row, board, cells, measure, picture
 
 __all__ = [
     "INDEPENDENT",
@@ -41,5 +38,4 @@ __all__ = [
     "measure",
     "noisy",
     "picture",
-    "table",
 ]

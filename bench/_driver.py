@@ -21,7 +21,7 @@ import gc
 import itertools
 import warnings
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from time import monotonic, process_time
 from typing import Any
 
@@ -36,6 +36,7 @@ from ..errors import InputError
 from ..wire import FramePacket, host_protocol
 from ._estimators import noisy
 from ._paced_port import PacedPort, frame_packets
+from .harness import column
 
 FRAMES = 400
 FRAME_RATE_HZ = 200.0
@@ -70,38 +71,38 @@ _LARGEST_FLOATING = 32  # side beyond which boards with floating rows are left o
 class Row:
     """One board."""
 
-    size: int
+    size: int = field(metadata=column("cells", "{0} x {0}"))
     """of the N x N array"""
-    circuit: str
-    idle_rows: str
-    bits: int
-    saturated_cells: int
-    estimator: str
-    is_default: bool
+    circuit: str = field(metadata=column("circuit", "{}", width=18))
+    idle_rows: str = field(metadata=column("idle", "{}", width=6))
+    bits: int = field(metadata=column("bits", "{}"))
+    saturated_cells: int = field(metadata=column("saturated", "{}"))
+    estimator: str = field(metadata=column("estimator", "{}", width=9))
+    is_default: bool = field(metadata=column("default"))
     """the estimator that a skin of this cell takes by itself"""
-    frames_per_second: float
+    frames_per_second: float = field(metadata=column("frames/s", "{:.0f}"))
     """per second of processor time: what a reader of a skin gets who takes every frame and its standard deviations"""
-    queued_frames_per_second: float
+    queued_frames_per_second: float = field(metadata=column("queued", "{:.0f}"))
     """the same where :data:`QUEUED` frames come together"""
-    times_as_fast: float
+    times_as_fast: float = field(metadata=column("code", "{:.2f}"))
     """by machine code (:mod:`ohmskin.common.compiled`) over array operations, both in turn; 1 without machine code"""
-    decode_us: float
+    decode_us: float = field(metadata=column("decode", "{:.0f}"))
     """median per frame"""
-    ohms_us: float
-    kpa_us: float
-    std_us: float
+    ohms_us: float = field(metadata=column("ohms", "{:.0f}"))
+    kpa_us: float = field(metadata=column("kPa", "{:.0f}"))
+    std_us: float = field(metadata=column("std", "{:.0f}"))
     """standard deviations, which are computed when the reader asks for them"""
-    skin_us: float
+    skin_us: float = field(metadata=column("skin us", "{:.0f}"))
     """the rest of what the reader waits for"""
-    worst_frame: float
+    worst_frame: float = field(metadata=column("worst", "{:.1f}"))
     """processor time of the slowest frame through the skin, in medians; the first ten frames are left out"""
-    valid_percent: float
+    valid_percent: float = field(metadata=column("valid, %", "{:.1f}"))
     """of the cells"""
-    worst_ohm_error_percent: float
+    worst_ohm_error_percent: float = field(metadata=column("ohm error, %", "{:.2f}"))
     """of a valid cell, relative to its own resistance"""
-    rmse_kpa: float
+    rmse_kpa: float = field(metadata=column("RMSE", "{:.3f}"))
     """of valid cells"""
-    worst_kpa: float
+    worst_kpa: float = field(metadata=column("worst kPa", "{:.2f}"))
     """of a valid cell in any frame"""
 
     @property
@@ -339,48 +340,15 @@ def packets_of(
     return frame_packets((codes[number // each % len(codes)] for number in numbers), rate_hz)
 
 
-def machine_code() -> str:
-    """Whether machine code is in use, and what the column ``code`` says."""
+def head() -> str:
+    """What the columns are, and whether machine code is in use."""
     why_not = compiled.why_not()
-    if why_not:
-        return f"by array operations: {why_not}"
-    return "by machine code where there is some; code: times as fast as by array operations"
-
-
-def table(rows: Iterable[Row]) -> str:
-    """The boards as text."""
-    head = (
+    code = "by machine code where there is some; code: times as fast as by array operations"
+    return (
         "frames per second of processor time on one core that a reader of a skin gets, bytes to kPa with standard "
         f"deviations, and where {QUEUED} frames come together; worst frame in medians; errors of valid cells\n"
-        f"{machine_code()}\n"
-        "    cells  circuit              idle    bits saturated  frames/s  queued   code  decode   ohms"
-        "    kPa    std  skin us  worst   valid   ohm error   RMSE  worst kPa"
+        + (f"by array operations: {why_not}" if why_not else code)
     )
-    lines = (
-        f"{row.size:>4} x {row.size:<4}{row.circuit:<20} {row.idle_rows:<7}{row.bits:>4}{row.saturated_cells:>8}"
-        f"{row.frames_per_second:>12.0f}{row.queued_frames_per_second:>8.0f}{row.times_as_fast:>7.2f}"
-        f"{row.decode_us:>8.0f}"
-        f"{row.ohms_us:>7.0f}{row.kpa_us:>7.0f}{row.std_us:>7.0f}{row.skin_us:>9.0f}{row.worst_frame:>7.1f}"
-        f"{row.valid_percent:>7.1f} %{row.worst_ohm_error_percent:>9.2f} %{row.rmse_kpa:>9.3f}{row.worst_kpa:>9.2f}"
-        for row in rows
-    )
-    return "\n".join([head, *lines])
-
-
-def estimator_table(rows: Iterable[Row]) -> str:
-    """The estimators as text."""
-    head = (
-        "speed against error of the live path, by estimator: shares of the stages in a frame's time, errors in kPa\n"
-        "    cells  estimator    frames/s   decode    ohms     kPa     std    skin     RMSE  worst cell"
-    )
-    lines = (
-        f"{row.size:>4} x {row.size:<4}{row.estimator:<10}{row.frames_per_second:>11.0f}"
-        + "".join(f"{100 * share:>7.0f} %" for share in row.shares)
-        + f"{row.rmse_kpa:>9.3f}{row.worst_kpa:>12.2f}"
-        + ("  default" if row.is_default else "")
-        for row in rows
-    )
-    return "\n".join([head, *lines])
 
 
 def live_picture(rows: Iterable[Row]) -> str:

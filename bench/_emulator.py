@@ -8,7 +8,7 @@ The emulator steps the cells that are not at rest, solves few frames exactly and
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from time import process_time
 from typing import Any
@@ -19,6 +19,7 @@ from ..circuits import Design, adc_codes, scan
 from ..common.arrays import FloatArray
 from ..emulator import Board, Scene, spread
 from ..wire import FramePacket, board_protocol
+from .harness import column
 
 CONTACTS = (0, 1, 5)
 RATES_HZ = (100.0, 1000.0)
@@ -34,28 +35,31 @@ _BUDGET_S = 0.7
 """s of processor time for each measurement"""
 
 
+HEAD = "frames per second of processor time on one core, contacts to encoded packets; volts in ADC steps"
+
+
 @dataclass(frozen=True)
 class Row:
     """One scene."""
 
-    size: int
+    size: int = field(metadata=column("cells", "{0} x {0}"))
     """of the N x N array"""
-    contacts: int
+    contacts: int = field(metadata=column("contacts", "{}"))
     """that move over the array"""
-    frame_rate_hz: float
+    frame_rate_hz: float = field(metadata=column("Hz", "{:g}"))
     frames: int
     """measured"""
-    touched_cells: int
+    touched_cells: int = field(metadata=column("touched", "{}"))
     """cells that were pressed at any time"""
-    solved_percent: float
+    solved_percent: float = field(metadata=column("solved, %", "{:.1f}"))
     """of the frames, those whose circuit was solved exactly"""
-    frames_per_second: float
+    frames_per_second: float = field(metadata=column("emulator", "{:.0f}"))
     """per second of processor time, from contacts to encoded packets"""
-    full_frames_per_second: float
+    full_frames_per_second: float = field(metadata=column("full physics", "{:.0f}"))
     """the same of the full physics"""
-    difference_steps: float
+    difference_steps: float = field(metadata=column("difference", "{:.3f}"))
     """largest difference of their volts in ADC steps"""
-    certified_steps: float
+    certified_steps: float = field(metadata=column("certified", "{:.3f}"))
     """largest certified error of the emulator's volts"""
 
 
@@ -170,18 +174,3 @@ def _full_physics(what: Scene) -> tuple[list[FloatArray], float]:
         volts.append(read)
         before_us = time_us
     return volts, process_time() - start
-
-
-def table(rows: Iterable[Row]) -> str:
-    """The rows as text."""
-    head = (
-        "frames per second of processor time on one core, contacts to encoded packets; volts in ADC steps\n"
-        "    cells  contacts  Hz     touched  solved   emulator  full physics  difference  certified"
-    )
-    lines = (
-        f"{row.size:>4} x {row.size:<4}{row.contacts:>6}  {row.frame_rate_hz:<6g}{row.touched_cells:>6}"
-        f"{row.solved_percent:>8.1f} %{row.frames_per_second:>10.0f}{row.full_frames_per_second:>12.0f}"
-        f"{row.difference_steps:>14.3f}{row.certified_steps:>11.3f}"
-        for row in rows
-    )
-    return "\n".join([head, *lines])

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from time import perf_counter
 
 import numpy as np
@@ -14,19 +14,20 @@ from ..cell import ESTIMATORS, Cell, calibrate, checked_recording, estimate_reco
 from ..common.arrays import FloatArray
 from ..errors import InputError
 from . import _independent as independent
+from .harness import column
 
 
 @dataclass(frozen=True)
 class Row:
     """One estimator on one material."""
 
-    material: str
-    estimator: str
-    rmse_percent: float
+    material: str = field(metadata=column("material", "{}", width=30))
+    estimator: str = field(metadata=column("estimator", "{}", width=10))
+    rmse_percent: float = field(metadata=column("RMSE, % of FS", "{:.2f}"))
     """of full scale"""
-    microseconds: float
+    microseconds: float = field(metadata=column("us per cell and sample", "{:.3f}"))
     """per cell and sample, all cells of a 64 x 64 skin in motion, one core"""
-    is_default: bool
+    is_default: bool = field(metadata=column("default"))
 
 
 INDEPENDENT = "relays and fractional creep"
@@ -74,17 +75,6 @@ def estimators(
                 Row(material, name, 100 * rmse, _cost(cell, name, moving, dt_s), name == cell.default_estimator)
             )
     return rows
-
-
-def table(rows: list[Row]) -> str:
-    """The rows as text."""
-    lines = [f"{'material':<32}{'estimator':<12}{'RMSE, % of FS':>14}{'us per cell and sample':>24}"]
-    lines += [
-        f"{row.material:<32}{row.estimator:<12}{row.rmse_percent:>14.2f}{row.microseconds:>24.3f}"
-        + ("  default" if row.is_default else "")
-        for row in rows
-    ]
-    return "\n".join(lines)
 
 
 def noisy(cell: Cell, load: FloatArray, dt_s: float, rng: np.random.Generator) -> FloatArray:

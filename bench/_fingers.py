@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from ..common.arrays import FloatArray
 from ..driver import Contact
 from ._driver import design
 from ._taps import contacts_of
+from .harness import column
 
 BOARDS: tuple[tuple[str, str, int, float], ...] = (
     ("inverting-amplifier", "ground", 12, 1.0),
@@ -61,30 +62,37 @@ Way = Callable[[FloatArray, np.random.Generator], FloatArray]
 """Positions (fingers, n, 2) in cells from the middle of the skin, at shares (n,) of the time of a play."""
 
 
+HEAD = (
+    "contacts of moving fingers: % found while they press, delay of the first contact, % of the plays in which each "
+    "finger keeps its id, ids beyond one for each finger, seconds with contacts but no finger, force over the "
+    "finger's, distance from it"
+)
+
+
 @dataclass(frozen=True)
 class Fingers:
     """One scene on one board."""
 
-    size: int
+    size: int = field(metadata=column("cells", "{0} x {0}"))
     """of the N x N array"""
-    circuit: str
-    idle_rows: str
-    bits: int
-    noise_mv: float
-    scene: str
-    found_percent: float
+    circuit: str = field(metadata=column("circuit", "{}", width=18))
+    idle_rows: str = field(metadata=column("idle", "{}", width=6))
+    bits: int = field(metadata=column("bits", "{}"))
+    noise_mv: float = field(metadata=column("noise, mV", "{:g}"))
+    scene: str = field(metadata=column("scene", "{}", width=22))
+    found_percent: float = field(metadata=column("found", "{:.0f}"))
     """of the fingers in the frames in which they press, those with a contact near them, or in a joined one"""
-    delay_ms: float
+    delay_ms: float = field(metadata=column("delay, ms", "{:.0f}"))
     """median time from the beginning of a press to its first contact"""
-    ids_kept_percent: float
+    ids_kept_percent: float = field(metadata=column("ids kept", "{:.0f}"))
     """of the plays, those in which each finger has one id, from its first contact to its last one"""
-    false: int
+    false: int = field(metadata=column("false", "{}"))
     """ids beyond one for each finger of each play"""
-    false_s: float
+    false_s: float = field(metadata=column("false, s", "{:.2f}"))
     """time in which there was any contact though no finger was on the skin, from :data:`LATE_S` after the last one"""
-    force_share: float
+    force_share: float = field(metadata=column("force", "{:.2f}"))
     """median force of a contact that is one finger's alone, over that of its finger"""
-    off_cells: float
+    off_cells: float = field(metadata=column("off, cells", "{:.2f}"))
     """median distance of such a contact from its finger's centre of pressure"""
 
 
@@ -315,22 +323,3 @@ def _judge(
     kept = all(len(one) == 1 for one in names) and len(set().union(*names)) == len(names)
     delays = (first_s - play.start_s)[np.isfinite(first_s)].tolist()
     return _Judged(found, delays, kept, force_shares, off_cells)
-
-
-def table(rows: Iterable[Fingers]) -> Iterator[str]:
-    """The rows as lines of text."""
-    yield (
-        "contacts of moving fingers: % found while they press, delay of the first contact, % of the plays in which "
-        "each finger keeps its id, ids beyond one for each finger, seconds with contacts but no finger, force over the "
-        "finger's, distance from it"
-    )
-    yield (
-        f"    cells  {'circuit':<20} {'idle':<7}bits  noise, mV  {'scene':<22}{'found':>7}{'delay, ms':>11}"
-        f"{'ids kept':>10}{'false':>7}{'false, s':>10}{'force':>7}{'off, cells':>12}"
-    )
-    for row in rows:
-        yield (
-            f"{row.size:>4} x {row.size:<4}{row.circuit:<20} {row.idle_rows:<7}{row.bits:>4}{row.noise_mv:>11g}  "
-            f"{row.scene:<22}{row.found_percent:>7.0f}{row.delay_ms:>11.0f}{row.ids_kept_percent:>10.0f}{row.false:>7}"
-            f"{row.false_s:>10.2f}{row.force_share:>7.2f}{row.off_cells:>12.2f}"
-        )

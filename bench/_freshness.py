@@ -8,7 +8,7 @@ and a line add is left out (``examples/link_latency.py`` measures a real port).
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import inf
 from time import process_time
 
@@ -20,6 +20,7 @@ from ..common.arrays import FloatArray
 from ..driver import Skin
 from ._driver import design, packets_of, pressed
 from ._paced_port import PacedPort
+from .harness import column
 
 RATE_HZ = 1000.0
 WORK_S = 0.0104
@@ -30,22 +31,28 @@ _FRAMES = 200  # different ones; they repeat
 _ROOM = 4  # times as many packets as the work alone needs, for slow machines
 
 
+HEAD = (
+    f"through a skin: processor time per frame, and the age in frames of the newest one at {RATE_HZ:g} Hz "
+    "for a reader with 10 ms of work per cycle"
+)
+
+
 @dataclass(frozen=True)
 class Freshness:
     """One size, on a board with inverting amplifiers and 12 bits."""
 
-    size: int
+    size: int = field(metadata=column("cells", "{0} x {0}"))
     """of the N x N array"""
-    come_us: float
+    come_us: float = field(metadata=column("us per frame that comes", "{:.0f}"))
     """processor time per frame that comes: packets, numbering and timing of the frame, counts to ohms to kPa"""
-    taken_us: float
+    taken_us: float = field(metadata=column("taken", "{:.0f}"))
     """besides, per frame that is taken: standard deviations, and handing over"""
-    contacts_us: float
+    contacts_us: float = field(metadata=column("contacts besides", "{:.0f}"))
     """besides, per frame once contacts have been asked for, with about five fingers on the skin"""
-    median_age: float
+    median_age: float = field(metadata=column("median age", "{:.2f}"))
     """of the newest frame, in frames of a board at 1 kHz, when a reader gets it who works for 10 ms in each cycle"""
-    worst_age: float
-    skipped: int
+    worst_age: float = field(metadata=column("worst", "{:.2f}"))
+    skipped: int = field(metadata=column("skipped", "{}"))
     """frames that this reader did not take, as the frames say"""
     unaccounted: int
     """frames that the board sent and that are in no count; 0 unless the driver has a fault"""
@@ -114,18 +121,3 @@ def _ages(board: Design, cells: FloatArray, cycles: int) -> tuple[list[float], i
             known += frame.skipped_before + (frame.lost_before or 0) + (not frame.repeated)
             sequence = frame.sequence or 0
     return ages[10:], skipped, sequence + 1 - known
-
-
-def freshness_table(rows: Iterable[Freshness]) -> str:
-    """The rows as text."""
-    head = (
-        f"through a skin: processor time per frame, and the age in frames of the newest one at {RATE_HZ:g} Hz "
-        "for a reader with 10 ms of work per cycle\n"
-        "    cells    us per frame that comes   taken   contacts besides    age, median   worst   skipped"
-    )
-    lines = (
-        f"{row.size:>4} x {row.size:<4}{row.come_us:>24.0f}{row.taken_us:>8.0f}{row.contacts_us:>19.0f}"
-        f"{row.median_age:>15.2f}{row.worst_age:>8.2f}{row.skipped:>10}"
-        for row in rows
-    )
-    return "\n".join([head, *lines])

@@ -18,20 +18,14 @@ deviations: of the readings of a cell whose uncertainty just suffices, 3 in 1000
 A *slow* stream has a frame with the work of more than ten usual ones, from counts to ohms. A usual frame is the median
 of the stream's frames after the first in which readings change and any cell is valid; a stream with less than three of
 them has none. Slow streams are shown, but are no wrong readings.
-Work is counted in executed lines of ohmskin, so that a verdict does not depend on the machine's load: each model that
-is evaluated and each derivative that is made takes its lines. An operation on a large matrix counts as one on a small
-one. The table shows the same ratio in processor time beside it: the shortest of four readings, where one is over ten.
+Work is processor time, the shortest of four readings where one is over ten usual frames, as a machine's load only adds.
 """
 
 from __future__ import annotations
 
 import contextlib
-import sys
 from dataclasses import dataclass, field
-from pathlib import Path
 from time import monotonic, process_time
-from types import FrameType
-from typing import Any
 
 import click
 import numpy as np
@@ -65,10 +59,8 @@ class LiveTally:
     """largest error over its uncertainty, streams without noise"""
     surprised: int = 0
     """frames with wrong cells that no reader could know to be wrong"""
-    slowest: float = 0.0
-    """largest work of a frame in executed lines, over the stream's median"""
     longest: float = 0.0
-    """the same in processor time; the machine's load counts"""
+    """longest frame over the stream's median"""
     slow: list[str] = field(default_factory=list)
     """streams with a frame of more than ten usual ones"""
     findings: list[str] = field(default_factory=list)
@@ -117,11 +109,10 @@ def check(family: str, number: int, tally: LiveTally) -> None:
     for _ in range(_TIMED_AGAIN):  # the machine's load only adds to a time
         if _over_usual(times, usual) > _MOST_USUAL_FRAMES:
             times = [min(pair) for pair in zip(times, _times(read_from), strict=True)]
-    tally.longest = max(tally.longest, _over_usual(times, usual))
-    slowest = _over_usual(_work(read_from), usual)
-    tally.slowest = max(tally.slowest, slowest)
-    if slowest > _MOST_USUAL_FRAMES:
-        tally.slow.append(f"slow: {family}:{number}, {slowest:.1f} usual frames")
+    longest = _over_usual(times, usual)
+    tally.longest = max(tally.longest, longest)
+    if longest > _MOST_USUAL_FRAMES:
+        tally.slow.append(f"slow: {family}:{number}, {longest:.1f} usual frames")
     tally.findings += [f"{what}: {family}:{number}, {where}" for what, where in found.items()]
 
 
@@ -159,29 +150,6 @@ def _known_noise(noise_steps: FloatArray, free: list[int]) -> float:
     return known
 
 
-def _work(read_from: LiveStream) -> list[int]:
-    """Lines of ohmskin that a reader executes for each frame."""
-    reader, lines = CountReader(read_from.design), 0
-    room = str(Path(__file__).resolve().parent.parent)
-
-    def follow(frame: FrameType, event: str, _: Any) -> Any:
-        nonlocal lines
-        if event == "line":
-            lines += 1
-        return follow if frame.f_code.co_filename.startswith(room) else None
-
-    work = []
-    for counts in read_from.counts:
-        before, lines = sys.gettrace(), 0
-        sys.settrace(follow)
-        try:
-            reader(counts)
-        finally:
-            sys.settrace(before)
-        work.append(lines)
-    return work
-
-
 def _times(read_from: LiveStream) -> list[float]:
     """Processor time in s that a reader takes for each frame."""
     reader, times = CountReader(read_from.design), []
@@ -192,7 +160,7 @@ def _times(read_from: LiveStream) -> list[float]:
     return times
 
 
-def _over_usual(work: list[int] | list[float], usual: list[int]) -> float:
+def _over_usual(work: list[float], usual: list[int]) -> float:
     """The most work of a frame after the first over the median of the ``usual`` ones; 0 if these are too few."""
     if len(usual) < _LEAST_USUAL:
         return 0.0
@@ -219,14 +187,14 @@ def table(tallies: dict[str, LiveTally]) -> str:
     """The tallies as text."""
     lines = [
         f"{'family':20} {'boards':>7} {'unread':>7} {'frames':>7} {'valid':>7} {'used':>6} {'surprise':>8}"
-        f" {'slow':>5} {'slowest':>8} {'(time)':>8}  findings: " + ", ".join(KINDS)
+        f" {'slow':>5} {'longest':>8}  findings: " + ", ".join(KINDS)
     ]
     for family, tally in tallies.items():
         kinds = ", ".join(str(tally.count(kind)) for kind in KINDS)
         valid = 100.0 * tally.valid / max(tally.cells, 1)
         lines.append(
             f"{family:20} {tally.boards:7} {tally.unreadable:7} {tally.frames:7} {valid:6.1f}% {tally.used:6.2g}"
-            f" {tally.surprised:8} {len(tally.slow):5} {tally.slowest:8.1f} {tally.longest:8.1f}"
+            f" {tally.surprised:8} {len(tally.slow):5} {tally.longest:8.1f}"
             f"  {len(tally.findings)}: {kinds}"
         )
     return "\n".join(lines)

@@ -8,15 +8,17 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..circuits import METHODS, Array, Design, Drive, Readout, scan, scan_batch
+from ..common import plots
 from ..common.arrays import FloatArray
 from ..common.config import LEAST, MOST
 from ..errors import InputError, MissingExtra, SolverError
 from ._peers import PEERS, reference
+from .harness import column
 
 TOLERANCES = (1e-3, 1e-6, 1e-9, 1e-12)
 _ONCE = 5.0  # s beyond which a peer is not run again to find its best time
@@ -27,21 +29,21 @@ _BUDGET = 0.4  # s for the repetitions of one measurement; at least two are made
 class Row:
     """One method on one array."""
 
-    size: int
-    segment: float
+    size: int = field(metadata=column("cells", "{0} x {0}"))
+    segment: float = field(metadata=column("ohm per segment", "{:g}"))
     """ohm"""
-    method: str
-    seconds: float | None
+    method: str = field(metadata=column("method", "{}", width=18))
+    seconds: float | None = field(metadata=column("ms", "{:.3g}", unit=1e-3))
     """per frame, best of several runs (streams: median); None where it did not run, see ``note``"""
-    error: float | None = None
+    error: float | None = field(default=None, metadata=column("worst cell", "{:.1e}"))
     """worst over all cells, relative to that cell's own reading"""
-    full_scale_error: float | None = None
+    full_scale_error: float | None = field(default=None, metadata=column("full scale", "{:.1e}"))
     """worst over all cells, relative to the largest reading: what the bound bounds"""
-    bound: float | None = None
+    bound: float | None = field(default=None, metadata=column("bound", "{:.1e}"))
     """certified beforehand; only ohmskin's methods have one"""
-    memory: int | None = None
+    memory: int | None = field(default=None, metadata=column("MB", "{:.0f}", unit=1e6))
     """bytes that solving one frame added at its peak"""
-    note: str = ""
+    note: str = field(default="", metadata=column("", "{}"))
 
 
 def board(size: int, segment: float) -> Design:
@@ -195,3 +197,33 @@ def _memory(name: str, size: int, segment: float) -> int | None:
         return None
     peak: int | None = json.loads(process.stdout)
     return peak
+
+
+def picture(rows: Sequence[Row]) -> str:
+    """SVG: error against time, one panel per segment resistance, one curve per method through the sizes.
+
+    Raises:
+        MissingExtra: matplotlib is not installed.
+
+    """
+    segments = list(dict.fromkeys(row.segment for row in rows))
+    shown = [row for row in rows if row.seconds and row.error is not None]
+    with plots.drawing(1, len(segments), width=1.9 + 4.6 * len(segments), height=3.6, sharey=True) as (figure, axes):
+        panels = axes[0]
+        for panel, segment in zip(panels, segments, strict=True):
+            for method in dict.fromkeys(row.method for row in shown):
+                curve = sorted(
+                    (row for row in shown if row.method == method and row.segment == segment), key=lambda row: row.size
+                )
+                times, errors = (
+                    [1e3 * (row.seconds or 0.0) for row in curve],
+                    [max(row.error or 0.0, 1e-17) for row in curve],
+                )
+                own = any(row.bound is not None for row in curve)
+                panel.plot(times, errors, "o-" if own else "s--", ms=3.5, lw=1.4 if own else 0.9, label=method)
+                for row, x, y in zip(curve, times, errors, strict=True):
+                    panel.annotate(str(row.size), (x, y), textcoords="offset points", xytext=(3, 3), fontsize=6)
+            panel.set(xscale="log", yscale="log", xlabel="time per frame / ms", title=f"{segment:g} ohm per segment")
+        panels[0].set_ylabel("worst error of a reading, relative to it")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right upper", fontsize=8)
+        return plots.svg(figure)

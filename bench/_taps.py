@@ -14,7 +14,7 @@ import contextlib
 import math
 import warnings
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 
 import numpy as np
@@ -26,6 +26,7 @@ from ..driver import Contact, Skin
 from ..errors import InputError
 from ._driver import design
 from ._paced_port import PacedPort, frame_packets
+from .harness import column
 
 CASES: tuple[tuple[str, str, int, float], ...] = (
     ("inverting-amplifier", "ground", 12, 1.0),
@@ -80,32 +81,39 @@ class Tap:
         return np.asarray(self.peak_kpa * share[:, None, None] * bell)
 
 
+HEAD = (
+    "contacts of taps, % found by duration and by width of the bell in cells; median force over the tap's, and "
+    "median distance from its centre of pressure; contacts elsewhere; contacts that faults made without any touch, "
+    "of so many faults"
+)
+
+
 @dataclass(frozen=True)
 class Taps:
     """One board at one frame rate."""
 
-    size: int
+    size: int = field(metadata=column("cells", "{0} x {0}"))
     """of the N x N array"""
-    circuit: str
-    idle_rows: str
-    bits: int
-    noise_mv: float
-    rate_hz: float
-    found: dict[float, float]
+    circuit: str = field(metadata=column("circuit", "{}", width=18))
+    idle_rows: str = field(metadata=column("idle", "{}", width=6))
+    bits: int = field(metadata=column("bits", "{}"))
+    noise_mv: float = field(metadata=column("noise, mV", "{:g}"))
+    rate_hz: float = field(metadata=column("frames/s", "{:.0f}"))
+    found: dict[float, float] = field(metadata=column("{:g} s", "{:.0f}", unit=0.01))
     """share of the taps of each duration in s that a contact was found of"""
-    found_by_width: dict[float, float]
+    found_by_width: dict[float, float] = field(metadata=column("{:g}", "{:.0f}", unit=0.01))
     """the same by the width of the bell in cells"""
-    delay_ms: float
+    delay_ms: float = field(metadata=column("delay, ms", "{:.0f}"))
     """median time from the beginning of a tap to the first frame with its contact"""
-    force_share: float
+    force_share: float = field(metadata=column("force", "{:.2f}"))
     """median force of a contact over that of its tap, while the tap is held"""
-    off_cells: float
+    off_cells: float = field(metadata=column("off, cells", "{:.2f}"))
     """median distance of a contact from its tap's centre of pressure"""
-    beside: int
+    beside: int = field(metadata=column("elsewhere", "{}"))
     """contacts at other places or times in the stream of taps"""
-    false: dict[str, int]
+    false: dict[str, int] = field(metadata=column("{}", "{}"))
     """false contacts by kind of fault"""
-    faults: dict[str, int]
+    faults: dict[str, int] = field(metadata=column("of", "{}"))
     """number of faults of each kind"""
 
 
@@ -296,28 +304,3 @@ def false_alarms(faults: list[tuple[str, float]], seen: Iterable[tuple[float, tu
                 known.add(contact.id)
                 found[kinds[-1] if kinds else "none"] += 1
     return found
-
-
-def table(rows: Iterable[Taps]) -> Iterator[str]:
-    """The rows as lines of text."""
-    yield (
-        "contacts of taps, % found by duration and by width of the bell in cells; median force over the tap's, and "
-        "median distance from its centre of pressure; contacts elsewhere; contacts that faults made without any touch, "
-        "of so many faults"
-    )
-    yield (
-        f"    cells  {'circuit':<20} {'idle':<7}bits  noise, mV  frames/s"
-        + "".join(f"{1e3 * one:>5.0f} ms" for one in DURATIONS_S)
-        + "".join(f"{one:>6.2g}" for one in WIDTHS_CELLS)
-        + f"{'delay, ms':>11}{'force':>7}{'off, cells':>12}{'elsewhere':>11}"
-        + "".join(f"{kind:>10}" for kind in ("none", *FAULTS))
-    )
-    for row in rows:
-        yield (
-            f"{row.size:>4} x {row.size:<4}{row.circuit:<20} {row.idle_rows:<7}{row.bits:>4}{row.noise_mv:>11g}"
-            f"{row.rate_hz:>10.0f}"
-            + "".join(f"{100 * share:>8.0f}" for share in row.found.values())
-            + "".join(f"{100 * share:>6.0f}" for share in row.found_by_width.values())
-            + f"{row.delay_ms:>11.0f}{row.force_share:>7.2f}{row.off_cells:>12.2f}{row.beside:>11}"
-            + "".join(f"{f'{n}/{row.faults[kind]}' if kind in row.faults else n:>10}" for kind, n in row.false.items())
-        )

@@ -12,7 +12,7 @@ import sys
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from ..common.config import write_toml
 from ..common.extras import install_command
 from ..errors import LinkError, MissingExtra
 from ._driver import design
+from .harness import column
 
 FRAME_RATE_HZ = 60.0
 WARM_UP_S = 3.0
@@ -27,21 +28,27 @@ SECONDS = 8.0
 CHROMIUM = "/usr/bin/chromium"
 
 
+HEAD = (
+    f"a board at {FRAME_RATE_HZ:g} Hz, the page in headless Chromium without a graphics processor; "
+    "ms of processor time per frame"
+)
+
+
 @dataclass(frozen=True)
 class Row:
     """One array."""
 
-    size: int
+    size: int = field(metadata=column("cells", "{0} x {0}"))
     """of the N x N array"""
-    board_hz: float
+    board_hz: float = field(metadata=column("taken/s", "{:.1f}"))
     """frames per second that reached the server"""
-    drawn_hz: float
+    drawn_hz: float = field(metadata=column("drawn/s", "{:.1f}"))
     """frames per second that the browser drew"""
-    draw_ms: float
+    draw_ms: float = field(metadata=column("drawing", "{:.2f}"))
     """mean time of the page's own drawing code, by the browser's clock"""
-    main_thread_ms: float
+    main_thread_ms: float = field(metadata=column("main thread", "{:.2f}"))
     """processor time of the browser's main thread per drawn frame: messages, drawing, layout"""
-    server_ms: float
+    server_ms: float = field(metadata=column("server", "{:.2f}"))
     """processor time of `ohmskin view` per frame that reached it: bytes to kPa, contacts, message, WebSocket"""
 
 
@@ -154,17 +161,3 @@ def _counters(page: Any, browser: Any, server_pid: int) -> dict[str, float]:
         "main_s": metrics["TaskDuration"],
         "server_s": (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK"),
     }
-
-
-def table(rows: Iterable[Row]) -> str:
-    """The rows as text."""
-    head = (
-        f"a board at {FRAME_RATE_HZ:g} Hz, the page in headless Chromium without a graphics processor\n"
-        "    cells   taken/s  drawn/s  drawing  main thread   server ms of processor time per frame"
-    )
-    lines = (
-        f"{row.size:>4} x {row.size:<4}{row.board_hz:>8.1f}{row.drawn_hz:>9.1f}{row.draw_ms:>9.2f}"
-        f"{row.main_thread_ms:>12.2f}{row.server_ms:>10.2f}"
-        for row in rows
-    )
-    return "\n".join([head, *lines])

@@ -11,7 +11,7 @@ frames of the resting skin, packets to kPa with standard deviations.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from time import process_time
 from typing import Any
 
@@ -22,6 +22,7 @@ from ..circuits import Design, adc_codes, scan
 from ..common.arrays import FloatArray
 from ..driver import CountReader
 from ._driver import APART_S, every_frame, packets_of, port_of
+from .harness import column
 
 LIMIT = 10.0
 """usual frames that a frame may cost"""
@@ -107,28 +108,35 @@ EVENTS: dict[str, Change] = {
 a driver. Each begins from rest and ends at once."""
 
 
+HEAD = (
+    f"longest call, counts to kPa, in usual frames of the same board, at most {LIMIT:g}; the first frame of all apart; "
+    f"pressed as a whole from rest ({HOLD}, {TAP}) in usual frames of a reader of the skin at rest. Valid cells in "
+    "percent with fingers, and at the end of each event (back); frames without any after it (without)"
+)
+
+
 @dataclass(frozen=True)
 class WorstFrames:
     """One board."""
 
-    board: str
-    rows: int
-    columns: int
-    first_ms: float
+    board: str = field(metadata=column("board", "{}", width=46))
+    rows: int = field(metadata=column("rows", "{}"))
+    columns: int = field(metadata=column("columns", "{}"))
+    first_ms: float = field(metadata=column("first ms", "{:.1f}"))
     """processor time of the first frame of all"""
-    usual_us: float
+    usual_us: float = field(metadata=column("usual us", "{:.0f}"))
     """median processor time of a frame with wandering fingers, counts to kPa by the default estimator"""
-    wandering: float
+    wandering: float = field(metadata=column("fingers", "{:.1f}"))
     """longest of these frames, in usual ones"""
-    events: dict[str, float]
+    events: dict[str, float] = field(metadata=column("{}", "{:.1f}"))
     """longest frame of each event, in usual frames; frames after the first"""
-    asleep: dict[str, float]
+    asleep: dict[str, float] = field(metadata=column("{}", "{:.1f}"))
     """longest frame after a sleeping skin is pressed as a whole or released, in usual frames of the skin at rest"""
-    back: dict[str, float]
+    back: dict[str, float] = field(metadata=column("back: {}", "{:.0f}"))
     """percent of the cells valid in the last frame of the event, and in the last frame after it, the less of both"""
-    wait: dict[str, int]
+    wait: dict[str, int] = field(metadata=column("without: {}", "{}"))
     """frames without any valid cell after an event begins, or after it ends, the more of both"""
-    valid_percent: float
+    valid_percent: float = field(metadata=column("valid, %", "{:.1f}"))
     """of the cells, while fingers wander"""
 
     @property
@@ -249,24 +257,3 @@ def _read(board: Design, frames: list[FloatArray]) -> tuple[FloatArray, FloatArr
             times[number] = min(times[number], process_time() - start)
             valid[number] = reading.valid.mean()
     return times, valid
-
-
-def worst_table(rows: Iterable[WorstFrames]) -> Iterator[str]:
-    """The boards as lines of text, as they come."""
-    yield "longest call, counts to kPa, in usual frames of the same board; the first frame of all apart"
-    yield f"{HOLD}, {TAP}: a resting skin is pressed as a whole, in usual frames of a reader of the skin at rest"
-    yield (
-        f"'over': more than {LIMIT:g}; valid cells in percent with fingers, and at the end of each event; frames "
-        "without any after an event"
-    )
-    names = "".join(f"{name:>10}" for name in ("fingers", *EVENTS, *LASTS))
-    columns = "   valid   afterwards   frames without"
-    yield f"{'board':48}{'array':>9}{'first ms':>9}{'usual us':>9}{names}{columns}"
-    for row in rows:
-        most = "".join(f"{value:>10.1f}" for value in (row.wandering, *row.events.values(), *row.asleep.values()))
-        afterwards = " ".join(f"{value:.0f}" for value in row.back.values())
-        without = " ".join(str(frames) for frames in row.wait.values())
-        size = f"{row.rows} x {row.columns}"
-        start = f"{row.board:48}{size:>9}{row.first_ms:>9.1f}{row.usual_us:>9.0f}"
-        over = "  over" if row.worst > LIMIT else ""
-        yield f"{start}{most}{row.valid_percent:>8.1f}   {afterwards}   {without}{over}"

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import json
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from typing import Any
 import click
 import numpy as np
 
-from ..cell import CalibrationResult, Recording, calibrate, checked_recording, estimate_recording
+from ..cell import CalibrationResult, Cell, Recording, calibrate, checked_recording, estimate_recording
 from ..common.arrays import FloatArray
 from ._materials import LOADS, MATERIALS
 
@@ -79,6 +79,8 @@ class Verdict:
     rmse_percent: float
     """of full scale, as the next ones"""
     worst_percent: float
+    worst_sd: float
+    """largest error over its stated deviation"""
     static_percent: float
     """RMSE of the static curve on the same samples"""
     best_percent: float
@@ -145,15 +147,24 @@ def calibrated(of: Scene) -> CalibrationResult:
     return calibrate(recording, full_scale_kpa=of.full_scale_kpa)
 
 
-def judge(of: Scene, found: CalibrationResult) -> Verdict:
-    """Run the calibrated estimators over the whole recording; what follows the head counts."""
+def judge(
+    of: Scene,
+    found: CalibrationResult,
+    make: Callable[[Cell, tuple[int, ...]], Any] | None = None,
+) -> Verdict:
+    """Run the calibrated estimators over the whole recording; what follows the head counts.
+
+    ``make`` makes the estimator that is judged from a cell and a shape; None: the default of the calibrated cell.
+    """
     cell = found.cell
     assert cell.estimators is not None
     full, later = cell.full_scale_kpa, of.time_s >= of.head_s
     rest = None if of.rest_factor == 1.0 else of.rest_factor * cell.rest_resistance_ohm
 
     def errors(name: str) -> tuple[FloatArray, FloatArray]:
-        estimator = cell.estimator((), name, rest_resistance_ohm=rest)
+        return errors_of(cell.estimator((), name, rest_resistance_ohm=rest))
+
+    def errors_of(estimator: Any) -> tuple[FloatArray, FloatArray]:
         pressure, std = estimate_recording(estimator, of.time_s, of.resistance_ohm)
         stated = np.full(pressure.shape, np.nan) if std is None else std
         return (pressure - of.pressure_kpa)[later], stated[later]
@@ -162,7 +173,8 @@ def judge(of: Scene, found: CalibrationResult) -> Verdict:
         return float(100 * np.sqrt(np.mean(error**2)) / full)
 
     chosen = cell.default_estimator
-    error, std = errors(chosen)
+    believed = cell if rest is None else cell.replace(rest_resistance_ohm=rest)
+    error, std = errors(chosen) if make is None else errors_of(make(believed, ()))
     static, _ = errors("static")
     learned = [name for name in ("play", "distilled") if getattr(cell.estimators, name) is not None]
     others = [percent(errors(name)[0]) for name in learned if name != chosen]
@@ -180,6 +192,7 @@ def judge(of: Scene, found: CalibrationResult) -> Verdict:
         model=cell.model.kind,
         rmse_percent=percent(error),
         worst_percent=float(100 * np.abs(error).max() / full),
+        worst_sd=float((np.abs(error) / std).max()),
         static_percent=percent(static),
         best_percent=min([percent(error), percent(static), *others]),
         within_two_std=float(np.mean(within)),

@@ -59,7 +59,8 @@ class Calibrated(Section):
     reason: str
     """why this estimator is the default"""
     held_out_percent: dict[EstimatorName, float]
-    """rms error on the worst fold of the recording after learning from what comes before it, % of full scale"""
+    """rms error on the worst fold of the recording after learning from what comes before it, % of full scale; of a
+    recording without folds, on all of it or on simulated cells, whichever is larger"""
     fold_percent: dict[EstimatorName, Numbers] = Field(default_factory=dict)
     """the rms error on each fold, % of full scale"""
     pressed_percent: dict[EstimatorName, float] = Field(default_factory=dict)

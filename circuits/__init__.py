@@ -10,7 +10,7 @@ from ._board import Board
 from ._design import Design
 from ._effects import Effect, effects
 from ._ideal import apparent_resistance, ideal_volts
-from ._population import Boards, PopulationReading, scan_population
+from ._population import Boards, PopulationReading, read_together, scan_population
 from ._readout import Readout
 from ._requirement import Conditions, Requirement
 from ._scan import METHODS, ScanResult, scan
@@ -85,6 +85,7 @@ __all__ = [
     "interpolates",
     "live_recovery",
     "noise",
+    "read_together",
     "recover",
     "scan",
     "scan_batch",

@@ -53,6 +53,7 @@ class Design(Section):
                 by_row = sensed_rows if key.startswith("readout") else key.startswith("array.row")
                 line = "row" if by_row else "column"
                 raise ValueError(f"{key} has {len(value)} entries, expected one number or {lines} (one per {line})")
+        self._refuse_ties_to_nothing()
         self._refuse_keys_without_effect()
         for number, fault in enumerate(self.fault):
             for row, column in fault.ends if fault.bridge else [fault.place]:
@@ -66,6 +67,19 @@ class Design(Section):
                     f"fault[{number}] ({fault.kind}) joins a line to itself; expected another line in 'to'"
                 )
         return self
+
+    def _refuse_ties_to_nothing(self) -> None:
+        for key, spread in self.spreads.items():
+            if spread.tied_to is None:
+                continue
+            section, name = spread.tied_to.split(".")
+            other = self.spreads.get(spread.tied_to)
+            if key == spread.tied_to or (other is not None and other.tied_to is not None):
+                raise ValueError(
+                    f"{key} is tied to {spread.tied_to}, which follows another part; expected one that leads"
+                )
+            if not getattr(getattr(self, section), name):
+                raise ValueError(f"{key} is tied to {spread.tied_to}, which is 0 V; expected a part to follow")
 
     def _refuse_keys_without_effect(self) -> None:
         """Raise ValueError if a key about idle lines has no effect on the chosen circuit."""

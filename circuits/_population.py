@@ -11,8 +11,10 @@ Loan, Matrix Computations, 4.5), vectorised over the boards:
    0 ohm needs no special case.
 3. What the columns end in is attached at the last row.
 
-The cost is N solves of M x M equations per board: 16 x 16 takes about 0.2 ms of one core. A loop over :func:`.scan` is
-the reference of the tests, and the fallback for the designs that the elimination does not cover.
+The cost is N solves of M x M equations per board: 16 x 16 takes about 0.2 ms of one core. With floating rows each
+driven line takes as many; the readings of one line alone (``driven``) cost no more than those of grounded rows. A board
+that drives columns is read in line coordinates (:mod:`._parts`). A loop over :func:`.scan` is the reference of the
+tests, and the fallback for the designs that the elimination does not cover.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from ..common.arrays import BoolArray, FloatArray
+from ..common.arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError
 from ._design import Design
 from ._scan import scan
@@ -82,6 +84,14 @@ class Boards:
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return Boards(**{name: value if len(value) == 1 else value[some] for name, value in values.items()})
 
+    @property
+    def turned(self) -> Boards:
+        """The same boards in line coordinates, of a circuit that drives columns."""
+        other = {"row_lead": "column_lead", "row_segment": "column_segment"}
+        other |= {theirs: ours for ours, theirs in other.items()}
+        names = (field.name for field in fields(self))
+        return Boards(**{name: getattr(self, other.get(name, name))[:, ::-1] for name in names})
+
     def design(self, nominal: Design, board: int) -> Design:
         """The design of one board."""
 
@@ -109,7 +119,12 @@ class PopulationReading(NamedTuple):
 
 
 def scan_population(
-    design: Design, boards: Boards, cells: FloatArray, *, resolve_saturation: bool = True
+    design: Design,
+    boards: Boards,
+    cells: FloatArray,
+    *,
+    driven: IntArray | None = None,
+    resolve_saturation: bool = True,
 ) -> PopulationReading:
     """Read one frame of cells through each board.
 
@@ -117,6 +132,8 @@ def scan_population(
         design: circuit, supply and faults, which all boards share.
         boards: the part values of S boards, or of one.
         cells: (S, N, M) ohm, or (1, N, M) for all boards.
+        driven: (S,) the one line (row, or column where columns are driven) whose readings are wanted of each board; the
+            volts of all others are NaN. None: all lines.
         resolve_saturation: solve boards with a saturated output exactly, one by one. If False their volts are limited
             to the supply, and the other outputs of such a frame are those of amplifiers without limits.
 
@@ -132,30 +149,40 @@ def scan_population(
         raise InputError(f"{boards.count} boards and {len(cells)} frames of cells; expected equally many, or one")
     volts = np.empty((count, rows, columns))
     saturated = np.zeros(volts.shape, dtype=np.bool_)
-    if _covered(design):
+    board = design.board
+    wanted = np.ones(volts.shape, dtype=np.bool_)
+    if driven is not None:
+        lines = np.indices((rows, columns))[1 if board.turned else 0]
+        wanted = lines == np.reshape(driven, (-1, 1, 1))
+    if read_together(design):
         low, high = design.readout.supply
-        for some in _chunks(count, max(1, _TOGETHER // columns**2)):
+        ours = boards.turned if board.turned else boards
+        places = None if driven is None else board.shape[0] - 1 - driven if board.turned else driven
+        for some in _chunks(count, max(1, _TOGETHER // board.shape[1] ** 2)):
+            line = None if places is None else places[some]
+            frames = board.turn(cells if len(cells) == 1 else cells[some])
             with np.errstate(all="ignore"):  # boards with a NaN are solved again below
-                volts[some] = _read(design, boards.part(some), cells if len(cells) == 1 else cells[some])
-        if design.board.circuit.has_amplifiers:
+                volts[some] = board.turn(_read(design, ours.part(some), frames, line))
+        if board.circuit.has_amplifiers:
             saturated = (volts < low) | (volts > high)
-        again = ~np.isfinite(volts).all(axis=(1, 2))
+        again = (wanted & ~np.isfinite(volts)).any(axis=(1, 2))
         if resolve_saturation:
             again |= saturated.any(axis=(1, 2))
         else:
             np.clip(volts, low, high, out=volts)
     else:
         again = np.ones(count, dtype=np.bool_)
-    for board in np.flatnonzero(again):
-        result = scan(boards.design(design, int(board)), cells[0 if len(cells) == 1 else board], method="exact")
-        volts[board], saturated[board] = result.volts, result.saturated
+    for number in np.flatnonzero(again):
+        result = scan(boards.design(design, int(number)), cells[0 if len(cells) == 1 else number], method="exact")
+        volts[number] = np.where(wanted[number], result.volts, np.nan)
+        saturated[number] = wanted[number] & result.saturated
     return PopulationReading(volts, saturated)
 
 
-def _covered(design: Design) -> bool:
-    """Whether the elimination covers this kind of design."""
+def read_together(design: Design) -> bool:
+    """Whether the elimination covers this kind of design; if not, each board takes a scan, tens of times longer."""
     board = design.board
-    special = board.pulled or board.virtual_grounds != board.circuit.virtual_ground or board.idle_columns == "ground"
+    special = board.virtual_grounds != board.circuit.virtual_ground and board.idle_columns == "load"
     return not special and board.circuit.in_populations and design.array.sheet == "sliced" and not design.fault
 
 
@@ -170,7 +197,7 @@ class _Rows(NamedTuple):
     admittance: FloatArray
     """(S, N, M, M) S"""
     current: FloatArray
-    """(S, N, M) S: short-circuit current for 1 V on the driver; 0 for floating rows"""
+    """(S, N, M) S: short-circuit current for 1 V on the driver; 0 for idle rows"""
 
 
 class _Columns(NamedTuple):
@@ -182,19 +209,29 @@ class _Columns(NamedTuple):
     """(S, M, R) S: short-circuit currents for 1 V on each of R drivers"""
 
 
-def _read(design: Design, boards: Boards, cells: FloatArray) -> FloatArray:
-    """Output volts (S, N, M) without supply limits."""
+def _read(design: Design, boards: Boards, cells: FloatArray, driven: IntArray | None) -> FloatArray:
+    """Output volts (S, N, M) without supply limits, in line coordinates; NaN for lines that are not wanted."""
     conductance = 1.0 / cells
     count = max(boards.count, len(cells))
     conductance = np.broadcast_to(conductance, (count, *cells.shape[1:]))
-    grounded = _row_ladders(conductance, boards.row_lead, boards.row_segment)
-    if design.drive.idle_rows == "ground":
+    board, floats = design.board, design.board.floating
+    passed = 1.0 / (1.0 + boards.row_lead / board.pull)  # by the divider of lead and pull-down; 1 without
+    grounded = _row_ladders(conductance, boards.row_lead * passed, boards.row_segment)
+    grounded = grounded._replace(current=grounded.current * passed[..., None])
+    idle_lead = np.full_like(boards.row_lead, board.pull)
+    floating = _row_ladders(conductance, idle_lead, boards.row_segment) if floats else grounded
+    volts = np.full(conductance.shape, np.nan)
+    if driven is not None:
+        each = np.arange(count)
+        one = _only_driven(grounded, floating, np.broadcast_to(driven, count))
+        seen = _down_the_columns(one, boards.column_segment, together=True)
+        volts[each, driven] = _outputs(design, boards, seen)[..., 0]
+    elif floats:
+        for row, seen in enumerate(_one_driven(grounded, floating, boards.column_segment)):
+            volts[:, row] = _outputs(design, boards, seen)[..., 0]
+    else:
         seen = _down_the_columns(grounded, boards.column_segment)
-        return _outputs(design, boards, seen).swapaxes(1, 2)
-    floating = _row_ladders(conductance, np.full_like(boards.row_lead, np.inf), boards.row_segment)
-    volts = np.empty(conductance.shape)
-    for row, seen in enumerate(_one_driven(grounded, floating, boards.column_segment)):
-        volts[:, row] = _outputs(design, boards, seen)[..., 0]
+        volts[:] = _outputs(design, boards, seen).swapaxes(1, 2)
     return volts
 
 
@@ -232,20 +269,32 @@ def _row_ladders(conductance: FloatArray, lead: FloatArray, segment: FloatArray)
     return _Rows(admittance, far * np.where(np.isinf(lead), 0.0, driven)[..., None])
 
 
-def _down_the_columns(rows: _Rows, segment: FloatArray) -> _Columns:
-    """Eliminate the column nodes from the first row to the last, with all rows at their drivers."""
+def _only_driven(driven: _Rows, floating: _Rows, line: IntArray) -> _Rows:
+    """One row (S,) of each board at its driver, and all others idle."""
+    chosen = np.arange(driven.current.shape[1]) == line[:, None]
+    admittance = driven.admittance
+    if floating is not driven:
+        admittance = np.where(chosen[..., None, None], driven.admittance, floating.admittance)
+    return _Rows(admittance, np.where(chosen[..., None], driven.current, 0.0))
+
+
+def _down_the_columns(rows: _Rows, segment: FloatArray, *, together: bool = False) -> _Columns:
+    """Eliminate the column nodes from the first row to the last.
+
+    The currents of the drivers are those of 1 V on each of them in turn, or with ``together`` on all of them at once.
+    """
     count, size, columns = rows.current.shape
     if not segment.any():
-        return _Columns(rows.admittance.sum(axis=1), rows.current.swapaxes(1, 2))
-    together = np.empty((count, columns, columns + size))
-    admittance, current = together[..., :columns], together[..., columns:]
-    admittance[:] = rows.admittance[:, 0]
-    current[..., 0] = rows.current[:, 0]
-    for row in range(1, size):
-        known = columns + row
-        together[..., :known] = _through(admittance, segment, together[..., :known])
+        current = rows.current.sum(axis=1)[..., None] if together else rows.current.swapaxes(1, 2)
+        return _Columns(rows.admittance.sum(axis=1), current)
+    both = np.zeros((count, columns, columns + (1 if together else size)))
+    admittance, current = both[..., :columns], both[..., columns:]
+    for row in range(size):
+        if row:
+            known = columns + (1 if together else row)
+            both[..., :known] = _through(admittance, segment, both[..., :known])
         admittance += rows.admittance[:, row]
-        current[..., row] = rows.current[:, row]
+        current[..., 0 if together else row] += rows.current[:, row]
     return _Columns(admittance, current)
 
 
@@ -280,19 +329,60 @@ def _outputs(design: Design, boards: Boards, seen: _Columns) -> FloatArray:
     """Output volts (S, M, R) of the circuit at the columns' ends."""
     reference, lead = boards.reference_resistance[..., None], boards.column_lead[..., None]
     level, drive = boards.reference_voltage[..., None], boards.voltage[..., None]
-    if design.board.circuit.virtual_ground:
+    board = design.board
+    if board.circuit.drives_idle_lines:
+        return _followed(boards, seen)
+    alone = (
+        None if board.idle_columns == "load" or board.virtual_grounds else _one_by_one(boards, seen, board.idle_columns)
+    )
+    if board.circuit.virtual_ground:
         inverse = 1.0 / (1.0 + boards.open_loop_gain[..., None])
         share = 1.0 / (1.0 + 1.0 / boards.open_loop_gain[..., None])
         offset, lift = boards.offset_voltage[..., None], reference * boards.bias_current[..., None]
         source = share * offset - inverse * (level + lift)
-        current = _end_currents(seen, lead + inverse * reference, drive, source)
+        if alone is None:
+            current = _end_currents(seen, lead + inverse * reference, drive, source)
+        else:
+            current = (drive * alone.current - source * alone.admittance) / (
+                1.0 + inverse * reference * alone.admittance
+            )
         return share * (level + offset + lift) - share * reference * current
-    if design.readout.idle_columns == "load":
+    if alone is None:
         return level + reference * _end_currents(seen, lead + reference, drive, np.zeros_like(reference))
-    columns = seen.admittance.shape[-1]
-    inner = _solve(seen.admittance, np.broadcast_to(np.eye(columns), seen.admittance.shape))
-    own = np.einsum("...jj->...j", inner)[..., None]
-    volts: FloatArray = level + drive * (inner @ seen.current) * reference / (reference + lead + own)
+    volts: FloatArray = level + drive * alone.current / (alone.admittance + 1.0 / reference)
+    return volts
+
+
+def _one_by_one(boards: Boards, seen: _Columns, idle: str) -> _Columns:
+    """Each column's end, alone: its admittance (S, M, 1), and its short-circuit currents (S, M, R).
+
+    The other columns end at the reference behind their leads (``idle`` "ground"), or are open ("float").
+    """
+    lead = boards.column_lead[..., None]
+    if idle == "float":
+        columns = seen.admittance.shape[-1]
+        inner = _solve(seen.admittance, np.broadcast_to(np.eye(columns), seen.admittance.shape))
+        behind = np.einsum("...jj->...j", inner)[..., None] + lead
+        return _Columns(1.0 / behind, inner @ seen.current / behind)
+    from_rows, all_lines = seen.current, seen.admittance
+    if lead.any():
+        columns = from_rows.shape[1]
+        ended = _through(all_lines, boards.column_lead, np.concatenate([all_lines, from_rows], axis=-1))
+        all_lines, from_rows = ended[..., :columns], ended[..., columns:]
+    return _Columns(np.einsum("...jj->...j", all_lines)[..., None], from_rows)
+
+
+def _followed(boards: Boards, seen: _Columns) -> FloatArray:
+    """Output volts (S, M, R) of followers that drive all idle lines: :class:`.readouts.VoltageFeedback`."""
+    parts = (boards.reference_resistance, boards.open_loop_gain, boards.offset_voltage, boards.bias_current)
+    reference, gain, offset, bias = (part[..., None] for part in parts)
+    level, drive = boards.reference_voltage[..., None], boards.voltage[..., None]
+    inverse, share = 1.0 / (1.0 + gain), 1.0 / (1.0 + 1.0 / gain)
+    ended = _one_by_one(boards, seen, "ground")
+    from_row, idle = ended.current, ended.admittance - ended.current
+    current = from_row * drive - bias + idle * (share * offset - inverse * level)
+    column = current / (from_row + idle * inverse + 1.0 / reference)
+    volts: FloatArray = share * (level + column + offset)
     return volts
 
 

@@ -118,6 +118,8 @@ class Drive(Spreadable):
     idle_row_resistance: Annotated[float, Field(ge=LEAST_REFERENCE_OHM)] = inf
     """ohm, idle_rows = "pull" only: from each driven line, where its lead ends, to the reference. The resistor stays
     there while its line is selected"""
+    idle_leakage: NotNegative = 0.0
+    """A that the switches of an idle line leak into it at most, of either sign; for the verification only"""
 
     @model_validator(mode="after")
     def _drives(self) -> Self:
@@ -222,6 +224,10 @@ class Requirements(Section):
     """largest error, in %, of a resistance by equation (10) from an uncalibrated reading"""
     pressure_rmse_percent: Positive = 5.0
     """largest RMS error of the pressure estimate, in % of full scale"""
+    output_current: Positive = 5e-3
+    """A that an amplifier's output delivers at most"""
+    driver_current: Positive = 10e-3
+    """A that the driver of a selected line delivers at most"""
 
 
 class Cells(Spreadable):

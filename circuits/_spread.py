@@ -34,7 +34,11 @@ class Spread(Section):
     """within the tolerance; "normal": the tolerance is three standard deviations, parts beyond it are sorted out;
     "two-point": always at one end or the other"""
     temperature_coefficient: Finite = 0.0
-    """1/K, relative to the nominal value, which holds at 298.15 K"""
+    """1/K, relative to the nominal value, which holds at 298.15 K; of offsets, bias currents and converter errors, in
+    their own unit per kelvin (V/K, A/K), and on each line of either sign"""
+    tied_to: Literal["drive.voltage", "readout.reference_voltage"] | None = None
+    """the part that this one follows: its value is multiplied by the other's over the other's nominal value, in
+    addition to what its own tolerance does. A converter's gain follows inversely: its reference is the other part"""
 
     @field_validator("tolerance", "matching")
     @classmethod

@@ -1,4 +1,4 @@
-"""Options with which a command opens a skin: family, design, cell, calibration, tare and estimator."""
+"""Options with which a command opens a skin: board, baud rate, design, cell, calibration, tare and estimator."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ class Opening:
     """What the command line says of a skin, with its files read; None: as the board or the driver says."""
 
     board: str = "ohmskin"
+    baud: int | None = None
     design: Design | None = None
     cell: Cell | None = None
     calibration: Path | None = None
@@ -34,6 +35,7 @@ class Opening:
             skin = Skin.open(
                 port,
                 board=self.board,
+                baudrate=self.baud,
                 design=self.design,
                 cell=self.cell,
                 calibration=self.calibration,
@@ -50,14 +52,13 @@ class Opening:
         return skin
 
 
+BOARD_HELP = f"Family of the board ({', '.join(BOARDS)}), or BOARD.toml that describes it, as `doctor` drafts it."
+
 _file = click.Path(path_type=Path)
 _OPTIONS = {
-    "board": click.option(
-        "--board",
-        default="ohmskin",
-        show_default=True,
-        metavar="NAME",
-        help=f"Family of the board: {', '.join(BOARDS)}.",
+    "board": click.option("--board", default="ohmskin", show_default=True, metavar="NAME|FILE.toml", help=BOARD_HELP),
+    "baud": click.option(
+        "--baud", type=click.IntRange(min=1), metavar="N", help="Baud rate of the UART [the board's usual one]."
     ),
     "design": click.option("--design", type=_file, metavar="DESIGN.toml", help="Of the readout."),
     "cell": click.option("--cell", type=_file, metavar="CELL.toml", help="Of the skin."),

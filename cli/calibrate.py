@@ -89,7 +89,7 @@ QUEUE = 4096
 @click.option("--allow-partial", is_flag=True, help="Give cells that failed the median gain of the others.")
 @click.option("--resume", is_flag=True, help="Go on with the progress kept beside the output.")
 @click.option("--yes", is_flag=True, help="Do not ask whether the skin is unloaded.")
-@opening_options("board", "design", "cell")
+@opening_options("board", "baud", "design", "cell")
 @arguments.as_json("the summary")
 def command(
     port: str,

@@ -11,8 +11,9 @@ import click
 
 from ..emulator import ClockName, Port, PtyPort, Rfc2217Port, Scene, TcpPort, emulate, plan, stop_on_signals
 from ..emulator.firmware import AVR8JS, check_scene, emulate_firmware
-from ..wire import BOARDS, board_family
+from ..wire import board_family
 from . import arguments
+from ._opening import BOARD_HELP
 
 
 @click.command(epilog=arguments.example("ohmskin emulate scene.toml --link /tmp/skin --truth truth.npz"))
@@ -22,8 +23,11 @@ from . import arguments
     "family",
     default="ohmskin",
     show_default=True,
-    metavar="NAME",
-    help=f"Family of boards to speak like: {', '.join(BOARDS)}.",
+    metavar="NAME|FILE.toml",
+    help=BOARD_HELP,
+)
+@click.option(
+    "--baud", type=click.IntRange(min=300), metavar="N", help="Baud rate of the board's UART [the scene's, else none]."
 )
 @click.option("--link", type=click.Path(path_type=Path), metavar="PATH", help="Symbolic link to make to the pty.")
 @click.option("--tcp", metavar="HOST:PORT", help="Listen here instead of on a pty; :PORT is the loopback.")
@@ -45,6 +49,7 @@ from . import arguments
 def command(
     scene_file: Path,
     family: str,
+    baud: int | None,
     link: Path | None,
     tcp: str | None,
     rfc2217: str | None,
@@ -63,6 +68,8 @@ def command(
         raise click.UsageError("--link, --tcp and --rfc2217 exclude each other")
     board_family(family)
     scene = Scene.load(scene_file)
+    if baud is not None:
+        scene = scene.replace(line={"baud_rate": baud})
     if only_plan:
         click.echo("\n".join(plan(scene, seed=seed).lines()))
         return 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,6 +18,9 @@ from ..errors import InputError, MissingExtra
 from . import arguments
 from ._recording import played_frames
 
+OF_CIRCUIT = {"pressure": "pressure_kpa", "resistance": "resistance_ohm"}
+OF_COUNTS = {name: name for name in ("counts", "rest_counts", "valid")}
+"""grids of a table, and the heads of their columns: with a known circuit, and without"""
 KINDS = (".npz", ".csv", ".parquet", ".nc")
 
 
@@ -31,8 +34,9 @@ def command(recording: Path, output: Path) -> None:
 
     .npz has an array for each field of a frame, with the frames along its first axis, `time`, the host's, and the
     contacts of all frames in a row: contact_frame is the frame of each. .csv and .parquet have a row per frame: its
-    numbers, the number of contacts and their force_n, then pressure_kpa_R_C and resistance_ohm_R_C for each cell. .nc
-    is netCDF for xarray, with the dimensions time, row, column, units, and places of the cells in mm.
+    numbers, the number of contacts and their force_n, then pressure_kpa_R_C and resistance_ohm_R_C for each cell;
+    counts_R_C, rest_counts_R_C and valid_R_C where the board's circuit is not known. .nc is netCDF for xarray, with the
+    dimensions time, row, column, units, and places of the cells in mm.
     """
     kind = output.suffix.lower()
     if kind not in KINDS:
@@ -43,7 +47,8 @@ def command(recording: Path, output: Path) -> None:
             content = _as_netcdf(frames, skin)
         else:
             touched: list[tuple[Contact, ...]] = []
-            arrays = stack(_noting(frames, touched), skin.design.array.shape)
+            arrays = stack(_noting(frames, touched), skin.shape)
+            titles = OF_CIRCUIT if skin.knows_circuit else OF_COUNTS
     with whole_file(output) as file:
         if kind == ".nc":
             file.write(content)
@@ -51,12 +56,12 @@ def command(recording: Path, output: Path) -> None:
             contacts = _contacts(touched)
             np.savez_compressed(file, allow_pickle=False, **arrays, **contacts, time=arrays["host_time"])
         elif kind == ".csv":
-            columns = _columns(arrays, touched)
+            columns = _columns(arrays, titles, touched)
             file.write((",".join(columns) + "\n").encode())
             for row in zip(*columns.values(), strict=True):
                 file.write((",".join(map(_text, row)) + "\n").encode())
         else:
-            _write_parquet(_columns(arrays, touched), file)
+            _write_parquet(_columns(arrays, titles, touched), file)
 
 
 def _noting(frames: Iterable[Frame], touched: list[tuple[Contact, ...]]) -> Iterator[Frame]:
@@ -88,11 +93,13 @@ def _as_netcdf(frames: Iterable[Frame], skin: Skin) -> bytes:
         raise MissingExtra(f".nc files need {' and '.join(missing)}: {install_command('data')}") from error
 
 
-def _columns(arrays: dict[str, AnyArray], touched: Sequence[tuple[Contact, ...]]) -> dict[str, AnyArray]:
+def _columns(
+    arrays: dict[str, AnyArray], titles: Mapping[str, str], touched: Sequence[tuple[Contact, ...]]
+) -> dict[str, AnyArray]:
     columns = {name: arrays[name] for name in FRAME_NUMBERS}
     columns["contacts"] = np.array([len(contacts) for contacts in touched])
     columns["force_n"] = np.array([sum(contact.force_n for contact in contacts) for contacts in touched])
-    for name, title in (("pressure", "pressure_kpa"), ("resistance", "resistance_ohm")):
+    for name, title in titles.items():
         rows, count = arrays[name].shape[1:]
         columns |= {f"{title}_{r}_{c}": arrays[name][:, r, c] for r in range(rows) for c in range(count)}
     return columns

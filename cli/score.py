@@ -50,5 +50,5 @@ def _load(recording: Path) -> emulator.Recording:
     if recording.suffix.lower() != ".mcap":
         return emulator.Recording.load(recording)
     with played_frames(recording, "replaying") as (skin, frames):
-        arrays = stack(frames, skin.design.array.shape)
+        arrays = stack(frames, skin.shape)
     return emulator.Recording.of(arrays | {"time": arrays["host_time"]}, recording)

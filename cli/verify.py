@@ -46,6 +46,10 @@ EXPORTS = (".parquet", ".nc", ".csv")
     metavar="emulated|firmware|PORT",
     help="The board that is measured.",
 )
+@click.option(
+    "--board", default="ohmskin", show_default=True, metavar="NAME|FILE.toml", help="Board at the PORT of --target."
+)
+@click.option("--baud", type=click.IntRange(min=1), metavar="N", help="Baud rate of the PORT [the board's usual one].")
 @click.option("--jig", metavar="CELLS.csv", help="Known resistors on the board of --target, in ohm.")
 @click.option(
     "--only", multiple=True, metavar="ID[,ID]", help="Run only these requirements and claims; may be repeated."
@@ -67,6 +71,8 @@ def command(
     speed: bool,
     output: str,
     target: str,
+    board: str,
+    baud: int | None,
     jig: str | None,
     only: tuple[str, ...],
     require_all: bool,
@@ -91,6 +97,8 @@ def command(
         return 0
     if jig is not None and target == "emulated":
         raise InputError("--jig: there is no board to carry it; expected --target firmware or a port")
+    if target in ("emulated", "firmware") and (board != "ohmskin" or baud is not None):
+        raise InputError(f"--board and --baud: of the board at a port; --target is {target}")
     if dask and jobs > 1:
         raise InputError("give --jobs or --dask, not both")
     design = None if design_file is None else Design.load(design_file)
@@ -112,6 +120,8 @@ def command(
             only=only,
             title=None if design_file is None else design_file,
             target=target,
+            board=board,
+            baud=baud,
             jig=None if jig is None else read_cells(jig, (design or prototype()).array.shape),
             samples=samples,
             seed=seed,

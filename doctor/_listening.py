@@ -1,24 +1,42 @@
-"""Protocol identification: which family of boards does an unknown serial port sound like, and at which baud rate?
+"""Protocol identification: what is behind an unknown serial port, and at which baud rate?
 
-The port is opened at the baud rate of every known family in turn. What arrives goes through the decoders of all
-families, since USB serial ports work at any rate. The family whose decoder accounts for most of the bytes is named.
+What arrives goes through the decoders of all families, and the family whose decoder accounts for most of the bytes is
+named. Where none does, a BOARD.toml is drafted from the bytes (:mod:`._draft`). Other baud rates than the first are
+tried only where the port has a UART; a port that is silent is asked in the way of each family that waits to be asked.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from ..common.text import shortened
 from ..driver import BytePort, open_port
 from ..wire import BOARDS, Corrupt, Description, Family, FramePacket, Identity, Order, host_protocol
+from ._draft import Draft, decoded, draft
 from ._finding import Finding, State
+from ._guess import Chunk
+from ._text_guess import is_text
 
 LISTEN_S = 1.5
-"""how long to listen at each baud rate: the slowest family sends two frames in a second"""
+"""how long to listen before the bytes are judged: the slowest family sends two frames in a second"""
+LONGEST_LISTENING_S = 6.0
+"""at one baud rate, if bytes come that are no frames yet: a board boots, or sends slowly"""
+ASKED = 5
+"""times that a board is asked for a frame"""
+GLANCE_S = 0.3
+"""at a further baud rate, if the port has been silent"""
+TELL_S = 0.25
+COMMON_RATES = (115_200, 1_000_000, 250_000, 2_000_000, 500_000, 921_600, 9_600, 230_400, 57_600, 460_800, 38_400)
+"""baud rates of boards, those of the families among them, in the order in which they are tried"""
 FEWEST_FRAMES = 2
 MOST_CORRUPT = 0.5
 """share of the bytes that may be no part of a packet; a recording begins and ends within a packet"""
+SURE = 0.995
+"""share of the bytes after the first frame in frames, from which on the format of a file is taken for right"""
 SHOWN_BYTES = 16
+SHOWN_TEXT = 60
 
 
 @dataclass(frozen=True)
@@ -44,6 +62,17 @@ class Verdict:
 
 
 @dataclass(frozen=True)
+class Traffic:
+    """What was heard at a port."""
+
+    finding: Finding
+    draft: Draft | None
+    """description of a board of no known family"""
+    baud_rate: int
+    """at which it was heard"""
+
+
+@dataclass(frozen=True)
 class _Setting:
     """A way to open the port."""
 
@@ -52,26 +81,50 @@ class _Setting:
     rts: bool | None
 
 
-def examine_traffic(port: str, *, listen_s: float | None = None) -> list[Finding]:
-    """Listen to a port, and ask where it is silent; the finding names the family and the baud rate.
+Tell = Callable[[str], None]
+"""called with what is being done, several times in a second"""
+
+
+def examine_traffic(
+    port: str,
+    *,
+    listen_s: float | None = None,
+    baud: int | None = None,
+    described: bool = False,
+    tell: Tell = lambda text: None,
+) -> Traffic:
+    """Listen to a port, and ask where it is silent; name the family, or draft a description.
 
     Args:
         port: a serial device, a pty, or ``socket://HOST:PORT``.
-        listen_s: how long to listen at each baud rate, in s; None: :data:`LISTEN_S`.
+        listen_s: how long to listen before the bytes are judged, in s; None: :data:`LISTEN_S`.
+        baud: the only baud rate to try; None: all common ones, if the port has a UART.
+        described: draft a description, whatever family the board sounds like.
+        tell: progress.
 
     Raises:
         LinkError: the port cannot be opened or went away.
 
     """
     listen_s = LISTEN_S if listen_s is None else listen_s
-    heard: dict[int, bytes] = {}
-    for setting, families in _settings().items():
-        for data in _recordings(port, setting, families, listen_s):
-            verdict = judge(data)
-            if verdict is not None:
-                return [_recognised(port, setting.baud_rate, data, verdict)]
-            heard[setting.baud_rate] = max(heard.get(setting.baud_rate, b""), data, key=len)
-    return [_not_recognised(port, heard, listen_s)]
+    heard: dict[int, list[Chunk]] = {}
+    spare: Traffic | None = None
+    for setting in _settings(port, baud):
+        silent = bool(heard) and not any(heard.values())
+        line = open_port(port, baudrate=setting.baud_rate, dtr=setting.dtr, rts=setting.rts)
+        try:
+            chunks: list[Chunk] = []
+            found = _listened(port, line, setting, chunks, GLANCE_S if silent else listen_s, tell, described=described)
+            asked = [] if chunks else _families_to_ask(port, setting)
+            for family in asked:
+                found = found or _answer(port, line, setting, family, chunks, listen_s, tell, described=described)
+        finally:
+            line.close()
+        if found is not None and (found.draft is None or _shows_where_frames_begin(found.draft)):
+            return found
+        spare = spare or found  # a wrong baud rate leaves the pauses between frames as they are
+        heard[setting.baud_rate] = chunks
+    return spare or Traffic(_not_recognised(port, heard), None, max(heard, key=lambda rate: len(_joined(heard[rate]))))
 
 
 def judge(data: bytes) -> Verdict | None:
@@ -93,38 +146,115 @@ def _decoded(family: Family, data: bytes) -> Verdict:
     return Verdict(family, frames, shape, corrupt, introduced)
 
 
-def _settings() -> dict[_Setting, list[Family]]:
-    """Families that are opened alike, the native one first."""
-    settings: dict[_Setting, list[Family]] = {}
-    for family in BOARDS.values():
-        settings.setdefault(_Setting(family.baud_rate, family.dtr, family.rts), []).append(family)
-    return settings
+def has_baud_rate(port: str) -> bool:
+    """Whether a port has a UART, whose baud rate matters: not a pseudo-terminal, and not a bare socket."""
+    return port.startswith("rfc2217:") if "://" in port else not os.path.realpath(port).startswith("/dev/pts/")
 
 
-def _recordings(port: str, setting: _Setting, families: list[Family], listen_s: float) -> Iterator[bytes]:
-    """What comes by itself, then what comes after each family's own way of asking."""
-    line = open_port(port, baudrate=setting.baud_rate, dtr=setting.dtr, rts=setting.rts)
-    try:
-        yield _collected(line, listen_s)
-        for family in families:
-            protocol = host_protocol(family.name)
-            orders = [Order.ONE_FRAME] * FEWEST_FRAMES if family.polled else [Order.IDENTIFY, Order.START]
-            data = b""
-            for order in orders:
-                line.write(protocol.request(order))
-                data += _collected(line, listen_s / len(orders))
-            yield data
-    finally:
-        line.close()
+def _settings(port: str, baud: int | None) -> list[_Setting]:
+    if baud is not None:
+        return [_Setting(baud, None, None)]
+    if not has_baud_rate(port):
+        return [_Setting(COMMON_RATES[0], None, None)]
+    lines = {(family.baud_rate, family.dtr, family.rts): None for family in BOARDS.values()}
+    rates = dict.fromkeys(_Setting(rate, None, None) for rate in COMMON_RATES)
+    return [*rates, *(setting for line in lines if (setting := _Setting(*line)) not in rates)]
 
 
-def _collected(line: BytePort, seconds: float) -> bytes:
-    data = bytearray()
+def _families_to_ask(port: str, setting: _Setting) -> list[Family]:
+    """Families that send nothing, or not everything, without being asked."""
+    asking = [family for family in BOARDS.values() if family.polled or family.has_description]
+    return [family for family in asking if not has_baud_rate(port) or family.baud_rate == setting.baud_rate]
+
+
+def _listened(
+    port: str, line: BytePort, setting: _Setting, chunks: list[Chunk], listen_s: float, tell: Tell, *, described: bool
+) -> Traffic | None:
+    """What comes by itself; longer if bytes come that are no frames yet."""
+    longest_s = LONGEST_LISTENING_S * listen_s / LISTEN_S
+    passed_s, found = 0.0, None
+    while passed_s < longest_s:
+        _collect(line, listen_s, chunks, f"{port}: listening at {setting.baud_rate} baud", tell)
+        passed_s += listen_s
+        if not chunks:
+            return None
+        found = _judged(port, setting.baud_rate, chunks, described=described)
+        if found is not None and (found.draft is None or found.draft.is_clear):
+            return found
+    return found
+
+
+def _answer(
+    port: str,
+    line: BytePort,
+    setting: _Setting,
+    family: Family,
+    chunks: list[Chunk],
+    listen_s: float,
+    tell: Tell,
+    *,
+    described: bool,
+) -> Traffic | None:
+    """What comes after a family's own way of asking."""
+    protocol = host_protocol(family.name)
+    orders = [Order.ONE_FRAME] * ASKED if family.polled else [Order.IDENTIFY, Order.START]
+    answer: list[Chunk] = []
+    for order in orders:
+        line.write(protocol.request(order))
+        doing = f"{port}: silent; asking like '{family.name}' at {setting.baud_rate} baud"
+        _collect(line, listen_s / len(orders), answer, doing, tell)
+    chunks += answer
+    if not answer:
+        return None
+    request = protocol.request(Order.ONE_FRAME)
+    after: list[Chunk] = []
+    _collect(line, listen_s, after, f"{port}: listening at {setting.baud_rate} baud", tell)
+    if len(_joined(after)) > len(_joined(answer)) / 2:  # it goes on by itself: it was started, or has booted meanwhile
+        return _judged(port, setting.baud_rate, after, described=described, send=request)
+    return _judged(port, setting.baud_rate, answer, described=described, poll=request)
+
+
+def _judged(
+    port: str,
+    baud_rate: int,
+    chunks: Sequence[Chunk],
+    *,
+    described: bool,
+    send: bytes = b"",
+    poll: bytes = b"",
+) -> Traffic | None:
+    """The family that the bytes are of, or the description that accounts for them."""
+    data = _joined(chunks)
+    verdict = None if described else judge(data)
+    if verdict is not None and verdict.family.tables is None:
+        return Traffic(_recognised(port, baud_rate, data, verdict), None, baud_rate)
+    # The formats of files have little that tells them from others: one that accounts for more bytes is the right one.
+    if verdict is not None and decoded(verdict.family, chunks)[1] > SURE:
+        return Traffic(_recognised(port, baud_rate, data, verdict), None, baud_rate)
+    found = draft(chunks, baudrate=baud_rate, send=send, poll=poll)
+    if verdict is not None and (found is None or found.accounted < SURE):
+        return Traffic(_recognised(port, baud_rate, data, verdict), None, baud_rate)
+    return None if found is None else Traffic(_described(port, baud_rate, chunks, found), found, baud_rate)
+
+
+def _shows_where_frames_begin(found: Draft) -> bool:
+    frame = found.guess.tables["frame"]
+    return frame["format"] != "binary" or "header" in frame or "framing" in frame
+
+
+def _collect(line: BytePort, seconds: float, chunks: list[Chunk], doing: str, tell: Tell) -> None:
+    """Append what comes within some seconds."""
     end = line.now() + seconds
     while (left := end - line.now()) > 0:
-        if line.wait(left):
-            data += line.read().data
-    return bytes(data)
+        tell(f"{doing}, {sum(len(chunk.data) for chunk in chunks)} bytes")
+        if line.wait(min(left, TELL_S)):
+            arrival = line.read()
+            if arrival.data:
+                chunks.append(Chunk(arrival.received_at, arrival.data))
+
+
+def _joined(chunks: Sequence[Chunk]) -> bytes:
+    return b"".join(chunk.data for chunk in chunks)
 
 
 def _recognised(port: str, baud_rate: int, data: bytes, verdict: Verdict) -> Finding:
@@ -134,20 +264,44 @@ def _recognised(port: str, baud_rate: int, data: bytes, verdict: Verdict) -> Fin
         f"sounds like a board of the family '{verdict.family.name}' at {baud_rate} baud{shape}: "
         f"{verdict.frames} frames, {share:.0f} % of {len(data)} bytes in packets"
     )
-    return Finding(State.OK, port, found)
+    other = "if it is another board, describe it: " + f"ohmskin doctor {port} --draft"
+    return Finding(State.OK, port, found, other if verdict.family.tables is not None else "")
 
 
-def _not_recognised(port: str, heard: dict[int, bytes], listen_s: float) -> Finding:
-    rates = ", ".join(map(str, sorted(heard)))
-    baud_rate, data = max(heard.items(), key=lambda item: len(item[1]))
+def _described(port: str, baud_rate: int, chunks: Sequence[Chunk], found: Draft) -> Finding:
+    rate = f" at {baud_rate} baud" if has_baud_rate(port) else ""
+    share = 100 * found.accounted
+    text = (
+        f"sends {found.summary}{rate}: {found.frames} frames, {share:.0f} % of {len(_joined(chunks))} bytes in frames"
+    )
+    return Finding(State.OK, port, f"{text}, {_sample(chunks)}")
+
+
+def _sample(chunks: Sequence[Chunk]) -> str:
+    """The beginning of a late line of text, or the first bytes."""
+    data = _joined(chunks)
+    if not is_text(chunks):
+        return f"beginning with {data[:SHOWN_BYTES].hex(' ')}"
+    lines = [line for line in data.decode("ascii", "replace").splitlines()[1:-1] if line.strip()] or [""]
+    return f"such as {shortened(lines[-1].strip(), SHOWN_TEXT)!r}"
+
+
+def _not_recognised(port: str, heard: dict[int, list[Chunk]]) -> Finding:
+    rates = ", ".join(map(str, heard))
+    baud_rate, chunks = max(heard.items(), key=lambda item: len(_joined(item[1])))
+    data = _joined(chunks)
+    at = f" at {rates} baud" if has_baud_rate(port) else ""
     if not data:
         mend = "press the board's reset button, try another cable (some only charge), and run this again"
-        return Finding(State.PROBLEM, port, f"silent at {rates} baud, {listen_s:g} s each, also when asked", mend)
+        return Finding(State.PROBLEM, port, f"silent{at}, also when asked in each family's way", mend)
     found = (
-        f"sends what no known family does: {len(data)} bytes at {baud_rate} baud, beginning with "
-        f"{data[:SHOWN_BYTES].hex(' ')}, {_text_share(data):.0f} % of them text"
+        f"sends what no known family does, and nothing that looks like frames: {len(data)} bytes at {baud_rate} baud, "
+        f"{_text_share(data):.0f} % of them text, {_sample(chunks)}"
     )
-    mend = f"check that the board's baud rate is one of {rates}; known families: {', '.join(BOARDS)}"
+    mend = (
+        "if the board waits for a command, send it with [start] of a BOARD.toml (docs/boards.md); if it has another "
+        f"baud rate than {rates}, give --baud; known families: {', '.join(BOARDS)}"
+    )
     return Finding(State.PROBLEM, port, found, mend)
 
 

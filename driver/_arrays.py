@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 FRAME_NUMBERS = ("sequence", "device_time", "host_time", "lost_before", "overrun", "reconnected", "rebooted")
 """fields with a number for each frame"""
-FRAME_GRIDS = ("counts", "valid", "resistance", "pressure", "pressure_std")
+FRAME_GRIDS = ("counts", "rest_counts", "valid", "resistance", "pressure", "pressure_std")
 """fields with a number for each cell"""
 _TYPES = {"sequence": np.int64, "lost_before": np.int64, "counts": np.uint16}
 _FLAGS = ("overrun", "reconnected", "rebooted", "valid")
@@ -34,6 +34,7 @@ _MEANINGS = {
     "reconnected": ("1", "the port was opened anew since the frame before"),
     "rebooted": ("1", "the board started anew since the frame before"),
     "counts": ("1", "ADC code"),
+    "rest_counts": ("1", "ADC code at rest by a tare, where the circuit is not known; else 0"),
     "valid": ("1", "the reading is a measurement"),
     "resistance": ("ohm", "resistance of the cell, with what the circuit adds taken out; NaN where not valid"),
     "pressure": ("kPa", "estimated pressure; where not valid the last estimate"),
@@ -87,7 +88,7 @@ def to_xarray(frames: Iterable[Frame], skin: Skin | None = None) -> Dataset:
         from xarray import Dataset
     except ImportError as error:
         raise MissingExtra(f"datasets need xarray: {install_command('data')}") from error
-    arrays = stack(frames, None if skin is None else skin.design.array.shape)
+    arrays = stack(frames, None if skin is None else skin.shape)
     rows, columns = arrays["pressure"].shape[1:]
     moments = np.round(arrays["host_time"] * 1e9).astype("datetime64[ns]")
     coordinates: dict[str, Any] = {
@@ -115,7 +116,7 @@ def _origin(skin: Skin) -> dict[str, str]:
         "board": skin.family.name,
         "serial_number": skin.serial_number,
         "firmware": "" if skin.identity is None else skin.identity.firmware,
-        "design_sha256": fingerprint(skin.design),
+        "design_sha256": fingerprint(skin.design) if skin.knows_circuit else "",
         "cell_sha256": "" if skin.cell is None else fingerprint(skin.cell),
         "port": skin.port_name,
     }

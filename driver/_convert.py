@@ -17,6 +17,7 @@ from ..cell import Cell, Estimator
 from ..circuits import Design, Reason, ValidityRule
 from ..common.arrays import BoolArray, FloatArray
 from ..errors import InputError, ProtocolError
+from ..wire import Layout
 from ._calibration import Calibration
 from ._column_steps import ColumnSteps
 from ._contacts import ContactsOfFrames, ContactTracker, PressureView
@@ -25,6 +26,7 @@ from ._line_faults import Creep, LineFaults
 from ._mailbox import Mailbox
 from ._past import Block, MeasurementPast
 from ._pitch import Pitch
+from ._plain import PlainReader
 from ._reading import CountReader, Reading
 from ._statistics import Counters
 from ._stream import RawFrame
@@ -83,6 +85,8 @@ class Measurement(NamedTuple):
     pressure_std: Later
     """kPa"""
     view: PressureView
+    rest_counts: FloatArray
+    """where the circuit is not known; else 0"""
     estimator_starts: int
     """number of times that the estimator has started without memory, up to this frame"""
 
@@ -104,7 +108,7 @@ class Converter:
 
     def __init__(
         self,
-        design: Design,
+        design: Design | Layout,
         cell: Cell | None,
         estimator: str | None,
         pitch: Pitch,
@@ -118,6 +122,7 @@ class Converter:
     ) -> None:
         """Set up the circuit's inverse and the estimator; without ``cell`` pressures are NaN.
 
+        ``design`` is the array alone where the circuit is not known. Frames then have counts, and a tare takes those.
         With ``newest_only`` readers get the newest frame, and spend :data:`LATE_S` on those before it at most.
         ``rest_changes`` come from a recording: times on the time scale of the estimator, and the (cells,) rest
         resistances for the frames after them.
@@ -129,7 +134,9 @@ class Converter:
             InputError: there is no such estimator for this cell, or the accuracy is not between 0 and 1.
 
         """
-        self.design = design
+        self.design = design if isinstance(design, Design) else None
+        """None: the circuit is not known"""
+        self.shape = design.array.shape if isinstance(design, Design) else (design.rows, design.columns)
         self.cell = cell
         self.pitch = pitch
         self._mailbox, self._newest_only = mailbox, newest_only
@@ -137,7 +144,9 @@ class Converter:
         self._calibration = calibration
         self._counters = counters
         self._accuracy = accuracy
-        self._read = CountReader(design, accuracy=accuracy)
+        self._read = self._new_reader()
+        self._present: NDArray[np.uint16] | None = None
+        """last counts that the board has sent of each cell"""
         self._judged: int | None = 0  # first frames counted so far; None: judgement done
         self._reasons = np.zeros(len(Reason), dtype=np.int64)  # cells of those frames by reason
         self._surest = np.inf  # least uncertainty of their cells
@@ -147,10 +156,12 @@ class Converter:
         self._lock = threading.RLock()
         self.on_converted: list[Callable[[RawFrame, Measurement], None]] = []
         """called with every measurement: for recorders"""
-        self._rest_ohm: FloatArray | None = None
+        self._rest_ohm: FloatArray | None = None  # counts where the circuit is not known
+        self._no_rest = np.zeros(self.shape)
+        self._no_rest.setflags(write=False)
         for _, ohm in rest_changes:
-            if ohm is not None and ohm.size != math.prod(design.array.shape):
-                raise InputError("a tare of {} cells; this skin has {} x {}".format(ohm.size, *design.array.shape))
+            if ohm is not None and ohm.size != math.prod(self.shape):
+                raise InputError("a tare of {} cells; this skin has {} x {}".format(ohm.size, *self.shape))
         self._rest_changes = deque(rest_changes)
         self.on_rest: list[Callable[[FloatArray | None, float | None], None]] = []
         """called with new rest resistances and the estimator's time of the last frame before them: for recorders. The
@@ -164,12 +175,10 @@ class Converter:
         full_scale_kpa = np.inf if cell is None else cell.full_scale_kpa
         drift_kpa = 0.0 if self._systematic is None else self._systematic.kpa_of_rest(KNOWN_DRIFT)
         faults_press = self._estimator is None or self._estimator.inversion.side > 0
-        tracker = ContactTracker(
-            design.array.shape, pitch, full_scale_kpa, drift_kpa=drift_kpa, faults_press=faults_press
-        )
+        tracker = ContactTracker(self.shape, pitch, full_scale_kpa, drift_kpa=drift_kpa, faults_press=faults_press)
         self.contacts = ContactsOfFrames(tracker, mailbox.capacity)
         self._converted = 0
-        self._counters.untared = _NO_CELL if cell is None else None
+        self._counters.untared = self._why_to_tare()
         self._last: RawFrame | None = None
         self._last_s: float | None = None
         """of the last frame, on the estimator's time scale; may be a frame from before the recording that is played"""
@@ -206,13 +215,18 @@ class Converter:
         The results are dropped: an inversion that starts far from the skin's own readings takes many frames to
         converge, and some of its cells may not converge at all.
         """
+        if self.design is None:
+            return
         adc = self.design.adc
         assert adc is not None, "CountReader refuses designs without an ADC"
-        counts = np.full(self.design.array.shape, 2 ** (adc.bits - 1), dtype=np.uint16)
+        counts = np.full(self.shape, 2 ** (adc.bits - 1), dtype=np.uint16)
         reading = self._read(counts)
         if self.cell is not None:
             self._fresh_estimator().step(1.0, reading.resistance)
-        self._read = CountReader(self.design, accuracy=self._accuracy)
+        self._read = self._new_reader()
+
+    def _new_reader(self) -> CountReader | PlainReader:
+        return PlainReader(self.shape) if self.design is None else CountReader(self.design, accuracy=self._accuracy)
 
     def use_rest(self, rest_ohm: FloatArray | None) -> None:
         """Use these rest resistances (rows, columns) from now on (None: those without a tare).
@@ -279,20 +293,21 @@ class Converter:
 
     def _go_on(self, past: MeasurementPast) -> bool:
         """Take the state over; False if the estimator could not."""
-        shape = self.design.array.shape
+        shape = self.shape
         rest_ohm = None if past.rest_ohm is None else past.rest_ohm.array()
         counts = None if past.counts is None else past.counts.array()
         for name, array in (("rest_ohm", rest_ohm), ("counts", counts)):
             if array is not None and array.shape != shape:
                 raise InputError(f"{name} of {array.shape}; expected those of {shape[0]} x {shape[1]} cells")
-        if rest_ohm is not None and not (np.isfinite(rest_ohm) & (rest_ohm > 0)).all():
+        if rest_ohm is not None and not self._may_be_rest(rest_ohm):
             raise InputError("rest_ohm: expected positive resistances")
         if counts is not None and not ((counts >= 0) & (counts < 2**16)).all():
             raise InputError("counts: expected those of 16 bits")
         self._last_s, self._rest_ohm = past.time_s, rest_ohm
         self._recent.clear()
-        self._read = CountReader(self.design, accuracy=self._accuracy)
-        self._read.remember(past.noise_steps, None if counts is None else counts.astype(np.uint16))
+        self._read = self._new_reader()
+        self._present = None if counts is None else counts.astype(np.uint16)
+        self._read.remember(past.noise_steps, self._present)
         remembers = True
         if self.cell is not None:
             self._estimator, state = self._fresh_estimator(), past.estimator_state()
@@ -379,10 +394,10 @@ class Converter:
             due = self._rest_changes.popleft()
         if due is not None:  # of several between two frames the last one counts
             rest = due[1]
-            self.use_rest(None if rest is None else rest.reshape(self.design.array.shape))
+            self.use_rest(None if rest is None else rest.reshape(self.shape))
         gap_s = 0.0 if self._last_s is None else round(frame.time_s - self._last_s, CLOCK_DIGITS)
         self._last, self._last_s = frame, frame.time_s if self._last_s is None else self._last_s + gap_s
-        reading = self._read(frame.counts)
+        reading = self._read_present(frame)
         counters = self._counters
         self._converted += 1
         if not reading.solved:
@@ -410,8 +425,23 @@ class Converter:
             pressure,
             std,
             view,
+            self._rest_ohm if self.design is None and self._rest_ohm is not None else self._no_rest,
             self._starts,
         )
+
+    def _read_present(self, frame: RawFrame) -> Reading:
+        """The reading of a frame. A cell without a count keeps its last one, as others depend on it, and is marked."""
+        before, self._present = self._present, frame.counts
+        if not frame.absent:
+            return self._read(frame.counts)
+        missing = np.zeros(frame.counts.shape, dtype=np.bool_)
+        missing.flat[list(frame.absent)] = True
+        self._present = np.where(missing, frame.counts if before is None else before, frame.counts)
+        return self._read(self._present).without(missing, Reason.MISSING)
+
+    def _may_be_rest(self, rest: FloatArray) -> bool:
+        """Whether these may be rest resistances, or counts at rest."""
+        return bool((np.isfinite(rest) & (rest >= 0 if self.design is None else rest > 0)).all())
 
     def _estimate(self, gap_s: float, reading: Reading) -> tuple[FloatArray, Later]:
         """Pressures (rows, columns) in kPa and their standard deviations."""
@@ -502,7 +532,7 @@ class Converter:
     def _why_to_tare(self) -> str | None:
         """A remark if rest resistances that nobody measured leave a notable error of the pressures."""
         if self.cell is None:
-            return _NO_CELL
+            return _NO_CELL if self.design is not None else None
         if self._systematic is None or self._rest_known:
             return None
         if self._sheet:
@@ -532,7 +562,7 @@ class Converter:
         if rest_ohm is None and self._calibration is not None:
             rest_ohm = self._calibration.rest_ohm
         estimator = self.cell.estimator(
-            self.design.array.shape, self._estimator_name, rest_resistance_ohm=rest_ohm, rest_error=rest_error
+            self.shape, self._estimator_name, rest_resistance_ohm=rest_ohm, rest_error=rest_error
         )
         estimator.compile()
         return estimator

@@ -5,9 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
-from ..common.checks import path_text, positive
+from ..common.checks import count, path_text, positive
 from ..common.text import shown
 from ..errors import InputError, LinkError, OhmskinError
 from ..wire import Family, FramePacket, Identity, Order, board_family, host_protocol
@@ -36,7 +37,11 @@ class FoundBoard:
 
 
 def discover(
-    ports: Iterable[str] | None = None, *, board: str | Family = "ohmskin", timeout: float = SEARCH_S
+    ports: Iterable[str] | None = None,
+    *,
+    board: str | Path | Family = "ohmskin",
+    baudrate: int | None = None,
+    timeout: float = SEARCH_S,
 ) -> list[FoundBoard]:
     """The boards that answer, sorted by serial number.
 
@@ -46,14 +51,17 @@ def discover(
     Args:
         ports: names to try; None: all serial ports that the operating system lists, and the pseudo-terminals and
             sockets of boards that this user emulates on this machine.
-        board: family of the boards.
+        board: family of the boards, by name or as an object, or the BOARD.toml that describes them.
+        baudrate: of the UARTs; None: that of the family.
         timeout: s to wait for an answer.
 
     Raises:
         InputError: there is no such family, ``ports`` is a single name, or ``timeout`` is not above 0.
 
     """
-    board_family(board)
+    family = board_family(board)
+    if baudrate is not None:
+        family = replace(family, baud_rate=count("baudrate", baudrate))
     positive("timeout", timeout, "s")
     if isinstance(ports, str) or not isinstance(ports, Iterable | None):
         raise InputError(f"ports is {shown(ports)}; expected a list of names")
@@ -62,7 +70,7 @@ def discover(
     if not names:
         return []
     with ThreadPoolExecutor(max_workers=min(len(names), 32)) as pool:
-        answers = pool.map(lambda name: _ask(name, board, timeout), names)
+        answers = pool.map(lambda name: _ask(name, family, timeout), names)
         found = [answer for answer in answers if answer is not None]
     return sorted(found, key=lambda entry: (entry.serial_number, entry.port))
 
@@ -71,7 +79,7 @@ def find_board(
     serial_number: str,
     ports: Iterable[str] | None = None,
     *,
-    board: str | Family = "ohmskin",
+    board: str | Path | Family = "ohmskin",
     timeout: float = LONGEST_SEARCH_S,
 ) -> str:
     """The port of the board with this serial number, its own or that of its USB device.
@@ -99,15 +107,15 @@ def find_board(
     raise LinkError(f"no board with serial number {serial_number} at a port that is free; boards present: {present}")
 
 
-def _ask(name: str, board: str | Family, timeout_s: float) -> FoundBoard | None:
+def _ask(name: str, family: Family, timeout_s: float) -> FoundBoard | None:
     """The board behind one port, or None."""
-    family, protocol = board_family(board), host_protocol(board)
+    protocol = host_protocol(family)
     try:
         port = open_port(name, baudrate=family.baud_rate, dtr=family.dtr, rts=family.rts)
     except LinkError:
         return None
     # A board with an identity packet need not send frames to answer; at the fast clock it would spend its time on them.
-    knock = [Order.ONE_FRAME] if family.polled else [] if family.has_description else [Order.START]
+    knock = [Order.START, Order.ONE_FRAME] if family.polled else [] if family.has_description else [Order.START]
     orders = [Order.IDENTIFY, *knock]
     try:
         deadline = time.monotonic() + timeout_s

@@ -54,6 +54,8 @@ class Frame:
     """cell resistances in ohm, corrected for the readout circuit; NaN where not valid"""
     pressure: FloatArray = field(repr=False)
     """kPa, estimated from this frame and earlier ones; where not valid the last estimate, NaN before the first"""
+    rest_counts: FloatArray = field(repr=False)
+    """counts at rest by a tare, where the board's circuit is not known; else, and without a tare, 0"""
     _std: Later = field(repr=False)
     _contacts: Callable[[], tuple[Contact, ...]] = field(repr=False)
     _now: Callable[[], float] = field(repr=False)
@@ -75,6 +77,11 @@ class Frame:
             estimator_restarted=False,
             repeated=True,
         )
+
+    @property
+    def change(self) -> FloatArray:
+        """Counts above those at rest (rows, columns); NaN where not valid. For boards whose circuit is not known."""
+        return np.where(self.valid, self.counts - self.rest_counts, np.nan)
 
     @property
     def pressure_std(self) -> FloatArray:

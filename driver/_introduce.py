@@ -11,7 +11,7 @@ from ..circuits import Design
 from ..common.config import parse
 from ..common.events import SignalSafeEvent
 from ..errors import InputError, ProtocolError
-from ..wire import Description, Family, FramePacket, Identity, board_protocol, write_description
+from ..wire import Description, Family, FramePacket, Identity, Layout, board_protocol, write_description
 
 S = TypeVar("S", Design, Cell)
 
@@ -121,11 +121,11 @@ class Introduction:
             return f"a board of {event.rows} x {event.columns} cells is there; expected {known.rows} x {known.columns}"
         return ""
 
-    def design(self) -> Design:
-        """The design of the readout: as given, as described, or the usual one of the family.
+    def design(self) -> Design | Layout:
+        """The design of the readout: as given, as described, or the usual one of the family; else the array alone.
 
         Raises:
-            InputError: none of these is known.
+            InputError: the board should describe its design, and does not.
             ProtocolError: the description is not valid.
 
         """
@@ -138,7 +138,9 @@ class Introduction:
             return design
         if self.family.design is not None:
             return parse(self.family.design, Design, source=f"design of {self.family.name}")
-        raise InputError(f"{self.port_name}: the board does not describe its readout; pass design=Design.load(...)")
+        if self.family.has_description:
+            raise InputError(f"{self.port_name}: the board does not describe its readout; pass design=Design.load(...)")
+        return self.family.layout
 
     def cell(self) -> Cell | None:
         """The cell: as given or as described; None if neither is known. Raises ProtocolError."""

@@ -1,6 +1,7 @@
 """Frames as JSON messages that Foxglove shows without plugins, in recordings and live through its SDK.
 
 ``/ohmskin/pressure`` is an image, ``foxglove.RawImage`` in the encoding 32FC1: one float32 in kPa for each cell.
+A board whose circuit is not known has ``/ohmskin/counts`` in its place: counts above those at rest.
 ``/ohmskin/frame`` has the numbers of the frame and its contacts.
 """
 
@@ -13,9 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from ..common.arrays import FloatArray
 from ._frame import Frame
 
 PRESSURE_TOPIC, FRAME_TOPIC = "/ohmskin/pressure", "/ohmskin/frame"
+COUNTS_TOPIC = "/ohmskin/counts"
 
 _NUMBER = {"type": "number"}
 _TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
@@ -74,17 +77,23 @@ _FRAME_SCHEMA = {
     },
 }
 
-MESSAGE_SCHEMAS: Mapping[str, Mapping[str, Any]] = {PRESSURE_TOPIC: _IMAGE_SCHEMA, FRAME_TOPIC: _FRAME_SCHEMA}
+MESSAGE_SCHEMAS: Mapping[str, Mapping[str, Any]] = {
+    PRESSURE_TOPIC: _IMAGE_SCHEMA,
+    COUNTS_TOPIC: _IMAGE_SCHEMA,
+    FRAME_TOPIC: _FRAME_SCHEMA,
+}
 """topic -> JSON schema, named by its title"""
 
 
 def messages_of(frame: Frame) -> dict[str, dict[str, Any]]:
-    """The frame's message for each topic of :data:`MESSAGE_SCHEMAS`."""
-    return {PRESSURE_TOPIC: _image(frame), FRAME_TOPIC: _numbers(frame)}
+    """The frame's messages, by topics of :data:`MESSAGE_SCHEMAS`."""
+    only_counts = bool((frame.valid & np.isnan(frame.resistance)).any())
+    topic, values = (COUNTS_TOPIC, frame.change) if only_counts else (PRESSURE_TOPIC, frame.pressure)
+    return {topic: _image(frame, values), FRAME_TOPIC: _numbers(frame)}
 
 
-def _image(frame: Frame) -> dict[str, Any]:
-    image = np.ascontiguousarray(frame.pressure, dtype="<f4")
+def _image(frame: Frame, values: FloatArray) -> dict[str, Any]:
+    image = np.ascontiguousarray(values, dtype="<f4")
     rows, columns = image.shape
     seconds, nanoseconds = divmod(round(frame.host_time * 1e9), 10**9)
     return {

@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Literal
 
 from ..cell import ESTIMATORS, Cell
-from ..circuits import Design, ValidityRule
+from ..circuits import Design, Sheet, ValidityRule
 from ..common.checks import count, loaded, number, of_kind, positive
 from ..common.compiled import is_compiling
 from ..errors import InputError, OhmskinError, ProtocolError
-from ..wire import Family, HostProtocol, board_family, host_protocol
+from ..wire import Family, HostProtocol, Layout, board_family, host_protocol
 from ._calibration import Calibration
 from ._convert import Converter
 from ._introduce import Introduction
@@ -72,7 +72,7 @@ class Opening:
     def of(
         cls,
         *,
-        board: str | Family,
+        board: str | Path | Family,
         design: Design | str | Path | None,
         cell: Cell | str | Path | None,
         estimator: str | None,
@@ -94,6 +94,8 @@ class Opening:
             raise InputError(f"no estimator '{estimator}'; expected one of {', '.join(ESTIMATORS)}")
         ValidityRule.of(accuracy)
         family = board_family(board)
+        design = family.files.get("design") if design is None else design
+        cell = family.files.get("cell") if cell is None else cell
         settings = RecordedSettings(
             family.name,
             None if design is None else loaded("design", design, Design),
@@ -102,7 +104,15 @@ class Opening:
             None if pitch is None else Pitch.of(pitch),
             accuracy,
             None if calibration is None else loaded("calibration", calibration, Calibration),
+            family.tables if family.design is None else None,
         )
+        if settings.design is None and family.design is None and not family.has_description:
+            given = [name for name in ("cell", "calibration") if getattr(settings, name) is not None]
+            if given:
+                raise InputError(
+                    f"a {given[0]} for board '{family.name}', whose circuit is not known; expected a design, too "
+                    "(--design DESIGN.toml, or design = in BOARD.toml)"
+                )
         if delivery not in ("newest", "every", "lossless"):
             raise InputError(f"delivery '{delivery}'; expected newest, every or lossless")
         if serial_number is not None:
@@ -188,6 +198,8 @@ class Link:
         if family.has_description:
             return host_protocol(family)
         design = self.introduction.design()
+        if isinstance(design, Layout):
+            return host_protocol(family)
         adc_bits = None if design.adc is None else design.adc.bits
         return host_protocol(family, shape=design.array.shape, adc_bits=adc_bits)
 
@@ -195,7 +207,7 @@ class Link:
         """The converter for the board, after a trial conversion."""
         introduction, settings = self.introduction, self._opening.settings
         design, cell = introduction.design(), introduction.cell()
-        if settings.calibration is not None:
+        if settings.calibration is not None and isinstance(design, Design):
             try:
                 settings.calibration.check_board(design, cell, introduction.serial_number)
             except InputError as error:
@@ -205,7 +217,9 @@ class Link:
                 design,
                 cell,
                 settings.estimator,
-                Pitch.of(design.sheet.pitch) if settings.pitch is None else settings.pitch,
+                Pitch.of(design.sheet.pitch if isinstance(design, Design) else Sheet().pitch)
+                if settings.pitch is None
+                else settings.pitch,
                 self.mailbox,
                 self.counters,
                 newest_only=self._opening.delivery == "newest",

@@ -436,6 +436,7 @@ class Reader:
                 if event.is_description:
                     self._unreadable = event.reason
                 self._counters.corrupt += 1
+                self._counters.why_corrupt = event.reason
 
     def _hear(self, packet: FramePacket, arrival: Arrival) -> None:
         if not self.introduction.complete:

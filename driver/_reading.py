@@ -53,13 +53,13 @@ class Reading:
     _scales_columns: bool = False
     """whether errors of other readings scale all conductances of a column by one factor"""
 
-    def without(self, cells: BoolArray) -> Reading:
-        """The same reading with ``cells`` (rows, columns) marked as disturbed by a fault."""
+    def without(self, cells: BoolArray, reason: Reason = Reason.DISTURBED) -> Reading:
+        """The same reading with ``cells`` (rows, columns) marked as not valid; the usual reason is a fault."""
         return replace(
             self,
             resistance=np.where(cells, np.nan, self.resistance),
             valid=self.valid & ~cells,
-            reason=np.where(cells & self.valid, np.int8(Reason.DISTURBED), self.reason),
+            reason=np.where(cells & self.valid, np.int8(reason), self.reason),
             all_valid=False,
         )
 

@@ -26,9 +26,9 @@ from ..common.events import SignalSafeEvent
 from ..common.extras import install_command
 from ..common.files import size as size_text
 from ..common.progress import Progress, silent
-from ..common.text import shortened
+from ..common.text import shortened, shown
 from ..errors import InputError, LinkEnded, LinkError, MissingExtra, OhmskinError, ProtocolError
-from ..wire import read_description, write_description
+from ..wire import BoardFile, Family, board_family, read_description, write_description
 from ._calibration import Calibration
 from ._past import Past
 from ._pitch import Pitch
@@ -69,6 +69,8 @@ class RecordedSettings:
     accuracy: float | None = None
     """relative uncertainty up to which cells are valid; None: the default"""
     calibration: Calibration | None = None
+    board_file: Mapping[str, Any] | None = None
+    """tables of the BOARD.toml; None: the family is known by its name"""
 
     def as_metadata(self) -> dict[str, str]:
         """Texts for the metadata of the file."""
@@ -80,6 +82,7 @@ class RecordedSettings:
         known = {
             "estimator": self.estimator,
             "calibration": None if self.calibration is None else self.calibration.as_json(),
+            "board_file": None if self.board_file is None else json.dumps(self.board_file),
         }
         known |= {name: " ".join(float(value).hex() for value in values) for name, values in numbers.items()}
         return {"board": self.board, "given": tables} | {key: value for key, value in known.items() if value}
@@ -109,11 +112,38 @@ class RecordedSettings:
             calibration=None
             if calibration is None
             else Calibration.from_json(calibration, source=f"{path}: calibration"),
+            board_file=_board_tables(metadata, path),
         )
+
+    def family(self, path: str) -> Family:
+        """The family of the recorded board. InputError if only the user's own program knows it."""
+        if self.board_file is not None:
+            return BoardFile.parse(self.board_file, f"{path}: board_file").family()
+        try:
+            return board_family(self.board)
+        except InputError as error:
+            raise InputError(
+                f"{path}: a recording of the board {shown(self.board)}, which is no known family; give it (board=)"
+            ) from error
 
 
 NOTHING_RECORDED = RecordedSettings("", None, None, None, None)
 """for a live board"""
+
+
+def _board_tables(metadata: Mapping[str, str], path: Path) -> Mapping[str, Any] | None:
+    """Tables of the BOARD.toml in a file's metadata; InputError if they are invalid."""
+    text = metadata.get("board_file")
+    if text is None:
+        return None
+    try:
+        tables = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: board_file: is no JSON: {shortened(str(error))}") from error
+    if not isinstance(tables, dict):
+        raise InputError(f"{path}: board_file: expected a JSON object")
+    BoardFile.parse(tables, f"{path}: board_file")
+    return tables
 
 
 class RestSchedule:
@@ -313,7 +343,7 @@ def _rest_change(event: Mapping[str, Any], path: Path) -> tuple[float, FloatArra
         ohm = np.frombuffer(base64.b64decode(event["rest_ohm"], validate=True), dtype="<f8").astype(np.float64)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{path}: an event 'rest' that cannot be read: {shortened(str(error))}") from error
-    if math.isnan(after) or not ((ohm >= LEAST) & (ohm <= MOST)).all():
+    if math.isnan(after) or not ((ohm >= LEAST) & (ohm <= MOST) | (ohm == 0)).all():  # counts at rest may be 0
         raise InputError(f"{path}: an event 'rest': expected a time and positive resistances")
     return after, ohm
 

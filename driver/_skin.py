@@ -39,6 +39,8 @@ from ._taring import Tares
 
 MAX_AGE_S = 0.5
 """default of :meth:`Skin.latest`: boards send at 10 Hz and more"""
+NATIVE = "ohmskin"
+"""the family that is meant where none is named"""
 
 
 class Skin:
@@ -53,7 +55,7 @@ class Skin:
         self,
         port: BytePort,
         *,
-        board: str | Family = "ohmskin",
+        board: str | Path | Family = NATIVE,
         design: Design | str | Path | None = None,
         cell: Cell | str | Path | None = None,
         estimator: str | None = None,
@@ -72,9 +74,11 @@ class Skin:
 
         Args:
             port: an open port. :meth:`close` closes it, and so does an error here.
-            board: family of the board, by name (``ohmskin.wire.BOARDS``) or as an object.
+            board: family of the board: a name (one of ``ohmskin.wire.BOARDS``, or of an installed package), an object,
+                or the BOARD.toml that describes the board.
             design: the readout circuit, as an object or as a DESIGN.toml file; None: the design that the board
-                describes, else the usual one of its family.
+                describes, else the usual one of its family, else that which BOARD.toml names. Without any frames have
+                counts only: ``resistance`` and ``pressure`` are NaN, and a tare takes the counts at rest.
             cell: the model of the skin's material, as an object or as a CELL.toml file; None: the model that the board
                 describes. Without either, pressures are NaN.
             estimator: name for :meth:`ohmskin.cell.Cell.estimator`.
@@ -156,8 +160,6 @@ class Skin:
         self.settings = opening.settings
         """settings with which the skin was opened, for recordings"""
         self.family = opening.family
-        self.design = self._converter.design
-        """the board's readout circuit"""
         self.cell = self._converter.cell
         """model of the skin's material; None: not known, pressures are NaN"""
         self.calibration = opening.settings.calibration
@@ -178,7 +180,7 @@ class Skin:
         cls,
         port: str | Path | None = None,
         *,
-        board: str | Family = "ohmskin",
+        board: str | Path | Family = NATIVE,
         serial_number: str | None = None,
         design: Design | str | Path | None = None,
         cell: Cell | str | Path | None = None,
@@ -202,7 +204,7 @@ class Skin:
 
         Args:
             port: name of the port; None: the port where :func:`discover` finds the board ``serial_number``.
-            board: family of the board.
+            board: family of the board; for a recording only where the recorded one is not known.
             serial_number: that the board must have.
             design: this argument and all without a description are as for :meth:`__init__`.
             cell: likewise.
@@ -241,7 +243,7 @@ class Skin:
         usual: Delivery = "lossless" if waits else "newest"
         # All errors in the arguments are reported before anybody waits for a board or for the compiler.
         asked = Opening.of(
-            board=board if played is None else recorded.board,
+            board=board if played is None or board != NATIVE else recorded.family(played.name),
             design=recorded.design if design is None else design,
             cell=recorded.cell if cell is None else cell,
             estimator=recorded.estimator if estimator is None else estimator,
@@ -304,6 +306,26 @@ class Skin:
         return self._reader.introduction.description
 
     @property
+    def knows_circuit(self) -> bool:
+        """Whether the board's readout circuit is known; otherwise frames have counts only."""
+        return self._converter.design is not None
+
+    @property
+    def design(self) -> Design:
+        """The board's readout circuit. InputError where it is not known."""
+        if self._converter.design is None:
+            raise InputError(
+                f"{self.port_name}: the circuit of board '{self.family.name}' is not known; expected a design "
+                "(--design DESIGN.toml, or design = in BOARD.toml)"
+            )
+        return self._converter.design
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the array."""
+        return self._converter.shape
+
+    @property
     def port_name(self) -> str:
         """Name of the port; after a reconnection, of the one where the board is now."""
         return self._reader.port_name
@@ -329,7 +351,7 @@ class Skin:
 
     def __repr__(self) -> str:
         """Port, array, and state of the link, as a notebook shows a skin."""
-        rows, columns = self.design.array.shape
+        rows, columns = self.shape
         number = f", serial number {printable(self.serial_number)}" if self.serial_number else ""
         state = "over" if self._mailbox.end is not None else "open" if self.away is None else "away"
         return f"<Skin {self.port_name}: {rows} x {columns} cells{number}; {state}>"

@@ -27,6 +27,8 @@ class LinkStatistics:
     """number of reports by the board that it dropped frames because the host read too slowly"""
     corrupt: int
     """stretches of bytes that were no packets"""
+    why_corrupt: str
+    """why the newest of them was none; empty: there was none"""
     resyncs: int
     """times that the numbers of frames jumped in a way that no time explains"""
     reconnects: int
@@ -70,6 +72,7 @@ class Counters:
     lost: int | None = 0
     overruns: int = 0
     corrupt: int = 0
+    why_corrupt: str = ""
     resyncs: int = 0
     reconnects: int = 0
     reboots: int = 0
@@ -100,6 +103,7 @@ class Counters:
             lost=self.lost,
             overruns=self.overruns,
             corrupt=self.corrupt,
+            why_corrupt=self.why_corrupt,
             resyncs=self.resyncs,
             reconnects=self.reconnects,
             reboots=self.reboots,

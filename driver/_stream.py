@@ -55,6 +55,8 @@ class RawFrame:
     """total"""
     reboots: int
     """total"""
+    absent: tuple[int, ...] = ()
+    """cells, counted row by row, of which the board has sent no count"""
 
 
 class _Succession(enum.Enum):
@@ -205,6 +207,7 @@ class FrameStream:
             counters.overruns,
             counters.reconnects,
             counters.reboots,
+            packet.absent,
         )
 
     def _remember(self, stamp: tuple[int | None, int | None, int | None]) -> None:

@@ -472,6 +472,7 @@ def _frame(raw: RawFrame, measurement: Measurement, before: _Totals, source: Sou
         measurement.reason,
         measurement.resistance,
         measurement.pressure,
+        measurement.rest_counts,
         measurement.pressure_std,
         partial(contacts.of, view),
         source.now,

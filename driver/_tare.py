@@ -74,6 +74,13 @@ class Tare:
     spread_advised: float = 0.0
     """relative deviation of the cells from each other that would explain these signs, if the cells scatter so widely
     that manufacturing tolerances may be the cause, and no other sign points to a load; else 0"""
+    rest_counts: FloatArray | None = None
+    """mean counts at rest of a board whose circuit is not known: then no resistance is known, and those here are NaN"""
+
+    @property
+    def rest(self) -> FloatArray:
+        """What the frames after the tare are compared with: resistances in ohm, or counts."""
+        return self.rest_resistance_ohm if self.rest_counts is None else self.rest_counts
 
     @property
     def covers(self) -> str:
@@ -101,8 +108,8 @@ class Tare:
     def __repr__(self) -> str:
         """Size, typical resistance, date and board in one line, without the arrays."""
         rows, columns = self.rest_resistance_ohm.shape
-        known = self.rest_resistance_ohm[self.measured]
-        typical = f", typically {np.median(known):.6g} ohm" if known.size else ""
+        known, unit = self.rest[self.measured], "ohm" if self.rest_counts is None else "counts"
+        typical = f", typically {np.median(known):.6g} {unit}" if known.size else ""
         board = f"; board {printable(self.serial_number)}" if self.serial_number else ""
         forced = f"; {count_of(len(self.remarks), 'remark')}" if self.remarks else ""
         return (
@@ -115,6 +122,8 @@ class Tare:
         values = {key: np.asarray(getattr(self, key)) for key in _KEYS if key != "lost"}
         values["lost"] = np.asarray(-1 if self.lost is None else self.lost)
         values["remarks"] = np.asarray(self.remarks, dtype=np.str_)
+        if self.rest_counts is not None:
+            values["rest_counts"] = self.rest_counts
         with whole_file(path) as file:
             np.savez(file, allow_pickle=False, **values)
 
@@ -130,11 +139,14 @@ class Tare:
         try:
             with np.load(io.BytesIO(content), allow_pickle=False) as file:
                 values = {key: file[key] for key in (*_KEYS, "remarks")}
+                counts = np.asarray(file["rest_counts"], dtype=np.float64) if "rest_counts" in file else None
         except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
             # NumPy's own message advises to load pickled objects, which would run code of the file's author.
             raise InputError(f"{path}: is no saved tare; expected a file that Tare.save() has written") from error
         rest = np.asarray(values["rest_resistance_ohm"], dtype=np.float64)
-        if rest.ndim != 2 or not (np.isfinite(rest) & (rest > 0)).all():
+        if counts is not None and (counts.shape != rest.shape or not (np.isfinite(counts) & (counts >= 0)).all()):
+            raise InputError(f"{path}: is no saved tare: counts at rest must not be negative, (rows, columns)")
+        if rest.ndim != 2 or not (counts is not None or (np.isfinite(rest) & (rest > 0)).all()):
             raise InputError(f"{path}: is no saved tare: rest resistances must be positive, (rows, columns)")
         wall_time = float(values["wall_time"])
         if not 0 <= wall_time <= LATEST_S:
@@ -149,6 +161,7 @@ class Tare:
             serial_number=str(values["serial_number"]),
             wall_time=wall_time,
             remarks=tuple(str(remark) for remark in values["remarks"].tolist()),
+            rest_counts=counts,
         )
 
 

@@ -14,6 +14,7 @@ from ..errors import InputError
 from ._calibration import Calibration
 from ._convert import Converter
 from ._frame import Frame
+from ._plain import tare_of_counts
 from ._taker import FrameTaker
 from ._tare import EarlierRest, RestReadings, Tare
 
@@ -87,11 +88,14 @@ class Tares:
 
     def use(self, tare: Tare | None, *, serial_number: str) -> None:
         """Use an earlier tare; arguments and errors as for :meth:`.Skin.use_tare`."""
-        shape = self._converter.design.array.shape
+        shape = self._converter.shape
         if tare is not None:
             if tare.rest_resistance_ohm.shape != shape:
                 rows, columns = tare.rest_resistance_ohm.shape
                 raise InputError(f"a tare of {rows} x {columns} cells; this skin has {shape[0]} x {shape[1]}")
+            if (tare.rest_counts is None) != (self._converter.design is not None):
+                of, here = ("counts", "known") if tare.rest_counts is not None else ("resistances", "not known")
+                raise InputError(f"a tare of {of}; the circuit of this board is {here}")
             if tare.serial_number and serial_number and tare.serial_number != serial_number:
                 raise InputError(f"a tare of board {tare.serial_number}; this is board {serial_number}")
         with self._lock:
@@ -112,7 +116,7 @@ class Tares:
 
     def _apply(self) -> None:
         tare = self.in_use
-        self._converter.use_rest(None if tare is None else tare.rest_resistance_ohm)
+        self._converter.use_rest(None if tare is None else tare.rest)
         self._taker.forget()
 
     @contextlib.contextmanager
@@ -134,6 +138,9 @@ class Tares:
     def _made_of(self, taken: list[Frame], serial_number: str, *, drift: float, spread: float) -> Tare:
         # Losses before the first of these frames, perhaps long ago, do not belong to the tare.
         losses = [frame.lost_before for frame in taken[1:]]
+        lost = None if None in losses else sum(loss or 0 for loss in losses)
+        if self._converter.design is None:
+            return tare_of_counts(taken, lost=lost, serial_number=serial_number)
         noisy, silent = (
             2 * np.count_nonzero([frame.reason == why for frame in taken], axis=0) > len(taken)
             for why in (Reason.UNCERTAIN, Reason.NO_CURRENT)
@@ -146,7 +153,7 @@ class Tares:
         )
         return readings.tare(
             self._converter.cell,
-            lost=None if None in losses else sum(loss or 0 for loss in losses),
+            lost=lost,
             serial_number=serial_number,
             wall_time=taken[-1].host_time,
             calibrated_ohm=None if self._calibration is None else self._calibration.rest_ohm,

@@ -20,7 +20,7 @@ from math import inf
 from pathlib import Path
 
 from ..common.checks import positive
-from ..wire import BoardProtocol, board_protocol
+from ..wire import BoardProtocol, Family, board_protocol
 from ._device import Device
 from ._hand import Hand
 from ._ports import Port
@@ -55,7 +55,7 @@ def emulate(
     duration_s: float = inf,
     seed: int = 0,
     truth: Path | None = None,
-    family: str = "ohmskin",
+    family: str | Path | Family = "ohmskin",
     hand: Hand | None = None,
     ready: Callable[[], None] = lambda: None,
     stop: Stop,
@@ -69,7 +69,7 @@ def emulate(
         duration_s: s of board time.
         seed: for noise, faults and jitter.
         truth: file for every frame as it truly was; None: none.
-        family: whose protocol the board speaks, a key of :data:`ohmskin.wire.BOARDS`.
+        family: whose protocol the board speaks, as for :func:`ohmskin.wire.board_family`.
         hand: presses beside the scene's contacts.
         ready: called when the board is there, and nothing of what was asked for is refused any more.
         stop: asks for the end.
@@ -121,7 +121,7 @@ def running(
     duration_s: float = inf,
     seed: int = 0,
     truth: Path | None = None,
-    family: str = "ohmskin",
+    family: str | Path | Family = "ohmskin",
     hand: Hand | None = None,
 ) -> Iterator[None]:
     """:func:`emulate` in a thread while the block lasts: a board for a test in the same process.
@@ -156,7 +156,7 @@ def _truth_file(path: Path, scene: Scene) -> TruthFile:
     )
 
 
-def _protocol(family: str, scene: Scene) -> BoardProtocol:
+def _protocol(family: str | Path | Family, scene: Scene) -> BoardProtocol:
     design = scene.skin.design
     assert design.adc is not None  # a scene is refused without one
     return board_protocol(family, shape=design.array.shape, adc_bits=design.adc.bits)

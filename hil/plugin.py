@@ -62,7 +62,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """Options of the plugin."""
     group = parser.getgroup("ohmskin", "ohmskin: boards and skins")
     group.addoption("--ohmskin-target", metavar="emulated|firmware|PORT", help="the board under test [emulated]")
-    group.addoption("--ohmskin-board", metavar="FAMILY", help="family of the board under test [ohmskin]")
+    group.addoption(
+        "--ohmskin-board", metavar="NAME|FILE.toml", help="family of the board under test, or its BOARD.toml [ohmskin]"
+    )
     group.addoption("--ohmskin-scene", metavar="SCENE.toml", help="what the emulated board is [that of the examples]")
     group.addoption("--ohmskin-calibration", metavar="FILE.toml", help="calibration of the skin under test [none]")
     group.addoption("--ohmskin-seed", metavar="K", help="seed of the emulated noise [0]")

@@ -50,8 +50,8 @@ def no_number(text: str) -> None:
             ["--driver"],
             [
                 (_driver, "driver", _driver.Row),
-                (_driver, "live_estimators", _driver.Row),
                 (_worst_frames, "worst_frames", _worst_frames.WorstFrames),
+                (_driver, "live_estimators", _driver.Row),
                 (_freshness, "freshness", _freshness.Freshness),
             ],
         ),

@@ -157,7 +157,7 @@ def test_m1616_in_literal_bytes() -> None:
     line = bytes.fromhex("aa ab ac 01 02") + bytes(2 * 254) + bytes.fromhex("0f ff")
     assert board_protocol("m1616").frame(FramePacket.of(cells, sequence=0, time_us=0)) == line + bytes(4)
     host = host_protocol("m1616")
-    np.testing.assert_array_equal(frames(host.feed(line + b"\xaa\xab\xac\x01", 0.0))[0].counts, cells)
+    np.testing.assert_array_equal(frames(host.feed((line + b"\xaa\xab\xac\x01") * 3, 0.0))[0].counts, cells)
 
 
 def wiresens_packet(first: int, readings: list[int], number: int) -> bytes:
@@ -398,11 +398,11 @@ def test_the_driver_makes_pressures_of_what_the_emulator_speaks(name: str) -> No
 
 def test_a_board_that_a_family_does_not_have_is_refused() -> None:
     for name, shape, message in (
-        ("flexitac", (3, 3), "a board 'flexitac' of 3 x 3 cells; the family has 16 x 32, 12 x 32"),
+        ("wiresens", (3, 3), "a board 'wiresens' of 3 x 3 cells; the family has 16 x 16, 32 x 32"),
         ("fsr-array", (16, 17), "the family has n x n or, in two layers, 2n x n"),
     ):
         for make in (host_protocol, board_protocol):
             with pytest.raises(InputError, match=re.escape(message)):
                 make(name, shape=shape)
-    with pytest.raises(InputError, match="an ADC of 12 bits; its format carries 8"):
+    with pytest.raises(InputError, match="an ADC of 12 bits; its format carries at most 8"):
         board_protocol("flexitac", adc_bits=12)

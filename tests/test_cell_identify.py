@@ -32,6 +32,7 @@ from ohmskin.cell.identification._identify import fits
 from ohmskin.cell.identification._recovery_curve import recovery_branches
 from ohmskin.cell.inversions._inverse import margin
 from ohmskin.cell.materials import _simulate as simulate
+from ohmskin.cli._json import json_text
 from ohmskin.errors import InputError
 
 CONTACT = ContactModel(exponent=0.9, full_scale_resistance_ohm=500)
@@ -248,7 +249,7 @@ def test_r0_of_a_recording_that_begins_under_load_is_found() -> None:
     found = fits(checked_recording(time[later], FULL * load[later], read[later]), FULL)
     assert found[0].rest_resistance_ohm == pytest.approx(EXAMPLE.rest_resistance_ohm, rel=0.02)
     assert found[0].error < 0.001
-    assert found[0].held_out_error < 0.01
+    assert found[0].held_out_error < 0.02
 
 
 def test_the_fast_simulation_of_paper_cells_is_their_forward_model() -> None:
@@ -391,6 +392,48 @@ def test_folds_each_contain_presses() -> None:
     for part in parts:
         inside = load[(time >= part.start_s) & (time < part.end_s)]
         assert np.ptp(inside) > 0.3
+
+
+@pytest.mark.parametrize(("presses", "count"), [(1, 0), (2, 0), (3, 1), (4, 2), (6, 3), (12, 3)])
+def test_each_fold_holds_a_whole_press_that_follows_on_presses(presses: int, count: int) -> None:
+    """A fold that begins and ends within a rise would be judged by the model of a rise."""
+    time = np.arange(0, 20 + 20 * presses, DT)
+    load = np.where(time > 10, 0.5 * (1 - np.cos(2 * np.pi * (time - 10) / 20)), 0) * (time < 10 + 20 * presses)
+    parts = folds(checked_recording(time, FULL * load, sense(EXAMPLE, load)), FULL)
+    assert len(parts) == count
+    for part in parts:
+        assert part.start_s > 10 + 1.1 * 20
+        assert part.end_s - part.start_s > 0.85 * 20
+
+
+def test_of_a_single_press_the_kind_that_fits_better_is_chosen_and_the_report_says_why() -> None:
+    """Chains that break explain the press; a part of it may suit a kind without them."""
+    model = M10Model(a=0.4, alpha1=0.3, rise1_s=0.5, fall1_s=4, alpha2=0.2, fall2_s=90, k=0.3, tau_s=15)
+    time = np.arange(0, 90, DT)
+    load = np.interp(time, [5, 30, 40, 42, 44, 50, 80], [0, 1, 0.8, 0.95, 0.7, 0.75, 0])
+    read = sense(EXAMPLE.replace(model=model), load) * (1 + 1e-3 * np.random.default_rng(0).standard_normal(len(time)))
+    found = calibrate(checked_recording(time, FULL * load, read), full_scale_kpa=FULL)
+    assert found.folds == ()
+    assert found.fit.label == "m10"
+    assert found.fit.judged_error == min(fit.judged_error for fit in found.fits)
+    assert "as no whole press is left to judge by" in calibration_text(found)
+    assert found.cell.estimators is not None
+    assert "on what it was learned from" in found.cell.estimators.reason
+    assert json.loads(json_text(calibration_record(found)))["folds_s"] == []
+
+
+@pytest.mark.parametrize(
+    ("late_s", "falls"),
+    [(-3.0, False), (-1.0, False), (3.0, False), (-3.0, True), (-1.0, True), (1.0, True), (3.0, True)],
+)
+def test_clocks_that_are_apart_are_named_with_their_shift(late_s: float, falls: bool) -> None:
+    """It may rise or fall under load. A cell that follows a second late is one that creeps."""
+    time, rng = np.arange(0, 120, DT), np.random.default_rng(2)
+    load = np.interp(time, np.arange(0, 121, 0.8), rng.uniform(0, 1, 152) * (np.arange(152) > 5))
+    late = np.interp(time - late_s, time, load)
+    read = 1e4 * np.exp((-2.0 if falls else 0.3) * late)
+    with pytest.raises(InputError, match=f"changes {abs(late_s):.2g} s {'after' if late_s > 0 else 'before'} the pres"):
+        fits(checked_recording(time, FULL * load, read), FULL)
 
 
 def test_creep_that_is_charged_slowly_is_identified() -> None:

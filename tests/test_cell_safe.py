@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from cells import EXAMPLE
 
-from ohmskin.bench._honesty import uncalibrated
+from ohmskin.bench import scenes
 from ohmskin.cell import AsymmetricModel, Cell, ContactModel
 
 DT = 0.02
 COUNT = 8
-OWN = uncalibrated()["paper"]
-SAFE_M10 = uncalibrated()["m10"].model
+OWN = scenes.cells()["paper"]
+SAFE_M10 = scenes.cells()["m10"].model
 ASYMMETRIC = AsymmetricModel(e1_kpa=32, e2_kpa=60, e3_kpa=480, eta2_kpa_s=510, eta3_kpa_s=48000)
 CELLS = pytest.mark.parametrize(
     "cell",
@@ -332,7 +332,7 @@ def test_a_press_that_rises_slowly_while_a_cell_recovers_is_no_rest(own: bool, v
     Where a press has been hidden before its pull is clear, that must be in the deviation, too (90 % without it). What
     has grown beyond a light touch is no recovery that passes for a load (12 of 48 were lost in 0.3 mV).
     """
-    cell = uncalibrated()["paper"] if own else EXAMPLE
+    cell = scenes.cells()["paper"] if own else EXAMPLE
     lost, z = pressed_after_taps(cell, volts, np.tile([0.5, 1.0, 1.5, 2.0, 2.5, 3.0], COUNT))
     assert lost <= most_lost
     assert np.mean(z < 2) > (0.97 if own else 0.92)

@@ -9,27 +9,42 @@ import shlex
 import subprocess
 import sys
 import threading
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from ohmskin.cli import run
 from ohmskin.common import compiled
 from ohmskin.common.extras import install_command
 from ohmskin.doctor import (
+    Chunk,
     State,
     System,
     _installation,
     _listening,
     _serial,
+    draft,
     examine_device,
     examine_installation,
     examine_traffic,
+    has_baud_rate,
     judge,
 )
+from ohmskin.driver import Skin
 from ohmskin.emulator import PtyPort
-from ohmskin.wire import BOARDS, Family, FramePacket, board_protocol
+from ohmskin.wire import (
+    BOARDS,
+    BoardFile,
+    Family,
+    FramePacket,
+    Order,
+    board_family,
+    board_protocol,
+    host_protocol,
+)
 
 
 @pytest.fixture
@@ -157,7 +172,7 @@ class Played(PtyPort):
     def __init__(self, family: Family) -> None:
         super().__init__()
         self._family = family
-        self._protocol = board_protocol(family.name)
+        self._protocol = board_protocol(family)
         self._rng = np.random.default_rng(0)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._live)
@@ -185,7 +200,7 @@ class Played(PtyPort):
 @pytest.mark.parametrize("name", BOARDS)
 def test_a_port_sounds_like_the_board_behind_it(name: str) -> None:
     with Played(BOARDS[name]) as port:
-        (finding,) = examine_traffic(port.name, listen_s=0.5)
+        finding = examine_traffic(port.name, listen_s=0.5).finding
     assert finding.state is State.OK
     assert f"family '{name}'" in finding.found
     assert f"{BOARDS[name].layout.rows} x {BOARDS[name].layout.columns} cells" in finding.found
@@ -202,18 +217,90 @@ def test_a_port_that_sends_something_else_is_described() -> None:
 
         thread = threading.Thread(target=chatter)
         thread.start()
-        (finding,) = examine_traffic(port.name, listen_s=0.25)
+        finding = examine_traffic(port.name, listen_s=0.25).finding
         stop.set()
         thread.join()
     assert finding.state is State.PROBLEM
     assert "sends what no known family does" in finding.found
-    assert "100 % of them text" in finding.found
+    assert "100 % of them text, such as 'boot: calibrating sensor'" in finding.found
     assert "ohmskin" in finding.mend
+
+
+EXAMPLES = sorted((Path(__file__).parent.parent / "examples/boards").glob("*.toml"))
+
+
+def streamed(path: Path, count: int = 40) -> tuple[list[Chunk], list[NDArray[np.uint16]]]:
+    """What a board of a file sends at 30 Hz, joined in mid-frame: noise at rest, and a finger that moves."""
+    family, rng = board_family(path), np.random.default_rng(4)
+    rows, columns, most = family.layout.rows, family.layout.columns, 2**family.layout.adc_bits - 1
+    board, chunks, shown = board_protocol(family), [], []
+    board.feed(host_protocol(family).request(Order.START))
+    row, column = np.mgrid[:rows, :columns]
+    for k in range(count):
+        hill = np.exp(-((row - rows / 2) ** 2 + (column - columns * (0.3 + 0.4 * k / count)) ** 2) / 5)
+        counts = (most * (0.05 + 0.6 * hill) + rng.integers(0, max(most // 100, 3), hill.shape)).astype(np.uint16)
+        data = board.frame(FramePacket.of(counts, sequence=0, time_us=0))
+        chunks.append(Chunk(k / 30, data if k else data[len(data) // 3 :]))
+        shown.append(counts)
+    return chunks, shown
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_a_description_is_drafted_from_what_a_board_sends(path: Path) -> None:
+    """The draft's own protocol gives the numbers that the board has sent, in the order in which it has sent them."""
+    chunks, shown = streamed(path)
+    found = draft(chunks, baudrate=9600)
+    assert found is not None
+    tables, given = tomllib.loads(found.toml(["a head"])), tomllib.loads(path.read_text())
+    for key in ("format", "word", "header", "end", "prefix", "key", "framing", "checksum", "separator"):
+        assert tables["frame"].get(key) == given["frame"].get(key), key
+    assert tables["board"]["baudrate"] == 9600
+    if given["frame"].get("order") != "column-major" and path.stem != "json":  # whose sides no number shows
+        assert [tables["board"][side] for side in ("rows", "columns")] == [
+            given["board"][side] for side in ("rows", "columns")
+        ]
+    assert found.rate_hz == pytest.approx(30.0, rel=0.1)
+    family = BoardFile.parse(tables, "draft").family()
+    host = host_protocol(family)
+    seen = [e for chunk in chunks for e in host.feed(chunk.data, chunk.time_s) if isinstance(e, FramePacket)]
+    order = (lambda counts: counts.T) if given["frame"].get("order") == "column-major" else (lambda counts: counts)
+    last = order(shown[-1]).ravel().astype(float)
+    np.testing.assert_allclose(np.corrcoef(seen[-1].counts.ravel(), last)[0, 1] ** 2, 1.0, atol=1e-3)
+
+
+def test_a_draft_is_written_and_can_be_opened(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(_listening, "LISTEN_S", 0.6)
+    (tmp_path / "board.toml").write_text("mine")
+    with Played(board_family(EXAMPLES[0].with_name("neuromat.toml"))) as port:
+        assert run(["doctor", port.name]) == 0
+        shown = capsys.readouterr().out
+        assert f"ohmskin view {port.name} --board board-2.toml" in shown
+        assert "frame.range: the smallest and the largest number" in shown
+        with Skin.open(port.name, board="board-2.toml", timeout=20.0) as skin:
+            assert skin.read().counts.shape == (8, 13)
+        assert run(["doctor", port.name, "-o", "board.toml"]) == 2
+    assert (tmp_path / "board.toml").read_text() == "mine"
+
+
+def test_only_ports_with_a_uart_are_tried_at_several_baud_rates(tmp_path: Path) -> None:
+    told: list[str] = []
+    with PtyPort(tmp_path / "skin") as port:
+        assert not any(map(has_baud_rate, (port.name, str(tmp_path / "skin"), "socket://127.0.0.1:9")))
+        traffic = examine_traffic(port.name, listen_s=0.1, tell=told.append)
+    assert all(map(has_baud_rate, ("/dev/ttyUSB0", "rfc2217://127.0.0.1:9")))
+    assert traffic.finding.found == "silent, also when asked in each family's way"
+    assert told
+    assert all("115200 baud" in text for text in told)
 
 
 def test_random_bytes_sound_like_no_board() -> None:
     rng = np.random.default_rng(1)
     assert all(judge(rng.bytes(20_000)) is None for _ in range(20))
+    noise = [Chunk(0.02 * k, rng.bytes(int(rng.integers(50, 400)))) for k in range(80)]
+    assert draft(noise, baudrate=9600) is None
 
 
 def test_the_exit_code_tells_of_problems(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from ohmskin.bench import _fingers as played
 from ohmskin.bench import _taps as bench
+from ohmskin.bench import harness
 from ohmskin.bench._driver import design
 from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import Contact, ContactTracker
@@ -328,4 +329,4 @@ def test_the_scenes_find_what_is_there_and_count_what_is_not(monkeypatch: pytest
         assert (row.found_percent, row.ids_kept_percent, row.false) == (percent, 0.0, false)
         rest = played.played(8, AMPLIFIER, scene("drift of one cell"), np.random.default_rng(1))
         assert rest.false == len(contacts)
-    assert len(list(played.table([row, rest]))) == 4
+    assert len(list(harness.table([row, rest], played.HEAD))) == 4

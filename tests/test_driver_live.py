@@ -43,6 +43,7 @@ from ohmskin.wire import (
     DescriptionPiece,
     Flag,
     FramePacket,
+    Layout,
     Order,
     PacketDecoder,
     encode,
@@ -1107,12 +1108,16 @@ class TestBoards:
         assert 0.02 * PATIENCE * 0.9 < time.monotonic() - began < 30.0
         over.set()
 
-    def test_a_board_without_a_known_readout_asks_for_it(self) -> None:
-        family = replace(BOARDS["ohmskin"], has_description=False)
-        port = Script(frame(0))
-        with pytest.raises(InputError, match="does not describe its readout; pass design="):
-            Skin(port, board=family)
-        assert port.closed
+    def test_a_board_without_a_known_readout_has_counts_alone(self) -> None:
+        family = replace(BOARDS["ohmskin"], has_description=False, layout=Layout(3, 2, 12))
+        with lossless(Script(frame(0)), board=family) as skin:
+            first = skin.read()
+        assert not skin.knows_circuit
+        assert first.valid.all()
+        assert np.isnan(first.resistance).all()
+        other = replace(family, layout=Layout(9, 9, 12))
+        with lossless(Script(frame(0)), board=other) as skin, pytest.raises(ProtocolError, match="has 9 x 9"):
+            skin.read()
 
     def test_a_polled_board_is_asked_for_every_frame_and_for_no_more_than_fit(self) -> None:
         port = described()

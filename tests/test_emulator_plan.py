@@ -10,6 +10,7 @@ from boards import DESIGN, scene
 
 from ohmskin import bench
 from ohmskin.bench import _emulator as of_boards
+from ohmskin.bench import harness
 from ohmskin.cli import run
 from ohmskin.emulator import Scene, plan
 
@@ -59,5 +60,5 @@ def test_the_benchmark_measures_what_it_says(capsys: pytest.CaptureFixture[str])
     assert run(["bench", "--emulator", "--size", "4", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert {entry["contacts"] for entry in found} == set(of_boards.CONTACTS)
-    assert "6 x 6" in of_boards.table([row])
+    assert "6 x 6" in "".join(harness.table([row], of_boards.HEAD))
     assert bench.__doc__

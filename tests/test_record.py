@@ -31,7 +31,7 @@ from ohmskin.emulator import Board, PtyPort, running
 from ohmskin.errors import InputError, LinkEnded, ProtocolError
 from ohmskin.wire import DescriptionPiece, Flag, FramePacket, Identity, encode, write_description
 
-ARRAYS = ("counts", "valid", "resistance", "pressure", "pressure_std")
+ARRAYS = ("counts", "rest_counts", "valid", "resistance", "pressure", "pressure_std")
 NUMBERS = (
     "sequence",
     "device_time",

@@ -14,6 +14,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 import urllib.request
 from collections.abc import Iterator
@@ -35,7 +36,8 @@ from playwright.sync_api import Browser, expect, sync_playwright
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from ohmskin.bench._view import measured_page, table
+from ohmskin.bench._view import measured_page
+from ohmskin.bench.harness import table
 from ohmskin.circuits import Reason
 from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import Frame, Skin
@@ -45,7 +47,7 @@ from ohmskin.view import LiveSource, RecordedSource
 from ohmskin.view._frame_message import pack_frame
 from ohmskin.view._recorded import extremes
 from ohmskin.view._source import TimeAxis
-from ohmskin.wire import DescriptionPiece, Flag, FramePacket, Identity, encode, write_description
+from ohmskin.wire import BoardFile, DescriptionPiece, Flag, FramePacket, Identity, encode, write_description
 
 WIDE = {**DESIGN, "array": {"rows": 6, "columns": 8, "row_lead": 70.0}}
 SHORTED = {"at_s": 0.0, "kind": "shorted-cell", "place": [0, 7]}
@@ -309,6 +311,35 @@ def test_tare_undo_and_a_refusal(browser: Browser) -> None:
         page.click("#tare-anyway")
         expect(page.locator("#tare-answer")).to_contain_text("tared over 20 frames, although")
         assert board.skin.tared is not None
+
+
+def test_a_board_without_a_circuit_shows_counts(browser: Browser) -> None:
+    """A missing number is hatched, and a tare leaves what is above it."""
+    family = BoardFile.parse(
+        {"board": {"name": "mat", "rows": 2, "columns": 3}, "frame": {"format": "text", "separator": ","}}, "mat"
+    ).family()
+    port, ended, line = Script(b"cut\n"), threading.Event(), [b"10,20,30,40,,60\n"]
+
+    def play() -> None:
+        while not ended.wait(0.01):
+            port.say(*line)
+
+    board = threading.Thread(target=play)
+    board.start()
+    try:
+        with served(LiveSource(Skin(port, board=family, timeout=30.0))) as url, opened(browser, url) as page:
+            expect(page.locator("#source")).to_contain_text("2 × 3")
+            assert page.locator("#quantity option").all_inner_texts() == ["counts above rest", "counts"]
+            page.locator("#tare").click()
+            expect(page.locator("#tare-answer")).to_contain_text("5 of 6 cells measured")
+            line[:] = [b"15,20,30,40,,60\n"]
+            until(page, "ohmskin.frame && ohmskin.frame.change[0] === 5")
+            assert page.evaluate("[...ohmskin.frame.valid]") == [1, 1, 1, 1, 0, 1]
+            assert page.evaluate("[...ohmskin.frame.change].slice(1, 4)") == [0, 0, 0]
+            expect(page.locator("#contacts-title")).not_to_be_visible()
+    finally:
+        ended.set()
+        board.join()
 
 
 def test_light_dark_and_a_phone(browser: Browser) -> None:
@@ -739,4 +770,4 @@ def test_the_bench_measures_a_page(browser: Browser) -> None:
     assert row.drawn_hz > 0
     assert row.board_hz > 0
     assert all(0 < cost < 1000 for cost in (row.draw_ms, row.main_thread_ms, row.server_ms))
-    assert "6 x 6" in table([row])
+    assert "6 x 6" in "".join(table([row]))

@@ -69,6 +69,8 @@ CATALOGUE: dict[str, Quantity] = {
         Quantity("cell_power", "Power in a cell", "W", stress.cell_power),
         Quantity("switch_current", "Current in a row switch", "A", stress.switch_current),
         Quantity("switch_power", "Power in a row switch", "W", stress.switch_power),
+        Quantity("output_current", "Current of an output", "A", stress.output_current),
+        Quantity("leakage_error", "Error by leakage of idle switches", "%", stress.leakage_error),
         Quantity("fault_coverage", "Fault coverage of a self-test", "%", self_test.fault_coverage),
         Quantity("pressure_rmse", "RMS error of the pressure", "% FS", chain.pressure_rmse),
         Quantity("pressure_peak_error", "Peak error of the pressure", "% FS", chain.pressure_peak_error),

@@ -112,8 +112,7 @@ def runs(subject: Subject) -> list[Run]:
         random = np.random.default_rng(np.random.SeedSequence([subject.seed, 1 << 20]))
         boards = [("a board drawn at random", subject.factors.sample(random, 1)[0])]
         try:
-            corner = worst_of(subject, "gain_error").corner
-            boards.insert(0, ("the worst corner of the gain error", corner.factors[0]))
+            boards.insert(0, ("the worst corner of the gain error", worst_of(subject, "gain_error").factors))
             if not len(subject.factors):
                 boards.pop()  # all boards are alike
         except InputError:

@@ -1,218 +1,60 @@
-"""Worst-case analysis of readings: adjoint sensitivities name the corner, and a solve at that corner gives the value.
+"""Worst-case analysis: the largest value of a target over the boards and presses of a box, found by solving them.
 
-A *target* is a number that a reading should keep small: its error, the error of its gain, or what a press elsewhere
-does to it (crosstalk). It depends on the part values, on the place of each reading within its ADC step, and on which
-cells are pressed. All of these range over a box, and along each axis the readings of a resistive network are monotone.
-So the worst case is looked for at the corners of the box (vertex method):
+Along each coordinate of the box the readings of a resistive network are monotone, so that the worst case is looked for
+at its corners (vertex method). One search serves every target:
 
-1. The derivatives of every reading by every part and cell (adjoint method, :func:`ohmskin.circuits.sensitivity`) at two
-   states, all cells at rest and all pressed, name one corner per cell, per sign and per state.
-2. Those corners are solved, each with parts of its own. All cells are, or the :func:`most_solved` that the first-order
-   estimate ranks highest.
-3. From the worst ones the derivatives are taken again, at the corner itself, until no sign changes any more. Then the
-   corner is stationary: changing any single part or cell makes the value smaller to first order.
-4. On arrays of up to some 16 x 16 cells every neighbouring corner, which differs in one part or one cell, is solved as
-   well, and the search goes on from a better one.
+1. Starts. The derivatives of every reading by every part and cell (adjoint method,
+   :func:`ohmskin.circuits.sensitivity`), at all cells at rest and at all pressed, name one corner per cell, sign and
+   state. Corners of other searches and random corners of the cells that are worst so far are added.
+2. Every start is solved, with parts of its own. Of arrays beyond :data:`MOST_UNKNOWNS` only the cells that the
+   first-order estimate ranks highest.
+3. The worst ones are improved. The gain of flipping each single coordinate to its other end is solved, or on larger
+   arrays taken from derivatives at the corner itself; the flips that promise most are made together, as many as help.
+   A corner is done when no single flip raises its value.
+4. The stated value is that of plain scans of the worst corner.
 
-A target that is linear in its axes is thereby searched exhaustively.
+A search over corners is not complete: a larger value may exist where two or more flips help only together. The report
+says so beside each number.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
 
-from ..circuits import Boards, Design, Sensitivity, apparent_resistance, scan, scan_population, sensitivity
+from ..circuits import Boards, Design, read_together, scan_population, sensitivity
 from ..common.arrays import BoolArray, FloatArray, IntArray
-from ._parameters import SECTION, Factors, Population
+from ._parameters import CONVERTER, SECTION
+from ._targets import Box, Corners, Frame, Press, Target, evaluate, frames_of, scanned
 
 LEAST_SOLVED, MOST_UNKNOWNS = 64, 256 * 256
 """Corners are solved for every cell as long as cells times cells are no more than that, and for fewer of larger arrays;
 per sign and state."""
-ROUNDING = 1e-15
-"""Relative differences below this are none."""
-_REFINED = 2  # corners per sign that are improved
-_FEW_CELLS, _REFINED_OF_FEW = 16, 16  # the same for small arrays, where it costs little
-_ROUNDS = 5  # of improvement, at most
-_MOST_REMEMBERED = 4_000_000  # numbers of the derivatives that a search keeps
-_MOST_FLIPS = 200_000  # cells of all neighbouring corners together, up to which they are solved
+MOST_WORK = 1_000_000
+"""cells that are solved, all frames of all flips together, while corners are improved"""
+ALONE = 30
+"""by which less is solved of a design whose boards are scanned one by one, as all are whose outputs saturate"""
+MOST_FLIPS = 400_000
+"""cells of all flips of one corner, up to which flips are solved"""
+FIRST_ORDER_BEYOND = 100
+"""cells of an array beyond which corners are improved by derivatives before their flips are solved"""
+MOST_PRESSES, CELLS_OF_PRESSES = 16, 4096
+"""Presses that a search hands to the Monte Carlo analysis at most, and cells of all of them together."""
+_FEWEST = 4  # corners that are improved on the largest arrays, per sign
+_RANDOM_CELLS, _RANDOM_CORNERS = 4, 16  # random corners are those of so many cells per sign, so many of each
+_ROUNDS = 30  # of improvement, at most
+_LEAST_GAIN = 1e-9  # relative: less is rounding
+_WITHOUT_INFLUENCE = 1e-10  # relative: a flip that changes the value by less changes nothing
 
 
 def most_solved(shape: tuple[int, int]) -> int:
     """Cells whose corners are solved: all up to 16 x 16, fewer of larger arrays, but at least :data:`LEAST_SOLVED`."""
     return max(LEAST_SOLVED, MOST_UNKNOWNS // (shape[0] * shape[1]))
-
-
-@dataclass(frozen=True)
-class Box:
-    """What a worst-case search ranges over."""
-
-    design: Design
-    factors: Factors
-    rest_ohm: float
-    pressed_ohm: float
-    cell_spread: float
-    """relative, of every cell on its own"""
-
-    @property
-    def half_step(self) -> float:
-        """V by which a code may stand for less or more than was converted."""
-        return self.design.adc.step / 2 if self.design.adc else 0.0
-
-    def resistance(self, pressed: FloatArray, scale: FloatArray) -> FloatArray:
-        """ohm of cells with ``pressed`` 0 or 1 and ``scale`` from -1 to 1, of any shape."""
-        low, high = self.rest_ohm, self.pressed_ohm
-        result: FloatArray = (low + (high - low) * pressed) * (1.0 + self.cell_spread * scale)
-        return result
-
-    def converted(self, volts: FloatArray, converter: FloatArray) -> FloatArray:
-        """V at an ideal converter for the errors (..., 3) of the real one; as in :func:`ohmskin.circuits.adc_codes`."""
-        adc = self.design.adc
-        if adc is None:
-            return volts
-        offset, slope, bow = np.moveaxis(converter, -1, 0)
-        above = (volts - adc.range[0]) * (1.0 + slope) + offset
-        share = np.clip(above / (adc.range[1] - adc.range[0]), 0.0, 1.0)
-        shifted: FloatArray = adc.range[0] + above + bow * adc.step * 4.0 * share * (1.0 - share)
-        return shifted
-
-    def clipped(self, volts: FloatArray) -> BoolArray:
-        """Where the code of ``volts`` is the first or the last."""
-        adc = self.design.adc
-        if adc is None:
-            return np.zeros(volts.shape, dtype=np.bool_)
-        low, high = adc.range
-        return np.asarray((volts < low + adc.step) | (volts >= high - adc.step))
-
-
-class Target(ABC):
-    """A function of one cell's readings in one or two frames."""
-
-    name: str
-    frames: int
-
-    @abstractmethod
-    def pressed(self, pattern: FloatArray, row: IntArray, column: IntArray) -> list[FloatArray]:
-        """Which cells are pressed (C, N, M) in each frame, for the cells (C,) that are judged."""
-
-    @abstractmethod
-    def value(self, ohms: list[FloatArray], true: list[FloatArray]) -> FloatArray:
-        """The target (relative, signed) of apparent and true resistances, one array per frame."""
-
-    @abstractmethod
-    def weights(self, ohms: list[FloatArray], true: list[FloatArray]) -> list[FloatArray]:
-        """Derivatives of :meth:`value` by each frame's apparent resistance, 1/ohm."""
-
-    @abstractmethod
-    def toggles(self, frame: int) -> bool:
-        """Whether the pattern of the other cells shows in this frame."""
-
-    @abstractmethod
-    def own(self, value: FloatArray) -> FloatArray:
-        """Derivative of :meth:`value` by a relative change of the cell's own true resistance, readings held."""
-
-
-class ReadingError(Target):
-    """Relative error of a resistance that the host makes of an uncalibrated reading."""
-
-    name = "reading error"
-    frames = 1
-
-    def pressed(self, pattern: FloatArray, row: IntArray, column: IntArray) -> list[FloatArray]:
-        return [pattern]
-
-    def value(self, ohms: list[FloatArray], true: list[FloatArray]) -> FloatArray:
-        return ohms[0] / true[0] - 1.0
-
-    def weights(self, ohms: list[FloatArray], true: list[FloatArray]) -> list[FloatArray]:
-        return [1.0 / true[0]]
-
-    def toggles(self, frame: int) -> bool:
-        return True
-
-    def own(self, value: FloatArray) -> FloatArray:
-        return -(1.0 + value)
-
-
-class GainError(Target):
-    """Relative error of the change that the host sees when the cell alone is pressed from rest to full scale."""
-
-    name = "gain error"
-    frames = 2
-
-    def pressed(self, pattern: FloatArray, row: IntArray, column: IntArray) -> list[FloatArray]:
-        before, after = pattern.copy(), pattern.copy()
-        each = np.arange(len(pattern))
-        before[each, row, column], after[each, row, column] = 0.0, 1.0
-        return [before, after]
-
-    def value(self, ohms: list[FloatArray], true: list[FloatArray]) -> FloatArray:
-        return (ohms[1] - ohms[0]) / (true[1] - true[0]) - 1.0
-
-    def weights(self, ohms: list[FloatArray], true: list[FloatArray]) -> list[FloatArray]:
-        each = 1.0 / (true[1] - true[0])
-        return [-each, each]
-
-    def toggles(self, frame: int) -> bool:
-        return True
-
-    def own(self, value: FloatArray) -> FloatArray:
-        return -(1.0 + value)
-
-
-class Crosstalk(Target):
-    """Relative change of an untouched cell's reading when other cells are pressed."""
-
-    name = "crosstalk"
-    frames = 2
-
-    def pressed(self, pattern: FloatArray, row: IntArray, column: IntArray) -> list[FloatArray]:
-        after = pattern.copy()
-        after[np.arange(len(pattern)), row, column] = 0.0
-        return [np.zeros_like(after), after]
-
-    def value(self, ohms: list[FloatArray], true: list[FloatArray]) -> FloatArray:
-        return ohms[1] / ohms[0] - 1.0
-
-    def weights(self, ohms: list[FloatArray], true: list[FloatArray]) -> list[FloatArray]:
-        return [-ohms[1] / ohms[0] ** 2, 1.0 / ohms[0]]
-
-    def toggles(self, frame: int) -> bool:
-        return frame == 1
-
-    def own(self, value: FloatArray) -> FloatArray:
-        return np.zeros_like(value)
-
-
-@dataclass(frozen=True)
-class Corners:
-    """C corners of the box, one judged cell each."""
-
-    row: IntArray
-    column: IntArray
-    sign: FloatArray
-    """(C,) of the value that is looked for"""
-    factors: FloatArray
-    """(C, F)"""
-    pattern: FloatArray
-    """(C, N, M): 1 pressed, 0 at rest"""
-    scale: FloatArray
-    """(C, N, M): -1 or 1, of each cell's spread"""
-
-    def some(self, which: IntArray | BoolArray) -> Corners:
-        return Corners(**{name: getattr(self, name)[which] for name in self.__dataclass_fields__})
-
-    def distinct(self) -> Corners:
-        """The corners without repetitions, in the order of their first appearance."""
-        first: dict[bytes, int] = {}
-        for index in range(len(self.row)):
-            key = b"".join(np.asarray(getattr(self, name)[index]).tobytes() for name in self.__dataclass_fields__)
-            first.setdefault(key, index)
-        return self.some(np.array(list(first.values()), dtype=np.intp))
 
 
 @dataclass(frozen=True)
@@ -224,33 +66,63 @@ class WorstCase:
     corner: Corners
     """one"""
     value: float
-    """signed, relative; inf where a reading clips or an output saturates"""
-    by_cell: FloatArray
-    """(N, M): the largest magnitude that was solved for each cell; NaN where none was"""
+    """of the target; inf where a reading stands beyond the reference, clips, or its output saturates"""
+    by_sign: FloatArray
+    """(2, N, M): the largest value that was solved for each cell, positive and negative errors; -inf where none was"""
     solved: int
     """corners that were solved"""
     all_cells: bool
-    neighbours_solved: bool
-    """the corners that differ in one part or cell were solved, too"""
-    stationary: bool
-    """no neighbour is worse, or no sign changes when the derivatives are taken at the corner itself"""
+    settled: bool
+    """no corner that differs in one part or cell is worse"""
+    flips_solved: bool
+    """whether that was solved, not only estimated to first order"""
+    others: Corners
+    """the worst corners that were found, the worst first: their presses serve the Monte Carlo analysis"""
     checked: float
-    """relative difference between the value and that of plain scans of the same corner"""
+    """relative difference between the search's value and that of plain scans of the corner"""
 
     @property
     def cell(self) -> tuple[int, int]:
         return int(self.corner.row[0]), int(self.corner.column[0])
 
     @property
+    def factors(self) -> FloatArray:
+        """(F,) of the corner."""
+        found: FloatArray = self.box.split(self.corner.x)[0][0]
+        return found
+
+    @property
+    def by_cell(self) -> FloatArray:
+        """(N, M) the largest value that was solved for each cell; NaN where none was."""
+        largest = self.by_sign.max(axis=0)
+        return np.where(largest > -inf, largest, np.nan)
+
+    @property
     def frames(self) -> list[FloatArray]:
         """(N, M) ohm of the cells in each frame."""
-        return [frame[0] for frame in _frames(self.target, self.box, self.corner)]
+        return [frame[0] for frame in frames_of(self.target, self.box, self.corner)]
 
     @property
     def pattern(self) -> BoolArray:
         """(N, M) which cells are pressed in the last frame"""
-        pressed = self.target.pressed(self.corner.pattern, self.corner.row, self.corner.column)[-1]
-        return np.asarray(pressed[0] > 0)
+        return _pattern(self.target, self.box, self.corner)
+
+    @property
+    def presses(self) -> list[Press]:
+        """Presses for the Monte Carlo analysis, each with the cell that it was found for: rest, all, the worst."""
+        shape = self.box.design.array.shape
+        found = [(np.zeros(shape, dtype=np.bool_), self.cell), (np.ones(shape, dtype=np.bool_), self.cell)]
+        seen = {pattern.tobytes() for pattern, _ in found}
+        most = len(found) + min(MOST_PRESSES, max(2, CELLS_OF_PRESSES // self.box.cells))
+        for number in range(len(self.others)):
+            corner = self.others.some(slice(number, number + 1))
+            cell = int(corner.row[0]), int(corner.column[0])
+            pattern = _pattern(self.target, self.box, corner)
+            key = pattern.tobytes() if self.target.judged(pattern, cell).sum() > 1 else pattern.tobytes() + bytes(cell)
+            if key not in seen and len(found) < most:
+                seen.add(key)
+                found.append((pattern, cell))
+        return found
 
     @property
     def pressed_cells(self) -> str:
@@ -267,247 +139,275 @@ class WorstCase:
     @property
     def search(self) -> str:
         """What was searched, for the report."""
-        cells = self.by_cell.size
-        few = most_solved(self.by_cell.shape)
-        extent = "every cell" if self.all_cells else f"the {few} of {cells} cells that first order ranks highest"
-        state = "a neighbouring corner may still be worse"
-        if self.stationary:
-            state = "no neighbouring corner is worse" + (
-                "" if self.neighbours_solved else " to first order, none solved"
-            )
+        extent = "every cell" if self.all_cells else f"{self.cells_solved} of {self.box.cells} cells"
         if np.isinf(self.value):
             return f"{self.solved} corners solved, for {extent}; the first one beyond a limit ends the search"
-        agreement = f"plain scans of the corner agree to {max(self.checked, ROUNDING):.0e}"
-        return f"{self.solved} corners solved, for {extent}; {state}; {agreement}"
+        state = "a corner that differs in one part or cell may still be worse"
+        if self.settled:
+            state = "no part or cell alone makes it worse" + ("" if self.flips_solved else ", to first order")
+        return f"{self.solved} corners solved, for {extent}; {state}; plain scans of the corner give this value"
+
+    @property
+    def incomplete(self) -> str:
+        """What page one says beside the number; empty for a limit that is certainly missed."""
+        if np.isinf(self.value):
+            return ""
+        return f"by search, {'all' if self.all_cells else self.cells_solved} of {self.box.cells} cells"
+
+    @property
+    def cells_solved(self) -> int:
+        """Cells that at least one corner was solved for."""
+        return int((~np.isnan(self.by_cell)).sum())
 
     @cached_property
-    def contributions(self) -> dict[str, float]:
-        """Signed change of the value by each kind of part alone at its corner, the cells as they are."""
-        keys = list(dict.fromkeys(factor.key for factor in self.box.factors.factors))
-        masks = np.array([[factor.key == key for factor in self.box.factors.factors] for key in keys], dtype=float)
-        count = len(keys) + 1
-        rows = np.zeros((count, len(self.box.factors)))
-        rows[1:] = masks.reshape(len(keys), len(self.box.factors)) * self.corner.factors
-        repeated = Corners(
-            **{name: np.repeat(getattr(self.corner, name), count, axis=0) for name in Corners.__dataclass_fields__}
-        )
-        values = evaluate(self.target, self.box, replace(repeated, factors=rows))
-        return {"nominal parts": float(values[0])} | {
-            key: float(value - values[0]) for key, value in zip(keys, values[1:], strict=True)
-        }
+    def by_part(self) -> dict[str, float]:
+        """The worst value with each kind of part over its tolerance alone, the others nominal; presses are free."""
+        return _by_part(self)[0]
 
 
-def worst_case(target: Target, box: Box) -> WorstCase:
-    """Search the box for the largest magnitude of a target over all cells.
+def worst_case(target: Target, box: Box, starts: Sequence[Corners] = (), seed: int = 0) -> WorstCase:
+    """Search the box for the largest value of a target over all cells.
+
+    Args:
+        target: what is to be large.
+        box: what is searched.
+        starts: further corners to start from.
+        seed: of the random corners.
 
     Raises:
         InputError: a continuous sheet or an array of more than 64 x 64 cells, which has no sensitivities.
     """
-    starts = [
-        corner
-        for pressed in (0.0, 1.0)
-        for sign in (1.0, -1.0)
-        for corner in [named_corners(target, box, pressed, sign)]
-    ]
-    known = Corners(
-        **{name: np.concatenate([getattr(s, name) for s in starts]) for name in Corners.__dataclass_fields__}
-    )
-    known = known.distinct()
-    values = evaluate(target, box, known)
-    memory = _Linearisations(box)
-    by_cell = np.full(box.design.array.shape, np.nan)
-    for row, column, value in zip(known.row, known.column, np.abs(values), strict=True):
-        by_cell[row, column] = np.fmax(by_cell[row, column], value)
-    solved, best, best_value = len(values), known.some(np.array([0])), -np.inf
-    stationary = neighbours_solved = False
-    for sign in (1.0, -1.0):
-        order = np.argsort(-np.where(known.sign == sign, sign * values, -np.inf), kind="stable")
-        for index in order[: _REFINED_OF_FEW if by_cell.size <= _FEW_CELLS else _REFINED]:
-            found = _Climbed(known.some(np.array([index])), float(sign * values[index]))
-            found = _by_derivatives(target, memory, sign, found)
-            found, by_solution = _by_neighbours(target, box, sign, found)
-            solved += found.solved
-            if found.value > best_value or np.isnan(found.value):
-                best, best_value, stationary, neighbours_solved = found.corner, found.value, found.settled, by_solution
-    signed = best_value * float(best.sign[0])
-    row, column = int(best.row[0]), int(best.column[0])
-    by_cell[row, column] = np.fmax(by_cell[row, column], abs(best_value))
-    return WorstCase(
-        target=target,
-        box=box,
-        corner=best,
-        value=signed,
-        by_cell=by_cell,
-        solved=solved,
-        all_cells=bool(np.isfinite(by_cell).all() or by_cell.size <= most_solved(by_cell.shape)),
-        neighbours_solved=neighbours_solved,
-        stationary=stationary,
-        checked=_checked(target, box, best, signed),
-    )
+    named = Corners.joined([*_named(target, box), *starts])
+    search = _Search(target, box)
+    search.solve(named)
+    random = np.random.default_rng(seed)
+    worst = search.worst(2 * _RANDOM_CELLS)
+    search.solve(worst.at(random.choice([-1.0, 1.0], (len(worst), _RANDOM_CORNERS, box.size))))
+    return search.finished()
+
+
+def improved(found: WorstCase, starts: Corners) -> WorstCase:
+    """The worst case, where corners (or boards within the box) that came from elsewhere are looked at as well."""
+    search = _Search(found.target, found.box)
+    search.solve(Corners.joined([found.corner, found.others, starts, starts.at(np.sign(starts.x))]))
+    further = search.finished()
+    by_sign = np.fmax(found.by_sign, further.by_sign)
+    best = further if further.value > found.value else found
+    return replace(best, by_sign=by_sign, solved=found.solved + further.solved, all_cells=found.all_cells)
+
+
+class _Search:
+    """Corners that were solved so far, with their values."""
+
+    def __init__(self, target: Target, box: Box, free: BoolArray | None = None) -> None:
+        self.target, self.box = target, box
+        self.free = np.ones(box.size, dtype=np.bool_) if free is None else free
+        if not box.cell_spread:
+            self.free[-box.cells :] = False
+        self.by_sign = np.full((2, *box.design.array.shape), -inf)
+        self.solved = 0
+        self.parts: list[tuple[Corners, FloatArray]] = []
+        flips = int(self.free.sum()) * box.cells * target.frames
+        self.exact = flips <= MOST_FLIPS
+        work = MOST_WORK // ALONE if box.saturates or not read_together(box.design) else MOST_WORK
+        self.climbs = max(2 * _FEWEST, work // (3 * max(flips, 1))) if self.exact else 2 * _FEWEST
+
+    def solve(self, corners: Corners) -> FloatArray:
+        """Solve corners and keep them; returns their values."""
+        values = self.evaluate(corners)
+        self.parts.append((corners, values))
+        return values
+
+    def evaluate(self, corners: Corners) -> FloatArray:
+        """As :meth:`solve`, but only the value of each cell is kept."""
+        values = evaluate(self.target, self.box, corners)
+        self.solved += len(values)
+        np.maximum.at(self.by_sign, ((corners.sign < 0).astype(np.intp), corners.row, corners.column), values)
+        return values
+
+    def worst(self, count: int) -> Corners:
+        """The worst corner of each cell and sign, of so many of them."""
+        corners = Corners.joined([part for part, _ in self.parts])
+        values = np.concatenate([value for _, value in self.parts])
+        order = np.argsort(-values, kind="stable")
+        order = order[values[order] > -inf]
+        keys = np.stack([corners.row, corners.column, corners.sign.astype(np.intp)], axis=1)[order]
+        _, first = np.unique(keys, axis=0, return_index=True)
+        return corners.some(order[np.sort(first)][:count])
+
+    def finished(self) -> WorstCase:
+        """Improve the worst corners; the verdict."""
+        known = Corners.joined([part for part, _ in self.parts])
+        values = np.concatenate([value for _, value in self.parts])
+        if not np.isinf(values.max()):
+            starts = self.worst(self.climbs)
+            extra = known.some(np.argsort(-values, kind="stable")[: self.climbs // 4])
+            climbed = self._climbed(Corners.joined([starts, extra]))
+            known, values = Corners.joined([known, climbed.corners]), np.concatenate([values, climbed.values])
+        order = np.argsort(-values, kind="stable")
+        best = known.some(order[:1])
+        value, settled = float(values[order[0]]), False
+        if np.isfinite(value):
+            final = self._polished(best, value)
+            best, value, settled = final.corners, float(final.values[0]), bool(final.settled[0])
+        stated = scanned(self.target, self.box, best)
+        same = stated == value
+        return WorstCase(
+            target=self.target,
+            box=self.box,
+            corner=best,
+            value=stated,
+            by_sign=np.minimum(self.by_sign, stated),
+            solved=self.solved,
+            all_cells=bool((self.by_sign.max(axis=0) > -inf).all()),
+            settled=settled,
+            flips_solved=self.exact,
+            others=known.some(order[: 8 * MOST_PRESSES]),
+            checked=0.0 if same else abs(stated - value) / max(abs(value), 1e-9),
+        )
+
+    def _polished(self, corner: Corners, value: float) -> _Climbed:
+        """The last improvement, and parts without influence at their nominal values."""
+        found = self._climb(corner, np.array([value]), exact=self.exact)
+        if not self.exact or np.isinf(found.values[0]):
+            return found
+        flipped = self.evaluate(self._flipped(found.corners))
+        small = _WITHOUT_INFLUENCE * max(abs(float(found.values[0])), 1e-12)
+        x = found.corners.x.copy()
+        parts = len(self.box.factors)
+        without = (np.abs(flipped - found.values[0]) <= small)[:parts]
+        x[0, :parts] = np.where(without, 0.0, x[0, :parts])
+        plainer = found.corners.at(x)
+        again = self.evaluate(plainer)
+        return found._replace(corners=plainer, values=again) if again[0] >= found.values[0] - small else found
+
+    def _climbed(self, corners: Corners) -> _Climbed:
+        """All corners improved: by derivatives first on larger arrays."""
+        values = self.evaluate(corners)
+        if self.box.cells <= FIRST_ORDER_BEYOND and self.exact:
+            return self._climb(corners, values, exact=True)
+        found = self._climb(corners, values, exact=False)
+        if not self.exact:
+            return found
+        best = np.argsort(-found.values, kind="stable")[:_FEWEST]
+        return self._climb(found.corners.some(best), found.values[best], exact=True)
+
+    def _climb(self, corners: Corners, values: FloatArray, *, exact: bool) -> _Climbed:
+        """Flip the coordinates that raise the value, for all corners side by side, until none does."""
+        corners, values = replace(corners, x=corners.x.copy()), values.copy()
+        settled = np.isinf(values)
+        for _ in range(_ROUNDS):
+            active = np.flatnonzero(~settled)
+            if not len(active):
+                break
+            for some in np.array_split(active, -(-len(active) * self.box.size**2 // (1 << 22))):
+                here = corners.some(some)
+                gains = self._gains(here, values[some], exact=exact)
+                trial, best = self._flipped_together(here, values[some], gains)
+                better = best > values[some] * (1 + np.sign(values[some]) * _LEAST_GAIN)
+                corners.x[some[better]], values[some[better]] = trial[better], best[better]
+                settled[some] = ~better | np.isinf(best)
+        return _Climbed(corners, values, settled)
+
+    def _flipped(self, corners: Corners) -> Corners:
+        """(C D) corners that differ from one of C in one coordinate each."""
+        x = np.repeat(corners.x[:, None], self.box.size, axis=1)
+        each = np.arange(self.box.size)
+        x[:, each, each] = np.where(x[:, each, each] > 0, -1.0, 1.0)
+        return corners.at(x)
+
+    def _gains(self, corners: Corners, values: FloatArray, *, exact: bool) -> FloatArray:
+        """(C, D) by which flipping each coordinate raises the value; -inf where it may not be flipped."""
+        gains = np.full(corners.x.shape, -inf)
+        free = np.flatnonzero(self.free)
+        if exact:
+            flips = self._flipped(corners)
+            wanted = np.broadcast_to(self.free, corners.x.shape).ravel()
+            gains[:, free] = self.evaluate(flips.some(wanted)).reshape(len(corners), -1) - values[:, None]
+            return gains
+        for number in range(len(corners)):
+            corner = corners.some(slice(number, number + 1))
+            slopes = _slopes_at(self.target, self.box, corner)[0]
+            step = np.where(corner.x[0] > 0, -1.0, 1.0) - corner.x[0]
+            gains[number, free] = (slopes * step)[free]
+        return gains
+
+    def _flipped_together(
+        self, corners: Corners, values: FloatArray, gains: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """The best of each corner with its 1, 2, 4, ... most promising flips; coordinates (C, D) and values (C,)."""
+        helpful = (gains > _LEAST_GAIN * np.abs(values)[:, None]).sum(axis=1)
+        order = np.argsort(-gains, axis=1, kind="stable")
+        most = int(helpful.max(initial=0))
+        counts = [0, *(1 << k for k in range(most.bit_length())), most]
+        rank = np.empty_like(order)
+        np.put_along_axis(rank, order, np.arange(order.shape[1])[None].repeat(len(order), axis=0), axis=1)
+        flips = rank[:, None] < np.minimum(np.array(counts)[None, :], helpful[:, None])[..., None]
+        x = np.where(flips, np.where(corners.x > 0, -1.0, 1.0)[:, None], corners.x[:, None])
+        found = self.evaluate(corners.at(x)).reshape(len(corners), -1)
+        best = found.argmax(axis=1)
+        each = np.arange(len(corners))
+        return x[each, best], found[each, best]
 
 
 class _Climbed(NamedTuple):
-    """How far one start of the search has come."""
+    """How far the starts of a search have come."""
 
-    corner: Corners
-    """a single one"""
-    value: float
-    """the target there, times the sign that is sought"""
-    solved: int = 0
-    """corners that were solved on the way"""
-    settled: bool = False
-    """whether nothing that was tried last is worse"""
+    corners: Corners
+    values: FloatArray
+    settled: BoolArray
+    """(C,) whether nothing that was tried last is worse"""
 
 
-def _by_derivatives(target: Target, memory: _Linearisations, sign: float, found: _Climbed) -> _Climbed:
-    """Go to the corner that the derivatives name, as long as its solution is worse."""
-    corner, value, solved, settled = found
-    for _ in range(_ROUNDS):
-        if not np.isfinite(value):
-            break
-        moved = _improved(target, memory, corner)
-        settled = all(
-            np.array_equal(getattr(moved, name), getattr(corner, name)) for name in ("factors", "pattern", "scale")
-        )
-        if settled:
-            break
-        further = float(sign * evaluate(target, memory.box, moved)[0])
-        solved += 1
-        if not further > value:
-            break
-        corner, value = moved, further
-    return _Climbed(corner, value, solved, settled)
-
-
-def _by_neighbours(target: Target, box: Box, sign: float, found: _Climbed) -> tuple[_Climbed, bool]:
-    """Go to the worst of the corners one part away, all solved, until none is worse; and whether any were solved."""
-    corner, value, solved, settled = found
-    any_solved = False
-    for _ in range(_ROUNDS):
-        neighbours = _neighbours(target, box, corner)
-        if neighbours is None or not np.isfinite(value):
-            break
-        any_solved = True
-        values = sign * evaluate(target, box, neighbours)
-        solved += len(values)
-        index = int(np.argmax(values))
-        settled = not values[index] > value * (1.0 + 1e-12)
-        if settled:
-            break
-        corner, value = neighbours.some(np.array([index])), float(values[index])
-    return _Climbed(corner, value, solved, settled), any_solved
-
-
-def evaluate(target: Target, box: Box, corners: Corners) -> FloatArray:
-    """The target (C,) at each corner, the readings at the worst places within their ADC steps.
-
-    Infinite where a reading that counts is beyond the converter's range or its output at a limit.
-    """
-    population = box.factors.population(corners.factors)
-    each = np.arange(len(corners.row))
-    readings, true, beyond = [], [], np.zeros(len(each), dtype=np.bool_)
-    for cells in _frames(target, box, corners):
-        found = scan_population(box.design, population.boards, cells, resolve_saturation=False)
-        volts = box.converted(found.volts, population.converter[:, None, None])
-        beyond |= (found.saturated | box.clipped(volts))[each, corners.row, corners.column]
-        readings.append(volts)
-        true.append(cells[each, corners.row, corners.column])
-    return _value(target, box, corners, readings, true, beyond)
-
-
-def _value(
-    target: Target, box: Box, corners: Corners, readings: list[FloatArray], true: list[FloatArray], beyond: BoolArray
-) -> FloatArray:
-    each = np.arange(len(corners.row))
-
-    def ohms(shifts: list[FloatArray]) -> list[FloatArray]:
-        return [
-            apparent_resistance(box.design, volts + shift[:, None, None])[each, corners.row, corners.column]
-            for volts, shift in zip(readings, shifts, strict=True)
-        ]
-
-    still = [np.zeros(len(each)) for _ in readings]
-    at_middle = ohms(still)
-    if box.half_step:
-        tiny = [np.full(len(each), 1e-3 * box.half_step) for _ in readings]
-        with np.errstate(invalid="ignore"):
-            slope = [above - middle for above, middle in zip(ohms(tiny), at_middle, strict=True)]
-            weights = target.weights(at_middle, true)
-            shifts = [
-                np.where(corners.sign * weight * rise < 0, -1.0, 1.0) * box.half_step
-                for weight, rise in zip(weights, slope, strict=True)
-            ]
-        at_middle = ohms(shifts)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        value = target.value(at_middle, true)
-    # A reading that says nothing is as wrong as can be, in the direction that is looked for.
-    return np.where(beyond | ~np.isfinite(value), corners.sign * np.inf, value)
-
-
-def _frames(target: Target, box: Box, corners: Corners) -> list[FloatArray]:
-    return [
-        box.resistance(pressed, corners.scale)
-        for pressed in target.pressed(corners.pattern, corners.row, corners.column)
-    ]
+def _pattern(target: Target, box: Box, corner: Corners) -> BoolArray:
+    """(N, M) which cells are pressed in the last frame of one corner."""
+    press = (1.0 + box.split(corner.x)[1]) / 2.0
+    return np.asarray(target.pressed(press, corner.row, corner.column)[-1][0] > 0.5)
 
 
 @dataclass(frozen=True)
 class _Linear:
-    """Apparent resistances of one frame and their derivatives."""
+    """Readings of one frame and their derivatives."""
 
-    ohms: FloatArray
-    """(N, M)"""
+    output: FloatArray
+    """(N, M) V"""
+    volts: FloatArray
+    """(N, M) V behind the converter's errors"""
     by_factor: FloatArray
-    """(N, M, F) ohm"""
+    """(N, M, F) V"""
     by_cell: FloatArray
-    """(N, M, N, M) ohm/ohm"""
+    """(N, M, N, M) V/ohm"""
 
 
-def part_derivatives(found: Sensitivity, open_loop_gain: FloatArray) -> dict[str, FloatArray]:
-    """Derivatives of the readings by the keys of the design's parts, one per line: (N, M, lines) by key."""
-    return {
+def _linearised(box: Box, factors: FloatArray, cells: FloatArray) -> _Linear:
+    population = box.factors.population(factors[None])
+    found = sensitivity(population.boards.design(box.design, 0), cells)
+    by_part = {
         "row_lead": found.row_lead,
         "row_segment": found.row_segment.sum(axis=-1),
         "column_lead": found.column_lead,
         "column_segment": found.column_segment.sum(axis=-2),
         "reference_resistance": found.reference_resistance,
-        "open_loop_gain": -found.inverse_gain / open_loop_gain**2,
+        "open_loop_gain": -found.inverse_gain / population.boards.open_loop_gain**2,
         "offset_voltage": found.offset_voltage,
         "bias_current": found.bias_current,
     }
-
-
-def _linearised(box: Box, factors: FloatArray, cells: FloatArray) -> _Linear:
-    population = box.factors.population(factors[None])
-    design = population.boards.design(box.design, 0)
-    found = sensitivity(design, cells)
     by_factor = np.zeros((*cells.shape, len(box.factors)))
-    for name, derivative in part_derivatives(found, population.boards.open_loop_gain).items():
-        matrix = box.factors.matrix[f"{SECTION[name]}.{name}"]
-        if matrix.any():
-            by_factor += derivative @ matrix
-    for name in ("voltage", "reference_voltage"):
-        matrix = box.factors.matrix[f"{SECTION[name]}.{name}"]
-        if matrix.any():
+    for name, section in SECTION.items():
+        matrix = box.factors.slopes(f"{section}.{name}")
+        if not matrix.any():
+            continue
+        if name in by_part:
+            by_factor += by_part[name] @ matrix
+        else:
             by_factor += _by_difference(box.design, population.boards, name, cells)[..., None] * matrix[0]
-    volts, by_cell = found.volts, found.cells
-    adc = box.design.adc
-    if adc is not None:
-        for number, name in enumerate(("offset_voltage", "gain_error", "inl_steps")):
-            unit = np.zeros((1, 3))
-            unit[0, number] = 1e-6
-            moved = box.converted(volts, population.converter[0] + unit[0])
-            still = box.converted(volts, population.converter[0])
-            by_factor += ((moved - still) / 1e-6)[..., None] * box.factors.matrix[f"adc.{name}"][0]
-    volts = box.converted(volts, population.converter[0])
-    small = 1e-6 * max(float(np.abs(volts - box.design.readout.reference_voltage).max()), 1e-12)
-    ohms = apparent_resistance(box.design, volts)
-    with np.errstate(invalid="ignore"):
-        slope = (apparent_resistance(box.design, volts + small) - apparent_resistance(box.design, volts - small)) / (
-            2 * small
-        )
-    slope = np.where(np.isfinite(slope), slope, 0.0)
-    return _Linear(ohms, slope[..., None] * by_factor, slope[..., None, None] * by_cell)
+    converter = population.converter[0]
+    volts = box.converted(found.volts, converter)
+    if box.design.adc is not None:
+        for name, unit in zip(CONVERTER, 1e-6 * np.eye(len(CONVERTER)), strict=True):
+            moved = box.converted(found.volts, converter + unit)
+            by_factor += ((moved - volts) / 1e-6)[..., None] * box.factors.slopes(f"adc.{name}")[0]
+    return _Linear(found.volts, volts, by_factor, found.cells)
 
 
 def _by_difference(design: Design, boards: Boards, name: str, cells: FloatArray) -> FloatArray:
@@ -522,139 +422,132 @@ def _by_difference(design: Design, boards: Boards, name: str, cells: FloatArray)
     return result
 
 
-def _gradients(
-    target: Target, box: Box, linear: list[_Linear], cells: list[FloatArray], judged: tuple[IntArray, IntArray]
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Value (C,) and its derivatives by factors (C, F), by the pattern and by the scale of the cells (C, N, M)."""
-    row, column = judged
-    each = np.arange(len(row))
-    ohms = [frame.ohms[row, column] for frame in linear]
-    true = [frame[row, column] for frame in cells]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        value = target.value(ohms, true)
-        weights = [np.nan_to_num(weight, posinf=0.0, neginf=0.0) for weight in target.weights(ohms, true)]
-    by_factor = np.zeros((len(row), len(box.factors)))
-    by_pattern, by_scale = np.zeros((2, len(row), *box.design.array.shape))
-    for number, (frame, weight, state) in enumerate(zip(linear, weights, cells, strict=True)):
-        by_factor += weight[:, None] * frame.by_factor[row, column]
-        by_cell = weight[:, None, None] * frame.by_cell[row, column]
-        if target.toggles(number):
-            by_pattern += by_cell * (box.pressed_ohm - box.rest_ohm)
-        by_scale += by_cell * state * box.cell_spread
-    by_scale[each, row, column] += np.nan_to_num(target.own(value)) * box.cell_spread
-    return value, by_factor, by_pattern, by_scale
+def _slopes(
+    target: Target, box: Box, linear: Sequence[_Linear], corners: Corners, cells: Sequence[FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Smooth values (C,) in the direction of the corners' signs, and their derivatives (C, D) by the coordinates.
+
+    Args:
+        target: what is judged.
+        box: the box.
+        linear: the readings of each frame, shared by all corners.
+        corners: their judged cells, signs and coordinates.
+        cells: (N, M) ohm of the cells in each frame, shared by all corners.
+    """
+    row, column = corners.row, corners.column
+    each, law = np.arange(len(row)), box.law(row, column)
+    nothing = np.zeros(len(row), dtype=np.bool_)
+    frames = [
+        Frame(one.output[row, column], one.volts[row, column], ohms[row, column], nothing)
+        for one, ohms in zip(linear, cells, strict=True)
+    ]
+
+    def signed(number: int, volts: FloatArray | float = 0.0, true: float = 1.0) -> FloatArray:
+        """The value with one frame's readings moved by ``volts``, or its judged cells' resistances by a factor."""
+        here = frames[number]
+        moved = Frame(here.output + volts, here.volts + volts, here.true * true, nothing)
+        changed = [moved if k == number else frame for k, frame in enumerate(frames)]
+        return corners.sign * target.smooth(box, law, changed)
+
+    factors, press, scale = (np.zeros(part.shape) for part in box.split(corners.x))
+    width = (box.pressed_ohm - box.rest_ohm) / 2.0
+    deviating = 1.0 + box.cell_spread * box.split(corners.x)[2]
+    ones = np.ones_like(press)
+    moves = zip(target.pressed(ones, row, column), target.pressed(0.0 * ones, row, column), strict=True)
+    with np.errstate(all="ignore"):
+        for number, (one, ohms, (high, low)) in enumerate(zip(linear, cells, moves, strict=True)):
+            frame = frames[number]
+            small = 1e-6 * np.maximum(np.abs(frame.volts - box.design.readout.reference_voltage), 1e-9)
+            ends = [signed(number, step) for step in (small, -small)]
+            weight = np.nan_to_num((ends[0] - ends[1]) / (2 * small), posinf=0.0, neginf=0.0)
+            factors += weight[:, None] * one.by_factor[row, column]
+            by_cell = weight[:, None, None] * one.by_cell[row, column]
+            press += by_cell * (high - low) * width * deviating
+            scale += by_cell * ohms / deviating * box.cell_spread
+            nudged = signed(number, true=1 + 1e-6) - signed(number, true=1 - 1e-6)
+            scale[each, row, column] += np.nan_to_num(nudged / 2e-6) * box.cell_spread
+        flat = [part.reshape(len(row), -1) for part in (factors, press, scale)]
+        return signed(0), np.concatenate(flat, axis=1)
 
 
-def _corners(
-    sign: float, row: IntArray, column: IntArray, gradients: tuple[FloatArray, FloatArray, FloatArray]
-) -> Corners:
-    """The corner that each gradient points to."""
-    by_factor, by_pattern, by_scale = (np.asarray(sign * gradient) for gradient in gradients)
-    return Corners(
-        row=row,
-        column=column,
-        sign=np.full(len(row), sign),
-        factors=np.sign(by_factor),
-        pattern=(by_pattern > 0).astype(np.float64),
-        scale=np.sign(by_scale),
-    )
+def _slopes_at(target: Target, box: Box, corner: Corners) -> FloatArray:
+    """Derivatives (1, D) at one corner."""
+    cells = [frame[0] for frame in frames_of(target, box, corner)]
+    linear = [_linearised(box, box.split(corner.x)[0][0], frame) for frame in cells]
+    return _slopes(target, box, linear, corner, cells)[1]
 
 
-def named_corners(target: Target, box: Box, pressed: float, sign: float) -> Corners:
-    """The corners of the cells that rank highest, by derivatives at a state that all cells share."""
-    shape = box.design.array.shape
-    row, column = (index.ravel() for index in np.indices(shape))
-    still = np.zeros(len(box.factors))
-    first, last = np.zeros(shape), np.full(shape, pressed)
-    states = [first, last] if target.frames == 2 else [last]
-    if target.frames == 2 and not target.toggles(0) and not pressed:
-        states = [first, first]
-    if isinstance(target, GainError):
-        states = [first, np.ones(shape)]
-    cells = [box.resistance(state, np.zeros(shape)) for state in states]
-    linear = [_linearised(box, still, frame) for frame in cells]
-    value, *gradients = _gradients(target, box, linear, cells, (row, column))
-    found = _corners(sign, row, column, (gradients[0], gradients[1], gradients[2]))
-    if isinstance(target, ReadingError):  # its own state is the one that was looked at
-        found.pattern[np.arange(len(row)), row, column] = pressed
-    if isinstance(target, GainError):
-        found = replace(found, pattern=np.where(pressed, found.pattern, 1.0 - found.pattern))
-    rise = sum(np.abs(gradient).reshape(len(row), -1).sum(axis=1) for gradient in gradients)
-    estimate = np.nan_to_num(sign * value + rise, nan=np.inf, posinf=np.inf)
-    return found.some(np.argsort(-estimate, kind="stable")[: most_solved(shape)])
+class _Uniform:
+    """Derivatives where all cells are in one state, which serve the corners of all judged cells."""
+
+    def __init__(self, target: Target, box: Box, state: float, known: dict[float, _Linear]) -> None:
+        self.target, self.box = target, box
+        shape = box.design.array.shape
+        self.row, self.column = (index.ravel() for index in np.indices(shape))
+        states = target.uniform(state)
+        self.cells = [box.resistance(np.full(shape, frame), np.zeros(shape)) for frame in states]
+        for frame, ohms in zip(states, self.cells, strict=True):
+            if frame not in known:
+                known[frame] = _linearised(box, np.zeros(len(box.factors)), ohms)
+        self.linear = [known[frame] for frame in states]
+
+    def slopes(self, some: IntArray, sign: float) -> tuple[Corners, FloatArray, FloatArray]:
+        """Centres of the box for some cells, the values there, and their derivatives."""
+        x = np.zeros((len(some), self.box.size))
+        centre = Corners(self.row[some], self.column[some], np.full(len(some), sign), x)
+        return centre, *_slopes(self.target, self.box, self.linear, centre, self.cells)
+
+    def estimates(self, sign: float) -> FloatArray:
+        """(cells,) largest values to first order."""
+        found = []
+        for some in np.array_split(np.arange(self.box.cells), -(-(self.box.cells**2) // (1 << 20))):
+            _, value, slopes = self.slopes(some, sign)
+            found.append(np.nan_to_num(value + np.abs(slopes).sum(axis=1), nan=inf, posinf=inf))
+        return np.concatenate(found)
 
 
-class _Linearisations:
-    """Derivatives at corners of one box. Searches from several cells often come to the same corner."""
+def first_order(target: Target, box: Box) -> FloatArray:
+    """(2, N, M): the largest value of each cell's target to first order about all cells at rest, by sign.
 
-    def __init__(self, box: Box) -> None:
-        self.box = box
-        self._known: dict[tuple[bytes, bytes], _Linear] = {}
-        values = box.design.array.rows * box.design.array.columns
-        self._most = _MOST_REMEMBERED // (values * (values + len(box.factors)))
-
-    def at(self, factors: FloatArray, cells: FloatArray) -> _Linear:
-        """Derivatives for one board (F,) and its cells (N, M) in ohm."""
-        key = factors.tobytes(), cells.tobytes()
-        if key not in self._known:
-            if len(self._known) >= self._most:
-                self._known.clear()
-            self._known[key] = _linearised(self.box, factors, cells)
-        return self._known[key]
+    Raises:
+        InputError: as :func:`worst_case`.
+    """
+    at_rest = _Uniform(target, box, 0.0, {})
+    return np.stack([at_rest.estimates(sign).reshape(box.design.array.shape) for sign in (1.0, -1.0)])
 
 
-def _improved(target: Target, memory: _Linearisations, corner: Corners) -> Corners:
-    """The corner that the derivatives at ``corner`` (one) name."""
-    box = memory.box
-    cells = [frame[0] for frame in _frames(target, box, corner)]
-    linear = [memory.at(corner.factors[0], frame) for frame in cells]
-    _, *gradients = _gradients(target, box, linear, cells, (corner.row, corner.column))
-    found = _corners(float(corner.sign[0]), corner.row, corner.column, (gradients[0], gradients[1], gradients[2]))
-    row, column = int(corner.row[0]), int(corner.column[0])
-    found.pattern[0, row, column] = corner.pattern[0, row, column]
-    # A part without influence stays where it is.
-    return replace(
-        found,
-        factors=np.where(found.factors == 0, corner.factors, found.factors),
-        scale=np.where(found.scale == 0, corner.scale, found.scale),
-    )
+def _named(target: Target, box: Box) -> list[Corners]:
+    """The corners that derivatives name, at all cells at rest and at all pressed, of the cells that rank highest."""
+    known: dict[float, _Linear] = {}
+    found = []
+    for state in (0.0, 1.0):
+        uniform = _Uniform(target, box, state, known)
+        for sign in (1.0, -1.0):
+            order = np.argsort(-uniform.estimates(sign), kind="stable")[: most_solved(box.design.array.shape)]
+            centre, _, slopes = uniform.slopes(order, sign)
+            x = np.sign(slopes)
+            press = box.split(x)[1]
+            press[press == 0] = -1.0
+            press[np.arange(len(order)), centre.row, centre.column] = 2.0 * state - 1.0
+            found.append(centre.at(x))
+    return found
 
 
-def _neighbours(target: Target, box: Box, corner: Corners) -> Corners | None:
-    """The corners that differ in one part, in the press or the spread of one cell; None where there are too many."""
-    rows, columns = box.design.array.shape
-    row, column = int(corner.row[0]), int(corner.column[0])
-    cells = rows * columns
-    count = len(box.factors) + cells + (cells if box.cell_spread else 0)
-    if count * cells * target.frames > _MOST_FLIPS:
-        return None
-    factors, pattern, scale = (
-        np.repeat(getattr(corner, name), count, axis=0) for name in ("factors", "pattern", "scale")
-    )
-    parts = np.arange(len(box.factors))
-    factors[parts, parts] = np.where(factors[parts, parts] > 0, -1.0, 1.0)
-    each, places = np.arange(cells), np.indices((rows, columns)).reshape(2, -1)
-    first = len(parts)
-    pattern[first + each, places[0], places[1]] = 1.0 - pattern[first + each, places[0], places[1]]
-    if box.cell_spread:
-        first += cells
-        flipped = np.where(scale[first + each, places[0], places[1]] > 0, -1.0, 1.0)
-        scale[first + each, places[0], places[1]] = flipped
-    return Corners(np.full(count, row), np.full(count, column), np.full(count, corner.sign[0]), factors, pattern, scale)
-
-
-def _checked(target: Target, box: Box, corner: Corners, value: float) -> float:
-    """Relative difference of ``value`` from that of plain scans, one board at a time."""
-    population: Population = box.factors.population(corner.factors)
-    design = population.boards.design(box.design, 0)
-    readings, true, beyond = [], [], np.zeros(1, dtype=np.bool_)
-    for cells in _frames(target, box, corner):
-        found = scan(design, cells[0], method="exact")
-        volts = box.converted(found.volts, population.converter[0])
-        beyond |= (found.saturated | box.clipped(volts))[corner.row, corner.column]
-        readings.append(volts[None])
-        true.append(cells[0][corner.row, corner.column])
-    again = float(_value(target, box, corner, readings, true, beyond)[0])
-    if np.isinf(value) or np.isinf(again):
-        return 0.0 if value == again else np.inf
-    return abs(again - value) / max(abs(value), 1e-9)
+def _by_part(found: WorstCase) -> tuple[dict[str, float], Corners]:
+    """The worst value by kind of part alone, and the corners where it is."""
+    box, target = found.box, found.target
+    names = [factor.key for factor in box.factors.factors]
+    kinds = ["nominal parts", *dict.fromkeys(names), *(["cells.rest_resistance"] if box.cell_spread else [])]
+    starts = Corners.joined([found.corner, found.others.some(slice(0, _FEWEST))])
+    values, corners = {}, []
+    for kind in kinds:
+        free = np.ones(box.size, dtype=np.bool_)
+        free[: len(names)] = [name == kind for name in names]
+        free[-box.cells :] = kind == "cells.rest_resistance"
+        search = _Search(target, box, free)
+        search.climbs = 2
+        search.solve(starts.at(np.where(free, starts.x, 0.0)))
+        alone = search.finished()
+        values[kind] = alone.value
+        corners.append(alone.corner)
+    return values, Corners.joined(corners)

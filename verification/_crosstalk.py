@@ -146,7 +146,7 @@ def crosstalk(subject: Subject) -> Finding:
     frames = [np.full(design.array.shape, subject.rest)]
     frames += [np.where(pressed, subject.pressed, subject.rest) for pressed in compared.patterns.values()]
     scans = [scan(design, cells, method="exact") for cells in frames]
-    worst, error = (100 * abs(worst_of(subject, name).value) for name in ("crosstalk", "reading_error"))
+    worst, error = (100 * worst_of(subject, name).value for name in ("crosstalk", "reading_error"))
     ideal_parts = compared.untouched("amplifier, ideal parts")
     checks = [
         Check("crosstalk as designed, worst untouched cell", worst, limits.crosstalk_percent, "%"),

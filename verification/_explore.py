@@ -29,12 +29,11 @@ from ..common import plots
 from ..common.arrays import BoolArray, FloatArray
 from ..common.progress import Progress, silent
 from ..errors import InputError, SolverError
-from ._corner import worst_case
 from ._dynamic import largest_settling_error, pressure_resolution
 from ._link import lost_frames
 from ._outcome import DoesNotApply, Measurement, NotRun, Outcome
 from ._requirements import evaluate
-from ._static import TARGETS, adc_headroom, box_of, output_headroom
+from ._static import TARGETS, adc_headroom, output_headroom, worst_of
 from ._subject import Subject
 from ._units import LEAST_SHOWN, UNITS, conversion, engineering
 
@@ -459,7 +458,7 @@ def _known(quantity: Callable[[], Measurement], name: str, unknown: list[str]) -
 
 def _value(subject: Subject, quantity: str) -> float:
     """Worst case in %."""
-    return 100 * abs(worst_case(TARGETS[quantity], box_of(subject)).value)
+    return 100 * worst_of(subject, quantity).value
 
 
 class _Judged(NamedTuple):

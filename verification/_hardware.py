@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
@@ -29,6 +29,8 @@ FRAMES = 200
 PATIENCE_S = 30.0
 """for one frame: a slow machine is no failure"""
 MEASURABLE = ("reading_error", "noise", "adc_headroom", "lost_readings", "lost_frames", "fastest_scan")
+CLOCK_TICK_S = 1e-6
+"""of the device times in frames"""
 BOARD_SUFFIX = "-board"
 """of the id of a requirement that is measured beside its simulation"""
 
@@ -76,7 +78,9 @@ def measured_on_board(subject: Subject, requirement: Requirement) -> Measurement
     readings = _readings(subject)
     found = _MEASURE[quantity](subject, readings)
     source = f"{len(readings.volts)} frames of the board at {subject.target}"
-    return Measurement(found.value, found.unit, found.where, source, found.text)
+    if found.resolution:
+        source += f"; resolution {engineering(found.resolution, found.unit, 2)}"
+    return replace(found, confidence=source)
 
 
 def _reading_error(subject: Subject, readings: Readings) -> Measurement:
@@ -87,10 +91,14 @@ def _reading_error(subject: Subject, readings: Readings) -> Measurement:
     nominal = apparent_resistance(subject.design, scan(subject.design, jig).volts)
     place = np.unravel_index(int(np.argmax(error)), error.shape)
     simulated = 100 * float(np.abs(nominal / jig - 1.0)[place])
+    mean = readings.volts.mean(axis=0)
+    half_step = subject.design.adc.step / 2 if subject.design.adc is not None else 0.0
+    ends = [apparent_resistance(subject.design, mean + sign * half_step)[place] for sign in (-1.0, 1.0)]
     return Measurement(
         100 * float(error[place]),
         "%",
         where=f"cell {tuple(map(int, place))}: {engineering(float(ohms[place]), 'ohm')} read",
+        resolution=50 * float(abs(ends[1] - ends[0]) / jig[place]),
         text=[f"Simulated with nominal parts: {engineering(simulated, '%')} at that cell."],
     )
 
@@ -103,7 +111,10 @@ def _noise(subject: Subject, readings: Readings) -> Measurement:
         simulated = [f"Simulated: {engineering(reading_noise(subject, asked, 'nominal').value, 'V')}."]
     except NotRun as missing:
         simulated = [f"Not simulated: {missing}."]
-    return Measurement(float(scatter[place]), "V", where=f"cell {tuple(map(int, place))}", text=simulated)
+    sigma = float(scatter[place])
+    where = f"cell {tuple(map(int, place))}"
+    frames = len(readings.volts)  # one standard error of a standard deviation
+    return Measurement(sigma, "V", where=where, text=simulated, resolution=sigma / (2.0 * (frames - 1)) ** 0.5)
 
 
 def _adc_headroom(subject: Subject, readings: Readings) -> Measurement:
@@ -140,7 +151,9 @@ def _frame_rate(subject: Subject, readings: Readings) -> Measurement:
     if not readings.device_seconds:
         raise NotRun("the board tells no time")
     rate = (len(readings.volts) + readings.lost - 1) / readings.device_seconds
-    return Measurement(rate, "Hz", where="by the board's clock", text=["The rate at which this board scans."])
+    tick = 2.0 * CLOCK_TICK_S / readings.device_seconds  # at both ends
+    text = ["The rate at which this board scans."]
+    return Measurement(rate, "Hz", where="by the board's clock", text=text, resolution=rate * tick)
 
 
 _MEASURE = {
@@ -160,11 +173,14 @@ def _true_cells(subject: Subject) -> FloatArray:
 def _readings(subject: Subject) -> Readings:
     if "readings" not in subject.memo:
         try:
-            with _board(subject) as port, Skin.open(port, delivery="every", timeout=PATIENCE_S) as skin:
-                if skin.design.array.shape != subject.design.array.shape:
-                    raise NotRun(
-                        f"the board has {skin.design.array.shape} cells, the design {subject.design.array.shape}"
-                    )
+            with (
+                _board(subject) as port,
+                Skin.open(
+                    port, board=subject.board, baudrate=subject.baud, delivery="every", timeout=PATIENCE_S
+                ) as skin,
+            ):
+                if skin.shape != subject.design.array.shape:
+                    raise NotRun(f"the board has {skin.shape} cells, the design {subject.design.array.shape}")
                 frames: list[Frame] = list(islice(skin, FRAMES))
         except (LinkError, ProtocolError, MissingExtra) as error:
             raise NotRun(f"no board: {error}") from error

@@ -2,39 +2,23 @@
 
 The boards are drawn in blocks of :data:`BLOCK`. Each block has a random stream of its own, made of the seed and the
 block's number, and is computed in one piece. The samples are therefore the same, bit for bit, whatever the number of
-processes, the order in which blocks are done, or an interruption in between.
+processes, the order in which blocks are done, or an interruption in between. Each board is judged as the worst-case
+search judges its corners, by the same target, under presses that this search has found to be hard.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.stats import beta
 
-from ..circuits import apparent_resistance, scan_population
-from ..common.arrays import BoolArray, FloatArray
-from ._corner import Box
+from ..common.arrays import FloatArray
+from ._targets import Box, Corners, Press, Target, values_of_boards
 
 BLOCK = 100
 CONFIDENCE = 0.95
-
-
-@dataclass(frozen=True)
-class Samples:
-    """One number per board and target, relative; NaN or inf is a board without a reading, which fails any limit."""
-
-    reading_error: FloatArray
-    """(boards,) largest magnitude over all cells, at rest and all pressed"""
-    gain_error: FloatArray
-    """(boards,) largest magnitude over all cells, from all at rest to all pressed"""
-    crosstalk: FloatArray
-    """(boards,) largest magnitude over the untouched cells of the given patterns"""
-
-    @classmethod
-    def joined(cls, blocks: list[Samples]) -> Samples:
-        return cls(*(np.concatenate([getattr(b, name) for b in blocks]) for name in cls.__dataclass_fields__))
 
 
 def blocks(samples: int) -> int:
@@ -42,42 +26,41 @@ def blocks(samples: int) -> int:
     return -(-samples // BLOCK)
 
 
-def sample_block(box: Box, patterns: list[BoolArray], seed: int, block: int) -> Samples:
-    """One block of boards.
+def _drawn(box: Box, seed: int, block: int) -> FloatArray:
+    """Coordinates (boards, D) of one block of boards, their cells at rest."""
+    random = np.random.default_rng(np.random.SeedSequence([seed, block]))
+    factors = box.factors.sample(random, BLOCK)
+    scale = random.uniform(-1.0, 1.0, (BLOCK, box.cells))
+    return np.concatenate([factors, np.full(scale.shape, -1.0), scale], axis=1)
+
+
+def sample_block(target: Target, box: Box, presses: Sequence[Press], seed: int, block: int) -> FloatArray:
+    """One block of boards: the largest value of the target under any of the presses, (boards,).
 
     Args:
+        target: what is judged.
         box: the design, its tolerances and its cells.
-        patterns: pressed cells (N, M) of the frames in which crosstalk is judged.
+        presses: under which each board is judged.
         seed: of the run.
         block: number of the block, from 0.
 
     """
-    random = np.random.default_rng(np.random.SeedSequence([seed, block]))
-    population = box.factors.population(box.factors.sample(random, BLOCK))
-    shape = box.design.array.shape
-    scale = random.uniform(-1.0, 1.0, (BLOCK, *shape))
+    values, _ = values_of_boards(target, box, _drawn(box, seed, block), presses)
+    worst: FloatArray = values.max(axis=1)
+    return worst
 
-    def read(pressed: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Apparent and true ohm; NaN where a reading clips or saturates."""
-        cells = box.resistance(np.broadcast_to(pressed, scale.shape), scale)
-        found = scan_population(box.design, population.boards, cells, resolve_saturation=False)
-        volts = box.converted(found.volts, population.converter[:, None, None])
-        lost = found.saturated | box.clipped(volts)
-        if box.design.adc is not None:
-            adc = box.design.adc
-            volts = adc.range[0] + (np.floor((volts - adc.range[0]) / adc.step) + 0.5) * adc.step
-        return np.where(lost, np.nan, apparent_resistance(box.design, volts)), cells
 
-    rest, rest_true = read(np.zeros(shape))
-    full, full_true = read(np.ones(shape))
-    error = np.maximum(np.abs(rest / rest_true - 1.0), np.abs(full / full_true - 1.0))
-    gain = np.abs((full - rest) / (full_true - rest_true) - 1.0)
-    crosstalk = np.zeros(BLOCK)
-    for pattern in patterns:
-        pressed, _ = read(pattern.astype(np.float64))
-        change = np.abs(pressed / rest - 1.0)
-        crosstalk = np.maximum(crosstalk, change[:, ~pattern].max(axis=1, initial=0.0))
-    return Samples(error.max(axis=(1, 2)), gain.max(axis=(1, 2)), crosstalk)
+def worst_board(target: Target, box: Box, presses: Sequence[Press], seed: int, values: FloatArray) -> Corners:
+    """Where the largest of the values of all blocks is: one board, its press and its judged cell."""
+    block, number = divmod(int(np.argmax(values)), BLOCK)
+    x = _drawn(box, seed, block)[number : number + 1]
+    found, places = values_of_boards(target, box, x, presses)
+    worst = int(np.argmax(found[0]))
+    place = int(places[0, worst])
+    sign, cell = (1.0, place) if place >= 0 else (-1.0, -1 - place)
+    row, column = divmod(cell, box.design.array.columns)
+    x[0, len(box.factors) : len(box.factors) + box.cells] = 2.0 * presses[worst][0].ravel() - 1.0
+    return Corners(np.array([row]), np.array([column]), np.array([sign]), x)
 
 
 def proportion_bounds(kept: int, count: int, confidence: float = CONFIDENCE) -> tuple[float, float]:

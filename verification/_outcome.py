@@ -150,8 +150,12 @@ class Measurement:
     confidence: str = ""
     """how sure the value is: a search, a number of samples, a bound"""
     text: Sequence[str] = ()
+    incomplete: str = ""
+    """what page one says beside the value of a search that may have missed a worse one"""
+    resolution: float = 0.0
+    """of the measurement, in ``unit``: a value that misses a limit by less cannot be told from one that keeps it"""
     contributions: Mapping[str, float] = field(default_factory=dict)
-    """by kind of part, in ``unit``: for the tornado"""
+    """by kind of part alone, in ``unit``: for the tornado, and of worst cases for the error budget"""
     samples: Sequence[float] = ()
     """in ``unit``, one per board of the Monte Carlo analysis"""
     proven: bool | None = None
@@ -207,7 +211,7 @@ class Result:
             return Outcome.PASS if found.proven else missed
         if found.undecided:
             return Outcome.NOT_RUN
-        return Outcome.PASS if self.margin is not None and self.margin >= 0 else Outcome.FAIL
+        return Outcome.PASS if self.margin is not None and self.margin >= -found.resolution else Outcome.FAIL
 
     @property
     def why(self) -> str:
@@ -254,6 +258,9 @@ class Result:
         """The margin with its unit, and its share of the limit."""
         if self.margin is None:
             return ""
+        resolution = 0.0 if self.measurement is None else self.measurement.resolution
+        if abs(self.margin) <= resolution:
+            return f"within ±{engineering(resolution, self.unit, 2)}"
         limits = [abs(limit) for limit in (self.requirement.min, self.requirement.max) if limit]
         if not limits:
             return engineering(self.margin, self.unit)

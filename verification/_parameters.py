@@ -5,8 +5,10 @@ Every part value is linear in factors that each lie between -1 and 1::
     value = centre + matrix @ factors
 
 A line that deviates on its own has one factor. Lines of one package share a factor and have a smaller one each
-(``matching``). One factor stands for the ambient temperature, which all temperature coefficients follow. The corners of
-the cube of all factors are the worst cases; random points in the cube are the samples of the Monte Carlo analysis.
+(``matching``). One factor stands for the ambient temperature, which the relative temperature coefficients follow. The
+drift of an offset is that line's own: a data sheet gives its largest magnitude. A part that is tied to another one is
+multiplied by the other's relative value. The corners of the cube of all factors are the worst cases; random points in
+the cube are the samples of the Monte Carlo analysis.
 """
 
 from __future__ import annotations
@@ -38,7 +40,9 @@ SECTION = {
 CONVERTER = ("offset_voltage", "gain_error", "inl_steps")
 """Errors of the converter, in the order of the columns of :attr:`Population.converter`."""
 MAXIMA = ("readout.offset_voltage", "readout.bias_current", *(f"adc.{name}" for name in CONVERTER))
-"""A plain number here is a data-sheet maximum of either sign."""
+"""A plain number here is a data-sheet maximum of either sign; a temperature coefficient has the part's unit per K."""
+RATIOMETRIC = "adc.gain_error"
+"""of a converter whose reference follows another part: its slope falls where the part rises"""
 TEMPERATURE = "temperature"
 NOMINAL_K = 298.15
 _TRUNCATION = erf(3.0 / sqrt(2.0))  # share of a normal distribution within three standard deviations
@@ -84,6 +88,8 @@ class Factors:
     """(L,) by part, of the boards that all factors 0 stand for"""
     matrix: Mapping[str, FloatArray]
     """(L, F) by part"""
+    tied: Mapping[str, tuple[str, float]]
+    """by part, the one that it follows, with the other's nominal value"""
 
     @classmethod
     def of(cls, design: Design) -> Factors:
@@ -100,15 +106,16 @@ class Factors:
                 if key not in MAXIMA or not value.any():
                     continue
                 centre[key] = np.zeros_like(value)
-                for line, width in enumerate(np.abs(value)):
-                    found.append(Factor(key, line if len(value) > 1 else None))
-                    columns.append((key, _unit(len(value), line, width)))
+                for line, column in _own(np.abs(value), shared=_is_shared(design, key)):
+                    found.append(Factor(key, line))
+                    columns.append((key, column))
                 continue
-            for factor, column in _of_part(key, value, spread):
+            low, high = (kelvin - NOMINAL_K for kelvin in design.operation.temperature_range or (NOMINAL_K, NOMINAL_K))
+            drifts = abs(spread.temperature_coefficient) * max(abs(low), abs(high)) if key in MAXIMA else 0.0
+            for factor, column in _of_part(key, value, spread, drifts, shared=_is_shared(design, key)):
                 found.append(factor)
                 columns.append((key, column))
-            if spread.temperature_coefficient and design.operation.temperature_range is not None:
-                low, high = (kelvin - NOMINAL_K for kelvin in design.operation.temperature_range)
+            if spread.temperature_coefficient and (low or high) and key not in MAXIMA:
                 slope = spread.temperature_coefficient * value
                 centre[key] = centre[key] + slope * (low + high) / 2
                 drift[key] = slope * (high - low) / 2
@@ -119,13 +126,17 @@ class Factors:
             found.append(Factor(TEMPERATURE, None))
             for key, column in drift.items():
                 matrix[key][:, -1] = column
-        return cls(tuple(found), centre, matrix)
+        tied = {}
+        for key, spread in spreads.items():
+            if spread.tied_to is not None and key in nominal:
+                tied[key] = spread.tied_to, float(nominal[spread.tied_to][0])
+        return cls(tuple(found), centre, matrix, tied)
 
     @classmethod
     def nominal(cls, design: Design) -> Factors:
         """No factors: only the board with the values that ``scan`` reads with."""
         values = _nominal_values(design)
-        return cls((), values, {key: np.zeros((len(value), 0)) for key, value in values.items()})
+        return cls((), values, {key: np.zeros((len(value), 0)) for key, value in values.items()}, {})
 
     def __len__(self) -> int:
         return len(self.factors)
@@ -133,7 +144,28 @@ class Factors:
     def values(self, key: str, factors: FloatArray) -> FloatArray:
         """(S, L) values of one part for factors (S, F)."""
         result: FloatArray = self.centre[key] + factors @ self.matrix[key].T
-        return result
+        if key not in self.tied:
+            return result
+        other, nominal = self.tied[key]
+        follows = self.values(other, factors) / nominal
+        return (1.0 + result) / follows - 1.0 if key == RATIOMETRIC else result * follows
+
+    def slopes(self, key: str) -> FloatArray:
+        """(L, F) derivatives of one part by the factors, about their centre."""
+        own = self.matrix[key]
+        if key not in self.tied:
+            return own
+        other, nominal = self.tied[key]
+        follows: FloatArray = self.matrix[other] / nominal
+        return own - follows if key == RATIOMETRIC else own + self.centre[key][:, None] * follows
+
+    def largest(self, key: str) -> FloatArray:
+        """(L,) bound on the magnitude of one part's value."""
+        bound: FloatArray = np.abs(self.centre[key]) + np.abs(self.matrix[key]).sum(axis=1)
+        if key in self.tied:
+            other, nominal = self.tied[key]
+            bound = bound * self.largest(other) / abs(nominal)
+        return bound
 
     def population(self, factors: FloatArray) -> Population:
         """The boards of factors (S, F)."""
@@ -179,7 +211,7 @@ class Factors:
         """(L,) values of every kind of part that has a spread, for factors (F,)."""
         found = {}
         for key, matrix in self.matrix.items():
-            if matrix.any():
+            if matrix.any() or key in self.tied:
                 values = self.values(key, factors[None])[0]
                 found[key] = np.maximum(values, 1.0) if key == "readout.open_loop_gain" else values
         return found
@@ -204,28 +236,36 @@ def _signs(lines: list[tuple[str, int]]) -> str:
     return f"{word} at {', '.join(few)}, {other} elsewhere"
 
 
-def _of_part(key: str, value: FloatArray, spread: Spread) -> Iterator[tuple[Factor, FloatArray]]:
-    """The factors of one kind of part, each with its column of the matrix (L,)."""
+def _is_shared(design: Design, key: str) -> bool:
+    """Whether all lines have one and the same part: that of a multiplexed readout."""
+    return design.board.multiplexed and key.startswith("readout.")
+
+
+def _of_part(
+    key: str, value: FloatArray, spread: Spread, drift: float, *, shared: bool
+) -> Iterator[tuple[Factor, FloatArray]]:
+    """The factors of one kind of part, each with its column of the matrix (L,); ``drift`` is each line's own."""
     count = len(value)
-    width = spread.tolerance * np.abs(value) + spread.deviation
+    width = spread.tolerance * np.abs(value) + spread.deviation + drift
     if spread.matching is not None:
         size = spread.package or count
         common = (spread.tolerance - spread.matching) * np.abs(value)
-        width = spread.matching * np.abs(value) + spread.deviation
+        width = spread.matching * np.abs(value) + spread.deviation + drift
         for package in range(-(-count // size)):
             members = np.arange(count) // size == package
             if common[members].any():
                 yield Factor(key, None, package, spread.distribution), np.where(members, common, 0.0)
-    for line in range(count):
+    for line, column in _own(width, shared=shared):
+        yield Factor(key, line, None, spread.distribution), column
+
+
+def _own(width: FloatArray, *, shared: bool) -> Iterator[tuple[int | None, FloatArray]]:
+    """Each line with its column of the matrix (L,) for deviations of its own of at most ``width`` (L,)."""
+    if shared and width[0] > 0 and np.isfinite(width[0]):
+        yield None, width
+    for line in range(0 if shared else len(width)):
         if width[line] > 0 and np.isfinite(width[line]):
-            factor = Factor(key, line if count > 1 else None, None, spread.distribution)
-            yield factor, _unit(count, line, float(width[line]))
-
-
-def _unit(count: int, line: int, width: float) -> FloatArray:
-    column = np.zeros(count)
-    column[line] = width
-    return column
+            yield line if len(width) > 1 else None, np.where(np.arange(len(width)) == line, width[line], 0.0)
 
 
 def _nominal_values(design: Design) -> dict[str, FloatArray]:

@@ -46,7 +46,11 @@ class RequirementRecord(_Record):
     outcome: OutcomeName
     measured: Number = Field(description="in `unit`; null: not run or does not apply")
     margin: float | None = Field(description="by how much the nearer limit is kept (positive) or missed, in `unit`")
+    resolution: float = Field(
+        default=0.0, description="of a measurement, in `unit`: a limit that is missed by less counts as kept"
+    )
     where: str = Field(description="cell, pattern and corner at which the value is worst")
+    incomplete: str = Field(default="", description="of a search that may have missed a worse value: what it covered")
     confidence: str
     reason: str = Field(description="what decided against a pass, where the value and its limits do not say")
     contributions: dict[str, float] = Field(description="by kind of part, in `unit`")

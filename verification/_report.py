@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..circuits import AmplifierModel, Design, spice
+from ..circuits import AmplifierModel, Design, Spread, spice
 from ..common import plots
 from ..common.config import fingerprint
 from ..common.extras import install_command
@@ -229,7 +229,7 @@ class Report:
             settings=self.settings(),
             environment=environment(),
             schematic=schematic(self.design),
-            budget=error_budget(self.subject),
+            budget=error_budget(self.results),
             pictures={r.requirement.id: _pictures(r) for r in self.results},
             netlist=base64.b64encode(self.netlist.encode()).decode(),
             engineering=engineering,
@@ -364,8 +364,9 @@ class Report:
                     continue
                 unit = UNITS.get(section, {}).get(key, "")
                 spread = spreads.get(f"{section}.{key}")
-                shown = "" if spread is None else _spread_shown(spread, unit)
-                if spread is None and f"{section}.{key}" in MAXIMA and np.any(np.asarray(value)):
+                absolute = f"{section}.{key}" in MAXIMA
+                shown = "" if spread is None else _spread_shown(spread, unit, absolute=absolute)
+                if spread is None and absolute and np.any(np.asarray(value)):
                     shown = "data-sheet maximum of either sign"
                 rows.append(Setting(section, key, _value_shown(value, unit), shown, key in part.model_fields_set))
         for place, fault in enumerate(self.design.fault):
@@ -373,12 +374,14 @@ class Report:
         return rows
 
 
-def _spread_shown(spread: Any, unit: str) -> str:
+def _spread_shown(spread: Spread, unit: str, *, absolute: bool) -> str:
+    drift = spread.temperature_coefficient
+    per_kelvin = f"± {engineering(abs(drift), unit)}/K" if absolute else f"{1e6 * drift:g} ppm/K"
     parts = [f"± {100 * spread.tolerance:g} %" if spread.tolerance else ""]
     parts += [f"± {engineering(spread.deviation, unit)}" if spread.deviation else ""]
     parts += [f"matched to {100 * spread.matching:g} %" if spread.matching is not None else ""]
     parts += [f"packages of {spread.package}" if spread.package else ""]
-    parts += [f"{1e6 * spread.temperature_coefficient:g} ppm/K" if spread.temperature_coefficient else ""]
+    parts += [per_kelvin if drift else "", f"follows {spread.tied_to}" if spread.tied_to else ""]
     return ", ".join([*filter(None, parts), spread.distribution])
 
 
@@ -422,6 +425,8 @@ def _requirement_record(result: Result) -> RequirementRecord:
         measured=number(found.value) if found else None,
         margin=result.margin,
         where=found.where if found else "",
+        resolution=found.resolution if found else 0.0,
+        incomplete=found.incomplete if found else "",
         confidence=found.confidence if found else "",
         reason="" if result.outcome is Outcome.PASS else result.why,
         contributions={k: v for k, v in (found.contributions if found else {}).items() if math.isfinite(v)},
@@ -483,11 +488,11 @@ def _tornado(result: Result, found: Measurement) -> Figure:
         panel.barh(range(len(items)), values, color=[plots.BLUE if v >= 0 else plots.ORANGE for v in values])
         panel.set_yticks(range(len(items)), [name for name, _ in items])
         panel.axvline(0, color=plots.INK, lw=0.8)
-        panel.set_xlabel(f"contribution / {unit}" if unit else "contribution")
+        panel.set_xlabel(f"{result.title.lower()} / {unit}" if unit else result.title.lower())
         panel.grid(visible=False, axis="y")
         return Figure(
             plots.svg(figure),
-            f"{result.title}: what each kind of part adds at its own worst corner, all others nominal (tornado).",
+            f"{result.title} by each kind of part alone, all others nominal (tornado).",
         )
 
 

@@ -43,7 +43,7 @@ def default_requirements(design: Design) -> tuple[Requirement, ...]:
     def ask(number: int, quantity: str, text: str, **keys: Any) -> Requirement:
         return Requirement(id=f"D{number}", quantity=quantity, text=text, source=DEFAULT_SOURCE, **keys)
 
-    shipped = (
+    shipped: tuple[Requirement, ...] = (
         ask(1, "crosstalk", "A press does not show on untouched cells.", max=limits.crosstalk_percent),
         ask(2, "reading_error", "Resistances are right without calibration.", max=limits.reading_error_percent),
         ask(3, "gain_error", "A press is read at its true size.", max=limits.reading_error_percent),
@@ -66,7 +66,12 @@ def default_requirements(design: Design) -> tuple[Requirement, ...]:
         ),
         ask(19, "spice_agreement", "An independent simulator finds the same.", max=1.0),
         ask(20, "valid_cells", "The driver can tell every cell.", min=100.0),
+        ask(23, "output_current", "Amplifiers can deliver their currents.", max=limits.output_current),
+        ask(24, "switch_current", "A driver can deliver the current of its line.", max=limits.driver_current),
     )
+    if design.drive.idle_leakage:
+        leakage = limits.reading_error_percent / 5
+        shipped = (*shipped, ask(25, "leakage_error", "Idle switches do not shift readings.", max=leakage))
     if design.readout.amplifier_model is None:
         return shipped
     return (

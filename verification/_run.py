@@ -32,20 +32,22 @@ from ..common.tables import write_text
 from ..common.workers import in_processes
 from ..driver import Skin
 from ..errors import InputError, OhmskinError
-from ._catalogue import HARDWARE, SAMPLED
+from ._catalogue import HARDWARE, SAMPLED, WORST
 from ._claims import APPENDICES, STATEMENTS, Statement
 from ._hardware import twins
-from ._montecarlo import BLOCK, Samples, blocks, sample_block
+from ._montecarlo import BLOCK, blocks, sample_block
 from ._outcome import Claim, Finding, Result, not_run
 from ._report import Report
 from ._requirements import check_requirements, default_requirements, evaluate, load_own_functions
-from ._static import box_of, patterns_of
+from ._static import TARGETS, box_of, keep_samples, presses_of
 from ._subject import SAMPLES, SEED, Subject, everything_of
+from ._targets import Press
 
 NO_PORT = ("emulated", "firmware")
+_SEARCHED = (None, WORST, SAMPLED)
+"""methods of a requirement that rest on the worst-case search of its quantity"""
 ON_TARGET = ("P14",)
 """claims that talk to the target of the run"""
-_READING = ("crosstalk", "reading_error", "gain_error")
 
 
 def prototype() -> Design:
@@ -74,8 +76,8 @@ class Work(NamedTuple):
     requirements: tuple[Requirement, ...]
     folder: Path
     """where the files of quantities of one's own are"""
-    patterns: tuple[Any, ...] = ()
-    """pressed cells of the Monte Carlo frames"""
+    presses: tuple[tuple[str, list[Press]], ...] = ()
+    """of the Monte Carlo analysis, by quantity"""
 
 
 def verify(
@@ -89,6 +91,8 @@ def verify(
     title: str | None = None,
     target: str = "emulated",
     jig: FloatArray | None = None,
+    board: str = "ohmskin",
+    baud: int | None = None,
     samples: int = SAMPLES,
     seed: int = SEED,
     jobs: int = 1,
@@ -113,6 +117,8 @@ def verify(
         title: what the report calls the design.
         target: the board that is measured: "emulated", "firmware", or a serial port.
         jig: (rows, columns) ohm of known resistors on the board; None: the skin is untouched.
+        board: family of the board at a port, or its BOARD.toml.
+        baud: baud rate of the port; None: that of the board.
         samples: boards of the Monte Carlo analysis.
         seed: of all random numbers.
         jobs: processes side by side.
@@ -131,10 +137,10 @@ def verify(
     if samples < 1:
         raise InputError(f"samples is {samples}; expected at least 1")
     if target not in NO_PORT:
-        with Skin.open(target) as skin:
+        with Skin.open(target, board=board, baudrate=baud) as skin:
             next(skin)
     start = time.perf_counter()
-    subject = Subject(prototype() if design is None else design, cell, target, seed, samples, jig)
+    subject = Subject(prototype() if design is None else design, cell, target, seed, samples, jig, board, baud)
     wanted = tuple(requirements if requirements is not None else subject.design.requirement)
     wanted = wanted or default_requirements(subject.design)
     here = folder or Path()
@@ -194,41 +200,31 @@ def _compute(
     progress: Progress,
 ) -> list[Result | Claim]:
     """All results in order; those stored are not computed again."""
-    sampled = [number for number, r in enumerate(work.requirements) if r.method == SAMPLED and r.quantity in _READING]
+    sampled = {r.quantity for r in work.requirements if r.method == SAMPLED and r.quantity in TARGETS}
+    # The presses of the boards come from the worst-case search here, whose own requirement then costs nothing more, and
+    # which the worst board may have to correct.
+    last = [number for number, r in enumerate(work.requirements) if r.quantity in sampled and r.method in _SEARCHED]
     names = [statement.id for statement in [*STATEMENTS, *APPENDICES]]
     tasks = [
         Task(f"requirement-{number}", f"{r.id} {r.quantity}", "requirement", number)
         for number, r in enumerate(work.requirements)
-        if number not in sampled
+        if number not in last
     ]
     tasks += [Task(f"claim-{s.id}", f"{s.id} {s.title}", "claim", names.index(s.id)) for s in statements]
     if sampled:
-        work = _with_patterns(work)
-        if work.patterns:
-            count = blocks(work.subject.samples)
-            tasks += [
-                Task(f"samples-{k}", f"boards {k * BLOCK + 1} to {(k + 1) * BLOCK}", "samples", k) for k in range(count)
-            ]
+        work = work._replace(presses=tuple((name, presses_of(work.subject, name)) for name in sorted(sampled)))
+        tasks += [
+            Task(f"samples-{k}", f"boards {k * BLOCK + 1} to {(k + 1) * BLOCK}", "samples", k)
+            for k in range(blocks(work.subject.samples))
+        ]
     found = _run_all(work, tasks, memory, jobs, executor, progress)
-    if sampled and work.patterns:
-        parts = [found[f"samples-{k}"] for k in range(blocks(work.subject.samples))]
-        joined = Samples.joined([Samples(*(np.asarray(values) for values in part)) for part in parts])
-        limited = (getattr(joined, name)[: work.subject.samples] for name in Samples.__dataclass_fields__)
-        work.subject.memo["samples"] = Samples(*limited)
-    for number in sampled:
+    for quantity, _ in work.presses:
+        parts = [found[f"samples-{k}"][quantity] for k in range(blocks(work.subject.samples))]
+        keep_samples(work.subject, quantity, np.concatenate(parts))
+    for number in last:
         found[f"requirement-{number}"] = evaluate(work.subject, work.requirements[number], work.folder)
     ordered = [found[f"requirement-{number}"] for number in range(len(work.requirements))]
     return ordered + [found[f"claim-{statement.id}"] for statement in statements]
-
-
-def _with_patterns(work: Work) -> Work:
-    """The presses of the Monte Carlo frames, found once for all processes."""
-    try:
-        patterns = patterns_of(work.subject)
-    except InputError:  # no sensitivities: the frame in which every second cell is pressed
-        patterns = [np.indices(work.subject.design.array.shape).sum(axis=0) % 2 == 0]
-        work.subject.memo["patterns"] = patterns
-    return work._replace(patterns=tuple(patterns))
 
 
 def _run_all(
@@ -278,8 +274,11 @@ def _do(work: Work, task: Task) -> tuple[Task, Any]:
     if len(_subjects) > 4:  # a long-lived worker serves many runs
         _subjects.clear()
     if task.kind == "samples":
-        block = sample_block(box_of(subject), list(work.patterns), subject.seed, task.number)
-        return task, [getattr(block, name).tolist() for name in Samples.__dataclass_fields__]
+        box = box_of(subject)
+        return task, {
+            quantity: sample_block(TARGETS[quantity], box, presses, subject.seed, task.number).tolist()
+            for quantity, presses in work.presses
+        }
     if task.kind == "requirement":
         return task, evaluate(subject, work.requirements[task.number], work.folder)
     return task, _claim(subject, [*STATEMENTS, *APPENDICES][task.number])
@@ -330,7 +329,7 @@ class _Store:
             return None
         try:
             value = json.loads(read_text(path, most_bytes=1 << 28))
-            kinds: dict[str, Any] = {"requirement": Result, "claim": Claim, "samples": list[list[float]]}
+            kinds: dict[str, Any] = {"requirement": Result, "claim": Claim, "samples": dict[str, list[float]]}
             return TypeAdapter(kinds[task.kind]).validate_python(value)
         except (ValueError, InputError):  # a file of another version is computed again
             return None

@@ -11,14 +11,14 @@ from collections import Counter
 
 import numpy as np
 
-from ..circuits import Design, Fault, Requirement, scan, sensitivity
+from ..circuits import Design, Fault, Requirement, scan
 from ..common.arrays import FloatArray
 from ..errors import InputError, SolverError
-from ._corner import part_derivatives
+from ._corner import first_order
 from ._outcome import Measurement, NotRun, Table
-from ._parameters import SECTION
 from ._static import box_of
 from ._subject import Subject
+from ._targets import Excursion
 
 MOST_FAULTS = 400
 """faults that are solved; of larger arrays every n-th cell is taken"""
@@ -43,27 +43,11 @@ def faults_of(design: Design) -> list[Fault]:
 
 
 def sound_interval(subject: Subject) -> tuple[FloatArray, FloatArray]:
-    """Nominal output and largest deviation (N, M) in V of a sound board whose cells are at rest."""
+    """Lowest and highest voltage (N, M) that a converter's code stands for, of sound boards whose cells are at rest."""
     box = box_of(subject)
-    population = box.factors.population(np.zeros((1, len(box.factors))))
-    design = population.boards.design(subject.design, 0)
-    cells = np.full(design.array.shape, subject.rest)
-    found = sensitivity(design, cells)
-    width = np.abs(found.cells * cells).sum(axis=(-2, -1)) * subject.cell_spread
-    for name, derivative in part_derivatives(found, population.boards.open_loop_gain).items():
-        matrix = box.factors.matrix[f"{SECTION[name]}.{name}"]
-        if matrix.any():
-            width = width + np.abs(derivative @ matrix).sum(axis=-1)
-    signal = np.abs(found.volts - design.readout.reference_voltage)
-    drive = box.factors.matrix["drive.voltage"]
-    width = width + signal * np.abs(drive).sum() / abs(design.drive.voltage)
-    width = width + np.abs(box.factors.matrix["readout.reference_voltage"]).sum()
-    if design.adc is not None:
-        widths = [
-            np.abs(box.factors.matrix[f"adc.{key}"]).sum() for key in ("offset_voltage", "gain_error", "inl_steps")
-        ]
-        width = width + widths[0] + widths[1] * signal + (widths[2] + 1.0) * design.adc.step
-    return found.volts, width
+    at_rest = Excursion("voltage at rest", (0.0, 0.0), at_converter=True, at_rest=True)
+    high, low = first_order(at_rest, box)
+    return -low - 2 * box.half_step, high + 2 * box.half_step
 
 
 def fault_coverage(subject: Subject, requirement: Requirement, method: str) -> Measurement:
@@ -72,10 +56,10 @@ def fault_coverage(subject: Subject, requirement: Requirement, method: str) -> M
     if design.fault:
         raise NotRun("the design has faults of its own; a self-test is judged on a sound one")
     try:
-        nominal, width = sound_interval(subject)
+        least, most = sound_interval(subject)
     except InputError as error:
         raise NotRun(f"no interval of a sound board: {error}") from error
-    lowest, highest = _limited(design, nominal - width), _limited(design, nominal + width)
+    lowest, highest = _limited(design, least), _limited(design, most)
     counts: dict[str, Counter[bool]] = {}
     missed: list[str] = []
     cells = np.full(design.array.shape, subject.rest)

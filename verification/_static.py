@@ -10,15 +10,19 @@ import numpy as np
 from ..circuits import Boards, Design, Requirement, apparent_resistance, scan_population
 from ..common.arrays import FloatArray
 from ..errors import InputError
-from ._corner import Box, Crosstalk, GainError, ReadingError, Target, WorstCase, named_corners, worst_case
+from ._corner import WorstCase, improved, worst_case
 from ._maps import value_map
-from ._montecarlo import CONFIDENCE, Samples, blocks, boards_needed, proportion_bounds, sample_block
+from ._montecarlo import CONFIDENCE, blocks, boards_needed, proportion_bounds, sample_block, worst_board
 from ._outcome import Corner, DoesNotApply, Figure, Measurement, NotRun
 from ._parameters import Factors
 from ._subject import Subject
+from ._targets import Box, Crosstalk, Excursion, GainError, Press, ReadingError, Target
 from ._units import engineering
 
 TARGETS: dict[str, Target] = {"crosstalk": Crosstalk(), "reading_error": ReadingError(), "gain_error": GainError()}
+HEADROOM = ("output_headroom", "adc_headroom")
+MOST_CELLS_BY_PART = 16 * 16
+"""cells of an array up to which each kind of part is searched alone"""
 
 
 def box_of(subject: Subject, *, spread: bool = True) -> Box:
@@ -27,29 +31,75 @@ def box_of(subject: Subject, *, spread: bool = True) -> Box:
     return Box(subject.design, factors, subject.rest, subject.pressed, subject.cell_spread if spread else 0.0)
 
 
+def excursion_of(design: Design, quantity: str) -> Excursion | None:
+    """What :data:`HEADROOM` is about: how far a voltage goes beyond its limits; None where there are no limits."""
+    if quantity == "output_headroom":
+        low, high = design.readout.supply
+        limited = design.board.circuit.has_amplifiers and (low > -inf or high < inf)
+        return Excursion("output", (low, high), at_converter=False) if limited else None
+    if design.adc is None:
+        return None
+    (low, high), step = design.adc.range, design.adc.step
+    return Excursion("converter", (low + step, high - step), at_converter=True)
+
+
 def worst_of(subject: Subject, quantity: str, *, spread: bool = True) -> WorstCase:
-    """The worst case of one of :data:`TARGETS`, worked out once."""
+    """The worst case of one of :data:`TARGETS` or :data:`HEADROOM`, worked out once."""
     key = f"worst case of {quantity}, spread {spread}"
     if key not in subject.memo:
-        subject.memo[key] = worst_case(TARGETS[quantity], box_of(subject, spread=spread))
+        box = box_of(subject, spread=spread)
+        if quantity in TARGETS:
+            # A corner that leaves a range is an infinite error there, whatever leads to it.
+            ranges = [worst_of(subject, name, spread=spread) for name in HEADROOM if excursion_of(box.design, name)]
+            starts = [found.corner for found in ranges if found.value >= 0]
+            saturates = any(found.value >= 0 and found.target.name == "output" for found in ranges)
+            subject.memo[key] = worst_case(TARGETS[quantity], replace(box, saturates=saturates), starts)
+        else:
+            excursion = excursion_of(box.design, quantity)
+            assert excursion is not None
+            free = replace(box, design=box.design.replace(readout={"supply": (-inf, inf)}))
+            subject.memo[key] = worst_case(excursion, free)
     found: WorstCase = subject.memo[key]
     return found
 
 
-def samples_of(subject: Subject) -> Samples:
-    """The boards of the Monte Carlo analysis, drawn once."""
-    if "samples" not in subject.memo:
-        box, patterns = box_of(subject), patterns_of(subject)
-        parts = [sample_block(box, patterns, subject.seed, block) for block in range(blocks(subject.samples))]
-        joined = Samples.joined(parts)
-        subject.memo["samples"] = Samples(*(getattr(joined, name)[: subject.samples] for name in vars(joined)))
-    found: Samples = subject.memo["samples"]
+def samples_of(subject: Subject, quantity: str) -> FloatArray:
+    """(boards,) the values of the Monte Carlo analysis, relative; drawn once."""
+    key = f"samples of {quantity}"
+    if key not in subject.memo:
+        box, presses = box_of(subject), presses_of(subject, quantity)
+        parts = [
+            sample_block(TARGETS[quantity], box, presses, subject.seed, block)
+            for block in range(blocks(subject.samples))
+        ]
+        keep_samples(subject, quantity, np.concatenate(parts))
+    found: FloatArray = subject.memo[key]
     return found
 
 
-def patterns_of(subject: Subject) -> list[np.ndarray]:
-    """The press that the worst-case search of the crosstalk names."""
-    return [worst_of(subject, "crosstalk").pattern]
+def keep_samples(subject: Subject, quantity: str, values: FloatArray) -> None:
+    """Keep the values of all blocks. A board that is worse than the worst case so far becomes a start of its search."""
+    subject.memo[f"samples of {quantity}"] = values[: subject.samples]
+    try:
+        found = worst_of(subject, quantity)
+    except InputError:
+        return
+    if values[: subject.samples].max() > found.value:
+        boards = worst_board(found.target, found.box, presses_of(subject, quantity), subject.seed, values)
+        subject.memo[f"worst case of {quantity}, spread True"] = improved(found, boards)
+
+
+def presses_of(subject: Subject, quantity: str) -> list[Press]:
+    """The presses under which the Monte Carlo analysis judges its boards, found once."""
+    key = f"presses of {quantity}"
+    if key not in subject.memo:
+        try:
+            subject.memo[key] = worst_of(subject, quantity).presses
+        except InputError:  # no sensitivities: every second cell pressed, in place of the worst presses
+            second = np.indices(subject.design.array.shape).sum(axis=0) % 2 == 0
+            subject.memo[key] = [(pattern, (0, 0)) for pattern in (second & False, second | True, second, ~second)]
+    found: list[Press] = subject.memo[key]
+    return found
 
 
 def reading_quantity(quantity: str, subject: Subject, requirement: Requirement, method: str) -> Measurement:
@@ -59,31 +109,39 @@ def reading_quantity(quantity: str, subject: Subject, requirement: Requirement, 
     if method == "monte-carlo":
         return _yield(quantity, subject, requirement)
     spread = method == "worst-case"
-    try:
-        found = worst_of(subject, quantity, spread=spread)
-    except InputError as error:
-        raise NotRun(f"no worst case: {error}") from error
-    magnitude = 100 * abs(found.value)
-    where = f"cell {found.cell}; {found.pressed_cells}"
-    if spread and len(subject.factors):
-        where += f"; {subject.factors.describe(found.corner.factors[0])}"
-    if not np.isfinite(magnitude):
-        beyond = f"{where}: beyond the converter's range, or an output at its limit"
-        return Measurement(inf, "%", where=beyond, corner=_corner_of(found))
-    contributions = {key: 100 * value for key, value in found.contributions.items()} if spread else {}
+    found = _searched(subject, quantity, spread=spread)
+    where = _where(found)
+    if not np.isfinite(found.value):
+        beyond = f"{where}: a reading at or beyond the reference or the converter's range, or an output at its limit"
+        return Measurement(inf, "%", where=beyond, confidence=found.search, corner=_corner_of(found))
+    with_parts = spread and found.box.cells <= MOST_CELLS_BY_PART
     return Measurement(
-        magnitude,
+        100 * found.value,
         "%",
         where=where,
         confidence=found.search,
-        contributions=contributions,
+        incomplete=found.incomplete,
+        contributions={kind: 100 * value for kind, value in found.by_part.items()} if with_parts else {},
         figures=_maps(found, requirement),
         corner=_corner_of(found),
     )
 
 
+def _searched(subject: Subject, quantity: str, *, spread: bool = True) -> WorstCase:
+    try:
+        return worst_of(subject, quantity, spread=spread)
+    except InputError as error:
+        raise NotRun(f"no worst case: {error}") from error
+
+
+def _where(found: WorstCase) -> str:
+    """Cell, press and parts of a worst case, in words."""
+    parts = f"; {found.box.factors.describe(found.factors)}" if len(found.box.factors) else ""
+    return f"cell {found.cell}; {found.pressed_cells}{parts}"
+
+
 def _corner_of(found: WorstCase) -> Corner:
-    parts = found.box.factors.varied(found.corner.factors[0])
+    parts = found.box.factors.varied(found.factors)
     return Corner(
         cell=found.cell,
         parts={key: values.tolist() for key, values in parts.items()},
@@ -110,7 +168,7 @@ def _maps(found: WorstCase, requirement: Requirement) -> list[Figure]:
 
 def _yield(quantity: str, subject: Subject, requirement: Requirement) -> Measurement:
     """How many boards keep the limits."""
-    values = 100 * getattr(samples_of(subject), quantity)
+    values = 100 * samples_of(subject, quantity)
     low, high = requirement.min, requirement.max
     kept = np.isfinite(values)
     kept &= (values >= low) if low is not None else True
@@ -118,9 +176,9 @@ def _yield(quantity: str, subject: Subject, requirement: Requirement) -> Measure
     count, good = len(values), int(kept.sum())
     wanted = requirement.conditions.yield_percent / 100
     bounds = proportion_bounds(good, count)
-    ordered = np.sort(np.where(np.isfinite(values), values, np.inf))
-    quantile = float(ordered[min(int(np.ceil(wanted * count)) - 1, count - 1)])
-    worst = int(np.argmax(np.where(np.isfinite(values), values, np.inf)))
+    quantile = float(np.sort(values)[min(int(np.ceil(wanted * count)) - 1, count - 1)])
+    worst = int(np.argmax(values))
+    presses = len(presses_of(subject, quantity))
     return Measurement(
         quantile,
         "%",
@@ -130,7 +188,11 @@ def _yield(quantity: str, subject: Subject, requirement: Requirement) -> Measure
             f"at least {100 * bounds[0]:.4g} % "
             f"({100 * CONFIDENCE:.0f} % confidence, Clopper-Pearson); wanted {100 * wanted:.4g} %"
         ),
-        text=[f"The value shown is the {100 * wanted:.4g} % quantile of the boards."],
+        text=[
+            f"The value shown is the {100 * wanted:.4g} % quantile of the boards.",
+            f"Each board is judged under {presses} presses: all cells at rest, all pressed, and the presses of the "
+            "worst corners that the worst-case search of this quantity found. The largest value counts.",
+        ],
         samples=tuple(values.tolist()),
         proven=bounds[0] >= wanted,
         undecided=_more_boards(good, count, wanted) if bounds[0] < wanted <= good / count else "",
@@ -147,78 +209,41 @@ def _more_boards(good: int, count: int, wanted: float) -> str:
     )
 
 
-def output_extremes(subject: Subject) -> tuple[tuple[float, str], tuple[float, str]]:
-    """Lowest and highest output in V with the cell it is at, over all presses, parts and cells; no supply limits it."""
-    if "extremes" not in subject.memo:
-        free = subject.design.replace(readout={"supply": (-inf, inf)})
-        box = replace(box_of(subject), design=free)
-        lowest, highest = (inf, ""), (-inf, "")
-        for pressed in (0.0, 1.0):
-            for sign in (1.0, -1.0):
-                corners = named_corners(ReadingError(), box, pressed, sign)
-                population = box.factors.population(corners.factors)
-                cells = box.resistance(corners.pattern, corners.scale)
-                volts = scan_population(free, population.boards, cells).volts
-                own = volts[np.arange(len(volts)), corners.row, corners.column]
-                low, high = int(np.argmin(own)), int(np.argmax(own))
-                places = [f"cell ({corners.row[k]}, {corners.column[k]})" for k in (low, high)]
-                lowest = min(lowest, (float(own[low]), places[0]))
-                highest = max(highest, (float(own[high]), places[1]))
-        subject.memo["extremes"] = lowest, highest
-    found: tuple[tuple[float, str], tuple[float, str]] = subject.memo["extremes"]
-    return found
-
-
 def output_headroom(subject: Subject, requirement: Requirement, method: str) -> Measurement:
     """Smallest distance of an output from its supply limits, V; negative: it would go beyond."""
-    design = subject.design
-    if not design.board.circuit.has_amplifiers:
+    if not subject.design.board.circuit.has_amplifiers:
         raise DoesNotApply("a divider has no amplifier that could saturate")
-    if not np.isfinite(design.readout.supply).any():
+    if excursion_of(subject.design, "output_headroom") is None:
         raise NotRun("missing: readout.supply")
-    (low, at_low), (high, at_high) = _extremes(subject)
-    first, last = design.readout.supply
-    return _headroom(
-        (low, at_low),
-        (high, at_high),
-        (first, last),
-        f"Outputs range from {engineering(low, 'V')} to {engineering(high, 'V')}; the supply allows "
-        f"{engineering(first, 'V')} to {engineering(last, 'V')}.",
-    )
+    return _headroom(subject, "output_headroom", "Outputs range", "the supply allows")
 
 
 def adc_headroom(subject: Subject, requirement: Requirement, method: str) -> Measurement:
     """Smallest distance of a converted voltage from the ends of the converter's range, V."""
-    design = subject.design
-    if design.adc is None:
+    if subject.design.adc is None:
         raise NotRun("missing: adc.bits, adc.range")
-    (low, at_low), (high, at_high) = _extremes(subject)
-    box = box_of(subject)
-    widths = [np.abs(box.factors.matrix[f"adc.{name}"]).sum() for name in ("offset_voltage", "gain_error", "inl_steps")]
-    errors = [sign * np.array(widths) for sign in (-1.0, 1.0)]
-    lowest, highest = (
-        float(pick([box.converted(np.array(v), e) for e in errors])) for v, pick in ((low, min), (high, max))
-    )
-    first, last = design.adc.range
-    return _headroom(
-        (lowest, at_low),
-        (highest, at_high),
-        (first + design.adc.step, last - design.adc.step),
-        f"Converted voltages range from {engineering(lowest, 'V')} to {engineering(highest, 'V')}; the converter "
-        f"takes {engineering(first, 'V')} to {engineering(last, 'V')}, without its first and last code.",
-    )
+    limits = "without its first and last code the converter takes"
+    return _headroom(subject, "adc_headroom", "Converted voltages range", limits)
 
 
-def _headroom(low: tuple[float, str], high: tuple[float, str], limits: tuple[float, float], text: str) -> Measurement:
-    """Smallest distance in V of the lowest and the highest voltage, each with its place, from the limits."""
-    below, above = low[0] - limits[0], limits[1] - high[0]
-    volts, place = low if below < above else high
+def _headroom(subject: Subject, quantity: str, what: str, allowed: str) -> Measurement:
+    """Smallest distance in V of the lowest and the highest voltage from their limits."""
+    found = _searched(subject, quantity)
+    target = found.target
+    assert isinstance(target, Excursion)
+    low, high = target.limits
+    beyond, below = found.by_sign.max(axis=(1, 2))
+    ends = [engineering(end, "V") if np.isfinite(end) else "not limited" for end in (low - below, high + beyond)]
+    volts = high + found.value if found.corner.sign[0] > 0 else low - found.value
+    cell, _, rest = _where(found).partition("; ")
     return Measurement(
-        min(below, above),
+        -found.value,
         "V",
-        where=f"{place}: {engineering(volts, 'V')}",
-        confidence="corners of parts and presses, by sensitivities",
-        text=[text],
+        where=f"{cell}: {engineering(volts, 'V')}; {rest}",
+        confidence=found.search,
+        incomplete=found.incomplete,
+        text=[f"{what} from {ends[0]} to {ends[1]}; {allowed} {engineering(low, 'V')} to {engineering(high, 'V')}."],
+        corner=_corner_of(found),
     )
 
 
@@ -262,10 +287,3 @@ def _ohms_per_volt(design: Design, cells: FloatArray) -> FloatArray:
     small = design.adc.step / 8
     change = apparent_resistance(design, volts + small) - apparent_resistance(design, volts - small)
     return np.abs(change) / (2 * small)
-
-
-def _extremes(subject: Subject) -> tuple[tuple[float, str], tuple[float, str]]:
-    try:
-        return output_extremes(subject)
-    except InputError as error:
-        raise NotRun(f"no worst case: {error}") from error

@@ -1,39 +1,37 @@
-"""Electrical stress: voltage and power in the cells, current and power in the row switches. All are upper bounds."""
+"""Upper bounds: the stress of cells, row switches and amplifier outputs, and the leakage of idle switches."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ..circuits import Requirement
-from ._outcome import Measurement, NotRun
+from ._outcome import DoesNotApply, Measurement, NotRun
 from ._parameters import SECTION
-from ._static import output_extremes
+from ._static import excursion_of, worst_of
 from ._subject import Subject
 from ._units import engineering
 
 
 def _drive(subject: Subject) -> float:
     """V: the largest drive voltage of any board."""
-    voltage = subject.factors.centre["drive.voltage"][0]
-    return float(abs(voltage) + np.abs(subject.factors.matrix["drive.voltage"]).sum())
+    return float(subject.factors.largest("drive.voltage")[0])
+
+
+def _offset(subject: Subject) -> float:
+    """V: the largest offset of any amplifier."""
+    return float(subject.factors.largest("readout.offset_voltage").max())
 
 
 def _swing(subject: Subject) -> float:
     """V: the largest voltage that can stand across a cell, a column pulled away from the reference included."""
     readout = subject.design.readout
     limits = [abs(limit - readout.reference_voltage) for limit in readout.supply if np.isfinite(limit)]
-    offset = subject.factors.centre["readout.offset_voltage"]
-    offset = np.abs(offset) + np.abs(subject.factors.matrix["readout.offset_voltage"]).sum(axis=1)
-    column = (
-        max(limits) if limits and subject.design.board.circuit.has_amplifiers and _saturates(subject) else offset.max()
-    )
-    return _drive(subject) + float(column)
+    return _drive(subject) + (max(limits) if limits and _saturates(subject) else _offset(subject))
 
 
 def _saturates(subject: Subject) -> bool:
-    (low, _), (high, _) = output_extremes(subject)
-    limits = subject.design.readout.supply
-    return low < limits[0] or high > limits[1]
+    limited = excursion_of(subject.design, "output_headroom") is not None
+    return limited and worst_of(subject, "output_headroom").value > 0
 
 
 def cell_voltage(subject: Subject, requirement: Requirement, method: str) -> Measurement:
@@ -75,8 +73,7 @@ def switch_power(subject: Subject, requirement: Requirement, method: str) -> Mea
     """Largest power in the switch and lead of a selected row, W."""
     driven = subject.design.board.line_kinds[0]
     name = f"{driven}_lead"
-    key = f"{SECTION[name]}.{name}"
-    lead = subject.factors.centre[key] + np.abs(subject.factors.matrix[key]).sum(axis=1)
+    lead = subject.factors.largest(f"{SECTION[name]}.{name}")
     if not lead.any():
         raise NotRun(f"missing: array.{name}")
     volts, (least, _) = _swing(subject), subject.extremes
@@ -90,4 +87,45 @@ def switch_power(subject: Subject, requirement: Requirement, method: str) -> Mea
         "W",
         where=f"{driven} {row} of {engineering(float(lead[row]), 'ohm')}; {where}",
         confidence="upper bound: the columns stand at one end of their range",
+    )
+
+
+def output_current(subject: Subject, requirement: Requirement, method: str) -> Measurement:
+    """Largest current that an amplifier's output delivers into the array, A."""
+    board, (least, _) = subject.design.board, subject.extremes
+    if not board.circuit.has_amplifiers:
+        raise DoesNotApply("a divider has no amplifier")
+    driven, sensed = board.shape
+    selected, others = _swing(subject) / least, 2.0 * _offset(subject) / least
+    if board.circuit.virtual_ground:
+        bias = float(subject.factors.largest("readout.bias_current").max())
+        amperes, where = selected + (driven - 1) * others + bias, f"one cell of {engineering(least, 'ohm')} selected"
+    else:
+        amperes = (sensed - 1) * selected + (driven - 1) * others
+        where = f"{sensed - 1} idle {board.line_kinds[1]}s, driven against the selected {board.line_kinds[0]}"
+    return Measurement(amperes, "A", where=where, confidence="upper bound: leads and segments take nothing")
+
+
+def leakage_error(subject: Subject, requirement: Requirement, method: str) -> Measurement:
+    """Largest change of a reading by the leakage of the switches of all idle driven lines, % of that reading."""
+    design = subject.design
+    leakage, (least, most) = design.drive.idle_leakage, subject.extremes
+    if not leakage:
+        raise NotRun("missing: drive.idle_leakage")
+    board = design.board
+    idle, kind = board.shape[0] - 1, board.line_kinds[0]
+    drive = subject.factors.centre["drive.voltage"][0]
+    signal = (2 * abs(drive) - _drive(subject)) / most  # A of the selected cell at its largest resistance
+    if board.floating:
+        stray, where = idle * leakage, f"all idle {kind}s leak into the column that is read"
+    else:
+        name = f"{kind}_lead"
+        lead = float(subject.factors.largest(f"{SECTION[name]}.{name}").max())
+        volts = leakage * lead
+        stray, where = idle * volts / least, f"idle {kind}s are lifted by {engineering(volts, 'V')} at their switches"
+    return Measurement(
+        100 * stray / signal if signal > 0 else np.inf,
+        "%",
+        where=f"a cell of {engineering(most, 'ohm')}; {where}",
+        confidence="upper bound: all leakages of one sign, the other cells at their least resistance",
     )

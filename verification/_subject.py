@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from typing import Any
 
@@ -41,6 +41,10 @@ class Subject:
     """boards of the Monte Carlo analysis"""
     jig: FloatArray | None = field(default=None, compare=False)
     """(rows, columns) ohm of known resistors on the board, if there are any"""
+    board: str = "ohmskin"
+    """family of the board at a port, or its BOARD.toml"""
+    baud: int | None = None
+    """baud rate of the port; None: that of the board"""
     memo: dict[Hashable, Any] = field(default_factory=dict, compare=False, repr=False)
     """intermediate results that several requirements share"""
 
@@ -74,7 +78,7 @@ class Subject:
         if self.design.operation.frame_rate is not None:
             return self
         stated = self.design.replace(operation={"frame_rate": frame_rate})
-        return Subject(stated, self.given_cell, self.target, self.seed, self.samples, self.jig)
+        return replace(self, design=stated, memo={})
 
     @property
     def cell_source(self) -> str:

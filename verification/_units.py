@@ -15,7 +15,7 @@ FACTORS = {"f": 1e-15, "p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, 
 
 UNITS = {
     "array": {"row_segment": "ohm", "column_segment": "ohm", "row_lead": "ohm", "column_lead": "ohm"},
-    "drive": {"voltage": "V"},
+    "drive": {"voltage": "V", "idle_leakage": "A"},
     "readout": {
         "reference_resistance": "ohm",
         "reference_voltage": "V",
@@ -46,7 +46,8 @@ UNITS = {
         "temperature_range": "K",
         "readings_per_calibration": "frames",
     },
-    "requirements": {"crosstalk_percent": "%", "reading_error_percent": "%", "pressure_rmse_percent": "%"},
+    "requirements": {"crosstalk_percent": "%", "reading_error_percent": "%", "pressure_rmse_percent": "%"}
+    | {"output_current": "A", "driver_current": "A"},
 }
 """Units of the keys of DESIGN.toml; keys without one have none."""
 LEAST_SHOWN = 1e-9

@@ -19,7 +19,7 @@ from ..errors import InputError
 from ._chain import runs
 from ._firmware import firmware_in_the_loop
 from ._maps import heat_maps
-from ._outcome import Check, Figure, Finding
+from ._outcome import Check, Figure, Finding, NotRun
 from ._subject import Subject
 from ._timing import timing
 
@@ -51,8 +51,8 @@ def whole_skin(subject: Subject) -> Finding:
             return _emulated(subject)
         case "firmware":
             return firmware_in_the_loop(subject)
-        case port:
-            return _hardware(port)
+        case _:
+            return _hardware(subject)
 
 
 def _emulated(subject: Subject) -> Finding:
@@ -118,9 +118,11 @@ def _receive(subject: Subject) -> _Received:
     return _Received(scene, frames, applied, unlike, float(wrong[_settled(applied, full)].mean()))
 
 
-def _hardware(port: str) -> Finding:
+def _hardware(subject: Subject) -> Finding:
     """What can be said of a real board without knowing what presses on it."""
-    with Skin.open(port, delivery="every") as skin:
+    with Skin.open(subject.target, board=subject.board, baudrate=subject.baud, delivery="every") as skin:
+        if not skin.family.has_device_time:
+            raise NotRun(f"a board '{skin.family.name}' numbers no frames and tells no times")
         start = time.perf_counter()
         frames = list(islice(skin, 200))
         elapsed = time.perf_counter() - start
@@ -134,7 +136,7 @@ def _hardware(port: str) -> Finding:
             Check("device time goes forward: shortest step", float(steps.min()), 1e-6, "s", at_least=True),
             Check("applied pressures", None, 0.0, reason="not known for a real board"),
         ],
-        text=[f"200 frames from {port} in {elapsed:.1f} s."],
+        text=[f"200 frames from {subject.target} in {elapsed:.1f} s."],
     )
 
 

@@ -15,6 +15,7 @@ offset         type                           content
 56             float32 [n]                    pressure in kPa
 ...            float32 [n]                    standard deviation of the pressure in kPa
 ...            float32 [n]                    resistance in ohm
+...            float32 [n]                    counts above those at rest
 ...            uint16 [n]                     counts
 ...            uint8 [n]                      why a cell is not valid: a ``Reason`` each, 0 for valid cells
 ...            (uint32, float32 [5]) each     contact: id; x and y in mm; force in N; peak in kPa; area in mm^2
@@ -76,7 +77,7 @@ def pack_frame(frame: Frame, *, number: int, time_s: float, cell_area_mm2: float
     with np.errstate(over="ignore"):  # beyond float32 is infinite
         numbers = [
             np.asarray(values, dtype="<f4").tobytes()
-            for values in (frame.pressure, frame.pressure_std, frame.resistance)
+            for values in (frame.pressure, frame.pressure_std, frame.resistance, frame.change)
         ]
     touched = [CONTACT.pack(one.id, one.x_mm, one.y_mm, one.force_n, one.peak_kpa, one.area_mm2) for one in contacts]
     joined = [JOINED.pack(one.id, other) for one in contacts for other in one.joined]

@@ -148,7 +148,8 @@ class LiveSource(Source):
             raise InputError("no tare was made here that could be undone")
         self._tares -= 1
         tare = await asyncio.to_thread(self.skin.undo_tare)
-        before = "the data sheet's rest resistances" if tare is None else f"the tare over {tare.frames} frames before"
+        untared = "the data sheet's rest resistances" if self.skin.knows_circuit else "the counts as they come"
+        before = untared if tare is None else f"the tare over {tare.frames} frames before"
         return {"kind": "tared", "text": f"back to {before}", "remarks": []}
 
 

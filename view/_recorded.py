@@ -125,7 +125,7 @@ class RecordedSource(Source):
 
     async def trace(self, order: TraceCells) -> Told:
         """Pressure of some cells, or the total force, over all that is decoded; null where a cell was not valid."""
-        rows, columns = self.skin.design.array.shape
+        rows, columns = self.skin.shape
         for row, column in order.cells:
             if row >= rows or column >= columns:
                 raise InputError(f"cell ({row}, {column}); this skin has {rows} x {columns} cells")
@@ -142,13 +142,14 @@ class RecordedSource(Source):
         return {"cell": None, "time_s": times[kept].tolist(), "force_n": _for_json(force[kept])}
 
     def _trace(self, row: int, column: int, points: int) -> Told:
-        rows, columns = self.skin.design.array.shape
+        rows, columns = self.skin.shape
         cells, cell = rows * columns, row * columns + column
+        shown = 0 if self.skin.knows_circuit else 3
         count = len(self._times_s)
         times, ends = np.array(self._times_s[:count]), np.array(self._ends[: count + 1], dtype=np.int64)
-        pressure = self._numbers(ends[:-1] + HEADER.size + 4 * cell)
+        pressure = self._numbers(ends[:-1] + HEADER.size + 4 * (shown * cells + cell))
         std = self._numbers(ends[:-1] + HEADER.size + 4 * (cells + cell))
-        reason = self._bytes(ends[:-1] + HEADER.size + 14 * cells + cell, 1)[:, 0]
+        reason = self._bytes(ends[:-1] + HEADER.size + 18 * cells + cell, 1)[:, 0]
         pressure[reason != 0] = np.nan
         kept = extremes(pressure, points)
         return {

@@ -55,8 +55,9 @@ class Source(ABC):
     def introduction(self) -> Told:
         """What stays as it is: array, board, cell, scales."""
         skin, identity = self.skin, self.skin.identity
-        rows, columns = skin.design.array.shape
-        adc = skin.design.adc
+        rows, columns = skin.shape
+        adc = skin.design.adc if skin.knows_circuit else None
+        bits = skin.family.layout.adc_bits if adc is None else adc.bits
         return {
             "kind": "introduction",
             "source": printable(self.name),
@@ -64,11 +65,11 @@ class Source(ABC):
             "columns": columns,
             "pitch_mm": [1e3 * pitch_m for pitch_m in skin.pitch_xy_m],
             "full_scale_kpa": None if skin.cell is None else skin.cell.full_scale_kpa,
-            "full_scale_counts": None if adc is None else 2**adc.bits - 1,
+            "full_scale_counts": 2**bits - 1,
             "board": skin.family.name,
             "serial_number": skin.serial_number,
             "firmware": "" if identity is None else identity.firmware,
-            "circuit": skin.design.readout.circuit,
+            "circuit": skin.design.readout.circuit if skin.knows_circuit else None,
             "reasons": [reason.name.lower().replace("_", " ") for reason in Reason],
             "live": self.live,
         }

@@ -1,12 +1,16 @@
 """Protocols of scan boards, without any I/O: bytes to events, orders to bytes, for each family of boards.
 
 ``host_protocol("ohmskin")`` is what a driver talks through, ``board_protocol("ohmskin")`` what an emulator does. The
-native format is in ``docs/wire.md``; the other families are in ``docs/boards.md``.
+native format is in ``docs/wire.md``; the other families, the boards that a BOARD.toml describes (:class:`BoardFile`),
+and the helpers for a family of one's own (:class:`LineHost`, :class:`FixedLengthHost` ...) are in ``docs/boards.md``.
 """
 
+from ._board_file import BoardFile
+from ._checksums import CHECKSUMS
 from ._choice import board_family, board_protocol, host_protocol
 from ._codec import MAX_DESCRIPTION, MAX_PAYLOAD, PacketDecoder, decode, encode
 from ._datasheet import read_description, write_description
+from ._framing import FixedLengthHost, FreeRunningBoard, LineHost, PolledBoard, one_frame, require
 from ._packets import (
     VERSION,
     BadCommand,
@@ -26,14 +30,18 @@ from ._packets import (
     Status,
 )
 from ._protocol import BoardProtocol, Family, HostProtocol, Layout
+from ._words import WORDS
 from .boards import BOARDS
 
 __all__ = [
     "BOARDS",
+    "CHECKSUMS",
     "MAX_DESCRIPTION",
     "MAX_PAYLOAD",
     "VERSION",
+    "WORDS",
     "BadCommand",
+    "BoardFile",
     "BoardProtocol",
     "Command",
     "Corrupt",
@@ -41,15 +49,19 @@ __all__ = [
     "DescriptionPiece",
     "Event",
     "Family",
+    "FixedLengthHost",
     "Flag",
     "FramePacket",
+    "FreeRunningBoard",
     "HostProtocol",
     "Identity",
     "Layout",
+    "LineHost",
     "LineState",
     "Order",
     "Packet",
     "PacketDecoder",
+    "PolledBoard",
     "Reply",
     "SelfTest",
     "Status",
@@ -58,6 +70,8 @@ __all__ = [
     "decode",
     "encode",
     "host_protocol",
+    "one_frame",
     "read_description",
+    "require",
     "write_description",
 ]

@@ -97,6 +97,8 @@ class FramePacket:
     flags: Flag = Flag.NONE
     boot_id: int | None = None
     """number that changes whenever the board starts anew; None: the format has none"""
+    absent: tuple[int, ...] = ()
+    """cells, counted row by row, of which the board has sent no count; theirs are 0 here"""
     received_at: float = field(default=math.nan, compare=False, kw_only=True)
     """time at which the last byte came, on the clock of whoever called ``feed``"""
 
@@ -118,6 +120,7 @@ class FramePacket:
         time_us: int | None,
         flags: Flag = Flag.NONE,
         boot_id: int | None = None,
+        absent: tuple[int, ...] = (),
         received_at: float = math.nan,
     ) -> FramePacket:
         """The packet that carries ``counts``.
@@ -128,6 +131,7 @@ class FramePacket:
             time_us: in us.
             flags: remarks of the board.
             boot_id: of the board.
+            absent: cells without a count.
             received_at: time of the last byte.
 
         Raises:
@@ -141,7 +145,7 @@ class FramePacket:
             raise InputError(f"counts reach from {array.min()} to {array.max()}; expected 0 ... 65535")
         rows, columns = array.shape
         payload = array.astype("<u2").tobytes()
-        return cls(sequence, time_us, rows, columns, payload, flags, boot_id, received_at=received_at)
+        return cls(sequence, time_us, rows, columns, payload, flags, boot_id, absent, received_at=received_at)
 
     @property
     def counts(self) -> NDArray[np.uint16]:

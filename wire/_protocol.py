@@ -10,6 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from ._packets import BadCommand, Command, Event, FramePacket, Identity, Order, Reply, SelfTest
@@ -50,7 +51,11 @@ class Family:
     rts: bool | None = None
     """level to set on the control line RTS before the port is opened; None: leave the default"""
     design: Mapping[str, Any] | None = field(default=None, compare=False)
-    """tables of DESIGN.toml for the family's usual circuit, where the board does not describe it"""
+    """tables of DESIGN.toml for the family's usual circuit, where the board does not describe it; None: not known"""
+    tables: Mapping[str, Any] | None = field(default=None, compare=False)
+    """tables of the BOARD.toml that describes the format, for recordings; None: the format is a module's"""
+    files: Mapping[str, Path] = field(default_factory=dict, compare=False)
+    """files of the board's circuit (``design``) and material (``cell``), where BOARD.toml names them"""
 
 
 class HostProtocol(ABC):

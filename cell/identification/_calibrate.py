@@ -14,7 +14,7 @@ from .._cell import Calibrated, Cell, EstimatorName
 from ..estimation import Estimator, longest_s
 from ..inversions import DRIFT, Seen
 from ..inversions import margin as inverse_margin
-from ..materials import AsymmetricModel, ContactModel, M10Model, simulate
+from ..materials import AsymmetricModel, ContactModel, M10Model, Model, simulate
 from . import _choice as choice
 from . import _training as training
 from ._fitted import Fit
@@ -24,8 +24,9 @@ from ._judged import Judged, Regimes, best_share, mixed
 from ._recording import Recording
 from ._remarks import remarks
 
-MOST = 6000
-"""largest number of samples for training; a longer recording is thinned"""
+MOST, ENOUGH, PER_STROKE = 6000, 1500, 30.0
+"""largest number of samples for training; a longer recording is thinned. Of a recording that is longer than the second
+number, a short stroke of the load (the lower quartile) keeps the third number of samples"""
 FOLD_CELLS = 32
 """simulated cells for training before each fold; a third of the number for the final estimators"""
 TEACHES_WORSE = 0.7
@@ -36,8 +37,8 @@ BREAKS = 0.5
 """a cell is believed to have chains that break if m10 with them has less than this fraction of the error without"""
 WORTH_COMPILING = 1000
 """least number of samples for which compiled loops are loaded, which takes about half a second"""
-STEPS = 7
-"""progress steps of a calibration: three kinds of model, three folds, and training on the whole recording"""
+KINDS = 3
+"""progress steps of the fit"""
 
 
 FALLING = (
@@ -73,8 +74,9 @@ def calibrate(
     """Identify the cell of a recording and calibrate its estimators.
 
     Kinds of models and estimators are compared by rolling-origin cross-validation. The recording is cut into folds that
-    each contain presses. Fits and training use the part before a fold, and the worst fold counts. The final model and
-    estimators are then fitted to the whole recording. Deterministic.
+    each hold a whole press. Fits and training use the part before a fold, and the worst fold counts. The final model
+    and estimators are then fitted to the whole recording. A recording of fewer than three presses has no folds: an
+    information criterion then decides between the kinds, and simulated cells between the estimators. Deterministic.
 
     Args:
         recording: presses and releases of one cell.
@@ -84,19 +86,20 @@ def calibrate(
     Raises:
         InputError: the resistance does not follow the pressure, or no model of any kind fits.
     """
-    thin = _thinned(recording.without_sparks)
-    full = float(np.quantile(thin.pressure_kpa, 0.999)) if full_scale_kpa is None else full_scale_kpa
+    clean = recording.without_sparks
+    full = float(np.quantile(clean.pressure_kpa, 0.999)) if full_scale_kpa is None else full_scale_kpa
     if not 0 < full < np.inf:
         raise InputError(f"full scale is {full} kPa; expected more than 0")
-    steps = itertools.count(1)
+    thin = _thinned(clean, full)
+    parts, steps = folds(thin, full), itertools.count(1)
 
     def tell(what: str) -> None:
-        progress(next(steps), STEPS, what)
+        progress(next(steps), KINDS + len(parts) + 1, what)
 
     found = tuple(fits(thin, full, tell))
     model, rest = found[0].model, found[0].rest_resistance_ohm
     cell = Cell(rest_resistance_ohm=rest, full_scale_kpa=full, model=model)
-    samples, seen, parts = Regimes.of(thin, full), _seen(thin, full), folds(thin, full)
+    samples, seen = Regimes.of(thin, full), _seen(thin, full)
     presses = float(samples.pressing[-1]) / 2
     if isinstance(model, ContactModel):
         said = (FALLING, *remarks(recording, full, presses, varied=True))
@@ -112,9 +115,12 @@ def calibrate(
         for name in LEARNED:
             judged.setdefault(name, []).append(_judge(trial, name, thin, samples, fold))
         tell("learned before a fold, and judged on it")
-    judged |= _judge_models(cell.replace(estimators=None), found[0], thin, samples, parts)
     noise = seen.noise * float(np.mean(thin.resistance_ohm) / np.ptp(thin.resistance_ohm))
     final = _learned(whole, full, cells=training.CELLS, breaks=breaks).replace(seen=seen)
+    if parts:
+        judged |= _judge_models(cell.replace(estimators=None), found[0].before_folds, thin, samples, parts)
+    else:
+        judged = _judge_on_all(cell.replace(estimators=final), thin, samples)
     final = _mixed(final, judged, beyond_recorded=_beyond_noise(teacher, noise) < choice.EXACT)
     tried = (*LEARNED, *(name for name in judged if name == "inverse"))
     elsewhere = choice.errors_elsewhere(cell.replace(estimators=final), found, tried, whole)
@@ -125,6 +131,7 @@ def calibrate(
         presses=presses,
         strokes=strokes(thin, full),
         unexplained=_beyond_noise(found[0], noise),
+        held_out=bool(parts),
         least_slope=1.0 if inverse is None else inverse,
     )
     cell = cell.replace(estimators=_with_errors(final, evidence, whole, full))
@@ -165,10 +172,10 @@ def _teacher(found: tuple[Fit, ...]) -> Fit:
     """
     smooth = next(fit for fit in found if isinstance(fit.model, M10Model))
     plain = next(fit for fit in found if isinstance(fit.model, AsymmetricModel))
-    if plain.held_out_error < TEACHES_WORSE * smooth.held_out_error:
+    if plain.judged_error < TEACHES_WORSE * smooth.judged_error:
         smooth = plain
-    best = min(found, key=lambda fit: fit.held_out_error)
-    return best if best.held_out_error < 0.5 * smooth.held_out_error else smooth
+    best = min(found, key=lambda fit: fit.judged_error)
+    return best if best.judged_error < 0.5 * smooth.judged_error else smooth
 
 
 def _breaks(found: tuple[Fit, ...]) -> bool:
@@ -192,9 +199,11 @@ def _learned(
     )
 
 
-def _thinned(recording: Recording) -> Recording:
-    """The recording, thinned to at most :data:`MOST` samples."""
-    every = -(-len(recording.time_s) // MOST)
+def _thinned(recording: Recording, full_scale_kpa: float) -> Recording:
+    """The recording, thinned to at most :data:`MOST` samples, and to fewer where the load is slow."""
+    samples, found = len(recording.time_s), strokes(recording, full_scale_kpa)
+    slow = found.short_s / (PER_STROKE * recording.step_s)
+    every = max(-(-samples // MOST), min(int(slow), samples // ENOUGH), 1)
     time_s, pressure, resistance = recording.time_s, recording.pressure_kpa, recording.resistance_ohm
     return replace(
         recording, time_s=time_s[::every], pressure_kpa=pressure[::every], resistance_ohm=resistance[::every]
@@ -215,8 +224,8 @@ def _normalised(recording: Recording, cell: Cell, teacher: Fit) -> training.Norm
 
 
 def _beyond_noise(fit: Fit, noise: float) -> float:
-    """Held-out error of a fit beyond the noise of the readings, both over the range of the resistance."""
-    return float(np.sqrt(max(fit.held_out_error**2 - noise**2, 0.0)))
+    """Error of a fit beyond the noise of the readings, both over the range of the resistance."""
+    return float(np.sqrt(max(fit.judged_error**2 - noise**2, 0.0)))
 
 
 def _mixed(learned: Calibrated, judged: dict[EstimatorName, list[Judged]], *, beyond_recorded: bool) -> Calibrated:
@@ -252,7 +261,7 @@ def _with_errors(
     return Calibrated(
         default=default,
         reason=reason,
-        held_out_percent={name: evidence.worst(name) for name in judged},
+        held_out_percent={name: evidence.expected_percent(name) for name in judged},
         fold_percent={name: tuple(evidence.percent(name)) for name in judged},
         pressed_percent=pressed,
         # An inverse follows the drift that its model explains; its errors on the folds show how well.
@@ -291,17 +300,33 @@ def _judge(cell: Cell, name: EstimatorName, recording: Recording, samples: Regim
     return Judged(fold, error, stated, samples.part(part))
 
 
+def _all_of(recording: Recording) -> Fold:
+    return Fold(float(recording.time_s[0]), float(recording.time_s[-1]) + recording.step_s)
+
+
+def _judge_on_all(cell: Cell, recording: Recording, samples: Regimes) -> dict[EstimatorName, list[Judged]]:
+    """Errors of all estimators on the whole recording, which they have learned."""
+    every = _all_of(recording)
+    judged = {name: [_judge(cell, name, recording, samples, every)] for name in LEARNED}
+    model = cell.model, cell.rest_resistance_ohm
+    return judged | _judge_models(cell.replace(estimators=None), (model,), recording, samples, (every,))
+
+
 def _judge_models(
-    cell: Cell, fit: Fit, recording: Recording, samples: Regimes, parts: tuple[Fold, ...]
+    cell: Cell,
+    before_folds: tuple[tuple[Model, float] | None, ...],
+    recording: Recording,
+    samples: Regimes,
+    parts: tuple[Fold, ...],
 ) -> dict[EstimatorName, list[Judged]]:
-    """Held-out errors of estimators that follow from the model alone, fitted before each fold.
+    """Errors of estimators that follow from the model alone; ``before_folds``: as fitted before each fold.
 
     An estimator is left out unless the fits before all folds allow it.
     """
     judged: dict[EstimatorName, list[Judged]] = {}
     for name in FROM_MODEL:
         pairs = []
-        for fold, before in zip(parts, fit.before_folds, strict=True):
+        for fold, before in zip(parts, before_folds, strict=True):
             try:
                 if before is not None:
                     model, rest = before
@@ -332,9 +357,10 @@ def _calibrated_contact(cell: Cell, recording: Recording) -> Cell:
 
     whole = training.NormalisedRecording(recording.time_s, r, load, cell.rest_resistance_ohm, unused, 0.0)
     samples = Regimes.of(recording, cell.full_scale_kpa)
-    parts = []
-    for fold in folds(recording, cell.full_scale_kpa):
-        first = training.static_curve(whole.until(fold.start_s), cell.full_scale_kpa, logarithmic=True)
+    held_out, parts = folds(recording, cell.full_scale_kpa), []
+    for fold in held_out or (_all_of(recording),):
+        before = whole.until(fold.start_s) if held_out else whole
+        first = training.static_curve(before, cell.full_scale_kpa, logarithmic=True)
         part = slice(*np.searchsorted(recording.time_s, (fold.start_s, fold.end_s)).tolist())
         error = np.clip(first.load(r[part]), first.limits.lowest, first.limits.highest) - load[part]
         parts.append(Judged(fold, error, np.full(error.shape, np.inf), samples.part(part)))
@@ -344,7 +370,8 @@ def _calibrated_contact(cell: Cell, recording: Recording) -> Cell:
     std = max(curve.std_kpa, DRIFT * pressed / 100 * cell.full_scale_kpa)
     estimators = Calibrated(
         default="static",
-        reason=f"a contact without memory; {percent:.1f} % of full scale on the worst of {len(parts)} folds",
+        reason=f"a contact without memory; {percent:.1f} % of full scale on "
+        + (f"the worst of {len(parts)} folds" if held_out else "all of the recording"),
         held_out_percent={"static": percent},
         fold_percent={"static": tuple(100 * part.rms for part in parts)},
         pressed_percent={"static": pressed},

@@ -62,6 +62,8 @@ class Evidence:
     """error of the model on its worst fold beyond noise, over the range of r"""
     least_slope: float
     """least slope of a fast step over that at equilibrium; the inverse amplifies errors by up to its reciprocal"""
+    held_out: bool = True
+    """whether the errors are held out. Without folds they are those on all of the recording, which was learned from"""
 
     @property
     def varied(self) -> bool:
@@ -82,6 +84,13 @@ class Evidence:
     def worst(self, name: EstimatorName) -> float:
         """Rms error on the worst fold, % of full scale; infinite for an estimator that the cell does not have."""
         return max(self.percent(name)) if name in self.judged else np.inf
+
+    def expected_percent(self, name: EstimatorName) -> float:
+        """Rms error to expect of other presses, % of full scale: that of the worst fold.
+
+        Without folds it is the error on what was learned, or that on simulated cells if this is larger.
+        """
+        return self.worst(name) if self.held_out else max(self.worst(name), 100 * self.elsewhere.get(name, 0.0))
 
     def beats_static(self, name: EstimatorName) -> bool:
         """Whether an estimator passes both tests."""
@@ -119,11 +128,11 @@ def choose(evidence: Evidence) -> tuple[EstimatorName, str]:
         unexplained = 100 * evidence.unexplained
         why = f"the model explains the resistance but for {unexplained:.1f} % of its range and noise; "
     percent = evidence.percent(chosen)
-    fold = int(np.argmax(percent)) + 1
     others = ", ".join(f"{name} {value:.1f} %" for name, value in worst.items() if name != chosen)
-    return chosen, (
-        f"{why}{max(percent):.1f} % of full scale on the worst of {len(percent)} folds, number {fold} ({others})"
-    )
+    where = f"on the worst of {len(percent)} folds, number {int(np.argmax(percent)) + 1}"
+    if not evidence.held_out:
+        where = "on what it was learned from, as no whole press is left to judge by"
+    return chosen, f"{why}{max(percent):.1f} % of full scale {where} ({others})"
 
 
 def _doubts(evidence: Evidence, name: EstimatorName) -> str:

@@ -42,10 +42,12 @@ class Fit:
     """simulates cells like the identified one"""
     simulate_folds: tuple[Simulation, ...]
     """the same for the fit before each fold"""
+    independent: float = np.inf
+    """number of independent samples that the residual amounts to"""
+    penalty: float = 1.0
+    """factor on :attr:`error` by which an information criterion (BIC) counts the parameters"""
     before_folds: tuple[tuple[Model, float] | None, ...] = ()
     """model and R0 in ohm as fitted before each fold; None: the parameters make no valid cell"""
-    first_telling: int = 0
-    """number of the first fold that enough presses precede to judge a model"""
     drift: Drift | None = None
     """drift of R0; only in the fit of the richest kind, else None"""
 
@@ -57,8 +59,13 @@ class Fit:
 
     @property
     def held_out_error(self) -> float:
-        """The largest of the fold errors from :attr:`first_telling` on."""
-        return max(self.fold_errors[self.first_telling :])
+        """The largest of the fold errors; NaN without any."""
+        return max(self.fold_errors, default=np.nan)
+
+    @property
+    def judged_error(self) -> float:
+        """By which kinds are compared: the held-out error, or without folds the error on what was fitted, penalised."""
+        return self.held_out_error if self.fold_errors else self.error * self.penalty
 
 
 @dataclass(frozen=True)

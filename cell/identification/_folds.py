@@ -11,8 +11,12 @@ from ...errors import InputError
 from ..inversions import play_follow
 from ._recording import Recording
 
-ORIGINS = (0.45, 0.65, 0.825)
-"""starts of the folds, as fractions of the load's total path length (:func:`pressing`)"""
+FIRST, TAUGHT, MOST_FOLDS = 0.45, 2.0, 3
+"""the first fold begins when this fraction of the load's total path length (:func:`pressing`) is done, and that many
+usual presses; and the largest number of folds. With fewer presses before it, the error on a fold shows how little data
+a model needs, and not how well it describes the cell"""
+WHOLE = 0.9
+"""least path length of a fold, in presses. A part of a press may suit a model that misses the rest of it"""
 PRESSED = 0.05
 """half width, over full scale, of the play operator that removes noise from the load"""
 HEIGHTS_DIFFER, DURATIONS_DIFFER = 0.2, 0.35
@@ -40,8 +44,14 @@ class Strokes:
 
     @property
     def press(self) -> float:
-        """Path of the normalised load in a usual press: a rise and a fall."""
-        return 2 * float(np.median(self.height))
+        """Path of the normalised load in a usual press: a rise and a fall; 0 without any."""
+        return 2 * float(np.median(self.height)) if self.height.size else 0.0
+
+    @property
+    def short_s(self) -> float:
+        """Lower quartile of the durations of strokes that are at least half as high as usual; 0 without any."""
+        usual = self.seconds[self.height > 0.25 * self.press]
+        return float(np.quantile(usual, 0.25)) if usual.size else 0.0
 
     @property
     def vary(self) -> bool:
@@ -85,21 +95,27 @@ def pressing(recording: Recording, full_scale_kpa: float) -> FloatArray:
 
 
 def folds(recording: Recording, full_scale_kpa: float) -> tuple[Fold, ...]:
-    """Consecutive folds that begin at :data:`ORIGINS` of all :func:`pressing`, however long the rests between presses.
+    """Consecutive folds with equal path lengths of the load (:func:`pressing`), however long the rests between presses.
+
+    Each holds a whole press, and follows on presses to learn from (:data:`TAUGHT`). A recording of few presses has
+    fewer folds than :data:`MOST_FOLDS`, and one of fewer than three has none.
 
     Raises:
         InputError: there are hardly any readings before the first fold, or gaps take up most of the recording.
     """
     moved = pressing(recording, full_scale_kpa)
     moved += 1e-9 * np.arange(len(moved))
-    at = np.searchsorted(moved, np.array(ORIGINS) * moved[-1]).clip(1, len(moved) - 1)
+    press = strokes(recording, full_scale_kpa).press
+    first = max(FIRST * moved[-1], TAUGHT * press)
+    count = min(int((moved[-1] - first) / (WHOLE * press)), MOST_FOLDS) if press > 0 else 0
+    at = np.searchsorted(moved, np.linspace(first, moved[-1], max(count, 0), endpoint=False)).clip(1, len(moved) - 1)
     time = recording.time_s
     step = recording.step_s
     starts = time[at]
     ends = np.append(starts[1:], time[-1] + step)
-    found = tuple(Fold(float(a), float(b)) for a, b in zip(starts, ends, strict=True) if b > a)
+    found = tuple(Fold(float(a), float(b)) for a, b in zip(starts, ends, strict=False) if b > a)
     expected = (time[-1] - time[0]) / step
-    before = int(np.count_nonzero(time < found[0].start_s))
+    before = int(np.count_nonzero(time < found[0].start_s)) if found else len(time)
     longest = float(np.diff(time).max())
     if before < FEWEST or longest > 0.5 * (time[-1] - time[0]) or len(time) < 0.1 * expected:
         raise InputError(

@@ -13,7 +13,7 @@ from ...errors import InputError
 from ..materials import Model, simulate
 from ._contact_fit import fit_contact
 from ._fitted import Drift, Fit, Parameter
-from ._folds import Fold, folds, pressing
+from ._folds import Fold, folds
 from ._kinds import (
     Kind,
     Richer,
@@ -27,9 +27,10 @@ from ._kinds import (
     whole_kind,
     with_drift,
 )
-from ._least_squares import Grid, predict, solve
+from ._least_squares import Grid, correlation_length, predict, solve
 from ._recording import Recording
 from ._recovery_curve import longest_recovery, recovery_branches
+from ._remarks import clock_shift_s
 from ._training import cubic
 
 POINTS, POINTS_BEFORE_FOLDS = 2000, 1000
@@ -38,9 +39,6 @@ longer ones are thinned"""
 EXPLAINS = 0.7
 """fraction of the standard deviation of the resistance; the error of the best model must be below. Of a contact, the
 same of the load, and the error of its curve"""
-TAUGHT = 1.2
-"""least number of full presses before a fold. With fewer, the error on the fold shows how little data a kind needs, and
-not how well it describes the cell"""
 SIMPLER = 1.05
 """a simpler kind is preferred if the error on its worst fold is within this factor of the best"""
 SEEN_AT_REST, NEVER_AT_REST = 0.15, 0.7
@@ -56,7 +54,9 @@ NOISY = 0.1
 def fits(recording: Recording, full_scale_kpa: float, told: Callable[[str], None] = lambda what: None) -> list[Fit]:
     """Fits of every kind of cell to the recording, the best first.
 
-    The best is the simplest kind whose held-out error is within 5 % of the least. ``told`` is called after each kind.
+    The best is the simplest kind whose error is within 5 % of the least: the held-out error, or where the recording has
+    no folds, the error on all of it with the penalty of the Bayesian information criterion (Schwarz, "Estimating the
+    dimension of a model", 1978). ``told`` is called after each kind.
 
     Raises:
         InputError: the resistance does not follow the pressure.
@@ -64,15 +64,26 @@ def fits(recording: Recording, full_scale_kpa: float, told: Callable[[str], None
     rest, lower = rest_resistance(recording, full_scale_kpa)
     load, log_ohm = recording.pressure_kpa / full_scale_kpa, np.log(recording.resistance_ohm)
     if np.corrcoef(load, log_ohm)[0, 1] < -0.3:
-        _check_follows(recording.name, _left_by_curve(load, log_ohm), float(np.std(load)), "curve", "full scale")
+        _check_follows(recording, _left_by_curve(load, log_ohm), float(np.std(load)), "curve", "full scale")
         found = [fit_contact(recording, full_scale_kpa, rest)]
     else:
         found = _fit_kinds(_Task(recording, full_scale_kpa, rest, lower, folds(recording, full_scale_kpa)), told)
         blind = float(np.std(recording.resistance_ohm) / np.ptp(recording.resistance_ohm))
-        _check_follows(recording.name, min(fit.error for fit in found), blind, "model", "its range")
-    least = min(fit.held_out_error for fit in found)
-    best = next(fit for fit in found if fit.held_out_error <= SIMPLER * least)
-    return [best, *sorted((fit for fit in found if fit is not best), key=lambda fit: fit.held_out_error)]
+        _check_follows(recording, min(fit.error for fit in found), blind, "model", "its range")
+    found = _penalised(found)
+    least = min(fit.judged_error for fit in found)
+    best = next(fit for fit in found if fit.judged_error <= SIMPLER * least)
+    return [best, *sorted((fit for fit in found if fit is not best), key=lambda fit: fit.judged_error)]
+
+
+def _penalised(found: list[Fit]) -> list[Fit]:
+    """The fits with their penalties. The criterion n ln(error^2) + p ln(n) orders them as error * n^(p / 2n) does.
+
+    n is the number of independent samples by the residual of the best fit: model errors of neighbouring samples are
+    alike.
+    """
+    n = max(min(found, key=lambda fit: fit.error).independent, 2.0)
+    return [replace(fit, penalty=float(n ** (len(fit.parameters) / (2 * n)))) for fit in found]
 
 
 def _left_by_curve(load: FloatArray, log_ohm: FloatArray) -> float:
@@ -84,14 +95,21 @@ def _left_by_curve(load: FloatArray, log_ohm: FloatArray) -> float:
     return float(np.std(cubic(log_ohm, load)(log_ohm) - load))
 
 
-def _check_follows(name: str, left: float, blind: float, best: str, of: str) -> None:
+def _check_follows(recording: Recording, left: float, blind: float, best: str, of: str) -> None:
     """InputError, naming the recording, unless the ``best`` explanation leaves clearly less than knowing nothing."""
-    if not left < EXPLAINS * blind:
-        raise InputError(
-            f"{name}: the resistance does not follow the pressure: the best {best} leaves {100 * left:.0f} % of {of}, "
-            f"knowing nothing {100 * blind:.0f} %; are the columns right, and is the noise smaller than what the load "
-            "does?"
+    if left < EXPLAINS * blind:
+        return
+    question = "are the columns right, and is the noise smaller than what the load does?"
+    if shift_s := clock_shift_s(recording):
+        side = "before" if shift_s > 0 else "after"
+        question = (
+            f"but it changes {abs(shift_s):.2g} s {side} the pressure does, again and again: the clocks of the two are "
+            f"apart. Shift the times of one by {abs(shift_s):.2g} s, and fit again"
         )
+    raise InputError(
+        f"{recording.name}: the resistance does not follow the pressure: the best {best} leaves {100 * left:.0f} % of "
+        f"{of}, knowing nothing {100 * blind:.0f} %; {question}"
+    )
 
 
 def _fit_kinds(task: _Task, told: Callable[[str], None]) -> list[Fit]:
@@ -128,16 +146,6 @@ class _Task:
     lower: float
     """fraction by which R0 may be lower than ``rest_ohm``"""
     folds: tuple[Fold, ...]
-
-    @property
-    def first_telling(self) -> int:
-        """The first fold that :data:`TAUGHT` presses precede, or the last one."""
-        before = np.interp(
-            [fold.start_s for fold in self.folds],
-            self.recording.time_s,
-            pressing(self.recording, self.full_scale_kpa) / 2,
-        )
-        return min(int(np.count_nonzero(before < TAUGHT)), len(self.folds) - 1)
 
     def grid(self, until_s: float, end_s: float) -> Grid:
         """The recording before ``end_s`` on a uniform time grid; samples before ``until_s`` count in the fit."""
@@ -181,8 +189,10 @@ def _fit(kind: Kind, task: _Task, nested: list[tuple[float, ...]]) -> tuple[Fit,
         errors.append(float(np.sqrt(np.mean(left**2)) / spread) if left.size else np.inf)
 
     whole = task.grid(np.inf, np.inf)
-    found, covariance = solve(kind, whole, [kind.starts[0], tuple(solutions[-1]), *nested[-1:]], task.lower)
-    error = float(np.sqrt(np.mean(whole.left(predict(kind, found, whole)) ** 2)) / spread)
+    earlier = [kind.starts[0], tuple(solutions[-1])] if solutions else kind.starts
+    found, covariance = solve(kind, whole, [*earlier, *nested[-1:]], task.lower)
+    residual = whole.left(predict(kind, found, whole))
+    error = float(np.sqrt(np.mean(residual**2)) / spread)
     offset = float(found[-1])
     model = model_of(kind.kind, found, task.full_scale_kpa)
     duration = float(recording.time_s[-1] - recording.time_s[0])
@@ -205,7 +215,7 @@ def _fit(kind: Kind, task: _Task, nested: list[tuple[float, ...]]) -> tuple[Fit,
         simulate=partial(_simulated, kind, found, rest),
         simulate_folds=tuple(partial(_simulated, kind, solution, rest) for solution in solutions),
         before_folds=tuple(_valid_model(kind, solution, task) for solution in solutions),
-        first_telling=task.first_telling,
+        independent=len(residual) / correlation_length(residual),
     )
     return fit, [tuple(map(float, solution)) for solution in (*solutions, found)]
 

@@ -18,8 +18,9 @@ LIGHT, MOVES, WITHIN_S = 0.05, 0.05, 1.0
 counts as motion"""
 FEWEST = 20
 """least number of samples of a regime in a fold for separate statistics"""
-BLOCKS = 4
-"""number of parts of a fold, with equal path lengths of the load; they count as independent in a paired comparison"""
+BLOCKS = 12
+"""number of parts of all folds together, with equal path lengths of the load in a fold; they count as independent in a
+paired comparison"""
 NEITHER = 0.002
 """fraction of full scale; parts in which both estimators err less do not enter the comparison"""
 
@@ -82,13 +83,13 @@ class Judged:
         for part in enough or [np.ones(len(size), dtype=np.bool_)]:
             yield size[part], self.std[part]
 
-    def blocks(self) -> FloatArray:
-        """(:data:`BLOCKS`,) rms error of the fold's parts with equal path lengths of the load; NaN: no samples."""
+    def blocks(self, number: int) -> FloatArray:
+        """(number,) rms error of the fold's parts with equal path lengths of the load; NaN: no samples."""
         path = self.samples.pressing - self.samples.pressing[0]
-        place = np.minimum(BLOCKS * path / path[-1] if path[-1] > 0 else 0 * path, BLOCKS - 1).astype(np.intp)
-        count = np.bincount(place, minlength=BLOCKS)
-        squares = np.bincount(place, self.error**2, minlength=BLOCKS)
-        return np.asarray(np.sqrt(np.divide(squares, count, out=np.full(BLOCKS, np.nan), where=count > 0)))
+        place = np.minimum(number * path / path[-1] if path[-1] > 0 else 0 * path, number - 1).astype(np.intp)
+        count = np.bincount(place, minlength=number)
+        squares = np.bincount(place, self.error**2, minlength=number)
+        return np.asarray(np.sqrt(np.divide(squares, count, out=np.full(number, np.nan), where=count > 0)))
 
 
 def mixed(judged: Sequence[Judged], reference: Sequence[Judged], share: float) -> list[Judged]:
@@ -139,7 +140,8 @@ def standard_errors_better(judged: Sequence[Judged], reference: Sequence[Judged]
         judged: errors of the estimator, fold by fold.
         reference: errors of the reference on the same folds.
     """
-    found = [(one.blocks(), other.blocks()) for one, other in zip(judged, reference, strict=True)]
+    number = BLOCKS // len(judged)
+    found = [(one.blocks(number), other.blocks(number)) for one, other in zip(judged, reference, strict=True)]
     own, other = (np.concatenate(blocks) for blocks in zip(*found, strict=True))
     counted = np.isfinite(own) & (np.maximum(own, other) > NEITHER)
     gain = (other - own)[counted]

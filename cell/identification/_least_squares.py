@@ -69,7 +69,7 @@ def solve(kind: Kind, grid: Grid, starts: list[tuple[float, ...]], lower: float)
         if best is None or found.cost < best.cost:
             best = found
     left = best.fun[: np.count_nonzero(grid.read[: grid.fitted])]
-    scale = np.mean(left**2) * _correlation_length(left)
+    scale = np.mean(left**2) * correlation_length(left)
     covariance = np.linalg.pinv(best.jac.T @ best.jac) * scale
     value = problem.natural(best.x)
     unit = np.where(problem.positive, value, 1.0)
@@ -146,7 +146,7 @@ def predict(kind: Kind, parameters: FloatArray, grid: Grid) -> FloatArray:
     return predicted
 
 
-def _correlation_length(left: FloatArray) -> float:
+def correlation_length(left: FloatArray) -> float:
     """Number of samples per independent sample (integrated autocorrelation time) of residuals (n,).
 
     The model error is not white, so that standard errors for white residuals would be too small.

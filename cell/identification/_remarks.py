@@ -13,7 +13,7 @@ from ._recording import Recording
 LONGEST_LEAD_S = 5.0
 """longest lead that is searched"""
 LEAD_S, LEAD_STEPS = 0.03, 3.0
-"""least lead of the resistance before the pressure that is reported, in seconds and in time steps of the recording"""
+"""least shift of the two that is reported, in seconds and in time steps of the recording"""
 MOST_STEPS = 200_000
 """largest number of samples of the raster on which a lead is searched"""
 CLEARLY = 0.3
@@ -120,9 +120,17 @@ def believed(drift: Drift) -> bool:
 
 
 def resistance_lead_s(recording: Recording) -> float:
-    """Lead of the resistance before the pressure in seconds (peak of the cross-correlation); 0: no clear lead.
+    """Lead of the resistance before the pressure in seconds; 0: no clear lead.
 
     A lead cannot be a property of a cell. A lag can: many cells follow the pressure late.
+    """
+    return max(clock_shift_s(recording), 0.0)
+
+
+def clock_shift_s(recording: Recording) -> float:
+    """By how many seconds the resistance changes before the pressure (negative: after it); 0: not clear.
+
+    This is where the cross-correlation of their changes is largest, whether loads raise the resistance or lower it.
     """
     from scipy.ndimage import gaussian_filter1d
 
@@ -134,12 +142,11 @@ def resistance_lead_s(recording: Recording) -> float:
     log_ohm = np.interp(time, recording.time_s, np.log(recording.resistance_ohm))
     width = max(1.0, LEAD_S / step / 3)
     rates = [np.gradient(gaussian_filter1d(signal, width)) for signal in (pressure, log_ohm)]
-    sign = np.sign(np.corrcoef(pressure, log_ohm)[0, 1])
     most = min(round(LONGEST_LEAD_S / step), len(time) // 4)
-    found = _correlation(rates[0], sign * rates[1], most)
+    found = np.abs(_correlation(rates[0], rates[1], most))
     lead = int(np.argmax(found)) - most
-    late_enough = lead * step >= LEAD_S and lead >= LEAD_STEPS
-    return lead * step if late_enough and found.max() > CLEARLY else 0.0
+    far_enough = abs(lead) * step >= LEAD_S and abs(lead) >= LEAD_STEPS
+    return lead * step if far_enough and found.max() > CLEARLY else 0.0
 
 
 def _correlation(late: FloatArray, early: FloatArray, most: int) -> FloatArray:

@@ -21,10 +21,15 @@ def calibration_text(calibration: CalibrationResult) -> str:
     lines = [
         f"cell of kind {cell.model.kind}, R0 = {cell.rest_resistance_ohm:.6g} ohm, "
         f"full scale {_in_units(cell.full_scale_kpa)}",
-        "error of r, % of its range, on what was fitted / on each fold after fitting what comes before it:",
+        "error of r, % of its range, on what was fitted / "
+        + (
+            "on each fold after fitting what comes before it:"
+            if calibration.folds
+            else "the same with the penalty of BIC, which chooses, as no whole press is left to judge by:"
+        ),
         *(
-            f"  {other.label:<11} {100 * other.error:5.1f} / {_percents(other.fold_errors, 100)}"
-            + ("  <- chosen" if other is fit else "")
+            f"  {other.label:<11} {100 * other.error:5.1f} / "
+            f"{_percents(other.fold_errors or (other.judged_error,), 100)}" + ("  <- chosen" if other is fit else "")
             for other in calibration.fits
         ),
         "parameters (gains: r at full scale):",
@@ -49,8 +54,8 @@ def calibration_text(calibration: CalibrationResult) -> str:
     spans = ", ".join(
         f"{n} from {fold.start_s:.4g} to {fold.end_s:.4g} s" for n, fold in enumerate(calibration.folds, 1)
     )
-    lines.append(f"folds: {spans}")
-    lines.append("error of the estimators on the same folds, % of full scale:")
+    lines.append(f"folds: {spans or 'none'}")
+    lines.append(f"error of the estimators on {'the same folds' if spans else 'all of it'}, % of full scale:")
     lines += [f"  {name:<11} {_percents(values)}" for name, values in cell.estimators.fold_percent.items()]
     lines.append(f"estimator: {cell.estimators.default}, because of {cell.estimators.reason}")
     lines += [f"note: {remark}" for remark in calibration.remarks]
@@ -85,6 +90,7 @@ def calibration_record(calibration: CalibrationResult) -> dict[str, Any]:
                 "label": fit.label,
                 "error": fit.error,
                 "held_out_error": fit.held_out_error,
+                "judged_error": fit.judged_error,
                 "folds": list(fit.fold_errors),
             }
             for fit in calibration.fits

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...common.arrays import FloatArray
 from ..inversions import BEYOND, DRIFT, UNKNOWN_DRIFT, Bank, Learned, Limits, Reached, StaticCurve, Terms
@@ -228,24 +229,19 @@ def learn(
     rest = np.asarray(terms(terms.standardised(at_rest)), dtype=np.float64)
     penalty = ridge * np.eye(rest.shape[1])
     penalty[0, 0] = 0.0
-    sets = (data.simulated, data.simulated_load), (data.real, data.real_load)
+    sets = [
+        (list(_blocks(terms, features, load)), len(features))
+        for features, load in ((data.simulated, data.simulated_load), (data.real, data.real_load))
+    ]
     normal = penalty + AT_REST * rest.T @ rest
-    moments = np.zeros(len(normal))
-    for features, load in sets:
-        squares, products = np.zeros_like(normal), np.zeros_like(moments)
-        for place, block in _blocks(terms, features):
-            squares += block.T @ block
-            products += block.T @ load[place]
-        normal += squares / len(features)
-        moments += products / len(features)
+    moments, error_moments = np.zeros((2, len(normal)))
+    for blocks, count in sets:
+        normal += _squares([block for block, _ in blocks]) / count
+        moments += sum(block.T @ load for block, load in blocks) / count
     weights = np.linalg.solve(normal, moments)
-
-    error_moments = np.zeros_like(moments)
-    for features, load in sets:
-        products = np.zeros_like(moments)
-        for place, block in _blocks(terms, features):
-            products += block.T @ np.abs(block @ weights - load[place])
-        error_moments += products / len(features)
+    single = weights.astype(np.float32)
+    for blocks, count in sets:
+        error_moments += sum(block.T @ np.abs(block @ single - load) for block, load in blocks) / count
     errors = np.linalg.solve(normal, error_moments)
     return Learned(
         smoothing_s=SMOOTHING_S,
@@ -274,11 +270,28 @@ def _reached(*sets: FloatArray) -> Reached:
     )
 
 
-def _blocks(terms: Terms, features: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
-    """All terms (rows, terms) of features (rows, count) in float64, in blocks that fit the processor's cache."""
+Single = NDArray[np.float32]
+
+
+def _blocks(terms: Terms, features: FloatArray, load: FloatArray) -> Iterator[tuple[Single, Single]]:
+    """Terms (rows, terms) of features (rows, count), and their loads, in blocks that fit the processor's cache."""
     for start in range(0, len(features), TOGETHER):
         place = slice(start, start + TOGETHER)
-        yield place, np.asarray(terms(terms.standardised(features[place].T)), dtype=np.float64)
+        block = np.asarray(terms(terms.standardised(features[place].T)), dtype=np.float32)
+        yield block, load[place].astype(np.float32)
+
+
+def _squares(blocks: Sequence[Single]) -> FloatArray:
+    """(terms, terms) sums of squares and products of the terms, each block's in single precision.
+
+    What single precision loses is far below the ridge.
+    """
+    from scipy.linalg.blas import ssyrk
+
+    upper = np.zeros((blocks[0].shape[1],) * 2)
+    for block in blocks:
+        upper += ssyrk(1.0, block.T)
+    return np.asarray(np.triu(upper) + np.triu(upper, 1).T)
 
 
 def play(calibration: NormalisedRecording, simulated: tuple[FloatArray, FloatArray, float]) -> Learned:

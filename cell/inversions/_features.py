@@ -167,11 +167,14 @@ def _run_each(
 
 def play_follow(signal: FloatArray, width: float) -> FloatArray:
     """A signal (n, m) through a play of half width ``width``: noise narrower than that is held still."""
-    followed = np.empty_like(signal)
-    last = followed[0] = signal[0]
-    for n in range(1, len(signal)):
-        last = followed[n] = np.clip(last, signal[n] - width, signal[n] + width)
-    return followed
+    columns = []
+    for column in signal.T.tolist():  # plain numbers are ten times as fast as operations on a few
+        last, followed = column[0], []
+        for value in column:
+            last = min(max(last, value - width), value + width)
+            followed.append(last)
+        columns.append(followed)
+    return np.ascontiguousarray(np.array(columns).T)
 
 
 class _Constants(NamedTuple):

@@ -39,22 +39,25 @@ def m10(parameters: FloatArray, load: FloatArray, dt_s: float, begun: FloatArray
     down, down_ramp = lag.weights(dt_s, np.stack([fall1, fall2]))
     gone, ramp = np.stack([up, down]), np.stack([up_ramp, down_ramp])  # (2, 2, m): charging or not, branch, cell
     stay = 1 - gone
+    compiled = _step_cells.machine_code()
+    if compiled is not None:
+        gone_chains, ramp_chains = lag.weights(dt_s, tau)
+        state = np.zeros((3, cells))
+        state[:2] = alpha * load[0]
+        if begun is not None:
+            state[:2] += begun[:2]
+            state[2] = begun[2]
+        found = np.empty((samples, cells))
+        weights = np.stack([gone - ramp, ramp, stay]).reshape(12, cells)
+        chains = np.stack([k * (1 - ramp_chains), 1 - gone_chains])
+        compiled(np.stack([a, b, alpha1, alpha2]), weights, chains, np.ascontiguousarray(load), state, found)
+        return found
     target = np.multiply(alpha, load[:, None, :])  # (n, 2, m)
     into = target[:-1, None] * (gone - ramp) + target[1:, None] * ramp
     branches = np.empty((samples, 2, cells))
     begun = np.zeros((3, cells)) if begun is None else begun
     branches[0] = target[0] + begun[:2]
-    compiled = _step_branches.machine_code()
-    if compiled is not None:
-        of_all = 2 * cells
-        compiled(
-            np.ascontiguousarray(target.reshape(samples, of_all)),
-            np.ascontiguousarray(into[:, 0].reshape(samples - 1, of_all)),
-            np.ascontiguousarray(into[:, 1].reshape(samples - 1, of_all)),
-            stay.reshape(2, of_all),
-            branches.reshape(samples, of_all),
-        )
-    elif cells <= FEW_CELLS:
+    if cells <= FEW_CELLS:
         for branch, cell in np.ndindex(2, cells):
             charging, discharging = into[:, :, branch, cell].T
             branches[:, branch, cell] = _one_branch(
@@ -75,15 +78,31 @@ def m10(parameters: FloatArray, load: FloatArray, dt_s: float, begun: FloatArray
 
 
 @loop
-def _step_branches(target: Rows, charging: Rows, discharging: Rows, stay: Rows, branches: Rows) -> None:
-    """:func:`_all_branches` as a loop, branches of all cells side by side; writes ``branches`` from row 1 on."""
-    for n in range(1, branches.shape[0]):
-        for branch in range(branches.shape[1]):
-            x = branches[n - 1, branch]
-            if target[n, branch] > x:
-                branches[n, branch] = x * stay[0, branch] + charging[n - 1, branch]
-            else:
-                branches[n, branch] = x * stay[1, branch] + discharging[n - 1, branch]
+def _step_cells(static: Rows, weights: Rows, chains: Rows, load: Rows, state: Rows, found: Rows) -> None:
+    """:func:`m10` as a loop.
+
+    Args:
+        static: (4, m) a, b, alpha1 and alpha2.
+        weights: (12, m) weights of the target before, of the target now, and of the branch; each for charging and
+            discharging, and in these for both branches.
+        chains: (2, m) chains that break per load, and the share of them that stays.
+        load: (n, m) or (n, 1).
+        state: (3, m) branches and broken chains at the first load, changed.
+        found: (n, m) is written.
+    """
+    shared = load.shape[1] == 1
+    for n in range(found.shape[0]):
+        for i in range(found.shape[1]):
+            now = load[n, 0 if shared else i]
+            if n:
+                before = load[n - 1, 0 if shared else i]
+                for branch in range(2):
+                    alpha, x = static[2 + branch, i], state[branch, i]
+                    way = branch if alpha * now > x else 2 + branch
+                    into = alpha * before * weights[way, i] + alpha * now * weights[4 + way, i]
+                    state[branch, i] = x * weights[8 + way, i] + into
+                state[2, i] = chains[1, i] * state[2, i] + abs(now - before) * chains[0, i]
+            found[n, i] = static[0, i] * now + static[1, i] * (now * now) + (state[0, i] + state[1, i]) + state[2, i]
 
 
 def _all_branches(target: FloatArray, into: FloatArray, stay: FloatArray, branches: FloatArray) -> None:

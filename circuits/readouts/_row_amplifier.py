@@ -15,4 +15,3 @@ class RowAmplifier(InvertingAmplifier):
 
     name = "row-amplifier"
     senses = "rows"
-    in_populations = False

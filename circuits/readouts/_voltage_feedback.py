@@ -64,7 +64,6 @@ class VoltageFeedback(VoltageDivider):
     name = "voltage-feedback"
     has_amplifiers = True
     mixes_cells = False
-    in_populations = False
     drives_idle_lines = True
 
     def read(self, board: Parts, ports: FloatArray) -> Reading:

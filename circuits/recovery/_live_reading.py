@@ -41,6 +41,8 @@ class Reason(IntEnum):
     """the readings changed by more than one frame's budget of computation can follow; the next frames continue"""
     UNSOLVED = 7
     """no cell resistances give readings like these: the design is not that of the board"""
+    MISSING = 8
+    """the board sent no reading of the cell"""
 
 
 NO_CURRENT, SATURATED, UNCERTAIN, DISTURBED, HIDDEN, UNSETTLED = (

@@ -14,6 +14,7 @@ Densities are one-sided, in V/sqrt(Hz) and A/sqrt(Hz), as in data sheets. Low-fr
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +26,8 @@ from ...errors import InputError
 from .._board import Board
 from .._design import Design
 from ._dynamics import Dynamics, column_conductances, column_dynamics, require_amplifiers
+from ._shared_amplifier import SharedAmplifier
+from ._switched import column_networks
 
 
 @dataclass(frozen=True)
@@ -96,7 +99,8 @@ def noise(design: Design, resistance: ArrayLike) -> Noise:
 
     """
     board = design.board
-    if board.circuit.has_amplifiers:
+    shared = board.circuit.virtual_ground and board.multiplexed
+    if board.circuit.has_amplifiers and not shared:
         require_amplifiers(board)
     cells = board.turn(design.resistance(resistance))
     part, adc = design.readout, design.adc
@@ -104,7 +108,7 @@ def noise(design: Design, resistance: ArrayLike) -> Noise:
     thermal_energy = Boltzmann * part.temperature  # k T, in J
     if board.circuit.has_amplifiers:
         if part.voltage_noise or part.current_noise or thermal_energy:
-            parts |= _amplified_noise(board, cells, thermal_energy)
+            parts |= (_shared_noise if shared else _amplified_noise)(board, cells, thermal_energy)
     elif thermal_energy and not (adc and adc.sampling_capacitance):
         raise InputError(
             "noise of the resistors has no bandwidth limit and so no finite size; give adc.sampling_capacitance"
@@ -134,6 +138,51 @@ def _amplified_noise(board: Board, cells: FloatArray, thermal_energy: float) -> 
         variance = [row.get(name, np.zeros(board.shape[1])) for row in rows]
         parts[name] = np.sqrt(np.broadcast_to(variance, board.shape))
     return parts
+
+
+def _shared_noise(board: Board, cells: FloatArray, thermal_energy: float) -> dict[str, FloatArray]:
+    """As :func:`_amplified_noise`, for one amplifier behind a switch that has long been at the column it reads.
+
+    Raises:
+        InputError: nothing limits the bandwidth.
+
+    """
+    part, columns = board.readout, board.shape[1]
+    if part.gain_bandwidth == inf:
+        raise InputError(
+            "noise of one amplifier behind a switch has no bandwidth limit and so no finite size; "
+            "give readout.gain_bandwidth"
+        )
+    parts: dict[str, FloatArray] = {}
+    known: dict[tuple[int, int], dict[str, float]] = {}
+    networks = [network for network, _ in column_networks(board, cells)]  # all alive: their identities differ
+    for (row, column), network in np.ndenumerate(np.repeat(np.arange(len(networks))[:, None], columns, axis=1)):
+        seen = networks[network]
+        if (id(seen), column) not in known:
+            known[id(seen), column] = _shared_variances(board, seen, column, thermal_energy)
+        for name, variance in known[id(seen), column].items():
+            parts.setdefault(name, np.zeros(board.shape))[row, column] = np.sqrt(variance)
+    return parts
+
+
+def _shared_variances(board: Board, network: FloatArray, column: int, thermal_energy: float) -> dict[str, float]:
+    """Variances in V^2 of the reading of one column, by the name of the noise."""
+    part, count = board.readout, board.shape[1]
+    circuit = SharedAmplifier.of(board, network, column, sampling=True)
+    intensities = {name: np.zeros((count + 2, count + 2)) for name in ("amplifier voltage", "amplifier current")}
+    intensities |= {name: np.zeros((count + 2, count + 2)) for name in ("grid", "reference resistor")}
+    # The intensity of white noise is its two-sided density, half the one-sided density.
+    intensities["amplifier voltage"][count, count] = part.voltage_noise**2 / 2
+    intensities["amplifier current"][column, column] = part.current_noise**2 / 2
+    intensities["grid"][:count, :count] = 2 * thermal_energy * network
+    ends = np.arange(count) if board.idle_columns == "load" else [column]
+    intensities["reference resistor"][ends, ends] = 2 * thermal_energy / board.reference[column]
+    output, found = circuit.back[-1], {}
+    for name, intensity in intensities.items():
+        if intensity.any():
+            covariance = solve_continuous_lyapunov(circuit.matrix, -circuit.entry @ intensity @ circuit.entry.T)
+            found[name] = max(float(output @ covariance @ output), 0.0)
+    return found
 
 
 def _variances(

@@ -1,7 +1,8 @@
 """Settling after a row switch: the error at the sample instant, the shortest row period, and amplifier stability.
 
-After a row switch the readings approach their new values: amplifiers by :mod:`._amplified`, dividers by
-:mod:`._divider`. Both circuits are linear, so that propagators over the phases of a step are exact.
+After a row switch the readings approach their new values: amplifiers by :mod:`._amplified`, one amplifier behind a
+switch by :mod:`._shared_amplifier`, dividers by :mod:`._divider`. All three circuits are linear, so that propagators
+over the phases of a step are exact.
 
 Slewing and saturation are not linear. Slewing is not modelled; saturated frames are refused.
 """
@@ -24,6 +25,7 @@ from ._amplified import AmplifierScan
 from ._divider import DividerScan
 from ._dynamics import column_conductances, require_amplifiers
 from ._modes import Deviations, RepeatedScan
+from ._shared_amplifier import SharedAmplifierScan
 
 
 class Settling:
@@ -45,7 +47,8 @@ class Settling:
 
         """
         self._board = board = design.board
-        if board.circuit.has_amplifiers:
+        shared = board.circuit.virtual_ground and board.multiplexed
+        if board.circuit.has_amplifiers and not shared:
             require_amplifiers(board)
         result = scan(design, resistance, method="exact")
         if result.saturated.any():
@@ -60,7 +63,8 @@ class Settling:
         self.signal = float(np.abs(self.settled - board.level).max())
         """V, the largest difference of a settled reading from the reference"""
         self._settled = board.turn(result.volts)
-        scan_of = AmplifierScan if board.circuit.has_amplifiers else DividerScan
+        one_each = AmplifierScan if board.circuit.has_amplifiers else DividerScan
+        scan_of = SharedAmplifierScan if shared else one_each
         self._scan: RepeatedScan = scan_of(board, board.turn(design.resistance(resistance)), self._settled)
 
     def sampled(self, period: float) -> FloatArray:
@@ -68,8 +72,8 @@ class Settling:
 
         The scan repeats endlessly over the same cells. Without ``adc.acquisition_time`` all columns are sampled at the
         end of the step. With ``adc.acquisition_time`` one sampling capacitor serves the columns in turn, in the order
-        of their numbers, and the last conversion ends with the step. Dividers whose idle columns are open read the
-        columns in turn, each after an equal share of the step.
+        of their numbers, and the last conversion ends with the step. One amplifier behind a switch, and dividers whose
+        idle columns are open, read the columns in turn, each after an equal share of the step.
 
         Raises:
             InputError: the period is not positive or shorter than the acquisitions of all columns.

@@ -43,8 +43,10 @@ from ohmskin.driver import Calibration, ReplayPort, Skin
 from ohmskin.emulator import Scene
 from ohmskin.errors import InputError, LinkEnded, LinkError, OhmskinError, SolverError
 from ohmskin.verification._record import compare, load_record
-from ohmskin.wire import BOARDS, FramePacket, Order, board_protocol, host_protocol
+from ohmskin.wire import BOARDS, BoardFile, FramePacket, Order, board_protocol, host_protocol
 
+from .described import board_text, judged_stream, round_trip
+from .described import stream as described_stream
 from .mutations import mutated
 
 ACCEPTED, REFUSED = "accepted", "refused"
@@ -490,6 +492,22 @@ def _judge_families(data: bytes, rng: random.Random, folder: Path) -> str:
     return ACCEPTED if frames else REFUSED
 
 
+def _judge_board(data: bytes, rng: random.Random, folder: Path) -> str:
+    """What is accepted has the values of the file, and both ends that it describes understand each other."""
+    path = folder / "board.toml"
+    path.write_bytes(data)
+    file = _read(path, BoardFile.load)
+    if file is None:
+        return REFUSED
+    _agrees(_tables(data), file)
+    round_trip(path, rng)
+    return ACCEPTED
+
+
+def _judge_described(data: bytes, rng: random.Random, folder: Path) -> str:
+    return ACCEPTED if judged_stream(data, rng) else REFUSED
+
+
 def _commands(rng: random.Random) -> bytes:
     host = host_protocol("ohmskin")
     return b"".join(host.request(rng.choice(list(Order)), period_us=rng.randrange(2**32)) for _ in range(5))
@@ -750,6 +768,8 @@ FORMATS = {
         Format("recording", _recording_text, _judge_recording),
         Format("frames", _stream, _judge_stream, text=False),
         Format("families", _family_stream, _judge_families, text=False),
+        Format("board", board_text, _judge_board),
+        Format("described", described_stream, _judge_described, text=False),
         Format("commands", _commands, _judge_commands, text=False),
         Format("mcap", _recorded, _judge_recorded, text=False),
         Format("events", _told, _judge_told),

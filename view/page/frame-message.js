@@ -13,7 +13,7 @@ export function readFrame(buffer) {
   const columns = header.getUint16(10, true);
   const contactCount = header.getUint16(12, true);
   const cells = rows * columns;
-  const countsAt = HEADER_BYTES + 12 * cells;
+  const countsAt = HEADER_BYTES + 16 * cells;
   const contactsAt = countsAt + 3 * cells;
   const joinedAt = contactsAt + contactCount * CONTACT_BYTES;
   const contacts = [];
@@ -38,6 +38,7 @@ export function readFrame(buffer) {
     pressure: new Float32Array(buffer, HEADER_BYTES, cells),
     std: new Float32Array(buffer, HEADER_BYTES + 4 * cells, cells),
     resistance: new Float32Array(buffer, HEADER_BYTES + 8 * cells, cells),
+    change: new Float32Array(buffer, HEADER_BYTES + 12 * cells, cells),
     totalForce_n: header.getFloat64(48, true),
     contacts,
     counts: new Uint16Array(buffer, countsAt, cells),

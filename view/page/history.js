@@ -6,8 +6,10 @@ const SERIES_SAMPLES = 8192;
 
 /** Ring buffer of the last frames of a skin with so many cells. */
 export class History {
-  constructor(cells) {
+  /** inCounts: keep counts above rest in place of pressures, for a board whose circuit is not known */
+  constructor(cells, inCounts) {
     this.cells = cells;
+    this.inCounts = inCounts;
     this.capacity = Math.max(Math.min(MOST_FRAMES, Math.floor(MOST_BYTES / (8 * cells))), 2);
     this.times = new Float64Array(this.capacity);
     this.pressure = new Float32Array(this.capacity * cells);
@@ -18,7 +20,7 @@ export class History {
   add(frame) {
     const slot = this.count % this.capacity;
     this.times[slot] = frame.time_s;
-    this.pressure.set(frame.pressure, slot * this.cells);
+    this.pressure.set(this.inCounts ? frame.change : frame.pressure, slot * this.cells);
     this.std.set(frame.std, slot * this.cells);
     for (let k = 0; k < this.cells; k++) if (!frame.valid[k]) this.pressure[slot * this.cells + k] = NaN;
     this.count++;

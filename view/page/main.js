@@ -27,6 +27,7 @@ const QUANTITIES = {
   pressure: { label: "pressure", unit: "kPa", values: (frame) => frame.pressure, fullScale: (skin) => skin.full_scale_kpa },
   std: { label: "standard deviation", unit: "kPa", values: (frame) => frame.std, fullScale: () => null },
   resistance: { label: "resistance", unit: "Ω", values: (frame) => frame.resistance, fullScale: () => null },
+  change: { label: "counts above rest", unit: "", values: (frame) => frame.change, fullScale: (skin) => skin.full_scale_counts },
   counts: { label: "counts", unit: "", values: (frame) => frame.counts, fullScale: (skin) => skin.full_scale_counts },
 };
 
@@ -81,7 +82,8 @@ class View {
     element("pause").hidden = element("rest").hidden = !skin.live;
     element("transport").hidden = skin.live;
     if (!same) {
-      this.history = new History(skin.rows * skin.columns);
+      this.history = new History(skin.rows * skin.columns, skin.circuit === null);
+      document.body.classList.toggle("in-counts", skin.circuit === null);
       this.chosen = [];
       this.total = new Series();
       this.offerQuantities();
@@ -116,7 +118,8 @@ class View {
       this.history.add(frame);
       this.total.add(frame.time_s, frame.totalForce_n, NaN);
       for (const { index, series } of this.chosen) {
-        series.add(frame.time_s, frame.valid[index] ? frame.pressure[index] : NaN, frame.std[index]);
+        const plotted = this.skin.circuit === null ? frame.change : frame.pressure;
+        series.add(frame.time_s, frame.valid[index] ? plotted[index] : NaN, frame.std[index]);
       }
       if (!behind) this.askNext(frame.number);
     } else {
@@ -225,7 +228,8 @@ class View {
   plotView() {
     const now = this.frame.time_s;
     const threshold = element("threshold").valueAsNumber;
-    const [unit, least] = this.plotsForce ? ["N", 0.1] : ["kPa", 0.1 * (this.skin.full_scale_kpa ?? 1)];
+    const ofCells = this.skin.circuit === null ? ["counts", 10] : ["kPa", 0.1 * (this.skin.full_scale_kpa ?? 1)];
+    const [unit, least] = this.plotsForce ? ["N", 0.1] : ofCells;
     const shown = { unit, least, threshold: threshold > 0 ? threshold : null };
     if (this.skin.live) return { from: now - PLOTTED_S, to: now, origin: now, cursor: null, gaps: true, ...shown };
     return { from: 0, to: Math.max(this.transport.seconds, 1e-3), origin: 0, cursor: now, gaps: false, ...shown };
@@ -262,7 +266,9 @@ class View {
       button.addEventListener("click", () => this.choose(index));
       return button;
     });
-    const hint = this.chosen.length ? "band: ± 1 standard deviation" : "Click cells of the map to plot their pressure.";
+    const what = this.skin.circuit === null ? "counts" : "pressure";
+    const band = this.skin.circuit === null ? "counts above rest" : "band: ± 1 standard deviation";
+    const hint = this.chosen.length ? band : `Click cells of the map to plot their ${what}.`;
     const force = "pressure times area, over all valid cells";
     element("chosen").replaceChildren(...(this.plotsForce ? [force] : [...buttons, hint]));
   }
@@ -291,7 +297,9 @@ class View {
 
   showTare() {
     const { tare, undoable } = this.status;
-    const text = tare === null ? "Rest resistances are those of the data sheet." : `Tared over ${tare.frames} frames.`;
+    const untared =
+      this.skin.circuit === null ? "No circuit is known: counts as they come." : "Rest resistances are those of the data sheet.";
+    const text = tare === null ? untared : `Tared over ${tare.frames} frames.`;
     write(element("tare-state"), text);
     element("undo").hidden = !undoable;
   }
@@ -327,8 +335,13 @@ class View {
   }
 
   offerQuantities() {
-    const known = Object.keys(QUANTITIES).filter((name) => this.skin.full_scale_kpa !== null || !"pressure std".includes(name));
+    const { circuit, full_scale_kpa } = this.skin;
+    const inCounts = ["change", "counts"];
+    const inOhms = full_scale_kpa === null ? ["resistance", "counts"] : ["pressure", "std", "resistance", "counts"];
+    const known = circuit === null ? inCounts : inOhms;
     element("quantity").replaceChildren(...known.map((name) => new Option(QUANTITIES[name].label, name)));
+    // The numbers of a board that nobody has described may use a small part of their range.
+    if (circuit === null) element("auto").checked = true;
   }
 
   /** Lays everything out for the room that the window has. */

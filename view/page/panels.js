@@ -22,6 +22,7 @@ export function showCell(frame, index, reasons) {
   write(element("cell-std"), `± ${fixed(frame.std[index], 3)} kPa`);
   write(element("cell-resistance"), ohm(frame.resistance[index]));
   write(element("cell-counts"), String(frame.counts[index]));
+  write(element("cell-change"), fixed(frame.change[index], 1));
   write(element("cell-valid"), valid ? "valid" : `not valid: ${reasons[frame.reason[index]] ?? "unknown"}`);
   element("cell-valid").classList.toggle("invalid", !valid);
 }
@@ -72,7 +73,7 @@ export function linkPairs(introduction, status, cost) {
     ["frames", String(found.frames)],
     ["lost", found.lost === null ? "not known" : String(found.lost)],
     ["skipped", String(found.skipped)],
-    ["corrupt", String(found.corrupt)],
+    ["corrupt", found.why_corrupt ? `${found.corrupt} (${found.why_corrupt})` : String(found.corrupt)],
     ["reconnects", String(found.reconnects)],
     ["reboots", String(found.reboots)],
     ["unsolved", String(found.unsolved)],

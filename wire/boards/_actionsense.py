@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .._framing import LineHost, PolledBoard, one_frame, require
 from .._packets import Corrupt, Event, FramePacket, Order
 from .._protocol import Family, Layout
 from ._circuits import divider
-from ._framing import LineHost, PolledBoard, one_frame, require
 
 _SIDE = 32
 _SHIFT = 11

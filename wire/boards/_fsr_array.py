@@ -16,10 +16,10 @@ import struct
 import numpy as np
 
 from ...errors import InputError
+from .._framing import FixedLengthHost, PolledBoard, one_frame, require
 from .._packets import Event, FramePacket, Order
 from .._protocol import Family, Layout
 from ._circuits import divider
-from ._framing import FixedLengthHost, PolledBoard, one_frame, require
 
 _TIMES = struct.Struct("<II")
 _LONGEST_SCAN_US = 1_000_000

@@ -19,9 +19,9 @@ import struct
 import numpy as np
 from numpy.typing import NDArray
 
+from .._framing import FixedLengthHost, FreeRunningBoard, one_frame, require
 from .._packets import Corrupt, Event, FramePacket
 from .._protocol import Family, Layout
-from ._framing import FixedLengthHost, FreeRunningBoard, one_frame, require
 
 READINGS = 120
 CHANGES_INDEX = 20000

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Sequence
 
-from ...errors import InputError
-from .._packets import BadCommand, Command, Corrupt, Event, FramePacket, Order
-from .._protocol import BoardProtocol, Family, HostProtocol, Layout
+from ..errors import InputError
+from ._packets import BadCommand, Command, Corrupt, Event, FramePacket, Order
+from ._protocol import BoardProtocol, Family, HostProtocol, Layout
 
 
 class FixedLengthHost(HostProtocol):
@@ -132,11 +133,40 @@ def one_frame(
     return [FramePacket.of(packet_counts, sequence=sequence, time_us=time_us, received_at=received_at)]  # type: ignore[arg-type]
 
 
-def require(family: Family, layout: Layout, shapes: list[tuple[int, int]], adc_bits: list[int]) -> None:
+def require(family: Family, layout: Layout, shapes: list[tuple[int, int]], adc_bits: Sequence[int]) -> None:
     """Refuse a board that the family's format cannot carry. Raises InputError."""
     if shapes and (layout.rows, layout.columns) not in shapes:
         known = ", ".join(f"{rows} x {columns}" for rows, columns in shapes)
         raise InputError(f"a board '{family.name}' of {layout.rows} x {layout.columns} cells; the family has {known}")
     if layout.adc_bits not in adc_bits:
-        known = " or ".join(map(str, adc_bits))
+        known = f"at most {adc_bits[-1]}" if isinstance(adc_bits, range) else " or ".join(map(str, adc_bits))
         raise InputError(f"a board '{family.name}' with an ADC of {layout.adc_bits} bits; its format carries {known}")
+
+
+class DescribedBoard(BoardProtocol):
+    """Board end of a format that BOARD.toml describes: waits for the bytes that start it, or ask for each frame."""
+
+    def __init__(self, send: bytes, poll: bytes, family: Family, layout: Layout) -> None:
+        super().__init__(family, layout)
+        self._send, self._poll = send, poll
+        self._started = not send
+        self._heard = b""
+
+    @abstractmethod
+    def write(self, frame: FramePacket) -> bytes:
+        """The bytes of one frame."""
+
+    def feed(self, data: bytes) -> list[Command | BadCommand]:
+        commands: list[Command | BadCommand] = []
+        for byte in data:
+            self._heard = (self._heard + bytes([byte]))[-max(len(self._send), len(self._poll), 1) :]
+            if self._send and self._heard.endswith(self._send):
+                self._started = True
+                commands.append(Command(Order.START))
+            elif self._poll and self._heard.endswith(self._poll):
+                commands.append(Command(Order.ONE_FRAME))
+        # A polled board does not stream when it is started.
+        return [command for command in commands if not (self._poll and command == Command(Order.START))]
+
+    def frame(self, frame: FramePacket) -> bytes:
+        return self.write(frame) if self._started else b""

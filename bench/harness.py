@@ -1,0 +1,71 @@
+"""One table for all measurements: rows are dataclasses, whose fields say how their columns look."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields
+from typing import Any
+
+GAP = "  "
+
+
+@dataclass(frozen=True)
+class Column:
+    """How a field of a row is shown."""
+
+    title: str
+    """with ``{}`` for the key, of a field that is a dictionary and has a column for each key"""
+    form: str
+    """a format of :meth:`str.format`"""
+    width: int
+    """least width; texts are longer in later rows than in the first"""
+    unit: float
+    """by which a number is divided"""
+
+
+def column(title: str, form: str = "{:.3g}", *, width: int = 0, unit: float = 1.0) -> dict[str, Column]:
+    """Metadata of a field of a measurement that its table shows; other fields are in its JSON only."""
+    return {"column": Column(title, form, width, unit)}
+
+
+def table(rows: Iterable[Any], head: str = "") -> Iterator[str]:
+    """The measurements as lines of text, as they come, beneath ``head`` and the titles of the first one's columns."""
+    if head:
+        yield head
+    widths: list[int] = []
+    for row in rows:
+        cells = list(_cells(row))
+        if not widths:
+            widths = [max(len(title), len(text), width) for title, text, width, _ in cells]
+            titles = [_aligned(title, width, left) for (title, _, _, left), width in zip(cells, widths, strict=True)]
+            yield GAP.join(titles).rstrip()
+        texts = (_aligned(text, width, left) for (_, text, _, left), width in zip(cells, widths, strict=True))
+        yield GAP.join(texts).rstrip()
+
+
+def _aligned(text: str, width: int, left: bool) -> str:
+    return f"{text:<{width}}" if left else f"{text:>{width}}"
+
+
+def _cells(row: Any) -> Iterator[tuple[str, str, int, bool]]:
+    """Title, text, least width and whether it is aligned to the left, of each column of a row."""
+    for item in fields(row):
+        column: Column | None = item.metadata.get("column")
+        if column is None:
+            continue
+        value = getattr(row, item.name)
+        pairs = value.items() if isinstance(value, dict) else [(None, value)]
+        for key, one in pairs:
+            title = column.title if key is None else column.title.format(key)
+            yield title, _text(one, column), column.width, isinstance(one, str)
+
+
+def _text(value: Any, column: Column) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "-"
+    if isinstance(value, (int, float)) and column.unit != 1.0:
+        value /= column.unit
+    return column.form.format(value)

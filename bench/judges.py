@@ -1,0 +1,413 @@
+"""The judges: every scene of ``judges.toml``, how well an estimator does on it, and whether its gate is met.
+
+``ohmskin bench --judges`` prints the table. It judges anything that is stepped as an
+:class:`ohmskin.cell.Estimator` is and states ``std_kpa``: by the name of one of the project's estimators, or by
+``module:function``, where the function takes a cell and the shape of its frames.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass, replace
+from fnmatch import fnmatchcase
+from itertools import product
+from pathlib import Path
+from time import process_time
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import Field
+
+from ..cell import Cell
+from ..common import config
+from ..common.arrays import FloatArray
+from ..common.config import NotNegative, Positive, Section
+from ..errors import InputError
+from . import panel
+from .scenes import Fault, Played, Scene, cells, play
+
+TABLE = Path(__file__).with_name("judges.toml")
+JUDGED_FROM_S, JUDGED_FROM_FRAMES = 0.5, 10.0
+"""nothing is judged earlier: the noise is not known yet"""
+REST_AFTER_S = 0.15
+"""without load, from when on what is shown counts as shown at rest"""
+RECORDING_S = 120.0
+"""of a recording before and after the moment up to which is learned"""
+QUICK_EVERY = 6
+"""of the scenes, one is in the quick selection"""
+QUICK_MOST_S = 40.0
+"""no longer scene is in it"""
+
+
+class Judged(Protocol):
+    """What can be judged. Where it has them, ``compile()`` and ``resolve(...)`` are called as a skin calls them.
+
+    An estimator with the attribute ``takes_readings = True`` is stepped with :class:`ohmskin.common.readings.Readings`
+    in place of ohms.
+    """
+
+    def step(self, elapsed_s: float, readings: Any, /) -> FloatArray:
+        """Take a frame; returns kPa."""
+
+    @property
+    def std_kpa(self) -> FloatArray:
+        """Standard deviation of the last step's pressure."""
+
+
+Maker = Callable[[Cell, tuple[int, ...]], Judged]
+
+
+class Gate(Section):
+    """Limits of the figures of a row; a limit that is absent is none."""
+
+    rmse_percent: NotNegative | None = None
+    rmse_times_today: NotNegative | None = None
+    """of both limits of the RMSE, the larger counts"""
+    rmse_times_static: NotNegative | None = None
+    within_percent: NotNegative | None = None
+    worst_sd: NotNegative | None = None
+    sd_times_today: NotNegative | None = None
+    sd_times_rmse: NotNegative | None = None
+    rest_kpa: NotNegative | None = None
+
+
+class Block(Section):
+    """Scenes: the product of the lists."""
+
+    gate: str
+    loads: list[str]
+    cells: list[str]
+    rates_hz: list[Positive] = Field(default_factory=lambda: [100.0])
+    bits: list[int] = Field(default_factory=lambda: [12])
+    noises_mv: list[NotNegative] = Field(default_factory=lambda: [1.0])
+    faults: list[Fault] = Field(default_factory=lambda: list[Fault]([""]))
+
+
+class Recordings(Section):
+    """Calibrations of the panel."""
+
+    gate: str
+    names: list[str]
+
+
+class Table(Section):
+    """``judges.toml``."""
+
+    gates: dict[str, Gate]
+    block: list[Block]
+    recordings: Recordings
+    today: dict[str, list[float]] = Field(default_factory=dict)
+    """figures of each row, as in :class:`Figures`, of the estimator that was frozen"""
+
+
+@dataclass(frozen=True)
+class Figures:
+    """How an estimator does on one row."""
+
+    rmse: float
+    """% of full scale"""
+    within: float
+    """% of the errors within two stated deviations"""
+    worst: float
+    """largest error over its deviation"""
+    sd: float
+    """median stated deviation, % of full scale"""
+    rest: float = np.nan
+    """largest pressure in kPa shown where a cell has had no load for a while; NaN where no cell is released"""
+    static: float = np.nan
+    """RMSE of the static curve on the same recording"""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table."""
+
+    name: str
+    gate: str
+    limits: Gate
+    today: Figures | None
+    scene: Scene | None
+    """None: a recording"""
+    quick: bool
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A row with what was measured."""
+
+    row: Row
+    found: Figures
+    misses: tuple[str, ...]
+    """names of the figures that miss their limits"""
+    seconds: float
+    """processor time of the estimator"""
+    cell_frames: int
+
+
+def rows(only: str = "", *, quick: bool = False) -> list[Row]:
+    """Rows of the table whose name or gate contains ``only``, which may have the wildcards of a shell.
+
+    Raises:
+        InputError: the table is not valid, or there is no such row.
+
+    """
+    table = config.load(TABLE, Table)
+    scenes = [
+        (Scene(load, cell, rate, bits, noise, fault), block.gate)
+        for block in table.block
+        for cell, rate, bits, noise, load, fault in product(
+            block.cells, block.rates_hz, block.bits, block.noises_mv, block.loads, block.faults
+        )
+    ]
+    found: list[tuple[str, str, Scene | None]] = [(scene.name, gate, scene) for scene, gate in scenes]
+    found += [(name, table.recordings.gate, None) for name in table.recordings.names]
+    every = []
+    for place, (name, gate, scene) in enumerate(found):
+        frozen = table.today.get(name)
+        quickly = scene is not None and place % QUICK_EVERY == 0
+        every.append(Row(name, gate, table.gates[gate], Figures(*frozen) if frozen else None, scene, quickly))
+    pattern = f"*{only}*"
+    chosen = [row for row in every if any(fnmatchcase(part, pattern) for part in (row.name, row.gate))]
+    chosen = [row for row in chosen if row.quick or not quick]
+    if not chosen:
+        raise InputError(f"no row of {TABLE.name} contains '{only}'")
+    return chosen
+
+
+def maker(name: str | None) -> Maker:
+    """What makes the estimator of a cell.
+
+    Args:
+        name: of an estimator, or ``module:function``; None: each cell's default.
+
+    Raises:
+        InputError: there is no such function.
+
+    """
+    if name is None or ":" not in name:
+        return lambda cell, shape: cell.estimator(shape, name)
+    module, _, function = name.partition(":")
+    try:
+        made: Maker = getattr(importlib.import_module(module), function)
+    except (ImportError, AttributeError) as error:
+        raise InputError(f"no estimator '{name}': {error}") from error
+    return made
+
+
+def judge(chosen: Iterable[Row], make: Maker) -> Iterator[Verdict]:
+    """Play the rows. Rows for whose cell there is no such estimator are left out."""
+    for row in chosen:
+        try:
+            found, seconds, cell_frames = _recorded(row.name, make) if row.scene is None else _played(row.scene, make)
+        except InputError as error:
+            if "estimator" in str(error):
+                continue
+            raise
+        yield Verdict(row, found, misses(row, found), seconds, cell_frames)
+
+
+def estimated(played: Played, estimator: Judged) -> tuple[FloatArray, FloatArray, float]:
+    """Pressure and standard deviation (n, *cells) in kPa, NaN in lost frames; and the processor time in s."""
+    ohms = played.ohms
+    by_readings = getattr(estimator, "takes_readings", False)
+    if (use_machine_code := getattr(estimator, "compile", None)) is not None:
+        use_machine_code()
+    if (resolve := getattr(estimator, "resolve", None)) is not None and not by_readings:
+        resolve(*_resolution(played))
+    pressure, std = np.full((2, *ohms.shape), np.nan)
+    last, spent = -1, 0.0
+    for n in np.flatnonzero(played.arrives).tolist():
+        frame: ArrayLike | Any = played.readings(n) if by_readings else ohms[n]
+        start = process_time()
+        pressure[n] = estimator.step((n - last) * played.frame_s, frame)
+        std[n] = estimator.std_kpa
+        spent += process_time() - start
+        last = n
+    return pressure, std, spent
+
+
+def _resolution(played: Played) -> tuple[FloatArray, FloatArray]:
+    """What a skin tells an estimator: the relative deviation of conductances by the ADC's steps, and ohms."""
+    at_rest = np.where(np.isfinite(played.ohms[0]), played.ohms[0], np.nan)
+    return played.step_siemens / np.sqrt(12.0) * at_rest, at_rest
+
+
+def figures(played: Played, pressure: FloatArray, std: FloatArray, full_scale_kpa: float) -> Figures:
+    """Of pressures and deviations (n, *cells) in kPa."""
+    time_s = played.time_s
+    kept = played.arrives & (time_s > max(JUDGED_FROM_S, JUDGED_FROM_FRAMES * played.frame_s))
+    error = np.abs(pressure - played.pressure_kpa)[kept]
+    over = error / std[kept]
+    loaded = played.pressure_kpa > 0.0
+    last_s = np.maximum.accumulate(np.where(loaded, time_s.reshape(-1, *[1] * (loaded.ndim - 1)), -np.inf), axis=0)
+    since_s = time_s.reshape(-1, *[1] * (loaded.ndim - 1)) - last_s
+    resting = (np.isfinite(since_s) & (since_s > REST_AFTER_S))[kept]
+    return Figures(
+        rmse=100.0 * float(np.sqrt(np.mean(error**2))) / full_scale_kpa,
+        within=100.0 * float(np.mean(over < 2.0)),
+        worst=float(over.max()),
+        sd=100.0 * float(np.median(std[kept])) / full_scale_kpa,
+        rest=float(error[resting].max()) if resting.any() else np.nan,
+    )
+
+
+def _played(scene: Scene, make: Maker) -> tuple[Figures, float, int]:
+    cell, played = cells()[scene.cell], play(scene)
+    estimator = make(cell, played.pressure_kpa.shape[1:])
+    pressure, std, seconds = estimated(played, estimator)
+    return figures(played, pressure, std, cell.full_scale_kpa), seconds, pressure.size
+
+
+def _recorded(name: str, make: Maker) -> tuple[Figures, float, int]:
+    load, material, seed = name.split(" | ")
+    scene = _shortened(panel.scene(load, material, int(seed)))
+    found = panel.calibrated(scene)
+    start = process_time()
+    verdict = panel.judge(scene, found, make)
+    figures = Figures(
+        rmse=verdict.rmse_percent,
+        within=100.0 * verdict.within_two_std,
+        worst=verdict.worst_sd,
+        sd=verdict.std_percent,
+        rest=verdict.rest_kpa,
+        static=verdict.static_percent,
+    )
+    return figures, process_time() - start, 0
+
+
+def _shortened(scene: panel.Scene) -> panel.Scene:
+    """The last part of what is learned from, and the first of the rest."""
+    near = np.abs(scene.time_s - scene.head_s) <= RECORDING_S
+    first = scene.time_s[near][0]
+    return replace(
+        scene,
+        time_s=scene.time_s[near] - first,
+        pressure_kpa=scene.pressure_kpa[near],
+        resistance_ohm=scene.resistance_ohm[near],
+        head_s=scene.head_s - first,
+    )
+
+
+# -- verdicts ----------------------------------------------------------------------------------------------------------
+
+FIGURES = "rmse", "within", "worst", "sd", "rest"
+"""that have limits"""
+_ROUNDING = 1.005
+"""figures of the table are rounded to three digits"""
+
+
+def limit_of(row: Row, figure: str, found: Figures | None = None) -> float:
+    """The limit of one figure; NaN where there is none. A deviation may be limited by the RMSE that was ``found``."""
+    gate, today = row.limits, row.today
+    by_today = gate.rmse_times_today if figure == "rmse" else gate.sd_times_today if figure == "sd" else None
+    limits = [] if by_today is None or today is None else [by_today * getattr(today, figure)]
+    if figure == "rmse":
+        limits += [] if gate.rmse_percent is None else [gate.rmse_percent]
+        if found is not None and gate.rmse_times_static is not None:
+            limits = [min([*limits, gate.rmse_times_static * found.static])]
+        return max(limits, default=np.nan)
+    if figure == "sd" and found is not None and gate.sd_times_rmse is not None:
+        limits.append(gate.sd_times_rmse * found.rmse)
+    own = {"within": gate.within_percent, "worst": gate.worst_sd, "rest": gate.rest_kpa}.get(figure)
+    limits += [] if own is None else [own]
+    return min(limits, default=np.nan)
+
+
+def misses(row: Row, found: Figures) -> tuple[str, ...]:
+    """The figures that miss their limits. One that is not a number misses, unless nothing could be measured (rest)."""
+    missed = []
+    for figure in FIGURES:
+        limit, value = limit_of(row, figure, found), getattr(found, figure)
+        if np.isnan(limit) or (figure == "rest" and np.isnan(value)):
+            continue
+        met = value >= limit / _ROUNDING if figure == "within" else value <= limit * _ROUNDING
+        if not met:
+            missed.append(figure)
+    return tuple(missed)
+
+
+# -- the table as text -------------------------------------------------------------------------------------------------
+
+HEADER = (
+    f"{'row':<66}{'gate':<15}{'RMSE, % FS: today, now, most':>30}{'within 2 sd, %':>20}{'worst, sd':>17}"
+    f"{'sd, % FS':>20}{'rest, kPa':>20}  misses"
+)
+
+
+def line(verdict: Verdict) -> str:
+    """A row: frozen figures, measured ones, and limits where there are any."""
+    row, found = verdict.row, verdict.found
+    today = row.today or Figures(*[np.nan] * 4)
+
+    def shown(value: float) -> str:
+        return "-" if np.isnan(value) else f"{value:.3g}"
+
+    def pair(figure: str) -> str:
+        return f"{shown(getattr(today, figure))} {shown(getattr(found, figure))}"
+
+    def limited(figure: str) -> str:
+        limit = limit_of(row, figure, found)
+        return pair(figure) + ("" if np.isnan(limit) else f" ({shown(limit)})")
+
+    return (
+        f"{row.name:<66}{row.gate:<15}{limited('rmse'):>30}{limited('within'):>20}{limited('worst'):>17}"
+        f"{limited('sd'):>20}{limited('rest'):>20}  {', '.join(verdict.misses)}"
+    )
+
+
+def record(verdict: Verdict) -> dict[str, Any]:
+    """A row as JSON has it: name, gate, limits, today's figures and the measured ones, and which miss."""
+    row = verdict.row
+    return {
+        "name": row.name,
+        "gate": row.gate,
+        "limits": {figure: limit_of(row, figure, verdict.found) for figure in FIGURES},
+        "today": None if row.today is None else asdict(row.today),
+        "found": asdict(verdict.found),
+        "misses": verdict.misses,
+        "seconds": verdict.seconds,
+        "cell_frames": verdict.cell_frames,
+    }
+
+
+def summary(verdicts: Iterable[Verdict]) -> str:
+    """Gates, and in how many of their rows they hold: now, and for the figures that were frozen."""
+    every = list(verdicts)
+    lines = [
+        f"{'gate':<16}{'rows':>6}{'hold':>6}{'held':>6}{'RMSE, median':>15}{'today':>8}{'in 2 sd, mean':>15}"
+        f"{'today':>8}"
+    ]
+    for gate in [*dict.fromkeys(one.row.gate for one in every), "all"]:
+        some = [one for one in every if gate in (one.row.gate, "all")]
+        frozen = [one.row.today for one in some if one.row.today is not None]
+        held = sum(not misses(one.row, one.row.today) for one in some if one.row.today is not None)
+        before = np.nan, np.nan
+        if frozen:
+            before = float(np.median([one.rmse for one in frozen])), float(np.mean([one.within for one in frozen]))
+        lines.append(
+            f"{gate:<16}{len(some):>6}{sum(not one.misses for one in some):>6}{held:>6}"
+            f"{np.median([one.found.rmse for one in some]):>15.2f}{before[0]:>8.2f}"
+            f"{np.mean([one.found.within for one in some]):>15.1f}{before[1]:>8.1f}"
+        )
+    cell_frames = sum(one.cell_frames for one in every)
+    spent = sum(one.seconds for one in every if one.cell_frames)
+    if cell_frames:
+        lines.append(f"{1e6 * spent / cell_frames:.2f} us of processor time per cell and frame")
+    return "\n".join(lines)
+
+
+def freeze(verdicts: Iterable[Verdict]) -> None:
+    """Write what was measured into the table, as today's figures of these rows."""
+    today = dict(config.load(TABLE, Table).today)
+    for one in verdicts:
+        found = [getattr(one.found, figure) for figure in ("rmse", "within", "worst", "sd", "rest", "static")]
+        while np.isnan(found[-1]):
+            found.pop()
+        today[one.row.name] = [float(f"{value:.3g}") for value in found]
+    known = [row.name for row in rows()]
+    design = TABLE.read_text(encoding="utf-8").partition("\n[today]")[0].rstrip()
+    heading = "# RMSE, within, worst, sd, rest, RMSE of the static curve: `ohmskin bench --judges --freeze` writes them"
+    lines = [f'"{name}" = {today[name]}' for name in known if name in today]
+    TABLE.write_text("\n".join([design, "", "[today]", heading, *lines, ""]), encoding="utf-8")

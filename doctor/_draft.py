@@ -1,0 +1,151 @@
+"""Format identification: a BOARD.toml drafted from the bytes that an unknown board sends.
+
+Several descriptions are guessed from the stream: separators, numbers in a line and lines in a frame of text; header,
+length, words and checksum of binary frames. Each guess is tried with the host protocol that it describes, and the first
+is taken that accounts for the bytes. What the bytes do not tell is left as a question in a comment of the file.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ..errors import InputError
+from ..wire import BoardFile, Corrupt, Family, FramePacket
+from ._binary_guess import binary_guesses
+from ._guess import Chunk, Guess
+from ._text_guess import is_text, text_guesses
+
+FEWEST_FRAMES = 2
+LEAST_ACCOUNTED = 0.5
+"""share of the bytes in frames from which on a guess is taken: boot messages come ahead"""
+GOOD_ACCOUNTED = 0.97
+"""share from which on no further guess is tried"""
+CLEAR_ACCOUNTED, MANY_FRAMES = 0.995, 10
+MOST_GUESSES = 200
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A description that accounts for the bytes of a board."""
+
+    guess: Guess
+    frames: int
+    accounted: float
+    """share of the bytes after the first frame that belong to frames"""
+    rate_hz: float
+    """frames in a second; NaN: not known"""
+
+    def toml(self, head: Sequence[str]) -> str:
+        """The text of a BOARD.toml, with ``head`` as comments at its top."""
+        lines = [f"# {line}".rstrip() for line in head]
+        for table, values in self.guess.tables.items():
+            lines += ["", f"[{table}]"]
+            for key, value in values.items():
+                remark = self.guess.remarks.get(f"{table}.{key}", "")
+                lines.append(f"{key} = {_toml(key, value)}" + (f"  # {remark}" if remark else ""))
+        return "\n".join(lines) + "\n"
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether more bytes could hardly change the draft: they are all in frames, and many."""
+        return self.frames >= MANY_FRAMES and self.accounted >= CLEAR_ACCOUNTED
+
+    @property
+    def summary(self) -> str:
+        """The format in one line."""
+        board, frame = self.guess.tables["board"], self.guess.tables["frame"]
+        kind = {"text": "lines of text", "json": "JSON documents"}.get(frame["format"], f"words {frame.get('word')}")
+        rate = f", {self.rate_hz:.3g} frames/s" if math.isfinite(self.rate_hz) else ""
+        return f"{board['rows']} x {board['columns']} cells in {kind}{rate}"
+
+    @property
+    def questions(self) -> list[str]:
+        """What the bytes do not tell."""
+        tables, remarks = self.guess.tables, self.guess.remarks
+        keys = [f"{table}.{key}" for table, values in tables.items() for key in values]
+        return [f"{key}: {remarks[key].removeprefix('? ')}" for key in keys if remarks.get(key, "").startswith("?")]
+
+
+def draft(chunks: Sequence[Chunk], *, baudrate: int, send: bytes = b"", poll: bytes = b"") -> Draft | None:
+    """The description that accounts best for what a board has sent; None where none does.
+
+    Args:
+        chunks: what came, with the times.
+        baudrate: at which it came.
+        send: bytes after which it came.
+        poll: bytes that asked for each frame.
+
+    """
+    if not any(chunk.data for chunk in chunks):
+        return None
+    guesses = text_guesses(chunks) if is_text(chunks) else binary_guesses(chunks)
+    best: Draft | None = None
+    for number, guess in enumerate(guesses):
+        tried = _tried(_with_port(guess, baudrate, send, poll), chunks)
+        if tried is not None and (best is None or tried.accounted > best.accounted + 0.02):
+            best = tried
+        if number >= MOST_GUESSES or (best is not None and best.accounted >= GOOD_ACCOUNTED):
+            break
+    return best
+
+
+def _with_port(guess: Guess, baudrate: int, send: bytes, poll: bytes) -> Guess:
+    tables = {name: dict(values) for name, values in guess.tables.items()}
+    tables["board"]["baudrate"] = baudrate
+    remarks = dict(guess.remarks)
+    asked = {"send": send, "poll": poll}
+    start = {key: data.decode() if data.isalnum() else list(data) for key, data in asked.items() if data}
+    if start:
+        tables["start"] = start
+        remarks["start.send"] = "? the board was silent, and sent frames after this; it may have begun by itself"
+    return Guess(tables, remarks)
+
+
+def _tried(guess: Guess, chunks: Sequence[Chunk]) -> Draft | None:
+    """What the described protocol makes of the bytes; None if they are hardly frames."""
+    try:
+        family = BoardFile.parse(guess.tables, "draft").family()
+    except InputError:
+        return None
+    times, accounted = decoded(family, chunks)
+    if len(times) < FEWEST_FRAMES or accounted < LEAST_ACCOUNTED:
+        return None
+    elapsed_s = times[-1] - times[0]
+    return Draft(guess, len(times), accounted, (len(times) - 1) / elapsed_s if elapsed_s > 0 else math.nan)
+
+
+def decoded(family: Family, chunks: Sequence[Chunk]) -> tuple[list[float], float]:
+    """Times of the frames that a family's decoder finds, and the share of the bytes after the first one in frames."""
+    received = sum(len(chunk.data) for chunk in chunks)
+    host = family.host(family, family.layout)
+    times: list[float] = []
+    before = corrupt = passed = 0
+    for chunk in chunks:
+        passed += len(chunk.data)
+        for event in host.feed(chunk.data, chunk.time_s):
+            if isinstance(event, FramePacket):
+                times.append(chunk.time_s)
+                # What comes ahead of the first frame is the rest of another one, or a boot message.
+                before = before if len(times) > 1 else passed
+            elif isinstance(event, Corrupt) and times:
+                corrupt += event.size
+    left = received - before
+    return times, 1.0 - min(corrupt / left, 1.0) if left else 0.0
+
+
+def _toml(key: str, value: Any) -> str:
+    """A value as TOML, bytes in hexadecimal."""
+    match value:
+        case bool():
+            return str(value).lower()
+        case str():
+            return json.dumps(value)  # a TOML basic string has the escapes of JSON
+        case list() | tuple() if key in ("header", "trailer", "poll", "send"):
+            return f"[{', '.join(f'0x{byte:02X}' for byte in value)}]"
+        case list() | tuple():
+            return f"[{', '.join(map(str, value))}]"
+    return str(value)

@@ -1,0 +1,555 @@
+"""BOARD.toml: every format against literal bytes, in any cut, damaged, through emulator, driver and recording."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import struct
+import zlib
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from boards import Script, lossless, scene
+from cobs import cobs
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from ohmskin.circuits import Design, Reason, adc_codes
+from ohmskin.cli import run
+from ohmskin.common.config import parse
+from ohmskin.driver import Skin, Tare, discover
+from ohmskin.emulator import PtyPort, running
+from ohmskin.errors import InputError
+from ohmskin.wire import (
+    CHECKSUMS,
+    BoardFile,
+    Command,
+    Corrupt,
+    Event,
+    Family,
+    FramePacket,
+    HostProtocol,
+    Order,
+    board_family,
+    board_protocol,
+    host_protocol,
+)
+
+EXAMPLES = sorted((Path(__file__).parent.parent / "examples/boards").glob("*.toml"))
+FRAME_S = 0.05
+Counts = NDArray[np.uint16]
+
+
+def described(frame: dict[str, Any], rows: int = 2, columns: int = 3, bits: int = 8, **start: Any) -> Family:
+    tables = {"board": {"name": "mat", "rows": rows, "columns": columns, "bits": bits}, "frame": frame, "start": start}
+    return BoardFile.parse(tables, "board.toml").family()
+
+
+def text(layout: str = "frame-per-line", **keys: Any) -> Family:
+    return described({"format": "text", "layout": layout, **keys})
+
+
+def heard(family: Family, *pieces: bytes, apart_s: float = 0.0) -> list[Event]:
+    host = host_protocol(family)
+    return [event for k, piece in enumerate(pieces) for event in host.feed(piece, k * apart_s)]
+
+
+def frames(events: list[Event]) -> list[list[list[int]]]:
+    return [event.counts.tolist() for event in events if isinstance(event, FramePacket)]
+
+
+def reasons(events: list[Event]) -> list[str]:
+    return [event.reason for event in events if isinstance(event, Corrupt)]
+
+
+A, B = [[1, 2, 3], [4, 5, 6]], [[7, 8, 9], [10, 11, 12]]
+
+
+# Lines
+
+
+def test_numbers_with_any_separator_in_a_line() -> None:
+    for line in (b"1,2,3,4,5,6\r\n", b" 1  2 3\t4;5, 6;\n", b"1.0 2e0 +3 4.4 4.6 6\n"):
+        assert frames(heard(text(), b"cut\n", line)) == [A]
+
+
+def test_the_first_line_may_be_cut_and_is_dropped() -> None:
+    events = heard(text(), b"1,2,3,4,5,6\n7,8,9,10,11,12\n")
+    assert frames(events) == [B]
+    assert reasons(events) == ["the host joined in the middle of a line"]
+
+
+def test_text_is_skipped_and_counted_and_damaged_lines_are_dropped() -> None:
+    lines = b"\nrst:0x1 (POWERON),boot:0x13\n1,2,3,4,5,6\n\n1,2,3,4,5\n[wifi] rssi -60\n1,2,3,4,5,6,7\n7,8,9,10,11,12\n"
+    events = heard(text(separator=","), lines)
+    assert frames(events) == [A, B]
+    assert len(reasons(events)) == 4
+    assert "'[wifi] rssi -60'" in reasons(events)[2]
+    assert reasons(events)[1] == "a line of 5 numbers; expected 6"
+
+
+def test_a_prefix_tells_lines_with_numbers_from_others() -> None:
+    assert frames(heard(text(prefix="{", suffix="}"), b"{1,2,3,4,5,6}\n1,2,3,4,5,6\n{7,8,9\n{7 8 9 10 11 12 }\n")) == [
+        A,
+        B,
+    ]
+    assert frames(heard(text(prefix="data:"), b"data: 1 2 3 4 5 6\n9 9 9 9 9 9\ndata:7 8 9 10 11 12\n")) == [A, B]
+
+
+@pytest.mark.parametrize("missing", ["", "nan", "NaN", "null", "-", "inf", "ovf", "-3", "256", "1e99"])
+def test_a_missing_or_impossible_number_costs_its_cell_or_the_frame(missing: str) -> None:
+    line = f"\n1,2,{missing},4,5,6\n7,8,9,10,11,12\n".encode()
+    marked, whole = (event for event in heard(text(separator=","), line) if isinstance(event, FramePacket))
+    assert (marked.absent, whole.absent) == ((2,), ())
+    assert marked.counts.tolist() == [[1, 2, 0], [4, 5, 6]]
+    dropped = heard(text(separator=",", invalid="drop"), line)
+    assert frames(dropped) == [B]
+    assert "no count" in reasons(dropped)[0]
+
+
+@pytest.mark.parametrize("end", ["", "flag", "Frame"])
+def test_a_line_for_each_row_until_an_end_line(end: str) -> None:
+    told = {"": b"\r\n", "flag": b"flag\r\n", "Frame": b"Frame 17 ---\r\n"}[end]
+    rows = [b"1 2 3\r\n", b"4 5 6\r\n", told, b"7 8 9\r\n", b"10 11 12\r\n", told]
+    family = text("row-per-line", end=end)
+    assert frames(heard(family, told, *rows)) == [A, B]
+    assert frames(heard(family, *rows)) == [B]  # the beginning of the first frame may be missing
+    assert frames(heard(family, told, rows[0], *rows[2:])) == [B]  # a lost row
+    assert frames(heard(family, told, *rows[:2], *rows[3:], *rows)) == [A, B]  # a lost end line costs both frames
+    assert frames(heard(family, told, rows[0], b"wifi 5\n", *rows[1:])) == [B]
+    assert frames(heard(family, told, *rows[:3], b"wifi: x\n", *rows[3:])) == [A, B]
+
+
+def test_a_line_for_each_cell_and_numbers_with_names() -> None:
+    family = text("cell-per-line", end="")
+    lines = [f"{k}\n".encode() for k in range(1, 7)]
+    assert frames(heard(family, b"5\n\n", *lines, b"\n", *lines[1:], b"\n", *lines, b"\n")) == [A, A]
+    assert frames(heard(text(labels=True), b"\nA0:1,A1:2 A2 = 3 left:4,right: 5,up:6\n")) == [A]
+
+
+def test_numbered_rows_show_where_a_frame_begins() -> None:
+    family = text("row-per-line", skip=1, numbered_rows=True)
+    for first in (0, 1):
+        rows = [f"{first + k}: {line}\n".encode() for k, line in enumerate(("1 2 3", "4 5 6"))] * 3
+        assert frames(heard(family, b"x\n", *rows[1:])) == [A, A]
+        assert frames(heard(family, b"x\n", *rows[:2], rows[0], *rows[2:4])) == [A, A]
+
+
+def test_pauses_show_where_a_frame_begins_where_nothing_else_does() -> None:
+    family = text("row-per-line")
+    host, seen, time_s = host_protocol(family), list[list[list[int]]](), 0.0
+    for number in range(40):
+        for row in range(2):
+            if number or row:  # the host joins at the second row
+                seen += frames(host.feed(f"{row} {number} 0\n".encode(), time_s))
+            time_s += 0.001 if row == 0 else 0.03
+        if number == 20:
+            host.feed(b"5 5 5\n", time_s)  # a line too many: the pauses show the order again
+    good = [[[0, number, 0], [1, number, 0]] for number in range(40)]
+    assert sum(frame in good for frame in seen) >= 30
+    assert all(frame in good for frame in seen[-10:])
+    unpaced = heard(family, *[b"1 2 3\n", b"4 5 6\n"] * 10)
+    assert frames(unpaced)
+    assert any("ambiguous" in reason for reason in reasons(unpaced))
+
+
+def test_json_documents() -> None:
+    family = described({"format": "json", "key": "sensor.values"})
+    lines = b'{"sensor": {"values": [1,2,3,4,5,6]}}\n{"log": "x"}\n{"sensor":{"values":[[7,8,9],[10,null,nan]]}}\nsens'
+    first, second = (event for event in heard(family, lines) if isinstance(event, FramePacket))
+    assert first.counts.tolist() == A
+    assert second.absent == (4, 5)
+    assert frames(heard(described({"format": "json"}), b'[1,2,3,4,5,6]\n[1,"2",3,4,5,6]\n[1,2,3\n')) == [A]
+    for hostile in (b"[" * 5000, b"[1e999,2,3,4,5,6]", b"[" + b"9" * 900 + b",2,3,4,5,6]", b"{}", b"[true,2,3,4,5,6]"):
+        assert all(frame[1] == [4, 5, 6] for frame in frames(heard(described({"format": "json"}), hostile + b"\n")))
+
+
+# The order of the numbers
+
+
+def test_numbers_find_their_cells() -> None:
+    line = b"\n1,2,3,4,5,6\n"
+    for keys, expected in (
+        ({"order": "column-major"}, [[1, 3, 5], [2, 4, 6]]),
+        ({"flip_rows": True}, [[4, 5, 6], [1, 2, 3]]),
+        ({"flip_columns": True}, [[3, 2, 1], [6, 5, 4]]),
+        ({"invert": True}, [[254, 253, 252], [251, 250, 249]]),
+        ({"range": [1.0, 6.0]}, [[0, 51, 102], [153, 204, 255]]),
+    ):
+        assert frames(heard(text(**keys), line)) == [expected]
+
+
+# Words
+
+
+def binary(**keys: Any) -> Family:
+    bits = keys.pop("bits", 8)
+    return described({"format": "binary", **keys}, bits=bits)
+
+
+@pytest.mark.parametrize(
+    ("word", "line"),
+    [
+        ("uint8", b"\x01\x02\x03\x04\x05\x06"),
+        ("uint16le", struct.pack("<6H", *range(1, 7))),
+        ("uint16be", struct.pack(">6H", *range(1, 7))),
+        ("int32le", struct.pack("<6i", *range(1, 7))),
+        ("uint32be", struct.pack(">6I", *range(1, 7))),
+        ("float32le", struct.pack("<6f", *range(1, 7))),
+        ("float64be", struct.pack(">6d", *range(1, 7))),
+    ],
+)
+def test_words_in_literal_bytes(word: str, line: bytes) -> None:
+    family = binary(word=word, bits=7, header=[0xAA, 0x55], before=1, after=2)
+    whole = b"\xaa\x55\x99" + line + b"\x98\x97"
+    assert frames(heard(family, whole * 3)) == [A, A, A]
+    sent = board_protocol(family).frame(FramePacket.of(np.array(A), sequence=0, time_us=0))
+    assert sent == b"\xaa\x55\0" + line + b"\0\0"
+
+
+def test_nan_and_negative_floats_cost_their_cells() -> None:
+    line = b"\xaa\x55" + struct.pack("<6f", 0.0, math.nan, 0.5, 1.0, -0.1, math.inf)
+    events = heard(binary(word="float32le", header=[0xAA, 0x55], range=[0.0, 1.0]), line * 2 + b"\xaa\x55")
+    first = next(event for event in events if isinstance(event, FramePacket))
+    assert first.absent == (1, 4, 5)
+    assert first.counts.tolist() == [[0, 0, 128], [255, 0, 0]]
+
+
+@pytest.mark.parametrize("name", CHECKSUMS)
+def test_the_usual_check_value_of_every_checksum(name: str) -> None:
+    """Of the ASCII text "123456789", as the catalogues of CRCs list it."""
+    values = {
+        "sum8": 0xDD, "crc8": 0xF4, "xor8": 0x31, "sum16le": 0x1DD, "sum16be": 0x1DD, "crc16-ccitt": 0x29B1,
+        "crc16-xmodem": 0x31C3, "crc16-modbus": 0x4B37, "crc32": 0xCBF43926,
+    }  # fmt: skip
+    order = "big" if name.endswith("be") else "little"
+    expected = values[name.removesuffix("-be")].to_bytes(CHECKSUMS[name].size, order)  # type: ignore[arg-type]
+    assert CHECKSUMS[name].of(b"123456789") == expected
+
+
+@pytest.mark.parametrize("of", ["payload", "body", "frame"])
+def test_a_checksum_is_of_what_the_file_says(of: str) -> None:
+    family = binary(word="uint8", header=[0xAA, 0x55], before=1, checksum="crc32", checksum_of=of)
+    head, ahead, cells = b"\xaa\x55", b"\x07", b"\1\2\3\4\5\6"
+    covered = {"payload": cells, "body": ahead + cells, "frame": head + ahead + cells}[of]
+    whole = head + ahead + cells + struct.pack("<I", zlib.crc32(covered))
+    assert frames(heard(family, b"boot\r\n" + whole[3:], whole, b"debug: 5\r\n", whole)) == [A, A]
+    assert frames(heard(family, whole[:4] + b"\x09" + whole[5:], whole)) == [A]
+
+
+def test_cobs_packets() -> None:
+    family = binary(word="uint16le", framing="cobs", checksum="sum8")
+    cells = struct.pack("<6H", *range(1, 7))
+    packet = bytes(cobs.encode(cells + bytes([21]))) + b"\0"
+    assert frames(heard(family, packet[4:] + packet + b"\0\0" + packet)) == [A, A]
+    assert board_protocol(family).frame(FramePacket.of(np.array(A), sequence=0, time_us=0)) == packet
+    assert reasons(heard(family, packet[:-2] + b"\x09\0")) == ["the checksum does not match"]
+
+
+def test_text_between_frames_without_a_checksum_is_skipped() -> None:
+    family = binary(word="uint8", header=[0xAA, 0x55])
+    frame = b"\xaa\x55\1\2\3\4\5\6"
+    events = heard(family, b"boot ok\r\n", *[frame + b"[wifi] rssi -60\r\n", frame] * 4)
+    assert frames(events) == [A] * 8
+    assert reasons(events).count("text between two frames") == 4
+
+
+def test_raw_bytes_between_pauses() -> None:
+    family = binary(word="uint8")
+    pieces = [bytes([4, 5, 6]), *[b"\1\2\3\4\5\6"] * 12]
+    seen = frames(heard(family, *pieces, apart_s=0.03))
+    assert seen == [A] * len(seen)
+    assert len(seen) >= 8
+
+
+@pytest.mark.parametrize("start", [{"poll": "a"}, {"send": "go", "poll": "a"}, {"send": [1, 2]}])
+def test_a_board_is_started_and_asked(start: dict[str, Any]) -> None:
+    family = described({"format": "text"}, **start)
+    host, board = host_protocol(family), board_protocol(family)
+    begins, asks = host.request(Order.START), host.request(Order.ONE_FRAME)
+    assert family.polled == bool(asks)
+    one = FramePacket.of(np.array(A), sequence=0, time_us=0)
+    if begins:
+        assert board.frame(one) == b""
+    commands = board.feed(begins + asks)
+    assert commands == ([Command(Order.ONE_FRAME)] if asks else [Command(Order.START)])
+    assert board.frame(one) == b"1 2 3 4 5 6\r\n"
+    if asks:
+        assert frames(host.feed(board.frame(one), 0.0)) == [A]  # a reply is whole
+
+
+# Any stream
+
+
+def pictures(family: Family, count: int) -> list[Counts]:
+    layout, random = family.layout, np.random.default_rng(7)
+    return [
+        random.integers(0, 2**layout.adc_bits, (layout.rows, layout.columns)).astype(np.uint16) for _ in range(count)
+    ]
+
+
+def sent_by(family: Family, shown: list[Counts]) -> list[bytes]:
+    board = board_protocol(family)
+    board.feed(host_protocol(family).request(Order.START))
+    return [board.frame(FramePacket.of(counts, sequence=0, time_us=0)) for counts in shown]
+
+
+def fed(host: HostProtocol, pieces: list[bytes], cuts: list[int]) -> Iterator[Event]:
+    """The events of frames that come at an even pace, each in pieces that end at ``cuts``."""
+    for number, piece in enumerate(pieces):
+        at = k = 0
+        while at < len(piece):
+            yield from host.feed(piece[at : at + cuts[k % len(cuts)]], number * FRAME_S + 1e-5 * k)
+            at, k = at + cuts[k % len(cuts)], k + 1
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+@settings(max_examples=10)
+@given(cuts=st.lists(st.integers(1, 900), min_size=1, max_size=5))
+def test_every_example_comes_through_in_any_cut(path: Path, cuts: list[int]) -> None:
+    family = board_family(path)
+    shown = pictures(family, 8)
+    pieces = sent_by(family, shown)
+    seen = [
+        event.counts for event in fed(host_protocol(family), [*pieces, *pieces], cuts) if isinstance(event, FramePacket)
+    ]
+    assert len(seen) >= 2 * len(shown) - 5
+    for one in seen:
+        assert any(np.array_equal(one, counts) for counts in shown)
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+@settings(max_examples=10)
+@given(noise=st.binary(max_size=300), cut=st.integers(0, 2000))
+def test_damage_costs_the_frames_that_it_hits(path: Path, noise: bytes, cut: int) -> None:
+    """Where the format has a checksum, a length or whole lines, no wrong frame is taken."""
+    family = board_family(path)
+    shown = pictures(family, 6)
+    pieces = sent_by(family, shown)
+    damaged = [*pieces[:2], pieces[2][: min(cut, len(pieces[2]))] + noise, *pieces[3:], *pieces, *pieces]
+    events = list(fed(host_protocol(family), damaged, [4096]))
+    seen = [event for event in events if isinstance(event, FramePacket)]
+    for counts in shown:
+        assert sum(np.array_equal(one.counts, counts) for one in seen) >= (1 if path.stem == "raw-bytes" else 2)
+    wrong = [one for one in seen if not any(np.array_equal(one.counts, counts) for counts in shown)]
+    # Digits in noise may change the number that they meet; nothing else may.
+    allowed = {"raw-bytes": 6, "float32": 1}.get(path.stem, 0 if path.stem in ("crc", "cobs") else 1)
+    assert len(wrong) <= allowed
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_noise_without_end_takes_bounded_memory(path: Path) -> None:
+    host, random = host_protocol(path), np.random.default_rng(5)
+    for k in range(20):
+        host.feed(random.bytes(20_000), float(k))
+    held = max((len(value) for value in vars(host).values() if isinstance(value, bytearray | list)), default=0)
+    assert held < 25_000
+
+
+# With driver, emulator and recordings
+
+
+def emulated(family: Family, rate_hz: float = 40.0) -> Any:
+    """A scene whose board has the array and the converter of the family, a divider in each column."""
+    layout = family.layout
+    press = {"cells": [[min(layout.rows - 1, 1), 1]], "load_kpa": [[0.0, 0.0], [0.05, 12.0]]}
+    design = {
+        "array": {"rows": layout.rows, "columns": layout.columns},
+        "drive": {"voltage": 3.3, "idle_rows": "ground"},
+        "readout": {"circuit": "voltage-divider", "reference_resistance": 1e3},
+        "adc": {"bits": layout.adc_bits, "range": [0.0, 3.3]},
+    }
+    return scene(skin={"design": design}, contact=[press], board={"frame_rate": rate_hz})
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_every_example_end_to_end(path: Path, tmp_path: Path) -> None:
+    """Emulator, pty, driver, recording and replay without the file: counts of the press, tared."""
+    family, port, what = board_family(path), PtyPort(), emulated(board_family(path))
+    with running(what, port, family=str(path), truth=tmp_path / "truth.npz"):
+        with Skin.open(port.name, board=str(path), timeout=30.0, delivery="every", record=tmp_path / "x.mcap") as skin:
+            taken = list(islice(skin, 6))
+            assert not skin.knows_circuit
+            assert skin.shape == (family.layout.rows, family.layout.columns)
+            with pytest.raises(InputError, match="is not known; expected a design"):
+                _ = skin.design
+            tare = skin.tare(4, force=True)
+            after = skin.read()
+        (found,) = discover([port.name], board=path, timeout=20.0)
+    assert (found.rows, found.columns) == (family.layout.rows, family.layout.columns)
+    with np.load(tmp_path / "truth.npz") as truth:
+        scanned = adc_codes(what.skin.design, truth["volts"])
+    for frame in taken:
+        assert (scanned == frame.counts).all(axis=(1, 2)).any()
+        assert frame.valid.all()
+        assert np.isnan(frame.resistance).all()
+        assert np.isnan(frame.pressure).all()
+    assert tare.rest_counts is not None
+    np.testing.assert_array_equal(after.rest_counts, tare.rest_counts)
+    np.testing.assert_allclose(after.change, after.counts - tare.rest_counts)
+    with Skin.open(tmp_path / "x.mcap") as again:
+        assert again.family.name == family.name
+        replayed = list(again)
+    np.testing.assert_array_equal([frame.counts for frame in replayed[:6]], [frame.counts for frame in taken])
+    np.testing.assert_array_equal(replayed[-1].rest_counts, after.rest_counts)
+
+
+def test_a_design_and_a_cell_give_ohms_and_pressures(tmp_path: Path) -> None:
+    what = emulated(board_family(Path(__file__).parent.parent / "examples/boards/kobakant.toml"))
+    lines = ['[board]\nname = "mat"\nrows = 7\ncolumns = 7\nbits = 10\ndesign = "circuit.toml"\ncell = "cell.toml"']
+    lines.append('[frame]\nformat = "text"')
+    (tmp_path / "board.toml").write_text("\n".join(lines))
+    design = what.skin.design
+    (tmp_path / "circuit.toml").write_text(
+        '[array]\nrows = 7\ncolumns = 7\n[drive]\nvoltage = 3.3\nidle_rows = "ground"\n'
+        '[readout]\ncircuit = "voltage-divider"\nreference_resistance = 1e3\n[adc]\nbits = 10\nrange = [0.0, 3.3]\n'
+    )
+    what.skin.cell.save(tmp_path / "cell.toml")
+    board, port = tmp_path / "board.toml", PtyPort()
+    with (
+        running(what, port, family=str(board)),
+        Skin.open(port.name, board=board, timeout=60.0, record=tmp_path / "x.mcap") as skin,
+    ):
+        taken = list(islice(skin, 12))
+    assert skin.design.array.shape == design.array.shape
+    assert taken[-1].pressure[1, 1] > 6.0
+    for file in ("board.toml", "circuit.toml", "cell.toml"):
+        (tmp_path / file).unlink()
+    with Skin.open(tmp_path / "x.mcap") as again:
+        assert list(again)[-1].pressure[1, 1] > 6.0
+
+
+def test_a_cell_that_the_board_leaves_out_is_marked_as_missing() -> None:
+    design = {
+        "array": {"rows": 2, "columns": 3},
+        "drive": {"voltage": 3.3},
+        "readout": {"circuit": "voltage-divider", "reference_resistance": 1e3},
+        "adc": {"bits": 8, "range": [0.0, 3.3]},
+    }
+    port = Script(b"\n10,20,30,40,50,60\n10,20,,40,50,60\n")
+    with lossless(port, board=text(separator=","), design=parse(design, Design, source="design"), timeout=30.0) as skin:
+        whole, marked = skin.read(), skin.read()
+    assert whole.valid.all()
+    assert marked.reason[0, 2] == Reason.MISSING
+    assert marked.counts[0, 2] == 0
+    others = np.arange(6).reshape(2, 3) != 2
+    np.testing.assert_allclose(marked.resistance[others], whole.resistance[others], rtol=1e-6)
+
+
+def test_a_tare_in_counts_is_saved_and_refused_elsewhere(tmp_path: Path) -> None:
+    tare = Tare(
+        rest_resistance_ohm=np.full((2, 3), np.nan),
+        measured=np.ones((2, 3), dtype=bool),
+        std_ohm=np.full((2, 3), np.nan),
+        frames=4,
+        lost=None,
+        serial_number="",
+        wall_time=1e9,
+        rest_counts=np.arange(6.0).reshape(2, 3),
+    )
+    tare.save(tmp_path / "rest.npz")
+    again = Tare.load(tmp_path / "rest.npz")
+    np.testing.assert_array_equal(again.rest, tare.rest)
+    assert "counts" in repr(again)
+
+
+# Files
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"board": {"row": 3}}, "unknown key 'board.row'; the nearest known key, 'rows', is there already"),
+        ({"board": {"bits": 17}}, "board.bits: input should be less than or equal to 16 (got 17)"),
+        ({"frame": {"format": "txt"}}, "frame.format: input should be 'text', 'json' or 'binary' (got 'txt')"),
+        ({"frame": {"end": ""}}, 'end has no effect on layout = "frame-per-line"'),
+        ({"frame": {"header": [1]}}, "unknown key 'frame.text.header'"),
+        ({"frame": {"separator": "1"}}, "frame.text.separator"),
+        ({"frame": {"range": [5.0, 5.0]}}, "the smaller number first"),
+        ({"start": {"send": [256]}}, "start.send"),
+        ({"frame": {"format": "binary", "word": "uint8"}, "board": {"bits": 12}}, "a uint8 has 8 bits"),
+        ({"frame": {"format": "binary", "word": "uint8", "checksum": "sum8"}}, "expected a header or framing"),
+    ],
+)
+def test_a_wrong_file_is_refused_in_one_line(
+    changes: dict[str, Any], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tables: dict[str, Any] = {"board": {"name": "m", "rows": 2, "columns": 3, "bits": 8}, "frame": {"format": "text"}}
+    for name, keys in changes.items():
+        tables[name] = tables.get(name, {}) | keys
+    lines = [
+        f"[{name}]\n" + "\n".join(f"{key} = {json.dumps(value)}" for key, value in keys.items())
+        for name, keys in tables.items()
+    ]
+    path = tmp_path / "mat.toml"
+    path.write_text("\n".join(lines))
+    with pytest.raises(InputError) as refused:
+        board_family(path)
+    assert str(path) in str(refused.value)
+    assert message in str(refused.value)
+    assert run(["record", "/dev/null", "--board", str(path), "-o", str(tmp_path / "x.mcap")]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_a_design_of_another_size_is_refused() -> None:
+    with pytest.raises(
+        InputError, match=r"board 'mat' has 2 x 3 cells of 8 bits in its BOARD\.toml; the design has 4 x 4"
+    ):
+        host_protocol(text(), shape=(4, 4))
+
+
+def test_the_family_of_the_documentation_works_and_its_recordings_open_with_it_alone(tmp_path: Path) -> None:
+    page = (Path(__file__).parent.parent / "docs/boards.md").read_text()
+    (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    names: dict[str, Any] = {}
+    exec(code, names)  # the reader's own program
+    family, port = names["HEX"], PtyPort()
+    with (
+        running(emulated(family), port, family=family),
+        Skin.open(port.name, board=family, timeout=30.0, record=tmp_path / "x.mcap") as skin,
+    ):
+        counts = skin.read().counts
+    assert counts.shape == (1, 8)
+    with pytest.raises(InputError, match=r"x\.mcap: a recording of the board 'hex', .* give it \(board=\)"):
+        Skin.open(tmp_path / "x.mcap")
+    with Skin.open(tmp_path / "x.mcap", board=family) as again:
+        np.testing.assert_array_equal(next(again).counts, counts)
+
+
+def test_the_page_names_every_key_and_every_example() -> None:
+    page = (Path(__file__).parent.parent / "docs/boards.md").read_text()
+    frame = BoardFile.model_json_schema()["$defs"]
+    keys = {key for name, table in frame.items() if name.endswith(("Frame", "Table")) for key in table["properties"]}
+    assert not {key for key in keys if f"`{key}" not in page and f"\n{key} = " not in page}
+    assert not [path.name for path in EXAMPLES if f"({'../examples/boards/' + path.name})" not in page]
+
+
+def test_a_family_of_ones_own_package_is_found_by_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "matfamily.py").write_text(
+        "from ohmskin.wire import BoardFile\n"
+        "MAT = BoardFile.parse({'board': {'name': 'mat', 'rows': 2, 'columns': 3},"
+        " 'frame': {'format': 'text'}}, 'mat').family()\n"
+        "WRONG = 5\n"
+    )
+    info = tmp_path / "matfamily-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: matfamily\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(
+        "[ohmskin.boards]\nmat = matfamily:MAT\nwrong = matfamily:WRONG\nlost = matfamily:NOTHING\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    assert board_family("mat").layout.columns == 3
+    with pytest.raises(
+        InputError, match=r"family 'wrong' of the package matfamily is 5; expected an ohmskin\.wire\.Family"
+    ):
+        board_family("wrong")
+    with pytest.raises(InputError, match="family 'lost' of the package matfamily cannot be imported"):
+        board_family("lost")
+    with pytest.raises(InputError, match="no family of boards 'mta'; the nearest is 'mat'"):
+        board_family("mta")

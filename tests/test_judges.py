@@ -1,0 +1,106 @@
+"""The judges: their table is that of this source, their figures are what their names say, and gates judge by limits."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ohmskin.bench import judges, scenes
+from ohmskin.cell import Cell
+from ohmskin.cli import run
+from ohmskin.common.readings import Readings
+
+FROZEN = (
+    "taps | example, 100 Hz, 12 bits, 1 mV",
+    "random | m10, 100 Hz, 12 bits, 1 mV",
+    "press, opens | asymmetric, 100 Hz, 12 bits, 1 mV",
+    "wavering | example, 100 Hz, 12 bits, 1 mV",
+    "slip | example, 100 Hz, 12 bits, 10 mV",
+    "hold | contact, 100 Hz, 8 bits, 0.1 mV",
+)
+
+
+class Knows:
+    """Shows the truth, off by so many of its own deviations, of readings that it gets as they are."""
+
+    takes_readings = True
+
+    def __init__(self, cell: Cell, shape: tuple[int, ...], off: float = 0.5) -> None:
+        self.played: scenes.Played | None = None
+        self.frame, self.off = -1, off
+        self.std_kpa = np.full(shape, 0.01 * cell.full_scale_kpa)
+
+    def step(self, elapsed_s: float, readings: Readings) -> np.ndarray:
+        assert self.played is not None
+        self.frame += 1
+        np.testing.assert_array_equal(readings.conductance, self.played.siemens[self.frame])
+        return np.asarray(self.played.pressure_kpa[self.frame] + self.off * self.std_kpa)
+
+
+@pytest.mark.parametrize("name", FROZEN)
+def test_the_table_holds_for_this_source(name: str) -> None:
+    row = next(row for row in judges.rows(name) if row.name == name)
+    (verdict,) = judges.judge([row], judges.maker(None))
+    assert row.today is not None
+    for figure in judges.FIGURES:
+        frozen, found = getattr(row.today, figure), getattr(verdict.found, figure)
+        assert found == pytest.approx(frozen, rel=0.02, abs=0.02, nan_ok=True), figure
+
+
+def test_figures_are_those_of_an_estimator_whose_errors_are_known() -> None:
+    """Half a deviation off everywhere, of one percent of full scale."""
+    scene = scenes.Scene("taps", "example")
+    cell, played = scenes.cells()["example"], scenes.play(scene)
+    estimator = Knows(cell, played.pressure_kpa.shape[1:])
+    estimator.played = played
+    pressure, std, _ = judges.estimated(played, estimator)
+    found = judges.figures(played, pressure, std, cell.full_scale_kpa)
+    assert (found.rmse, found.worst, found.sd) == pytest.approx((0.5, 0.5, 1.0))
+    assert found.within == 100.0
+    assert found.rest == pytest.approx(0.005 * cell.full_scale_kpa)
+
+
+@pytest.mark.parametrize(
+    ("change", "missed"),
+    [
+        ({}, ()),
+        ({"rmse": 0.5}, ()),  # either of two limits of the RMSE
+        ({"rmse": 0.6}, ("rmse",)),
+        ({"within": 96.0}, ("within",)),
+        ({"worst": 5.1, "sd": 1.1}, ("worst", "sd")),
+        ({"rest": 0.2}, ("rest",)),
+        ({"worst": math.nan}, ("worst",)),
+        ({"rest": math.nan}, ()),  # no cell is released
+    ],
+)
+def test_a_gate_names_the_figures_that_miss_it(change: dict[str, float], missed: tuple[str, ...]) -> None:
+    gate = judges.Gate(
+        rmse_percent=0.5, rmse_times_today=1.25, within_percent=97, worst_sd=5, sd_times_today=1, rest_kpa=0.1
+    )
+    today = judges.Figures(rmse=0.2, within=99.0, worst=3.0, sd=1.0, rest=0.05)
+    row = judges.Row("", "", gate, today, None, quick=False)
+    assert judges.misses(row, replace(today, **change)) == missed
+
+
+def test_readings_tell_bounds_where_the_converter_is_at_a_limit() -> None:
+    """A cell of 10 Mohm reads no count: its conductance lies between none and the bound."""
+    played = scenes.play(scenes.Scene("rest", "fsr", noise_mv=0.0))
+    readings, true = played.readings(5), 1.0 / scenes.cells()["fsr"].rest_resistance_ohm
+    assert np.isnan(readings.conductance).all()
+    assert np.isinf(played.ohms).all()
+    assert (readings.least <= true).all()
+    assert (true <= readings.greatest).all()
+
+
+def test_rows_are_chosen_by_name_and_gate(capsys: pytest.CaptureFixture[str]) -> None:
+    assert {row.gate for row in judges.rows("vibration")} >= {"vibration", "fast"}
+    assert run(["bench", "--judges", "--only", "rest | contact", "--json"]) == 0
+    (verdict,) = json.loads(capsys.readouterr().out)
+    assert verdict["name"] == "rest | contact, 100 Hz, 12 bits, 1 mV"
+    assert verdict["limits"]["within"] == 97.0
+    assert run(["bench", "--judges", "--only", "no such row"]) == 2
+    assert run(["bench", "--judges", "--estimator", "ohmskin.cell:nobody"]) == 2

@@ -1,0 +1,247 @@
+"""Worst cases against chance, against every corner of small boxes, and against the report that states them."""
+
+from __future__ import annotations
+
+from itertools import pairwise, product
+from pathlib import Path
+
+import nodal
+import numpy as np
+import pytest
+from parts_at_random import real_design
+from worst_boards import CIRCUITS, QUANTITIES, asked, beaten, by_hand, drawn_by, random_board, stated, values
+
+from ohmskin.circuits import Design, Requirement, scan
+from ohmskin.verification import Report, verify
+
+QUICK = (3, 5, 6, 11, 12, 22)
+"""seeds of small boards of all circuits, some of whose readings come near the reference or leave a range"""
+
+
+def _verified(design: Design) -> Report:
+    return verify(design, requirements=asked(design), samples=200)
+
+
+def _agree(value: float, again: float) -> bool:
+    return value == again or abs(value - again) <= 1e-6 * max(abs(value), 1e-3)
+
+
+@pytest.mark.parametrize("circuit", CIRCUITS)
+def test_the_judge_and_the_solvers_find_the_same(circuit: str) -> None:
+    for seed in range(4):
+        design, cells = real_design(seed, circuit=circuit, supply=(-np.inf, np.inf))
+        solved = scan(design, cells, method="exact").volts
+        signal = np.abs(solved - design.readout.reference_voltage).max()
+        assert nodal.read(design, cells) == pytest.approx(solved, abs=1e-7 * signal)
+
+
+@pytest.mark.parametrize("seed", QUICK)
+def test_chance_does_not_beat_a_stated_worst_case(seed: int) -> None:
+    design = random_board(seed, largest=5)
+    report = _verified(design)
+    assert beaten(design, seed, report) == {}
+    for quantity, value in stated(report).items():
+        assert _agree(value, by_hand(design, quantity, report)), quantity
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", range(0, 300, 10))
+def test_chance_does_not_beat_any_of_300_boards(first: int) -> None:
+    for seed in range(first, first + 10):
+        design = random_board(seed)
+        report = _verified(design)
+        assert beaten(design, seed, report) == {}, seed
+        for quantity, value in stated(report).items():
+            assert _agree(value, by_hand(design, quantity, report)), (seed, quantity)
+
+
+SMALL = Design.model_validate(
+    {
+        "array": {"rows": 2, "columns": 2, "row_lead": {"nominal": 50.0, "tolerance": 0.2}, "column_lead": 20.0},
+        "drive": {"voltage": -1.0},
+        "readout": {
+            "circuit": "inverting-amplifier",
+            "reference_resistance": 10e3,
+            "offset_voltage": 3e-3,
+            "open_loop_gain": 1e4,
+            "supply": (-3.0, 3.0),
+        },
+        "adc": {"bits": 12, "range": (-3.0, 3.0)},
+        "cells": {
+            "rest_resistance": {"nominal": 10e3, "tolerance": 0.05},
+            "full_scale_resistance": 17e3,
+            "full_scale_kpa": 20.0,
+        },
+    }
+)
+
+
+@pytest.mark.parametrize(
+    ("circuit", "idle_rows"),
+    [*((name, "ground") for name in CIRCUITS), ("inverting-amplifier", "float"), ("voltage-divider", "float")],
+)
+def test_no_corner_of_a_small_box_is_worse(circuit: str, idle_rows: str) -> None:
+    """Every corner of parts and cells, with every press, of a 2 x 2 array."""
+    design = SMALL.with_circuit(circuit).replace(drive={"idle_rows": idle_rows})
+    signs = np.array(list(product((-1.0, 1.0), repeat=8)))  # 2 leads, 2 offsets, 4 cells
+    presses = np.array(list(product((False, True), repeat=4))).reshape(-1, 2, 2)
+    columns = iter(signs.T)
+    drawn = drawn_by(design, len(signs), lambda lines: np.stack([next(columns) for _ in range(lines)], axis=1))
+    says = stated(_verified(design))
+    worst = dict.fromkeys(says, -np.inf)
+    for pattern in presses:
+        for cell in range(4):
+            own = np.zeros((len(signs), 2, 2), dtype=np.bool_)
+            own.reshape(-1, 4)[:, cell] = True
+            found = values(design, drawn, np.broadcast_to(pattern, own.shape), own)
+            worst = {name: max(worst[name], float(found[name].max())) for name in worst}
+    assert says == pytest.approx(worst, rel=1e-8)
+
+
+CASES = {
+    "one offset takes untouched cells beyond the reference": (
+        {"offset_voltage": 4.5e-3, "reference_resistance": 22e3, "reference_voltage": 0.5, "supply": (0.025, 3.275)},
+        {"rest_resistance": {"nominal": 60e3, "tolerance": 0.1}, "full_scale_resistance": 5e3},
+        -0.5,
+        {"crosstalk": np.inf, "reading_error": np.inf, "gain_error": np.inf},
+    ),
+    "cells of their own spread saturate an output": (
+        {"offset_voltage": 4.5e-3, "reference_resistance": 24.9e3, "reference_voltage": 0.5, "supply": (0.025, 3.275)},
+        {"rest_resistance": {"nominal": 60e3, "tolerance": 0.1}, "full_scale_resistance": 5e3},
+        -0.52,
+        {"reading_error": np.inf},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_reading_beyond_the_reference_is_an_infinite_error(name: str) -> None:
+    readout, cells, drive, expected = CASES[name]
+    design = Design.model_validate(
+        {
+            "array": {"rows": 10, "columns": 5, "row_lead": 2.0},
+            "drive": {"voltage": {"nominal": drive, "tolerance": 0.01}},
+            "readout": {"circuit": "inverting-amplifier", "open_loop_gain": 25e3, **readout},
+            "adc": {"bits": 12, "range": (0.0, 3.3)},
+            "cells": {"full_scale_kpa": 100.0, **cells},
+        }
+    )
+    report = _verified(design)
+    says = stated(report)
+    for quantity, value in expected.items():
+        assert says[quantity] == value
+        assert by_hand(design, quantity, report) == value
+
+
+def _toleranced(seed: int, factor: float) -> Design:
+    """A small board, its tolerances multiplied."""
+    design = random_board(seed, largest=3)
+    changes: dict[str, dict[str, object]] = {}
+    for key, spread in design.spreads.items():
+        section, name = key.split(".")
+        part = {"nominal": getattr(getattr(design, section), name), "tolerance": min(factor * spread.tolerance, 0.5)}
+        changes.setdefault(section, {})[name] = part
+    offset = design.readout.offset_voltage
+    assert isinstance(offset, float)
+    changes.setdefault("readout", {})["offset_voltage"] = factor * offset
+    return design.replace(**changes)
+
+
+@pytest.mark.parametrize("seed", [1, 8])
+def test_a_worst_case_never_falls_when_tolerances_grow(seed: int) -> None:
+    found = [stated(_verified(_toleranced(seed, factor))) for factor in (0.5, 1.0, 2.0)]
+    for quantity in found[0]:
+        row = [each[quantity] for each in found]
+        for smaller, larger in pairwise(row):
+            assert larger == smaller or larger >= smaller - 1e-6 * abs(smaller), (quantity, row)
+
+
+@pytest.mark.parametrize("seed", [3, 8])
+def test_no_line_of_the_budget_and_no_board_exceeds_the_verdict(seed: int) -> None:
+    report = _verified(random_board(seed, largest=4))
+    verdict = {r.requirement.quantity: r.measurement for r in report.results if r.method == "worst-case"}
+    for quantity in QUANTITIES[:3]:
+        found = verdict[quantity]
+        assert found is not None
+        assert max(found.contributions.values(), default=0.0) <= found.value
+    sampled = report.results[-1].measurement
+    assert sampled is not None
+    assert verdict["reading_error"] is not None
+    assert max(sampled.samples) <= verdict["reading_error"].value
+
+
+def test_page_one_says_that_a_search_is_not_complete(tmp_path: Path) -> None:
+    report = verify(SMALL, only=["D1", "D4", "D18"], samples=400)
+    crosstalk, headroom, sampled = (result.measurement for result in report.results)
+    assert crosstalk is not None
+    assert headroom is not None
+    assert sampled is not None
+    assert crosstalk.incomplete == headroom.incomplete == "by search, all of 4 cells"
+    report.write(tmp_path)
+    assert (tmp_path / "report.html").read_text().count("by search, all of 4 cells") == 2
+    assert "under" in sampled.text[1]
+    assert "presses" in sampled.text[1]
+
+
+def test_a_drift_has_its_own_unit_whatever_the_nominal_value() -> None:
+    """10 uV/K over 40 K is an offset of 0.4 mV, of either sign on each line."""
+    base = SMALL.replace(operation={"temperature_range": (268.15, 338.15)})
+    drifting = base.replace(readout={"offset_voltage": {"nominal": 0.0, "temperature_coefficient": 10e-6}})
+    alike = base.replace(readout={"offset_voltage": {"nominal": 0.0, "deviation": 0.4e-3}})
+    steady = base.replace(readout={"offset_voltage": {"nominal": 0.0}})
+    one, other, none = (stated(_verified(design)) for design in (drifting, alike, steady))
+    assert one == pytest.approx(other, rel=1e-9)
+    assert one["reading_error"] > 1.01 * none["reading_error"]
+
+
+def test_parts_of_one_supply_move_together() -> None:
+    """A supply of 5 % that drive, reference and converter follow shifts no reading of a ratiometric board."""
+    ideal = {"offset_voltage": 0.0, "open_loop_gain": np.inf, "supply": (-np.inf, np.inf)}
+    fixed = SMALL.replace(
+        readout={**ideal, "reference_voltage": {"nominal": 1.2, "tolerance": 0.05}},
+        adc={"gain_error": {"nominal": 0.0, "tied_to": "readout.reference_voltage"}, "range": (0.0, 5.0)},
+        drive={"voltage": {"nominal": -1.0, "tied_to": "readout.reference_voltage"}},
+        array={"row_lead": 0.0, "column_lead": 0.0},
+    )
+    tied = stated(_verified(fixed))["reading_error"]
+    still = stated(
+        _verified(
+            fixed.replace(readout={"reference_voltage": 1.2, "spread": {}}, adc={"spread": {}}, drive={"spread": {}})
+        )
+    )
+    loose = stated(_verified(fixed.replace(drive={"voltage": -1.0, "spread": {}})))
+    assert tied == pytest.approx(still["reading_error"], rel=1e-9)
+    assert loose["reading_error"] > 0.04
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"drive": {"voltage": {"nominal": -1.0, "tied_to": "readout.reference_voltage"}}}, "which is 0 V"),
+        ({"drive": {"voltage": {"nominal": -1.0, "tied_to": "drive.voltage"}}}, "which follows another part"),
+    ],
+)
+def test_a_tie_to_nothing_is_bad_input(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(Exception, match=message):
+        SMALL.replace(**changes)
+
+
+def test_currents_and_leakage_are_judged_and_bounded_by_a_solution() -> None:
+    design = SMALL.replace(drive={"idle_leakage": 1e-6, "idle_rows": "float"})
+    asked_for = [
+        Requirement(id=name, quantity=name, max=1e9) for name in ("output_current", "switch_current", "leakage_error")
+    ]
+    output, switch, leakage = (result.measurement for result in verify(design, requirements=asked_for).results)
+    assert output is not None
+    assert switch is not None
+    assert leakage is not None
+    signal = np.abs(nodal.read(design, np.full((2, 2), 9.5e3))).max() / 10e3
+    assert signal < output.value < 1.1 * signal
+    assert 1.8 * signal < switch.value < 2.2 * signal
+    assert leakage.value == pytest.approx(100 * 1e-6 / (1.0 / (17e3 * 1.05)), rel=1e-9)
+    named = {
+        requirement.id
+        for requirement in verify(design, only=["D25"]).results[0:1]
+        for requirement in [requirement.requirement]
+    }
+    assert named == {"D25"}

@@ -1,0 +1,329 @@
+"""Random boards, and an attack on their stated worst cases by chance: ``python tests/worst_boards.py [FIRST] [COUNT]``.
+
+The attack has its own tolerances, converter, host and errors, and knows of the package only how to read many boards at
+once. What it says of a stated corner comes from :mod:`nodal`, which shares nothing with the package.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import nodal
+import numpy as np
+from numpy.typing import NDArray
+
+from ohmskin.circuits import Boards, Design, Requirement, scan_population
+from ohmskin.verification import Report, verify
+
+Array = NDArray[np.float64]
+Pressed = NDArray[np.bool_]
+CIRCUITS = ("inverting-amplifier", "row-amplifier", "voltage-divider", "voltage-feedback")
+QUANTITIES = ("crosstalk", "reading_error", "gain_error", "output_headroom", "adc_headroom")
+LINES = {"row_lead": "rows", "row_segment": "rows", "column_lead": "columns", "column_segment": "columns"}
+PER_SENSED = ("reference_resistance", "open_loop_gain", "offset_voltage", "bias_current")
+EITHER_SIGN = (
+    "readout.offset_voltage",
+    "readout.bias_current",
+    "adc.offset_voltage",
+    "adc.gain_error",
+    "adc.inl_steps",
+)
+ROOM = 1.01
+"""by which chance may beat a stated worst case"""
+
+
+def random_board(seed: int, *, largest: int = 8) -> Design:
+    """A board of any circuit, 2 x 2 to 8 x 8, tolerances from 0.1 to 20 %, offsets near and far of the signal."""
+    random = np.random.default_rng(seed)
+    circuit = str(random.choice(CIRCUITS))
+    rows, columns = (int(n) for n in random.integers(2, largest + 1, 2))
+
+    def part(value: float) -> Any:
+        kind = random.integers(3)
+        if kind == 0:
+            return value
+        return {"nominal": value, "tolerance": float(10 ** random.uniform(-3, np.log10(0.2)))}
+
+    rest = 10 ** random.uniform(3.5, 4.8)
+    change = float(random.choice([10 ** random.uniform(-1.1, -0.2), 10 ** random.uniform(0.05, 0.5)]))
+    drive = float(random.choice([-1.0, -0.5, 0.5, 2.5]))
+    least = rest * min(change, 1.0)
+    amplified = circuit.endswith("amplifier")
+    signal = abs(drive) if not amplified else float(random.uniform(0.5, 2.0))
+    reference = signal / abs(drive) * least if amplified else float(10 ** random.uniform(-1, 0.5) * least)
+    smallest = signal * min(1.0, 1.0 / change) / max(1.0, change) if amplified else 0.1 * signal
+    level = float(random.choice([0.0, 1.65]))
+    reach = 1.3 * signal if random.random() < 0.7 else 1.02 * signal
+    idle = "float" if random.random() < 0.2 and circuit != "voltage-feedback" else "ground"
+    tables: dict[str, Any] = {
+        "array": {"rows": rows, "columns": columns}
+        | {name: part(float(10 ** random.uniform(-1, 2.3))) for name in ("row_lead", "column_lead")}
+        | {name: part(float(10 ** random.uniform(-2, 0.7))) for name in ("row_segment", "column_segment")},
+        "drive": {"voltage": part(drive), "idle_rows": idle},
+        "readout": {
+            "circuit": circuit,
+            "reference_resistance": part(reference),
+            "reference_voltage": part(level) if level else 0.0,
+            "open_loop_gain": float(10 ** random.uniform(3.5, 6)),
+            "offset_voltage": float(smallest * 10 ** random.uniform(-3, -0.6)) if random.random() < 0.5 else 1e-3,
+            "bias_current": float(10 ** random.uniform(-9, -7)),
+            "supply": (level - reach, level + reach),
+        },
+        "cells": {
+            "rest_resistance": part(float(rest)),
+            "full_scale_resistance": float(rest * change),
+            "full_scale_kpa": 20.0,
+        },
+    }
+    if circuit == "voltage-divider":
+        tables["readout"]["idle_columns"] = str(random.choice(["float", "load"]))
+    if random.random() < 0.7:
+        tables["adc"] = {
+            "bits": int(random.integers(10, 17)),
+            "range": (level - reach, level + reach),
+            "offset_voltage": float(random.choice([0.0, 1e-3])),
+            "gain_error": float(random.choice([0.0, 2e-3])),
+            "inl_steps": float(random.choice([0.0, 1.0])),
+        }
+    return Design.model_validate(tables)
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """Boards at random places of their tolerances: values (S, lines) by key, cells (S, rows, columns) relative."""
+
+    parts: dict[str, Array]
+    cells: Array
+
+
+def draw(design: Design, random: np.random.Generator, count: int, *, corners: bool) -> Drawn:
+    """Boards whose parts are at the ends of their tolerances, or anywhere within."""
+
+    def deviations(lines: int) -> Array:
+        shape = (count, lines)
+        return random.choice([-1.0, 1.0], shape) if corners else random.uniform(-1.0, 1.0, shape)
+
+    return drawn_by(design, count, deviations)
+
+
+def drawn_by(design: Design, count: int, deviations: Callable[[int], Array]) -> Drawn:
+    """Boards whose parts deviate by (S, lines) shares of their tolerances, as ``deviations(lines)`` says in turn."""
+    spreads = design.spreads
+    rows, columns = design.array.shape
+    sensed = rows if design.readout.circuit == "row-amplifier" else columns
+    keys = {f"array.{name}": getattr(design.array, kind) for name, kind in LINES.items()}
+    keys |= {f"readout.{name}": sensed for name in PER_SENSED}
+    keys |= dict.fromkeys(("drive.voltage", "readout.reference_voltage"), 1)
+    if design.adc is not None:
+        keys |= dict.fromkeys(("adc.offset_voltage", "adc.gain_error", "adc.inl_steps"), 1)
+    parts = {}
+    for key, lines in keys.items():
+        section, name = key.split(".")
+        nominal = np.broadcast_to(np.asarray(getattr(getattr(design, section), name), dtype=float), lines)
+        spread = spreads.get(key)
+        if spread is not None:
+            parts[key] = nominal + (spread.tolerance * np.abs(nominal) + spread.deviation) * deviations(lines)
+        elif key in EITHER_SIGN and nominal.any():
+            parts[key] = np.abs(nominal) * deviations(lines)
+        else:
+            parts[key] = np.broadcast_to(nominal, (count, lines))
+    spread = spreads.get("cells.rest_resistance")
+    if spread is None:
+        return Drawn(parts, np.ones((count, rows, columns)))
+    return Drawn(parts, 1.0 + spread.tolerance * deviations(rows * columns).reshape(count, rows, columns))
+
+
+def host_ohms(design: Design, volts: Array) -> Array:
+    """What the law of the ideal circuit makes of volts."""
+    signal = volts - design.readout.reference_voltage
+    with np.errstate(divide="ignore"):
+        ratio = design.drive.voltage / signal
+    ohms: Array = design.readout.reference_resistance * (
+        -ratio if design.readout.circuit.endswith("amplifier") else ratio - 1.0
+    )
+    return ohms
+
+
+@dataclass(frozen=True)
+class Read:
+    """Outputs in V, the lowest and highest ohm that the host may read, true ohm, and what says nothing."""
+
+    output: Array
+    converted: Array
+    low: Array
+    high: Array
+    true: Array
+    lost: Array
+    known: Array | bool = True
+
+
+def as_read(design: Design, output: Array, true: Array, errors: Array) -> Read:
+    """The chain behind the outputs (S, rows, columns) with the converter's errors (S, 3)."""
+    low, high = design.readout.supply
+    lost = (output <= low) | (output >= high) if design.readout.circuit != "voltage-divider" else np.zeros(output.shape)
+    volts, half = output, 0.0
+    if design.adc is not None:
+        offset, slope, bow = (errors[:, k, None, None] for k in range(3))
+        first, last = design.adc.range
+        step = (last - first) / 2**design.adc.bits
+        above = (output - first) * (1.0 + slope) + offset
+        share = np.clip(above / (last - first), 0.0, 1.0)
+        volts, half = first + above + 4.0 * bow * step * share * (1.0 - share), step / 2.0
+        lost = lost.astype(bool) | (volts < first + step) | (volts >= last - step)
+    positive = design.drive.voltage > 0
+    up = positive != design.readout.circuit.endswith("amplifier")
+    signal = (volts - design.readout.reference_voltage) * (1.0 if up else -1.0)
+    lost = lost.astype(bool) | ~(signal > half)
+    ends = np.stack([host_ohms(design, volts - half), host_ohms(design, volts + half)])
+    return Read(output, volts, ends.min(axis=0), ends.max(axis=0), true, lost)
+
+
+def errors_of(design: Design, quantity: str, frames: list[Read]) -> Array:
+    """The quantity of every reading of the last frame: relative, or V beyond the nearer limit."""
+    first, last = frames[0], frames[-1]
+    lost = np.asarray(first.lost | last.lost)
+    if quantity == "output_headroom":
+        return np.maximum(design.readout.supply[0] - last.output, last.output - design.readout.supply[1])
+    if quantity == "adc_headroom":
+        assert design.adc is not None
+        (low, high), step = design.adc.range, design.adc.step
+        return np.maximum(low + step - last.converted, last.converted - high + step)
+    if quantity == "reading_error":
+        found = np.maximum(last.high / last.true - 1.0, 1.0 - last.low / last.true)
+    elif quantity == "crosstalk":
+        found = np.maximum(last.high / first.low - 1.0, 1.0 - last.low / first.high)
+    else:
+        with np.errstate(divide="ignore", invalid="ignore"):  # of cells that do not change
+            change = last.true - first.true
+            ends = [(last.high - first.low) / change - 1.0, (last.low - first.high) / change - 1.0]
+        found = np.maximum(np.abs(ends[0]), np.abs(ends[1]))
+    return np.where(lost, np.inf, found)
+
+
+def values(design: Design, drawn: Drawn, pattern: Pressed, own: Pressed, *, resolved: bool = True) -> dict[str, Array]:
+    """Each quantity of each board (S, rows, columns); -inf where it is not judged.
+
+    Args:
+        design: of the boards.
+        drawn: the boards.
+        pattern: (S, rows, columns) which cells are pressed.
+        own: the cells whose gain is judged.
+        resolved: whether frames with a saturated output are solved, one scan each; else that output alone is judged.
+    """
+    parts = {key.split(".")[1]: value for key, value in drawn.parts.items() if not key.startswith("adc.")}
+    boards, cells = Boards(**parts), design.cells
+    assert cells is not None
+    converter = np.zeros((len(pattern), 3))
+    if design.adc is not None:
+        converter = np.concatenate([drawn.parts[key] for key in EITHER_SIGN[2:]], axis=1)
+
+    def frame(pressed: Pressed, supply: tuple[float, float] = design.readout.supply) -> Read:
+        true = np.where(pressed, cells.full_scale_resistance, cells.rest_resistance) * drawn.cells
+        limited = design.replace(readout={"supply": supply})
+        found = scan_population(limited, boards, true, resolve_saturation=resolved)
+        unknown = found.saturated.any(axis=(1, 2)) & (not resolved)
+        return replace(as_read(limited, found.volts, true, converter), known=~unknown[:, None, None])
+
+    rest, mixed, free = frame(np.zeros_like(pattern)), frame(pattern), frame(pattern, (-np.inf, np.inf))
+    before, after = frame(pattern & ~own), frame(pattern | own)
+    untouched = ~pattern & rest.known & mixed.known
+    found = {
+        "crosstalk": np.where(untouched, errors_of(design, "crosstalk", [rest, mixed]), -np.inf),
+        "reading_error": errors_of(design, "reading_error", [mixed]),
+        "gain_error": np.where(
+            own & before.known & after.known, errors_of(design, "gain_error", [before, after]), -np.inf
+        ),
+    }
+    if design.readout.circuit != "voltage-divider":
+        found["output_headroom"] = errors_of(design, "output_headroom", [free])
+    if design.adc is not None:
+        found["adc_headroom"] = errors_of(design, "adc_headroom", [free])
+    return found
+
+
+def attack(design: Design, seed: int, count: int, *, corners: bool, resolved: bool = False) -> dict[str, float]:
+    """The largest value of each quantity that chance finds."""
+    random = np.random.default_rng(seed)
+    drawn = draw(design, random, count, corners=corners)
+    shape = design.array.shape
+    pattern = random.uniform(size=(count, *shape)) < random.uniform(0.0, 1.0, (count, 1, 1))
+    own = np.zeros((count, *shape), dtype=np.bool_)
+    own[np.arange(count), random.integers(shape[0], size=count), random.integers(shape[1], size=count)] = True
+    return {name: float(v.max()) for name, v in values(design, drawn, pattern, own, resolved=resolved).items()}
+
+
+def stated(report: Report) -> dict[str, float]:
+    """What a report states of each quantity, as :func:`errors_of` counts it."""
+    found = {}
+    for result in report.results:
+        if result.measurement is not None and result.method == "worst-case":
+            value = result.measurement.value
+            headroom = result.requirement.quantity.endswith("headroom")
+            found[result.requirement.quantity] = -value if headroom else value / 100
+    return found
+
+
+def by_hand(design: Design, quantity: str, report: Report) -> float:
+    """The quantity at the corner that the report names, by the nodal analysis of :mod:`nodal`."""
+    measurement = next(r.measurement for r in report.results if r.requirement.quantity == quantity)
+    assert measurement is not None
+    assert measurement.corner is not None
+    corner = measurement.corner
+    changes: dict[str, dict[str, Any]] = {}
+    for key, values in corner.parts.items():
+        section, name = key.split(".")
+        changes.setdefault(section, {})[name] = values[0] if len(values) == 1 else tuple(values)
+    board = design.replace(**changes)
+    errors = np.zeros((1, 3)) if board.adc is None else np.array([[getattr(board.adc, k[4:]) for k in EITHER_SIGN[2:]]])
+    frames = []
+    for ohms in corner.cells_ohm:
+        cells = np.array(ohms)
+        volts = nodal.read(board, cells, limited=not quantity.endswith("headroom"))
+        frames.append(as_read(design, volts[None], cells[None], errors))
+    return float(errors_of(design, quantity, frames)[0][corner.cell])
+
+
+def asked(design: Design) -> list[Requirement]:
+    """The worst cases of a board, and the yield of its reading error."""
+    quantities = [q for q in QUANTITIES if q != "adc_headroom" or design.adc is not None]
+    quantities = [q for q in quantities if q != "output_headroom" or design.readout.circuit != "voltage-divider"]
+    wanted = [Requirement(id=q, quantity=q, max=1e9) for q in quantities]
+    return [*wanted, Requirement(id="Y", quantity="reading_error", max=1.0, method="monte-carlo")]
+
+
+def beaten(design: Design, seed: int, report: Report, count: int = 2000) -> dict[str, tuple[float, float]]:
+    """Stated worst cases that chance beats by more than :data:`ROOM`, with what chance found."""
+    says = stated(report)
+    found: dict[str, tuple[float, float]] = {}
+    tries = ((count, True, False), (count, False, False), (count // 20, True, True))
+    for boards, corners, resolved in tries:
+        for quantity, value in attack(design, seed, boards, corners=corners, resolved=resolved).items():
+            limit = says[quantity]
+            if value > limit + (ROOM - 1.0) * abs(limit):
+                found[quantity] = limit, max(value, found.get(quantity, (0.0, -np.inf))[1])
+    return found
+
+
+def main(first: int, count: int) -> None:
+    """Print every board that chance beats or that the nodal analysis contradicts, and their number."""
+    wrong = 0
+    for seed in range(first, first + count):
+        design = random_board(seed)
+        report = verify(design, requirements=asked(design), samples=200)
+        says = stated(report)
+        found: dict[str, object] = dict(beaten(design, seed, report))
+        for quantity, value in says.items():
+            again = by_hand(design, quantity, report)
+            if not (value == again or abs(value - again) <= 1e-6 * max(abs(value), 1e-3)):
+                found[f"{quantity} of the named corner"] = value, again
+        if found:
+            wrong += 1
+            print(seed, design.readout.circuit, design.array.shape, found, flush=True)
+    print(f"{wrong} of {count} random boards beaten or not reached")
+
+
+if __name__ == "__main__":
+    main(*(int(word) for word in (sys.argv[1:] + ["0", "300"][len(sys.argv) - 1 :])))

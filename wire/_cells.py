@@ -1,0 +1,180 @@
+"""Numbers of a frame, in the order in which they are sent, to the counts of an array and back."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ._packets import Corrupt, FramePacket
+from ._protocol import Layout
+
+Numbers = NDArray[np.float64]
+CellOrder = Literal["row-major", "column-major"]
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """How the numbers of a frame lie in the array, and what they stand for."""
+
+    shape: tuple[int, int]
+    place: NDArray[np.intp]
+    """for each cell, row by row, the place of its number"""
+    lowest: float
+    """number that stands for count 0"""
+    step: float
+    """of the numbers from one count to the next"""
+    most: int
+    """largest count"""
+    invert: bool
+    drops: bool
+    """whether a number that is no count costs the whole frame"""
+
+    @classmethod
+    def of(
+        cls,
+        layout: Layout,
+        *,
+        order: CellOrder = "row-major",
+        flip_rows: bool = False,
+        flip_columns: bool = False,
+        invert: bool = False,
+        span: tuple[float, float] | None = None,
+        drops: bool = False,
+    ) -> Self:
+        """Cells of an array; the arguments are those of ``[frame]`` in BOARD.toml."""
+        shape, most = (layout.rows, layout.columns), 2**layout.adc_bits - 1
+        index = np.arange(shape[0] * shape[1])
+        grid = index.reshape(shape) if order == "row-major" else index.reshape(shape[::-1]).T
+        grid = grid[:: -1 if flip_rows else 1, :: -1 if flip_columns else 1]
+        lowest, highest = (0.0, float(most)) if span is None else span
+        return cls(shape, grid.ravel(), lowest, (highest - lowest) / most, most, invert, drops)
+
+    @property
+    def count(self) -> int:
+        """Number of cells."""
+        return self.place.size
+
+    def are_counts(self, numbers: Numbers) -> bool:
+        """Whether each of these numbers stands for a count."""
+        return bool(self._good(self._scaled(numbers)).all())
+
+    def event(self, numbers: Numbers, size: int, received_at: float) -> FramePacket | Corrupt:
+        """The frame of (cells,) numbers in the order sent, NaN where one is missing.
+
+        Args:
+            numbers: as they were sent.
+            size: bytes of the frame on the line.
+            received_at: when its last byte came.
+
+        """
+        scaled = self._scaled(numbers[self.place])
+        good = self._good(scaled)
+        if good.all():
+            absent: tuple[int, ...] = ()
+        elif self.drops:
+            wrong = numbers[self.place][~good][0]
+            return Corrupt(size, f"a number that is no count: {wrong:g}")
+        else:
+            absent = tuple(np.flatnonzero(~good).tolist())
+            scaled = np.where(good, scaled, 0.0)
+        counts = scaled.astype(np.uint16)
+        if self.invert:
+            counts = np.uint16(self.most) - counts
+        if absent:
+            counts[list(absent)] = 0
+        return FramePacket.of(
+            counts.reshape(self.shape), sequence=None, time_us=None, absent=absent, received_at=received_at
+        )
+
+    def numbers(self, frame: FramePacket) -> Numbers:
+        """The (cells,) numbers that a board sends for ``frame``, in the order sent."""
+        counts = frame.counts.ravel().astype(np.float64)
+        if self.invert:
+            counts = self.most - counts
+        sent = np.empty(counts.size)
+        sent[self.place] = self.lowest + self.step * counts
+        return sent
+
+    def _scaled(self, numbers: Numbers) -> Numbers:
+        with np.errstate(over="ignore", invalid="ignore"):
+            scaled: Numbers = np.rint((numbers - self.lowest) / self.step)
+        return scaled
+
+    def _good(self, scaled: Numbers) -> NDArray[np.bool_]:
+        good: NDArray[np.bool_] = (scaled >= 0) & (scaled <= self.most)  # both False for NaN
+        return good
+
+
+class Pauses:
+    """Where frames begin in a stream that shows them by nothing but the pauses between them.
+
+    The stream is counted in units, lines or bytes, of which a frame has ``period``. The time from the arrival of one
+    unit to the next is summed for each place in the period. Frames begin at the place with the longest pauses.
+    """
+
+    TOLD_APART = 2.0
+    """ratio of the longest pause to the next, from which on it is clear"""
+    FORGET = 0.7
+    """weight of the pauses one period ago"""
+    PERIODS = 3
+    """after which the place is decided"""
+
+    def __init__(self, period: int) -> None:
+        self._period = period
+        self._pause_s: dict[int, float] = {}
+        self._latest: float | None = None
+        self._longest_s, self._usual_s = 0.0, math.inf
+        """longest pause of this period, and of the usual one"""
+        self._since = self._counted = 0
+        self.origin = 0
+        """place at which frames begin if no pause is clear: that of the first unit, or of the last clear pause"""
+
+    def arrive(self, received_at: float, units: int = 1) -> int:
+        """Count units that came together; returns the place of the first of them in the period."""
+        place = self._counted % self._period
+        if self._latest is not None:
+            # A pause of the operating system, however long, counts as two of the board.
+            pause_s = min(max(received_at - self._latest, 0.0), 2.0 * self._usual_s)
+            self._longest_s = max(self._longest_s, pause_s)
+            self._pause_s[place] = self._pause_s.get(place, 0.0) + pause_s
+        self._latest = received_at
+        self._counted += units
+        self._since += units
+        while self._since >= self._period:
+            self._since -= self._period
+            self._pause_s = {at: self.FORGET * pause for at, pause in self._pause_s.items() if pause > 1e-9}
+            if self.decided:
+                usual_s = self._longest_s if math.isinf(self._usual_s) else self._usual_s
+                self._usual_s = self.FORGET * usual_s + (1.0 - self.FORGET) * self._longest_s
+            self._longest_s = 0.0
+        return place
+
+    def begin(self) -> None:
+        """A frame begins with the next unit, as far as is known without pauses."""
+        self.origin = self._counted % self._period
+
+    @property
+    def decided(self) -> bool:
+        """Whether enough has come to tell where frames begin."""
+        return self._counted >= self.PERIODS * self._period
+
+    @property
+    def clear(self) -> int | None:
+        """Place at which frames begin; None: no pause is clearly longer than the others."""
+        longest = sorted(self._pause_s.items(), key=lambda item: item[1])[-2:]
+        if not longest or longest[-1][1] <= 0.0 or self._period == 1:
+            return None
+        second = longest[0][1] if len(longest) > 1 else 0.0
+        return longest[-1][0] if longest[-1][1] >= self.TOLD_APART * second else None
+
+    @property
+    def start(self) -> int:
+        """Place at which frames begin."""
+        clear = self.clear
+        if clear is not None:
+            self.origin = clear
+        return self.origin

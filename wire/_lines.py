@@ -1,0 +1,278 @@
+"""Frames in lines: numbers with separators, or JSON documents, as ``[frame]`` of BOARD.toml describes them.
+
+A line is whole or dropped. A line without numbers (boot messages, debug output) is skipped and counted. A frame of
+several lines ends at its end line, or its rows are numbered; where neither is so, the pauses between frames show which
+line is the first (:class:`._cells.Pauses`).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ._cells import Cells, Numbers, Pauses
+from ._framing import DescribedBoard, LineHost
+from ._packets import Corrupt, Event, FramePacket, Order
+from ._protocol import Family, Layout
+
+LineLayout = Literal["frame-per-line", "row-per-line", "cell-per-line"]
+"""what a line carries"""
+LONGEST_NUMBER = 40
+"""characters of a number in a line"""
+LEAST_LINE = 1024
+"""characters that a line may have at least, for boot messages"""
+MISSING = frozenset(("", "-", "nan", "null", "none", "inf", "ovf"))
+"""what boards print in the place of a number that they do not have"""
+AMBIGUOUS = (
+    "ambiguous: no end line, row number or pause shows which line is the first of a frame; "
+    "counted from the first that came"
+)
+MOST_LISTS = 8
+"""lists in each other in a JSON document"""
+
+_SEPARATORS = re.compile(r"[\s,;:|]+")
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
+_LABEL = re.compile(r"\b[A-Za-z_]\w*\s*[:=]\s*")
+_BARE_NAN = re.compile(rb"(?<=[\[,:\s])[+-]?(nan|inf|ovf)(?=[\],\s}])", re.IGNORECASE)
+"""what C prints for numbers that JSON lacks"""
+
+
+@dataclass(frozen=True)
+class LineFormat:
+    """What a line is made of; the fields are the keys of ``[frame]``."""
+
+    layout: LineLayout
+    end: str | None
+    skip: int
+    numbered_rows: bool
+    newline: str
+    separator: str | None
+    prefix: str
+    suffix: str
+    labels: bool
+    json_key: str | None
+    """None: the lines are text"""
+
+    @property
+    def by_frames(self) -> bool:
+        """Whether a line is a whole frame."""
+        return self.layout == "frame-per-line"
+
+    def cells(self, shape: tuple[int, int]) -> int:
+        """Cells in a line."""
+        rows, columns = shape
+        return {"frame-per-line": rows * columns, "row-per-line": columns, "cell-per-line": 1}[self.layout]
+
+    def read(self, line: str, expected: int) -> list[float] | None:
+        """The numbers of a line, NaN where one is missing; None: the line is no line of numbers."""
+        if self.json_key is not None:
+            return _in_json(line, self.json_key)
+        if not (line.startswith(self.prefix) and line[len(self.prefix) :].endswith(self.suffix)):
+            return None
+        text = line[len(self.prefix) : len(line) - len(self.suffix)]
+        if self.labels:
+            text = _LABEL.sub("", text)
+        if self.separator is None:
+            words = _SEPARATORS.split(text.strip(" \t,;:|"))
+        else:
+            words = [word.strip() for word in text.split(self.separator)]
+            if len(words) == expected + 1 and not words[-1]:
+                words.pop()
+        numbers = [_number(word) for word in words]
+        return None if None in numbers else numbers  # type: ignore[return-value]  # None is not in it
+
+    def write(self, numbers: Numbers, ahead: list[int]) -> str:
+        """A line with these numbers."""
+        values = [*ahead, *(int(value) if value.is_integer() else float(f"{value:.15g}") for value in numbers.tolist())]
+        if self.json_key is None:
+            separator = " " if self.separator is None else self.separator
+            words = [f"c{k}:{value}" for k, value in enumerate(values)] if self.labels else map(str, values)
+            return self.prefix + separator.join(words) + self.suffix + self.newline
+        document: object = values
+        for key in reversed(self.json_key.split(".") if self.json_key else []):
+            document = {key: document}
+        return json.dumps(document, separators=(",", ":")) + self.newline
+
+    def is_end(self, line: str) -> bool:
+        """Whether a line ends a frame."""
+        return self.end is not None and (line.startswith(self.end.strip()) if self.end.strip() else not line)
+
+
+def _number(word: str) -> float | None:
+    """The number of a word; NaN where the board has none, None where the word is none."""
+    if len(word) <= LONGEST_NUMBER and _NUMBER.fullmatch(word):
+        return float(word)
+    return math.nan if word.lstrip("+-").lower() in MISSING else None
+
+
+def _in_json(line: str, key: str) -> list[float] | None:
+    try:
+        found = json.loads(_BARE_NAN.sub(b"NaN", line.encode()))
+        for part in key.split(".") if key else []:
+            found = found[part]
+        return list(_flat(found, MOST_LISTS)) if isinstance(found, list) else None
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None
+
+
+def _flat(found: list[object], levels: int) -> Iterator[float]:
+    """The numbers of lists in lists; TypeError for anything else."""
+    for item in found:
+        if isinstance(item, list) and levels > 1:
+            yield from _flat(item, levels - 1)
+        elif item is None:
+            yield math.nan
+        elif isinstance(item, int | float) and not isinstance(item, bool):
+            yield float(item) if isinstance(item, float) or abs(item) < 2**63 else math.nan
+        else:
+            raise TypeError("no number")
+
+
+class TextHost(LineHost):
+    """Host end of a format in lines."""
+
+    def __init__(
+        self,
+        form: LineFormat,
+        cells: Callable[[Layout], Cells],
+        send: bytes,
+        poll: bytes,
+        family: Family,
+        layout: Layout,
+    ) -> None:
+        super().__init__(family, layout)
+        self._form, self._cells = form, cells(layout)
+        self._send, self._poll = send, poll
+        in_line = form.cells((layout.rows, layout.columns))
+        self._expected, self._lines = form.skip + in_line, self._cells.count // in_line
+        """numbers in a line, and lines in a frame"""
+        self.longest = max(self._expected * (LONGEST_NUMBER // 2) + len(form.prefix + form.suffix), LEAST_LINE)
+        self._rows: list[list[float]] = []
+        """of the frame under way"""
+        self._size = 0
+        """bytes of the lines of the frame under way"""
+        self._fault = ""
+        """why the frame under way is none"""
+        if form.end is not None and not family.polled:
+            self._fault = "the host joined in the middle of a frame"
+        # The beginning of a first line may be missing, unless its prefix or its brackets show that it is whole.
+        self._first = not (family.polled or form.prefix or form.json_key is not None)
+        self._pauses = Pauses(self._lines)
+        self._ahead = 0
+        """bytes of lines that came before it was known where a frame begins"""
+
+    def request(self, order: Order, *, period_us: int = 0) -> bytes:
+        return self._poll if order is Order.ONE_FRAME else self._send if order is Order.START else b""
+
+    def broken(self) -> None:
+        self._fault = self._fault or "a line that is too long"
+
+    def take(self, line: bytes, received_at: float) -> list[Event]:
+        size, first, self._first = len(line) + 1, self._first, False
+        try:
+            text = line.decode("ascii").strip(" \t\r\0")
+        except UnicodeDecodeError:
+            self._fault = self._fault or "a line with bytes that are no text"
+            return [Corrupt(size, "a line with bytes that are no text")]
+        if not self._form.by_frames and self._form.is_end(text):
+            self._size += size
+            return self._finish(received_at)
+        if not text:
+            return []
+        if first and self._form.end is None:
+            return [Corrupt(size, "the host joined in the middle of a line")]
+        numbers = self._form.read(text, self._expected)
+        if numbers is None:
+            self._pauses.begin()
+            if self._rows:  # as likely a damaged row as a message
+                self._fault = self._fault or "a line without numbers between its rows"
+            return [Corrupt(size, f"a line of text: {text[:40]!r}")]
+        wrong = len(numbers) != self._expected
+        fault = f"a line of {len(numbers)} numbers; expected {self._expected}" if wrong else ""
+        if self._form.by_frames:
+            cells = np.array(numbers[self._form.skip :])
+            return [Corrupt(size, fault) if fault else self._cells.event(cells, size, received_at)]
+        events: list[Event] = []
+        if self._form.end is None:
+            begins = self._begins_by_number(numbers) if self._form.numbered_rows else self._begins(received_at)
+            if not begins and not self._rows:
+                self._ahead += size
+                return []
+            if begins:
+                events = self._drop()
+        self._size += size
+        self._fault = self._fault or fault
+        if len(self._rows) <= self._lines:  # more rows need not be kept to know that they are too many
+            self._rows.append(numbers)
+        if self._form.end is None and len(self._rows) == self._lines:
+            events += self._finish(received_at)
+        return events
+
+    def _begins_by_number(self, numbers: list[float]) -> bool:
+        """Whether a numbered row begins a frame: its number does not follow the last one."""
+        if self._rows and self._rows[-1][0] + 1 == numbers[0]:
+            return False
+        return numbers[0] in (0.0, 1.0) or not self._rows
+
+    def _begins(self, received_at: float) -> bool:
+        """Whether a line begins a frame, by the pauses between lines."""
+        place = self._pauses.arrive(received_at)
+        return self._pauses.decided and place == self._pauses.start
+
+    def _drop(self) -> list[Event]:
+        """End what came before a frame, or a frame that is not complete."""
+        events: list[Event] = []
+        if self._ahead:
+            reason = AMBIGUOUS if self._pauses.clear is None else "lines ahead of the first pause"
+            events.append(Corrupt(self._ahead, reason))
+        if self._rows or self._fault:
+            fault = self._fault or f"a frame of {len(self._rows)} lines; expected {self._lines}"
+            events.append(Corrupt(self._size, fault))
+        self._rows, self._size, self._fault, self._ahead = [], 0, "", 0
+        return events
+
+    def _finish(self, received_at: float) -> list[Event]:
+        """The event of the frame under way, which is over."""
+        rows, size, form = self._rows, self._size, self._form
+        if not rows and not self._fault:
+            self._size = 0
+            return []  # an end line behind another
+        if self._fault or len(rows) != self._lines:
+            return self._drop()
+        if form.numbered_rows and any(row[0] != rows[0][0] + k for k, row in enumerate(rows)):
+            self._fault = "rows whose numbers do not follow each other"
+            return self._drop()
+        self._rows, self._size = [], 0
+        return [self._cells.event(np.array([row[form.skip :] for row in rows]).ravel(), size, received_at)]
+
+
+class TextBoard(DescribedBoard):
+    """Board end of a format in lines."""
+
+    def __init__(
+        self,
+        form: LineFormat,
+        cells: Callable[[Layout], Cells],
+        send: bytes,
+        poll: bytes,
+        family: Family,
+        layout: Layout,
+    ) -> None:
+        super().__init__(send, poll, family, layout)
+        self._form, self._cells = form, cells(layout)
+
+    def write(self, frame: FramePacket) -> bytes:
+        numbers, form = self._cells.numbers(frame), self._form
+        if form.by_frames:
+            return form.write(numbers, [0] * form.skip).encode()
+        lines = "".join(
+            form.write(row, [number, *[0] * (form.skip - 1)][: form.skip])
+            for number, row in enumerate(numbers.reshape(-1, form.cells((self.layout.rows, self.layout.columns))))
+        )
+        return (lines + ("" if form.end is None else form.end + "\r\n")).encode()
