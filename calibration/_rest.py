@@ -36,17 +36,17 @@ def check_rest(rest: Rest, cell: Cell) -> None:
     if not measured.any():
         raise InputError("no cell has a valid reading")
     typical = float(np.median(rest.resistance_ohm[measured]))
-    contact = cell.model.kind == "contact"
+    falls = cell.falls  # at rest the resistance of electrodes may be anything above that of the data
     ratio = typical / cell.rest_resistance_ohm
     advice = "Take everything off the skin"
-    if not contact and not 1 / SHEET_FACTOR <= ratio <= SHEET_FACTOR:
+    if not falls and not 1 / SHEET_FACTOR <= ratio <= SHEET_FACTOR:
         raise InputError(
             f"the skin seems to be loaded: the typical resistance is {typical:.4g} ohm, {ratio:.2g} times that of the "
             f"cell's data at rest. {advice}, or give the data of this cell (--cell)"
         )
     of_typical = np.where(measured, rest.resistance_ohm / typical, 1.0)
     far = np.abs(np.log(of_typical)) > np.log(CELL_FACTOR)
-    if far.any() and not contact:
+    if far.any() and not falls:
         worst = _worst(np.abs(np.log(of_typical)))
         raise InputError(
             f"the skin seems to be loaded: cell {worst} has {of_typical[worst]:.2g} times the typical resistance at "

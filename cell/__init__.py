@@ -26,8 +26,6 @@ from .materials import (
     PaperModel,
     Percolation,
     drifted_rest_resistance,
-    equilibrium_curve,
-    sensitivity,
 )
 
 __all__ = [
@@ -50,11 +48,9 @@ __all__ = [
     "check_resistances",
     "checked_recording",
     "drifted_rest_resistance",
-    "equilibrium_curve",
     "estimate_recording",
     "protocol_load",
     "protocol_text",
     "read_recording",
     "recovery_branches",
-    "sensitivity",
 ]

@@ -5,16 +5,16 @@ from __future__ import annotations
 import importlib.resources
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from ..common.arrays import FloatArray
 from ..common.config import NotNegative, Positive, Section, load, write_toml
 from ..errors import InputError
-from .estimation import Conditions, Estimator, Inversion
+from .estimation import Conditions, Contact, Estimator, Inversion, Logarithm, Ratio, Scale
 from .inversions import (
     DRIFT,
     UNKNOWN_DRIFT,
@@ -33,13 +33,16 @@ from .inversions import (
 )
 from .materials import (
     AsymmetricModel,
+    ContactModel,
     Forward,
     M10Model,
     Model,
     PaperModel,
+    equilibrium_curve,
     equilibrium_gain,
     make_forward,
     resistance_of,
+    resistance_on_logarithm,
 )
 
 EstimatorName = Literal["static", "paper", "inverse", "play", "distilled"]
@@ -48,6 +51,8 @@ ESTIMATORS: tuple[EstimatorName, ...] = get_args(EstimatorName)
 
 SUREST_PERCENT = 1.0
 """% of full scale: smaller held-out errors count as this much; presses unlike those recorded are estimated worse"""
+OPEN = 50.0
+"""resistance over that under full scale, from which a contact counts as open"""
 REST_ERROR = 0.02
 """relative standard deviation of an R0 that the caller passes without stating its error; the project's own choice"""
 
@@ -83,8 +88,17 @@ class Cell(Section):
     full_scale_kpa: Positive
     """the largest pressure that the cell is meant for; normalised loads are multiples of it"""
     model: Model
+    log_span: Positive | None = None
+    """None: the model describes r = R/R0 - 1. A number: it describes r = ln(R0/R)/log_span, of a cell whose resistance
+    falls under load and that remembers, as of Velostat"""
     estimators: Calibrated | None = None
     """None: the cell is not calibrated, and only estimators that follow from the model are available"""
+
+    @model_validator(mode="after")
+    def _one_scale(self) -> Self:
+        if self.log_span is not None and isinstance(self.model, ContactModel):
+            raise ValueError("log_span is for models of cells that remember; a contact's resistance falls without it")
+        return self
 
     @classmethod
     def load(cls, path: str | Path) -> Cell:
@@ -100,6 +114,25 @@ class Cell(Section):
     def save(self, path: str | Path, *, comment: str = "") -> None:
         """Write CELL.toml atomically; ``comment`` goes to its head. Raises InputError."""
         write_toml(path, self.model_dump(exclude_none=True), comment=comment)
+
+    @property
+    def falls(self) -> bool:
+        """Whether a load lowers the resistance."""
+        full_r = equilibrium_gain(self.model, self.full_scale_kpa, self.rest_resistance_ohm)
+        return self.log_span is not None or full_r < 0.0
+
+    @property
+    def open_at_rest(self) -> bool:
+        """Whether a cell that reads no current bears no load, as of an FSR or Velostat; else it is not connected."""
+        if isinstance(self.model, ContactModel):
+            return self.rest_resistance_ohm >= OPEN * self.model.full_scale_resistance_ohm
+        return self.log_span is not None
+
+    def equilibrium_ohm(self, load: ArrayLike) -> FloatArray:
+        """Resistance of the cell under shares of full scale ``load`` that are held for long."""
+        rest = self.rest_resistance_ohm
+        r = equilibrium_curve(self.model, self.full_scale_kpa, rest, np.asarray(load, dtype=np.float64))
+        return rest * (1.0 + r) if self.log_span is None else resistance_on_logarithm(r, rest, self.log_span)
 
     @property
     def default_estimator(self) -> str:
@@ -118,7 +151,9 @@ class Cell(Section):
 
         ``rest_resistance_ohm`` (broadcast to ``shape``) replaces R0, cell by cell; InputError unless it fits.
         """
-        return make_forward(self.model, self.full_scale_kpa, shape, self._rest(rest_resistance_ohm))
+        made = make_forward(self.model, self.full_scale_kpa, shape, self._rest(rest_resistance_ohm))
+        made.log_span = self.log_span
+        return made
 
     def estimator(
         self,
@@ -155,11 +190,27 @@ class Cell(Section):
             raise InputError(f"the relative error of R0 is {rest_error}; expected a number from 0 to 1")
         conditions = self._conditions(name, noise)
         if rest_error:
-            slope = rest_slope(self.model, self.full_scale_kpa, self.rest_resistance_ohm)
+            slope = rest_slope(self.equilibrium_ohm, self.full_scale_kpa)
             conditions = replace(conditions, rest_std_kpa=rest_error * slope)
         rest = resistance_of(shape, self._rest(rest_resistance_ohm)).ravel()
         inversion = self._inversion(name, rest, exact=conditions.noise == 0.0)
-        return Estimator(inversion, shape, rest, conditions)
+        return Estimator(inversion, shape, rest, self._scale(rest), conditions)
+
+    def _scale(self, rest_resistance_ohm: FloatArray) -> Scale:
+        """What turns readings of n cells with these rest resistances (n,) into r."""
+        if isinstance(self.model, ContactModel):
+            if self.estimators is None:
+                unit = self._contact_ohm(rest_resistance_ohm)
+                return Contact(rest_resistance_ohm, unit, open_at_rest=self.open_at_rest)
+            return Ratio(rest_resistance_ohm, falls=True, open_at_rest=self.open_at_rest)
+        if self.log_span is not None:
+            return Logarithm(rest_resistance_ohm, self.log_span)
+        return Ratio(rest_resistance_ohm, falls=self.falls)
+
+    def _contact_ohm(self, rest_resistance_ohm: FloatArray) -> float:
+        """The resistance at which the scale of contacts with these rest resistances (n,) begins."""
+        assert isinstance(self.model, ContactModel)
+        return min(float(np.median(rest_resistance_ohm)), OPEN * self.model.full_scale_resistance_ohm)
 
     def _inversion(self, name: str, rest_resistance_ohm: FloatArray, *, exact: bool) -> Inversion:
         """The inversion ``name`` for n cells with the resistances at rest ``rest_resistance_ohm`` (n,)."""
@@ -168,7 +219,10 @@ class Cell(Section):
         match name:
             case "static":
                 if learned is None:
-                    return EquilibriumInversion(model, full, rest_resistance_ohm, exact=exact)
+                    rest = self.rest_resistance_ohm
+                    if isinstance(model, ContactModel):
+                        rest = self._contact_ohm(rest_resistance_ohm)
+                    return EquilibriumInversion(model, full, rest, exact=exact)
                 return StaticCurveInversion(learned.static, full, full_r, exact=exact)
             case "paper":
                 if not isinstance(model, PaperModel):

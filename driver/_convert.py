@@ -174,7 +174,7 @@ class Converter:
         self._estimator = self._new_estimator()
         full_scale_kpa = np.inf if cell is None else cell.full_scale_kpa
         drift_kpa = 0.0 if self._systematic is None else self._systematic.kpa_of_rest(KNOWN_DRIFT)
-        faults_press = self._estimator is None or self._estimator.inversion.side > 0
+        faults_press = self._estimator is None or self._estimator.side > 0
         tracker = ContactTracker(self.shape, pitch, full_scale_kpa, drift_kpa=drift_kpa, faults_press=faults_press)
         self.contacts = ContactsOfFrames(tracker, mailbox.capacity)
         self._converted = 0
@@ -453,6 +453,8 @@ class Converter:
             estimator.resolve(*reading.resolution)
         assert self._column_steps is not None, "it is made with the estimator"
         resistance, taken_out = self._column_steps.without(reading)
+        if self.cell is not None and self.cell.open_at_rest and not reading.all_valid:
+            resistance = np.where(reading.reason == Reason.NO_CURRENT, np.inf, resistance)
         common = estimator.step(gap_s, resistance)
         systematic = self._systematic.take(reading, taken_out, rest_known=self._rest_known)
         std = Later(partial(_std, estimator.variance_of_last_step(), systematic, common, calibration))
@@ -479,7 +481,11 @@ class Converter:
         if reading.all_valid:
             self._reasons[Reason.VALID] += reading.valid.size
         else:
-            self._reasons += np.bincount(reading.reason.ravel(), minlength=len(Reason))
+            told = np.bincount(reading.reason.ravel(), minlength=len(Reason))
+            if self.cell is not None and self.cell.open_at_rest:  # a cell without current bears no load: no fault
+                told[Reason.VALID] += told[Reason.NO_CURRENT]
+                told[Reason.NO_CURRENT] = 0
+            self._reasons += told
             uncertain = reading.reason == int(Reason.UNCERTAIN)
             if uncertain.any():
                 self._surest = min(self._surest, float(reading.uncertainty[uncertain].min()))
@@ -570,7 +576,7 @@ class Converter:
     def _begin_beside(self, estimator: Estimator) -> None:
         """Start the models of column steps and of line faults with the ``estimator``, for the same rest resistances."""
         assert self.cell is not None
-        side = estimator.inversion.side
+        side = estimator.side
         self._column_steps = ColumnSteps(estimator.rest_ohm, side, rest_known=self._rest_known)
         if side < 0.0:
             return  # where loads lower the resistance, bridged lines look like a load

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..cell import Cell, ContactModel, equilibrium_curve
+from ..cell import Cell, ContactModel
 from ..common.arrays import BoolArray, FloatArray
 from ..common.files import read_bytes, whole_file
 from ..common.text import count_of, printable
@@ -187,9 +187,9 @@ class RestReadings:
     """(frames,) increasing"""
     noisy: BoolArray | None = None
     """(rows, columns) cells that only noise keeps from being valid in most frames; None: no cells"""
-    silent: BoolArray | None = None
-    """(rows, columns) cells without current in most frames: on a broken line, or with a resistance at rest that is too
-    high for the board; None: no cells. They have no ``resistance_ohm``, since in the other frames they show noise"""
+    without_current: BoolArray | None = None
+    """(rows, columns) cells that read no current in most frames: on a broken line, or open at rest; None: none. They
+    have no ``resistance_ohm``, since what they show in the other frames is noise"""
 
     def tare(
         self,
@@ -218,22 +218,27 @@ class RestReadings:
             spread: relative deviation of a cell from the others that is no sign of a load.
 
         Raises:
-            InputError: no cell has a valid reading, and none of the kind that has no current at rest.
+            InputError: no cell has a valid reading, and cells are not open at rest.
 
         """
         readings = np.isfinite(self.resistance_ohm).sum(axis=0)
         measured = readings > 0
-        if not measured.any():
-            return self._without_current(cell, calibrated_ohm, lost, serial_number, wall_time)
+        idle = np.zeros_like(measured)
+        if cell is not None and cell.open_at_rest and self.without_current is not None:
+            idle = self.without_current & ~measured
+        if not (measured | idle).any():
+            raise InputError("no cell has a valid reading to tare with")
         mean = np.nansum(self.resistance_ohm, axis=0) / np.maximum(readings, 1)
         deviation = np.where(np.isfinite(self.resistance_ohm), self.resistance_ohm - mean, 0.0)
         std = np.sqrt((deviation**2).sum(axis=0) / np.maximum(readings - 1, 1))
         expected = np.ones_like(mean) if calibrated_ohm is None else calibrated_ohm
-        typical = float(np.median((mean / expected)[measured]))
-        otherwise = typical * expected if cell is None or calibrated_ohm is not None else cell.rest_resistance_ohm
+        sheet = np.nan if cell is None else cell.rest_resistance_ohm
+        typical = float(np.median((mean / expected)[measured])) if measured.any() else sheet
+        otherwise = typical * expected if cell is None or calibrated_ohm is not None else sheet
+        otherwise = np.where(idle, sheet, otherwise)
         unlike = _unlike_others(mean, typical * expected, measured, cell, spread)
         signs = (
-            far_from_sheet(typical, cell) if calibrated_ohm is None else _far_from_calibration(typical),
+            far_from_sheet(typical, cell) if calibrated_ohm is None or idle.all() else _far_from_calibration(typical),
             unlike,
             ""
             if earlier is None
@@ -249,7 +254,7 @@ class RestReadings:
             if not frames_advised:
                 spread_advised = _spread_of_all(ratio[measured])
         elif not remarks:
-            frames_advised = self._frames_to_cover(measured)
+            frames_advised = self._frames_to_cover(measured | idle)
         return Tare(
             rest_resistance_ohm=np.where(measured, mean, otherwise),
             measured=measured,
@@ -261,28 +266,6 @@ class RestReadings:
             remarks=remarks,
             frames_advised=frames_advised,
             spread_advised=spread_advised,
-        )
-
-    def _without_current(
-        self,
-        cell: Cell | None,
-        calibrated_ohm: FloatArray | None,
-        lost: int | None,
-        serial_number: str,
-        wall_time: float,
-    ) -> Tare:
-        """The rest resistances of a skin that conducts only under a load; InputError if no such skin reads so."""
-        if self.silent is None or not self.silent.any() or cell is None or _sign_of_load(cell) > 0:
-            raise InputError("no cell has a valid reading to tare with")
-        shape = self.silent.shape
-        return Tare(
-            rest_resistance_ohm=np.full(shape, cell.rest_resistance_ohm) if calibrated_ohm is None else calibrated_ohm,
-            measured=np.zeros(shape, dtype=np.bool_),
-            std_ohm=np.full(shape, np.nan),
-            frames=len(self.resistance_ohm),
-            lost=lost,
-            serial_number=serial_number,
-            wall_time=wall_time,
         )
 
     def _frames_to_tell(self, ratio: FloatArray, deviation: FloatArray, readings: FloatArray, spread: float) -> int:
@@ -362,7 +345,7 @@ def far_from_sheet(typical_ohm: float, cell: Cell | None) -> str:
         return ""
     ratio = typical_ohm / cell.rest_resistance_ohm
     # Electrodes in light contact may have any resistance above that of the data sheet.
-    if 1 / SHEET_FACTOR <= ratio <= (np.inf if isinstance(cell.model, ContactModel) else SHEET_FACTOR):
+    if 1 / SHEET_FACTOR <= ratio <= (np.inf if cell.falls else SHEET_FACTOR):
         return ""
     return (
         f"the typical resistance is {typical_ohm:.4g} ohm, {ratio:.2g} times the {cell.rest_resistance_ohm:.4g} ohm "
@@ -447,8 +430,7 @@ def _changed_since(
 
 def _sign_of_load(cell: Cell) -> float:
     """1.0 if a load raises the resistance, -1.0 if it lowers it."""
-    full = equilibrium_curve(cell.model, cell.full_scale_kpa, cell.rest_resistance_ohm, np.ones(1))
-    return -1.0 if full[0] < 0 else 1.0
+    return -1.0 if cell.falls else 1.0
 
 
 def _worst(amount: FloatArray) -> tuple[int, int]:

@@ -51,7 +51,7 @@ def test_what_was_found_can_be_read_by_a_program(steps: Path, capsys: pytest.Cap
     assert exponent["value"] == pytest.approx(0.9, abs=0.05)
     assert found["estimator"] == "static"
     folds = found["fold_percent"]["static"]
-    assert len(folds) == len(found["fits"][0]["folds"]) == 3
+    assert len(folds) == len(found["fits"][0]["folds"]) > 1
     assert max(folds) == pytest.approx(found["held_out_percent"]["static"])
     assert run(["fit", str(steps)]) == 0
     printed = next(line for line in capsys.readouterr().out.splitlines() if line.split()[:1] == ["static"])

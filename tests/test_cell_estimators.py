@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model, PaperModel
 from ohmskin.cell.estimation._conditions import Conditions
 from ohmskin.cell.estimation._estimator import Estimator
+from ohmskin.cell.estimation._scale import Ratio
 from ohmskin.cell.inversions._learned import Limits, StaticCurve
 from ohmskin.cell.inversions._static import StaticCurveInversion
 from ohmskin.errors import InputError
@@ -195,10 +196,27 @@ def test_a_contact_pressed_hard_is_neither_full_scale_nor_surer_than_its_noise(s
     assert stated == pytest.approx(memory[0].std(), rel=0.1 if share > 0.1 else 0.5)
 
 
+def test_a_cell_whose_resistance_falls_is_estimated_with_memory() -> None:
+    """r = ln(R0/R)/span: presses are followed, none is left after them, and an open cell bears none."""
+    model = M10Model(a=0.3, alpha1=0.3, rise1_s=0.3, fall1_s=5.0, alpha2=0.1, fall2_s=90.0)
+    cell = Cell(rest_resistance_ohm=20e3, full_scale_kpa=20.0, model=model, log_span=4.0)
+    time = np.arange(0.0, 20.0, 0.02)
+    load = np.interp(time, [0, 2, 2.2, 6, 6.1, 9, 11, 15, 15.2], [0, 0, 12, 12, 4, 4, 18, 18, 0])
+    read = cell.forward(()).run(np.full(time.size, 0.02), load)
+    read = read * np.exp(0.003 * np.random.default_rng(2).standard_normal(time.size))
+    read[time > 18.0] = np.inf
+    estimator = cell.estimator(())
+    pressure, std = np.array([(float(estimator.step(0.02, one)), float(estimator.std_kpa)) for one in read]).T
+    assert np.sqrt(np.mean((pressure - load) ** 2)) < 0.02 * cell.full_scale_kpa
+    assert np.mean(np.abs(pressure - load) < 2.0 * std) > 0.97
+    assert np.abs(pressure[time > 18.5]).max() < 0.01 * cell.full_scale_kpa
+    assert estimator.side < 0.0
+
+
 def test_a_static_curve_states_its_deviation() -> None:
     curve = StaticCurve(coefficients=(0.0, 1.0), limits=Limits(lowest=0.0, highest=1.0), std_kpa=0.5)
-    inversion = StaticCurveInversion(curve, 10.0, 1.0, exact=True)
-    estimator = Estimator(inversion, (), np.array([1e3]), Conditions(model_std_kpa=1e-9, noise=0.0))
+    inversion, rest = StaticCurveInversion(curve, 10.0, 1.0, exact=True), np.array([1e3])
+    estimator = Estimator(inversion, (), rest, Ratio(rest), Conditions(model_std_kpa=1e-9, noise=0.0))
     for resistance in (1.1e3, 1.2e3):
         estimator.step(0.1, resistance)
         assert estimator.std_kpa == pytest.approx(0.5)

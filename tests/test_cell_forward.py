@@ -34,6 +34,18 @@ def test_rising_is_g_up() -> None:
     assert run(EXAMPLE, time, load) == pytest.approx(expected, abs=1e-10)
 
 
+def test_on_a_logarithmic_scale_the_model_is_one_of_the_logarithm() -> None:
+    """r = ln(R0/R)/span follows the load as R/R0 - 1 does without it; blocks, single steps and some cells alike."""
+    time = np.linspace(0, 20, 400)
+    load = np.interp(time, [0, 3, 10, 12, 20], [0, 10, 10, 15.5, 0])
+    fallen = EXAMPLE.replace(log_span=3.0)
+    r = np.log(1.0 / (1.0 + run(fallen, time, load))) / 3.0
+    assert r == pytest.approx(run(EXAMPLE, time, load), abs=1e-12)
+    forward = fallen.forward((2,))
+    ohm = forward.run(np.diff(time, prepend=time[0]), load[:, None], cells=np.array([1]))
+    assert ohm[:, 0] == pytest.approx(10e3 * np.exp(-3.0 * r), rel=1e-12)
+
+
 def test_the_corrected_numerator_is_the_sum_of_the_two_terms() -> None:
     """P4: the constant of the numerator is Eu2; with the printed Eu1 the gain at rest would be 1/Eu2."""
     numerator, denominator = PAPER.rising_transfer_function()

@@ -176,6 +176,29 @@ def test_contact_cells_are_told_apart() -> None:
     assert np.abs(pressure / FULL - load).max() < 0.08
 
 
+def test_a_cell_whose_resistance_falls_and_that_remembers_is_told_from_a_contact() -> None:
+    """A conductance that grows with a load and with its slower part, as of Velostat: the memory is made up for."""
+    time = np.arange(0, 160, DT)
+    load = np.maximum(np.sin(time / 3) * np.sin(time / 11), 0) * (time > 3)
+    late = lfilter([1 - np.exp(-DT / 6)], [1, -np.exp(-DT / 6)], load)
+    read = np.exp(0.003 * np.random.default_rng(0).standard_normal(time.size))
+    read /= 1 / 20e3 + (0.6 * load + 0.4 * late) ** 1.3 / 500
+    half = time.size * 5 // 8
+    found = calibrate(checked_recording(time[:half], FULL * load[:half], read[:half]))
+    assert found.cell.falls
+    assert found.cell.log_span is not None
+    assert "logarithmic scale" in calibration_text(found)
+    estimators = found.cell.estimators
+    assert estimators is not None
+    rmse = {}
+    for name in (None, "static"):
+        pressure, std = estimate_recording(found.cell.estimator((), name), time, read)
+        rmse[name] = np.sqrt(np.mean((pressure / FULL - load)[half:] ** 2))
+        assert std is not None
+        assert np.mean((np.abs(pressure - FULL * load) < 2 * std)[half:]) > 0.9
+    assert rmse[None] < 0.7 * rmse["static"]
+
+
 @pytest.mark.parametrize("settles", [0.0, 0.15])
 def test_a_contact_whose_power_law_holds_under_load_only_is_calibrated(settles: float) -> None:
     """Conductance that comes late and lingers, over two decades: nothing to a curve, but decades of ohms at rest."""
@@ -189,7 +212,7 @@ def test_a_contact_whose_power_law_holds_under_load_only_is_calibrated(settles: 
     assert np.sqrt(np.mean((pressure / FULL - load) ** 2)) < 0.08
     shuffled = np.random.default_rng(1).permutation(read)
     with pytest.raises(InputError, match="does not follow the pressure: the best curve leaves"):
-        fits(checked_recording(time, FULL * load, np.where(time % 20 < 10, shuffled, read)), FULL)
+        calibrate(checked_recording(time, FULL * load, np.where(time % 20 < 10, shuffled, read)))
 
 
 def test_the_papers_graphical_way() -> None:

@@ -5,16 +5,13 @@ import re
 import numpy as np
 import pytest
 from cells import EXAMPLE, FULL, sense
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from turning import OneCell
 
 from ohmskin.bench._independent import presses
 from ohmskin.cell import PaperModel
 from ohmskin.cell.estimation._conditions import Conditions
 from ohmskin.cell.estimation._estimator import Estimator
-from ohmskin.cell.estimation._inversion import Inversion, RecentReadings
-from ohmskin.cell.estimation._neighbours import Neighbours
+from ohmskin.cell.estimation._inversion import Inversion
+from ohmskin.cell.estimation._scale import Ratio
 from ohmskin.cell.inversions import _doubts as doubts
 from ohmskin.cell.inversions import _turning_rows as turning_rows
 from ohmskin.cell.inversions._switched import SwitchedInversion
@@ -49,7 +46,8 @@ def rmse(inversion: Inversion, noise: float | None, read: np.ndarray, load: np.n
 def errors(inversion: Inversion, noise: float | None, read: np.ndarray, load: np.ndarray, dt: float) -> np.ndarray:
     """(n, *shape) over full scale, for readings (n, *shape) of cells under normalised loads (n, *shape)."""
     shape = read.shape[1:]
-    estimator = Estimator(inversion, shape, np.full(shape or 1, REST), Conditions(noise=noise))
+    rest = np.full(shape or 1, REST)
+    estimator = Estimator(inversion, shape, rest, Ratio(rest), Conditions(noise=noise))
     if len(read) > BY_ARRAYS:
         estimator.compile()
     return np.array([estimator.step(dt, r) for r in read]) / FULL - load
@@ -128,70 +126,6 @@ def test_a_smooth_load_turns_when_its_own_model_says_so(dt: float) -> None:
     read = cell.forward((2,)).run(np.full(len(load), dt), FULL * load)
     error = errors(TurningInversion(model, FULL, exact=True), 0.0, read, load, dt)
     assert (np.sqrt(np.mean(error**2, axis=0)) < [0.06, 0.005]).all()
-
-
-@settings(max_examples=12)
-@given(
-    seed=st.integers(0, 2**32 - 1),
-    dt=st.sampled_from([0.001, 0.02, 0.5]),
-    noise=st.sampled_from([0.0, 1e-3, 0.05]),
-    jump=st.sampled_from([0.0, 2.0, -1.5]),
-)
-def test_the_matrices_do_what_one_cell_written_out_does(seed: int, dt: float, noise: float, jump: float) -> None:
-    """Loads beyond the limits, pulls and turns that were noise included."""
-    rng = np.random.default_rng(seed)
-    cells, frames = 5, 200
-    load = np.stack(
-        [np.interp(np.arange(frames), np.arange(0, frames, 9), rng.uniform(-0.1, 1, 23)) for _ in range(cells)]
-    )
-    load[:, 100:103] += jump
-    written_out_alike(load, dt, noise, rng)
-
-
-def test_slow_presses_of_recovering_cells_are_found_as_by_one_cell_written_out() -> None:
-    """The cells have been tapped, and bear 20 % of full scale within 0.1 to 4 s."""
-    time = 0.02 * np.arange(1.0, 300.0)
-    taps = 0.9 * (np.abs((time - 0.05) % 0.5 - 0.2) < 0.15) * (time < 2.5)
-    slow = [taps + np.interp(time, [3.2, 3.2 + rise_s], [0, 0.2]) for rise_s in (0.1, 2, 3, 4)]
-    cells = written_out_alike(np.array(slow), 0.02, 1e-4, np.random.default_rng(3))
-    assert [cell.onset.found for cell in cells] == [0, 1, 1, 1]
-
-
-def written_out_alike(load: np.ndarray, dt: float, noise: float, rng: np.random.Generator) -> list[OneCell]:
-    """Assert that loads (cells, frames) are answered as by :class:`OneCell`, which are returned."""
-    cells = len(load)
-    rest = np.full(cells, EXAMPLE.rest_resistance_ohm)
-    inversion = TurningInversion(MODEL, FULL, exact=noise == 0.0)
-    forward = EXAMPLE.forward((cells,))
-    forward._check_pull = lambda pressure: None  # type: ignore[method-assign]
-    memory = inversion.begin(np.zeros(cells))
-    one_by_one = [OneCell(MODEL, FULL, 0.0, exact=noise == 0.0) for _ in range(cells)]
-    readings: list[np.ndarray] = []
-    alone = Neighbours((cells,)).among(np.arange(cells))
-    for number, kpa in enumerate(FULL * load.T):
-        r = forward.step(dt, kpa) / rest - 1 + noise * rng.standard_normal(cells)
-        std, doubt = np.full(cells, noise), np.full(cells, 1.5 * noise)
-        memory = inversion.advance(memory, dt, r, std, lambda doubt=doubt: doubt)  # type: ignore[misc]
-        expected = [one.step(dt, float(x), noise, 1.5 * noise) for one, x in zip(one_by_one, r, strict=True)]
-        np.testing.assert_allclose(memory[0], expected, rtol=1e-8, atol=1e-8)
-        np.testing.assert_allclose(memory[2], [one.variance for one in one_by_one], rtol=1e-6, atol=1e-8)
-        readings = [*readings[-3:], r]
-        if noise and number % 4 == 0 and len(readings) == 4:
-            count = rng.integers(0, 9, cells)
-            mean = np.mean(readings, axis=0)
-            inversion.recover(memory, RecentReadings(dt, mean, np.full(cells, 2 * noise), count.astype(float), alone))
-            for one, *taken in zip(one_by_one, mean.tolist(), count.tolist(), strict=True):
-                one.recover(dt, taken[0], 2 * noise, taken[1])
-        every = inversion.sways_in(dt)
-        if noise and number % every == 0 and len(readings) == 4:
-            mean, count = np.mean(readings[-every:], axis=0), np.zeros(cells)
-            inversion.sway(memory, RecentReadings(dt, mean, np.full(cells, 2 * noise), count, alone))
-            for one, of_one in zip(one_by_one, mean.tolist(), strict=True):
-                one.look(dt, of_one, 2 * noise)
-            np.testing.assert_allclose(memory[0], [one.now.pressure for one in one_by_one], rtol=1e-8, atol=1e-8)
-            fallen = [one.fallen for one in one_by_one]
-            np.testing.assert_allclose(memory[turning_rows.FALLEN], fallen, rtol=1e-6, atol=1e-8)
-    return one_by_one
 
 
 def test_a_doubt_ends_at_full_scale() -> None:

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from ..cell import equilibrium_curve
 from ..circuits import (
     Boards,
     Design,
@@ -283,8 +282,8 @@ def pressure_resolution(subject: Subject, requirement: Requirement, method: str)
     full = subject.full_scale_kpa
     for (state, cells, found), load in zip(noise_of(subject), (0.01, 0.99), strict=True):
         near = np.array([0.99 * load, load])  # shares of full scale
-        change = equilibrium_curve(subject.cell.model, full, subject.rest, near)
-        ohms_per_kpa = subject.rest * abs(float(change[1] - change[0])) / (0.01 * load * full)
+        light, heavy = subject.cell.equilibrium_ohm(near)
+        ohms_per_kpa = abs(float(heavy - light)) / (0.01 * load * full)
         volts_per_ohm = _volts_per_ohm(subject.design, cells)
         with np.errstate(divide="ignore"):  # a curve that is flat there tells no pressure
             kpa = found.volts / (volts_per_ohm * ohms_per_kpa)

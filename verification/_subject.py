@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..bench import noisy
-from ..cell import Cell, ContactModel, PaperModel, calibrate, checked_recording, protocol_load, sensitivity
+from ..cell import Cell, ContactModel, PaperModel, calibrate, checked_recording, protocol_load
 from ..circuits import Design
 from ..common.arrays import FloatArray
 from ._parameters import NOMINAL_K, Factors
@@ -107,8 +107,7 @@ class Subject:
     @cached_property
     def pressed(self) -> float:
         """ohm at equilibrium under full scale"""
-        change = sensitivity(self.cell.model, self.full_scale_kpa, self.rest)
-        return self.rest * (1 + change)
+        return float(self.cell.equilibrium_ohm(1.0))
 
     @cached_property
     def cell_spread(self) -> float:

@@ -24,6 +24,7 @@ from ._inversion import (
 from ._loops import FAR, REST_VARIANCE, RESTED
 from ._neighbours import ALIKE
 from ._rows import GAIN, NOISE, PRESSURE, READING, SMOOTHED, STD, VARIANCE
+from ._scale import Contact, Logarithm, Ratio, Scale
 from ._smoothing import COUNT, HIDDEN, SIGMAS
 from ._window import RECENT, WINDOW
 
@@ -51,9 +52,13 @@ __all__ = [
     "VARIANCE",
     "WINDOW",
     "Conditions",
+    "Contact",
     "Estimator",
     "Inversion",
+    "Logarithm",
+    "Ratio",
     "RecentReadings",
+    "Scale",
     "credible_readings",
     "longest_s",
     "undithered",

@@ -2,8 +2,9 @@
 
 Each frame passes these steps:
 
-1. Readings become normalised resistances r = R/R0 - 1. A reading counts as missing if it is NaN, open, shorted, or
-   beyond every credible load. Its cell keeps its pressure, and the standard deviation grows (:mod:`._gaps`).
+1. Readings become r, the normalised resistance or what else the cell's scale says (:mod:`._scale`). A reading counts as
+   missing if it is NaN, open, shorted, or beyond every credible load. Without current a cell that is open at rest
+   bears no load. Its cell keeps its pressure, and the standard deviation grows (:mod:`._gaps`).
 2. Noise that the cells of a column share is subtracted (:mod:`._shared_noise`). The remaining noise is measured
    (:mod:`._noise`).
 3. Cells at rest sleep: only their mean is monitored, until the mean or a reading leaves the noise (:mod:`._sleep`).
@@ -19,6 +20,7 @@ Each frame passes these steps:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -28,6 +30,7 @@ from numpy.typing import ArrayLike
 from ...common import compiled
 from ...common.arrays import BoolArray, FloatArray, IntArray
 from ...common.compiled import Loop
+from ...common.readings import Readings
 from ...errors import InputError
 from . import _loops as loops
 from . import _noise as noise_meter
@@ -40,11 +43,12 @@ from ._deviation import Deviation
 from ._following import Following
 from ._gaps import Gaps
 from ._held import Held
-from ._inversion import Inversion
+from ._inversion import USUAL, Inversion
 from ._neighbours import Neighbours
 from ._noise import NoiseMeter
 from ._remembered import Remembered
 from ._rows import GAIN, PRESSURE
+from ._scale import Scale
 from ._shared_noise import SharedNoise
 from ._sleep import Sleep
 from ._sparks import Sparks
@@ -60,6 +64,10 @@ FIRST_READINGS = 4
 MORE = 1.1
 """ratio of the deviation by the quantisation steps of all readings to that by the cell's own; below this ratio the
 steps of other readings are neglected"""
+EVENLY = math.sqrt(3.0)
+"""largest error over the standard deviation, of an error that is evenly distributed from none to all of it"""
+STEP_STD = 1.0 / EVENLY
+"""standard deviation of a quantisation error over half a step"""
 UNKNOWN_PAST = 0.25
 """standard deviation of the first pressure of a cell, over that pressure: a load that has just begun reads much larger
 than the same load after a long hold. This uncertainty fades as that of a gap does"""
@@ -73,12 +81,17 @@ class Estimator:
     """
 
     def __init__(
-        self, inversion: Inversion, shape: tuple[int, ...], rest_resistance_ohm: FloatArray, conditions: Conditions
+        self,
+        inversion: Inversion,
+        shape: tuple[int, ...],
+        rest_resistance_ohm: FloatArray,
+        scale: Scale,
+        conditions: Conditions,
     ) -> None:
-        """``rest_resistance_ohm`` (n,) holds R0 of each cell of ``shape``."""
+        """``rest_resistance_ohm`` (n,) holds R0 of each cell of ``shape``, ``scale`` turns their readings into r."""
         self.shape, self.inversion = shape, inversion
-        self._per_ohm = 1 / rest_resistance_ohm
-        cells, full_kpa = self._per_ohm.size, inversion.full_scale_kpa
+        self._rest_ohm, self._scale = rest_resistance_ohm, scale
+        cells, full_kpa = rest_resistance_ohm.size, inversion.full_scale_kpa
         self._noise = NoiseMeter(cells, conditions.noise or 0.0)
         self._shared_noise = SharedNoise(shape, self._noise, inversion.side)
         self._remembered = Remembered(inversion, cells)
@@ -97,6 +110,8 @@ class Estimator:
         """(n,) the same, but readings of sleeping cells still contain shared noise; never changes again"""
         self._by_shared: FloatArray | None = None
         """(n,) kPa^2 by loads that may have been subtracted as shared noise; never changes again; None: zero"""
+        self._by_bounds: FloatArray | None = None
+        """(n,) kPa^2 by readings of which only an interval is known; never changes again; None: zero"""
         self._known: BoolArray | None = None
         """(n,) cells that the last frame has read; None: all"""
         self._readings = np.zeros(cells)
@@ -151,7 +166,8 @@ class Estimator:
 
         Args:
             elapsed_s: seconds since the last frame.
-            resistance_ohm: (shape) in ohm; NaN, infinite and not positive entries are missing.
+            resistance_ohm: (shape) in ohm; NaN and not positive entries are missing. An infinite entry reads no
+                current: no load, on a cell that is open at rest; else it is missing, as of one that is not connected.
 
         Returns:
             (shape) pressure in kPa. A cell whose reading is missing keeps its last value; NaN before its first reading.
@@ -162,11 +178,74 @@ class Estimator:
         resistance = np.asarray(resistance_ohm, dtype=np.float64)
         if resistance.shape != self.shape:
             raise InputError(f"resistance has shape {resistance.shape}, expected {self.shape}")
+        self._by_bounds = None
+        return self._step(elapsed_s, resistance.ravel())
+
+    def step_readings(self, elapsed_s: float, readings: Readings) -> FloatArray:
+        """As :meth:`step`, from conductances with their errors; a reading at a limit of the converter is an interval.
+
+        A cell of which only an interval is known shows the least load of the interval, and the width of the interval
+        counts as standard deviation. It is missing where the interval says nothing: where it has no bound on the side
+        of loads, or where only an open cell, or one that nobody credits, conducts so.
+        """
+        if readings.conductance.shape != self.shape:
+            raise InputError(f"conductance has shape {readings.conductance.shape}, expected {self.shape}")
+        with np.errstate(divide="ignore"):
+            resistance, most, least = (
+                1.0 / part.ravel() for part in (readings.conductance, readings.least, readings.greatest)
+            )
+        if not self.resolved:
+            with np.errstate(invalid="ignore"):
+                self.resolve(STEP_STD * readings.half_step / readings.conductance, 1.0 / readings.conductance)
+        self._by_bounds = None
+        only = np.isnan(resistance) & (np.isfinite(most) | (least > 0.0))
+        if only.any():
+            self._by_bounds = np.zeros(resistance.size)
+            resistance[only], self._by_bounds[only] = (part[only] for part in self._within(least, most))
+        return self._step(elapsed_s, resistance)
+
+    def _within(self, least_ohm: FloatArray, most_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Resistances (n,) that stand for readings between ``least_ohm`` and ``most_ohm`` (n,), and variances in kPa^2.
+
+        NaN where the readings are as good as missing.
+        """
+        falls, full = self._scale.falls, self.inversion.full_scale_kpa
+        near, far = (most_ohm, least_ohm) if falls else (least_ohm, most_ohm)
+        light, heavy = (self._held_kpa(bound) for bound in (near, far))
+        heavy = np.minimum(heavy, USUAL * full) if falls else heavy
+        unloaded = light <= 0.0
+        if not self._scale.open_at_rest:
+            light = np.where(least_ohm > self._rest_ohm, np.nan, light) if falls else light
+        stands = np.where(unloaded, self._rest_ohm, near if falls else np.nan)
+        stands[~(heavy >= light)] = np.nan
+        std = (heavy - np.maximum(light, 0.0)) / EVENLY
+        return stands, np.where(np.isnan(stands), 0.0, std * std)
+
+    def _held_kpa(self, bound_ohm: FloatArray) -> FloatArray:
+        """(n,) load in kPa whose hold leads to resistances ``bound_ohm`` (n,); NaN where every load does or none.
+
+        A bound of no resistance is that of the heaviest load where loads lower the resistance, and says nothing where
+        they raise it; an infinite one is that of no load, or says nothing.
+        """
+        falls, r = self._scale.falls, np.empty(bound_ohm.size)
+        told = np.isfinite(bound_ohm) & (bound_ohm > 0.0)
+        self._scale.read(np.where(told, bound_ohm, self._rest_ohm), r, self.inversion.credible, compiled=False)
+        held = np.where(told, self.inversion.held_kpa(r), 0.0)
+        if falls:
+            return np.where(bound_ohm == 0.0, np.inf, held)
+        return np.where(np.isinf(bound_ohm), np.nan, held)
+
+    def _step(self, elapsed_s: float, resistance: FloatArray) -> FloatArray:
+        """:meth:`step` for resistances (n,)."""
         if self._frames and not 0 < elapsed_s < np.inf:
             raise InputError(f"a frame follows {elapsed_s} s after the last; expected time stamps that increase")
         dt, exact = float(elapsed_s) if self._frames else 1.0, self.inversion.exact
         r = self._reading = np.empty(resistance.size)
-        known = self._known = self._normalise(resistance.ravel(), r)
+        quiet = None
+        if self._scale.open_at_rest and np.isinf(resistance).any():
+            quiet = np.isinf(resistance) & (resistance > 0.0)  # no current, hence no load, and no noise to be measured
+            resistance = np.where(quiet, self._rest_ohm, resistance)
+        known = self._known = self._normalise(resistance, r)
         before = self._pressure.copy() if self._gaps.concern(dt, self._usual_s or dt, known) else None
         watched = blurred = loaded = None
         if self._shared_noise.ratio and not exact:
@@ -176,7 +255,7 @@ class Estimator:
         self._watched = r if watched is None else watched
         self._by_shared = None
         if not exact:
-            self._noise.update(r, known)
+            self._noise.update(r, known if quiet is None else ~quiet if known is None else known & ~quiet)
         if not self._begun:
             self._start(r, known)
         if not exact:
@@ -217,7 +296,12 @@ class Estimator:
     @property
     def rest_ohm(self) -> FloatArray:
         """(shape) rest resistances in use."""
-        return (1.0 / self._per_ohm).reshape(self.shape)
+        return self._rest_ohm.reshape(self.shape)
+
+    @property
+    def side(self) -> float:
+        """Sign of the change of a resistance under load."""
+        return -1.0 if self._scale.falls else 1.0
 
     @property
     def resolved(self) -> bool:
@@ -262,7 +346,7 @@ class Estimator:
         std = np.asarray(relative_std, dtype=np.float64).ravel()
         resistance = np.asarray(resistance_ohm, dtype=np.float64).ravel()
         # A step of current is a step of conductance, so that the step of r is proportional to (1 + r)^2, as noise is.
-        at_rest = np.divide(std, resistance * self._per_ohm, out=np.full(std.size, np.nan), where=resistance > 0)
+        at_rest = self._scale.at_rest(std, np.where(resistance > 0, resistance, np.nan))
         return at_rest, np.isfinite(at_rest) & (at_rest > 0)
 
     @property
@@ -276,7 +360,8 @@ class Estimator:
         The function keeps references to its inputs. A step whose standard deviation is never asked for costs little.
         """
         by_gaps = self._gaps.variance if self._gaps.doubtful else None
-        return self._deviation.of_last_step(self.shape, self._watched, by_gaps, self._held.variance, self._by_shared)
+        more = by_gaps, self._held.variance, self._by_shared, self._by_bounds
+        return self._deviation.of_last_step(self.shape, self._watched, *more)
 
     def rise_of_last_step(self) -> tuple[FloatArray, FloatArray]:
         """Distance of the last readings from rest, and its standard deviation by noise.
@@ -306,9 +391,9 @@ class Estimator:
         Returns:
             (n,) which readings are credible; None: all.
         """
-        if self.inversion.normalise(resistance_ohm, self._per_ohm, r, compiled=self._compiled):
-            return None
         low, high = self.inversion.credible
+        if self._scale.read(resistance_ohm, r, (low, high), compiled=self._compiled):
+            return None
         if low < r.item(r.argmin()) and r.item(r.argmax()) < high:  # false if one of them is NaN
             return None
         known: BoolArray = r > low

@@ -17,7 +17,6 @@ import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray, IntArray, columns, put_columns
 from ...common.compiled import Loop
-from . import _loops as loops
 from ._rows import GAIN, NOISE, PRESSURE, READING, SMOOTHED, STD
 from ._smoothing import Looked
 from ._window import RECENT
@@ -42,8 +41,8 @@ DOUBTED_LOAD = 0.2
 unconfirmed"""
 
 _NO_VARIANCE = np.zeros(1)
-_ONE, _NO_LOAD_SIGMAS = np.array(1.0), np.array(NO_LOAD_SIGMAS)
-# As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
+_NO_LOAD_SIGMAS = np.array(NO_LOAD_SIGMAS)
+# As an array: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
 class RecentReadings(NamedTuple):
@@ -206,18 +205,6 @@ class Inversion(ABC):
         ``memory`` has only the first :data:`._rows.SHARED` rows; ``noise_kpa`` (m,) is the standard deviation by noise.
         """
         return _NO_VARIANCE
-
-    def normalise(self, resistance_ohm: FloatArray, per_ohm: FloatArray, r: FloatArray, *, compiled: bool) -> bool:
-        """Write the normalised resistances of all cells (n,) into ``r`` (n,).
-
-        Returns:
-            True if all of them are credible. False: not known, the caller has to check them.
-        """
-        if compiled:
-            return loops.read.unchecked(resistance_ohm, per_ohm, r, *self.credible)
-        np.multiply(resistance_ohm, per_ohm, out=r)
-        r -= _ONE
-        return False
 
     # -- compiled loops ----------------------------------------------------------------------------------------------
 

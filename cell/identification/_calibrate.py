@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,12 +15,12 @@ from .._cell import Calibrated, Cell, EstimatorName
 from ..estimation import Estimator, longest_s
 from ..inversions import DRIFT, Seen
 from ..inversions import margin as inverse_margin
-from ..materials import AsymmetricModel, ContactModel, M10Model, Model, simulate
+from ..materials import AsymmetricModel, M10Model, Model, resistance_on_logarithm, simulate
 from . import _choice as choice
 from . import _training as training
-from ._fitted import Fit
+from ._fitted import Fit, Parameter
 from ._folds import Fold, folds, strokes
-from ._identify import fits
+from ._identify import contact_fit, falls, fits
 from ._judged import Judged, Regimes, best_share, mixed
 from ._recording import Recording
 from ._remarks import remarks
@@ -37,14 +38,22 @@ BREAKS = 0.5
 """a cell is believed to have chains that break if m10 with them has less than this fraction of the error without"""
 WORTH_COMPILING = 1000
 """least number of samples for which compiled loops are loaded, which takes about half a second"""
+REMEMBERS = 0.8
+"""fraction of the static curve's error on its worst fold, below which a cell whose resistance falls has a memory"""
+LIGHT = 0.05
+"""share of full scale, and of the samples, under which a cell counts as about at rest"""
 KINDS = 3
 """progress steps of the fit"""
 
 
 FALLING = (
-    "the resistance falls under load: the cell is taken for a contact without memory, and creep and hysteresis are not "
-    "made up for"
+    "the resistance falls under load, and no model with memory on a logarithmic scale is surely better: the cell is "
+    "taken for a contact without memory, and creep and hysteresis are not made up for"
 )
+LOGARITHMIC = "the resistance falls under load: the model is one of r = ln(R0/R)/log_span"
+RANGE_ON_LOGARITHM = 0.6
+"""range of r in a recording on a logarithmic scale. Noise is taken to be proportional to (1 + r)^2, so that a smaller
+range has less of it under load; relative noise is constant on this scale"""
 
 
 @dataclass(frozen=True)
@@ -96,15 +105,72 @@ def calibrate(
     def tell(what: str) -> None:
         progress(next(steps), KINDS + len(parts) + 1, what)
 
+    if falls(thin, full):
+        return _calibrated_falling(recording, thin, parts, full, tell)
+    return _calibrated(recording, thin, parts, full, tell)
+
+
+def _calibrated_falling(
+    recording: Recording, thin: Recording, parts: tuple[Fold, ...], full: float, tell: Callable[[str], None]
+) -> CalibrationResult:
+    """Calibrate a cell whose resistance falls under load: with memory on a logarithmic scale, if that is surely better.
+
+    Otherwise it is a contact.
+    """
+    contact = contact_fit(thin, full)
+    simple = _calibrated_contact(
+        Cell(rest_resistance_ohm=contact.rest_resistance_ohm, full_scale_kpa=full, model=contact.model), thin
+    )
+    light = thin.pressure_kpa <= max(LIGHT * full, float(np.quantile(thin.pressure_kpa, LIGHT)))
+    unit = float(np.median(thin.resistance_ohm[light]))
+    span = float(np.ptp(np.percentile(np.log(thin.resistance_ohm), [0.5, 99.5]))) / RANGE_ON_LOGARITHM
+    scaled = replace(thin, resistance_ohm=unit * (1.0 + np.maximum(np.log(unit / thin.resistance_ohm) / span, -0.9)))
+    try:
+        found = _calibrated(recording, scaled, parts, full, tell)
+    except InputError:
+        found = None  # no model fits
+    if found is not None:
+        learned, plain = found.cell.estimators, simple.estimators
+        assert learned is not None
+        assert plain is not None
+        least = REMEMBERS * plain.held_out_percent["static"]
+        if learned.default != "static" and learned.held_out_percent[learned.default] < least:
+            return _in_ohms(found, unit, span)
+    presses = float(Regimes.of(thin, full).pressing[-1]) / 2
+    said = (FALLING, *remarks(recording, full, presses, varied=True))
+    return CalibrationResult(simple, recording, (contact,), parts, None, said)
+
+
+def _in_ohms(found: CalibrationResult, unit_ohm: float, span: float) -> CalibrationResult:
+    """The result of a recording of ``unit_ohm`` (1 + ln(unit_ohm/R)/span) instead of R, for R."""
+
+    def ohms(scaled: float) -> float:
+        return float(resistance_on_logarithm(np.array(scaled / unit_ohm - 1.0), unit_ohm, span))
+
+    def told(parameter: Parameter) -> Parameter:
+        if parameter.name != "rest_resistance_ohm":
+            return parameter
+        rest = ohms(parameter.value)
+        return replace(parameter, value=rest, std_error=rest * span * parameter.std_error / unit_ohm)
+
+    scaled = found.cell.rest_resistance_ohm
+    cell = found.cell.replace(rest_resistance_ohm=ohms(scaled), log_span=span * scaled / unit_ohm)
+    kinds = tuple(
+        replace(fit, rest_resistance_ohm=ohms(fit.rest_resistance_ohm), parameters=tuple(map(told, fit.parameters)))
+        for fit in found.fits
+    )
+    return replace(found, cell=cell, fits=kinds, remarks=(LOGARITHMIC, *found.remarks))
+
+
+def _calibrated(
+    recording: Recording, thin: Recording, parts: tuple[Fold, ...], full: float, tell: Callable[[str], None]
+) -> CalibrationResult:
+    """Calibrate a cell whose readings rise under load by ``thin``, the readings of ``recording`` or a scale of them."""
     found = tuple(fits(thin, full, tell))
     model, rest = found[0].model, found[0].rest_resistance_ohm
     cell = Cell(rest_resistance_ohm=rest, full_scale_kpa=full, model=model)
     samples, seen = Regimes.of(thin, full), _seen(thin, full)
     presses = float(samples.pressing[-1]) / 2
-    if isinstance(model, ContactModel):
-        said = (FALLING, *remarks(recording, full, presses, varied=True))
-        return CalibrationResult(_calibrated_contact(cell, thin), recording, found, parts, None, said)
-
     inverse = inverse_margin(model, full) if isinstance(model, AsymmetricModel | M10Model) else None
     teacher, breaks = _teacher(found), _breaks(found)
     whole = _normalised(thin, cell, teacher)

@@ -39,6 +39,8 @@ longer ones are thinned"""
 EXPLAINS = 0.7
 """fraction of the standard deviation of the resistance; the error of the best model must be below. Of a contact, the
 same of the load, and the error of its curve"""
+FALLS = -0.3
+"""correlation of the load with the logarithm of the resistance, below which the load lowers the resistance"""
 SIMPLER = 1.05
 """a simpler kind is preferred if the error on its worst fold is within this factor of the best"""
 SEEN_AT_REST, NEVER_AT_REST = 0.15, 0.7
@@ -52,7 +54,7 @@ NOISY = 0.1
 
 
 def fits(recording: Recording, full_scale_kpa: float, told: Callable[[str], None] = lambda what: None) -> list[Fit]:
-    """Fits of every kind of cell to the recording, the best first.
+    """Fits of every kind of cell whose readings rise under load to the recording, the best first.
 
     The best is the simplest kind whose error is within 5 % of the least: the held-out error, or where the recording has
     no folds, the error on all of it with the penalty of the Bayesian information criterion (Schwarz, "Estimating the
@@ -62,14 +64,9 @@ def fits(recording: Recording, full_scale_kpa: float, told: Callable[[str], None
         InputError: the resistance does not follow the pressure.
     """
     rest, lower = rest_resistance(recording, full_scale_kpa)
-    load, log_ohm = recording.pressure_kpa / full_scale_kpa, np.log(recording.resistance_ohm)
-    if np.corrcoef(load, log_ohm)[0, 1] < -0.3:
-        _check_follows(recording, _left_by_curve(load, log_ohm), float(np.std(load)), "curve", "full scale")
-        found = [fit_contact(recording, full_scale_kpa, rest)]
-    else:
-        found = _fit_kinds(_Task(recording, full_scale_kpa, rest, lower, folds(recording, full_scale_kpa)), told)
-        blind = float(np.std(recording.resistance_ohm) / np.ptp(recording.resistance_ohm))
-        _check_follows(recording, min(fit.error for fit in found), blind, "model", "its range")
+    found = _fit_kinds(_Task(recording, full_scale_kpa, rest, lower, folds(recording, full_scale_kpa)), told)
+    blind = float(np.std(recording.resistance_ohm) / np.ptp(recording.resistance_ohm))
+    _check_follows(recording, min(fit.error for fit in found), blind, "model", "its range")
     found = _penalised(found)
     least = min(fit.judged_error for fit in found)
     best = next(fit for fit in found if fit.judged_error <= SIMPLER * least)
@@ -84,6 +81,19 @@ def _penalised(found: list[Fit]) -> list[Fit]:
     """
     n = max(min(found, key=lambda fit: fit.error).independent, 2.0)
     return [replace(fit, penalty=float(n ** (len(fit.parameters) / (2 * n)))) for fit in found]
+
+
+def falls(recording: Recording, full_scale_kpa: float) -> bool:
+    """Whether the load lowers the resistance."""
+    load, log_ohm = recording.pressure_kpa / full_scale_kpa, np.log(recording.resistance_ohm)
+    return bool(np.corrcoef(load, log_ohm)[0, 1] < FALLS)
+
+
+def contact_fit(recording: Recording, full_scale_kpa: float) -> Fit:
+    """The fit of a contact without memory; InputError if the resistance does not follow the pressure."""
+    load, log_ohm = recording.pressure_kpa / full_scale_kpa, np.log(recording.resistance_ohm)
+    _check_follows(recording, _left_by_curve(load, log_ohm), float(np.std(load)), "curve", "full scale")
+    return fit_contact(recording, full_scale_kpa, rest_resistance(recording, full_scale_kpa)[0])
 
 
 def _left_by_curve(load: FloatArray, log_ohm: FloatArray) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...common import plots
 from ...common.files import whole_file
+from .._cell import Cell
 from ._calibrate import CalibrationResult, estimate_recording
 
 KPA_PER_PSI, KPA_PER_BAR = 6.894757, 100.0
@@ -19,7 +20,7 @@ def calibration_text(calibration: CalibrationResult) -> str:
     cell, fit = calibration.cell, calibration.fit
     assert cell.estimators is not None
     lines = [
-        f"cell of kind {cell.model.kind}, R0 = {cell.rest_resistance_ohm:.6g} ohm, "
+        f"cell of kind {cell.model.kind}{_scale(cell)}, R0 = {cell.rest_resistance_ohm:.6g} ohm, "
         f"full scale {_in_units(cell.full_scale_kpa)}",
         "error of r, % of its range, on what was fitted / "
         + (
@@ -62,6 +63,10 @@ def calibration_text(calibration: CalibrationResult) -> str:
     return "\n".join(lines)
 
 
+def _scale(cell: Cell) -> str:
+    return "" if cell.log_span is None else f" on a logarithmic scale (log_span {cell.log_span:.4g})"
+
+
 def _in_units(pressure_kpa: float) -> str:
     """A pressure in kPa, psi and bar, so that the person who made the recording notices a wrong unit."""
     psi, bar = pressure_kpa / KPA_PER_PSI, pressure_kpa / KPA_PER_BAR
@@ -83,6 +88,7 @@ def calibration_record(calibration: CalibrationResult) -> dict[str, Any]:
     return {
         "kind": cell.model.kind,
         "rest_resistance_ohm": cell.rest_resistance_ohm,
+        "log_span": cell.log_span,
         "full_scale_kpa": cell.full_scale_kpa,
         "fits": [
             {

@@ -22,14 +22,15 @@ CHAINS = 3
 """row of the memory: r of the chains that must have broken"""
 
 
-def rest_slope(model: Model, full_scale_kpa: float, rest_resistance_ohm: float) -> FloatArray:
+def rest_slope(equilibrium_ohm: Callable[[FloatArray], FloatArray], full_scale_kpa: float) -> FloatArray:
     """(:data:`SLOPES`,) pressure in kPa that a relative error of R0 looks like, per unit of that error.
 
     This is the slope dp/d(ln R) of the equilibrium curve, at evenly spaced pressures from 0 to full scale. It is
-    limited where the curve is flat, since no estimator follows it there.
+    limited where the curve is flat, since no estimator follows it there. ``equilibrium_ohm`` gives the resistance under
+    normalised loads (n,).
     """
     load = np.linspace(0, 1, SLOPES)
-    log_r = np.log1p(equilibrium_curve(model, full_scale_kpa, rest_resistance_ohm, load))
+    log_r = np.log(equilibrium_ohm(load))
     mean = max(abs(float(log_r[-1] - log_r[0])), 1e-9)
     slope = np.maximum(np.abs(np.gradient(log_r, load)), mean / FLAT)
     return np.asarray(full_scale_kpa / slope)
@@ -59,23 +60,21 @@ class EquilibriumInversion(Inversion):
     excess must be broken chains, which heal with their own time constant. This excess is subtracted from later
     readings. Otherwise a cell that was tapped would show an overload for minutes.
 
-    All cells share one curve of r. A contact under load conducts in parallel to the cell's rest resistance, so that its
-    r depends on this resistance. Conductances of contacts are therefore first converted to a cell with the median rest
-    resistance.
+    All cells share one curve of r. A contact's r is that of :class:`..estimation.Contact`.
     """
 
     def __init__(
         self,
         model: Model,
         full_scale_kpa: float,
-        rest_resistance_ohm: FloatArray,
+        rest_resistance_ohm: float,
         *,
         exact: bool,
     ) -> None:
-        """``rest_resistance_ohm`` (n,) is that of each cell."""
+        """``rest_resistance_ohm`` is R0, or the resistance of a contact that the scale of its readings begins at."""
         self.model, self._share = model, memory_share(model)
         self.remembers = not isinstance(model, ContactModel)
-        rest = float(np.median(rest_resistance_ohm))
+        rest = rest_resistance_ohm
         full_r = equilibrium_gain(model, full_scale_kpa, rest)
         load = np.linspace(0, REACH, REACH * (POINTS - 1) + 1)
         curve = equilibrium_curve(model, full_scale_kpa, rest, load)
@@ -90,7 +89,6 @@ class EquilibriumInversion(Inversion):
             # A contact's slope diverges only near rest, and is limited there; under load it is the true noise gain.
             steepest[np.argmin(np.abs(slope)) :] = np.inf
         self._slope = np.minimum(np.abs(slope), steepest)
-        self._rest_of_curve = rest
         self._breaks = isinstance(model, M10Model) and model.k > 0
         """whether motion breaks chains"""
         if isinstance(model, M10Model) and self._breaks:
@@ -100,20 +98,6 @@ class EquilibriumInversion(Inversion):
             self._most_r = float(statics[load <= USUAL].max()) + (model.alpha1 + model.alpha2) * USUAL
             """r of the largest credible load without broken chains: no branch exceeds its target"""
         super().__init__(full_scale_kpa, full_r, exact=exact)
-        self._shift = 1 / rest - 1 / rest_resistance_ohm
-        """in S, added to a contact's conductance to convert it to the rest resistance of the curve"""
-
-    def normalise(self, resistance_ohm: FloatArray, per_ohm: FloatArray, r: FloatArray, *, compiled: bool) -> bool:
-        if not isinstance(self.model, ContactModel):
-            return super().normalise(resistance_ohm, per_ohm, r, compiled=compiled)
-        with np.errstate(divide="ignore"):
-            np.divide(1.0, resistance_ohm, out=r)
-            r += self._shift
-            r *= self._rest_of_curve
-            np.copyto(r, np.nan, where=~np.isfinite(resistance_ohm) | (r <= 0))  # no contact or cell conducts so
-            np.divide(1.0, r, out=r)
-        r -= 1.0
-        return False
 
     def begin(self, r: FloatArray) -> FloatArray:
         return self._at(r, np.zeros_like(r))

@@ -106,7 +106,7 @@ class TurningInversion(Inversion):
     and a memory that would need a negative pressure is corrected to the one that the reading implies at no load.
 
     Within a step both hypotheses are linear in their memory and in the reading, so that a step of both is one matrix
-    product. ``tests/turning.py`` writes the same estimator out for one cell.
+    product.
     """
 
     rows = (

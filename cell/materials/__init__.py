@@ -14,9 +14,9 @@
 from . import _lag as lag
 from . import _simulate as simulate
 from ._equilibrium import equilibrium_curve, equilibrium_gain
-from ._forward import Forward, as_m10, make_forward, resistance_of
+from ._forward import Forward, as_m10, make_forward, resistance_of, resistance_on_logarithm
 from ._lag import ByStep
-from ._material import drifted_rest_resistance, sensitivity
+from ._material import drifted_rest_resistance
 from ._models import AsymmetricModel, ContactModel, M10Model, Model, PaperModel
 from ._percolation import Percolation
 from ._simulate import smoothed, smoothing_s, white_noise
@@ -37,7 +37,7 @@ __all__ = [
     "lag",
     "make_forward",
     "resistance_of",
-    "sensitivity",
+    "resistance_on_logarithm",
     "simulate",
     "smoothed",
     "smoothing_s",

@@ -22,6 +22,9 @@ from ._models import AsymmetricModel, ContactModel, M10Model, Model, PaperModel
 class Forward(ABC):
     """An array of cells of one kind, with their memory. New cells are unloaded and at rest."""
 
+    log_span: float | None = None
+    """None: the model describes r = R/R0 - 1. A number: r = ln(R0/R)/log_span, of cells whose resistance falls"""
+
     def __init__(self, shape: tuple[int, ...], rest_resistance_ohm: FloatArray) -> None:
         self.shape = shape
         self.rest_resistance_ohm = resistance_of(shape, rest_resistance_ohm)
@@ -46,9 +49,16 @@ class Forward(ABC):
         if not np.isfinite(pressure).all():
             raise InputError("pressure is not finite everywhere; expected kPa")
         self._check_pull(pressure)
-        resistance = self._step(dt_s, pressure)
+        resistance = self._in_ohms(self._step(dt_s, pressure))
         self._pressure = pressure.copy()
         return resistance
+
+    def _in_ohms(self, linear: FloatArray) -> FloatArray:
+        """Resistance (..., *shape) in ohm of R0 (1 + r) = ``linear`` (..., *shape)."""
+        if self.log_span is None:
+            return linear
+        r = linear / self.rest_resistance_ohm - 1.0
+        return resistance_on_logarithm(r, self.rest_resistance_ohm, self.log_span)
 
     def _check_pull(self, pressure_kpa: FloatArray) -> None:
         """InputError where a pull would leave no resistance."""
@@ -86,11 +96,11 @@ class Forward(ABC):
         if not len(dt):
             return np.empty(pressure.shape)
         if cells is None:
-            resistance = self._run(dt, pressure)
+            resistance = self._in_ohms(self._run(dt, pressure))
             self._pressure = pressure[-1].copy()
             return resistance
         some = self._gathered(cells)
-        resistance = some._run(dt, pressure)
+        resistance = some._in_ohms(some._run(dt, pressure))
         some._pressure = pressure[-1]
         for name in self._STATE:
             getattr(self, name).flat[cells] = getattr(some, name)
@@ -401,6 +411,11 @@ def as_m10(model: AsymmetricModel, full_scale_kpa: float) -> M10Model:
         rise2_s=model.rise_s,
         fall2_s=model.t3_s,
     )
+
+
+def resistance_on_logarithm(r: FloatArray, rest_resistance_ohm: FloatArray | float, log_span: float) -> FloatArray:
+    """Resistance in ohm of cells whose r is ln(R0/R)/``log_span``."""
+    return np.asarray(rest_resistance_ohm * np.exp(-log_span * r))
 
 
 def resistance_of(shape: tuple[int, ...], rest_resistance_ohm: FloatArray) -> FloatArray:

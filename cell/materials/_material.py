@@ -1,4 +1,4 @@
-"""Sensitivity of a cell, and the change of R0 with temperature and age. For mixtures see :mod:`._percolation`."""
+"""The change of R0 with temperature and age. For mixtures see :mod:`._percolation`."""
 
 from __future__ import annotations
 
@@ -6,13 +6,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...common.arrays import FloatArray
-from ._equilibrium import equilibrium_gain
-from ._models import Model
-
-
-def sensitivity(model: Model, full_scale_kpa: float, rest_resistance_ohm: float) -> float:
-    """S = (Rmax - R0)/R0 of a cell at equilibrium under full scale; negative where contact dominates (P2)."""
-    return equilibrium_gain(model, full_scale_kpa, rest_resistance_ohm)
 
 
 def drifted_rest_resistance(

@@ -1,0 +1,108 @@
+"""Scales of readings: how a resistance becomes r, the number that models of cells describe.
+
+The choice of a scale is part of what is known of a cell. Carbon-filled silicone is described by r = R/R0 - 1. Velostat
+and other cells whose resistance falls under load follow a model with memory on a logarithmic scale. Electrodes that
+touch conduct in parallel with the cell at rest, so that their scale begins at the conductance at rest.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from ...common.arrays import FloatArray
+from . import _loops as loops
+
+BELOW = 0.1
+"""least r on scales of cells whose resistance falls under load: at rest their resistance may be anything above R0"""
+
+
+class Scale(ABC):
+    """Turns resistances of n cells into r."""
+
+    falls = False
+    """whether a load lowers the resistance"""
+    open_at_rest = False
+    """whether a cell at rest may read no current; otherwise a cell that does is not connected"""
+
+    @abstractmethod
+    def read(self, resistance_ohm: FloatArray, r: FloatArray, credible: tuple[float, float], *, compiled: bool) -> bool:
+        """Write r (n,) of resistances (n,); NaN where no cell has such a resistance.
+
+        Returns:
+            True if all of them lie within ``credible``. False: not known, the caller has to check them.
+        """
+
+    @abstractmethod
+    def at_rest(self, relative_std: FloatArray, resistance_ohm: FloatArray) -> FloatArray:
+        """(n,) standard deviation of r at rest, for relative ones (n,) of conductances at ``resistance_ohm`` (n,).
+
+        Noise of conductances is taken to be constant in conductance, which makes it proportional to (1 + r)^2 in r.
+        """
+
+
+class Ratio(Scale):
+    """r = R/R0 - 1, of cells with rest resistances R0 (n,)."""
+
+    def __init__(self, rest_resistance_ohm: FloatArray, *, falls: bool = False, open_at_rest: bool = False) -> None:
+        self._per_ohm, self.falls, self.open_at_rest = 1.0 / rest_resistance_ohm, falls, open_at_rest
+
+    def read(self, resistance_ohm: FloatArray, r: FloatArray, credible: tuple[float, float], *, compiled: bool) -> bool:
+        if compiled:
+            return loops.read.unchecked(resistance_ohm, self._per_ohm, r, *credible)
+        np.multiply(resistance_ohm, self._per_ohm, out=r)
+        r -= 1.0
+        return False
+
+    def at_rest(self, relative_std: FloatArray, resistance_ohm: FloatArray) -> FloatArray:
+        return relative_std / (resistance_ohm * self._per_ohm)
+
+
+class Logarithm(Scale):
+    """r = ln(R0/R)/span, of cells with rest resistances R0 (n,) whose resistance falls under load."""
+
+    falls = open_at_rest = True
+
+    def __init__(self, rest_resistance_ohm: FloatArray, span: float) -> None:
+        self._rest_ohm, self._span = rest_resistance_ohm, span
+
+    def read(self, resistance_ohm: FloatArray, r: FloatArray, credible: tuple[float, float], *, compiled: bool) -> bool:
+        np.copyto(r, np.nan)
+        np.log(self._rest_ohm / resistance_ohm, out=r, where=resistance_ohm > 0)
+        r /= self._span
+        np.maximum(r, -BELOW, out=r)
+        return False
+
+    def at_rest(self, relative_std: FloatArray, resistance_ohm: FloatArray) -> FloatArray:
+        scale = 1.0 + np.maximum(np.log(self._rest_ohm / resistance_ohm) / self._span, -BELOW)
+        return relative_std / (self._span * scale * scale)
+
+
+class Contact(Scale):
+    """r = g/(G - G0 + g) - 1 by the conductance G of touching electrodes beyond that at rest, G0 (n,).
+
+    A contact's conductance at rest may be far below what a board resolves. The conductance ``g``, a small part of that
+    under full scale, stands for it, so that noise and ADC steps are small in r. r falls under load, as R/R0 - 1 does.
+    """
+
+    falls = True
+
+    def __init__(self, rest_resistance_ohm: FloatArray, scale_ohm: float, *, open_at_rest: bool) -> None:
+        """``scale_ohm`` is 1/g."""
+        self.open_at_rest = open_at_rest
+        self._scale_ohm = scale_ohm
+        self._shift = 1.0 / scale_ohm - 1.0 / rest_resistance_ohm
+
+    def read(self, resistance_ohm: FloatArray, r: FloatArray, credible: tuple[float, float], *, compiled: bool) -> bool:
+        with np.errstate(divide="ignore"):
+            np.divide(1.0, resistance_ohm, out=r)
+            r += self._shift
+            r *= self._scale_ohm
+            np.copyto(r, np.nan, where=~(np.isfinite(resistance_ohm) & (r > 0)))  # no contact or cell conducts so
+            np.divide(1.0, r, out=r)
+        r -= 1.0
+        return False
+
+    def at_rest(self, relative_std: FloatArray, resistance_ohm: FloatArray) -> FloatArray:
+        return relative_std * (self._scale_ohm / resistance_ohm)

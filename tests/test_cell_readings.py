@@ -1,0 +1,131 @@
+"""Readings at a limit of the converter are intervals: they tell what they exclude, and no more."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from boards import DESIGN, Wire, lossless, scene
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ohmskin.cell import Cell, ContactModel
+from ohmskin.common.readings import Readings
+from ohmskin.emulator import Board
+from ohmskin.errors import InputError
+
+FULL_KPA, FULL_OHM = 50.0, 1000.0
+SENSOR = Cell(
+    rest_resistance_ohm=1e8,
+    full_scale_kpa=FULL_KPA,
+    model=ContactModel(full_scale_resistance_ohm=FULL_OHM),
+)
+"""a force-sensing resistor: open at rest, and its conductance is proportional to the load"""
+
+
+def read(siemens: float, least: float, greatest: float, step: float = 1e-6) -> Readings:
+    """One cell: ``siemens`` in the middle of a step, or NaN where only bounds are known."""
+    known = np.isfinite(siemens)
+    half = 0.5 * step if known else 0.0
+    values = siemens, 1e-16 * known, 0.0, half, least, greatest
+    return Readings(*(np.array([float(value)]) for value in values))
+
+
+@given(st.floats(1e-7, 1e-4), st.booleans())
+def test_a_reading_below_a_step_bears_no_load_to_within_that_step(step: float, fresh: bool) -> None:
+    """Its standard deviation covers every load that would still read as none, with three of them."""
+    estimator = SENSOR.estimator((1,))
+    load_kpa = step * FULL_OHM * FULL_KPA
+    frames = 0 if fresh else 60
+    for n in range(frames):
+        press = 20 <= n < 40
+        told = (400 * step, 399.5 * step, 400.5 * step) if press else (np.nan, 0.0, step)
+        pressure = estimator.step_readings(0.02, read(*told, step))
+        if press and n > 35:
+            assert pressure[0] == pytest.approx(min(400 * load_kpa, 3 * FULL_KPA), rel=0.05)
+    for _ in range(20):
+        pressure = estimator.step_readings(0.02, read(np.nan, 0.0, step, step))
+    assert pressure[0] == 0.0
+    assert 3.0 * estimator.std_kpa[0] > load_kpa - 1e-9
+
+
+def test_a_reading_at_the_upper_limit_is_at_least_the_load_of_the_limit() -> None:
+    estimator = SENSOR.estimator((1,))
+    for n in range(60):
+        told = (np.nan, 0.6 / FULL_OHM, np.inf) if n > 20 else (np.nan, 0.0, 1e-6)
+        pressure = estimator.step_readings(0.02, read(*told))
+    assert pressure[0] == pytest.approx(0.6 * FULL_KPA, rel=0.02)
+    assert pressure[0] + 2.0 * estimator.std_kpa[0] > 1.1 * FULL_KPA
+
+
+def test_a_cell_whose_resistance_rises_has_its_load_bounded_from_above() -> None:
+    """It reads a conductance beyond the converter's range: less load than that of the limit. No current: nothing."""
+    cell = Cell.example()
+    rest = 1.0 / cell.rest_resistance_ohm
+    estimator = cell.estimator((1,))
+    assert np.isnan(estimator.step_readings(0.02, read(np.nan, 0.0, 0.1 * rest))).all()
+    for _ in range(20):
+        pressure = estimator.step_readings(0.02, read(np.nan, 0.8 * rest, np.inf))
+    assert pressure[0] == 0.0
+    assert estimator.std_kpa[0] > 0.1 * cell.full_scale_kpa
+
+
+def test_readings_within_the_range_are_estimated_as_their_resistances_are() -> None:
+    """The same pressures as from ohms; the resolution is told by the first readings."""
+    cell, random = Cell.example(), np.random.default_rng(4)
+    load = np.interp(np.arange(200.0), [0, 40, 60, 120, 140], [0, 0, 1, 1, 0])[:, None] * np.array([5.0, 10.0])
+    ohm = cell.forward((2,)).run(np.full(200, 0.02), load)
+    step = 3e-8
+    siemens = step * np.round((1.0 / ohm + 2e-8 * random.standard_normal(ohm.shape)) / step)
+    one, other = cell.estimator((2,)), cell.estimator((2,))
+    other.resolve(0.5 * step / np.sqrt(3.0) / siemens[0], 1.0 / siemens[0])
+    half = np.full(2, 0.5 * step)
+    for frame in siemens:
+        told = Readings(frame, np.full(2, 4e-16), np.zeros(2), half, frame - half, frame + half)
+        np.testing.assert_array_equal(one.step_readings(0.02, told), other.step(0.02, 1.0 / frame))
+        np.testing.assert_array_equal(one.std_kpa, other.std_kpa)
+
+
+def test_without_current_a_contact_is_at_rest_and_another_cell_is_not_read() -> None:
+    contact, silicone = SENSOR.estimator(()), Cell.example().estimator(())
+    for n in range(60):
+        pressure = contact.step(0.02, 2500.0 if 20 <= n < 40 else np.inf)
+        shown = silicone.step(0.02, np.inf if n > 30 else 10e3)
+    assert pressure == 0.0
+    assert contact.std_kpa < 0.02 * FULL_KPA
+    assert shown == 0.0
+    assert silicone.std_kpa > 0.02 * Cell.example().full_scale_kpa
+
+
+@given(st.floats(1.5, 1e4))
+def test_a_contact_that_conducts_at_rest_is_not_connected_where_it_reads_no_current(factor: float) -> None:
+    """Its load stays as it was. Intervals say the same where they exclude its rest resistance."""
+    cell = SENSOR.replace(rest_resistance_ohm=5.0 * FULL_OHM)
+    estimator, other = cell.estimator(()), cell.estimator((1,))
+    bound = 1.0 / (cell.rest_resistance_ohm * factor)
+    for n in range(50):
+        pressed = 1.0 / (1.0 / cell.rest_resistance_ohm + 0.4 / FULL_OHM)
+        pressure = estimator.step(0.02, pressed if n < 40 else np.inf)
+        told = (1.0 / pressed, 0.99 / pressed, 1.01 / pressed) if n < 40 else (np.nan, 0.0, bound)
+        bounded = other.step_readings(0.02, read(*told))
+    assert pressure == pytest.approx(0.4 * FULL_KPA, rel=1e-6)
+    assert bounded[0] == pytest.approx(0.4 * FULL_KPA, rel=1e-6)
+    assert estimator.std_kpa > 0.01 * FULL_KPA
+
+
+def test_readings_of_another_shape_are_refused() -> None:
+    with pytest.raises(InputError, match="conductance has shape"):
+        SENSOR.estimator((2,)).step_readings(0.02, read(1e-4, 1e-4, 1e-4))
+
+
+def test_a_mat_that_is_open_at_rest_is_tared_and_comes_back_to_no_load() -> None:
+    """Counts of 0 at rest; a press of 3 kPa in between."""
+    press = {"cells": [[2, 1]], "load_kpa": [[0.0, 0.0], [1.0, 0.0], [1.05, 3.0], [2.0, 3.0], [2.01, 0.0]]}
+    mat = scene(skin={"design": DESIGN, "cell": SENSOR.model_dump()}, contact=[press])
+    with lossless(Wire(Board(mat)), cell=SENSOR) as skin:
+        tare = skin.tare(20)
+        assert tare.remarks == ()
+        frames = [skin.read() for _ in range(260)]
+    shown = np.array([frame.pressure for frame in frames])
+    assert np.nanmax(shown[:, 2, 1]) == pytest.approx(3.0, rel=0.05)
+    np.testing.assert_array_equal(shown[-20:], 0.0)
+    assert np.isfinite(shown).all()
