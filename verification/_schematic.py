@@ -121,12 +121,12 @@ def _row(drawing: _Drawing, design: Design, row: int, right: float) -> None:
     if design.board.circuit.drives_idle_lines:
         idle = "at the follower"
     elif design.board.pulled:
-        drawing.line((LEFT - 40, y), (LEFT - 40, y + 70))
-        drawing.resistor(LEFT - 40, y + 36, vertical=True, length=26)
-        drawing.ground(LEFT - 40, y + 70)
-        drawing.dot(LEFT - 40, y)
+        drawing.line((LEFT - 52, y), (LEFT - 52, y + 70))
+        drawing.resistor(LEFT - 52, y + 36, vertical=True, length=26)
+        drawing.ground(LEFT - 52, y + 70)
+        drawing.dot(LEFT - 52, y)
         if row == 0:
-            drawing.text(LEFT - 52, y + 40, _value(design.drive.idle_row_resistance, "ohm"), anchor="end", size=11)
+            drawing.text(LEFT - 64, y + 40, _value(design.drive.idle_row_resistance, "ohm"), anchor="end", size=11)
     drawing.text(132, y - 3, f"{kind} {design.board.driven_line(row)}", anchor="end")
     words = f"selected: {drive}" if row == 0 else f"idle: {idle}"
     drawing.text(132, y + 12, words, anchor="end", size=10.5)
@@ -160,8 +160,8 @@ def _end(drawing: _Drawing, design: Design, x: float, y: float, *, label: bool) 
         idle = {"float": "open", "ground": "at the reference", "load": "at loads of their own"}[readout.idle_columns]
         drawing.dot(x, y)
         if label:
-            words = f"one {part} behind a switch; idle {kind}s {idle}"
-            drawing.text(x + 80, y + 16, words, anchor="start", size=10.5)
+            for number, words in enumerate((f"one {part} behind a switch,", f"idle {kind}s {idle}")):
+                drawing.text(x + 12, y + 2 + 13 * number, words, anchor="start", size=10.5)
     if not design.board.circuit.virtual_ground:
         drawing.line((x, y), (x, y + 30))
         drawing.line((x, y + 30), (x, y + 110))
