@@ -68,7 +68,7 @@ def _exact_derivatives(
         if meter.is_full(PER_DERIVATIVE * group.forward[..., 0].size * cells.size):
             yield
         forward, adjoint = (
-            branches.across(field.reshape(-1, rows + columns)).reshape(*field.shape[:-1], rows, columns)
+            branches.across(field.reshape(-1, field.shape[-1])).reshape(*field.shape[:-1], rows, columns)
             for field in (group.forward, group.adjoint)
         )
         result[np.ix_(group.rows, group.columns)] = -forward * adjoint
