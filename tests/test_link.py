@@ -399,7 +399,7 @@ def test_a_port_without_permission_names_the_group(
         (["{scene}", "--link", "{tmp}/no/skin"], "no/skin: cannot be linked: No such file or directory"),
         (["{scene}", "--link", "{scene}"], "scene.toml: exists and is no symbolic link"),
         (["{scene}", "--truth", "{tmp}/no/t.npz"], "no/t.npz: cannot be written: No such file or directory"),
-        (["{scene}", "--board", "flexitac"], "the family has 16 x 32, 12 x 32"),
+        (["{scene}", "--board", "flexitac"], "an ADC of 12 bits; its format carries at most 8"),
         (["{scene}", "--tcp", "4711x"], "'4711x' is no address; expected HOST:PORT or :PORT"),
         (["{scene}", "--tcp", "localhost:70000"], "'localhost:70000' is no address"),
         (["{scene}", "--tcp", "192.0.2.1:1"], "192.0.2.1:1: cannot listen there"),
