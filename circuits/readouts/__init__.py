@@ -22,6 +22,7 @@ from ._circuit import Reading, ReadoutCircuit
 from ._ends import sum_of_others, terminate
 from ._inverting_amplifier import InvertingAmplifier
 from ._linear import LinearReadout, output_rounding
+from ._port_law import PortLaw
 from ._quick import PortFields, QuickFields, QuickNetwork
 from ._row_amplifier import RowAmplifier
 from ._voltage_divider import VoltageDivider
@@ -40,6 +41,7 @@ __all__ = [
     "ROW_INDEX",
     "CardWriter",
     "LinearReadout",
+    "PortLaw",
     "PortFields",
     "QuickFields",
     "QuickNetwork",

@@ -19,6 +19,7 @@ from ._adjoint import SensitivityGroup
 from ._cards import CardWriter
 from ._ends import Ends
 from ._linear import LinearReadout
+from ._port_law import PortLaw
 from ._quick import QuickFields, QuickNetwork, terminated_fields, terminated_outputs
 from ._rounding import energy_bound
 
@@ -135,6 +136,20 @@ class ReadoutCircuit(ABC):
         None for other circuits.
         """
         return None
+
+    def port_law(self, board: Parts, wire: FloatArray) -> PortLaw | None:
+        """What a reading says of its own conductance and of its column, without supply limits: :mod:`._port_law`.
+
+        Args:
+            board: parts of the readout.
+            wire: (M,) ohm along each column up to its end.
+
+        Returns:
+            None where all cells take part in every reading, as in dividers with floating rows.
+
+        """
+        ends = self.ends(board)
+        return None if ends is None else PortLaw.of_ends(ends, wire, board.drive, floating=board.floating)
 
     def linear(self, board: Parts) -> LinearReadout | None:
         """The outputs as a linear function of transfer conductances; None where they are not linear."""

@@ -20,6 +20,7 @@ from ._cards import CardWriter
 from ._circuit import Reading, ReadoutCircuit, rounding_floor
 from ._ends import Ends, column_currents, currents_one_by_one, terminate
 from ._inverting_amplifier import drive_over_signal
+from ._port_law import PortLaw
 from ._quick import (
     QuickFields,
     QuickNetwork,
@@ -87,6 +88,12 @@ class VoltageDivider(ReadoutCircuit):
         by_own = board.drive * board.reference / (1.0 + total * behind)
         by_sum = by_own * driven * behind / (1.0 + total * behind)
         return np.broadcast_to(by_own, driven.shape), -by_sum
+
+    def port_law(self, board: Parts, wire: FloatArray) -> PortLaw | None:
+        if board.floating:
+            return None
+        loads = _loads(board)._replace(output=np.full(board.shape[1], board.level))
+        return PortLaw.of_ends(loads, wire, board.drive, floating=False)
 
     def end_resistance(self, board: Parts) -> FloatArray:
         return np.minimum(board.reference, board.idle_resistance)

@@ -20,6 +20,7 @@ from ._adjoint import SensitivityGroup, TiedPorts
 from ._cards import CardWriter
 from ._circuit import Contradiction, Reading
 from ._ends import sum_of_others, terminate
+from ._port_law import PortLaw
 from ._pulled_rows import imitated
 from ._quick import QuickFields, QuickNetwork, behind_leads
 from ._rounding import conductance_into_rows
@@ -112,6 +113,16 @@ class VoltageFeedback(VoltageDivider):
         by_lead = per_siemens * board.column_lead * into_end * (from_row - from_idle)
         by_sum = per_siemens * behind_lead * from_idle - by_lead
         return per_siemens * (from_row - from_idle), by_sum
+
+    def port_law(self, board: Parts, wire: FloatArray) -> PortLaw | None:
+        """Potentials against the follower's output, at which the idle lines stand."""
+        per_volt, ones = 1.0 / board.loop_share, np.ones(board.shape[1])
+        column = np.array([-board.level - board.offset, per_volt])  # of the column's end, against the reference
+        current = column / board.reference
+        current[0] += board.bias
+        lifted = np.array([-board.offset, per_volt - 1.0])  # of the column's end above the follower
+        drive = np.array([(board.drive + board.level) * ones, -ones])
+        return PortLaw(current, lifted + wire * current, drive)
 
     def column_conductance(self, board: Parts, signal: FloatArray, least: float) -> FloatArray | None:
         return None  # a reading depends on its own cell alone, apart from the follower's error
