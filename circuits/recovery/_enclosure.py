@@ -54,12 +54,17 @@ class Unknowns(NamedTuple):
 class Enclosure:
     """Bounds of one board's cells beside unknown ones."""
 
-    def __init__(self, board: Board, laws: Law, law: PortLaw, wire: FloatArray) -> None:
+    def __init__(
+        self, board: Board, laws: Law, law: PortLaw, wire: FloatArray, to_driver: FloatArray, to_end: FloatArray
+    ) -> None:
         self._board, self._laws, self._law = board, laws, law
         self._wire = wire
         lead = laws.lead
         self._lead = lead
-        self._short = np.broadcast_to((1.0 / (lead + LEAST_SHORT_OHM))[:, None], board.shape)
+        self._short = 1.0 / (to_driver + LEAST_SHORT_OHM)
+        ohms = 0.0 if board.circuit.drives_idle_lines else board.circuit.end_resistance(board)
+        lead_out = wire - to_end.mean(axis=0)
+        self._to_end, self._behind = ohms + lead_out + to_end, ohms + wire  # ohm, of each cell and of a column
         ends = board.circuit.ends(board)
         low, high = board.supply
         drive = abs(board.drive)
@@ -113,17 +118,23 @@ class Enclosure:
         # Port conductances: unknown cells, and columns of an open scale.
         least = np.where(limited, np.maximum(driven - own, 0.0), 0.0)
         most = np.where(limited, self._short, np.maximum(driven, 0.0) + own)
-        apart = np.where(unknown, 0.0, ports.apart)
-        left = 1.0 - np.where(unknown, 0.0, share).sum(axis=0)
         error = np.where(scale_open, errors.of_left, 0.0)
-        known = apart.sum(axis=0)
-        low = (known + np.where(unknown, least, 0.0).sum(axis=0)) / (left + error)
-        high = (known + np.where(unknown, most, 0.0).sum(axis=0)) / np.where(left > error, left - error, 0.0)
+        known, left = np.where(unknown, 0.0, ports.apart), 1.0 - np.where(unknown, 0.0, share).sum(axis=0)
+        low = (known + np.where(limited, least, 0.0)).sum(axis=0) / (left + error)
+        known, left = np.where(limited, most, ports.apart + own * faint), 1.0 - np.where(limited, 0.0, share).sum(axis=0)
+        high = known.sum(axis=0) / np.where(left > error, left - error, 0.0)
         bound = np.where((share > LEAST) & ~unknown, (self._short - ports.apart) / np.maximum(share, LEAST), np.inf)
         high = np.fmax(np.fmin(high, bound.min(axis=0)), ports.total)  # no D exceeds that of a short behind its row
         low = np.fmin(low, ports.total)
-        below = np.where(unknown, least, driven - np.abs(share) * (ports.total - low))
-        above = np.where(unknown, most, driven + np.where(share != 0.0, np.abs(share) * (high - ports.total), 0.0))
+        # A current into an unknown cell leaves the column at that cell, not at a mean one.
+        by_sum = np.abs(share)
+        if self._laws.has_potential and unknown.any():
+            loose_sum = (most * unknown).sum(axis=0)
+            where = np.where(loose_sum > 0.0, (most * unknown * self._to_end).sum(axis=0) / loose_sum, self._behind)
+            by_sum = np.abs(share - ports.apart * self._behind) + np.abs(ports.apart) * where
+        most = np.where(faint, most + by_sum * (high - ports.total), most)
+        below = np.where(unknown, least, driven - by_sum * (ports.total - low))
+        above = np.where(unknown, most, driven + np.where(by_sum != 0.0, by_sum * (high - ports.total), 0.0))
         # Potentials of the columns above the idle lines.
         potential = np.abs(share) * drive
         if self._floating:
@@ -158,7 +169,7 @@ class Enclosure:
         up, down = row / row_low, row / row_high
         rough = scale_open | unknown.any(axis=0)
         nominal = np.maximum(np.abs(driven), 1e-300)
-        by_total = np.abs(share) * (high - low) / nominal
+        by_total = by_sum * (high - low) / nominal
         apart_, share_ = ports.apart / row, share / row
         left = 1.0 - share_.sum(axis=0)
         total = apart_.sum(axis=0) / left

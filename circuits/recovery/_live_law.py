@@ -86,7 +86,7 @@ class LawLive:
         self._half_step = adc_error(board)
         self._random = (0.5 + abs(adc.inl_steps)) * adc.step  # V, the part that differs from reading to reading
         self._shift = self._half_step - self._random  # V, the part that all readings share
-        self._enclosure = Enclosure(board, self._law, law, wire)
+        self._enclosure = Enclosure(board, self._law, law, wire, to_driver, to_end)
         self._rho, self._added = np.ones(board.shape), np.zeros(board.shape)
         self._base: FloatArray | None = None
         self._astray = True  # whether the last frame did not settle
@@ -118,7 +118,9 @@ class LawLive:
             conductance, unsettled = self._beyond(ports, errors, unknowns)
         relative = errors.relative(conductance, self._scale)
         if self._base is not None:
-            relative = relative + self._moved(np.minimum(relative, 1.0) * np.abs(conductance))
+            relative = relative + self._moved(
+                np.minimum(relative, 1.0) * np.abs(conductance), relative <= self._rule.limit
+            )
         by_others = None
         if unknowns is not None or errors.opens_scales:
             by_others = self._enclosure(ports, errors, conductance, unknowns)
@@ -141,19 +143,19 @@ class LawLive:
 
     def _is_stale(self, conductance: FloatArray, errors: _Errors) -> bool:
         """Whether the factors may be off by more than a share of a valid cell's uncertainty."""
-        off = self._staleness(conductance)
         uncertainty = errors.relative(conductance, self._scale)
-        return bool(((off > _FRESH * uncertainty) & (uncertainty <= self._rule.limit)).any())
+        matters = uncertainty <= self._rule.limit
+        off = self._residual + self._moved(np.abs(conductance - self._base), matters)
+        return bool(((off > _FRESH * uncertainty) & matters).any())
 
-    def _staleness(self, conductance: FloatArray) -> FloatArray:
-        """Relative error (N, M) of cells by factors that were found for the base."""
-        return self._moved(np.abs(conductance - self._base))
-
-    def _moved(self, change: FloatArray) -> FloatArray:
+    def _moved(self, change: FloatArray, matters: BoolArray) -> FloatArray:
         """Relative change (N, M) of the factors, to first order, by a ``change`` (N, M) in S of the cells."""
+        beyond, by_column = self._beyond_law, self._coupling
+        if np.count_nonzero(matters) < matters.size:
+            beyond = beyond * matters
         in_row, in_column = change.sum(axis=1) / self._row_sums, change.sum(axis=0) / self._column_sums
-        off: FloatArray = (self._by_row * in_row)[:, None] + self._by_column * in_column
-        off += np.minimum(change / self._base, 1.0) * np.abs(self._rho - 1.0)
+        off: FloatArray = (beyond.max(axis=1) * in_row)[:, None] + np.maximum(beyond.max(axis=0), by_column) * in_column
+        off += np.minimum(change / self._base, 1.0) * self._beyond_law
         return off
 
     def _renew(
@@ -181,11 +183,10 @@ class LawLive:
             off = np.abs(step)
             uncertainty = errors.relative(new, 1.0)
             matters = counted & (uncertainty <= self._rule.limit)
-            self._matters = matters
             allowed = np.where(matters, _FRESH * uncertainty, 0.5 * np.minimum(uncertainty, 1.0))
             far = (off > allowed) & counted & (errors.own < 1.0)
             if not far.any():
-                self._astray = False
+                self._astray, self._residual = False, off
                 self._remember(new)
                 return new, None
             better = _accelerated(log, step, before, matters)
@@ -211,11 +212,8 @@ class LawLive:
         base = np.maximum(conductance, _OPEN)
         self._base = base
         self._row_sums, self._column_sums = base.sum(axis=1), base.sum(axis=0)
-        beyond = np.abs(self._rho - 1.0) * self._matters
-        self._by_row = beyond.max(axis=1)
-        self._by_column = np.maximum(beyond.max(axis=0), self._enclosure.coupling(base))
-        coupled = max(float(self._by_row.max()), float(self._by_column.max()))
-        self._scale = 1.0
+        self._beyond_law = np.abs(self._rho - 1.0)
+        self._coupling = self._enclosure.coupling(base)
 
     # -- results
 
