@@ -31,6 +31,7 @@ _MARGIN = 1.2  # for segments, and for what is beyond the first order
 _UNCLEAR = 0.1  # relative uncertainty from which on a cell's own error counts in other columns
 _OPEN_SCALE = 0.2  # error of what is left of a column's drive, relative to it, from which on its scale is open
 _OPEN_ROW = 0.3
+_FOLLOWS = 0.5  # share of a row's drive that a follower's error may reach
 
 
 class Unknowns(NamedTuple):
@@ -101,6 +102,24 @@ class Enclosure:
             return behind
         loss = float((self._lead * cells.sum(axis=1)).max())
         return loss * behind / (1.0 + behind)
+
+    def in_question(self, ports: Ports, of_left: FloatArray) -> BoolArray:
+        """Columns (M,) whose scale the readings leave open: more than one may give them.
+
+        While all rows are driven, a column lies ``left`` below the drive. By reciprocity a row then lies r sum(I) below
+        it, per volt. The scale of a column is unique if the column lies below all rows; else a row may follow it.
+        """
+        if not self._divides or self._one_by_one:
+            return np.zeros(len(of_left), dtype=np.bool_)
+        below = float((self._lead * ports.apart.sum(axis=1)).max())
+        return ports.left - of_left < below
+
+    def may_follow(self, ports: Ports, volts: FloatArray) -> BoolArray:
+        """Cells (N, M) of rows that the follower's own error may lift as far as their drive."""
+        (i0, i1), (c0, c1), _ = self._law
+        apart = np.abs((c0 + c1 * volts) - self._wire * (i0 + i1 * volts))  # V, of the column's end above idle lines
+        lifted = (self._lead * (apart / (self._wire + 1.0)).sum(axis=1))[:, None]
+        return (lifted > _FOLLOWS * np.abs(ports.drive)) | (np.abs(ports.share).sum(axis=0) > _FOLLOWS)
 
     @np.errstate(divide="ignore", invalid="ignore", over="ignore")
     def __call__(

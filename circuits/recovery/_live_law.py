@@ -336,6 +336,7 @@ class _Errors:
             (_, _), (_, c1), (_, w1) = law.law
             by = np.broadcast_to((c1 - w1 * ports.share) / ports.drive, size.shape)
             self.of_left = np.sqrt((by * by).sum(axis=0) * per_reading) + np.abs(by).sum(axis=0) * live._shift
+            self.of_left = np.where(live._enclosure.in_question(ports, self.of_left), inf, self.of_left)
         self.sums = np.sqrt(moved.sum(axis=1)) * random  # (N,) S, error of a row's sum
         if law.has_leads:
             in_row = moved.sum(axis=1)[:, None] - moved
@@ -353,9 +354,12 @@ class _Errors:
         self.opens_scales = bool(self.row_open.max() > 0.3) or (
             live._law.has_leads and bool(self.column_open.max() > 0.2)
         )
+        self.opens_scales = self.opens_scales or bool(np.isinf(self.of_left).any())
         self.drive_open = None if not live._law.law.drive[1].any() else (
             np.abs(ports.drive) < 3.0 * self.error * np.abs(live._law.law.drive[1])
         ) | (ports.drive * live._law.law.drive[0] < 0.0)
+        if self.drive_open is not None:
+            self.drive_open = self.drive_open | live._enclosure.may_follow(ports, volts)
         if self.drive_open is not None and self.drive_open.any():
             self.opens_scales = True
             self.linear = np.where(self.drive_open, inf, self.linear)
