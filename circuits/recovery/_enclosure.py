@@ -31,7 +31,7 @@ _MARGIN = 1.2  # for segments, and for what is beyond the first order
 _UNCLEAR = 0.1  # relative uncertainty from which on a cell's own error counts in other columns
 _OPEN_SCALE = 0.2  # error of what is left of a column's drive, relative to it, from which on its scale is open
 _OPEN_ROW = 0.3
-_FOLLOWS = 0.5  # share of a row's drive that a follower's error may reach
+_FOLLOWS = 0.25  # share of a row's drive that a follower's error may reach
 
 
 class Unknowns(NamedTuple):
@@ -129,6 +129,9 @@ class Enclosure:
         shape = cells.shape
         limited, faint = Unknowns.of(shape, None, None) if unknowns is None else unknowns
         unknown = limited | faint
+        if not self._board.plain and unknown.any():  # bridges and sheets pass currents by other ways
+            return np.full(shape, np.inf)
+        _, (_, c1), (_, w1) = self._law
         drive, share = (np.broadcast_to(np.abs(each), shape) for each in (ports.drive, ports.share))
         share = np.broadcast_to(ports.share, shape)
         own = errors.error * np.broadcast_to(errors.sensitivity.slope, shape)
@@ -142,7 +145,10 @@ class Enclosure:
         low = (known + np.where(limited, least, 0.0)).sum(axis=0) / (left + error)
         known, left = np.where(limited, most, ports.apart + own * faint), 1.0 - np.where(limited, 0.0, share).sum(axis=0)
         high = known.sum(axis=0) / np.where(left > error, left - error, 0.0)
-        bound = np.where((share > LEAST) & ~unknown, (self._short - ports.apart) / np.maximum(share, LEAST), np.inf)
+        # Error of C / W, which counts where it may exceed what is left of the drive.
+        off = errors.error * np.abs(c1 - w1 * share) / drive
+        surely = share - off
+        bound = np.where((surely > LEAST) & ~unknown, (self._short - ports.apart) / np.maximum(surely, LEAST), np.inf)
         high = np.fmax(np.fmin(high, bound.min(axis=0)), ports.total)  # no D exceeds that of a short behind its row
         low = np.fmin(low, ports.total)
         # A current into an unknown cell leaves the column at that cell, not at a mean one.
@@ -151,6 +157,7 @@ class Enclosure:
             loose_sum = (most * unknown).sum(axis=0)
             where = np.where(loose_sum > 0.0, (most * unknown * self._to_end).sum(axis=0) / loose_sum, self._behind)
             by_sum = np.abs(share - ports.apart * self._behind) + np.abs(ports.apart) * where
+        by_sum = np.where(scale_open, by_sum + off, by_sum)
         most = np.where(faint, most + by_sum * (high - ports.total), most)
         below = np.where(unknown, least, driven - by_sum * (ports.total - low))
         above = np.where(unknown, most, driven + np.where(by_sum != 0.0, by_sum * (high - ports.total), 0.0))

@@ -183,8 +183,8 @@ class LawLive:
             off = np.abs(step)
             uncertainty = errors.relative(new, 1.0)
             matters = counted & (uncertainty <= self._rule.limit)
-            allowed = np.where(matters, _FRESH * uncertainty, 0.5 * np.minimum(uncertainty, 1.0))
-            far = (off > allowed) & counted & (errors.own < 1.0)
+            roughly = 0.5 * np.minimum(errors.linear, 1.0) * np.maximum(np.abs(ports.cells), cells)
+            far = counted & np.where(matters, off > _FRESH * uncertainty, np.abs(new - cells) > roughly)
             if not far.any():
                 self._astray, self._residual = False, off
                 self._remember(new)
