@@ -171,15 +171,15 @@ class Enclosure:
             potential = potential + np.abs(ports.apart) / np.maximum(low, LEAST * self._short.max()) * drive
             potential = np.minimum(potential, drive)
         # Rows while they are driven: their potential over the drive.
-        lifted = (lead * driven * potential / drive).sum(axis=1)[:, None] if self._divides else 0.0
+        lifted = (lead * np.maximum(driven, 0.0) * potential / drive).sum(axis=1)[:, None]
         row = np.clip(ports.row_left[:, None] + lifted, 1e-9, 1.0)
         current = np.maximum(above - driven, 0.0)
         lacking = np.maximum(driven - below, 0.0)
         if self._saturates:
             idle = np.where(limited, 0.0, np.maximum(driven, 0.0)).sum(axis=0)
-            current = np.where(limited, np.maximum(np.minimum(self._most + idle, self._short) - driven, 0.0), current)
+            current = np.where(limited, np.maximum(np.minimum(self._most + idle, self._short) - ports.apart, 0.0), current)
         elif self._holds:
-            current = np.where(limited, np.maximum(self._most - driven, 0.0), current)
+            current = np.where(limited, np.maximum(self._most - ports.apart, 0.0), current)
         slack = np.where(errors.row_open > _OPEN_ROW, errors.sums, 0.0)[:, None]
         row_low = row - lead * (current.sum(axis=1)[:, None] + slack)
         row_high = np.minimum(row + lead * (lacking.sum(axis=1)[:, None] + slack), 1.0)
@@ -228,7 +228,7 @@ class Enclosure:
         limited, faint = Unknowns.of(shape, None, None) if unknowns is None else unknowns
         unknown = limited | faint
         usual = np.maximum(np.minimum(ports.cells, 3.0 * cells), 0.0)
-        ordinary = np.where(unknown, 0.0, usual)
+        ordinary = np.where(limited, 0.0, np.where(faint, above, usual))
         apart = above - below
         if self._floating:
             sums = np.maximum(ordinary.sum(axis=1)[:, None], 1e-300)
@@ -244,7 +244,7 @@ class Enclosure:
         loose = np.where(limited, self._column, 0.0)
         change += loose @ (loose_share + share).T
         change.flat[:: len(change) + 1] = 0.0
-        raised = np.where(unknown, 0.0, ordinary * raised)
+        raised = np.where(limited, 0.0, ordinary * raised)
         raised = np.where(np.isfinite(raised), raised, 1e6)
         added = change @ raised
         # Unknown cells let the current of their own column out to others, and in from them.

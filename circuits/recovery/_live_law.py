@@ -186,7 +186,7 @@ class LawLive:
             roughly = 0.5 * np.minimum(errors.linear, 1.0) * np.maximum(np.abs(ports.cells), cells)
             far = counted & np.where(matters, off > _FRESH * uncertainty, np.abs(new - cells) > roughly)
             if not far.any():
-                self._astray, self._residual = False, off
+                self._astray, self._residual = not matters.any(), off
                 self._remember(new)
                 return new, None
             better = _accelerated(log, step, before, matters)
