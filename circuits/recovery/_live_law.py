@@ -145,7 +145,8 @@ class LawLive:
         """Whether the factors may be off by more than a share of a valid cell's uncertainty."""
         uncertainty = errors.relative(conductance, self._scale)
         matters = uncertainty <= self._rule.limit
-        off = self._residual + self._moved(np.abs(conductance - self._base), matters)
+        self._coupling = np.maximum(self._coupling, self._enclosure.coupling(np.maximum(conductance, 0.0)))
+        off = self._moved(np.abs(conductance - self._base), matters)
         return bool(((off > _FRESH * uncertainty) & matters).any())
 
     def _moved(self, change: FloatArray, matters: BoolArray) -> FloatArray:
@@ -166,7 +167,6 @@ class LawLive:
         self._begun = True
         counted = ~self._gone if unknowns is None else ~(self._gone | unknowns.any)
         before: list[tuple[FloatArray, FloatArray]] = []
-        off: FloatArray | float = inf
         for _ in range(most):
             cells = np.maximum(conductance, _OPEN)
             try:
@@ -180,14 +180,14 @@ class LawLive:
             new = self._rho * ports.cells + self._added
             log = np.log(cells)
             step = np.log(np.maximum(new, 1e-3 * cells)) - log
-            off = np.abs(step)
             uncertainty = errors.relative(new, 1.0)
             matters = counted & (uncertainty <= self._rule.limit)
             roughly = 0.5 * np.minimum(errors.linear, 1.0) * np.maximum(np.abs(ports.cells), cells)
-            far = counted & np.where(matters, off > _FRESH * uncertainty, np.abs(new - cells) > roughly)
-            if not far.any():
-                self._astray, self._residual = not matters.any(), off
-                self._remember(new)
+            change = np.abs(new - cells)
+            self._remember(cells)
+            off = self._moved(change * counted, matters)
+            if not (counted & np.where(matters, off > _FRESH * uncertainty, change > roughly)).any():
+                self._astray = not matters.any()
                 return new, None
             better = _accelerated(log, step, before, matters)
             better = np.where(matters, better, 0.5 * np.clip(step, -1.0, 1.0))
