@@ -22,7 +22,8 @@ import numpy as np
 from ...errors import InputError
 from .._design import Design
 from ._amplified import AmplifiedLive
-from ._coupled import CoupledLive
+from ._live_fit import FitLive
+from ._live_law import LawLive
 from ._live_reading import LiveRecovery, ValidityRule
 
 
@@ -41,13 +42,12 @@ def live_recovery(design: Design, *, accuracy: float | None = None) -> LiveRecov
     if design.adc is None:
         raise InputError("the design has no [adc] section; expected bits and range")
     board, rule = design.board, ValidityRule.of(accuracy)
+    law = board.circuit.port_law(board, np.zeros(board.shape[1]))
+    if law is None:
+        return FitLive(board, rule)
     complete_short = any(fault.ohms == 0 for fault in board.shorts)
     amplified = board.circuit.ends(board) is not None and not board.floating and board.plain and not complete_short
-    import os
-    if os.environ.get("OHM_LIVE") == "new" and board.circuit.port_law(board, np.zeros(board.shape[1])) is not None:
-        from ._live_law import LawLive
-        return LawLive(board, rule)
     lines = (board.row_ohms, board.column_ohms, board.column_lead)
     if amplified and all(np.isfinite(part).all() for part in lines):
         return AmplifiedLive(board, rule)
-    return CoupledLive(board, rule)
+    return LawLive(board, rule)
