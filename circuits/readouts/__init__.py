@@ -6,7 +6,7 @@
 :mod:`._row_amplifier`             the same with rows sensed and columns driven
 :mod:`._voltage_divider`           load resistors (the paper's figure 13)
 :mod:`._voltage_feedback`          a load, and a follower that drives all idle lines
-:mod:`._pulled_rows`               test for shorts that read like ordinary cells behind a follower
+:mod:`._port_law`                  what a reading says of its own conductance and of its column, for :mod:`..recovery`
 :mod:`._ends`                      columns that end in a Thevenin equivalent
 :mod:`._linear`                    outputs as a linear function of transfer conductances
 :mod:`._adjoint`                   forward and adjoint port potentials, for the derivatives of readings
@@ -41,8 +41,8 @@ __all__ = [
     "ROW_INDEX",
     "CardWriter",
     "LinearReadout",
-    "PortLaw",
     "PortFields",
+    "PortLaw",
     "QuickFields",
     "QuickNetwork",
     "Reading",

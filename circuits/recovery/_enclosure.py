@@ -1,37 +1,37 @@
-"""Cells beside others whose readings do not determine them: bounds by Kirchhoff's laws.
+"""Cells beside others whose readings do not determine them: bounds by intervals of Kirchhoff's laws.
 
-A reading at a limit leaves its cell anywhere between the value at the limit and a short. The same holds for the cells of
-a column or a row of whose drive nothing is left beyond the readings' error. Such a cell changes others
+A reading at a limit leaves its cell anywhere between the value at the limit and a short. The same holds for the cells
+of a column or a row of whose drive nothing is left beyond the readings' error. Such a cell changes others
 
-* in its own column, whose sum T is then an interval;
-* in its own row, whose driver it loads: the current I of its own step;
-* in all other columns, as it ties its column to its row while the row is idle. A row of resistance r lets the current
-  C_lj (C_kj - C_kl) pass from column j to column l, with C_lj = sum_m r_m D_mj G_ml.
+* of its own column, whose sum T becomes an interval (:meth:`Enclosure._column_sums`);
+* of its own row, which it loads while the row is driven (:meth:`Enclosure._rows`);
+* of all columns, as it ties its own column to an idle row (:meth:`Enclosure._between`). An idle row m stands at
+  u_m = sum_j p_mj C_kj with p_mj = r_m D_mj, and feeds G_ml (u_m - C_kl) to column l while row k is driven.
 
-The bounds follow from the laws of :mod:`._law` with intervals in place of numbers.
+The potentials C are known from the readings, whatever the unknown cells are. The bounds are those of
+:mod:`._law` with intervals in place of numbers.
 """
 
 from __future__ import annotations
 
 from math import isfinite
-from typing import TYPE_CHECKING, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray
 from .._board import Board
 from .._parts import LEAST_SHORT_OHM
-from ..readouts import PortLaw
 from ._law import LEAST, Law, Ports
-
-if TYPE_CHECKING:
-    from ._live_law import _Errors
+from ._law_errors import OPEN_ROW, OPEN_SCALE, LawErrors
 
 _MARGIN = 1.2  # for segments, and for what is beyond the first order
-_UNCLEAR = 0.1  # relative uncertainty from which on a cell's own error counts in other columns
-_OPEN_SCALE = 0.2  # error of what is left of a column's drive, relative to it, from which on its scale is open
-_OPEN_ROW = 0.3
-_FOLLOWS = 0.25  # share of a row's drive that a follower's error may reach
+_UNCLEAR = 0.1  # relative error from which on a cell's own error counts in other columns
+_TIED = 0.01  # share of a row's drive from which on a cell ties its column to the row
+_MOST = 1e6  # relative change that stands for any larger one
+_CORRECTED = 3.0  # most by which a cell beyond the law's counts
+_LEAST_LEFT = 1e-9  # of a row's drive
+_TINY = 1e-300
 
 
 class Unknowns(NamedTuple):
@@ -44,223 +44,260 @@ class Unknowns(NamedTuple):
 
     @classmethod
     def of(cls, shape: tuple[int, int], limited: BoolArray | None, faint: BoolArray | None) -> Self:
+        """The same for masks that may be missing."""
         nowhere = np.zeros(shape, dtype=np.bool_)
         return cls(nowhere if limited is None else limited, nowhere if faint is None else faint)
 
     @property
     def any(self) -> BoolArray:
+        """Readings of either kind."""
         return self.limited | self.faint
+
+
+class Enclosed(NamedTuple):
+    """What unknown cells leave open. Arrays are (N, M)."""
+
+    change: FloatArray
+    """largest relative change of each cell over all values of the unknown ones"""
+    least: FloatArray
+    """S, lower bounds on unknown cells; 0 at all others"""
+    greatest: FloatArray
+    """S, upper bounds on unknown cells; infinite at all others"""
+
+
+class _Sums(NamedTuple):
+    """Intervals of the columns' sums and of the port conductances."""
+
+    rough: BoolArray
+    """(M,) columns whose scale is open, or which have an unknown cell"""
+    width: FloatArray
+    """(M,) S, of the interval of the sum"""
+    per_sum: FloatArray
+    """(N, M) change of D per change of the sum"""
+    low: FloatArray
+    """(M,) S, least sum"""
+    below: FloatArray
+    """(N, M) S, least D"""
+    above: FloatArray
+    """(N, M) S, greatest D"""
 
 
 class Enclosure:
     """Bounds of one board's cells beside unknown ones."""
 
-    def __init__(
-        self, board: Board, laws: Law, law: PortLaw, wire: FloatArray, to_driver: FloatArray, to_end: FloatArray
-    ) -> None:
-        self._board, self._laws, self._law = board, laws, law
-        self._wire = wire
-        lead = laws.lead
-        self._lead = lead
-        self._short = 1.0 / (to_driver + LEAST_SHORT_OHM)
-        ohms = 0.0 if board.circuit.drives_idle_lines else board.circuit.end_resistance(board)
-        lead_out = wire - to_end.mean(axis=0)
-        self._to_end, self._behind = ohms + lead_out + to_end, ohms + wire  # ohm, of each cell and of a column
-        ends = board.circuit.ends(board)
-        low, high = board.supply
-        drive = abs(board.drive)
-        self._holds = ends is not None  # whether amplifiers hold the columns
-        self._saturates = False
-        most = self._short  # S, largest current of a short in its own step, per volt of drive
-        column = np.full(board.shape, drive)  # V, potential of its column then
+    def __init__(self, board: Board, law: Law, to_driver: FloatArray, to_end: FloatArray) -> None:
+        """For a board, its laws, and the wire (N, M) in ohm between each cell and its driver, or its column's end."""
+        self._board, self._law, self._lead = board, law, law.lead[:, None]
+        circuit, ends, drive = board.circuit, board.circuit.ends(board), abs(board.drive)
+        self._short = 1.0 / (to_driver + LEAST_SHORT_OHM)  # S, of a short behind its row
+        at_end = 0.0 if circuit.drives_idle_lines else circuit.end_resistance(board)
+        self._behind = at_end + law.wire  # ohm (M,) that the current of a mean cell of a column passes
+        self._behind_cell = self._behind - to_end.mean(axis=0) + to_end
+        self._floating, self._follows = board.floating, circuit.drives_idle_lines
+        self._divides, self._one_by_one = not circuit.has_amplifiers, circuit.columns_one_by_one(board)
+        # A short while its own row is driven: S into the column's end, per volt of drive, and V of the column.
+        self._saturates, self._into_end, self._column = False, self._short, np.full(board.shape, drive)
+        source = np.zeros(board.shape[1])
+        behind = board.reference + law.wire
         if ends is not None:
-            limit = (low if board.drive > 0 else high) if board.circuit.inverts else (high if board.drive > 0 else low)
+            source, behind = ends.source + source, ends.resistance + law.wire
+            low, high = board.supply
+            limit = high if (board.drive > 0) != circuit.inverts else low
             self._saturates = isfinite(limit)
             if self._saturates:
-                source = np.abs(limit - board.level) + np.abs(board.offset)
-                most = (1.0 + source / drive) / (lead[:, None] + board.reference + wire)
-                self._per_ohm = True
+                beyond = np.abs(limit - board.level) + np.abs(board.offset)
+                self._into_end = (1.0 + beyond / drive) / (self._lead + board.reference + law.wire)
             else:
-                behind = ends.resistance + wire
-                most = 1.0 / (lead[:, None] + behind + LEAST_SHORT_OHM)
-                column = most * behind * drive + np.abs(ends.source)
-        self._most, self._column = most, column
-        self._floating = board.floating
-        self._one_by_one = board.circuit.columns_one_by_one(board)
-        self._divides = not board.circuit.has_amplifiers
-        source = np.zeros(board.shape[1]) if ends is None else ends.source * np.ones(board.shape[1])
-        behind = (board.reference if ends is None else ends.resistance) + wire + LEAST_SHORT_OHM
-        self._apart = np.abs(source[:, None] - source) / (behind[:, None] + behind)  # A between two joined columns
-        self._follows = board.circuit.drives_idle_lines
+                self._into_end = 1.0 / (self._lead + behind + LEAST_SHORT_OHM)
+                self._column = self._into_end * behind * drive + np.abs(source)
+        self._holds = ends is not None
+        apart = behind + LEAST_SHORT_OHM
+        self._driven_apart = np.abs(source[:, None] - source) / (apart[:, None] + apart)  # A between joined columns
 
     def coupling(self, cells: FloatArray) -> FloatArray:
         """(M,) share of a column's current that may pass to other columns by way of the rows, at cells (N, M) in S."""
-        (_, i1), (_, c1), (_, w1) = self._law
-        per_siemens = np.abs((c1 - (w1 if self._floating else 0.0) * 1.0) / i1)  # ohm behind the column
-        behind = per_siemens * cells.sum(axis=0)
+        behind = self._law.behind * cells.sum(axis=0)
         if self._floating:
             return behind
-        loss = float((self._lead * cells.sum(axis=1)).max())
+        loss = float((self._lead * cells).sum(axis=1).max())
         return loss * behind / (1.0 + behind)
 
-    def in_question(self, ports: Ports, of_left: FloatArray) -> BoolArray:
-        """Columns (M,) whose scale the readings leave open: more than one may give them.
-
-        While all rows are driven, a column lies ``left`` below the drive. By reciprocity a row then lies r sum(I) below
-        it, per volt. The scale of a column is unique if the column lies below all rows; else a row may follow it.
-        """
-        if not self._divides or self._one_by_one:
-            return np.zeros(len(of_left), dtype=np.bool_)
-        below = float((self._lead * ports.apart.sum(axis=1)).max())
-        return ports.left - of_left < below
-
-    def may_follow(self, ports: Ports, volts: FloatArray) -> BoolArray:
-        """Cells (N, M) of rows that the follower's own error may lift as far as their drive."""
-        (i0, i1), (c0, c1), _ = self._law
-        apart = np.abs((c0 + c1 * volts) - self._wire * (i0 + i1 * volts))  # V, of the column's end above idle lines
-        lifted = (self._lead * (apart / (self._wire + 1.0)).sum(axis=1))[:, None]
-        return (lifted > _FOLLOWS * np.abs(ports.drive)) | (np.abs(ports.share).sum(axis=0) > _FOLLOWS)
-
     @np.errstate(divide="ignore", invalid="ignore", over="ignore")
-    def __call__(
-        self, ports: Ports, errors: _Errors, cells: FloatArray, unknowns: Unknowns | None
-    ) -> FloatArray:
-        """Largest relative change (N, M) of each cell over all values of the unknown ones."""
+    def __call__(self, ports: Ports, errors: LawErrors, cells: FloatArray, unknowns: Unknowns | None) -> Enclosed:
+        """Bounds for cells (N, M) in S."""
         shape = cells.shape
-        limited, faint = Unknowns.of(shape, None, None) if unknowns is None else unknowns
-        unknown = limited | faint
-        if not self._board.plain and unknown.any():  # bridges and sheets pass currents by other ways
-            return np.full(shape, np.inf)
-        _, (_, c1), (_, w1) = self._law
-        drive, share = (np.broadcast_to(np.abs(each), shape) for each in (ports.drive, ports.share))
+        unknowns = Unknowns.of(shape, None, None) if unknowns is None else unknowns
+        if not self._board.plain and unknowns.any.any():  # bridges and sheets pass currents by other ways
+            return Enclosed(np.full(shape, np.inf), np.zeros(shape), np.full(shape, np.inf))
+        drive = np.broadcast_to(np.abs(ports.drive), shape)
         share = np.broadcast_to(ports.share, shape)
-        own = errors.error * np.broadcast_to(errors.sensitivity.slope, shape)
-        driven, lead = ports.driven, self._lead[:, None]
-        scale_open = errors.column_open > _OPEN_SCALE
-        # Port conductances: unknown cells, and columns of an open scale.
-        least = np.where(limited, np.maximum(driven - own, 0.0), 0.0)
-        most = np.where(limited, self._short, np.maximum(driven, 0.0) + own)
+        sums = self._column_sums(ports, errors, unknowns, share, drive)
+        potential = self._potentials(ports, sums, share, drive)
+        row, low, high = self._rows(ports, errors, unknowns, sums, potential / drive)
+        added = np.zeros(shape)
+        if self._law.has_leads or self._floating:
+            added = self._between(ports, errors, cells, unknowns, sums, row / low, potential) / drive
+        change = self._changes(ports, sums, share, added, row, low, high)
+        change = _MARGIN * change * np.maximum(ports.cells / np.maximum(cells, _TINY), 1.0)
+        least = np.where(unknowns.limited, np.maximum(sums.below - added, 0.0), 0.0)
+        greatest = np.where(unknowns.faint, (sums.above + added) / low, np.inf)
+        return Enclosed(change, least, greatest)
+
+    def _column_sums(
+        self, ports: Ports, errors: LawErrors, unknowns: Unknowns, share: FloatArray, drive: FloatArray
+    ) -> _Sums:
+        limited, faint = unknowns
+        unknown, driven, total = unknowns.any, ports.driven, ports.total
+        least = np.where(limited, np.maximum(driven - errors.of_driven, 0.0), 0.0)
+        most = np.where(limited, self._short, np.maximum(driven, 0.0) + errors.of_driven)
+        scale_open = errors.column_open > OPEN_SCALE
         error = np.where(scale_open, errors.of_left, 0.0)
         known, left = np.where(unknown, 0.0, ports.apart), 1.0 - np.where(unknown, 0.0, share).sum(axis=0)
-        low = (known + np.where(limited, least, 0.0)).sum(axis=0) / (left + error)
-        known, left = np.where(limited, most, ports.apart + own * faint), 1.0 - np.where(limited, 0.0, share).sum(axis=0)
+        low = np.fmin((known + np.where(limited, least, 0.0)).sum(axis=0) / (left + error), total)
+        known = np.where(limited, most, ports.apart + errors.of_driven * faint)
+        left = 1.0 - np.where(limited, 0.0, share).sum(axis=0)
         high = known.sum(axis=0) / np.where(left > error, left - error, 0.0)
-        # Error of C / W, which counts where it may exceed what is left of the drive.
-        off = errors.error * np.abs(c1 - w1 * share) / drive
-        surely = share - off
-        bound = np.where((surely > LEAST) & ~unknown, (self._short - ports.apart) / np.maximum(surely, LEAST), np.inf)
-        high = np.fmax(np.fmin(high, bound.min(axis=0)), ports.total)  # no D exceeds that of a short behind its row
-        low = np.fmin(low, ports.total)
+        # No D exceeds that of a short behind its row; C / W itself may be off.
+        off = errors.error * self._law.share_slope(ports)
+        surely = np.where(unknown, 0.0, share - off)
+        bound = np.where(surely > LEAST, (self._short - ports.apart) / np.maximum(surely, LEAST), np.inf)
+        high = np.fmax(np.fmin(high, bound.min(axis=0)), total)
         # A current into an unknown cell leaves the column at that cell, not at a mean one.
-        by_sum = np.abs(share)
-        if self._laws.has_potential and unknown.any():
-            loose_sum = (most * unknown).sum(axis=0)
-            where = np.where(loose_sum > 0.0, (most * unknown * self._to_end).sum(axis=0) / loose_sum, self._behind)
-            by_sum = np.abs(share - ports.apart * self._behind) + np.abs(ports.apart) * where
-        by_sum = np.where(scale_open, by_sum + off, by_sum)
-        most = np.where(faint, most + by_sum * (high - ports.total), most)
-        below = np.where(unknown, least, driven - by_sum * (ports.total - low))
-        above = np.where(unknown, most, driven + np.where(by_sum != 0.0, by_sum * (high - ports.total), 0.0))
-        # Potentials of the columns above the idle lines.
-        potential = np.abs(share) * drive
+        per_sum, loose = np.abs(share), (most * unknown).sum(axis=0)
+        if self._law.has_potential and unknown.any():
+            behind = np.where(loose > 0.0, (most * unknown * self._behind_cell).sum(axis=0) / loose, self._behind)
+            per_sum = np.abs(share - ports.apart * self._behind) + np.abs(ports.apart) * behind
+        per_sum = np.where(scale_open, per_sum + off, per_sum)
+        wider = np.where(per_sum != 0.0, per_sum * (high - total), 0.0)
+        most = np.where(faint, most + wider, most)
+        return _Sums(
+            rough=scale_open | unknown.any(axis=0),
+            width=high - low,
+            per_sum=per_sum,
+            low=low,
+            below=np.where(unknown, least, driven - per_sum * (total - low)),
+            above=np.where(unknown, most, driven + wider),
+        )
+
+    def _potentials(self, ports: Ports, sums: _Sums, share: FloatArray, drive: FloatArray) -> FloatArray:
+        """V (N, M), of the columns above the idle lines while each row is driven."""
         if self._floating:
-            potential = np.abs(self._board.drive - np.broadcast_to(ports.drive, shape))
-        elif self._follows:  # what the selected row drives through the leads of the idle columns
-            potential = np.maximum(potential, self._wire * np.maximum(driven, 0.0) * drive)
-        elif self._one_by_one:  # idle columns have no load
-            potential = potential + np.abs(ports.apart) / np.maximum(low, LEAST * self._short.max()) * drive
-            potential = np.minimum(potential, drive)
-        # Rows while they are driven: their potential over the drive.
-        lifted = (lead * np.maximum(driven, 0.0) * potential / drive).sum(axis=1)[:, None]
-        row = np.clip(ports.row_left[:, None] + lifted, 1e-9, 1.0)
-        current = np.maximum(above - driven, 0.0)
-        lacking = np.maximum(driven - below, 0.0)
-        if self._saturates:
-            idle = np.where(limited, 0.0, np.maximum(driven, 0.0)).sum(axis=0)
-            current = np.where(limited, np.maximum(np.minimum(self._most + idle, self._short) - ports.apart, 0.0), current)
-        elif self._holds:
-            current = np.where(limited, np.maximum(self._most - ports.apart, 0.0), current)
-        slack = np.where(errors.row_open > _OPEN_ROW, errors.sums, 0.0)[:, None]
-        row_low = row - lead * (current.sum(axis=1)[:, None] + slack)
-        row_high = np.minimum(row + lead * (lacking.sum(axis=1)[:, None] + slack), 1.0)
+            return np.abs(self._board.drive - np.broadcast_to(ports.drive, share.shape))
+        potential = np.abs(share) * drive
+        if self._follows:  # what the selected row drives through the leads of the idle columns
+            return np.maximum(potential, self._law.wire * np.maximum(ports.driven, 0.0) * drive)
+        if self._one_by_one:  # idle columns have no load
+            potential = potential + np.abs(ports.apart) / np.maximum(sums.low, LEAST * self._short.max()) * drive
+        return np.minimum(potential, drive)
+
+    def _rows(
+        self, ports: Ports, errors: LawErrors, unknowns: Unknowns, sums: _Sums, potential: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Potential (N, 1) of each row over the drive while it is driven, and its bounds."""
+        driven = ports.driven
+        lifted = (self._lead * np.maximum(driven, 0.0) * potential).sum(axis=1)
+        row = np.clip(ports.row_left + lifted, _LEAST_LEFT, 1.0)[:, None]
+        more, less = np.maximum(sums.above - driven, 0.0), np.maximum(driven - sums.below, 0.0)
+        if self._holds:
+            into_end = self._into_end
+            if self._saturates:  # the current of the column's other cells leaves by their idle rows
+                idle = np.where(unknowns.limited, 0.0, np.maximum(driven, 0.0)).sum(axis=0)
+                into_end = np.minimum(into_end + idle, self._short)
+            more = np.where(unknowns.limited, np.maximum(into_end - ports.apart, 0.0), more)
+        slack = np.where(errors.row_open > OPEN_ROW, errors.of_sums, 0.0)[:, None]
+        low = row - self._lead * (more.sum(axis=1)[:, None] + slack)
+        high = np.minimum(row + self._lead * (less.sum(axis=1)[:, None] + slack), 1.0)
         if self._divides:  # a row stands above all columns that it feeds
-            row_low = np.maximum(row_low, np.minimum((potential / drive).max(axis=1)[:, None], row))
-        row_low = np.clip(row_low, 0.0, row)
-        # Currents from column to column by way of the idle rows.
-        added = np.zeros(shape)
-        if self._laws.has_leads or self._floating:
-            added = self._between(ports, errors, cells, unknowns, below, above, row / row_low, potential)
-        added = added / drive
-        # Cells
-        up, down = row / row_low, row / row_high
-        rough = scale_open | unknown.any(axis=0)
-        nominal = np.maximum(np.abs(driven), 1e-300)
-        by_total = by_sum * (high - low) / nominal
-        apart_, share_ = ports.apart / row, share / row
-        left = 1.0 - share_.sum(axis=0)
-        total = apart_.sum(axis=0) / left
-        left_high = 1.0 - (share_ * up).sum(axis=0)
-        total_high = (apart_ * up + added / row_low).sum(axis=0) / np.where(left_high > 0.0, left_high, 0.0)
-        total_low = (apart_ * down - added / row).sum(axis=0) / (1.0 - (share_ * down).sum(axis=0))
+            low = np.maximum(low, np.minimum(potential.max(axis=1)[:, None], row))
+        return row, np.clip(low, 0.0, row), high
+
+    def _changes(
+        self,
+        ports: Ports,
+        sums: _Sums,
+        share: FloatArray,
+        added: FloatArray,
+        row: FloatArray,
+        low: FloatArray,
+        high: FloatArray,
+    ) -> FloatArray:
+        """Relative change (N, M) of the cells by the laws, with the bounds of the rows and S (N, M) of currents."""
+        up, down = row / low, row / high
+        nominal = np.maximum(np.abs(ports.driven), _TINY)
+        by_sum = sums.per_sum * sums.width / nominal
+        rough = by_sum * up + up * (1.0 + added / nominal) - 1.0
+        apart, share = ports.apart / row, share / row
+        left, left_high = 1.0 - share.sum(axis=0), 1.0 - (share * up).sum(axis=0)
+        total = apart.sum(axis=0) / left
+        total_high = (apart * up + added / low).sum(axis=0) / np.where(left_high > 0.0, left_high, 0.0)
         total_high = np.where(left > 0.0, total_high, np.inf)
-        middle = apart_ + share_ * total
-        highest = (apart_ + added / row) * up + np.where(share_ != 0.0, share_ * up * total_high, 0.0)
-        lowest = (apart_ - added / row) * down + share_ * down * total_low
-        by_law = np.maximum(highest - middle, middle - lowest) / np.maximum(np.abs(middle), 1e-300)
-        changed = np.where(rough, by_total + (up * (1.0 + added / nominal) - 1.0) + by_total * (up - 1.0), by_law)
-        changed = np.where(np.isnan(changed), np.inf, np.maximum(changed, 0.0))
-        alone = ports.cells
-        return _MARGIN * changed * np.maximum(alone / np.maximum(cells, 1e-300), 1.0)
+        total_low = (apart * down - added / row).sum(axis=0) / (1.0 - (share * down).sum(axis=0))
+        middle = apart + share * total
+        highest = (apart + added / row) * up + np.where(share != 0.0, share * up * total_high, 0.0)
+        lowest = (apart - added / row) * down + share * down * total_low
+        fine = np.maximum(highest - middle, middle - lowest) / np.maximum(np.abs(middle), _TINY)
+        changed = np.where(sums.rough, rough, fine)
+        return np.where(np.isnan(changed), np.inf, np.maximum(changed, 0.0))
 
     def _between(
         self,
         ports: Ports,
-        errors: _Errors,
+        errors: LawErrors,
         cells: FloatArray,
-        unknowns: Unknowns | None,
-        below: FloatArray,
-        above: FloatArray,
+        unknowns: Unknowns,
+        sums: _Sums,
         raised: FloatArray,
         potential: FloatArray,
     ) -> FloatArray:
-        """A (N, M) into each column in each step that unknown cells may add or keep away."""
-        shape, lead = cells.shape, self._lead[:, None]
-        limited, faint = Unknowns.of(shape, None, None) if unknowns is None else unknowns
-        unknown = limited | faint
-        usual = np.maximum(np.minimum(ports.cells, 3.0 * cells), 0.0)
-        ordinary = np.where(limited, 0.0, np.where(faint, above, usual))
-        apart = above - below
+        """A (N, M) into each column in each step that unknown cells may add, or keep away.
+
+        Args:
+            ports: of the frame.
+            errors: of these.
+            cells: (N, M) S.
+            unknowns: readings that state bounds only.
+            sums: bounds of the columns.
+            raised: (N, 1) factor by which a row's cells may conduct more.
+            potential: (N, M) V of the columns.
+
+        """
+        limited, unknown = unknowns.limited, unknowns.any
+        usual = np.maximum(np.minimum(ports.cells, _CORRECTED * cells), 0.0)
+        ordinary = np.where(limited, 0.0, np.where(unknowns.faint, sums.above, usual))
         if self._floating:
-            sums = np.maximum(ordinary.sum(axis=1)[:, None], 1e-300)
-            share = ordinary / sums
-            up = np.where(limited, 1.0, np.where(unknown, above / (above + sums), 0.0))
-            loose_share = np.where(unknown, up, np.where(unknown.any(axis=1)[:, None], share, 0.0))
+            others = np.maximum(ordinary.sum(axis=1)[:, None], _TINY)
+            share = ordinary / others
+            most = np.where(limited, 1.0, sums.above / (sums.above + others))
+            loose = np.where(unknown, most, np.where(unknown.any(axis=1)[:, None], share, 0.0))
         else:
-            share = np.minimum(lead * np.maximum(ports.driven, 0.0), 1.0)
-            loose_share = np.where(apart > 1e-9 * np.abs(above), np.minimum(lead * apart, 1.0), 0.0)
-        # Potential (steps, rows) of idle rows that the unknown cells may change.
+            share = np.minimum(self._lead * np.maximum(ports.driven, 0.0), 1.0)
+            width = sums.above - sums.below
+            loose = np.where(width > _LEAST_LEFT * np.abs(sums.above), np.minimum(self._lead * width, 1.0), 0.0)
+        in_own_step = np.where(limited, self._column, 0.0)  # V: there the column may have any potential
+        # Potentials (steps, rows) of the idle rows that the unknown cells may change, and what the rows then feed.
         lifted = potential @ share.T
-        change = potential @ loose_share.T + lifted * loose_share.sum(axis=1)
-        loose = np.where(limited, self._column, 0.0)
-        change += loose @ (loose_share + share).T
-        change.flat[:: len(change) + 1] = 0.0
-        raised = np.where(limited, 0.0, ordinary * raised)
-        raised = np.where(np.isfinite(raised), raised, 1e6)
-        added = change @ raised
+        change = potential @ loose.T + lifted * loose.sum(axis=1) + in_own_step @ (loose + share).T
+        conducting = np.where(limited, 0.0, ordinary * raised)
+        conducting = np.where(np.isfinite(conducting), conducting, _MOST)
+        added = _of_idle(change) @ conducting
         # Unknown cells let the current of their own column out to others, and in from them.
-        into_row = (potential + loose) @ raised.T
-        into_row.flat[:: len(into_row) + 1] = 0.0
-        added += into_row @ loose_share + potential * (raised.sum(axis=1) @ loose_share)
-        unclear = np.where(errors.linear > _UNCLEAR, np.minimum(errors.linear, 1e6), 0.0) * ordinary
+        added += _of_idle((potential + in_own_step) @ conducting.T) @ loose
+        added += potential * (conducting.sum(axis=1) @ loose)
+        unclear = np.where(errors.linear > _UNCLEAR, np.minimum(errors.linear, _MOST), 0.0) * ordinary
         if unclear.any():
-            between = lifted.copy()
-            between.flat[:: len(between) + 1] = 0.0
-            added += between @ unclear + potential * (share.sum(axis=1) @ unclear)
+            added += _of_idle(lifted) @ unclear + potential * (share.sum(axis=1) @ unclear)
         # Two unknown cells of one row may join their columns: these share their currents, and what drives them apart.
-        good = unknown & (loose_share > 0.01)
-        if (np.count_nonzero(good, axis=1) > 1).any():
-            joined = good.T.astype(np.float64) @ good > 0.5
+        ties = unknown & (loose > _TIED)
+        if (np.count_nonzero(ties, axis=1) > 1).any():
+            joined = ties.T.astype(np.float64) @ ties > 0.5
             joined.flat[:: len(joined) + 1] = False
             current = np.abs(ports.apart) * np.abs(ports.drive)
-            added += current @ joined + np.where(joined, self._apart, 0.0).sum(axis=0)
+            added += current @ joined + np.where(joined, self._driven_apart, 0.0).sum(axis=0)
         return np.nan_to_num(added, posinf=np.inf)
+
+
+def _of_idle(by_step: FloatArray) -> FloatArray:
+    """Values (steps, rows) without those of the rows that are driven in their own steps."""
+    idle = by_step.copy()
+    idle.flat[:: len(idle) + 1] = 0.0
+    return idle

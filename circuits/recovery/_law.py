@@ -15,7 +15,8 @@ With kappa_ij = (I' + T C' - W' D) / W (a prime is a derivative by the reading),
     D_ij  by  kappa_ij e_ij + c_ij sum_k kappa_kj e_kj,   c_ij = C_ij / W_ij / (1 - sum_k C_kj / W_kj),
     G_ij / G_ij  by  dD_ij / D_ij + rho_i sum_l dD_il,    rho_i = r_i / (1 - r_i sum_l D_il).
 
-The parts are the cell's own, its column's and its row's.
+The parts are the cell's own, its column's and its row's. Errors by which a drive may vanish are no such changes
+(:meth:`Law.in_question`, :meth:`Law.may_follow`).
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from ..readouts import PortLaw
 
 LEAST = 1e-12
 """share of a voltage that counts as none"""
-_TINY = np.finfo(np.float64).tiny
+_LEAST_WIRE = 1.0  # ohm of a column between its end and a row that it may lift
 
 
 class Ports(NamedTuple):
@@ -67,8 +68,24 @@ class Sensitivity(NamedTuple):
 class Law:
     """The two laws of one board."""
 
-    def __init__(self, law: PortLaw, lead: FloatArray, absent: BoolArray, error: float) -> None:
-        """For a circuit, rows behind ``lead`` (N,) in ohm, cells (N, M) that are ``absent``, and readings' error in V."""
+    def __init__(
+        self, law: PortLaw, lead: FloatArray, wire: FloatArray, absent: BoolArray, error: float, *, one_by_one: bool
+    ) -> None:
+        """The laws of a board.
+
+        Args:
+            law: of the circuit.
+            lead: (N,) ohm of each row.
+            wire: (M,) ohm of each column.
+            absent: (N, M) cells that take no part.
+            error: V, of a reading.
+            one_by_one: whether idle columns carry no load.
+
+        """
+        self.wire, self._one_by_one = wire, one_by_one
+        (_, i1), (_, c1), (_, w1) = law
+        self.behind: FloatArray = np.abs((c1 - w1 * (not law.potential.any())) / i1)
+        """(M,) ohm, potential of a column above the idle lines per current into its end"""
         rows, columns = absent.shape
         by_reading = np.abs(law.potential[1] - law.drive[1]) / np.abs(law.drive[0])
         self._least_left = np.maximum(error * np.sqrt(rows) * by_reading, LEAST)
@@ -77,6 +94,8 @@ class Law:
         self.law, self.lead = law, lead
         self._present = None if not absent.any() else ~absent
         self._fixed = not law.drive[1].any()
+        self.follows = not self._fixed and self.law.potential.any()
+        """whether a follower drives the idle lines"""
         self.has_potential = bool(law.potential.any())
         """whether columns leave the potential of the idle lines, so that a cell depends on its whole column"""
         self.has_leads = bool(lead.any())
@@ -111,7 +130,14 @@ class Law:
             return Ports(apart, share, drive, left, total, driven, np.ones(len(volts)), driven)
         row_left = 1.0 - self.lead * driven.sum(axis=1)
         return Ports(
-            apart, share, drive, left, total, driven, row_left, driven / np.maximum(row_left, self._least_row_left)[:, None]
+            apart,
+            share,
+            drive,
+            left,
+            total,
+            driven,
+            row_left,
+            driven / np.maximum(row_left, self._least_row_left)[:, None],
         )
 
     def sensitivity(self, ports: Ports) -> Sensitivity:
@@ -123,3 +149,36 @@ class Law:
             ports.share / np.maximum(ports.left, LEAST),
             (self.lead / np.maximum(ports.row_left, LEAST))[:, None],
         )
+
+    def share_slope(self, ports: Ports) -> FloatArray:
+        """1/V, size of the derivative of C / W by the reading; broadcasts to (N, M)."""
+        (_, c1), (_, w1) = self.law.potential, self.law.drive
+        slope: FloatArray = np.abs((c1 - w1 * ports.share) / ports.drive)
+        return slope
+
+    def in_question(self, ports: Ports, of_left: FloatArray) -> BoolArray:
+        """Columns (M,) of dividers whose scale the readings leave open: more than one may give them.
+
+        While all rows are driven, a column lies ``left`` below the drive, with an error ``of_left``. By reciprocity a
+        row then lies r sum(I) below it, per volt, if all columns are loaded at once. The scale of a column is unique if
+        the column lies below all rows; else a row may follow it.
+        """
+        if self._one_by_one:
+            return np.zeros(len(of_left), dtype=np.bool_)
+        below = float((self.lead * ports.apart.sum(axis=1)).max())
+        question: BoolArray = ports.left - of_left < below
+        return question
+
+    def may_follow(self, ports: Ports, volts: FloatArray, share: float) -> BoolArray:
+        """Cells (N, M) whose row, or column, a follower's own error may lift by this ``share`` of the drive."""
+        (i0, i1), (c0, c1), _ = self.law
+        above = np.abs((c0 + c1 * volts) - self.wire * (i0 + i1 * volts))  # V, of the column's end above idle lines
+        lifted = (self.lead * (above / (self.wire + _LEAST_WIRE)).sum(axis=1))[:, None]
+        follows: BoolArray = (lifted > share * np.abs(ports.drive)) | (np.abs(ports.share).sum(axis=0) > share)
+        return follows
+
+    def at_end(self, ports: Ports, error: float) -> BoolArray:
+        """Cells (N, M) of readings whose ``error`` in V may hide the whole drive of their rows."""
+        (w0, w1) = self.law.drive
+        hidden: BoolArray = (np.abs(ports.drive) < error * np.abs(w1)) | (ports.drive * w0 < 0.0)
+        return hidden

@@ -204,7 +204,7 @@ class FitLive:
                 length = float(np.abs(step).max())
                 near = linear.distance(log).max() <= _NEAR
                 if length > _SLOW * before and not near and renewals and misfit > _FITS:
-                    self._linear, renewals = None, renewals
+                    self._linear = None
                     before = inf
                     continue
                 if steps <= 0:
