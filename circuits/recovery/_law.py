@@ -26,6 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray
+from .._parts import LEAST_SHORT_OHM
 from ..readouts import PortLaw
 
 LEAST = 1e-12
@@ -90,6 +91,7 @@ class Law:
         by_reading = np.abs(law.potential[1] - law.drive[1]) / np.abs(law.drive[0])
         self._least_left = np.maximum(error * np.sqrt(rows) * by_reading, LEAST)
         per_reading = float(np.abs(law.current[1] / law.drive[0]).max())
+        self._most = 1.0 / (lead[:, None] + LEAST_SHORT_OHM)  # S, D of a short
         self._least_row_left = np.maximum(error * np.sqrt(columns) * per_reading * lead, LEAST)
         self.law, self.lead = law, lead
         self._present = None if not absent.any() else ~absent
@@ -102,8 +104,8 @@ class Law:
         drive = law.drive[0] if self._fixed else np.ones(len(law.drive[0]))
         self._current, self._potential = law.current / drive, law.potential / drive
 
-    def __call__(self, volts: FloatArray) -> Ports:
-        """The conductances behind readings (N, M) in V."""
+    def __call__(self, volts: FloatArray, unknown: BoolArray | None = None) -> Ports:
+        """The conductances behind readings (N, M) in V, of which ``unknown`` ones state bounds only."""
         (i0, i1), (c0, c1), (w0, w1) = self._current, self._potential, self.law.drive
         apart = volts * i1
         apart += i0
@@ -113,6 +115,8 @@ class Law:
             apart /= drive
         if self._present is not None:
             apart *= self._present
+        if unknown is not None:  # the column's potential counts for no unknown cell, nor more than a short does
+            apart = np.where(unknown, np.clip(apart, 0.0, self._most), apart)
         if self.has_potential:
             share = volts * c1
             share += c0
@@ -120,6 +124,8 @@ class Law:
                 share /= drive
             if self._present is not None:
                 share *= self._present
+            if unknown is not None:
+                share = np.where(unknown, 0.0, share)
             left = 1.0 - share.sum(axis=0)
             total = apart.sum(axis=0) / np.maximum(left, self._least_left)
             driven = share * total
@@ -140,12 +146,15 @@ class Law:
             driven / np.maximum(row_left, self._least_row_left)[:, None],
         )
 
-    def sensitivity(self, ports: Ports) -> Sensitivity:
-        """Derivatives of a frame's conductances."""
+    def sensitivity(self, ports: Ports, unknown: BoolArray | None = None) -> Sensitivity:
+        """Derivatives of a frame's conductances; 0 by ``unknown`` readings (N, M)."""
         (_, i1), (_, c1), (_, w1) = self.law
         slope = (i1 + ports.total * c1) if self._fixed else (i1 + ports.total * c1 - w1 * ports.driven)
+        slope = np.abs(slope / ports.drive)
+        if unknown is not None:
+            slope = np.where(unknown, 0.0, slope)
         return Sensitivity(
-            np.abs(slope / ports.drive),
+            slope,
             ports.share / np.maximum(ports.left, LEAST),
             (self.lead / np.maximum(ports.row_left, LEAST))[:, None],
         )

@@ -7,7 +7,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from ...common.arrays import FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from .._adc import adc_error
 from .._board import Board
 from ._law import LEAST, Law, Ports
@@ -45,14 +45,32 @@ class Steps(NamedTuple):
 class LawErrors:
     """Errors of one frame's cells. Arrays broadcast to (N, M) unless stated."""
 
-    def __init__(self, law: Law, steps: Steps, ports: Ports, volts: FloatArray, noise: float) -> None:
-        """For readings (N, M) in V with this standard deviation of noise in V, and the conductances behind them."""
+    def __init__(
+        self,
+        law: Law,
+        steps: Steps,
+        ports: Ports,
+        volts: FloatArray,
+        noise: float,
+        unknown: BoolArray | None = None,
+    ) -> None:
+        """Errors of the conductances behind a frame's readings.
+
+        Args:
+            law: of the board.
+            steps: errors of its converter.
+            ports: the conductances.
+            volts: (N, M) V, the readings.
+            noise: V, standard deviation of each.
+            unknown: (N, M) readings that state bounds only.
+
+        """
         self._cells, self._steps = ports.cells, steps
         self._by_steps, self._by_noise = steps.random * _BY_STEPS / sqrt(3.0), _BY_NOISE * noise
         random = hypot(self._by_steps, self._by_noise)
         self.error = steps.half + SIGMAS * noise
         """V, of a reading"""
-        slope, by_column, by_row = law.sensitivity(ports)
+        slope, by_column, by_row = law.sensitivity(ports, unknown)
         self.of_driven = np.broadcast_to(self.error * slope, ports.driven.shape)
         """S, error of D by its own reading at a constant sum of the column"""
         size = np.maximum(np.abs(ports.driven), _TINY)
@@ -78,7 +96,14 @@ class LawErrors:
                 self.of_left = np.where(law.in_question(ports, self.of_left), inf, self.of_left)
         self.of_sums: FloatArray = np.sqrt(moved.sum(axis=1)) * random
         """(N,) S, error of a row's sum of D"""
+        self.row_open: FloatArray = self.of_sums * law.lead / np.maximum(ports.row_left, LEAST)
+        """(N,) error of what is left of a row's drive, relative to it"""
         if law.has_leads:
+            if steps.alike:  # a row stands between the drive and the highest of its columns
+                height = np.clip(np.broadcast_to(ports.share, size.shape).max(axis=1), LEAST, 1.0)
+                known = np.minimum((1.0 - height) / height / np.maximum(self.row_open, LEAST), 1.0)
+                self.row_open, by_row = known * self.row_open, known[:, None] * by_row
+                self.of_sums = known * self.of_sums
             others += by_row**2 * np.maximum(moved.sum(axis=1)[:, None] - moved, 0.0) * random**2
             each = np.broadcast_to(slope * np.abs(1.0 + by_column), size.shape)
             shared += by_row * each.sum(axis=1)[:, None] * steps.shared
@@ -90,8 +115,6 @@ class LawErrors:
         self.linear += shared
         self.column_open: FloatArray = self.of_left / np.maximum(ports.left, LEAST)
         """(M,) error of what is left of a column's drive, relative to it"""
-        self.row_open: FloatArray = self.of_sums * law.lead / np.maximum(ports.row_left, LEAST)
-        """(N,) the same of a row"""
         self.opens = bool(self.row_open.max() > OPEN_ROW) or bool(np.isinf(self.of_left).any())
         """whether the error of a column or a row may change cells of others"""
         self.opens = self.opens or (law.has_leads and bool(self.column_open.max() > OPEN_SCALE))

@@ -63,18 +63,21 @@ class LawLive:
         law = board.circuit.port_law(sliced, wire)
         assert law is not None
         hidden = broken_off(board) | np.isinf(board.series_ohms)
-        self._gone = hidden.copy()
+        self._gone, self._hidden = hidden.copy(), hidden
+        self._shorted = np.zeros(board.shape, dtype=np.bool_)
         self._shunt = np.zeros(board.shape)  # S
         for fault, with_resistance in zip(board.shorts, sliced.shorts, strict=True):
-            self._gone[fault.place] |= fault.ohms == 0
+            self._shorted[fault.place] |= fault.ohms == 0
             self._shunt[fault.place] += 1.0 / with_resistance.ohms
+        self._gone |= self._shorted
+        self._any_shorted, self._any_hidden = bool(self._shorted.any()), bool(hidden.any())
         self._present = None if not self._gone.any() else ~self._gone
         self._faulty = bool(self._shunt.any() or board.series_ohms.any())
         self._tells = not ((board.circuit.mixes_cells or board.floating) and hidden.any())
         self._steps = Steps.of(board)
         one_by_one = board.circuit.columns_one_by_one(board)
         lead = to_driver.mean(axis=1)
-        self._law = Law(law, lead, wire, self._gone, self._steps.half, one_by_one=one_by_one)
+        self._law = Law(law, lead, wire, hidden, self._steps.half, one_by_one=one_by_one)
         self._enclosure = Enclosure(board, self._law, to_driver, to_end)
         self._wires = to_driver + to_end + column_lead
         self._any_wire = bool(self._wires.any())
@@ -102,21 +105,24 @@ class LawLive:
         """As :class:`.LiveRecovery`."""
         turn = self._turn
         unknowns = None
-        if limited is not None or faint is not None:
+        if limited is not None or faint is not None or self._any_shorted:
             limited, faint = (None if cells is None else turn(cells) & ~self._gone for cells in (limited, faint))
             unknowns = Unknowns.of(self._shape, limited, faint)
+            if self._any_shorted:  # a complete short beside a cell is one
+                unknowns = unknowns._replace(limited=unknowns.limited | self._shorted)
         if not self._tells:
             return self._nothing(unknowns)
         volts = turn(volts)
-        ports = self._law(volts)
-        errors = LawErrors(self._law, self._steps, ports, volts, noise)
+        unknown = None if unknowns is None else unknowns.any
+        ports = self._law(volts, unknown)
+        errors = LawErrors(self._law, self._steps, ports, volts, noise, unknown)
         self._count_impossible(ports, errors, unknowns)
         cells, settled, limit = ports.cells, True, self._rule.limit
         uncertainty = errors.relative(cells)
         if self._factors is not None:
             counted = self._every[0] if self._present is None else self._present
-            if unknowns is not None:
-                counted = counted & ~unknowns.any
+            if unknown is not None:
+                counted = counted & ~unknown
             cells, settled = self._factors(cells, errors.relative, errors.linear, counted, limit)
             uncertainty = errors.relative(cells)
             moved = self._factors.moved(np.minimum(uncertainty, 1.0) * np.abs(cells), uncertainty <= limit)
@@ -131,6 +137,8 @@ class LawLive:
         own = conductance
         if self._faulty:
             own = np.maximum(cell_alone(self._board, conductance, self._shunt), OPEN)
+        if self._any_hidden:  # cells behind a break tie other lines to each other, whatever they are
+            own = np.where(self._hidden, np.median(own[~self._hidden]), own)
         cells = 1.0 / own
         volts = self._model(cells) if self._sheet is None else read_exactly(self._sheet, cells)[0].volts
         return self._law(volts).cells
