@@ -315,30 +315,6 @@ def test_a_complete_fault_hides_no_more_than_its_line(kind: str, fault: Any, kno
         assert not valid[1, 1] or fault["kind"] != "shorted-cell"
 
 
-@pytest.mark.parametrize("kind", ["grounded", "divider", "feedback", "floating"])
-def test_a_continuous_sheet_is_solved_once_per_frame(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    solved = [0]
-    real = _sheet_model.SheetModel.solve
-
-    def counting(self: _sheet_model.SheetModel, log: Any) -> None:
-        solved[0] += 1
-        real(self, log)
-
-    monkeypatch.setattr(_sheet_model.SheetModel, "solve", counting)
-    design = board(kind, 4, 5, sheet="continuous")
-    cells = 1e4 * 10 ** np.random.default_rng(0).uniform(-0.1, 0.1, (4, 5))
-    read = CountReader(design)
-    for number in range(6):
-        cells[1:3, 2] *= 0.8 if number != 3 else 0.2  # a hard press at once
-        solved[0] = 0
-        reading = read(adc_codes(design, scan(design, cells).volts))
-        assert number == 0 or solved[0] <= 1
-        valid = reading.valid
-        assert (np.abs(reading.resistance / cells - 1.0)[valid] <= reading.uncertainty[valid]).all()
-        if number != 3:
-            assert valid.mean() > 0.7
-
-
 @pytest.mark.parametrize(("family", "number"), [("feedback events", 91010000156), ("floating events", 91020000084)])
 def test_a_skin_that_comes_off_a_limit_takes_no_slow_frame(family: str, number: int) -> None:
     """Executed lines of two streams of the hunt, in which the first frame to tell of a cell is a late one."""

@@ -116,11 +116,12 @@ class Enclosure:
 
     def coupling(self, cells: FloatArray) -> FloatArray:
         """(M,) share of a column's current that may pass to other columns by way of the rows, at cells (N, M) in S."""
-        behind = self._law.behind * cells.sum(axis=0)
+        behind: FloatArray = self._law.behind * cells.sum(axis=0)
         if self._floating:
             return behind
         loss = float((self._lead * cells).sum(axis=1).max())
-        return loss * behind / (1.0 + behind)
+        share: FloatArray = loss * behind / (1.0 + behind)
+        return share
 
     @np.errstate(divide="ignore", invalid="ignore", over="ignore")
     def __call__(self, ports: Ports, errors: LawErrors, cells: FloatArray, unknowns: Unknowns | None) -> Enclosed:
@@ -182,7 +183,8 @@ class Enclosure:
     def _potentials(self, ports: Ports, sums: _Sums, share: FloatArray, drive: FloatArray) -> FloatArray:
         """V (N, M), of the columns above the idle lines while each row is driven."""
         if self._floating:
-            return np.abs(self._board.drive - np.broadcast_to(ports.drive, share.shape))
+            floating: FloatArray = np.abs(self._board.drive - np.broadcast_to(ports.drive, share.shape))
+            return floating
         potential = np.abs(share) * drive
         if self._follows:  # what the selected row drives through the leads of the idle columns
             return np.maximum(potential, self._law.wire * np.maximum(ports.driven, 0.0) * drive)
@@ -289,7 +291,7 @@ class Enclosure:
         # Two unknown cells of one row may join their columns: these share their currents, and what drives them apart.
         ties = unknown & (loose > _TIED)
         if (np.count_nonzero(ties, axis=1) > 1).any():
-            joined = ties.T.astype(np.float64) @ ties > 0.5
+            joined: BoolArray = ties.T.astype(np.float64) @ ties > 0.5
             joined.flat[:: len(joined) + 1] = False
             current = np.abs(ports.apart) * np.abs(ports.drive)
             added += current @ joined + np.where(joined, self._driven_apart, 0.0).sum(axis=0)

@@ -16,6 +16,8 @@ from ._live_reading import SIGMAS
 OPEN_SCALE, OPEN_ROW = 0.2, 0.3
 """error of what is left of a column's drive or of a row's, relative to it, from which on its scale is open"""
 _BY_STEPS, _BY_NOISE = 4.5, 3.5  # standard deviations of other readings' steps and noise that are covered
+_OPENED = 0.7  # the same from which on nothing is known
+_LARGEST = 50.0  # logarithm that is as good as infinite
 _FOLLOWS = 0.25  # share of a row's drive that a follower's own error may reach
 _WITHIN = 3.0  # errors of a reading, from the upper end of what it can be, within which it tells nothing
 _TINY = np.finfo(np.float64).tiny
@@ -137,8 +139,9 @@ class LawErrors:
 
     def relative(self, cells: FloatArray) -> FloatArray:
         """Relative uncertainty (N, M) of ``cells`` in S, which the laws gave before they were corrected."""
+        beyond = np.expm1(np.minimum(self.linear - self.own, _LARGEST))  # errors of others are errors of a factor
         opened = self.column_open + self.row_open[:, None]
-        uncertainty = np.where(opened < 1.0, self.linear / np.maximum(1.0 - opened, LEAST), inf)
+        uncertainty = np.where(opened < _OPENED, self.own + beyond, inf)
         more: FloatArray = np.maximum(self._cells / np.where(cells > 0.0, cells, _TINY), 1.0)
         more *= uncertainty
         return more

@@ -337,6 +337,7 @@ class FitLive:
             turn(reason),
             lambda: (turn(total), turn(of_own)),
             by_readings=lambda: turn(by_readings),
+            per_volt=lambda: (turn(std / self._std), np.zeros(turn(std).shape)),  # by all readings, not its own alone
         )
 
     def _nothing(self, why: int, short: BoolArray | None = None) -> LiveReading:
