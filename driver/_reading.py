@@ -188,16 +188,14 @@ class Reading:
 
         None if errors of other readings do not scale columns, or if noise randomises the rounding.
         """
-        share = self.steps_share
-        if not self._scales_columns or self._found is None or share < _LEAST_STEPS:
+        if not self._scales_columns or self._found is None or self.steps_share < _LEAST_STEPS:
             return None
-        # A reading counts x through its column's sum, and that of the cell itself its own part beside:
-        # by_readings^2 = (own + x)^2 + (rows - 1) x^2. The uncertainty may count equal roundings in full already.
-        own, rows = self._found.own, len(self._found.own)
-        all_others = rows * np.maximum(self._found.by_readings**2 - own**2, 0.0)
-        least: FloatArray = np.fmin.reduce(np.sqrt(own**2 + all_others) - own, axis=0) / rows
-        at_once = share / self._alike * (rows - 1)
-        return np.where(np.isfinite(least), at_once * least, 0.0)
+        # The other readings enter by their sum: all at once they make the root of their number of independent errors.
+        _, shared = self._found.per_volt(self._covered_steps * self._step)
+        rows = len(shared)
+        known = np.where(np.isfinite(self._found.uncertainty), np.abs(shared), np.inf)
+        least: FloatArray = np.minimum.reduce(known, axis=0) * (rows - 1) / math.sqrt(rows)
+        return np.where(np.isfinite(least), 0.5 * self._step * self._systematic * least, 0.0)
 
     @property
     def resolution(self) -> tuple[FloatArray, FloatArray, FloatArray, bool]:

@@ -71,7 +71,7 @@ class _Sums(NamedTuple):
     rough: BoolArray
     """(M,) columns whose scale is open, or which have an unknown cell"""
     width: FloatArray
-    """(M,) S, of the interval of the sum"""
+    """(M,) S, of the interval of the sum, as far as it is not an error of the column's own readings"""
     per_sum: FloatArray
     """(N, M) change of D per change of the sum"""
     low: FloatArray
@@ -173,7 +173,7 @@ class Enclosure:
         most = np.where(faint, most + wider, most)
         return _Sums(
             rough=scale_open | unknown.any(axis=0),
-            width=high - low,
+            width=np.where(unknown.any(axis=0) | np.isinf(errors.of_left), high - low, 0.0),
             per_sum=per_sum,
             low=low,
             below=np.where(unknown, least, driven - per_sum * (total - low)),

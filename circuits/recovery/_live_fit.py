@@ -25,6 +25,7 @@ from ...errors import InputError, SolverError
 from .._adc import adc_error
 from .._board import Board, broken_off, cell_alone
 from .._grid import exact_ports
+from ._law_errors import ALIKE
 from ._lines import LineResistance
 from ._live_reading import (
     DISTURBED,
@@ -329,14 +330,17 @@ class FitLive:
             reason[beside] = DISTURBED
         reason[valid] = 0
         total = np.where(valid | (reason == UNCERTAIN), uncertainty, inf)
-        of_own = np.minimum(np.minimum(own, total), 1.0)
-        by_readings = np.maximum(np.minimum(np.minimum(std * error / self._std, total), 1.0), of_own)
+        covered = hypot(_BY_STEPS * self._std, _BY_NOISE * noise)
+        of_own = np.minimum(np.minimum(np.where(slope > 0.0, covered * slope, 1.0), total), 1.0)
+        by_readings = np.maximum(np.minimum(np.minimum(std * covered / self._std, total), 1.0), of_own)
         return LiveReading(
             turn(cells),
             turn(valid),
             turn(reason),
             lambda: (turn(total), turn(of_own)),
-            by_readings=lambda: turn(by_readings),
+            covered,
+            ALIKE,
+            lambda: turn(by_readings),
             per_volt=lambda: (turn(std / self._std), np.zeros(turn(std).shape)),  # by all readings, not its own alone
         )
 

@@ -24,7 +24,7 @@ from .._sections import Fault
 from ._enclosure import Enclosed, Enclosure, Unknowns
 from ._factors import EVALUATIONS, OPEN, Factors
 from ._law import Law, Ports
-from ._law_errors import LawErrors, Steps
+from ._law_errors import ALIKE, LawErrors, Steps
 from ._lines import LineResistance
 from ._live_reading import (
     DISTURBED,
@@ -187,6 +187,7 @@ class LawLive:
             turn(reason),
             lambda: (turn(total), turn(own)),
             by_readings=lambda: turn(errors.by_readings(total)),
+            alike=ALIKE if self._steps.alike else 1.0,
             every=every or None,
             per_volt=lambda: (turn(errors.per_volt[0]), turn(errors.per_volt[1])),
             bounds=bounds,
