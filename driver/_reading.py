@@ -193,8 +193,7 @@ class Reading:
         # The other readings enter by their sum: all at once they make the root of their number of independent errors.
         _, shared = self._found.per_volt(self._covered_steps * self._step)
         rows = len(shared)
-        known = np.where(np.isfinite(self._found.uncertainty), np.abs(shared), np.inf)
-        least: FloatArray = np.minimum.reduce(known, axis=0) * (rows - 1) / math.sqrt(rows)
+        least: FloatArray = np.minimum.reduce(np.abs(shared), axis=0) * (rows - 1) / math.sqrt(rows)
         return np.where(np.isfinite(least), 0.5 * self._step * self._systematic * least, 0.0)
 
     @property

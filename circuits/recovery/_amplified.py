@@ -313,8 +313,8 @@ class AmplifiedLive:
         reason[valid] = 0
         bounds = None
         if limited is not None:
-            off = own if disturbance is None else own + disturbance
-            least = np.where(limited, conductance * np.maximum(1.0 - off, 0.0), 0.0)
+            off = np.minimum(own if disturbance is None else own + disturbance, 1.0)
+            least = np.where(limited & (off < 1.0), conductance, 0.0) * (1.0 - off)
             bounds = least, np.full_like(conductance, inf)
         resistance = np.divide(1.0, conductance, out=np.full_like(conductance, inf), where=conductance > 0)
         resistance[np.isinf(uncertainty)] = np.nan

@@ -31,6 +31,7 @@ from ..readouts import PortLaw
 
 LEAST = 1e-12
 """share of a voltage that counts as none"""
+_TIES = 10.0  # cell over the usual one of its column from which on it may be a short
 _LEAST_WIRE = 1.0  # ohm of a column between its end and a row that it may lift
 
 
@@ -184,6 +185,14 @@ class Law:
         above = np.abs((c0 + c1 * volts) - self.wire * (i0 + i1 * volts))  # V, of the column's end above idle lines
         lifted = (self.lead * (above / (self.wire + _LEAST_WIRE)).sum(axis=1))[:, None]
         follows: BoolArray = (lifted > share * np.abs(ports.drive)) | (np.abs(ports.share).sum(axis=0) > share)
+        # Two shorts of a row join their columns. Where the follower's error exceeds the drop along a column, they
+        # divide all other readings of both, and read like ordinary cells themselves.
+        loose = np.abs(c1 - self.wire * i1) > self.wire * np.abs(i1)
+        usual = np.sort(ports.driven, axis=0)[(len(ports.driven) - 1) // 2]
+        ties = (ports.driven > _TIES * np.maximum(usual, 0.0)) & loose
+        ties &= (np.count_nonzero(ties, axis=1) > 1)[:, None]
+        if ties.any():
+            follows = follows | ties.any(axis=0) | ties.any(axis=1)[:, None]
         return follows
 
     def at_end(self, ports: Ports, error: float) -> BoolArray:

@@ -15,7 +15,7 @@ from ._live_reading import SIGMAS
 
 OPEN_SCALE, OPEN_ROW = 0.2, 0.3
 """error of what is left of a column's drive or of a row's, relative to it, from which on its scale is open"""
-ALIKE = 2.0
+ALIKE = 1.3
 """standard deviation of a divider's cell by ADC steps over that by independent errors: equal cells are rounded alike"""
 _BY_STEPS, _BY_NOISE = 4.5, 3.5  # standard deviations of other readings' steps and noise that are covered
 _OPENED = 0.7  # the same from which on nothing is known
