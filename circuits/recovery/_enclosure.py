@@ -270,7 +270,7 @@ class Enclosure:
             others = np.maximum(ordinary.sum(axis=1)[:, None], _TINY)
             share = ordinary / others
             most = np.where(limited, 1.0, sums.above / (sums.above + others))
-            loose = np.where(unknown, most, np.where(unknown.any(axis=1)[:, None], share, 0.0))
+            loose = np.where(unknown, most, np.where(np.any(unknown, axis=1, keepdims=True), share, 0.0))
         else:
             share = np.minimum(self._lead * np.maximum(ports.driven, 0.0), 1.0)
             width = sums.above - sums.below
@@ -291,8 +291,9 @@ class Enclosure:
         # Two unknown cells of one row may join their columns: these share their currents, and what drives them apart.
         ties = unknown & (loose > _TIED)
         if (np.count_nonzero(ties, axis=1) > 1).any():
-            joined: BoolArray = ties.T.astype(np.float64) @ ties > 0.5
-            joined.flat[:: len(joined) + 1] = False
+            together = ties.T.astype(np.float64) @ ties
+            together.flat[:: len(together) + 1] = 0.0
+            joined: BoolArray = np.greater(together, 0.5)
             current = np.abs(ports.apart) * np.abs(ports.drive)
             added += current @ joined + np.where(joined, self._driven_apart, 0.0).sum(axis=0)
         return np.nan_to_num(added, posinf=np.inf)

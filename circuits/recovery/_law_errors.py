@@ -122,9 +122,13 @@ class LawErrors:
         self.opens = bool(self.row_open.max() > OPEN_ROW) or bool(np.isinf(self.of_left).any())
         """whether the error of a column or a row may change cells of others"""
         self.opens = self.opens or (law.has_leads and bool(self.column_open.max() > OPEN_SCALE))
+        self.at_end: BoolArray | None = None
+        """readings within their error of a short's; None: there are none"""
         if law.follows:
-            lost = law.may_follow(ports, volts, _FOLLOWS) | law.at_end(ports, _WITHIN * self.error)
+            at_end = law.at_end(ports, _WITHIN * self.error)
+            lost = law.may_follow(ports, volts, _FOLLOWS) | at_end
             if lost.any():
+                self.at_end = at_end if at_end.any() else None
                 self.opens, self.linear = True, np.where(lost, inf, self.linear)
         self.per_volt = per_volt, np.broadcast_to(beside * np.sqrt(in_column), size.shape)
         """relative change of a cell per volt of its own reading, and per volt of independent errors of its column"""

@@ -172,6 +172,8 @@ class LawLive:
         total = uncertainty if by_others is None else uncertainty + by_others
         valid = self._rule.accepts(total)
         short = cells * self._wires > _MOST_WIRE if self._any_wire else None
+        if errors.at_end is not None:
+            short = errors.at_end if short is None else short | errors.at_end
         resistance = 1.0 / np.maximum(cells, 0.0)
         usual = settled and unknowns is None and self._present is None and (short is None or not short.any())
         every = usual and np.count_nonzero(valid) == valid.size
@@ -210,7 +212,15 @@ class LawLive:
         if by_others is not None:
             reason[by_others > 0.5 * total] = DISTURBED
         none = (own >= 1.0) | ~(cells > 0.0)
-        for where, why in ((short, SATURATED), (None if settled else ~none, UNSETTLED), (none, NO_CURRENT)):
+        beside = False if short is None else bool(short.any())  # a short keeps others from settling
+        unsettled = None if settled else ~none
+        if short is not None:
+            none &= ~short
+        for where, why in (
+            (unsettled, DISTURBED if beside else UNSETTLED),
+            (short, SATURATED),
+            (none, NO_CURRENT),
+        ):
             if where is not None:
                 reason[where], valid[where] = why, False
         if unknowns is not None:
