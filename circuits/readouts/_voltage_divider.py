@@ -82,7 +82,7 @@ class VoltageDivider(ReadoutCircuit):
         return terminated_fields(board, network, _loads(board))
 
     def port_law(self, board: Parts, wire: FloatArray) -> PortLaw | None:
-        if board.floating:
+        if board.floating and not board.pulled:
             return None
         loads = _loads(board)._replace(output=np.full(board.shape[1], board.level))
         return PortLaw.of_ends(loads, wire, board.drive, floating=False)
