@@ -112,8 +112,6 @@ class Estimator:
         """(n,) kPa^2 by loads that may have been subtracted as shared noise; never changes again; None: zero"""
         self._by_bounds: FloatArray | None = None
         """(n,) kPa^2 by readings of which only an interval is known; never changes again; None: zero"""
-        self._known: BoolArray | None = None
-        """(n,) cells that the last frame has read; None: all"""
         self._readings = np.zeros(cells)
         """(n,) number of first readings that each cell has averaged"""
         self._begun = False
@@ -245,7 +243,7 @@ class Estimator:
         if self._scale.open_at_rest and np.isinf(resistance).any():
             quiet = np.isinf(resistance) & (resistance > 0.0)  # no current, hence no load, and no noise to be measured
             resistance = np.where(quiet, self._rest_ohm, resistance)
-        known = self._known = self._normalise(resistance, r)
+        known = self._normalise(resistance, r)
         before = self._pressure.copy() if self._gaps.concern(dt, self._usual_s or dt, known) else None
         watched = blurred = loaded = None
         if self._shared_noise.ratio and not exact:
@@ -362,21 +360,6 @@ class Estimator:
         by_gaps = self._gaps.variance if self._gaps.doubtful else None
         more = by_gaps, self._held.variance, self._by_shared, self._by_bounds
         return self._deviation.of_last_step(self.shape, self._watched, *more)
-
-    def rise_of_last_step(self) -> tuple[FloatArray, FloatArray]:
-        """Distance of the last readings from rest, and its standard deviation by noise.
-
-        Returns:
-            (shape) normalised resistance R/R0 - 1, counted positive in the direction of a load, NaN where a cell was
-            not read; and (shape) its standard deviation by noise and by the quantisation steps of the ADC. Creep and
-            hysteresis of earlier loads are part of the former, not of the latter. The arrays never change again.
-        """
-        r, shape = self._reading, self.shape
-        noise = smoothing.noise_of(r[np.newaxis], self._noise.at_rest)  # of lines that end in the readings
-        rise = self.inversion.side * r
-        if self._known is not None:
-            rise[~self._known] = np.nan
-        return rise.reshape(shape), noise.reshape(shape)
 
     @property
     def states_std(self) -> bool:
