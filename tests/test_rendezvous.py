@@ -435,7 +435,7 @@ class TestBoards:
             Skin.open(port.name, board="fsr-array", design=large, timeout=30.0) as skin,
             pytest.raises(ProtocolError, match=said),
         ):
-            skin.read(1.0)
+            skin.read(4.0)
 
 
 class TestFiles:

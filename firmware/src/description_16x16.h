@@ -16,5 +16,4 @@
     ",\"adc\":{\"bits\":10,\"range\":[0.0,5.0],\"sampling_capacitance\":1.4e-11,\"switch_resistance\":10000.0,\"acqu" \
     "isition_time\":3e-06}},\"cell\":{\"rest_resistance_ohm\":10000.0,\"full_scale_kpa\":15.5,\"model\":{\"e1_kpa\":" \
     "32.0,\"e2_kpa\":60.0,\"e3_kpa\":480.0,\"eta2_kpa_s\":505.0,\"eta3_kpa_s\":48000.0,\"kind\":\"paper\",\"eu1_kpa\":2" \
-    "0.0,\"eu2_kpa_per_s\":16.0,\"etau2_kpa\":80.0,\"rising_threshold_per_s\":null,\"recovery_threshold_per_s\":n" \
-    "ull,\"derivative_s\":0.5},\"estimators\":null}}"
+    "0.0,\"eu2_kpa_per_s\":16.0,\"etau2_kpa\":80.0,\"derivative_s\":0.5}}}"
