@@ -24,7 +24,8 @@ NOT_SENT = {"operation", "requirements", "requirement"}
 def header(design: Design, cell: Cell) -> str:
     """Text of the C header for a board built after ``design``, read by a 10-bit converter from 0 V."""
     assert design.adc is not None
-    text = write_description(design.model_dump(exclude_defaults=True, exclude=NOT_SENT), cell.model_dump(exclude_none=True)).decode()
+    tables = design.model_dump(exclude_defaults=True, exclude=NOT_SENT)
+    text = write_description(tables, cell.model_dump(exclude_none=True)).decode()
     pieces = [text[i : i + COLUMNS_OF_TEXT] for i in range(0, len(text), COLUMNS_OF_TEXT)]
     reference_code = design.readout.reference_voltage / design.adc.step
     drive_code = -design.drive.voltage / design.adc.step

@@ -23,10 +23,12 @@ Which boards are looked at:
 
 =======================  ==============================================================================
 :mod:`._parameters`      tolerances as factors; corners and random boards made of them
-:mod:`._corner`          the worst corner, by sensitivities and solutions
+:mod:`._targets`         quantities as functions of a board and a press, for the search
+:mod:`._corner`          the one search for the worst case of any quantity
 :mod:`._montecarlo`      the yield of random boards
 :mod:`._budget`          what each part costs alone
 :mod:`._explore`         variations, their trade-off, and what would mend a requirement
+:mod:`._assumptions`     what a verdict leaves out
 =======================  ==============================================================================
 
 The paper's claims (:mod:`._claims`):
