@@ -44,11 +44,11 @@ class Freshness:
     size: int = field(metadata=column("cells", "{0} x {0}"))
     """of the N x N array"""
     come_us: float = field(metadata=column("us per frame that comes", "{:.0f}"))
-    """processor time per frame that comes: packets, and numbering and timing of the frame"""
+    """processor time per frame that comes: packets, numbering and timing of the frame, counts to ohms to kPa"""
     taken_us: float = field(metadata=column("taken", "{:.0f}"))
-    """per frame that is taken: counts to ohms to kPa with standard deviations, and handing over"""
+    """besides, per frame that is taken: standard deviations, and handing over"""
     contacts_us: float = field(metadata=column("contacts besides", "{:.0f}"))
-    """besides, per frame that is taken once contacts have been asked for, with about five fingers on the skin"""
+    """besides, per frame once contacts have been asked for, with about five fingers on the skin"""
     median_age: float = field(metadata=column("median age", "{:.2f}"))
     """of the newest frame, in frames of a board at 1 kHz, when a reader gets it who works for 10 ms in each cycle"""
     worst_age: float = field(metadata=column("worst", "{:.2f}"))
@@ -94,7 +94,7 @@ def _costs(board: Design, cells: FloatArray, cycles: int) -> tuple[float, float,
     kinds = [(*_opened(board, cells, step * (cycles + 2), 1.0, each=step), step) for step in (1, _BURST, 1)]
     with kinds[0][0], kinds[1][0], kinds[2][0] as asked:
         kinds[2][1].work(1.0)
-        _ = asked.latest(inf).contacts  # from now on contacts are found in every frame that is taken
+        _ = asked.latest(inf).contacts  # from now on contacts are found in every frame
         for cycle in range(cycles):
             for kind, (skin, port, step) in enumerate(kinds):
                 port.work(step)

@@ -21,6 +21,7 @@ from scipy.sparse.linalg import splu
 from ..circuits import Design
 from ..circuits.spice import command_available, command_scan
 from ..common.arrays import FloatArray, IntArray
+from ..common.extras import install_command
 
 
 class Peer(NamedTuple):
@@ -149,7 +150,7 @@ def _untouched_logging() -> Iterator[None]:
 def _needs(module: str) -> Callable[[], str | None]:
     def missing() -> str | None:
         found = importlib.util.find_spec(module) is not None
-        return None if found else f"{module} is not installed: pip install 'ohmskin[peers]'"
+        return None if found else f"{module} is not installed: {install_command('peers')}"
 
     return missing
 

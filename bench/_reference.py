@@ -25,6 +25,7 @@ from scipy.cluster.hierarchy import DisjointSet
 
 from ..circuits import Design
 from ..common.arrays import FloatArray
+from ..common.extras import install_command
 from ..errors import MissingExtra
 
 try:
@@ -53,7 +54,7 @@ def reference_volts(design: Design, resistance: ArrayLike) -> FloatArray:
         MissingExtra: python-flint is not installed.
     """
     if flint is None:
-        raise MissingExtra("the exact reference needs python-flint: pip install 'ohmskin[hunt]'")
+        raise MissingExtra(f"the exact reference needs python-flint: {install_command('hunt')}")
     cells = design.resistance(resistance)
     rows, columns = cells.shape
     volts = np.empty(cells.shape)

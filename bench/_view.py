@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from ..common.config import write_toml
+from ..common.extras import install_command
 from ..errors import LinkError, MissingExtra
 from ._driver import design
 from .harness import column
@@ -62,7 +63,7 @@ def view(sizes: Iterable[int], *, seconds: float = SECONDS) -> Iterator[Row]:
     try:
         from playwright.sync_api import sync_playwright
     except ImportError as error:
-        raise MissingExtra("the browser is driven by playwright: pip install 'ohmskin[test]'") from error
+        raise MissingExtra(f"the browser is driven by playwright: {install_command('test')}") from error
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(
             executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu", "--disable-background-networking"]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import fields
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -10,8 +11,9 @@ import click
 import numpy as np
 
 from ..common.arrays import AnyArray
+from ..common.extras import install_command
 from ..common.files import check_writable, whole_file
-from ..driver import FRAME_NUMBERS, Frame, Skin, stack, to_xarray
+from ..driver import FRAME_NUMBERS, Contact, Frame, Skin, stack, to_xarray
 from ..errors import InputError, MissingExtra
 from . import arguments
 from ._recording import played_frames
@@ -30,10 +32,11 @@ KINDS = (".npz", ".csv", ".parquet", ".nc")
 def command(recording: Path, output: Path) -> None:
     """Convert FILE.mcap as the driver does, and write every frame.
 
-    .npz has an array for each field of a frame, with the frames along its first axis, and `time`, the host's. .csv and
-    .parquet have a row for each frame: its numbers, then pressure_kpa_R_C and resistance_ohm_R_C for each cell;
-    counts_R_C, rest_counts_R_C and valid_R_C where the board's circuit is not known. .nc is
-    netCDF for xarray, with the dimensions time, row, column, units, and places of the cells in mm.
+    .npz has an array for each field of a frame, with the frames along its first axis, `time`, the host's, and the
+    contacts of all frames in a row: contact_frame is the frame of each. .csv and .parquet have a row per frame: its
+    numbers, the number of contacts and their force_n, then pressure_kpa_R_C and resistance_ohm_R_C for each cell;
+    counts_R_C, rest_counts_R_C and valid_R_C where the board's circuit is not known. .nc is netCDF for xarray, with the
+    dimensions time, row, column, units, and places of the cells in mm.
     """
     kind = output.suffix.lower()
     if kind not in KINDS:
@@ -43,20 +46,39 @@ def command(recording: Path, output: Path) -> None:
         if kind == ".nc":
             content = _as_netcdf(frames, skin)
         else:
-            arrays = stack(frames, skin.shape)
+            touched: list[tuple[Contact, ...]] = []
+            arrays = stack(_noting(frames, touched), skin.shape)
             titles = OF_CIRCUIT if skin.knows_circuit else OF_COUNTS
     with whole_file(output) as file:
         if kind == ".nc":
             file.write(content)
         elif kind == ".npz":
-            np.savez_compressed(file, allow_pickle=False, **arrays, time=arrays["host_time"])
+            contacts = _contacts(touched)
+            np.savez_compressed(file, allow_pickle=False, **arrays, **contacts, time=arrays["host_time"])
         elif kind == ".csv":
-            columns = _columns(arrays, titles)
+            columns = _columns(arrays, titles, touched)
             file.write((",".join(columns) + "\n").encode())
             for row in zip(*columns.values(), strict=True):
                 file.write((",".join(map(_text, row)) + "\n").encode())
         else:
-            _write_parquet(_columns(arrays, titles), file)
+            _write_parquet(_columns(arrays, titles, touched), file)
+
+
+def _noting(frames: Iterable[Frame], touched: list[tuple[Contact, ...]]) -> Iterator[Frame]:
+    """The same frames, whose contacts are appended to ``touched`` as they pass."""
+    for frame in frames:
+        touched.append(frame.contacts)
+        yield frame
+
+
+def _contacts(touched: Sequence[tuple[Contact, ...]]) -> dict[str, AnyArray]:
+    """The numbers of all contacts in a row, and the frame of each."""
+    names = [item.name for item in fields(Contact) if item.name not in ("cells", "joined")]
+    columns: dict[str, AnyArray] = {
+        f"contact_{name}": np.array([getattr(contact, name) for contacts in touched for contact in contacts])
+        for name in names
+    }
+    return columns | {"contact_frame": np.repeat(np.arange(len(touched)), [len(contacts) for contacts in touched])}
 
 
 def _as_netcdf(frames: Iterable[Frame], skin: Skin) -> bytes:
@@ -68,11 +90,15 @@ def _as_netcdf(frames: Iterable[Frame], skin: Skin) -> bytes:
         missing = [name for name in ("h5netcdf", "h5py") if find_spec(name) is None]
         if not missing:
             raise
-        raise MissingExtra(f".nc files need {' and '.join(missing)}: pip install 'ohmskin[data]'") from error
+        raise MissingExtra(f".nc files need {' and '.join(missing)}: {install_command('data')}") from error
 
 
-def _columns(arrays: dict[str, AnyArray], titles: Mapping[str, str]) -> dict[str, AnyArray]:
+def _columns(
+    arrays: dict[str, AnyArray], titles: Mapping[str, str], touched: Sequence[tuple[Contact, ...]]
+) -> dict[str, AnyArray]:
     columns = {name: arrays[name] for name in FRAME_NUMBERS}
+    columns["contacts"] = np.array([len(contacts) for contacts in touched])
+    columns["force_n"] = np.array([sum(contact.force_n for contact in contacts) for contacts in touched])
     for name, title in titles.items():
         rows, count = arrays[name].shape[1:]
         columns |= {f"{title}_{r}_{c}": arrays[name][:, r, c] for r in range(rows) for c in range(count)}
@@ -92,5 +118,5 @@ def _write_parquet(columns: dict[str, AnyArray], file: object) -> None:
         import pyarrow
         from pyarrow import parquet
     except ImportError as error:
-        raise MissingExtra(".parquet needs pyarrow: pip install 'ohmskin[parquet]'") from error
+        raise MissingExtra(f".parquet needs pyarrow: {install_command('parquet')}") from error
     parquet.write_table(pyarrow.table(columns), file)

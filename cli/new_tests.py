@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 import click
 
+from ..common.extras import install_command
 from ..hil import write_suite
 from . import arguments
 
@@ -15,3 +18,5 @@ def command(folder: str) -> None:
     for path in write_suite(folder):
         click.echo(path)
     click.echo(f"run it: pytest {folder}")
+    if find_spec("pytest") is None:
+        click.echo(f"pytest is not installed: {install_command('hil')}")

@@ -14,6 +14,7 @@ import click
 
 from ..cell import Cell
 from ..circuits import Design
+from ..common.extras import install_command
 from ..common.files import check_writable, make_folder
 from ..common.tables import read_cells
 from ..common.text import printable
@@ -204,7 +205,7 @@ def _executor(address: str | None) -> Iterator[Executor | None]:
     try:
         from distributed import Client
     except ImportError as error:
-        raise MissingExtra("--dask needs Dask: pip install 'ohmskin[dask]'") from error
+        raise MissingExtra(f"--dask needs Dask: {install_command('dask')}") from error
     try:
         client: Any = Client(address, timeout="10s", set_as_default=False)
     except (OSError, ValueError) as error:

@@ -53,7 +53,7 @@ FixedRows = Annotated[FloatArray, "Array(float64, 2, 'C', readonly=True)"]
 FixedFlags = Annotated[BoolArray, "Array(boolean, 1, 'C', readonly=True)"]
 FixedCodes = Annotated[CodeArray, "Array(uint32, 1, 'C', readonly=True)"]
 
-WAIT = "up to 40 s"
+WAIT = "up to 60 s"
 """processor time in which all loops, more than eighty, are compiled on a slow core; a fast one takes half as long"""
 
 _OPTIONS: dict[str, bool | str] = {"nogil": True, "error_model": "numpy"}

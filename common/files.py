@@ -21,6 +21,9 @@ from typing import BinaryIO
 from ..errors import InputError, OhmskinError
 from .checks import path_text
 
+if sys.platform != "win32":
+    import fcntl
+
 MOST_BYTES = 16 * 2**20
 """size limit of a configuration file: 1024 x 1024 calibrated cells fit"""
 
@@ -156,6 +159,43 @@ def size(count: int) -> str:
             return f"{count} {unit}"
         count //= 1024
     return f"{count} GiB"
+
+
+def claim(file: BinaryIO) -> None:
+    """Mark an open file as being written until it is closed, for :func:`is_claimed`, where the system can."""
+    if sys.platform != "win32":
+        with contextlib.suppress(OSError):
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def is_claimed(path: Path) -> bool:
+    """Whether somebody, in this process or in another one, writes a file that was marked by :func:`claim`."""
+    if sys.platform != "win32" and path.is_file():
+        with contextlib.suppress(OSError), path.open("rb") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return True
+    return False
+
+
+@contextmanager
+def one_at_a_time(folder: Path) -> Iterator[None]:
+    """Wait until no other thread or process is in such a block for this folder, where the system has such marks."""
+    with ExitStack() as stack:
+        if sys.platform != "win32":
+            with contextlib.suppress(OSError):
+                descriptor = os.open(folder, os.O_RDONLY)
+                stack.callback(os.close, descriptor)
+                fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+
+
+def forget(file: BinaryIO) -> None:
+    """In a forked process: send what the buffer of the parent's file holds nowhere, since the parent writes it."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, file.fileno(), inheritable=False)
+    os.close(nowhere)
 
 
 class Output:

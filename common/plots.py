@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from ..errors import MissingExtra
+from .extras import install_command
 
 # Okabe and Ito's palette: told apart by colour-blind readers and in grey print.
 INK, BLUE, ORANGE, GREEN, RED, SKY, PURPLE = "#1d2430", "#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7"
@@ -52,7 +53,7 @@ def drawing(
         from cycler import cycler
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise MissingExtra("plots need matplotlib: pip install 'ohmskin[report]'") from error
+        raise MissingExtra(f"plots need matplotlib: {install_command('report')}") from error
     colours = cycler(color=[BLUE, ORANGE, GREEN, RED, SKY, PURPLE, *_MORE])
     with mpl.rc_context(STYLE | {"axes.prop_cycle": colours}):
         figure = Figure(figsize=(width, height), layout="constrained")

@@ -13,9 +13,9 @@ from collections.abc import Iterator, Sequence
 from .. import __version__
 from ..circuits.spice import available, command_available
 from ..common import compiled
+from ..common.extras import PACKAGE, install_command
 from ._finding import Finding, State
 
-PACKAGE = "ohmskin"
 DEVELOPMENT = ("dev", "test")
 """extras that a user does not need"""
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
@@ -59,9 +59,8 @@ def _packages(requirements: Sequence[str]) -> Iterator[Finding]:
         if not missing:
             yield Finding(State.OK, subject, shown)
         else:
-            wanted = f"{PACKAGE}[{extra}]" if extra else PACKAGE
             state = State.OPTIONAL if extra else State.PROBLEM
-            yield Finding(state, subject, f"missing: {', '.join(missing)}", f"pip install '{wanted}'")
+            yield Finding(state, subject, f"missing: {', '.join(missing)}", install_command(extra))
 
 
 def _version(name: str) -> str | None:
@@ -84,13 +83,13 @@ def _machine_code() -> Finding:
             State.OPTIONAL, "machine code", found, "export NUMBA_CACHE_DIR=DIR, a folder that can be written"
         )
     switches = [name for name in (compiled.SWITCH, compiled.NUMBA_SWITCH) if name in why_not]
-    mend = f"unset {switches[0]}" if switches else f"pip install '{PACKAGE}[fast]'"
+    mend = f"unset {switches[0]}" if switches else install_command("fast")
     return Finding(State.OPTIONAL, "machine code", f"{why_not}; frames take the driver about twice as long", mend)
 
 
 def _spice() -> Iterator[Finding]:
     for subject, reason, mend in (
-        ("libngspice", available(), "pip install 'ohmskin[spice]' && sudo apt install libngspice0"),
+        ("libngspice", available(), f"{install_command('spice')} && sudo apt install libngspice0"),
         ("ngspice", command_available(), "sudo apt install ngspice"),
     ):
         if reason is None:

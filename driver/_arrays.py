@@ -10,6 +10,7 @@ import numpy as np
 from .. import __version__
 from ..common.arrays import AnyArray
 from ..common.config import fingerprint
+from ..common.extras import install_command
 from ..errors import InputError, MissingExtra
 from ._frame import Frame
 from ._skin import Skin
@@ -86,7 +87,7 @@ def to_xarray(frames: Iterable[Frame], skin: Skin | None = None) -> Dataset:
     try:
         from xarray import Dataset
     except ImportError as error:
-        raise MissingExtra("datasets need xarray: pip install 'ohmskin[data]'") from error
+        raise MissingExtra(f"datasets need xarray: {install_command('data')}") from error
     arrays = stack(frames, None if skin is None else skin.shape)
     rows, columns = arrays["pressure"].shape[1:]
     moments = np.round(arrays["host_time"] * 1e9).astype("datetime64[ns]")

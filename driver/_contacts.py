@@ -1,73 +1,60 @@
-"""Contacts on the skin: connected-component labelling with hysteresis, and tracking from frame to frame.
+"""Contacts on the skin, from the pressures of a frame and their standard deviations alone.
 
-A pixel-wise threshold flickers with noise. We use two thresholds, as in Canny's edge detector: cells above the low one
-form a contact only if one of them is above the high one, or if the contact was there a moment ago. Each cell
-has a hysteresis, too, so that the cell between two fingers does not join and part them from frame to frame. Fingers
-that touch each other are separated along the valley between them (:mod:`._watershed`). :mod:`._tracks` gives the
-contacts their ids.
-
-On boards with few ADC steps a touch hardly ever exceeds five standard deviations of one cell's pressure. There a joint
-rise of neighbouring readings, sudden or within seconds, also makes a contact (:mod:`._rises`). This contact lasts as
-long as the pressures do.
+A threshold on each cell flickers with noise. We use two, as in Canny's edge detector: a contact begins where the
+pressure is surely that of a load, takes in the cells around that are likely loaded, and lets a cell go when it hardly
+is. Where single cells are not sure, neighbours are judged together. Connected cells are one contact; fingers that touch
+each other are parted along the valley between them (:mod:`._watershed`), and :mod:`._tracks` gives the contacts their
+ids.
 
 Rest resistances drift with temperature and age, and the driver takes a rise of resistance for a load. A contact
 therefore begins only where the pressure exceeds the part that drift may have caused. In an untouched cell this part
-follows the pressure upwards by at most :data:`DRIFT_PER_S`. In the cells of a contact it stays constant, so that no
+follows the pressure upwards by at most :data:`DRIFT_PER_S`; in the cells of a contact it stays constant, so that no
 held load fades.
-
-A disturbance of the converter changes readings that are converted one after another, for one frame. A new patch within
-one row or column is therefore a contact only in its second frame; a new patch over several rows and columns is one at
-once.
 """
 
 from __future__ import annotations
 
+import copy
 import math
 import threading
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
-from ._around import highest_around, sums_around, with_all_neighbours
 from ._bridging import bridge
 from ._later import Later
 from ._pitch import Pitch
-from ._rises import Rises
 from ._tare import KNOWN_DRIFT
 from ._tracks import Named, Patch, Tracks
-from ._trails import Trails
-from ._watershed import Segments
+from ._watershed import NEIGHBOURS, part
 
-START_STDS, JOIN_STDS, STAY_STDS = 5.0, 3.2, 2.5
-"""thresholds in standard deviations of a cell's pressure: to begin a contact, to join one, to stay in one"""
+START_STDS, JOIN_STDS, STAY_STDS = 5.0, 2.5, 0.5
+"""pressure of a cell, in its standard deviations, that begins a contact, joins one, stays in one"""
 START_SHARE, JOIN_SHARE, STAY_SHARE = 0.03, 0.0192, 0.015
 """lower bounds of these thresholds, as fractions of full scale: the standard deviation leaves out slow errors of the
 cell model"""
-LEFT_SHARE, FALLEN_SHARE = 0.4, 0.7
-"""fractions of the largest pressure of a cell since it rose jointly with others. Below the first, its touch is over;
-below the second, if the cell has just fallen jointly with others"""
-TOGETHER_STDS, HELD_S, HELD_SHARE = 2.0, 0.5, 0.9
-"""a touch begins where the weighted sum of the pressures of neighbouring cells has exceeded this many times the sum of
-their standard deviations for this time, and has not fallen below this fraction of its largest value. A press grows or
-is steady; the estimates after a tap fade. Errors of neighbours have the same history, so their standard deviations are
-added as if the errors were common"""
+TOGETHER_STDS = 2.0
+"""a contact also begins where the mean of neighbouring cells, weighted like a fingertip, exceeds this many times the
+mean of their standard deviations. Neighbours share their history, so their errors are taken for common ones. The mean
+without the cell's row, and without its column, must exceed it, too: faults of wires and converters move one line"""
+FINGERTIP = np.array([[0.25, 0.5, 0.25], [0.5, 1.0, 0.5], [0.25, 0.5, 0.25]])
+"""weights of a cell and its neighbours"""
 MISSING_S = 0.2
 """a cell without a reading for longer is missing; until then its last pressure counts"""
 DRIFT_PER_S = 0.003
 """relative change of a rest resistance per second: warming up takes minutes. A finger presses much faster"""
 WAKE_SHARE, WAKE_S = 0.15, 1.0
 """fraction of the largest pressure in the 3 x 3 cells around a cell, forgotten with this time constant: what a finger
-leaves in the estimates behind and beside it is less, and begins no contact"""
-SPARK_S, STANDS_OUT = 0.1, 15.0
-"""a patch that may be a bad contact (a lone cell, or part of a line as a bad line moves it) is a contact only after
-this time, but in its second frame if a reading has risen by this many standard deviations of its noise, since the
-estimator judges such jumps itself"""
+leaves in the estimates behind it and beside it is less, and is no contact"""
+SPARK_S, STANDS_OUT = 0.1, 8.0
+"""a new patch within one row or column may be a disturbance of the converter: it is a contact in its second frame. One
+that may be a bad contact (a lone cell, or part of a line as a bad line moves it) is one after this time, unless it
+exceeds this many standard deviations, since the estimator judges such jumps itself"""
 LONGEST_IN_LINE = 3
 """cells within one line that a stylus covers"""
-EVEN_LINE = 0.3
-"""fraction of the rise of some cells of a line: if the median of its other cells rises by more, the line is bad"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +80,9 @@ class Contact:
     interpolated_n: float = 0.0
     """part of :attr:`force_n` on cells that are not read but lie between touched ones, interpolated between these. A
     lower bound if the middle of the press lies there. A gap at the rim of a contact is not counted"""
+    force_std_n: float = math.nan
+    """standard deviation of :attr:`force_n`: that of the pressures times cell area, added up as if neighbours erred
+    alike, since they share their history; NaN where the estimator states none"""
 
     @property
     def position_m(self) -> tuple[float, float]:
@@ -128,39 +118,21 @@ class ContactTracker:
         self.pitch = Pitch.of(pitch_m)
         self.full_scale_kpa = full_scale_kpa
         self._faults_press = faults_press
-        self._labels: IntArray = np.zeros(shape, dtype=int)
-        self._pressed: BoolArray = np.zeros(shape, dtype=np.bool_)
-        """(rows, columns) cells of the last frame with enough pressure for a contact, however uncertain"""
-        self._pressed_s = np.full(shape, np.inf)
-        """(rows, columns) time since which they have been pressed; infinite for the others"""
-        self._rise: tuple[FloatArray, FloatArray] | None = None
-        """readings and their noise, as for :meth:`update`"""
+        self._labels: IntArray = np.zeros(shape, dtype=np.intp)
+        """(rows, columns) number of the contact of the last frame, from 1; 0: none"""
         self._fingers: list[int] = []
-        """number of fingers for each label"""
-        self._were_parted = False
-        self._segments = Segments(shape)
-        self._rises = Rises(shape, loads_raise=faults_press)
-        self._trails = Trails(shape)
-        self._risen_kpa = np.zeros(shape)
-        """(rows, columns) largest pressure since the cell rose jointly with its neighbours; 0: no such rise"""
-        self._risen_s = np.full(shape, np.inf)
-        """(rows, columns) time of that rise; infinite for the others"""
-        self._rising: BoolArray = np.zeros(shape, dtype=np.bool_)
-        """(rows, columns) middles of the joint rises in this frame"""
-        self._together_s = np.full(shape, np.inf)
-        """(rows, columns) time since which untouched cells jointly show a steady load; infinite for others"""
-        self._together_kpa = np.zeros(shape)
-        """(rows, columns) largest weighted sum of pressures since then"""
+        """number of fingers of each of these contacts"""
+        self._pressed_s = np.full(shape, np.inf)
+        """(rows, columns) time since which a cell shows a pressure, however uncertain; infinite for the others"""
         self._most_drift_kpa, self._drift_kpa_per_s = drift_kpa, drift_kpa / KNOWN_DRIFT * DRIFT_PER_S
         self._drift_kpa = np.zeros(shape)
         """(rows, columns) part of the pressure that drift may have caused"""
         self._wake_kpa = np.zeros(shape)
         """(rows, columns) largest recent pressure while the cell was in a contact, with exponential forgetting"""
         self._time_s = math.inf
+        """of the last frame; infinite before the first"""
         self._read_s = np.full(shape, -np.inf)
-        """(rows, columns) time of the cell's last reading; only used if readings are given"""
-        self._missing: BoolArray | None = None
-        """(rows, columns) cells that are not read; None: only those with a pressure of NaN"""
+        """(rows, columns) time of the cell's last reading"""
         self._tracks = Tracks(1e3 * self.pitch.mean_m, 1e3 * max(self.pitch))
         self._places: IntArray = np.indices(shape).reshape(2, -1).T.copy()
         """(cells, 2) row and column of each cell of the flattened array"""
@@ -168,11 +140,7 @@ class ContactTracker:
         """(cells, 2) x and y of each cell's middle"""
 
     def update(
-        self,
-        time_s: float,
-        pressure_kpa: FloatArray,
-        std_kpa: FloatArray,
-        rise: tuple[FloatArray, FloatArray] | None = None,
+        self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray, unread: BoolArray | None = None
     ) -> tuple[Contact, ...]:
         """The contacts of the next frame, the one with the largest force first.
 
@@ -180,198 +148,72 @@ class ContactTracker:
             time_s: time of the frame, increasing.
             pressure_kpa: (rows, columns); a cell with NaN counts as untouched.
             std_kpa: (rows, columns) standard deviation; NaN where unknown.
-            rise: readings and their noise, as :meth:`ohmskin.cell.Estimator.rise_of_last_step` gives them; None: joint
-                rises are not looked for.
+            unread: (rows, columns) cells without a reading in this frame; None: none but those with NaN.
 
         """
-        self._follow_joint_rises(time_s, pressure_kpa, std_kpa, rise)
-        if rise is not None:
-            self._trails.look(*rise, self._labels > 0)
-            self._find_missing(time_s, np.isnan(rise[0]))
-        self._rise = rise
-        if math.isinf(self._time_s):
-            # In the first frame: most likely these cells have been pressed for longer than sparks last.
-            self._pressed_s[pressure_kpa > START_SHARE * self.full_scale_kpa] = -np.inf
-        labels, patches = self._find(time_s, pressure_kpa, std_kpa)
-        self._pressed = pressure_kpa > START_SHARE * self.full_scale_kpa
-        self._pressed_s = np.where(self._pressed, np.minimum(self._pressed_s, time_s), np.inf)
-        names = self._tracks.follow(time_s, patches, labels)
-        self._labels = labels.reshape(self.shape)
-        self._fingers = [1 + len(name.joined) for name in names]
-        # Cells from which the touch that raised them has gone are forgotten.
-        self._risen_kpa[(self._labels == 0) & ~self._rising] = 0.0
-        self._risen_s = np.where(self._risen_kpa > 0, np.minimum(self._risen_s, time_s), np.inf)
-        elapsed_s, self._time_s = max(time_s - self._time_s, 0.0), time_s
-        self._drift(elapsed_s, pressure_kpa)
-        self._remember(elapsed_s, pressure_kpa)
-        self._were_parted = not all(patch.alone for patch in patches)
-        return self._contacts(patches, names)
-
-    def look_back(self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray) -> tuple[Contact, ...]:
-        """The contacts of a frame at ``time_s``, before the last one; tracks and hysteresis do not change."""
-        labels, patches = self._find(time_s, pressure_kpa, std_kpa)
-        return self._contacts(patches, self._tracks.look_back(time_s, patches, labels))
-
-    def forget_readings(self) -> None:
-        """Compare no reading with an earlier one: rest resistances have changed."""
-        self._rises.forget()
-        self._trails.forget()
-
-    def _remember(self, elapsed_s: float, pressure_kpa: FloatArray) -> None:
-        """Remember the pressures of contacts for the places that the contacts leave."""
+        missing = self._missing(time_s, np.isnan(pressure_kpa) if unread is None else unread | np.isnan(pressure_kpa))
+        pressed = pressure_kpa > START_SHARE * self.full_scale_kpa
+        # In the first frame: most likely these cells have been pressed for longer than sparks last.
+        since_s = -math.inf if math.isinf(self._time_s) else time_s
+        self._pressed_s = np.where(pressed, np.minimum(self._pressed_s, since_s), np.inf)
+        elapsed_s = 0.0 if math.isinf(self._time_s) else max(time_s - self._time_s, 0.0)
         self._wake_kpa *= math.exp(-elapsed_s / WAKE_S)
-        np.fmax(self._wake_kpa, pressure_kpa, out=self._wake_kpa, where=self._labels > 0)
+        labels, patches = self._find(time_s, pressure_kpa, std_kpa, missing)
+        names = self._tracks.follow(time_s, patches, labels.ravel())
+        self._labels, self._time_s = labels, time_s
+        self._fingers = [1 + len(name.joined) for name in names]
+        self._drift(elapsed_s, pressure_kpa)
+        np.fmax(self._wake_kpa, pressure_kpa, out=self._wake_kpa, where=labels > 0)
+        return self._contacts(patches, names)
 
     def _drift(self, elapsed_s: float, pressure_kpa: FloatArray) -> None:
         """Let the drift of untouched cells follow their pressures: slowly upwards, at once downwards."""
-        if not self._most_drift_kpa:
-            return
         most = np.minimum(self._drift_kpa + self._drift_kpa_per_s * elapsed_s, self._most_drift_kpa)
         np.fmin(most, np.fmax(pressure_kpa, 0.0), out=most)
         self._drift_kpa = np.where(self._labels > 0, self._drift_kpa, most)
 
-    def _find_missing(self, time_s: float, unread: BoolArray) -> None:
-        """Update the cells without a recent reading; ``unread`` (rows, columns) were not read in this frame."""
-        if not unread.any():
-            self._missing = None
-            self._read_s.fill(time_s)
-            return
+    def _missing(self, time_s: float, unread: BoolArray) -> BoolArray | None:
+        """(rows, columns) cells without a recent reading; None: no cell."""
         self._read_s[~unread] = time_s
-        self._missing = time_s - self._read_s > MISSING_S
+        missing: BoolArray = time_s - self._read_s > MISSING_S
+        return missing if missing.any() else None
 
-    def _follow_joint_rises(
-        self,
-        time_s: float,
-        pressure_kpa: FloatArray,
-        std_kpa: FloatArray,
-        rise: tuple[FloatArray, FloatArray] | None,
-    ) -> None:
-        """Find cells that have risen jointly, and cells whose touch is over."""
-        found = None if rise is None else self._rises.look(time_s, *rise)
-        risen_kpa = self._risen_kpa
-        held = self._held_together(time_s, pressure_kpa, std_kpa)
-        self._rising = np.zeros(self.shape, dtype=np.bool_) if found is None else found.middle
-        if found is None and held is None:
-            of_touch = risen_kpa > 0
-            if (pressure_kpa[of_touch] >= FALLEN_SHARE * risen_kpa[of_touch]).all():
-                return  # there is no touch, or it is held
-        full = self.full_scale_kpa
-        least = np.maximum(LEFT_SHARE * risen_kpa, STAY_SHARE * full)
-        lasts = (pressure_kpa > least) & (risen_kpa > 0)
-        lasts &= self._touch_lasts(time_s, pressure_kpa, None if found is None else found.fallen)
-        if found is not None:
-            lasts |= found.risen & (pressure_kpa > START_SHARE * full)
-        if held is not None:
-            lasts |= held
-        self._risen_kpa = np.where(lasts, np.maximum(risen_kpa, pressure_kpa), 0.0)
-        # These cells stay in their contact only by their own pressures, and only if these exceed what a touch that has
-        # moved on leaves behind.
-        alone = pressure_kpa > np.fmax(JOIN_STDS * std_kpa, np.maximum(JOIN_SHARE * full, LEFT_SHARE * risen_kpa))
-        self._labels = np.where((risen_kpa > 0) & ~lasts & ~alone, 0, self._labels)
-
-    def _held_together(self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray) -> BoolArray | None:
-        """(rows, columns) untouched cells that neighbours jointly show to be under a steady load; None: no cell."""
+    def _find(
+        self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray, missing: BoolArray | None
+    ) -> tuple[IntArray, list[Patch]]:
+        """(rows, columns) for each cell the number of its patch, from 1 (0: none), and the patches."""
+        full, touched = self.full_scale_kpa, self._labels > 0
         excess = pressure_kpa - self._drift_kpa
-        known = np.isfinite(excess) & np.isfinite(std_kpa)
-        pressed = known & (excess > START_SHARE * self.full_scale_kpa)
-        free = pressed & (self._labels == 0)
-        if not free.any():
-            self._together_s.fill(np.inf)
-            return None
-        sums, stds = sums_around(np.where(known, excess, 0.0)), sums_around(np.where(known, std_kpa, 0.0))
-        # The sums without the cell's row and without its column must suffice, too: wiring faults move one line.
-        for total, std in zip(sums, stds, strict=True):
-            free &= total > TOGETHER_STDS * std
-        largest = np.where(np.isfinite(self._together_s), np.maximum(self._together_kpa, sums.whole), sums.whole)
-        steady = free & (sums.whole >= HELD_SHARE * largest)
-        self._together_s = np.where(steady, np.minimum(self._together_s, time_s), np.inf)
-        self._together_kpa = largest
-        middle = time_s - self._together_s > HELD_S
-        return with_all_neighbours(middle) & pressed if middle.any() else None
-
-    def _touch_lasts(self, time_s: float, pressure_kpa: FloatArray, fallen: BoolArray | None) -> BoolArray:
-        """(rows, columns) cells of joint rises whose touch goes on as a whole: its rim does not outlast its middle.
-
-        If one of several merged touches is released, the whole falls. Cells that keep their pressure then go on.
-        """
-        numbers, risen_kpa = self._labels.ravel(), self._risen_kpa.ravel()
-        now = np.bincount(numbers, np.where(risen_kpa > 0, np.fmax(pressure_kpa.ravel(), 0.0), 0.0))
-        least = LEFT_SHARE * np.bincount(numbers, risen_kpa)
-        if fallen is not None:
-            least[numbers[fallen.ravel() & (risen_kpa > 0)]] *= FALLEN_SHARE / LEFT_SHARE
-        goes_on: BoolArray = now > least
-        goes_on[0] = True  # cells in no contact yet
-        lasts = goes_on[self._labels]
-        if fallen is not None and not goes_on.all():
-            lasts |= self._held_in_a_fall(time_s, ~lasts & (pressure_kpa > FALLEN_SHARE * self._risen_kpa), fallen)
-        return lasts
-
-    def _held_in_a_fall(self, time_s: float, bears: BoolArray, fallen: BoolArray) -> BoolArray:
-        """(rows, columns) cells with unchanged load, connected with a held cell whose surroundings have not fallen.
-
-        All cells of a finger that is lifted have falling cells around them. A rim that is wider than these bears less
-        than :data:`WAKE_SHARE` of the middle. After taps and moving fingers the estimates stay higher for a moment, so
-        a cell counts as held only if it rose more than :data:`WAKE_S` ago.
-
-        Args:
-            time_s: of the frame.
-            bears: (rows, columns) cells that have not fallen themselves, in contacts that have fallen as a whole.
-            fallen: (rows, columns) cells that have fallen jointly with their neighbours.
-
-        """
-        most_kpa = np.zeros(self._labels.max() + 1)
-        np.maximum.at(most_kpa, self._labels, self._risen_kpa)
-        held = bears & ~fallen & (self._risen_kpa > WAKE_SHARE * most_kpa[self._labels])
-        held &= time_s - self._risen_s > WAKE_S
-        parts, count = self._segments.label(bears)
-        lasting = np.zeros(count + 1, dtype=np.bool_)
-        lasting[parts[held]] = True
-        of_lasting: BoolArray = lasting[parts]
-        return of_lasting
-
-    def _find(self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray) -> tuple[IntArray, list[Patch]]:
-        """For each cell of the flattened array the number of its patch, from 1 (0: none), and the patches."""
-        full = self.full_scale_kpa
-        start = np.fmax(START_STDS * std_kpa, START_SHARE * full)  # fmax: a deviation of NaN is ignored
-        risen, excess = self._risen_kpa > 0, pressure_kpa - self._drift_kpa
-        begins = (excess > start) | risen  # False where NaN
-        if begins.any():
-            begins &= self._rising | (excess > WAKE_SHARE * highest_around(self._wake_kpa))
-        touched = self._labels > 0
+        stated_kpa, std_kpa = std_kpa, np.where(std_kpa > 0, std_kpa, 0.0)  # an unknown deviation counts as 0
+        wake = WAKE_SHARE * ndimage.maximum_filter(self._wake_kpa, 3, mode="nearest") if self._wake_kpa.any() else 0.0
+        pressed = excess > np.maximum(START_SHARE * full, wake)  # False where NaN
+        begins = pressed & (excess > START_STDS * std_kpa)
+        if pressed.any() and not begins[pressed].all():
+            begins |= pressed & _together(excess, std_kpa)
+        none = np.zeros(self.shape, dtype=np.intp)
         if not (begins.any() or touched.any()):
-            return np.zeros(pressure_kpa.size, dtype=int), []
-        stay = np.fmax(STAY_STDS * std_kpa, STAY_SHARE * full)
-        join = np.fmax(JOIN_STDS * std_kpa, JOIN_SHARE * full)
-        candidates = (excess > np.where(touched, stay, join)) | risen
-        pressure_kpa, bridged = self._bridge(pressure_kpa, candidates)
-        if bridged is not None:
+            return none, []
+        stds, share = np.where(touched, STAY_STDS, JOIN_STDS), np.where(touched, STAY_SHARE, JOIN_SHARE)
+        candidates = (excess > np.maximum(stds * std_kpa, share * full)) | begins
+        bridged = None
+        if missing is not None:
+            bridged, pressure_kpa = bridge(pressure_kpa, candidates, missing)
             candidates |= bridged
-        if self._trails.any_left:
-            candidates &= ~self._trails.left
-            begins &= candidates
-        found, count = self._segments.label(candidates)
-        kept = np.zeros(count + 1, dtype=bool)
+        patches, count = ndimage.label(candidates, structure=NEIGHBOURS)
+        found: IntArray = patches.astype(np.intp)
+        kept = np.zeros(count + 1, dtype=np.bool_)
         kept[found[begins]] = True
-        kept[0] = False
         self._keep_lasting(found, kept, pressure_kpa)
-        self._drop_disturbances(time_s, found, kept)
+        above_wake = np.zeros(count + 1, dtype=np.bool_)
+        above_wake[found[excess > wake]] = True
+        kept &= above_wake
+        kept[0] = False
+        self._drop_disturbances(time_s, found, kept, excess, std_kpa)
         if not kept.any():
-            return np.zeros(pressure_kpa.size, dtype=int), []
-        labels = np.where(kept, np.cumsum(kept), 0)[found]
-        fingers = self._segments.part(
-            labels, pressure_kpa, std_kpa, begins & (labels > 0), self._labels, were_parted=self._were_parted
-        )
-        return fingers.ravel(), self._measure(fingers.ravel(), labels.ravel(), pressure_kpa, bridged)
-
-    def _bridge(self, pressure_kpa: FloatArray, touched: BoolArray) -> tuple[FloatArray, BoolArray | None]:
-        """Pressures interpolated at missing cells between touched ones, and these cells; None: no cell."""
-        missing = np.isnan(pressure_kpa)
-        if self._missing is not None:
-            missing |= self._missing
-        if not missing.any():
-            return pressure_kpa, None
-        bridged, pressure_kpa = bridge(pressure_kpa, touched, missing)
-        return pressure_kpa, bridged if bridged.any() else None
+            return none, []
+        connected = np.where(kept, np.cumsum(kept), 0)[found]
+        labels = part(connected, pressure_kpa, std_kpa, begins, self._labels)
+        return labels, self._measure(labels.ravel(), connected.ravel(), pressure_kpa, stated_kpa, bridged)
 
     def _keep_lasting(self, found: IntArray, kept: BoolArray, pressure_kpa: FloatArray) -> None:
         """Keep patches in which contacts of the last frame continue.
@@ -398,19 +240,10 @@ class ContactTracker:
             most = 1 if kept[patches].any() else self._fingers[contact - 1]
             kept[patches[np.argsort(-force[patches])][:most]] = True
 
-    def _drop_disturbances(self, time_s: float, found: IntArray, kept: BoolArray) -> None:
-        """Drop new patches within one row or column that may be electrical faults.
-
-        Patches that were not there in the last frame may be disturbances of the converter. If their readings hardly
-        rise above the noise, two kinds of patches may be faults for longer: lone cells may be sparks; patches that are
-        long or reach an end of their line may be bad lines, of which the other cells cannot be seen.
-
-        Args:
-            time_s: of the frame.
-            found: (rows, columns) labels of patches, from 1.
-            kept: (labels,) patches that make contacts, changed.
-
-        """
+    def _drop_disturbances(
+        self, time_s: float, found: IntArray, kept: BoolArray, excess: FloatArray, std_kpa: FloatArray
+    ) -> None:
+        """Drop new patches within one row or column that may be electrical faults; ``kept`` (labels,) is changed."""
         fresh = kept.copy()
         fresh[found[self._labels > 0]] = False
         if not fresh.any():
@@ -420,28 +253,21 @@ class ContactTracker:
             box = boxes[label - 1]
             if min(span.stop - span.start for span in box) > 1:
                 continue
-            lasts_s = time_s - float(self._pressed_s[box][found[box] == label].min())
-            kept[label] = lasts_s > (SPARK_S if self._may_be_a_fault(np.argwhere(found == label)) else 0.0)
-
-    def _may_be_a_fault(self, cells: IntArray) -> bool:
-        """Whether cells (n, 2) of one row or column may have risen by a bad contact that the estimator cannot see."""
-        if self._rise is None or not self._faults_press:
-            return False
-        reading, noise = self._rise
-        rows, columns = cells.T
-        risen = reading[rows, columns]
-        if (risen > STANDS_OUT * noise[rows, columns]).any():
-            return False
-        if len(cells) == 1 or len(cells) > LONGEST_IN_LINE:
-            return True
-        line, places = (reading[rows[0]], columns) if rows[0] == rows[-1] else (reading[:, columns[0]], rows)
-        if places.min() == 0 or places.max() == line.size - 1:
-            return True
-        others = np.delete(line, places)
-        return bool(np.nanmedian(others) > EVEN_LINE * risen.mean()) if not np.isnan(others).all() else False
+            own = found[box] == label
+            lasts_s = time_s - float(self._pressed_s[box][own].min())
+            cells, along = int(own.sum()), int(box[0].stop - box[0].start == 1)
+            at_end = box[along].start == 0 or box[along].stop == self.shape[along]
+            faint = not (excess[box][own] > STANDS_OUT * std_kpa[box][own]).any()
+            a_fault = self._faults_press and faint and (cells == 1 or cells > LONGEST_IN_LINE or at_end)
+            kept[label] = lasts_s > (SPARK_S if a_fault else 0.0)
 
     def _measure(
-        self, labels: IntArray, connected: IntArray, pressure_kpa: FloatArray, bridged: BoolArray | None
+        self,
+        labels: IntArray,
+        connected: IntArray,
+        pressure_kpa: FloatArray,
+        std_kpa: FloatArray,
+        bridged: BoolArray | None,
     ) -> list[Patch]:
         """Centre, force, peak and spread of each labelled patch, in one pass over the touched cells.
 
@@ -449,43 +275,39 @@ class ContactTracker:
         columns) are cells whose pressures are interpolated.
         """
         cells = np.flatnonzero(labels)
-        if not len(cells):
-            return []
         cells = cells[np.argsort(labels[cells], kind="stable")]
         ends = np.cumsum(np.bincount(labels[cells])[1:])
         starts = np.concatenate(([0], ends[:-1]))
         pressure, places, places_mm = pressure_kpa.ravel()[cells], self._places[cells], self._places_mm[cells]
         x, y = places_mm.T
-        totals, x_sums, y_sums, squares = np.add.reduceat(
-            [pressure, pressure * x, pressure * y, pressure * (x * x + y * y)], starts, axis=1
+        guessed = np.zeros(len(cells)) if bridged is None else pressure * bridged.ravel()[cells]
+        totals, x_sums, y_sums, squares, stds, guesses = np.add.reduceat(
+            [pressure, pressure * x, pressure * y, pressure * (x * x + y * y), std_kpa.ravel()[cells], guessed],
+            starts,
+            axis=1,
         )
         x_mean, y_mean = x_sums / totals, y_sums / totals
         variances = (squares / totals - x_mean**2 - y_mean**2) / 2
-        forces = 1e3 * self.pitch.area_m2 * totals
-        peaks = np.maximum.reduceat(pressure, starts)
+        newton = 1e3 * self.pitch.area_m2
         shared = connected[cells[starts]]
         alone = np.bincount(shared)[shared] == 1
-        interpolated = np.zeros(len(starts))
-        if bridged is not None:
-            interpolated = 1e3 * self.pitch.area_m2 * np.add.reduceat(pressure * bridged.ravel()[cells], starts)
-        measures = (x_mean, y_mean, forces, peaks, variances, alone, interpolated, starts, ends)
+        peaks = np.maximum.reduceat(pressure, starts)
         return [
             Patch(
-                x_mm=x,
-                y_mm=y,
-                force_n=force,
-                peak_kpa=peak,
-                variance_mm2=variance,
-                alone=one,
+                x_mm=float(x_mean[k]),
+                y_mm=float(y_mean[k]),
+                force_n=newton * float(totals[k]),
+                force_std_n=newton * float(stds[k]),
+                peak_kpa=float(peaks[k]),
+                variance_mm2=float(variances[k]),
+                alone=bool(alone[k]),
                 cells=cells[start:end],
                 places=places[start:end],
                 places_mm=places_mm[start:end],
                 pressure_kpa=pressure[start:end],
-                interpolated_n=guessed,
+                interpolated_n=newton * float(guesses[k]),
             )
-            for x, y, force, peak, variance, one, guessed, start, end in zip(
-                *(measure.tolist() for measure in measures), strict=True
-            )
+            for k, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True))
         ]
 
     def _contacts(self, patches: list[Patch], names: list[Named]) -> tuple[Contact, ...]:
@@ -501,10 +323,41 @@ class ContactTracker:
                 cells=patch.places,
                 joined=name.joined,
                 interpolated_n=patch.interpolated_n,
+                force_std_n=patch.force_std_n,
             )
             for patch, name in zip(patches, names, strict=True)
         ]
         return tuple(sorted(contacts, key=lambda contact: -contact.force_n))
+
+
+def _together(excess: FloatArray, std_kpa: FloatArray) -> BoolArray:
+    """(rows, columns) cells that are loaded by what their neighbours say together.
+
+    What most cells of a column have in common is taken out before: an error of the sum of a divider's readings moves
+    a whole column.
+    """
+    known = np.where(np.isfinite(excess), excess, 0.0)
+    usual = np.partition(known, (len(known) - 1) // 2, axis=0)[(len(known) - 1) // 2]
+    own = known - np.maximum(usual, 0.0)
+    loaded = np.ones(excess.shape, dtype=np.bool_)
+    without_row, without_column = FINGERTIP.copy(), FINGERTIP.copy()
+    without_row[1], without_column[:, 1] = 0.0, 0.0
+    for weights in (FINGERTIP, without_row, without_column):
+        load, std = (ndimage.correlate(values, weights, mode="constant") for values in (own, std_kpa))
+        loaded &= load > TOGETHER_STDS * std
+    return loaded
+
+
+class PressureView(NamedTuple):
+    """Input of the tracker for one frame."""
+
+    number: int
+    """of the frame"""
+    time_s: float
+    pressure_kpa: FloatArray
+    std_kpa: Later
+    unread: BoolArray
+    """(rows, columns) cells without a reading in this frame"""
 
 
 class ContactsOfFrames:
@@ -513,17 +366,13 @@ class ContactsOfFrames:
     Ids and hysteresis depend on earlier frames. From the first request on, every frame is therefore processed.
     """
 
-    def __init__(self, tracker: ContactTracker) -> None:
-        self._tracker = tracker
+    def __init__(self, tracker: ContactTracker, kept: int) -> None:
+        """``kept``: number of frames whose contacts are remembered."""
+        self._tracker, self._kept = tracker, kept
         self._lock = threading.Lock()
         self._asked = False
-        self._time_s = -np.inf
-        self._starts = -1
-
-    @property
-    def asked(self) -> bool:
-        """Whether every frame is to be processed."""
-        return self._asked
+        self._newest = 0
+        self._found: dict[int, tuple[Contact, ...]] = {}
 
     def of(self, view: PressureView) -> tuple[Contact, ...]:
         """The contacts of one frame."""
@@ -538,29 +387,16 @@ class ContactsOfFrames:
                 self._look(view)
 
     def _look(self, view: PressureView) -> tuple[Contact, ...]:
-        if view.contacts is None:
-            if view.time_s < self._time_s:
-                # The frame is from before the first request. Its contacts get their ids from the present contacts,
-                # which do not change.
-                view.contacts = self._tracker.look_back(view.time_s, view.pressure_kpa, view.std_kpa())
-            else:
-                if view.starts != self._starts:
-                    self._starts = view.starts
-                    self._tracker.forget_readings()
-                view.contacts = self._tracker.update(view.time_s, view.pressure_kpa, view.std_kpa(), view.rise)
-                self._time_s = view.time_s
-        return view.contacts
-
-
-@dataclass(slots=True)
-class PressureView:
-    """Input of the tracker for one frame, and its contacts."""
-
-    time_s: float
-    pressure_kpa: FloatArray
-    std_kpa: Later
-    rise: tuple[FloatArray, FloatArray] | None = None
-    """readings and their noise; None where nobody has asked for contacts yet"""
-    starts: int = 0
-    """number of times that the estimator has started without memory"""
-    contacts: tuple[Contact, ...] | None = None
+        found = self._found.get(view.number)
+        if found is not None:
+            return found
+        # A frame from before the first request gets its ids from the present contacts, which do not change.
+        is_next = view.number > self._newest
+        tracker = self._tracker if is_next else copy.deepcopy(self._tracker)
+        found = tracker.update(view.time_s, view.pressure_kpa, view.std_kpa(), view.unread)
+        if is_next:
+            self._newest = view.number
+        self._found[view.number] = found
+        if len(self._found) > self._kept:
+            del self._found[next(iter(self._found))]
+        return found

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import threading
-import warnings
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
+from time import thread_time
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..cell import Cell, Estimator
 from ..circuits import Design, Reason, ValidityRule
 from ..common.arrays import BoolArray, FloatArray
-from ..errors import InputError
+from ..errors import InputError, ProtocolError
 from ..wire import Layout
 from ._calibration import Calibration
 from ._column_steps import ColumnSteps
@@ -34,8 +34,12 @@ from ._systematic import SystematicError
 from ._tare import DRIFT as TARE_DRIFT
 from ._tare import KNOWN_DRIFT, far_from_sheet
 
-KEPT_MEASUREMENTS = 8
-"""number of kept measurements above which those that every taker has passed are dropped"""
+LATE_S = 0.01
+"""s of processor time that a reader of the newest frame spends on those before it. Those that are left then are
+skipped: boards may send faster than a computer converts"""
+KNOWN_FRAMES = 20
+"""frames before new rest resistances that the estimator sees again with them: as many as a usual tare has. They tell it
+that the skin is at rest, or what lies on it"""
 SMALL_AFTER = 32
 """newer frames after which a frame that somebody keeps has its standard deviation computed, to free its inputs"""
 KEEP_STATE_S = 60.0
@@ -53,6 +57,10 @@ FEW = 0.02
 """fraction of valid cells in those frames below which the driver reports the reason"""
 CLEAR_SPREAD = 0.01
 """fraction of full scale: pressure error by unknown rest resistances from which on the driver reports them"""
+_NO_CELL = (
+    "the data of the cells are not known, so there are no pressures (NaN): the board does not send them; give them, "
+    'Skin.open(..., cell="cell.toml"), as `ohmskin fit` writes them'
+)
 _WHY_NONE = {
     Reason.NO_CURRENT: "their readings show no current; the drive's voltage, the converter's range and the reference "
     "resistor of the design may not fit each other, or the skin is not connected",
@@ -83,10 +91,19 @@ class Measurement(NamedTuple):
     """number of times that the estimator has started without memory, up to this frame"""
 
 
-class Converter:
-    """Turns frames into measurements, each frame at most once, and in the order of arrival.
+class Measured(NamedTuple):
+    """A frame and its measurement."""
 
-    The estimator sees only the frames that are taken, and the time between them. Frames that nobody takes cost nothing.
+    frame: RawFrame
+    measurement: Measurement
+
+
+class Converter:
+    """Turns the frames of a mailbox into measurements: each frame once, in the order of arrival.
+
+    The material remembers every load, so the estimator has to see every frame. On live boards the thread that reads the
+    port converts the frames as they come (:meth:`keep_up`), whether anybody takes them or not. Where nothing may be
+    lost, a frame is converted when it is taken (:meth:`measure`), and those before it with it.
     """
 
     def __init__(
@@ -95,7 +112,10 @@ class Converter:
         cell: Cell | None,
         estimator: str | None,
         pitch: Pitch,
+        mailbox: Mailbox,
         counters: Counters,
+        *,
+        newest_only: bool,
         rest_changes: Sequence[tuple[float, FloatArray | None]] = (),
         accuracy: float | None = None,
         calibration: Calibration | None = None,
@@ -103,6 +123,7 @@ class Converter:
         """Set up the circuit's inverse and the estimator; without ``cell`` pressures are NaN.
 
         ``design`` is the array alone where the circuit is not known. Frames then have counts, and a tare takes those.
+        With ``newest_only`` readers get the newest frame, and spend :data:`LATE_S` on those before it at most.
         ``rest_changes`` come from a recording: times on the time scale of the estimator, and the (cells,) rest
         resistances for the frames after them.
         ``accuracy`` is the relative uncertainty up to which cells are valid, see :class:`CountReader`.
@@ -118,6 +139,7 @@ class Converter:
         self.shape = design.array.shape if isinstance(design, Design) else (design.rows, design.columns)
         self.cell = cell
         self.pitch = pitch
+        self._mailbox, self._newest_only = mailbox, newest_only
         self._estimator_name = estimator
         self._calibration = calibration
         self._counters = counters
@@ -154,17 +176,33 @@ class Converter:
         drift_kpa = 0.0 if self._systematic is None else self._systematic.kpa_of_rest(KNOWN_DRIFT)
         faults_press = self._estimator is None or self._estimator.side > 0
         tracker = ContactTracker(self.shape, pitch, full_scale_kpa, drift_kpa=drift_kpa, faults_press=faults_press)
-        self.contacts = ContactsOfFrames(tracker)
+        self.contacts = ContactsOfFrames(tracker, mailbox.capacity)
+        self._converted = 0
+        self._counters.untared = self._why_to_tare()
         self._last: RawFrame | None = None
         self._last_s: float | None = None
         """of the last frame, on the estimator's time scale; may be a frame from before the recording that is played"""
-        self._measured: dict[int, Measurement] = {}
-        self._retained = Retained(SMALL_AFTER)
+        self._measured: dict[int, Measured] = {}
+        """number of a frame -> the frame and its measurement, of the last frames in order"""
+        self._recent: deque[tuple[float, Reading]] = deque(maxlen=KNOWN_FRAMES)
+        """times and readings of the last frames"""
+        self._awaited = False
+        """a reader converts frames, or waits for the lock to do so"""
+        self.retained = Retained(SMALL_AFTER)
+        """of the frames that readers got"""
+        self.notices: deque[str] = deque()
+        """warnings for the next reader who takes a frame"""
 
     @property
     def last_index(self) -> int:
         """Number of the newest converted frame; 0 before the first."""
         return 0 if self._last is None else self._last.index
+
+    @property
+    def skipped(self) -> int:
+        """Number of frames before the newest converted one that were not converted."""
+        with self._lock:
+            return self.last_index - self._converted
 
     @property
     def starts(self) -> int:
@@ -191,14 +229,26 @@ class Converter:
         return PlainReader(self.shape) if self.design is None else CountReader(self.design, accuracy=self._accuracy)
 
     def use_rest(self, rest_ohm: FloatArray | None) -> None:
-        """Use these rest resistances (rows, columns) from now on (None: those without a tare); memory is dropped."""
+        """Use these rest resistances (rows, columns) from now on (None: those without a tare).
+
+        The estimator begins anew with the last :data:`KNOWN_FRAMES` frames.
+        """
         with self._lock:
             self._rest_ohm = rest_ohm
             self._estimator = self._new_estimator()
+            before_s: float | None = None
+            for time_s, reading in self._recent:
+                gap_s = 0.0 if before_s is None else round(time_s - before_s, CLOCK_DIGITS)
+                self._estimate(gap_s, self._without_faulty_lines(time_s, reading))
+                before_s = time_s
             if self._judged is None:
                 self._counters.untared = self._why_to_tare()
             for tell in tuple(self.on_rest):
                 tell(rest_ohm, None if self._last is None else self._last.time_s)
+
+    def disown(self) -> None:
+        """In a forked process: replace the lock, whoever held it."""
+        self._lock = threading.RLock()
 
     def hand_over(self) -> MeasurementPast:
         """The memory of the frames so far, for a recording that begins with the next frame.
@@ -254,6 +304,7 @@ class Converter:
         if counts is not None and not ((counts >= 0) & (counts < 2**16)).all():
             raise InputError("counts: expected those of 16 bits")
         self._last_s, self._rest_ohm = past.time_s, rest_ohm
+        self._recent.clear()
         self._read = self._new_reader()
         self._present = None if counts is None else counts.astype(np.uint16)
         self._read.remember(past.noise_steps, self._present)
@@ -272,30 +323,70 @@ class Converter:
             self._systematic.rest_spread = past.rest_spread
         return remembers
 
-    def measure(self, frame: RawFrame, mailbox: Mailbox) -> Measurement | None:
-        """The measurement of ``frame``; frames before it that are still queued are converted first.
+    def measure(self, frame: RawFrame) -> Measurement | None:
+        """The measurement of ``frame``; frames before it that wait for their conversion are converted first.
 
         Returns:
-            None if a later frame has been converted already and this one was not.
-
-        Raises:
-            ProtocolError: the counts do not fit the design.
+            None if the frame was skipped, its counts do not fit the design, or it is older than those that are kept.
 
         """
         with self._lock:
-            done = self.last_index
-            if frame.index > done:
-                for queued in [*mailbox.between(done, frame.index), frame]:
-                    measurement = self._convert(queued)
-                    self._measured[queued.index] = measurement
-                    for tell in tuple(self.on_converted):
-                        tell(queued, measurement)
-                if len(self._measured) > KEPT_MEASUREMENTS:
-                    oldest = mailbox.oldest()
-                    self._measured = {
-                        k: value for k, value in self._measured.items() if k >= oldest or k == frame.index
-                    }
-            return self._measured.get(frame.index)
+            if frame.index > self.last_index:
+                self._convert_up_to(frame.index)
+            found = self._measured.get(frame.index)
+            return None if found is None else found.measurement
+
+    def keep_up(self, most: int | None = None) -> bool:
+        """Convert the frames that have come.
+
+        Args:
+            most: number of frames after which the thread that reads the port goes on with reading; None: a reader waits
+                for the newest frame.
+
+        Returns:
+            Whether frames are left.
+
+        """
+        if most is None:
+            self._awaited = True
+        elif self._awaited:
+            return False  # a reader converts them, and shall not wait for the lock
+        with self._lock:
+            newest = self._mailbox.newest
+            return newest is not None and self._convert_up_to(newest.index, most)
+
+    def measured_since(self, monotonic_s: float) -> list[Measured]:
+        """The frames that came after this time and have been converted, in order; with the last one before them.
+
+        Frames from before the estimator's last start, as at a tare, are not among them.
+        """
+        with self._lock:
+            kept = [one for one in self._measured.values() if one.measurement.estimator_starts == self._starts]
+        first = next((k for k, one in enumerate(kept) if one.frame.monotonic_time > monotonic_s), len(kept))
+        return kept[max(first - 1, 0) :]
+
+    def _convert_up_to(self, last: int, most: int | None = None) -> bool:
+        """Convert the frames up to the number ``last``, at most ``most`` of them; returns whether frames are left."""
+        done, until_s = 0, thread_time() + LATE_S
+        while most is None or done < most:
+            frame = self._mailbox.next_unconverted(last)
+            if frame is None:
+                self._awaited = False
+                return False
+            if self._newest_only and frame.index < last and thread_time() > until_s:
+                continue
+            done += 1
+            try:
+                measurement = self._convert(frame)
+            except ProtocolError as error:
+                self._mailbox.report(error, frame.index)
+                continue
+            self._measured[frame.index] = Measured(frame, measurement)
+            if len(self._measured) > self._mailbox.capacity:
+                del self._measured[next(iter(self._measured))]
+            for tell in tuple(self.on_converted):
+                tell(frame, measurement)
+        return True
 
     def _convert(self, frame: RawFrame) -> Measurement:
         due = None
@@ -308,23 +399,23 @@ class Converter:
         self._last, self._last_s = frame, frame.time_s if self._last_s is None else self._last_s + gap_s
         reading = self._read_present(frame)
         counters = self._counters
-        counters.converted += 1
+        self._converted += 1
         if not reading.solved:
             counters.unsolved += 1
         if self._judged is not None:
             self._judge(reading)
         if gap_s > KEEP_STATE_S:
             self._estimator = self._new_estimator()
+            self._recent.clear()
+        self._recent.append((frame.time_s, reading))
         reading = self._without_faulty_lines(frame.time_s, reading)
         counters.reasons = reading.reason
         for array in (reading.valid, reading.reason, reading.resistance):
             array.setflags(write=False)  # half of the time that array.flags takes
         pressure, std = self._estimate(gap_s, reading)
-        rise = None
-        if self._estimator is not None and self.contacts.asked:
-            rise = self._estimator.rise_of_last_step()
         pressure.setflags(write=False)
-        view = PressureView(frame.time_s, pressure, std, rise, self._starts)
+        unread = (reading.reason != int(Reason.VALID)) & (reading.reason != int(Reason.UNCERTAIN))
+        view = PressureView(frame.index, frame.time_s, pressure, std, unread)
         self.contacts.pass_by(view)
         self._starts_told = self._starts
         return Measurement(
@@ -367,7 +458,6 @@ class Converter:
         common = estimator.step(gap_s, resistance)
         systematic = self._systematic.take(reading, taken_out, rest_known=self._rest_known)
         std = Later(partial(_std, estimator.variance_of_last_step(), systematic, common, calibration))
-        self._retained.add(std)
         return common if calibration is None else calibration.applied(common), std
 
     def _without_faulty_lines(self, time_s: float, reading: Reading) -> Reading:
@@ -405,12 +495,12 @@ class Converter:
         if self._reasons[Reason.VALID] <= FEW * self._reasons.sum():
             self._counters.remark = self._why_none_valid()
             if self._counters.remark:
-                warnings.warn(self._counters.remark, RuntimeWarning, stacklevel=2)
+                self.notices.append(self._counters.remark)
         else:
             self._sheet = self._unlike_sheet(reading)
             self._counters.untared = self._why_to_tare()
             if self._counters.untared and self._sheet:
-                warnings.warn(self._counters.untared, RuntimeWarning, stacklevel=2)
+                self.notices.append(self._counters.untared)
 
     def _why_none_valid(self) -> str | None:
         cells, valid = self._reasons.sum(), self._reasons[Reason.VALID]
@@ -447,7 +537,9 @@ class Converter:
 
     def _why_to_tare(self) -> str | None:
         """A remark if rest resistances that nobody measured leave a notable error of the pressures."""
-        if self.cell is None or self._systematic is None or self._rest_known:
+        if self.cell is None:
+            return _NO_CELL if self.design is not None else None
+        if self._systematic is None or self._rest_known:
             return None
         if self._sheet:
             return self._sheet

@@ -17,7 +17,7 @@ from ._later import Later
 
 
 @frozen
-@dataclass(slots=True, eq=False)
+@dataclass(slots=True, eq=False, weakref_slot=True)
 class Frame:
     """One scan of the skin. Arrays are (rows, columns) and read-only."""
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import threading
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from ..cell import Cell
 from ..circuits import Design
 from ..common.config import parse
+from ..common.events import SignalSafeEvent
 from ..errors import InputError, ProtocolError
 from ..wire import Description, Family, FramePacket, Identity, Layout, board_protocol, write_description
 
@@ -33,7 +33,7 @@ class Introduction:
         self.family = family
         self.port_name = port_name
         self.identity: Identity | None = None
-        self.identified = threading.Event()
+        self.identified = SignalSafeEvent()
         """set when the board has identified itself; the description may come before that"""
         self.description: Description | None = None
         self._given = design, cell

@@ -6,6 +6,7 @@ import threading
 import weakref
 from collections import deque
 from collections.abc import Callable
+from typing import Protocol
 
 from ..common.arrays import FloatArray
 
@@ -16,7 +17,7 @@ class Later:
     The computation must depend only on immutable values, so that the time of the call makes no difference.
     """
 
-    __slots__ = ("__weakref__", "_array", "_compute", "_lock")
+    __slots__ = ("_array", "_compute", "_lock")
 
     def __init__(self, compute: Callable[[], FloatArray]) -> None:
         self._compute: Callable[[], FloatArray] | None = compute
@@ -38,18 +39,26 @@ class Later:
         return array
 
 
+class HasDeviations(Protocol):
+    """A frame whose standard deviations are computed when they are first asked for."""
+
+    @property
+    def pressure_std(self) -> FloatArray:
+        """(rows, columns) kPa."""
+
+
 class Retained:
-    """Computes the lazy arrays of kept frames after a while, so that kept frames stay small."""
+    """Computes the standard deviations of frames that somebody keeps after a while, so that kept frames stay small."""
 
     def __init__(self, frames: int) -> None:
-        """``frames``: number of newer frames after which an array is computed."""
+        """``frames``: number of newer frames after which the deviations are computed."""
         self._frames = frames
-        self._waiting: deque[weakref.ref[Later]] = deque()
+        self._waiting: deque[weakref.ref[HasDeviations]] = deque()
 
-    def add(self, later: Later) -> None:
-        """Add the array of the newest frame."""
-        self._waiting.append(weakref.ref(later))
+    def add(self, frame: HasDeviations) -> None:
+        """Add the newest frame."""
+        self._waiting.append(weakref.ref(frame))
         if len(self._waiting) > self._frames:
             kept = self._waiting.popleft()()
             if kept is not None:
-                kept()
+                _ = kept.pressure_std

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from queue import Empty, SimpleQueue
 
 from ..errors import LinkError, OhmskinError
 from ._stream import RawFrame
@@ -35,14 +38,13 @@ class Place:
 class Mailbox:
     """The newest frames. Each taker keeps its own place, so that takers do not disturb each other.
 
-    All attributes are read and written with ``lock`` held.
+    All attributes are written with ``lock`` held. Those who wait do so without it, each on a queue of its own: signals
+    may interrupt Python's conditions halfway (:mod:`ohmskin.common.events`).
     """
 
     def __init__(self, capacity: int, *, drops_oldest: bool = True) -> None:
-        # Ctrl-C cannot interrupt `with lock` halfway, since the lock is C code. `with condition` is Python code and can
-        # be interrupted: the lock would stay taken, and the reader thread would wait for it for ever.
+        """``capacity``: number of frames that wait for takers, and of those that wait for their conversion."""
         self.lock = threading.RLock()
-        self._condition = threading.Condition(self.lock)
         self.capacity = capacity
         self.newest: RawFrame | None = None
         self.fault = Fault(0, LinkError("none"), 0)
@@ -53,9 +55,8 @@ class Mailbox:
         self._drops_oldest = drops_oldest
         self._closed = False
         self._room_wanted = False
-        self._waiting = 0
-        """number of threads in :meth:`wait_for`"""
         self._frames: deque[RawFrame] = deque()
+        self._unconverted: deque[RawFrame] = deque()
         self._dropped: RawFrame | None = None
         """the frame before the oldest one kept"""
         self._places: list[Place] = []
@@ -67,19 +68,29 @@ class Mailbox:
             if self._closed:
                 return
             self.newest = frame
-            self._frames.append(frame)
+            for waiting in (self._frames, self._unconverted):
+                waiting.append(frame)
             if self._drops_oldest and len(self._frames) > self.capacity:
                 self._dropped = self._frames.popleft()
+            if self._drops_oldest and len(self._unconverted) > self.capacity:
+                self._unconverted.popleft()
+
+    def next_unconverted(self, last: int) -> RawFrame | None:
+        """Remove the oldest frame that waits for its conversion, up to the number ``last``; None if there is none."""
+        with self.lock:
+            waiting = self._unconverted
+            return waiting.popleft() if waiting and waiting[0].index <= last else None
 
     def tell(self) -> None:
         """Wake all waiting threads: once for all frames that came together, since each wake-up costs time."""
         with self.lock:
             self._tell()
 
-    def report(self, error: OhmskinError) -> None:
-        """Report a fault, after which frames go on, to every taker."""
+    def report(self, error: OhmskinError, after: int | None = None) -> None:
+        """Report a fault, after which frames go on, to every taker; ``after``: the last frame before (None: newest)."""
         with self.lock:
-            after = 0 if self.newest is None else self.newest.index
+            if after is None:
+                after = 0 if self.newest is None else self.newest.index
             self.fault = Fault(self.fault.number + 1, error, after)
             self._tell()
 
@@ -100,6 +111,7 @@ class Mailbox:
         with self.lock:
             self._closed = True
             self._frames.clear()
+            self._unconverted.clear()
             self.newest = None
             self.end = error
             self._tell()
@@ -114,13 +126,6 @@ class Mailbox:
         if not self._frames or self._frames[-1].index <= index:
             return None
         return self._frames[max(index + 1 - self._frames[0].index, 0)]
-
-    def between(self, index: int, end: int) -> list[RawFrame]:
-        """The frames beyond ``index`` and before ``end``, in order."""
-        if index + 1 >= end:
-            return []
-        with self.lock:
-            return [frame for frame in self._frames if index < frame.index < end]
 
     def join(self, *, from_start: bool) -> tuple[Place, RawFrame | None]:
         """A place for a new taker.
@@ -155,13 +160,6 @@ class Mailbox:
                 place.index = index
                 self._drop_passed()
 
-    def oldest(self) -> int:
-        """Number of the oldest frame kept, or of the next one that will be."""
-        with self.lock:
-            if self._frames:
-                return self._frames[0].index
-            return 1 if self.newest is None else self.newest.index + 1
-
     def _passed(self) -> int:
         """Number of the last frame that all takers have passed; 0 if there are no takers."""
         places = self._places
@@ -170,7 +168,7 @@ class Mailbox:
     def _drop_passed(self) -> None:
         self._drop_to(self._passed())
         if self._room_wanted and self._has_room():
-            self._condition.notify_all()
+            self._tell()
 
     def _drop_to(self, index: int) -> None:
         while self._frames and self._frames[0].index <= index:
@@ -189,31 +187,37 @@ class Mailbox:
 
     def wait_for(self, news: Callable[[], bool], timeout_s: float) -> None:
         """Wait until ``news`` returns True, for at most ``timeout_s``; it is called whenever something is new."""
-        with self.lock:
-            self._waiting += 1
-            try:
-                self._condition.wait_for(news, timeout_s)
-            finally:
-                self._waiting -= 1
+        bell: SimpleQueue[None] = SimpleQueue()
+
+        def ring() -> None:
+            bell.put(None)
+
+        until_s = time.monotonic() + timeout_s
+        try:
+            self.add_waker(ring)
+            while not news() and (left_s := until_s - time.monotonic()) > 0:
+                with contextlib.suppress(Empty):
+                    bell.get(timeout=min(left_s, threading.TIMEOUT_MAX))
+        finally:
+            self.remove_waker(ring)
 
     def disown(self, error: LinkError) -> None:
         """In a forked process: replace the lock, whoever held it, and end the stream with ``error``."""
         self.lock = threading.RLock()
-        self._condition, self._waiting = threading.Condition(self.lock), 0
         self._wakers.clear()
         self.close(error)
 
     def wait_for_room(self, timeout_s: float) -> None:
         """Wait until half of the queue is free, for at most ``timeout_s``."""
-        with self.lock:
-            self._room_wanted = True
-            self.wait_for(lambda: self._has_room() or self.end is not None, timeout_s)
-            self._room_wanted = False
+        self._room_wanted = True
+        self.wait_for(lambda: self._has_room() or self.end is not None, timeout_s)
+        self._room_wanted = False
 
     def _has_room(self) -> bool:
         # Half a queue at a time: threads that alternate with every frame spend more time on switching than on frames.
-        self._drop_unused()
-        return 2 * len(self._frames) <= self.capacity
+        with self.lock:
+            self._drop_unused()
+            return 2 * len(self._frames) <= self.capacity
 
     def add_waker(self, waker: Callable[[], None]) -> None:
         """Call ``waker`` from the reader thread whenever something is new."""
@@ -222,11 +226,9 @@ class Mailbox:
 
     def remove_waker(self, waker: Callable[[], None]) -> None:
         """Undo :meth:`add_waker`."""
-        with self.lock:
+        with self.lock, contextlib.suppress(ValueError):  # a forked process has none
             self._wakers.remove(waker)
 
     def _tell(self) -> None:
-        if self._waiting:  # the condition's own test takes longer than everything else here
-            self._condition.notify_all()
         for waker in self._wakers:
             waker()

@@ -8,6 +8,7 @@ A board whose circuit is not known has ``/ohmskin/counts`` in its place: counts 
 from __future__ import annotations
 
 import base64
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -30,6 +31,7 @@ _CONTACT = {
         "y_mm": _NUMBER,
         "area_mm2": _NUMBER,
         "force_n": _NUMBER,
+        "force_std_n": {"type": ["number", "null"]},
         "peak_kpa": _NUMBER,
         "interpolated_n": _NUMBER,
     },
@@ -118,6 +120,7 @@ def _numbers(frame: Frame) -> dict[str, Any]:
             "y_mm": contact.y_mm,
             "area_mm2": contact.area_mm2,
             "force_n": contact.force_n,
+            "force_std_n": None if math.isnan(contact.force_std_n) else contact.force_std_n,
             "peak_kpa": contact.peak_kpa,
             "interpolated_n": contact.interpolated_n,
         }

@@ -127,7 +127,7 @@ class Link:
         self._port, self._opening = port, opening
         settings, delivery = opening.settings, opening.delivery
         self.counters = Counters()
-        self.mailbox = Mailbox(1 if delivery == "newest" else opening.queue, drops_oldest=delivery != "lossless")
+        self.mailbox = Mailbox(opening.queue, drops_oldest=delivery != "lossless")
         self.introduction = Introduction(opening.family, port.name, settings.design, settings.cell)
         known = settings.calibration
         calibrated = known is not None and bool(known.serial_number)
@@ -171,6 +171,8 @@ class Link:
                     "give a longer timeout, if the board's description is right"
                 )
             self._remember(converter)
+            if self._opening.delivery != "lossless":
+                self.reader.keep_up = converter.keep_up
         except BaseException:
             self.reader.stop()
             raise
@@ -179,7 +181,7 @@ class Link:
     def source(self, converter: Converter) -> Source:
         """The source from which takers get their frames."""
         return Source(
-            self._port.name,
+            lambda: self.reader.port_name,
             self.mailbox,
             converter,
             self.counters,
@@ -187,6 +189,7 @@ class Link:
             self.reader.now,
             self.reader.nothing_came,
             newest_only=self._opening.delivery == "newest",
+            eager=self._opening.delivery != "lossless",
         )
 
     def _host_end(self) -> HostProtocol:
@@ -217,10 +220,12 @@ class Link:
                 Pitch.of(design.sheet.pitch if isinstance(design, Design) else Sheet().pitch)
                 if settings.pitch is None
                 else settings.pitch,
+                self.mailbox,
                 self.counters,
-                self._port.rest.changes if isinstance(self._port, ReplayPort) else (),
-                settings.accuracy,
-                settings.calibration,
+                newest_only=self._opening.delivery == "newest",
+                rest_changes=self._port.rest.changes if isinstance(self._port, ReplayPort) else (),
+                accuracy=settings.accuracy,
+                calibration=settings.calibration,
             )
             converter.try_out()
         except OhmskinError:

@@ -83,7 +83,6 @@ class StreamPast(_Part):
     latest_monotonic: Finite
     time_s: Finite
     usual_us: Annotated[float, Field(ge=0, lt=math.inf)] = 0.0
-    in_step: bool
     recent: tuple[tuple[Index | None, Index | None, Index | None], ...]
     numbered: bool
     """whether the board numbers its frames, as far as is known"""

@@ -6,7 +6,7 @@ import errno
 import os
 import stat
 from pathlib import Path
-from urllib.parse import unquote, urlsplit
+from urllib.parse import parse_qsl, unquote, urlsplit
 
 from serial.tools import list_ports
 
@@ -15,6 +15,11 @@ from ..errors import LinkError
 
 EMULATED_HERE = "ohmskin://"
 """address scheme of a board that is emulated in this process"""
+
+
+def is_unpaced(name: str) -> bool:
+    """Whether ``name`` is the address of a board that is emulated here as fast as its frames are read."""
+    return name.startswith(EMULATED_HERE) and dict(parse_qsl(urlsplit(name).query)).get("clock") == "fast"
 
 
 def usb_serial_number(name: str) -> str | None:

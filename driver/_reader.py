@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from math import inf
 
+from ..common.events import SignalSafeEvent
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ..wire import Corrupt, Description, Event, Family, Flag, FramePacket, HostProtocol, Identity, Order
 from ._introduce import Introduction
@@ -43,6 +44,10 @@ MOST_HEARD = 2**20
 MOST_UNPROVEN = 1000
 """frames kept until the board has proved that it is the same one"""
 _NO_FLAGS = Flag.NONE  # operations on flags take 1 us each
+READ_AGAIN_S = 0.0005
+"""a taker who has read and converted for longer reads again, since newer frames may have come meanwhile"""
+CONVERTED_IN_TURN = 4
+"""frames that the thread converts before it reads the port again, whose buffers hold some milliseconds"""
 JOIN_S = 2.0
 """how long closing waits for the thread, which may be busy opening a port"""
 
@@ -81,12 +86,14 @@ class Reader:
     ) -> None:
         self.port_name = port.name
         self.introduction = introduction
-        self.introduced = threading.Event()
+        self.introduced = SignalSafeEvent()
         self.stream = FrameStream(port.name, counters)
         self.taps: list[Callable[[Arrival], None]] = []
         """called with all bytes, as they arrive: for a recorder"""
         self.on_gone: list[Callable[[], None]] = []
         """called when the port has been lost"""
+        self.keep_up: Callable[[int | None], bool] = lambda most: False
+        """converts the frames that have come (:meth:`.Converter.keep_up`)"""
         self._port: BytePort | None = port
         self._family: Family = introduction.family
         self._new_protocol = protocol
@@ -98,7 +105,7 @@ class Reader:
         """bytes from the last frame but one to the last frame, and from the last frame on"""
         self._reading = threading.RLock()
         """held by the thread that reads from the port, writes to it, or replaces it"""
-        self._stop = threading.Event()
+        self._stop = SignalSafeEvent()
         self._heard = False
         """a frame has come since the board was last asked"""
         self._proof_until = inf
@@ -131,7 +138,7 @@ class Reader:
             LinkError: the port is gone.
 
         """
-        if not self.introduced.wait(min(timeout_s, threading.TIMEOUT_MAX)):
+        if not self.introduced.wait(timeout_s):
             raise self.nothing_came("description", timeout_s)
         if not self.introduction.complete:
             end = self._mailbox.end
@@ -172,7 +179,16 @@ class Reader:
         return LinkTimeout(f"{where}: the board is there, but sends none")
 
     def poll(self) -> None:
-        """Read the bytes that have come. Errors of the port are left to the thread, and so are bytes of a flood."""
+        """Read the bytes that have come, and convert their frames.
+
+        Errors of the port are left to the thread, and so are bytes of a flood.
+        """
+        began_s = self.now()
+        self._take_turn()
+        if self.now() - began_s > READ_AGAIN_S:
+            self._take_turn()
+
+    def _take_turn(self) -> None:
         if self._reading.acquire(timeout=POLL_S):
             try:
                 self._read()
@@ -180,6 +196,7 @@ class Reader:
                 return
             finally:
                 self._reading.release()
+        self._convert(None)
 
     def now(self) -> float:
         """Present time on the port's clock."""
@@ -235,7 +252,7 @@ class Reader:
     def disown(self) -> None:
         """In a forked process: leave port and mailbox to the parent process, which opened them."""
         self._reading, self._port = threading.RLock(), None
-        self._stop = threading.Event()
+        self._stop = SignalSafeEvent()
         self._mailbox.disown(
             LinkError(
                 f"{self.port_name}: was opened by process {os.getppid()}, from which this one was forked; take frames "
@@ -305,16 +322,18 @@ class Reader:
             self.introduced.set()
         self._ask()
         ask_at = time.monotonic() + ASK_WHO_S
+        behind = False
         while not (self._is_ending or self._mailbox.end):
             if self._lossless and self._mailbox.is_full():
                 self._mailbox.wait_for_room(ASK_AGAIN_S)
                 ask_at = time.monotonic() + ASK_AGAIN_S
                 continue
-            if port.wait(ask_at - time.monotonic()):
+            if port.wait(0.0 if behind else ask_at - time.monotonic()):
                 began = time.monotonic()
                 if self._read():
                     # Half of the interpreter's time is left to others, who may be setting up the circuit's inverse.
                     self._stop.wait(min(time.monotonic() - began, LONGEST_REST_S))
+            behind = self._convert(CONVERTED_IN_TURN)
             now = time.monotonic()
             if now > self._proof_until:
                 raise LinkError(f"{port.name}: the board there does not show that it is the one from before")
@@ -341,10 +360,22 @@ class Reader:
         if self._family.polled:
             self.send(Order.ONE_FRAME)
 
+    def _convert(self, most: int | None) -> bool:
+        """Convert ``most`` of the frames that have come (None: all), and tell takers; whether frames are left."""
+        with self._errors_told():
+            left = self.keep_up(most)
+            self._mailbox.tell()
+            return left
+
     def _read(self) -> bool:
         """Read the bytes that have come; whether there were some, and no frame among them."""
-        try:
+        with self._errors_told():
             return self._drain()
+
+    @contextlib.contextmanager
+    def _errors_told(self) -> Iterator[None]:
+        try:
+            yield
         except OhmskinError:
             raise
         except Exception as error:
@@ -373,7 +404,6 @@ class Reader:
                 self._keep(arrival.data, has_frame=frames > 0)
                 for event in events:
                     self._handle(event, arrival)
-                self._mailbox.tell()
                 only_noise = not frames and (only_noise or not turn)
                 # Another frame may have come while several were decoded; it would be the newest one.
                 if not arrival.more and frames <= 1:
@@ -405,7 +435,8 @@ class Reader:
                 self._reason = event.reason
                 if event.is_description:
                     self._unreadable = event.reason
-                self.stream.corrupt(event)
+                self._counters.corrupt += 1
+                self._counters.why_corrupt = event.reason
 
     def _hear(self, packet: FramePacket, arrival: Arrival) -> None:
         if not self.introduction.complete:
@@ -510,6 +541,7 @@ class Reader:
                 continue
             with self._reading:
                 self._port = port
+                self.port_name = self.introduction.port_name = port.name
                 self._protocol = self._new_protocol()
                 self._heard_before, self._heard_since = bytearray(), bytearray()
                 self._unproven.clear()

@@ -9,18 +9,19 @@ from __future__ import annotations
 import base64
 import contextlib
 import json
-import queue
 import struct
 import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
+from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from .. import __version__
 from ..common.arrays import FloatArray
 from ..common.checks import path_text
-from ..common.files import Output, check_writable
+from ..common.extras import install_command
+from ..common.files import Output, check_writable, claim, forget, is_claimed, one_at_a_time
 from ..errors import InputError, MissingExtra
 from ._frame import Frame
 from ._messages import MESSAGE_SCHEMAS, messages_of
@@ -74,13 +75,16 @@ class Recording:
         with self._output.errors():
             self._output.open()
         self._file: BinaryIO = self._output.file
+        claim(self._file)
+        self._overwrite = overwrite
         self._lock = threading.Lock()
         self._writer: Writer | None = writer(self._file, chunk_size=CHUNK_BYTES)
         self._channels: dict[str, int] = {}
         self._guarded(lambda: self._begin(settings))
         self._guarded(self._writer.flush)
         self._flush_at = time.monotonic() + FLUSH_S
-        self._waiting: queue.Queue[Frame | None] = queue.Queue(MOST_WAITING)
+        self._waiting: SimpleQueue[Frame | None] = SimpleQueue()
+        """frames to write; None: the end. A signal cannot interrupt such a queue halfway"""
         self._thread = threading.Thread(target=self._write_frames, name=f"ohmskin recorder {path}", daemon=True)
         self._thread.start()
 
@@ -109,12 +113,20 @@ class Recording:
         """Move the file to its place, where it grows from now on.
 
         Raises:
-            InputError: that fails, or the disk was full so far: no file without a beginning is left.
+            InputError: that fails, another recording has come there first, or the disk was full so far: no file
+                without a beginning is left.
 
         """
         if self.error is not None and self._output.is_new:
             raise self.error
-        self._output.replace()
+        with one_at_a_time(self.path.parent):
+            _refuse_present(self.path, self._overwrite)
+            self._output.replace()
+
+    def disown(self) -> None:
+        """In a forked process: leave the file to the parent process, with what the buffer holds."""
+        self._lock, self._writer = threading.Lock(), None
+        forget(self._file)
 
     def discard(self) -> None:
         """End a recording that was not kept, without a file."""
@@ -145,8 +157,8 @@ class Recording:
 
     def frame(self, frame: Frame) -> None:
         """Queue a decoded frame for writing, for viewers. Does not wait: dropped if the disk is far behind."""
-        with contextlib.suppress(queue.Full):
-            self._waiting.put_nowait(frame)
+        if self._waiting.qsize() < MOST_WAITING:
+            self._waiting.put(frame)
 
     def _write_frames(self) -> None:
         while (frame := self._waiting.get()) is not None:
@@ -205,12 +217,14 @@ def _mcap_writer() -> type[Writer]:
     try:
         from mcap.writer import Writer
     except ImportError as error:
-        raise MissingExtra("recordings need mcap: pip install 'ohmskin[record]'") from error
+        raise MissingExtra(f"recordings need mcap: {install_command('record')}") from error
     return Writer
 
 
 def _refuse_present(path: Path, overwrite: bool) -> None:
-    """Raise InputError if there is a file with content that must not be replaced."""
+    """Raise InputError if there is a file with content that must not be replaced, or one that is being recorded."""
+    if is_claimed(path):
+        raise InputError(f"{path}: is being recorded at present; choose another name")
     if not overwrite and path.is_file() and path.stat().st_size:
         raise InputError(f"{path}: is there already; choose another name, or replace it (overwrite=True, --overwrite)")
 

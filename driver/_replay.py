@@ -22,6 +22,8 @@ from ..circuits import Design
 from ..common.arrays import FloatArray
 from ..common.checks import number
 from ..common.config import LEAST, MOST, parse
+from ..common.events import SignalSafeEvent
+from ..common.extras import install_command
 from ..common.files import size as size_text
 from ..common.progress import Progress, silent
 from ..common.text import shortened, shown
@@ -182,7 +184,7 @@ class ReplayPort:
         self._next: Arrival | LinkError | None = None
         self._latest = 0.0
         self._start: tuple[float, float] | None = None
-        self._interrupted = threading.Event()
+        self._interrupted = SignalSafeEvent()
         self._lock = threading.Lock()
         """one thread may wait while another reads"""
 
@@ -388,7 +390,7 @@ def _records(path: Path, progress: Progress = silent) -> Iterator[tuple[str, Any
     try:
         from mcap.records import Channel, Message, Metadata
     except ImportError as error:
-        raise MissingExtra("recordings need mcap: pip install 'ohmskin[record]'") from error
+        raise MissingExtra(f"recordings need mcap: {install_command('record')}") from error
     topics: dict[int, str] = {}
     found = False
     try:

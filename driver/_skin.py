@@ -17,7 +17,7 @@ from ..common import compiled
 from ..common.checks import count, function, loaded, number, of_kind, path_text, positive
 from ..common.progress import Progress, silent
 from ..common.text import printable
-from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
+from ..errors import InputError, LinkEnded, LinkError, LinkTimeout
 from ..wire import Description, Family, Identity, Order
 from ._calibration import Calibration
 from ._convert import Measurement
@@ -26,17 +26,19 @@ from ._frame import Frame
 from ._opening import QUEUE, Delivery, Link, Opening
 from ._past import Past
 from ._port import Arrival, BytePort
-from ._port_names import has_gone, refuse_missing, usb_serial_number
+from ._port_names import has_gone, is_unpaced, refuse_missing, usb_serial_number
 from ._reader import await_free
 from ._reconnect import PortFinder
 from ._recording import Recording
 from ._replay import NOTHING_RECORDED, ReplayPort
 from ._statistics import LinkStatistics
 from ._stream import RawFrame
-from ._taker import AsyncFrames, ConvertedFrames, FrameCallback, FrameTaker
+from ._taker import AsyncFrames, ConvertedFrames, FrameCallback, FrameTaker, frames_since
 from ._tare import KNOWN_DRIFT, SPREAD, Tare
 from ._taring import Tares
 
+MAX_AGE_S = 0.5
+"""default of :meth:`Skin.latest`: boards send at 10 Hz and more"""
 NATIVE = "ohmskin"
 """the family that is meant where none is named"""
 
@@ -209,7 +211,8 @@ class Skin:
             estimator: likewise.
             timeout: likewise.
             baudrate: of the UART, where there is one; None: that of the family.
-            delivery: likewise; None: ``newest``, and ``lossless`` for a recording.
+            delivery: likewise; None: ``newest``, and ``lossless`` for a recording and for an emulated board that runs
+                as fast as it is read (``ohmskin://SCENE.toml?clock=fast``).
             queue: likewise.
             reconnect: likewise.
             pitch: likewise.
@@ -236,7 +239,8 @@ class Skin:
         if played is None and speed is not None:
             raise InputError(f"speed is {speed}, but only a recording (a file that ends in .mcap) has one")
         recorded = NOTHING_RECORDED if played is None else played.settings
-        usual: Delivery = "newest" if played is None else "lossless"
+        waits = played is not None or (name is not None and is_unpaced(name))
+        usual: Delivery = "lossless" if waits else "newest"
         # All errors in the arguments are reported before anybody waits for a board or for the compiler.
         asked = Opening.of(
             board=board if played is None or board != NATIVE else recorded.family(played.name),
@@ -323,8 +327,8 @@ class Skin:
 
     @property
     def port_name(self) -> str:
-        """Name of the port that was opened."""
-        return self._source.name
+        """Name of the port; after a reconnection, of the one where the board is now."""
+        return self._reader.port_name
 
     @property
     def pitch_m(self) -> float:
@@ -384,6 +388,9 @@ class Skin:
     def _disown(self) -> None:
         """In a forked process: tell every reader that the skin belongs to the parent process."""
         self._tares.disown()
+        self._converter.disown()
+        for recording in self._followers:
+            recording.disown()
         self._callbacks.clear()
         self._followers.clear()
         self._reader.disown()
@@ -437,11 +444,11 @@ class Skin:
         """
         return self._taker.take(self._timeout if timeout is None else number("timeout", timeout, "s"))
 
-    def latest(self, max_age: float, timeout: float = 0.0) -> Frame:
+    def latest(self, max_age: float = MAX_AGE_S, timeout: float = 0.0) -> Frame:
         """The newest frame, taken before or not, never older than ``max_age``. For control loops.
 
         Args:
-            max_age: s since the arrival of the frame's last byte, at most.
+            max_age: s since the arrival of the frame's last byte, at most; infinite for a frame however old.
             timeout: s to wait if there is no such frame; 0 or less: do not wait.
 
         Raises:
@@ -452,16 +459,38 @@ class Skin:
         """
         return self._taker.latest(positive("max_age", max_age, "s"), number("timeout", timeout, "s"))
 
+    def frames_since(self, monotonic_time: float) -> list[Frame]:
+        """All frames that came after a moment, the oldest first: for a policy at 30 Hz with a skin at 150 Hz.
+
+        Frames are not taken from other readers by that, and may be asked for again. The last ``queue`` frames are kept;
+        with ``lossless``, of those that some reader has taken. What the first frame says of losses counts from the
+        frame before it, if that is still kept.
+
+        Args:
+            monotonic_time: s on the clock of :attr:`Frame.monotonic_time` and of :func:`time.monotonic`, such as that
+                of the newest frame of the last call, or of the last image.
+
+        Raises:
+            InputError: ``monotonic_time`` is no number.
+            LinkEnded, LinkError: as for :meth:`read`, where there is no such frame.
+
+        """
+        frames = frames_since(self._source, number("monotonic_time", monotonic_time, "s"))
+        if not frames and self._mailbox.end is not None:
+            raise copy.copy(self._mailbox.end)
+        return frames
+
     def on_frame(
-        self, callback: Callable[[Frame], None], on_end: Callable[[OhmskinError], None] | None = None
+        self, callback: Callable[[Frame], None], on_end: Callable[[Exception], None] | None = None
     ) -> FrameCallback:
         """Call ``callback`` with each frame from now on, one at a time, in a thread of its own.
 
         Args:
             callback: takes a frame.
             on_end: called once in the same thread when no frame will come any more, with the reason: a
-                :class:`~ohmskin.errors.LinkEnded` at the regular end, else a :class:`~ohmskin.errors.LinkError`. Not
-                called when ``close()`` of the skin or of the returned object ends the calls.
+                :class:`~ohmskin.errors.LinkEnded` at the regular end, else a :class:`~ohmskin.errors.LinkError`; or
+                with the exception of a callback that failed. Not called when ``close()`` of the skin or of the returned
+                object ends the calls.
 
         Returns:
             An object whose ``close()`` ends the calls. An exception in the callback ends them, too.
@@ -505,10 +534,7 @@ class Skin:
                 raise copy.copy(self._mailbox.end)
             newest = self._mailbox.newest
             if newest is not None:
-                try:
-                    self._converter.measure(newest, self._mailbox)
-                except ProtocolError as error:
-                    self._mailbox.report(error)
+                self._converter.measure(newest)
             past = Past.of(heard, self._reader.stream.state(), self._converter.hand_over())
             recording.joined(past)
             if self._reader.away:
@@ -549,12 +575,9 @@ class Skin:
 
     def stats(self) -> LinkStatistics:
         """Statistics of the link: frames received and lost, and their ages."""
-        with self._mailbox.lock:
-            newest = self._mailbox.newest
-            pending = 0 if newest is None else newest.index - min(self._converter.last_index, newest.index)
         clock = self._reader.stream.clock
         return self._counters.snapshot(
-            pending=min(pending, self._mailbox.capacity), drift_ppm=clock.drift_ppm, clock_steps=clock.steps
+            skipped=self._converter.skipped, drift_ppm=clock.drift_ppm, clock_steps=clock.steps
         )
 
     def tare(

@@ -30,7 +30,7 @@ class LinkStatistics:
     why_corrupt: str
     """why the newest of them was none; empty: there was none"""
     resyncs: int
-    """resynchronisations: packets followed such a stretch, or their numbers jumped in a way that no time explains"""
+    """times that the numbers of frames jumped in a way that no time explains"""
     reconnects: int
     """number of times that the port was reopened"""
     reboots: int
@@ -40,13 +40,13 @@ class LinkStatistics:
     late: int
     """frames that others had overtaken, and that were dropped; the lost frames include them"""
     skipped: int
-    """frames that no reader of the skin took"""
+    """frames that the estimator has not seen, since they came faster than they could be converted"""
     unsolved: int
     """frames whose readings no cell resistances can give; many of them mean that the design is not that of the board"""
     not_valid: dict[str, int]
     """cells of the newest converted frame that are not valid, by the name of their :class:`ohmskin.circuits.Reason`"""
     remark: str | None
-    """why hardly any cell was valid in the first frames; or that the skin should be tared"""
+    """why hardly any cell was valid in the first frames; why there are no pressures; or that one should tare"""
     rate_hz: float
     """frames per second of the board's time, over the last 1000 frames; NaN before the second frame"""
     age_s: dict[int, float]
@@ -80,7 +80,6 @@ class Counters:
     late: int = 0
     clock_steps: int = 0
     """of the clock maps before the present one"""
-    converted: int = 0
     unsolved: int = 0
     reasons: NDArray[np.int8] | None = None
     """of the newest converted frame, a :class:`ohmskin.circuits.Reason` for each cell"""
@@ -95,8 +94,8 @@ class Counters:
     ages_s: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
     delays_s: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
 
-    def snapshot(self, *, pending: int, drift_ppm: float, clock_steps: int) -> LinkStatistics:
-        """The numbers as they are now; ``pending`` frames wait to be taken."""
+    def snapshot(self, *, skipped: int, drift_ppm: float, clock_steps: int) -> LinkStatistics:
+        """The numbers as they are now; ``skipped`` frames were not converted."""
         times = list(self.times_s)
         elapsed = times[-1] - times[0] if len(times) > 1 else 0.0
         return LinkStatistics(
@@ -110,7 +109,7 @@ class Counters:
             reboots=self.reboots,
             duplicates=self.duplicates,
             late=self.late,
-            skipped=max(self.frames - self.converted - pending, 0),
+            skipped=skipped,
             unsolved=self.unsolved,
             not_valid=_not_valid(self.reasons),
             remark=self.remark or self.faulty or self.untared,

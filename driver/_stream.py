@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ProtocolError
-from ..wire import Corrupt, Flag, FramePacket
+from ..wire import Flag, FramePacket
 from ._clock import ClockMap
 from ._past import StreamPast
 from ._port import Arrival
@@ -107,7 +107,6 @@ class FrameStream:
         """board time from one frame number to the next, by the last two frames; 0: not known"""
         self._recent: OrderedDict[tuple[int | None, int | None, int | None], None] = OrderedDict()
         """boot ids, sequence numbers and times of the last numbered frames, in order: a dict, for a quick look-up"""
-        self._in_step = True
 
     def announce(self, sequence: int | None, boot_id: int | None) -> None:
         """Take the number of the first frame, as announced by the packets before it."""
@@ -129,7 +128,6 @@ class FrameStream:
             latest_monotonic=self._latest_monotonic,
             time_s=self._time_s,
             usual_us=self._usual_us,
-            in_step=self._in_step,
             recent=tuple(self._recent),
             numbered=self.counters.lost is not None,
             clock=self.clock.state(),
@@ -140,17 +138,11 @@ class FrameStream:
         """Continue from a saved :meth:`state`, with totals that count from here."""
         self._begun, self._expected, self._boot_id = past.begun, past.expected, past.boot_id
         self._latest_us, self._latest_monotonic = past.latest_us, past.latest_monotonic
-        self._time_s, self._usual_us, self._in_step = past.time_s, past.usual_us, past.in_step
+        self._time_s, self._usual_us = past.time_s, past.usual_us
         self._recent = OrderedDict.fromkeys(past.recent)
         self.counters.lost = 0 if past.numbered else None
         self.clock.restore(past.clock)
         self._arrivals.restore(past.arrivals)
-
-    def corrupt(self, event: Corrupt) -> None:
-        """Count a stretch of bytes that was no packet."""
-        self.counters.corrupt += 1
-        self.counters.why_corrupt = event.reason
-        self._in_step = False
 
     def end(self, sequence: int, boot_id: int | None, time_us: int) -> None:
         """Count the frames that the line lost before ``sequence``, the number that would have come next.
@@ -179,9 +171,6 @@ class FrameStream:
 
         """
         counters = self.counters
-        if not self._in_step:
-            counters.resyncs += 1
-            self._in_step = True
         sequence, time_us = packet.sequence, packet.time_us
         stamp = packet.boot_id, sequence, time_us
         if sequence is not None and stamp in self._recent:

@@ -7,6 +7,7 @@ import contextlib
 import copy
 import threading
 import time
+import warnings
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -28,8 +29,8 @@ CLOSE_S = 2.0
 class Source:
     """The source from which takers get their frames."""
 
-    name: str
-    """name of the port, for messages"""
+    name: Callable[[], str]
+    """the port's present name, for messages"""
     mailbox: Mailbox
     converter: Converter
     counters: Counters
@@ -41,6 +42,8 @@ class Source:
     """error for a wait that timed out; arguments: what was awaited, and for how many s"""
     newest_only: bool
     """True: a taker gets the newest frame; False: every frame that is still queued"""
+    eager: bool
+    """True: frames are converted as they come; False: when they are taken"""
 
 
 class FrameTaker:
@@ -137,7 +140,7 @@ class FrameTaker:
             left = deadline - time.monotonic()
             if left <= 0:
                 raise LinkTimeout(
-                    f"{source.name}: no frame younger than {max_age_s:g} s: {self._why_none(newest, max_age_s)}"
+                    f"{source.name()}: no frame younger than {max_age_s:g} s: {self._why_none(newest, max_age_s)}"
                     + _because(source.mailbox.away)
                 )
             self._wait(left, since=newest)
@@ -206,9 +209,13 @@ class FrameTaker:
             self._frame = None
 
     def forget(self) -> None:
-        """Do not deliver the last frame again."""
+        """Deliver neither the last frame again, nor one that was converted before this call as soon as it came."""
+        source = self._source
         with self._lock:
             self._frame = None
+            if source.eager:
+                self._newest = max(self._newest, source.converter.last_index)
+                source.mailbox.move(self._place, self._newest)
 
     def leave(self) -> None:
         """Give up the place: the mailbox keeps no more frames for this taker."""
@@ -227,11 +234,11 @@ class FrameTaker:
     def _claim(self, raw: RawFrame) -> Frame | None:
         """Convert a frame and make it the last one taken; None if this taker, or all others, have passed the frame."""
         source = self._source
-        try:
-            measurement = source.converter.measure(raw, source.mailbox)
-        except Exception:
-            source.mailbox.move(self._place, raw.index)
-            raise
+        measurement = source.converter.measure(raw)
+        notices = source.converter.notices
+        while notices:
+            with contextlib.suppress(IndexError):  # another reader was quicker
+                warnings.warn(notices.popleft(), RuntimeWarning, stacklevel=2)
         with self._lock:
             if measurement is None or raw.index <= self._newest:
                 # This also covers an interrupt between the two steps below: the frame must not be offered for ever.
@@ -244,7 +251,9 @@ class FrameTaker:
 
     def _deliver(self, raw: RawFrame, measurement: Measurement) -> Frame:
         told, self._told = self._told, _Totals.of(raw, measurement.estimator_starts)
-        return _frame(raw, measurement, told, self._source)
+        frame = _frame(raw, measurement, told, self._source)
+        self._source.converter.retained.add(frame)
+        return frame
 
     def _check_fault(self) -> None:
         """Raise the newest fault unless this taker has raised it already."""
@@ -328,19 +337,22 @@ class FrameCallback:
         self,
         source: Source,
         callback: Callable[[Frame], None],
-        on_end: Callable[[OhmskinError], None] | None = None,
+        on_end: Callable[[Exception], None] | None = None,
         *,
         keep: object = None,
     ) -> None:
-        """``keep``: as for :class:`AsyncFrames`, until the calls end. InputError if a callback is no function."""
+        """``keep``: as for :class:`AsyncFrames`, until the calls end. InputError if a callback is no function.
+
+        ``on_end`` is called with the reason when no frame will come any more, or with the error of the callback.
+        """
         function("callback", callback)
         if on_end is not None:
             function("on_end", on_end)
         self._keep = keep
         self._taker = FrameTaker(source)
         self._callback, self._on_end = callback, on_end
-        self._closed = threading.Event()
-        self._thread = _CallbackThread(target=self._run, name=f"ohmskin callback {source.name}", daemon=True)
+        self._closed = False
+        self._thread = _CallbackThread(target=self._run, name=f"ohmskin callback {source.name()}", daemon=True)
         self._thread.start()
 
     @property
@@ -350,7 +362,7 @@ class FrameCallback:
 
     def end(self) -> None:
         """End the calls, without waiting for a running one."""
-        self._closed.set()
+        self._closed = True
 
     def close(self) -> None:
         """End the calls. Waits for a running call, for at most 2 s.
@@ -363,20 +375,28 @@ class FrameCallback:
 
     def _run(self) -> None:
         try:
-            while not self._closed.is_set():
+            while not self._closed:
                 try:
                     frame = self._taker.take(0.1)
                 except (LinkTimeout, ProtocolError):
                     continue
                 except LinkError as error:
-                    if self._on_end is not None and not self._closed.is_set():
+                    if self._on_end is not None and not self._closed:
                         self._on_end(error)
                     return
-                if not self._closed.is_set():
-                    self._callback(frame)
+                if not self._closed:
+                    self._call(frame)
         finally:
             self._taker.leave()
             self._keep = None
+
+    def _call(self, frame: Frame) -> None:
+        try:
+            self._callback(frame)
+        except Exception as error:
+            if self._on_end is not None:
+                self._on_end(error)
+            raise
 
 
 class _CallbackThread(threading.Thread):
@@ -394,6 +414,19 @@ class ConvertedFrames:
         """Take the next converted frame."""
         before, self._before = self._before, _Totals.of(raw, measurement.estimator_starts)
         self._receive(_frame(raw, measurement, before, self._source))
+
+
+def frames_since(source: Source, monotonic_s: float) -> list[Frame]:
+    """The frames that came after this time, in order, as :meth:`.Skin.frames_since`."""
+    if source.eager:
+        source.poll()
+    frames, told = [], _Totals()
+    for raw, measurement in source.converter.measured_since(monotonic_s):
+        if raw.monotonic_time > monotonic_s:
+            frames.append(_frame(raw, measurement, told, source))
+            source.converter.retained.add(frames[-1])
+        told = _Totals.of(raw, measurement.estimator_starts)
+    return frames
 
 
 @dataclass(slots=True)

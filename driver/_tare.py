@@ -85,10 +85,20 @@ class Tare:
     @property
     def covers(self) -> str:
         """How many cells have been measured, and how many frames would measure the cells that noise hides."""
-        told = f"{int(self.measured.sum())} of {count_of(self.measured.size, 'cell')} measured"
+        told = f"{int(self.measured.sum())} of {count_of(self.measured.size, 'cell')} measured{self._lines_left_out}"
         if self.remarks or not self.frames_advised:
             return told
         return f"{told}, noise hides the others; tare({self.frames_advised}) covers nearly all"
+
+    @property
+    def _lines_left_out(self) -> str:
+        """The lines of which no cell was measured, if others were and noise is not the cause."""
+        lines = [
+            f"{kind} {number}"
+            for kind, axis in (("row", 1), ("column", 0))
+            for number in np.flatnonzero(~self.measured.any(axis=axis))
+        ]
+        return f", without {', '.join(lines)}" if lines and self.measured.any() and not self.frames_advised else ""
 
     @property
     def taken_at(self) -> datetime:
@@ -178,7 +188,8 @@ class RestReadings:
     noisy: BoolArray | None = None
     """(rows, columns) cells that only noise keeps from being valid in most frames; None: no cells"""
     without_current: BoolArray | None = None
-    """(rows, columns) cells that read no current in most frames; None: no cells"""
+    """(rows, columns) cells that read no current in most frames: on a broken line, or open at rest; None: none. They
+    have no ``resistance_ohm``, since what they show in the other frames is noise"""
 
     def tare(
         self,

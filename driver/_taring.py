@@ -141,13 +141,15 @@ class Tares:
         lost = None if None in losses else sum(loss or 0 for loss in losses)
         if self._converter.design is None:
             return tare_of_counts(taken, lost=lost, serial_number=serial_number)
+        noisy, silent = (
+            2 * np.count_nonzero([frame.reason == why for frame in taken], axis=0) > len(taken)
+            for why in (Reason.UNCERTAIN, Reason.NO_CURRENT)
+        )
         readings = RestReadings(
-            np.array([frame.resistance for frame in taken]),
+            np.where(silent, np.nan, [frame.resistance for frame in taken]),
             np.array([frame.monotonic_time for frame in taken]),
-            *(
-                2 * np.count_nonzero([frame.reason == why for frame in taken], axis=0) > len(taken)
-                for why in (Reason.UNCERTAIN, Reason.NO_CURRENT)
-            ),
+            noisy,
+            silent,
         )
         return readings.tare(
             self._converter.cell,

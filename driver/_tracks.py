@@ -54,6 +54,7 @@ class Patch:
     y_mm: float
     """centre of pressure"""
     force_n: float
+    force_std_n: float
     peak_kpa: float
     variance_mm2: float
     """of the pressure about the centre, along one axis"""
@@ -171,11 +172,6 @@ class Tracks:
             track.leads = track.id in leaders
         return names
 
-    def look_back(self, time_s: float, patches: Sequence[Patch], labels: IntArray) -> list[Named]:
-        """The ids of the patches of an earlier frame; tracks do not move, and unknown patches get new ids."""
-        assigned = self._assign(self._tracks, patches, labels, time_s, remembered=True)
-        return [_names(tracks or [self._begin(patch, time_s)]) for tracks, patch in zip(assigned, patches, strict=True)]
-
     def _begin(self, patch: Patch, time_s: float) -> Track:
         self._last_id += 1
         return Track(
@@ -183,12 +179,12 @@ class Tracks:
         )
 
     def _assign(
-        self, known: list[Track], patches: Sequence[Patch], labels: IntArray, time_s: float, *, remembered: bool = False
+        self, known: list[Track], patches: Sequence[Patch], labels: IntArray, time_s: float
     ) -> list[list[Track]]:
         """For each patch the tracks that continue in it.
 
         A track that was absent in the frame before was lifted. It can get a patch of its own, but cannot merge with
-        another track; with ``remembered``, it can.
+        another track.
         """
         shared: list[list[Track]] = [[] for _ in patches]
         if not known or not patches:
@@ -207,7 +203,7 @@ class Tracks:
         for j, k in pairs.items():
             shared[k].append(known[j])
         for j, track in enumerate(known):
-            if j not in pairs and overlaps[j] and (remembered or track.seen_s == self._time_s):
+            if j not in pairs and overlaps[j] and track.seen_s == self._time_s:
                 x, y = track.predicted(time_s)
                 shared[_nearest(x, y, overlaps[j], patches)].append(track)
         return [sorted(tracks, key=lambda track: -track.force_n)[:MOST_TOGETHER] for tracks in shared]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..common.arrays import FloatArray
+from ..common.events import SignalSafeEvent
 from ..errors import InputError, LinkTimeout
 
 
@@ -17,14 +18,14 @@ class Hand:
     def __init__(self, shape: tuple[int, int]) -> None:
         """A hand that does not touch a skin of ``shape`` (rows, columns)."""
         self.shape = shape
-        self._changed = threading.Condition()
+        self._lock = threading.Lock()
+        self._pressing: dict[int, SignalSafeEvent] = {}
+        """number of a load that somebody waits for -> set when it is in force"""
         self._pressure_kpa = np.zeros(shape)
         self._wanted = 0
         """number of the present load"""
         self._offered = 0
         """number of the load that the board was last given"""
-        self._taken = 0
-        """number of the load that is in force"""
         self._since_s = 0.0
 
     def press(self, pressure_kpa: ArrayLike, *, timeout_s: float = 10.0) -> float:
@@ -48,17 +49,21 @@ class Hand:
             raise InputError(f"pressure_kpa does not fit {self.shape[0]} x {self.shape[1]} cells") from error
         if not (np.isfinite(pressure) & (pressure >= 0)).all():
             raise InputError("pressure_kpa must be finite and not negative")
-        with self._changed:
+        with self._lock:
             self._pressure_kpa = pressure
             self._wanted += 1
             mine = self._wanted
-            if not self._changed.wait_for(lambda: self._taken >= mine, timeout_s):
+            taken = self._pressing[mine] = SignalSafeEvent()
+        try:
+            if not taken.wait(timeout_s):
                 raise LinkTimeout(f"no board took the load within {timeout_s:g} s")
             return self._since_s
+        finally:
+            del self._pressing[mine]
 
     def take_change(self) -> FloatArray | None:
         """For the board: the load (rows, columns) in kPa if it has changed, else None."""
-        with self._changed:
+        with self._lock:
             if self._offered == self._wanted:
                 return None
             self._offered = self._wanted
@@ -66,6 +71,8 @@ class Hand:
 
     def in_force(self, since_s: float) -> None:
         """For the board: the load that was taken is in force from board time ``since_s`` on."""
-        with self._changed:
-            self._taken, self._since_s = self._offered, since_s
-            self._changed.notify_all()
+        with self._lock:
+            self._since_s = since_s
+            for number, taken in list(self._pressing.items()):
+                if number <= self._offered:
+                    taken.set()

@@ -40,19 +40,19 @@ class Stop:
     def __init__(self) -> None:
         self.signal: int | None = None
         """the signal that asked, if one did"""
-        self._asked = threading.Event()
+        self._asked = False
         self._read, self._write = os.pipe()
         os.set_blocking(self._write, False)
 
     def set(self, number: int | None = None) -> None:
         """End the run between two ticks."""
         self.signal = self.signal or number
-        if not self._asked.is_set():
-            self._asked.set()
+        if not self._asked:
+            self._asked = True
             os.write(self._write, b"!")
 
     def is_set(self) -> bool:
-        return self._asked.is_set()
+        return self._asked
 
     def fileno(self) -> int:
         return self._read

@@ -19,6 +19,7 @@ from scipy.special import erf
 
 from ..common.arrays import FloatArray
 from ..common.config import Section
+from ..common.extras import install_command
 from ..common.files import read_bytes
 from ..common.tables import read_matrix
 from ..errors import InputError, MissingExtra
@@ -296,7 +297,7 @@ def _png(path: Path) -> FloatArray:
     try:
         import PIL.Image
     except ImportError as error:
-        raise MissingExtra(f"{path}: .png needs Pillow: install ohmskin[report], or use .csv or .npy") from error
+        raise MissingExtra(f"{path}: .png needs Pillow: {install_command('report')}, or use .csv or .npy") from error
     content = io.BytesIO(read_bytes(path))
     try:
         with PIL.Image.open(content) as picture:

@@ -58,10 +58,10 @@ def board() -> Iterator[str]:
         yield port.name
 
 
-@pytest.mark.parametrize("form", ["arrays", "cells", "image"])
-def test_observations_are_as_their_features_say(board: str, form: str) -> None:
+@pytest.mark.parametrize(("form", "history"), [("arrays", 0), ("arrays", 5), ("cells", 0), ("image", 0)])
+def test_observations_are_as_their_features_say(board: str, form: str, history: int) -> None:
     lerobot = bridge("lerobot_skin")
-    sensor = lerobot.SkinSensor(board, shape=(3, 2), form=form, max_age=60.0)
+    sensor = lerobot.SkinSensor(board, shape=(3, 2), form=form, history=history, max_age=60.0)
     features = sensor.observation_features  # before it is connected
     with pytest.raises(ConnectionError, match="not connected"):
         sensor.get_observation()
@@ -82,6 +82,9 @@ def test_observations_are_as_their_features_say(board: str, form: str) -> None:
             assert type(observed[key]) is float
         else:
             assert observed[key].shape == feature
+    if history:
+        assert observed["skin.is_new"][-1]
+        assert (np.diff(observed["skin.monotonic_time"]) >= 0).all()
     with pytest.raises(ConnectionError, match="not connected"):
         sensor.disconnect()
 

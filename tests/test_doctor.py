@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ohmskin.cli import run
 from ohmskin.common import compiled
+from ohmskin.common.extras import install_command
 from ohmskin.doctor import (
     Chunk,
     State,
@@ -125,9 +126,9 @@ def test_packages_and_extras_are_told_apart() -> None:
     requirements = ["numpy>=1.26", 'no-such-thing>=1; extra == "peers"', 'pytest>=8; extra == "test"']
     needed, extra = _installation._packages(requirements)
     assert (needed.state, needed.found.split()[0]) == (State.OK, "numpy")
-    assert (extra.state, extra.subject, extra.mend) == (State.OPTIONAL, "extra 'peers'", "pip install 'ohmskin[peers]'")
+    assert (extra.state, extra.subject, extra.mend) == (State.OPTIONAL, "extra 'peers'", install_command("peers"))
     (missing,) = _installation._packages(["no-such-thing>=1"])
-    assert (missing.state, missing.mend) == (State.PROBLEM, "pip install 'ohmskin'")
+    assert (missing.state, missing.mend) == (State.PROBLEM, install_command())
 
 
 def test_every_requirement_of_the_metadata_is_looked_at() -> None:

@@ -12,7 +12,7 @@ import pytest
 from boards import DESIGN, Wire, lossless, scene
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from needs import need
+from scipy import ndimage
 
 from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import Contact, ContactTracker
@@ -67,7 +67,7 @@ def test_a_bump_is_where_it_was_put(row: float, column: float, peak: float) -> N
 def test_a_cell_joins_a_contact_at_more_deviations_than_it_leaves_it_at() -> None:
     """So that noise neither widens contacts nor makes them flicker."""
     frames = []
-    for beside in (0.0, 3.0, 3.4, 2.7, 2.3):
+    for beside in (0.0, 2.3, 2.7, 1.2, 0.4):
         frames.append(np.zeros((16, 16)))
         frames[-1][4:6, 4:6], frames[-1][4, 6] = 9.0, 0.5 * beside
     assert [len(contact.cells) for (contact,) in track(frames, std_kpa=0.5)] == [4, 4, 5, 5, 4]
@@ -247,9 +247,6 @@ def test_noise_makes_no_contacts_and_a_weak_press_does_not_flicker() -> None:
     seen = track([2 * press + noise[0], *(press + sample for sample in noise)], std_kpa=1.0)
     present = [any(contact.cells.tolist().count([8, 8]) for contact in contacts) for contacts in seen]
     assert np.mean(present) > 0.9
-    cold = tracker()
-    started = [cold.update(0.01, press + sample, np.ones((16, 16))) for sample in noise[:1]]
-    assert started == [()]  # too weak to begin with
 
 
 @pytest.mark.parametrize("cells", [(slice(7, 8), slice(3, 6)), (slice(2, 5), slice(9, 10)), (slice(0, 1), slice(0, 1))])
@@ -266,86 +263,57 @@ def test_a_held_press_of_one_line_is_a_contact_in_the_first_frame_that_is_asked_
     cells: tuple[slice, slice],
 ) -> None:
     """Who looks once, as before a grasp, has seen no frame before; a disturbance lasts for one frame in thousands."""
-    press, rise = np.zeros((16, 16)), (risen(cells, 0.08), np.full((16, 16), 0.01))
+    press, one = np.zeros((16, 16)), tracker()
     press[cells] = 8.0
-    one = tracker()
-    assert [len(one.update(0.01 * k, press, np.full((16, 16), 0.3), rise)) for k in range(15)] == [1] * 15
+    assert [len(one.update(0.01 * k, press, np.full((16, 16), 1.2))) for k in range(15)] == [1] * 15
 
 
 def when_found(
-    cells: tuple[slice, slice], rise: FloatArray, lasting_s: float, *, faults_press: bool = True
+    cells: tuple[slice, slice], std_kpa: float, lasting_s: float, *, faults_press: bool = True
 ) -> list[float]:
-    """Times after the start of a press, in s, at which there is a contact, at 1000 frames per second.
-
-    ``rise`` (rows, columns) is that of the readings, whose noise is 0.01. Only ``cells`` show a pressure for it.
-    """
+    """Times after the start of a press of 2 kPa, in s, at which there is a contact, at 1000 frames per second."""
     pressure, one = np.zeros((16, 16)), ContactTracker((16, 16), PITCH_M, FULL_KPA, faults_press=faults_press)
     pressure[cells] = 2.0
-    found = []
-    for k in range(-100, round(1e3 * lasting_s)):
-        now = (pressure, rise) if k >= 0 else (0.0 * pressure, 0.0 * rise)
-        contacts = one.update(1e-3 * k, now[0], np.full((16, 16), 0.3), (now[1], np.full((16, 16), 0.01)))
-        found += [1e-3 * k] if contacts else []
-    return found
-
-
-def risen(cells: tuple[slice, slice], by: float) -> FloatArray:
-    rise = np.zeros((16, 16))
-    rise[cells] = by
-    return rise
+    times = np.arange(-100, round(1e3 * lasting_s)) / 1e3
+    return [t for t in times.tolist() if one.update(t, (t >= 0) * pressure, np.full((16, 16), std_kpa))]
 
 
 def test_a_lone_cell_hardly_above_its_noise_is_a_contact_when_it_has_outlasted_a_spark() -> None:
     lone = slice(5, 6), slice(7, 8)
-    assert when_found(lone, risen(lone, 0.08), 0.09) == []
-    assert 0.1 < when_found(lone, risen(lone, 0.08), 0.2)[0] < 0.105
-    assert when_found(lone, risen(lone, 0.5), 0.09)[0] < 0.005  # the estimator would have told a spark
-    assert when_found(lone, risen(lone, 0.08), 0.09, faults_press=False)[0] < 0.005  # a spark would be no load
-
-
-@pytest.mark.parametrize("cells", [(slice(12, 13), slice(7, 10)), (slice(4, 7), slice(3, 4))])
-def test_cells_of_a_bad_line_whose_other_cells_hardly_show_it_make_no_contact(cells: tuple[slice, slice]) -> None:
-    line = tuple(part if part.stop - part.start == 1 else slice(None) for part in cells)
-    assert when_found(cells, risen(cells, 0.08), 0.09)[0] < 0.005  # a stylus
-    assert when_found(cells, np.maximum(risen(line, 0.06), risen(cells, 0.08)), 0.09) == []  # type: ignore[arg-type]
+    assert when_found(lone, 0.3, 0.09) == []
+    assert 0.1 < when_found(lone, 0.3, 0.2)[0] < 0.105
+    assert when_found(lone, 0.1, 0.09)[0] < 0.005  # the estimator would have told a spark
+    assert when_found(lone, 0.3, 0.09, faults_press=False)[0] < 0.005  # a spark would be no load
 
 
 @pytest.mark.parametrize(
     "cells", [(slice(12, 13), slice(0, 3)), (slice(13, 16), slice(2, 3)), (slice(8, 9), slice(3, 9))]
 )
 def test_ends_and_long_parts_of_a_line_wait_as_long_as_a_lone_cell(cells: tuple[slice, slice]) -> None:
-    """Coarse steps hide the other cells of a bad line."""
-    assert when_found(cells, risen(cells, 0.08), 0.09) == []
-    assert when_found(cells, risen(cells, 0.08), 0.2)
+    assert when_found(cells, 0.3, 0.09) == []
+    assert when_found(cells, 0.3, 0.2)
 
 
-@settings(max_examples=150, deadline=None)
-@given(
-    shape=st.tuples(st.integers(1, 12), st.integers(1, 12)),
-    share=st.floats(0.1, 1.0),
-    levels=st.integers(2, 40),
-    were_parted=st.booleans(),
-    seed=st.integers(0, 2**32 - 1),
-)
-def test_machine_code_labels_and_parts_as_array_operations_do(
-    shape: tuple[int, int], share: float, levels: int, were_parted: bool, seed: int
-) -> None:
-    """Few levels: many cells are equal, so that ties are broken alike."""
-    compiled, rng = watershed.Segments(shape), np.random.default_rng(seed)
-    need(None if compiled.compiled else "needs numba")
-    plain = watershed.Segments(shape)
-    plain.compiled = False
-    touched = rng.random(shape) < share
-    pressure = rng.integers(1, levels, shape) / levels
-    std = np.where(rng.random(shape) < 0.2, np.nan, 0.05 * rng.random(shape))
-    labels, count = compiled.label(touched)
-    expected, number = plain.label(touched)
-    np.testing.assert_array_equal(labels, expected)
-    assert count == number
-    begins = touched & (rng.random(shape) < 0.5)
-    before = rng.integers(0, 4, shape)
-    fingers = [one.part(labels, pressure, std, begins, before, were_parted=were_parted) for one in (compiled, plain)]
-    np.testing.assert_array_equal(*fingers)
+def test_neighbours_tell_together_of_a_load_that_no_cell_is_sure_of() -> None:
+    """Neither does a column of a divider whose readings are all off, nor one row of a bad wire."""
+    fingertip, std = bump((16, 16), 7, 7, 8.0, sigma=1.2), np.full((16, 16), 2.0)
+    (contact,) = tracker().update(0.0, fingertip, std)
+    assert (contact.y_mm, contact.x_mm) == (pytest.approx(7e3 * PITCH_M), pytest.approx(7e3 * PITCH_M))
+    for line in ((slice(None), slice(7, 8)), (slice(7, 8), slice(None)), (slice(None), slice(6, 9))):
+        off = np.zeros((16, 16))
+        off[line] = 7.0
+        assert tracker().update(0.0, off, std) == ()
+
+
+def test_a_held_contact_keeps_its_force_while_its_deviation_grows() -> None:
+    """What the material does in minutes is uncertain; the pressures do not fall."""
+    press, one = np.zeros((16, 16)), tracker()
+    press[5:9, 5:9] = 3.6
+    for k, std_kpa in enumerate(np.linspace(0.2, 2.7, 100)):
+        (contact,) = one.update(0.1 * k, press, np.full((16, 16), std_kpa))
+    assert contact.force_n == pytest.approx(1e3 * PITCH_M**2 * 16 * 3.6)
+    assert contact.force_std_n == pytest.approx(1e3 * PITCH_M**2 * 16 * 2.7)
+    assert one.update(10.1, 0.0 * press, np.full((16, 16), 2.7)) == ()
 
 
 @pytest.mark.parametrize("share", [watershed.PART_SHARE, watershed.STAY_SHARE])
@@ -523,7 +491,7 @@ def test_contacts_asked_for_late_have_one_name_each() -> None:
 
 def test_frames_in_which_nothing_touches_cost_little(monkeypatch: pytest.MonkeyPatch) -> None:
     """The labelling is not even begun."""
-    monkeypatch.setattr(watershed.Segments, "label", lambda *_: 1 / 0)
+    monkeypatch.setattr(ndimage, "label", lambda *_, **__: 1 / 0)
     assert track([np.zeros((16, 16))] * 3) == [(), (), ()]
 
 

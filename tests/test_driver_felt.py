@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import astuple
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,11 +14,9 @@ from ohmskin.bench import _taps as bench
 from ohmskin.bench import harness
 from ohmskin.bench._driver import design
 from ohmskin.common.arrays import FloatArray
-from ohmskin.driver import Contact, ContactTracker, Skin
+from ohmskin.driver import Contact, ContactTracker
 from ohmskin.driver._bridging import bridge
-from ohmskin.driver._contacts import DRIFT_PER_S, MISSING_S, START_SHARE, ContactsOfFrames, PressureView
-from ohmskin.driver._later import Later
-from ohmskin.driver._rises import Rises
+from ohmskin.driver._contacts import DRIFT_PER_S, MISSING_S, START_SHARE
 from ohmskin.driver._tare import KNOWN_DRIFT
 
 PITCH_M, FULL_KPA, SHAPE = 0.004, 20.0, (12, 12)
@@ -28,27 +25,18 @@ CELL_N = 1e3 * PITCH_M**2
 DRIFT_KPA = 2.0
 
 
-STD = 1e-5
-"""of R/R0 by noise: far below 1, so that conductances change by as much as resistances do"""
-COARSE_STD = 0.01
-"""of R/R0 by noise: more than rest resistances drift by in seconds"""
-
-
 def bump(row: float, column: float, peak: float, sigma: float = 0.8, shape: tuple[int, int] = SHAPE) -> FloatArray:
     rows, columns = np.indices(shape)
     return np.asarray(peak * np.exp(-((rows - row) ** 2 + (columns - column) ** 2) / (2 * sigma**2)))
 
 
 def track(
-    frames: FloatArray, std_kpa: float = 0.1, step_s: float = 0.01, drift_kpa: float = 0.0, *, read: bool = False
+    frames: FloatArray, std_kpa: float = 0.1, step_s: float = 0.01, drift_kpa: float = 0.0
 ) -> list[tuple[Contact, ...]]:
-    """Contacts of pressures (frames, rows, columns). With ``read`` they are the readings as well, in noises."""
+    """Contacts of pressures (frames, rows, columns)."""
     tracker = ContactTracker(frames.shape[1:], PITCH_M, FULL_KPA, drift_kpa=drift_kpa)
     std = np.full(frames.shape[1:], std_kpa)
-    return [
-        tracker.update(step_s * k, frame, std, (STD * frame / std_kpa, np.full_like(std, STD)) if read else None)
-        for k, frame in enumerate(frames)
-    ]
+    return [tracker.update(step_s * k, frame, std) for k, frame in enumerate(frames)]
 
 
 # -- laws ----------------------------------------------------------------------------------------------------------
@@ -72,7 +60,7 @@ def wandering(seed: int, shape: tuple[int, int] = SHAPE, frames: int = 25) -> Fl
 @given(seed=st.integers(0, 2**32 - 1))
 def test_a_transposed_array_has_transposed_contacts(seed: int) -> None:
     frames = wandering(seed)
-    seen, turned = track(frames, read=True), track(frames.swapaxes(1, 2), read=True)
+    seen, turned = track(frames), track(frames.swapaxes(1, 2))
     for one, other in zip(seen, turned, strict=True):
         assert sorted((c.force_n, c.x_mm, c.y_mm, c.interpolated_n, c.area_mm2) for c in one) == [
             pytest.approx((c.force_n, c.y_mm, c.x_mm, c.interpolated_n, c.area_mm2))
@@ -107,110 +95,6 @@ def test_contacts_move_with_the_pressures(seed: int, down: int, right: int) -> N
 
 
 # -- joint rises ---------------------------------------------------------------------------------------------------
-
-
-def felt(readings: FloatArray, rate_hz: float = 100.0, std: float = STD) -> list[bool]:
-    """Whether joint rises were found, in readings (frames, rows, columns) in their standard deviations."""
-    rises, noise = Rises(readings.shape[1:]), np.full(readings.shape[1:], std)
-    found = [rises.look(k / rate_hz, std * reading, noise) for k, reading in enumerate(readings)]
-    return [one is not None and bool(one.risen.any()) for one in found]
-
-
-@pytest.mark.parametrize("rate_hz", [25.0, 100.0, 1000.0])
-def test_a_fingertip_of_a_few_deviations_is_a_joint_rise(rate_hz: float) -> None:
-    """Seven standard deviations in the middle cell; in each of twenty tries, and soon."""
-    frames = 40 + round(0.1 * rate_hz)
-    for seed in range(20):
-        readings = np.random.default_rng(seed).normal(0, 1, (frames, 12, 12))
-        readings[40:] += bump(5.0 + 0.02 * seed, 6.0, 7.0, 1.2)
-        seen = felt(readings, rate_hz)
-        assert not any(seen[:40])
-        assert any(seen)
-
-
-@pytest.mark.parametrize("raises", [True, False])
-def test_a_press_that_changes_resistance_fivefold_is_a_joint_rise_on_a_coarse_board(raises: bool) -> None:
-    """A step of a tenth of the conductance at rest: in R/R0 the noise under the press is 25 times as large."""
-    rng, found = np.random.default_rng(2), []
-    rises = Rises((12, 12), loads_raise=raises)
-    for k in range(80):
-        conductance = 1.0 + 0.05 * rng.normal(0, 1, (12, 12))
-        pressed = bump(5.3, 6.2, 0.8, 1.0) if k >= 40 else np.zeros((12, 12))
-        conductance += -pressed if raises else 4.0 * pressed
-        change = 1.0 / conductance - 1.0
-        look = rises.look(0.01 * k, change if raises else -change, 0.05 / conductance**2)
-        found.append(look is not None and bool(look.middle.any()))
-    assert not any(found[:40])
-    assert any(found[40:45])
-
-
-@pytest.mark.parametrize("rate_hz", [100.0, 1000.0])
-def test_noise_makes_no_joint_rise(rate_hz: float) -> None:
-    assert not any(felt(np.random.default_rng(3).normal(0, 1, (3000, 12, 12)), rate_hz))
-
-
-def test_readings_that_flip_by_a_step_make_no_joint_rise() -> None:
-    """The resolution counts as noise: a step has 3.5 standard deviations. Each frame another quarter of the cells."""
-    steps = np.random.default_rng(4).random((2000, 12, 12)) < 0.25
-    assert not any(felt(3.46 * steps))
-
-
-@pytest.mark.parametrize("rate_hz", [20.0, 100.0])
-def test_a_slow_press_within_the_noise_of_a_reading_is_a_joint_rise(rate_hz: float) -> None:
-    """A press of four standard deviations that takes two seconds: no moment differs from the one before by more than
-    a fifth of one."""
-    quiet, pressing = round(6.0 * rate_hz), round(2.0 * rate_hz)
-    course = np.concatenate((np.zeros(quiet), np.linspace(0.0, 1.0, pressing), np.ones(pressing)))
-    for seed in range(10):
-        readings = np.random.default_rng(seed).normal(0, 1, (course.size, 8, 8))
-        readings += course[:, None, None] * bump(3.0 + 0.1 * seed, 4.0, 4.0, 1.0, (8, 8))
-        seen = felt(readings, rate_hz, COARSE_STD)
-        assert not any(seen[:quiet])
-        assert any(seen[quiet:])
-
-
-@pytest.mark.parametrize("rate_hz", [40.0, 100.0])
-def test_what_quick_taps_leave_behind_is_no_slow_press(rate_hz: float) -> None:
-    """Taps of two standard deviations of a reading: single frames hardly show their ends, means over blocks do."""
-    time_s = np.arange(round(12.0 * rate_hz)) / rate_hz
-    since_s = np.maximum(time_s - 3.3, 0.0)
-    tapped = (since_s > 0.0) & (since_s % 0.5 < 0.15)
-    course = 2.0 * tapped + 6.0 * (1.0 - np.exp(-since_s / 3.0))
-    rises = 0
-    for seed in range(6):
-        readings = np.random.default_rng(seed).normal(0, 1, (course.size, 8, 8))
-        readings += course[:, None, None] * bump(3.0, 4.0, 1.0, 1.0, (8, 8))
-        rises += np.count_nonzero(np.array(felt(readings, rate_hz, COARSE_STD))[~tapped])
-    assert rises <= 1
-
-
-def test_steps_that_last_make_no_joint_rise() -> None:
-    """Readings without dither stay on a code for a second and then go to the next one: no mean lessens that error."""
-    draw, frames = np.random.default_rng(5), 4000
-    changes = draw.random((frames, 8, 8)) < 0.01
-    assert not any(felt(3.46 * (np.cumsum(changes, axis=0) % 2), std=COARSE_STD))
-
-
-@pytest.mark.parametrize(("per_s", "found"), [(0.0025, False), (0.03, True)])
-def test_what_rest_resistances_drift_by_is_no_slow_rise(per_s: float, found: bool) -> None:
-    warmer = np.arange(1200)[:, None, None] / 100.0 * bump(3.4, 4.2, per_s / COARSE_STD, 1.0, (8, 8))
-    assert any(felt(np.random.default_rng(6).normal(warmer, 1), std=COARSE_STD)) is found
-
-
-@pytest.mark.parametrize("left", [0.2, 0.4])
-@pytest.mark.parametrize("hold_s", [0.15, 0.6, 2.0])
-def test_what_a_slow_press_leaves_in_the_material_is_no_rise(hold_s: float, left: float) -> None:
-    """A press that takes 0.3 s; where it was released, part of its rise of eight deviations fades in six seconds."""
-    rate_hz, press_s = 100.0, 4.0
-    time_s = np.arange(0.0, 14.0, 1.0 / rate_hz) - press_s
-    course = np.interp(time_s, [0.0, 0.3, 0.3 + hold_s, 0.4 + hold_s], [0.0, 1.0, 1.0, left])
-    gone = time_s > 0.5 + hold_s
-    course[gone] *= np.exp(-(time_s[gone] - 0.5 - hold_s) / 6.0)
-    for seed in range(4):
-        noise = np.random.default_rng(seed).normal(0, 1, (time_s.size, 8, 8))
-        seen = np.array(felt(noise + course[:, None, None] * bump(3.3, 4.1, 8.0, 1.0, (8, 8)), rate_hz, COARSE_STD))
-        assert seen[~gone].any()
-        assert not seen[gone].any()
 
 
 COARSE = """
@@ -251,134 +135,15 @@ load_kpa = [[0, 0], [3, 0], [5, 14], [9, 14], [9.3, 0]]
 """noise of 0.3 steps of the ADC, which are a kPa each at rest and two under the press"""
 
 
-@pytest.mark.parametrize(("idle_rows", "noise_volts"), [("float", 0.004), ("float", 0.001), ("ground", 0.004)])
-def test_a_slow_press_of_a_coarse_board_is_a_contact_while_it_is_held(
-    idle_rows: str, noise_volts: float, tmp_path: Path
-) -> None:
-    (tmp_path / "scene.toml").write_text(COARSE.format(idle_rows=idle_rows, noise_volts=noise_volts))
-    with Skin.open(f"ohmskin://{tmp_path / 'scene.toml'}?clock=fast&duration=12&seed=1", delivery="lossless") as skin:
-        skin.tare(40)
-        frames = [(frame.device_time, frame.contacts) for frame in skin]
-    assert not any(contacts for time_s, contacts in frames if time_s < 3.0 or time_s > 10.3)
-    held = [contacts for time_s, contacts in frames if 4.5 < time_s < 9.0]
-    found = [contacts[0] for contacts in held if contacts]
-    assert len(found) > 0.9 * len(held)
-    places = np.array([(contact.y_mm, contact.x_mm) for contact in found]) / (1e3 * skin.pitch_m)
-    assert np.abs(np.median(places, axis=0) - (1.6, 1.8)).max() < 0.4
-
-
-@pytest.mark.parametrize("size", [5.0, 30.0, 1000.0])
-@pytest.mark.parametrize(
-    "where", ["cell", "row", "column", "two rows", "half a row", "impulse", "all", "row and column"]
-)
-def test_faults_with_the_shape_of_the_wiring_are_no_joint_rise(where: str, size: float) -> None:
-    places = {
-        "cell": [(4, 5)],
-        "row": [(4, slice(None))],
-        "column": [(slice(None), 0)],
-        "two rows": [(slice(4, 6), slice(None))],
-        "half a row": [(4, slice(0, 6))],
-        "impulse": [(4, slice(3, 6))],
-        "all": [(slice(None), slice(None))],
-        "row and column": [(4, slice(None)), (slice(None), 7)],
-    }[where]
-    readings = np.random.default_rng(5).normal(0, 1, (80, 12, 12))
-    uneven = np.random.default_rng(6).uniform(0.9, 1.1, (12, 12))
-    for place in places:
-        readings[(slice(40, 60), *place)] += size * uneven[place]  # type: ignore[arg-type]
-    assert not any(felt(readings))
-
-
-def test_a_cell_that_was_not_read_has_not_risen() -> None:
-    """It may have been pressed at any time in between."""
-    readings = np.random.default_rng(7).normal(0, 1, (60, 12, 12))
-    readings[30:50] += bump(5, 5, 20.0)
-    readings[25:35, 3:8, 3:8] = np.nan
-    assert not any(felt(readings)[:39])
-
-
-@pytest.mark.parametrize("begins_anew", [False, True])
-def test_readings_that_count_from_other_rest_resistances_have_not_risen(begins_anew: bool) -> None:
-    """After a tare, say. The same jump of readings is a touch where the estimator goes on."""
-    rng = np.random.default_rng(9)
-    std, noise = np.full(SHAPE, 4.0), np.full(SHAPE, 0.5)
-    contacts, seen = ContactsOfFrames(ContactTracker(SHAPE, PITCH_M, FULL_KPA)), []
-    for k in range(60):
-        pressure = (k >= 30) * bump(6, 6, 8.0) + rng.normal(0, 0.5, SHAPE)
-        starts = int(begins_anew and k >= 30)
-        view = PressureView(0.01 * k, pressure, Later(std.copy), (STD * pressure, STD * noise), starts)
-        seen.append(contacts.of(view))
-    assert not any(seen[:30])
-    assert any(seen[30:]) is not begins_anew
-
-
-def test_a_held_touch_that_only_its_rise_has_told_of_lasts_and_ends() -> None:
-    """The pressure has a deviation of half of itself; ten minutes."""
-    rng = np.random.default_rng(8)
-    std, noise = np.full(SHAPE, 4.0), np.full(SHAPE, 0.5)
-    tracker = ContactTracker(SHAPE, PITCH_M, FULL_KPA, drift_kpa=DRIFT_KPA)
-    press, seen = bump(6, 6, 8.0), []
-    for k in range(6100):
-        pressure = (press if 100 <= k < 6000 else 0 * press) + rng.normal(0, 0.5, SHAPE)
-        seen.append(tracker.update(0.1 * k, pressure, std, (STD * pressure, STD * noise)))
-    assert not any(seen[:100])
-    assert {len(contacts) for contacts in seen[101:6000]} == {1}
-    assert {c.id for contacts in seen for c in contacts} == {1}
-    assert not any(seen[6003:])
-
-
-@pytest.mark.parametrize("rise_frames", [1, 3])
-def test_a_tap_beside_a_held_object_leaves_the_contact_of_the_object(rise_frames: int) -> None:
-    """Of the object only its rise has told; the tap makes more than half of the force of both."""
-    rng = np.random.default_rng(3)
-    held, tap = np.zeros(SHAPE), np.zeros(SHAPE)
-    held[2:5, 3:6], tap[5:9, 0:4] = 5.0, 9.0
-    share = np.interp(np.arange(220), [150, 150 + rise_frames, 170, 170 + rise_frames], [0.0, 1.0, 1.0, 0.0])
-    tracker, seen = ContactTracker(SHAPE, PITCH_M, FULL_KPA), []
-    for k in range(220):
-        pressure = (held if k >= 20 else 0 * held) + share[k] * tap + rng.normal(0, 0.05, SHAPE)
-        rise = STD * pressure / 0.05, np.full(SHAPE, STD)
-        seen.append(tracker.update(0.01 * k, pressure, np.where(held > 0, 2.0, 0.1), rise))
-    assert len({c.id for contacts in seen[22:] for c in contacts[-1:]}) == 1
-    for contacts in seen[175:]:
-        (contact,) = contacts
-        np.testing.assert_array_equal(contact.cells, np.argwhere(held > 0))
-
-
-@pytest.mark.parametrize(
-    ("where", "is_found"), [("fingertip", True), ("fades", False), ("row", False), ("cell", False)]
-)
-def test_a_slow_press_that_only_neighbours_together_tell_of_is_found(where: str, is_found: bool) -> None:
-    """Taps left a deviation of a third of the pressure. What fades is left by them; faults move one cell or line."""
-    load = bump(5, 6, 9.0, 1.2)
-    if where == "row":
-        load[np.arange(12) != 5] = 0.0
-    elif where == "cell":
-        load[load < 9.0] = 0.0
-    course = np.interp(np.arange(400), [20, 200, 300, 340], [0.0, 1.0, 1.0, 0.0])
-    if where == "fades":
-        course = np.exp(-np.arange(400) / 100)
-    noise = np.random.default_rng(4).normal(0, 0.05, (400, *SHAPE))
-    tracker = ContactTracker(SHAPE, PITCH_M, FULL_KPA)
-    std = 0.1 + bump(5, 6, 3.0, 1.2)
-    seen = [tracker.update(0.01 * k, course[k] * load + noise[k], std) for k in range(400)]
-    assert not any(seen[:40] + seen[345:])
-    assert [len(contacts) for contacts in seen[240:300]] == [1 if is_found else 0] * 60
-
-
-@pytest.mark.parametrize(("idle_rows", "bits", "noise_mv"), [("ground", 8, 4.0), ("float", 8, 4.0)])
-def test_boards_of_8_bits_with_dividers_find_taps(idle_rows: str, bits: int, noise_mv: float) -> None:
-    """At 1000 frames per second; without the joint test half of the taps, and none with floating rows.
-
-    Of 32 taps of other draws (seeds 1 to 4) with floating rows 27 are found; of these eight one is at the limit.
-    """
-    board = design(8, "voltage-divider", idle_rows, bits)
+def test_boards_of_8_bits_with_dividers_find_taps() -> None:
+    """At 1000 frames per second."""
+    board = design(8, "voltage-divider", "ground", 8)
     rng = np.random.default_rng(11)
     taps = bench.random_taps(8, (8, 8), rng)
     ohm = bench.resistances(taps, (8, 8), 1000.0, bench.REST_S + bench.EVERY_S * 8)
-    seen = list(bench.contacts_of(board, ohm, noise_mv, 1000.0, rng))
+    seen = list(bench.contacts_of(board, ohm, 4.0, 1000.0, rng))
     first_s, _ = bench.match(taps, seen, 1e3 * bench._pitch_m(board), 1e-3)
-    assert np.isfinite(first_s).sum() >= (6 if idle_rows == "ground" else 5)
+    assert np.isfinite(first_s).sum() >= 6
 
 
 # -- cells that are not read -----------------------------------------------------------------------------------------
@@ -427,11 +192,11 @@ def test_gaps_of_two_rows_and_one_sided_gaps_are_not_bridged() -> None:
 def test_a_row_that_dies_is_bridged_after_a_while() -> None:
     """Its last pressures, at rest, count until then."""
     frames = np.array([bump(6, 5, 9.0)] * 100)
-    readings = frames.copy()
-    readings[20:, 6] = np.nan
+    unread = np.zeros(frames.shape, dtype=bool)
+    unread[20:, 6] = True
     frames[:, 6] = 0.0
     tracker, std = ContactTracker(SHAPE, PITCH_M, FULL_KPA), np.full(SHAPE, 0.1)
-    seen = [tracker.update(0.01 * k, frames[k], std, (10 * STD * readings[k], STD * std)) for k in range(100)]
+    seen = [tracker.update(0.01 * k, frames[k], std, unread[k]) for k in range(100)]
     late = 20 + round(MISSING_S / 0.01) + 2
     assert all(len(contacts) == 2 for contacts in seen[1:39])  # 0.2 s after the last reading
     assert all(len(contacts) == 1 and contacts[0].interpolated_n > 0 for contacts in seen[late:])

@@ -450,8 +450,8 @@ def test_a_tare_takes_frames_of_now_and_not_those_that_wait() -> None:
             pass
         port.say(*conversation(list(range(20, 30)))[2:])
         skin.tare(3)
-        assert next(skin).sequence is not None
-        assert skin.stats().skipped >= 17
+        port.say(*conversation(list(range(30, 40)))[2:])
+        assert next(skin).skipped_before >= 17
 
 
 def test_after_a_tare_no_old_estimate_is_handed_out() -> None:
@@ -463,3 +463,54 @@ def test_after_a_tare_no_old_estimate_is_handed_out() -> None:
         new = skin.latest(60.0, timeout=10.0)
         assert new.sequence == 1
         assert new.estimator_restarted
+
+
+BOARD_4X4 = DESIGN | {"array": {"rows": 4, "columns": 4, "row_lead": 70.0}}
+
+
+def pressed_after(frames: int) -> list[float]:
+    """Pressures in kPa of a cell that is pressed with 9 kPa from frame 60 on, so many frames after a tare."""
+    press = {"cells": [[1, 1], [1, 2], [2, 1], [2, 2]], "load_kpa": [[0.0, 0.0], [0.6, 0.0], [0.6, 9.0]]}
+    what = scene(skin={"design": BOARD_4X4}, contact=[press], board={"frame_rate": 100.0})
+    with lossless(Wire(Board(what))) as skin:
+        list(islice(skin, 40 - frames))
+        skin.tare(20)
+        shown = [one for one in islice(skin, frames + 100) if one.device_time is not None and one.device_time > 0.6]
+        assert shown[0].contacts, "a contact in its first frame"
+        return [float(one.pressure[1, 1]) for one in shown]
+
+
+def test_a_press_soon_after_a_tare_is_right_from_its_first_frame() -> None:
+    """The frames of the tare have told the estimator that the skin is at rest."""
+    later = pressed_after(30)
+    for frames in (0, 1, 2, 3):
+        np.testing.assert_allclose(pressed_after(frames), later, rtol=0.02)
+
+
+def test_a_broken_line_is_left_out_of_a_tare_and_named() -> None:
+    event = {"at_s": 0.0, "kind": "broken-row", "place": [3, 0]}
+    what = scene(skin={"design": BOARD_4X4}, contact=[], event=[event], board={"frame_rate": 100.0, "noise": 0.01})
+    with lossless(Wire(Board(what, seed=2))) as skin:
+        tare = skin.tare(30)
+    assert not tare.measured[3].any()
+    assert tare.measured[:3].all()
+    assert "12 of 16 cells measured, without row 3" in tare.covers
+
+
+@pytest.mark.parametrize("loads_lower", [True, False])
+def test_cells_that_read_no_current_at_rest_are_tared_if_loads_lower_their_resistance(loads_lower: bool) -> None:
+    open_at_rest = {
+        "rest_resistance_ohm": 1e8,
+        "full_scale_kpa": 50.0,
+        "model": {"kind": "contact", "full_scale_resistance_ohm": 1000.0, "exponent": 1.0},
+    }
+    cell: dict[str, Any] = open_at_rest if loads_lower else CELL.model_dump() | {"rest_resistance_ohm": 1e8}
+    what = scene(skin={"design": BOARD_4X4, "cell": cell}, contact=[], board={"frame_rate": 100.0})
+    with lossless(Wire(Board(what))) as skin:
+        if loads_lower:
+            tare = skin.tare(20)
+            assert tare.remarks == ()
+            np.testing.assert_array_equal(tare.rest_resistance_ohm, np.full((4, 4), 1e8))
+        else:
+            with pytest.raises(InputError, match="no cell has a valid reading"):
+                skin.tare(20)

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ohmskin.circuits import Design
 from ohmskin.errors import InputError, ProtocolError
 from ohmskin.wire import (
     MAX_DESCRIPTION,
@@ -501,3 +502,14 @@ def test_packets_that_cannot_be_sent_are_refused(make: object, message: str) -> 
     assert callable(make)
     with pytest.raises(InputError, match=re.escape(message)):
         make()
+
+
+def test_the_smallest_description_of_the_page_is_a_design() -> None:
+    """A board's author copies it and changes the numbers."""
+    (line,) = (line.strip() for line in document().splitlines() if line.startswith('    {"design":{"array"'))
+    tables, cell = read_description(line.encode())
+    assert tables is not None
+    assert cell is None
+    design = Design.model_validate(tables)
+    assert design.array.shape == (4, 4)
+    assert design.adc is not None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from ..common.extras import install_command
 from ..common.files import whole_file
 from ..common.tables import write_columns
 from ..errors import InputError, MissingExtra
@@ -41,7 +42,7 @@ def export_samples(results: Sequence[Result], path: str | Path) -> None:
     try:
         import xarray
     except ImportError as error:
-        raise MissingExtra(f"{kind} files need xarray: pip install 'ohmskin[data]'") from error
+        raise MissingExtra(f"{kind} files need xarray: {install_command('data')}") from error
     data = xarray.Dataset(
         {
             name: ("board", values, {"units": units[name], "quantity": quantities[name]})
@@ -60,4 +61,4 @@ def export_samples(results: Sequence[Result], path: str | Path) -> None:
         else:
             raise InputError(f"{path}: expected a file name that ends with .parquet, .nc or .csv")
     except ImportError as error:
-        raise MissingExtra(f"{kind} files need another package: pip install 'ohmskin[data]': {error}") from error
+        raise MissingExtra(f"{kind} files need another package: {install_command('data')}: {error}") from error

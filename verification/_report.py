@@ -21,6 +21,7 @@ from .. import __version__
 from ..circuits import AmplifierModel, Design, Spread, spice
 from ..common import plots
 from ..common.config import fingerprint
+from ..common.extras import install_command
 from ..common.files import make_folder, write_together
 from ..common.text import printable
 from ..errors import MissingExtra, OhmskinError
@@ -527,4 +528,4 @@ def environment() -> dict[str, str]:
 
 
 def _missing(module: str) -> MissingExtra:
-    return MissingExtra(f"the report needs {module}: pip install 'ohmskin[report]'")
+    return MissingExtra(f"the report needs {module}: {install_command('report')}")

@@ -7,15 +7,16 @@ ends. Memory holds 16 bytes per frame: its time, and its place in the file.
 from __future__ import annotations
 
 import asyncio
+import math
 import mmap
 import os
 import tempfile
-import threading
 from array import array
 
 import numpy as np
 
 from ..common.arrays import FloatArray, IntArray
+from ..common.events import SignalSafeEvent
 from ..driver import Frame, Skin
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, ProtocolError
 from ._frame_message import HEADER, TOTAL_FORCE_AT, pack_frame
@@ -50,7 +51,8 @@ class RecordedSource(Source):
         """of the frames since the first one, never decreasing"""
         self._ends = array("q", [0])
         """frame k is in the file from ``_ends[k]`` to ``_ends[k + 1]``"""
-        self._grown = threading.Condition()
+        self._shows = SignalSafeEvent()
+        """there is a frame, or there will be none"""
         self._complete = False
         self._problem = ""
 
@@ -75,18 +77,17 @@ class RecordedSource(Source):
             except OSError as error:
                 self._problem = f"{tempfile.gettempdir()}: no room for more decoded frames: {error.strerror or error}"
                 break
-        with self._grown:
-            self._complete = True
-            self._grown.notify_all()
+        self._complete = True
+        self._shows.set()
 
     def _append(self, frame: Frame, time_s: float) -> None:
         number, place = len(self._times_s), self._ends[-1]
         message = pack_frame(frame, number=number, time_s=time_s, cell_area_mm2=self.cell_area_mm2)
         os.pwrite(self._file.fileno(), message, place)
-        with self._grown:
-            self._times_s.append(time_s)
-            self._ends.append(place + len(message))
-            self._grown.notify_all()
+        self._ends.append(place + len(message))
+        self._times_s.append(time_s)  # last: readers take the number of times for that of the frames
+        if not number:
+            self._shows.set()
 
     def status(self) -> Told:
         """How far the recording is decoded, and its statistics."""
@@ -110,7 +111,7 @@ class RecordedSource(Source):
         if isinstance(order, NextFrame):
             raise InputError("a recording has no newest frame; expected a time or a number")
         if not self._times_s:
-            await asyncio.to_thread(self._await_first)
+            await asyncio.to_thread(self._shows.wait, math.inf)
         count = len(self._times_s)
         if not count:
             raise InputError(f"{self.skin.port_name}: no frames")
@@ -121,10 +122,6 @@ class RecordedSource(Source):
         number = min(max(number, 0), count - 1)
         start, end = self._ends[number], self._ends[number + 1]
         return os.pread(self._file.fileno(), end - start, start)
-
-    def _await_first(self) -> None:
-        with self._grown:
-            self._grown.wait_for(lambda: len(self._times_s) > 0 or self._complete)
 
     async def trace(self, order: TraceCells) -> Told:
         """Pressure of some cells, or the total force, over all that is decoded; null where a cell was not valid."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from http import HTTPStatus
 from typing import TYPE_CHECKING
 
+from ..common.extras import install_command
 from ..errors import InputError, MissingExtra
 from ._access import Access, Refused
 from ._orders import LARGEST_BYTES
@@ -65,7 +66,7 @@ async def serve(source: Source, *, host: str = "127.0.0.1", ports: Sequence[int]
     try:
         from websockets.asyncio.server import serve as listen
     except ImportError as error:
-        raise MissingExtra("the page needs websockets: pip install 'ohmskin[view]'") from error
+        raise MissingExtra(f"the page needs websockets: {install_command('view')}") from error
     # Strangers must not fill the terminal: what they send wrong is answered, and not logged.
     quiet = logging.getLogger("ohmskin.view")
     quiet.setLevel(logging.CRITICAL + 1)

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...common.arrays import FloatArray
+from ...common.extras import install_command
 from ...errors import MissingExtra, SolverError
 from .._design import Design
 from ..readouts import REFERENCE
@@ -257,7 +258,7 @@ def _library() -> Any:
             NgSpiceShared.LIBRARY_PATH = path  # its own guess needs the library's development link
             return NgSpiceShared.new_instance()
     except ImportError as error:
-        raise MissingExtra("PySpice is not installed; install 'ohmskin[spice]'") from error
+        raise MissingExtra(f"PySpice is not installed: {install_command('spice')}") from error
     except OSError as error:
         raise MissingExtra(f"libngspice cannot be loaded from {path}: {error}") from error
 

@@ -1,6 +1,6 @@
 """A skin live in Foxglove, through the WebSocket server of its SDK.
 
-    pip install 'ohmskin[foxglove]'
+    pip install '.[foxglove]'
     python examples/bridges/foxglove_live.py /dev/ttyACM0
 
 Then choose "Open connection" in Foxglove, and ws://127.0.0.1:8765. An image panel shows the topic ``/ohmskin/pressure``

@@ -22,7 +22,9 @@ Form = Literal["arrays", "cells", "image"]
 """what an observation is made of
 
 ``arrays``
-    ``NAME.pressure``, ``NAME.pressure_std`` (kPa, float32) and ``NAME.valid`` (bool), each (rows, columns).
+    ``NAME.pressure``, ``NAME.pressure_std`` (kPa, float32) and ``NAME.valid`` (bool), each (rows, columns). With
+    ``history`` each is (history, rows, columns), the newest frame last, beside ``NAME.monotonic_time`` (s, float64) and
+    ``NAME.is_new`` (bool: came since the last observation), each (history,).
 ``cells``
     one float in kPa for each cell, ``NAME_ROW_COLUMN.kpa``.
 ``image``
@@ -41,6 +43,7 @@ class SkinSensor:
         name: str = "skin",
         form: Form = "arrays",
         max_age: float = 0.1,
+        history: int = 0,
         full_scale_kpa: float = 100.0,
         **options: Any,
     ) -> None:
@@ -52,6 +55,8 @@ class SkinSensor:
             name: begins the keys of the observation.
             form: see :data:`Form`.
             max_age: s; no observation is older. A skin that is silent for longer raises ``TimeoutError``.
+            history: number of frames in an observation of the form ``arrays``, for policies that are slower than the
+                skin; 0: the newest one, without an axis for frames. A skin that has sent fewer repeats its oldest one.
             full_scale_kpa: of the image.
             options: for ``Skin.open``.
 
@@ -59,6 +64,8 @@ class SkinSensor:
         self.port, self.shape, self.name, self.form = port, shape, name, form
         self.max_age, self.full_scale_kpa = max_age, full_scale_kpa
         self._options = options
+        self.history = history
+        self._seen_until = 0.0
         self._skin: Skin | None = None
 
     @property
@@ -66,7 +73,11 @@ class SkinSensor:
         """Key -> float, or the shape of the array."""
         match self.form:
             case "arrays":
-                return {f"{self.name}.{field}": self.shape for field in ("pressure", "pressure_std", "valid")}
+                frames = (self.history,) if self.history else ()
+                cells = {
+                    f"{self.name}.{field}": (*frames, *self.shape) for field in ("pressure", "pressure_std", "valid")
+                }
+                return cells | {f"{self.name}.{field}": frames for field in ("monotonic_time", "is_new") if frames}
             case "cells":
                 return {self._cell(*place): float for place in np.ndindex(self.shape)}
             case "image":
@@ -119,7 +130,17 @@ class SkinSensor:
             TimeoutError: no frame is young enough.
 
         """
-        return self._observation(self._opened().latest(self.max_age, timeout=self.max_age))
+        skin = self._opened()
+        newest = skin.latest(self.max_age, timeout=self.max_age)
+        if not self.history or self.form != "arrays":
+            return self._observation(newest)
+        frames = [one for one in skin.frames_since(0.0) if one.monotonic_time <= newest.monotonic_time][-self.history :]
+        frames = (self.history - len(frames)) * frames[:1] + frames
+        each = [self._observation(one) for one in frames]
+        times = np.array([one.monotonic_time for one in frames])
+        is_new, self._seen_until = times > self._seen_until, newest.monotonic_time
+        stacked = {key: np.stack([one[key] for one in each]) for key in each[0]}
+        return stacked | {f"{self.name}.monotonic_time": times, f"{self.name}.is_new": is_new}
 
     def disconnect(self) -> None:
         """Close the skin."""

@@ -94,7 +94,8 @@ def main() -> None:
         for topic, fields in messages(frame, frame_id).items():
             publishers[topic].publish(fill(kinds[topic](), fields, Pose))
 
-    with Skin.open(port, board=board, calibration=calibration) as skin:
+    # Every frame: a policy at 30 Hz wants those since its last image, whose header.stamp is on the same clock.
+    with Skin.open(port, board=board, calibration=calibration, delivery="every") as skin:
         skin.on_frame(publish)
         try:
             rclpy.spin(node)

@@ -622,7 +622,7 @@ def _told(rng: random.Random) -> bytes:
     block = {"shape": list(shape), "data": rest}
     clock = {"steps": 0, "origin": [1.0, 5.0], "buckets": [[0.0, 0.0]], "bucket_ends": 0.5, "least": [0.0, 0.0]}
     stream = {"begun": True, "expected": 0, "boot_id": None, "latest_us": None, "latest_monotonic": 5.0, "time_s": 0.0}
-    stream |= {"in_step": True, "recent": [[1, 2, 3]], "numbered": True}
+    stream |= {"recent": [[1, 2, 3]], "numbered": True}
     stream |= {"clock": clock | {"drift": 0.0, "anchor": [0.0, 0.0]}}
     measured = {"time_s": None, "rest_ohm": block, "noise_steps": 0.5, "counts": None, "restarted": False}
     cell = _cell(rng)
