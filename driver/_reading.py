@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..circuits import Design, LiveReading, Reason, adc_error, live_recovery, noise, volts_of_codes
 from ..common.arrays import BoolArray, FloatArray
 from ..common.compiled import Rows, loop
+from ..common.readings import Readings
 from ..errors import InputError, ProtocolError, SolverError
 from ._scatter import Scatter
 
@@ -50,6 +51,8 @@ class Reading:
     """standard deviation of the readings' noise in ADC steps"""
     _most_noise: float = 0.0
     """relative uncertainty up to which a noisy reading serves for estimation, valid or not; 0: none does"""
+    _step: float = 1.0
+    """V, of the converter"""
     _scales_columns: bool = False
     """whether errors of other readings scale all conductances of a column by one factor"""
 
@@ -135,6 +138,31 @@ class Reading:
         return np.where(noisy, self._found.resistance, self.resistance)
 
     @property
+    def readings(self) -> Readings:
+        """Conductances with what is known of their errors. Computed on demand."""
+        shape = self.resistance.shape
+        none, unbounded = np.zeros(shape), np.full(shape, np.inf)
+        if self._found is None:
+            return Readings(np.full(shape, np.nan), none, none, none, none, unbounded)
+        with np.errstate(divide="ignore"):
+            conductance = 1.0 / self.for_estimation
+        known, systematic = np.isfinite(conductance), self._systematic
+        size = np.where(known, conductance, 0.0)
+        own, shared = self._found.per_volt(self._covered_steps * self._step)
+        own, shared = (np.where(known, each, 0.0) * size for each in (own, shared))
+        noise = self._step * math.hypot(self._noise_steps, math.sqrt(1.0 - systematic) * _STEP_STD)  # V
+        half_step = 0.5 * self._step * systematic
+        least, greatest = (none, unbounded) if self._found.bounds is None else self._found.bounds
+        return Readings(
+            conductance=np.where(known, conductance, np.nan),
+            noise_variance=(own * noise) ** 2,
+            column_std=shared * noise,
+            half_step=(np.abs(own) + math.sqrt(3.0) * np.abs(shared)) * half_step,
+            least=np.where(known, 0.0, least),
+            greatest=np.where(known, np.inf, greatest),
+        )
+
+    @property
     def step_std(self) -> FloatArray:
         """Relative standard deviation of a cell's conductance by the ADC steps of its own reading alone.
 
@@ -160,16 +188,13 @@ class Reading:
 
         None if errors of other readings do not scale columns, or if noise randomises the rounding.
         """
-        share = self.steps_share
-        if not self._scales_columns or self._found is None or share < _LEAST_STEPS:
+        if not self._scales_columns or self._found is None or self.steps_share < _LEAST_STEPS:
             return None
-        # A reading counts x through its column's sum, and that of the cell itself its own part beside:
-        # by_readings^2 = (own + x)^2 + (rows - 1) x^2. The uncertainty may count equal roundings in full already.
-        own, rows = self._found.own, len(self._found.own)
-        all_others = rows * np.maximum(self._found.by_readings**2 - own**2, 0.0)
-        least: FloatArray = np.fmin.reduce(np.sqrt(own**2 + all_others) - own, axis=0) / rows
-        at_once = share / self._alike * (rows - 1)
-        return np.where(np.isfinite(least), at_once * least, 0.0)
+        # The other readings enter by their sum: all at once they make the root of their number of independent errors.
+        _, shared = self._found.per_volt(self._covered_steps * self._step)
+        rows = len(shared)
+        least: FloatArray = np.minimum.reduce(np.abs(shared), axis=0) * (rows - 1) / math.sqrt(rows)
+        return np.where(np.isfinite(least), 0.5 * self._step * self._systematic * least, 0.0)
 
     @property
     def resolution(self) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
@@ -421,6 +446,7 @@ class CountReader:
             found.alike,
             noise / self._step,
             self._most_noise,
+            self._step,
             self._recover.scales_columns,
         )
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-from math import inf
 from typing import Any, get_type_hints
 
 import numpy as np
@@ -16,12 +14,7 @@ from ohmskin.circuits import Design, adc_codes, live_recovery, scan
 from ohmskin.circuits.readouts import QuickNetwork, _quick
 from ohmskin.circuits.recovery._amplified import AmplifiedLive
 from ohmskin.circuits.recovery._amplified_loops import UsualFrames
-from ohmskin.circuits.recovery._coupled import CoupledLive
-from ohmskin.circuits.recovery._coupled_board import CoupledBoard
-from ohmskin.circuits.recovery._frame_account import Account
-from ohmskin.circuits.recovery._frame_budget import FIRST_EFFORT, Budget
 from ohmskin.circuits.recovery._heavy_leads import MOST_IN_DOUBLE
-from ohmskin.circuits.recovery._linearised import Linearised
 from ohmskin.common import compiled
 from ohmskin.common.compiled import Loop
 from ohmskin.driver import CountReader
@@ -165,53 +158,6 @@ def test_a_skin_that_is_pressed_reads_alike(
     assert pair.served > FRAMES / 10
 
 
-@pytest.mark.parametrize("bits", [8, 12, 16])
-@pytest.mark.parametrize(
-    ("circuit", "idle_rows"),
-    [("voltage-divider", "ground"), ("voltage-divider", "float"), ("voltage-feedback", "ground")],
-)
-def test_a_pressed_skin_on_a_coupled_board_reads_alike(
-    circuit: str, idle_rows: str, bits: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    design = bench.design(6, circuit, idle_rows, bits)
-    pair, random = Pair(design, monkeypatch), np.random.default_rng(bits)
-    assert isinstance(pair.loops._recover, CoupledLive)
-    assert isinstance(pair.arrays._recover, CoupledLive)
-    ohms = 10e3 * random.uniform(0.9, 1.1, design.array.shape)
-    for frame in range(40):
-        ohms[:, frame % 6] *= random.uniform(0.9, 1.05)
-        volts = scan(design, ohms).volts
-        assert design.adc is not None
-        counts = adc_codes(design, volts + random.normal(scale=0.6 * design.adc.step, size=ohms.shape))
-        found, _ = pair.read(counts.astype(np.uint16))
-        assert found.solved
-    by_loops, by_arrays = (each._recover._linearised.base for each in (pair.loops, pair.arrays))
-    assert (by_loops.compiled, by_arrays.compiled) == (True, False)
-    assert (by_loops.by_columns is None) == (idle_rows == "float")
-    assert by_arrays.by_columns is None
-
-
-@pytest.mark.parametrize("far", [0.1, 1e6])
-def test_a_step_column_by_column_is_that_of_array_operations(far: float) -> None:
-    """With cells that count linearly, and steps beyond their limits."""
-    parts = CoupledBoard(bench.design(7, "voltage-divider", "ground", 10).board)
-    linearised = Linearised(parts)
-    random = np.random.default_rng(0)
-    log = np.log(random.uniform(1e-5, 1e-4, 49))
-    log[random.integers(49, size=9)] = -40.0
-    assert linearised.begin(parts.at(log), Budget(FIRST_EFFORT, Account(inf)))
-    base = linearised.base
-    assert base.by_columns is not None
-    volts, slope = far * 1e-3 * random.standard_normal(49), base.slope * random.uniform(0.1, 6.0, 49)
-    slope[3], reference = 0.0, dataclasses.replace(base, by_columns=None, compiled=False)
-    steeper = base.steeper(slope)
-    np.testing.assert_array_equal(steeper, reference.steeper(slope))
-    scale = np.abs(reference.change(volts, steeper)).max()
-    np.testing.assert_allclose(base.change(volts, steeper), reference.change(volts, steeper), atol=1e-12 * scale)
-    for scale in (1.0, 30.0):
-        assert base.moved(log + volts, scale) == pytest.approx(reference.moved(log + volts, scale), rel=1e-14)
-
-
 @pytest.mark.parametrize("shape", [(1, 1), (5, 8), (8, 3), (30, 32)])
 def test_the_network_of_a_grid_and_its_inverse_are_those_of_array_operations(shape: tuple[int, int]) -> None:
     random = np.random.default_rng(shape[0])
@@ -233,17 +179,6 @@ def test_a_column_that_is_connected_to_nothing_has_no_inverse() -> None:
     network = QuickNetwork.of_ideal_lines(conductance, np.ones(3), compiled=QuickNetwork.load_loops(3))
     with pytest.raises(np.linalg.LinAlgError):
         _quick._impedance(network, 0.0)
-
-
-def test_without_machine_code_array_operations_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(compiled.SWITCH, "0")
-    stream = _live_streams.stream("inverting", 1)
-    assert stream is not None
-    reader = CountReader(stream.design)
-    assert isinstance(reader._recover, AmplifiedLive)
-    assert not reader._recover._loops.compiled
-    for counts in stream.counts:
-        assert reader(counts).solved
 
 
 @pytest.mark.parametrize("column_lead", [0.0, 9.0])

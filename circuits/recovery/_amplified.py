@@ -98,6 +98,7 @@ class AmplifiedLive:
             self._turned_no_reason if every else turn(found.reason),
             lambda: (turn(found.uncertainty), turn(found.own)),
             every=every or None,
+            bounds=None if found.bounds is None else (turn(found.bounds[0]), turn(found.bounds[1])),
         )
 
     def _read(self, volts: FloatArray, limited: BoolArray | None, faint: BoolArray | None, noise: float) -> LiveReading:
@@ -310,9 +311,14 @@ class AmplifiedLive:
         valid = self._rule.accepts(uncertainty)
         valid &= conductance > 0.0
         reason[valid] = 0
+        bounds = None
+        if limited is not None:
+            off = np.minimum(own if disturbance is None else own + disturbance, 1.0)
+            least = np.where(limited & (off < 1.0), conductance, 0.0) * (1.0 - off)
+            bounds = least, np.full_like(conductance, inf)
         resistance = np.divide(1.0, conductance, out=np.full_like(conductance, inf), where=conductance > 0)
         resistance[np.isinf(uncertainty)] = np.nan
-        return LiveReading(resistance, valid, reason, lambda: (uncertainty, own))
+        return LiveReading(resistance, valid, reason, lambda: (uncertainty, own), bounds=bounds)
 
 
 def _with_faint(limited: BoolArray | None, faint: BoolArray, transfer: FloatArray, levels: Levels) -> BoolArray | None:

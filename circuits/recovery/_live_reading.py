@@ -109,13 +109,18 @@ class LiveReading:
         by_readings: Callable[[], FloatArray] | None = None,
         *,
         every: bool | None = None,
+        per_volt: Callable[[], tuple[FloatArray, FloatArray]] | None = None,
+        bounds: tuple[FloatArray, FloatArray] | None = None,
     ) -> None:
         """Keep the values, and the functions that compute uncertainties on demand.
 
         ``by_readings`` computes :attr:`by_readings`; None: other readings do not count, as behind virtual grounds.
-        ``every`` says whether every cell is valid, if that is known beforehand.
+        ``every`` says whether every cell is valid, if that is known beforehand. ``per_volt`` computes
+        :attr:`per_volt`; None: errors of other readings do not count.
         """
-        self._every = every
+        self._every, self._per_volt = every, per_volt
+        self.bounds = bounds
+        """S, lower and upper bounds on cells whose readings state no more; None: there are none"""
         self._by_readings = by_readings
         self.alike = alike
         """standard deviation by ADC steps, which may err alike in many readings, over that by independent errors"""
@@ -157,6 +162,21 @@ class LiveReading:
     def own(self) -> FloatArray:
         """The part of :attr:`uncertainty` from the cell's own reading, which no other reading can reduce."""
         return self.uncertainties[1]
+
+    def per_volt(self, error: float) -> tuple[FloatArray, FloatArray]:
+        """Relative change of the conductance per volt of the cell's own reading, and of errors that its column shares.
+
+        The second is signed: independent errors of 1 V in all readings of a column change its cells by one standard
+        normal number times these entries.
+
+        Args:
+            error: V, error of a reading that gives :attr:`own`.
+
+        """
+        if self._per_volt is not None:
+            return self._per_volt()
+        own = self.own / error
+        return own, np.zeros(own.shape)
 
     @property
     def by_readings(self) -> FloatArray:
