@@ -71,6 +71,7 @@ def test_the_default_estimates_the_papers_experiments() -> None:
         assert np.mean(np.abs(error) * FULL < 2 * std) > 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("material", "default", "distilled"), [(cells.unknown, 1.1, 0.9), (cells.creeping, 0.75, 0.75)]
 )
@@ -96,6 +97,7 @@ def test_an_unknown_material_is_estimated_better_than_by_its_static_curve(
     assert rmse("distilled") < distilled * rmse("static")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("material", [cells.unknown, cells.creeping])
 def test_a_wrong_rest_resistance_is_survived(material: Callable[[], Unknown]) -> None:
     """R0 off by 3 % cannot be told from load; it costs the default no more than the static curve."""
@@ -320,6 +322,7 @@ def test_nonsense_is_refused(time: np.ndarray, pressure: np.ndarray, resistance:
         checked_recording(time, pressure, resistance)
 
 
+@pytest.mark.slow
 def test_loads_known_while_the_resistance_is_missing_are_felt_by_the_models() -> None:
     """Two minutes without readings hold a press that the cell remembers. Its parameters are found all the same."""
     time = np.arange(0, 400, 0.1)
@@ -351,6 +354,7 @@ def test_readings_mostly_on_one_side_of_a_gap_are_refused(jump: int) -> None:
         calibrate(checked_recording(time, FULL * load, sense(EXAMPLE, load)))
 
 
+@pytest.mark.slow
 def test_a_recording_with_a_minute_between_samples_is_learned_from() -> None:
     load = np.clip(2 * np.sin(2 * np.pi * np.arange(100) / 12), 0, 1)
     found = calibrate(checked_recording(41.0 * np.arange(100), FULL * load, sense(EXAMPLE, load, 41.0)))

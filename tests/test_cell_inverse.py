@@ -75,6 +75,7 @@ REVERSED = M10Model(a=0.5, b=-0.1, alpha1=0.3, rise1_s=4, fall1_s=0.3, alpha2=0.
 STIFFENING = M10Model(a=0.6, b=0.1, alpha1=0.4, rise1_s=3.0, fall1_s=0.1, alpha2=0.2, fall2_s=50.0, k=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.005, 0.03])
 @pytest.mark.parametrize("dt", [1e-3, 0.05, 2.0])
 @pytest.mark.parametrize(

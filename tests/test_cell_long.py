@@ -78,6 +78,7 @@ def test_a_week_at_rest_leaves_no_drift(make: Callable[[], Cell], name: str) -> 
         assert late == pytest.approx(first, abs=0.05 * FULL + learned)
 
 
+@pytest.mark.slow
 @EVERY
 def test_an_hours_load_does_not_fade_by_more_than_the_stated_error(make: Callable[[], Cell], name: str) -> None:
     """Half of full scale for an hour, on the cell as identified: what the estimate loses is within two sd."""
@@ -222,6 +223,7 @@ def test_a_bad_contact_of_a_calibrated_cell_is_over_when_it_is_over(name: str, c
     assert np.abs(off[~during]).max() < 0.03 * FULL
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["static", "inverse", "play", "distilled"])
 def test_a_hold_far_longer_than_any_recorded_is_doubted_more(name: str) -> None:
     """15 minutes of creep after a minute of presses: the sd grows with the hold, covers the error, falls at rest."""

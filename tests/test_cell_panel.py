@@ -65,6 +65,7 @@ def judged(load: str, material: str, seed: int) -> tuple[CalibrationResult, pane
     return found, panel.judge(scene, found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("names", SUBSET, ids=lambda names: f"{names[0]}, {names[1]}")
 def test_the_chosen_estimator_is_never_much_worse_than_the_static_curve(names: tuple[str, str, int]) -> None:
     """On presses that were not learned from; and the stated deviation holds there."""
@@ -73,6 +74,7 @@ def test_the_chosen_estimator_is_never_much_worse_than_the_static_curve(names: t
     assert verdict.within_two_std >= 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("names", SUBSET, ids=lambda names: f"{names[0]}, {names[1]}")
 @pytest.mark.parametrize("factor", [0.97, 1.03])
 def test_the_deviation_covers_an_r0_that_is_given_wrong(names: tuple[str, str, int], factor: float) -> None:
@@ -89,6 +91,7 @@ def test_the_deviation_covers_an_r0_that_is_given_wrong(names: tuple[str, str, i
         assert known.std_kpa == plain.std_kpa
 
 
+@pytest.mark.slow
 @settings(max_examples=4)
 @given(material=st.sampled_from(sorted(MATERIALS)), seed=st.integers(0, 1000))
 def test_a_nested_model_never_fits_worse_than_one_it_contains(material: str, seed: int) -> None:
@@ -377,6 +380,7 @@ def falling() -> Cell:
 RISING = {"m10": lambda: judged(*SUBSET[1])[0].cell, "paper": lambda: cells.paper().cell}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("make", "name"),
     [(falling, "static"), *((RISING[kind], name) for kind in RISING for name in ("static", "play", "distilled"))],
@@ -523,6 +527,7 @@ def test_a_recording_with_its_sign_turned_round_is_refused_in_words() -> None:
 DRIFTING = (("random", "m10", -0.15), ("speeds", "asymmetric", 0.15))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("load", "material", "share"), DRIFTING)
 def test_a_drift_of_r0_is_found_with_its_size(load: str, material: str, share: float) -> None:
     """Readings at the end of the recording are higher or lower by that share than without the drift."""
@@ -531,6 +536,7 @@ def test_a_drift_of_r0_is_found_with_its_size(load: str, material: str, share: f
     assert drift.share == pytest.approx(share, abs=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("load", "material"), [("random", "m10"), ("cyclic", "relays")])
 def test_a_steady_r0_is_not_called_drifting(load: str, material: str) -> None:
     """Relays creep on, so that their readings at rest rise by a fifth, though R0 is steady."""

@@ -477,6 +477,7 @@ def test_a_cell_whose_sleep_was_saved_wakes_at_the_first_press(frames: int) -> N
     np.testing.assert_allclose(restored.std_kpa[4], sleeping.std_kpa[4], rtol=1e-9)
 
 
+@pytest.mark.slow
 @CELLS
 def test_a_deviation_is_that_of_its_step_however_late_it_is_asked_for(cell: Cell) -> None:
     """With sparks, gaps, cells that sleep and wake, and a state that is saved and restored meanwhile."""

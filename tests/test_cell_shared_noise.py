@@ -213,6 +213,7 @@ def fringe(bits: int, noise_v: float, seed: int) -> tuple[FloatArray, FloatArray
     return load, *on_divider(load, bits, noise_v, seed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("bits", "noise_v", "left_kpa", "within"), [(12, 4e-3, 1.5, 0.9), (10, 1e-3, 0.8, 0.92), (12, 3e-4, 0.15, 0.95)]
 )

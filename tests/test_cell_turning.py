@@ -63,6 +63,7 @@ def loads(kind: str, rng: np.random.Generator, dt: float) -> np.ndarray:
     return np.interp(time, corners, np.r_[0, rng.uniform(0, 1, 29)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["steps", "presses", "slow ramps"])
 @pytest.mark.parametrize("dt", [0.02, 0.1])
 def test_any_load_is_found(kind: str, dt: float) -> None:
@@ -73,6 +74,7 @@ def test_any_load_is_found(kind: str, dt: float) -> None:
     assert np.sqrt(np.mean(error**2, axis=0)).max() < (1e-9 if kind == "steps" else 0.015)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["steps", "presses", "slow ramps"])
 @pytest.mark.parametrize("dt", [0.02, 0.1])
 def test_noise_costs_less_than_the_noise_inverted(kind: str, dt: float) -> None:
@@ -87,6 +89,7 @@ def test_noise_costs_less_than_the_noise_inverted(kind: str, dt: float) -> None:
     assert found < 0.5 * rmse(SwitchedInversion(MODEL, FULL), None, read, load, dt)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["steps", "presses", "slow ramps"])
 @pytest.mark.parametrize("factor", [0.8, 1.2])
 def test_wrong_time_constants_stay_bearable(kind: str, factor: float) -> None:
@@ -102,6 +105,7 @@ def test_wrong_time_constants_stay_bearable(kind: str, factor: float) -> None:
     assert rmse(TurningInversion(wrong, FULL, exact=False), NOISE, read, load, 0.1) < 0.06
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dt", [0.002, 0.02])
 def test_a_smooth_load_turns_when_its_own_model_says_so(dt: float) -> None:
     """Half of this cell's answer takes 15 s, and its overshoot fades in 2 s.

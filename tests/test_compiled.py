@@ -260,6 +260,7 @@ def _used(folder: Path, *, told: int, **variables: str) -> str:
     return _run(f"import sys; sys.path.insert(0, {str(folder)!r})\n" + textwrap.dedent(USE), told=told, **variables)
 
 
+@pytest.mark.slow
 def test_machine_code_is_kept_for_the_next_process_and_renewed_when_damaged(some_loops: Path) -> None:
     assert _used(some_loops, told=1) == "8.0 None None\n"
     kept = list((some_loops / "__pycache__").glob("*.nb?"))
@@ -288,6 +289,7 @@ COMMAND = """
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("log", "told"),
     [
@@ -316,6 +318,7 @@ def test_a_wait_is_announced_with_its_length_and_whether_it_comes_again(
         assert compiled.WAIT in caplog.messages[-1]
 
 
+@pytest.mark.slow
 def test_nothing_is_kept_where_no_folder_can_be_written_to(some_loops: Path) -> None:
     (some_loops / "__pycache__").write_text("no folder")
     nowhere = str(some_loops / "some_loops.py")

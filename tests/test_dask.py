@@ -35,6 +35,7 @@ def cluster() -> Iterator[Any]:
             yield running
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_a_killed_worker_costs_nothing(cluster: Any) -> None:
     alone = verify(prototype(), requirements=ASKED, samples=400)

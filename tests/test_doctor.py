@@ -112,6 +112,7 @@ def test_programs_that_grab_ports_are_found(machine: System) -> None:
     assert finding.mend
 
 
+@pytest.mark.slow
 def test_this_process_is_found_to_have_a_port_open() -> None:
     """Seen from another process, since one's own descriptors do not count."""
     with PtyPort() as port:

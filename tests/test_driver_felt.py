@@ -293,6 +293,7 @@ def scene(name: str) -> played.Scene:
     return next(one for one in played.SCENES if one.name == name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["two cross", "two pass, 1 cells", "two pass, 2 cells", "one rolls"])
 def test_fingers_keep_their_ids_on_a_skin(name: str) -> None:
     """8 x 8 cells: fingers meet soon after they came. What a finger leaves behind may be a contact."""
@@ -310,6 +311,7 @@ def test_a_finger_across_a_dead_row_of_a_skin_is_one_contact() -> None:
     assert 0.75 < found.force_share < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("board", [AMPLIFIER, DIVIDER])
 @pytest.mark.parametrize("name", ["drift of all cells", "drift of one cell"])
 def test_a_skin_that_drifts_has_no_contacts(board: tuple[str, str, int, float], name: str) -> None:

@@ -1051,6 +1051,7 @@ class TestBoards:
         with pytest.raises(LinkTimeout, match=r"script: no description within 0\.05 s: the port is silent"):
             Skin(Script(), design=WHAT.design, cell=WHAT.cell, timeout=0.05)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("compiling", [False, True])
     def test_the_time_of_the_compiler_is_not_the_boards(self, compiling: bool, monkeypatch: pytest.MonkeyPatch) -> None:
         """The first skin on a machine waits some seconds for machine code, whatever ``timeout`` is."""

@@ -162,6 +162,7 @@ def test_a_killed_emulator_leaves_its_frames(tmp_path: Path) -> None:
     assert truth.pressure_kpa[:, 1, 2].max() > 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGHUP, 129), (signal.SIGTERM, 143)])
 def test_a_hang_up_ends_the_run_with_a_whole_truth(tmp_path: Path, number: int, code: int) -> None:
     board = start_emulator(tmp_path)

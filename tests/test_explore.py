@@ -57,6 +57,7 @@ def test_what_each_axis_buys() -> None:
     assert not np.isfinite(saturated.reading_error_percent)
 
 
+@pytest.mark.slow
 def test_a_remedy_keeps_the_requirement_and_half_of_it_does_not() -> None:
     asked = (Requirement(id="R", quantity="crosstalk", max=0.3),)
     subject = Subject(prototype().replace(array={"rows": 2, "columns": 2}))
@@ -106,6 +107,7 @@ def test_cells_that_touch_have_no_percolation() -> None:
     assert "carbon black" in {axis for axis, _ in _combinations_of(prototype())}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("quantity", "limits", "design", "parts"),
     [
@@ -143,6 +145,7 @@ def test_remedies_of_other_quantities_mend_and_not_by_more_than_needed(
         assert remedy.line.startswith("R: ")
 
 
+@pytest.mark.slow
 def test_bits_mend_a_reading_as_far_as_steps_spoil_it() -> None:
     subject = Subject(prototype().replace(array={"rows": 2, "columns": 2}, adc={"bits": 7}))
     for limit, bits in ((0.8, 9), (0.35, None)):  # leads and offsets leave 0.38 % of crosstalk

@@ -249,6 +249,7 @@ def test_commands_are_obeyed_and_refused_as_the_protocol_says() -> None:
         assert of(Description, host.ask(Order.DESCRIBE, 0.1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "rows", "columns"),
     [
@@ -306,6 +307,7 @@ def test_faults_of_the_line_are_counted_and_survived(tmp_path: Path) -> None:
         np.testing.assert_array_equal(frame.counts, codes[place[frame.sequence]])
 
 
+@pytest.mark.slow
 def test_a_stall_ends_though_more_waits_than_the_converter_holds(tmp_path: Path) -> None:
     """At the fast clock, where board time otherwise stands still until the host has read."""
     stalled = scene(link_fault=[{"kind": "stall", "at_s": 0.5, "duration_s": 2.0}])
@@ -319,6 +321,7 @@ def test_a_stall_ends_though_more_waits_than_the_converter_holds(tmp_path: Path)
     assert sum(frame.lost_before for frame in frames) > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loss", [0.0, 0.3])
 def test_the_end_of_a_finite_run_is_an_end_and_no_pulled_cable(loss: float, tmp_path: Path) -> None:
     """No firmware says that it is over; the emulator does in its place, on a lossy line again and again."""
@@ -340,6 +343,7 @@ def test_the_end_of_a_finite_run_is_an_end_and_no_pulled_cable(loss: float, tmp_
     assert (stats.lost > 0) == (loss > 0)
 
 
+@pytest.mark.slow
 def test_the_report_on_the_firmware_passes_and_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     """The experiment of `ohmskin verify --target firmware`, with few of its points."""
     for name, few in (("FRAMES", 60), ("DWELLS_US", (60,)), ("PRESCALERS_LOG2", (7,)), ("BAUD_RATES", (115_200,))):
@@ -356,6 +360,7 @@ def test_the_report_on_the_firmware_passes_and_says_what_is_missing(monkeypatch:
     assert "converts 10 bits" in check.reason
 
 
+@pytest.mark.slow
 def test_a_host_that_takes_no_bytes_costs_whole_frames_and_is_told() -> None:
     with FirmwareBoard(scene()) as board:
         host = Host(board)
@@ -395,6 +400,7 @@ def test_a_conversion_that_never_ends_is_ended_by_the_watchdog() -> None:
     assert after[0].time_us < 20_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("baud", [115_200, 500_000, 2_000_000])
 def test_the_line_has_the_speed_that_the_settings_say(baud: int) -> None:
     """Bytes of one packet follow each other without a gap, or nearly so where one takes 80 cycles."""

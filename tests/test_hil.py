@@ -52,6 +52,7 @@ def test_the_example_suite_passes_at_once_and_says_what_was_not_run(suite: Path)
             assert len(said["ohmskin.calibration"] or "") == 16
 
 
+@pytest.mark.slow
 def test_a_strict_run_fails_without_hardware(suite: Path) -> None:
     one = "test_skin.py::test_every_cell_is_measured_at_rest"
     shown = _pytest(suite, one, "--ohmskin-strict", exit_code=1)
@@ -62,6 +63,7 @@ def test_a_strict_run_fails_without_hardware(suite: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_port_is_hardware_and_loads_need_a_person(suite: Path) -> None:
     """The emulator behind a pty stands in for the real board."""
     with serve("emulated") as board:
@@ -71,10 +73,12 @@ def test_a_port_is_hardware_and_loads_need_a_person(suite: Path) -> None:
     assert shown.count("not run: nobody is there to press") >= 2
 
 
+@pytest.mark.slow
 def test_a_bad_option_is_refused(suite: Path) -> None:
     _pytest(suite, "--ohmskin-seed=-1", exit_code=4)
 
 
+@pytest.mark.slow
 def test_a_scene_of_ones_own_is_emulated(suite: Path) -> None:
     scene = (suite / "scene.toml").read_text().replace("rows = 4", "rows = 5")
     (suite / "other.toml").write_text(scene)

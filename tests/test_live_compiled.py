@@ -87,6 +87,7 @@ class Pair:
         return found, expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", ["inverting", "row", "inverting events", "row events", "divider", "feedback events"])
 def test_streams_of_the_hunt_read_alike(family: str, monkeypatch: pytest.MonkeyPatch) -> None:
     served = frames = 0

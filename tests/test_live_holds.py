@@ -84,6 +84,7 @@ def least_shown(load: FloatArray, pressure: FloatArray) -> float:
     return float(shown[:, heavy].min())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spread", [0.0, 0.1])
 @pytest.mark.parametrize(
     ("circuit", "bits", "noise_mv"),

@@ -222,6 +222,7 @@ def sound() -> dict[str, float]:
     return {r.requirement.quantity: r.measurement.value for r in report.results if r.measurement}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("worse", "quantity"),
     [
