@@ -166,7 +166,7 @@ def test_a_hold_does_not_fade_where_other_cells_still_recover(seed: int) -> None
     load, pressure = held_after_handling(4.0, seed)
     held_kpa, shown_kpa = load[:, 3:5, 3:5], pressure[:, 3:5, 3:5]
     assert shown_kpa.mean() > 0.92 * held_kpa.mean()
-    assert np.sqrt(np.mean((pressure - load) ** 2)) < 0.5
+    assert np.sqrt(np.mean((pressure - load) ** 2)) < 0.6
 
 
 OWN, STEPS, HELD_R = 0.01, 0.035, 0.5
