@@ -10,7 +10,17 @@ from needs import need
 from numpy.typing import NDArray
 from parts_at_random import real_design
 
-from ohmskin.circuits import Design, Settling, apparent_resistance, scan, sensitivity
+from ohmskin.circuits import (
+    Design,
+    Settling,
+    adc_codes,
+    apparent_resistance,
+    recover,
+    scan,
+    sensitivity,
+    volts_of_codes,
+)
+from ohmskin.circuits.recovery import live_recovery
 from ohmskin.circuits.spice import command_available, command_scan
 from ohmskin.errors import InputError
 
@@ -157,6 +167,24 @@ def test_a_grounded_column_charges_from_the_reference_with_one_time_constant(row
     seconds = farad / (1 / load + 1 / source_ohm)
     expected = one * -np.expm1(-period / 3 / seconds)
     np.testing.assert_allclose(Settling(design, cells).sampled(period), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("rows", ["ground", "pull", "float"])
+@pytest.mark.parametrize("columns", ["parallel", "float", "ground", "load"])
+@pytest.mark.parametrize("circuit", ["inverting-amplifier", "row-amplifier", "voltage-divider"])
+def test_cells_are_recovered_from_one_frame_and_from_a_stream(circuit: str, columns: str, rows: str) -> None:
+    cells = 10 ** np.random.default_rng(7).uniform(3.0, 4.5, (3, 4))
+    idle = {} if columns == "parallel" else {"columns": "multiplexed", "idle_columns": columns}
+    drive = {"voltage": -1.0, "idle_rows": rows} | ({"idle_row_resistance": 1e4} if rows == "pull" else {})
+    design = board(circuit, 3, 4, drive=drive, readout={"reference_resistance": 1e3, **idle})
+    design = design.replace(adc={"bits": 14, "range": [-1.2, 1.2]})
+    volts = scan(design, cells).volts
+    np.testing.assert_allclose(recover(design, volts).resistance, cells, rtol=1e-8)
+    live, read = live_recovery(design), volts_of_codes(design, adc_codes(design, volts))
+    for _ in range(4):
+        found = live(read)
+    assert found.valid.all()
+    assert (np.abs(found.resistance / cells - 1) <= found.uncertainty).all()
 
 
 @pytest.mark.parametrize(

@@ -37,14 +37,47 @@ PUBLISHED = {  # switch resistance: |error| in % (Hidalgo-Lopez et al. 2018, tab
 }
 
 
+@pytest.mark.parametrize("columns", [{}, {"columns": "multiplexed", "idle_columns": "ground"}])
 @pytest.mark.parametrize("switch", PUBLISHED)
-def test_published_switch_resistance_errors(switch: float) -> None:
-    design = amplifier(8, 8, lead=switch)
+def test_published_switch_resistance_errors(switch: float, columns: dict[str, str]) -> None:
+    """The authors have one amplifier; idle columns are at ground, which is where amplifiers of their own hold them."""
+    design = amplifier(8, 8, lead=switch).replace(readout=columns)
     for cell, published in zip(PUBLISHED_CELLS, PUBLISHED[switch], strict=True):
         cells = np.full((8, 8), 5e3)
         cells[2, 5] = cell
         error = 100 * abs(scan(design, cells).resistance[2, 5] / cell - 1)
         assert error == pytest.approx(published, abs=0.25)
+
+
+FOLLOWED = {  # switch resistance: |error| in % of the classical voltage feedback (the same authors, table 4a)
+    1.0: (2.31, 0.69, 0.39, 0.34, 0.33, 0.32),
+    6.0: (13.81, 4.12, 2.30, 1.94, 1.86, 1.82),
+    15.0: (34.88, 10.36, 5.76, 4.82, 4.59, 4.48),
+    25.0: (58.85, 17.43, 9.64, 8.02, 7.62, 7.39),
+}
+FOLLOWED_SIZES = {  # rows and columns: the same with other cells of 2 kohm (table 6a)
+    4: (11.60, 3.53, 2.01, 1.71, 1.64, 1.60),
+    8: (13.72, 5.56, 4.02, 3.67, 3.57, 3.50),
+    16: (18.02, 9.68, 8.02, 7.51, 7.27, 7.07),
+}
+
+
+@pytest.mark.parametrize(
+    ("size", "switch", "others", "published"),
+    [
+        *((8, switch, 5e3, errors) for switch, errors in FOLLOWED.items()),
+        *((size, 5.0, 2e3, errors) for size, errors in FOLLOWED_SIZES.items()),
+    ],
+)
+def test_published_voltage_feedback_errors(
+    size: int, switch: float, others: float, published: tuple[float, ...]
+) -> None:
+    """One follower drives all idle lines. The switches of table 6a have the 5 ohm that its 42 figures agree on."""
+    design = amplifier(size, size, lead=switch).with_circuit("voltage-feedback")
+    for cell, error in zip(PUBLISHED_CELLS, published, strict=True):
+        cells = np.full((size, size), others)
+        cells[1, 2] = cell
+        assert 100 * abs(scan(design, cells).resistance[1, 2] / cell - 1) == pytest.approx(error, abs=0.05)
 
 
 @pytest.mark.parametrize(("size", "first", "last"), [(8, 0.880, 1.442), (16, 3.047, 5.464), (32, 11.351, 21.457)])

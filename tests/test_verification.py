@@ -400,6 +400,17 @@ def test_the_schematic_shows_the_values(circuit: str, shape: tuple[int, int]) ->
     assert "12 bit" in drawn
 
 
+@pytest.mark.parametrize("circuit", ["inverting-amplifier", "voltage-divider"])
+def test_the_schematic_shows_idle_lines(circuit: str) -> None:
+    drive = {"idle_rows": "pull", "idle_row_resistance": 4700.0}
+    readout = {"columns": "multiplexed", "idle_columns": "ground"}
+    drawn = schematic(prototype().with_circuit(circuit).replace(drive=drive, readout=readout))
+    ET.fromstring(drawn)
+    assert "4.7 kΩ" in drawn
+    assert "behind a switch" in drawn
+    assert "idle columns at the reference" in drawn
+
+
 def test_the_schematic_of_sensed_rows_has_the_leads_where_they_are() -> None:
     design = prototype().replace(array={"rows": 3, "columns": 5, "row_lead": 12.0, "column_lead": 35.0})
     drawn = schematic(design.with_circuit("row-amplifier"))

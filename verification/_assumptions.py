@@ -54,8 +54,7 @@ def _one_pole(design: Design) -> bool:
 
 def _in_time(design: Design) -> bool:
     """Whether settling and noise are computed at all."""
-    parallel = design.readout.columns == "parallel"
-    return not _amplified(design) or (design.board.circuit.virtual_ground and parallel)
+    return not _amplified(design) or design.board.circuit.virtual_ground
 
 
 EFFECTS = (

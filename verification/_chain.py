@@ -131,7 +131,7 @@ def simulate(subject: Subject, name: str, factors: FloatArray) -> Run:
         raise NotRun("missing: cells.full_scale_kpa")
     declared = rate_of(subject)
     tare = design.operation.readings_per_calibration
-    work = MOST_WORK if design.board.circuit.virtual_ground else MOST_WORK_COUPLED
+    work = MOST_WORK if design.board.virtual_grounds else MOST_WORK_COUPLED
     most = max((work / (shape[0] * shape[1]) - tare) / SECONDS, SLOWEST_HZ)
     rate = min(declared, FASTEST_HZ, most)
     time_s = np.arange(0.0, SECONDS, 1.0 / rate)

@@ -56,9 +56,10 @@ def grid_resistance(subject: Subject) -> Finding:
 
 def equation_10(subject: Subject) -> Finding:
     """P12: Vout = -Vin Rref / Rij, and how far real parts depart from it."""
-    if not subject.design.board.circuit.virtual_ground:
+    if not subject.design.board.virtual_grounds:
         return does_not_apply(
-            f"equation (10) is that of amplifiers that hold their lines, not of a {subject.design.readout.circuit}"
+            "equation (10) is that of an amplifier on each line, not of "
+            f"{subject.design.readout.circuit} with {subject.design.readout.columns} columns"
         )
     circuit = amplifiers(subject.design)
     rng = np.random.default_rng(12)

@@ -225,6 +225,8 @@ def phase_margin(subject: Subject, requirement: Requirement, method: str) -> Mea
     if not design.board.circuit.has_amplifiers:
         raise DoesNotApply("a divider has no feedback loop")
     _amplifiers_only(design, "stability")
+    if not design.board.virtual_grounds:
+        raise NotRun('stability is modelled for an amplifier on each line, not for readout.columns = "multiplexed"')
     _need(design, "readout.gain_bandwidth", "readout.column_capacitance")
     margins = []
     for corner, variant in dynamic_corners(subject):

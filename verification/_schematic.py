@@ -117,9 +117,16 @@ def _row(drawing: _Drawing, design: Design, row: int, right: float) -> None:
     segment, lead = (getattr(design.array, f"{kind}_{part}") for part in ("segment", "lead"))
     drawing.line((140, y), (right + 20, y))
     drive = engineering(design.drive.voltage, "V")
-    idle = {"ground": "at the reference", "float": "open"}[design.drive.idle_rows]
+    idle = {"ground": "at the reference", "float": "open", "pull": "open"}[design.drive.idle_rows]
     if design.board.circuit.drives_idle_lines:
         idle = "at the follower"
+    elif design.board.pulled:
+        drawing.line((LEFT - 52, y), (LEFT - 52, y + 70))
+        drawing.resistor(LEFT - 52, y + 36, vertical=True, length=26)
+        drawing.ground(LEFT - 52, y + 70)
+        drawing.dot(LEFT - 52, y)
+        if row == 0:
+            drawing.text(LEFT - 64, y + 40, _value(design.drive.idle_row_resistance, "ohm"), anchor="end", size=11)
     drawing.text(132, y - 3, f"{kind} {design.board.driven_line(row)}", anchor="end")
     words = f"selected: {drive}" if row == 0 else f"idle: {idle}"
     drawing.text(132, y + 12, words, anchor="end", size=10.5)
@@ -148,6 +155,13 @@ def _place(design: Design, row: int, column: int) -> str:
 
 def _end(drawing: _Drawing, design: Design, x: float, y: float, *, label: bool) -> None:
     readout = design.readout
+    if design.board.multiplexed:  # the switch stands open at idle columns
+        kind, part = design.board.line_kinds[1], "amplifier" if design.board.circuit.virtual_ground else "load"
+        idle = {"float": "open", "ground": "at the reference", "load": "at loads of their own"}[readout.idle_columns]
+        drawing.dot(x, y)
+        if label:
+            for number, words in enumerate((f"one {part} behind a switch,", f"idle {kind}s {idle}")):
+                drawing.text(x + 12, y + 2 + 13 * number, words, anchor="start", size=10.5)
     if not design.board.circuit.virtual_ground:
         drawing.line((x, y), (x, y + 30))
         drawing.line((x, y + 30), (x, y + 110))

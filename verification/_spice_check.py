@@ -46,7 +46,7 @@ def spice_agreement(subject: Subject, requirement: Requirement, method: str) -> 
     tables = []
     try:
         rows = [_static(design, cells)]
-        if design.board.circuit.virtual_ground and isfinite(design.readout.gain_bandwidth):
+        if design.board.virtual_grounds and isfinite(design.readout.gain_bandwidth):
             rows += _dynamic(design, cells)
             if design.readout.amplifier_model is not None:
                 tables = [_beside_the_model(design, cells)]

@@ -41,7 +41,7 @@ def timing(subject: Subject, frame_rate_hz: float) -> Finding:
             axes[0, 0].axhline(quarter, color=plots.RED, lw=1, ls="--")
             axes[0, 0].set(title="Settling", xlabel="row period / µs", ylabel="error / largest signal")
             figures.append(Figure(plots.svg(figure), "Error at the sample instant; dashed: a quarter of an ADC step."))
-    if np.isfinite(design.readout.gain_bandwidth):
+    if design.board.virtual_grounds and np.isfinite(design.readout.gain_bandwidth):
         stable = stability(design, cells)
         checks.append(Check("phase margin", float(np.nanmin(stable.phase_margin)), 45.0, "°", at_least=True))
         rows += [
