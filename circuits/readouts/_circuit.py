@@ -83,7 +83,7 @@ class ReadoutCircuit(ABC):
 
         """
         ends = self.ends(board)
-        if board.pulled or ends is None or not (ends.resistance + board.column_lead).all():
+        if ends is None or not (ends.resistance + board.column_lead).all():
             return None
         return terminated_outputs(board, network, ends)
 
@@ -93,7 +93,7 @@ class ReadoutCircuit(ABC):
         Arguments, and None, as for :meth:`quick_outputs`.
         """
         ends = self.ends(board)
-        if board.pulled or ends is None or not (ends.resistance + board.column_lead).all():
+        if ends is None or not (ends.resistance + board.column_lead).all():
             return None
         return terminated_fields(board, network, ends)
 

@@ -26,6 +26,8 @@ from ._quick import (
     QuickNetwork,
     open_column_fields,
     open_column_outputs,
+    pulled_column_fields,
+    pulled_column_outputs,
     terminated_fields,
     terminated_outputs,
 )
@@ -68,21 +70,21 @@ class VoltageDivider(ReadoutCircuit):
         )
 
     def quick_outputs(self, board: Parts, network: QuickNetwork) -> FloatArray | None:
-        if board.pulled or board.idle_columns == "ground":
+        if board.idle_columns == "ground":
             return None
         if self.columns_one_by_one(board):
-            return open_column_outputs(board, network)
+            return pulled_column_outputs(board, network) if board.pulled else open_column_outputs(board, network)
         return board.level + terminated_outputs(board, network, _loads(board))
 
     def quick_fields(self, board: Parts, network: QuickNetwork) -> QuickFields | None:
-        if board.pulled or board.idle_columns == "ground":
+        if board.idle_columns == "ground":
             return None
         if self.columns_one_by_one(board):
-            return open_column_fields(board, network)
+            return pulled_column_fields(board, network) if board.pulled else open_column_fields(board, network)
         return terminated_fields(board, network, _loads(board))
 
     def port_law(self, board: Parts, wire: FloatArray) -> PortLaw | None:
-        if board.floating and not board.pulled:
+        if board.floating:
             return None
         loads = _loads(board)._replace(output=np.full(board.shape[1], board.level))
         return PortLaw.of_ends(loads, wire, board.drive, floating=False)

@@ -298,11 +298,14 @@ class FitLive:
         if by_rows is not None:
             return np.concatenate(list(by_rows)).reshape(size, size)
         board, (rows, columns) = self._board, self._shape
+        held = np.arange(rows, rows + board.pulled)  # the reference behind pull-downs, at 0 V
         ports = exact_ports(board, cells).value
         branches, result = self._quick.branches(cells), np.zeros((rows, columns, rows, columns))
         for group in board.circuit.sensitivity_groups(board, ports, board.circuit.read(board, ports)):
             forward, adjoint = (
-                branches.across(field.reshape(-1, rows + columns)).reshape(*field.shape[:-1], rows, columns)
+                branches.across(np.delete(field, held, axis=-1).reshape(-1, rows + columns)).reshape(
+                    *field.shape[:-1], rows, columns
+                )
                 for field in (group.forward, group.adjoint)
             )
             result[np.ix_(group.rows, group.columns)] = -forward * adjoint

@@ -59,12 +59,13 @@ class QuickModel:
         self.has_network = board.plain
         """whether plain nodal analysis of the network's ports gives the outputs"""
         if self.has_network:
-            self.has_network = self._quick(np.full(board.shape, 1.0 / _SOME_OHM)) is not None
+            some = board.cell_conductance(np.full(board.shape, _SOME_OHM))
+            self.has_network = self._quick(some) is not None
         self.is_quick = self.is_quick and self.has_network
         self._compiled = self.is_quick and QuickNetwork.load_loops(board.shape[1])
-        some = np.full(board.shape, _SOME_OHM)
-        varies = self.has_network and not self.is_quick and lines.can_solve(board.cell_conductance(some))
-        self.usual_price = self.price(some)
+        usual = np.full(board.shape, _SOME_OHM)
+        varies = self.has_network and not self.is_quick and self._small(board.cell_conductance(usual))
+        self.usual_price = self.price(usual)
         """price of the readings of usual cells"""
         self.fixed_price = None if varies else self.usual_price
         """price of the readings of any cells; None: it depends on the cells"""
@@ -94,7 +95,7 @@ class QuickModel:
             return self.exact_price(size)
         if self.is_quick:
             return 45.0 + 0.13 * size if self._board.floating else 20.0 + 0.06 * size
-        if self._lines.can_solve(self._board.cell_conductance(cells)):
+        if self._small(self._board.cell_conductance(cells)):
             return 45.0 + 0.5 * size + 0.01 * size**2
         return self._dissection_price(size)
 
@@ -180,6 +181,8 @@ class QuickModel:
         sparse factorisation elsewhere.
         """
         conductance = self._board.cell_conductance(cells)
+        if self._board.pulled:
+            return AnyLines(self._drops_with_pulls(conductance, cells))
         match self._way(conductance):
             case _Way.IDEAL:
                 return IdealLines(conductance, self._lead)
@@ -190,24 +193,48 @@ class QuickModel:
             case _Way.SPARSE:
                 return AnyLines(basis_drops(self._board, cells))
 
+    def _drops_with_pulls(self, conductance: FloatArray, cells: FloatArray) -> FloatArray:
+        """Voltages (N + M, N, M) across the cells per volt at each port but the reference, which is at 0 V."""
+        rows = len(conductance)
+        if self.is_quick:
+            every = IdealLines(conductance, self._lead).across(np.eye(rows + conductance.shape[1]))[..., 1:]
+        else:
+            every = basis_drops(self._board, cells)
+        return np.delete(every, rows, axis=0)
+
+    def _small(self, conductance: FloatArray) -> bool:
+        """Whether one dense system of the lines' equations gives the network; it has no pull-downs."""
+        return not self._board.pulled and self._lines.can_solve(conductance)
+
     def _way(self, conductance: FloatArray) -> _Way:
         """The method of :meth:`branches` at cells (N, M) in S."""
         if self.is_quick:
             return _Way.IDEAL
-        if self.has_network and self._lines.can_solve(conductance):
+        if self.has_network and self._small(conductance):
             return _Way.DENSE
-        light = self.has_network and self._lines.finite and self._lines.loss(conductance) <= _LIGHT
+        light = (
+            self.has_network
+            and not self._board.pulled
+            and self._lines.finite
+            and self._lines.loss(conductance) <= _LIGHT
+        )
         return _Way.SWEPT if light else _Way.SPARSE
 
     def _network(self, conductance: FloatArray) -> QuickNetwork:
-        if self.is_quick:
-            return QuickNetwork.of_ideal_lines(conductance, self._lead, compiled=self._compiled)
         rows = len(conductance)
-        if self._lines.can_solve(conductance):
-            ports = self._lines.ports(conductance)
+        if self.is_quick:
+            network = QuickNetwork.of_ideal_lines(conductance, self._lead, compiled=self._compiled)
         else:
-            ports = port_conductances(conductance, self._board.lines).value
-        return QuickNetwork(ports[:rows, rows:], ports[rows:, rows:], ports[:rows, :rows])
+            if self._small(conductance):
+                ports = self._lines.ports(conductance)
+            else:
+                ports = port_conductances(conductance, self._board.lines).value
+            network = QuickNetwork(ports[:rows, rows:], ports[rows:, rows:], ports[:rows, :rows])
+        if not self._board.pulled:
+            return network
+        driven, across = network.driven, network.across  # the first of their columns is the reference
+        held = np.concatenate([driven[:, 0], across[1:, 0]])
+        return QuickNetwork(driven[:, 1:], across[1:, 1:], network.between, held)
 
     def _products(self, fields: QuickFields, cells: FloatArray) -> Iterator[FloatArray]:
         branches = self.branches(cells)
