@@ -15,7 +15,7 @@ from verified import AMPLIFIED, complete
 from ohmskin.cell import Percolation
 from ohmskin.circuits import Design, Requirement
 from ohmskin.cli import run
-from ohmskin.verification import Subject, Variation, explore, prototype, remedies, verify
+from ohmskin.verification import Subject, Variation, best_carbon_black, explore, prototype, remedies, verify
 from ohmskin.verification._explore import (
     AVERAGING,
     KNOWN_FRACTION,
@@ -172,6 +172,16 @@ def test_no_converter_is_judged_twice(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found is not None
     assert found.factor == MOST_BITS
     assert sorted(looks) == list(range(looks[1], MOST_BITS + 1))
+
+
+def test_mixtures_whose_last_path_breaks_are_no_candidates() -> None:
+    cells = {"rest_resistance": 10e3, "full_scale_resistance": 30e3, "full_scale_kpa": 100.0}
+    subject = Subject(prototype().replace(cells=cells))
+    law = Percolation(KNOWN_FRACTION, subject.rest, subject.pressed / subject.rest - 1)
+    assert np.isinf(law.sensitivities(np.array([0.009]))).all()
+    best = best_carbon_black(subject)
+    assert best is not None
+    assert np.isfinite(best.resolution_kpa)
 
 
 def test_the_fraction_of_the_best_resolution_is_that_of_this_readout() -> None:

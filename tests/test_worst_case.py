@@ -245,3 +245,17 @@ def test_currents_and_leakage_are_judged_and_bounded_by_a_solution() -> None:
         for requirement in [requirement.requirement]
     }
     assert named == {"D25"}
+
+
+def test_open_lines_bring_one_amplifier_the_current_of_many_cells() -> None:
+    """Equal cells between open lines conduct as much as N M / (N + M - 1) of them."""
+    design = SMALL.replace(
+        array={"rows": 3, "columns": 4},
+        drive={"idle_rows": "float"},
+        readout={"columns": "multiplexed", "idle_columns": "float"},
+    )
+    requirement = Requirement(id="output", quantity="output_current", max=1e9)
+    bound = verify(design, requirements=[requirement]).results[0].measurement
+    assert bound is not None
+    single = abs(design.drive.voltage) / 10e3
+    assert bound.value > 1.9 * single

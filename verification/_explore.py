@@ -264,8 +264,11 @@ def carbon_black_line(best: Variation, own: Variation) -> str:
 
 
 def _resolution_kpa(subject: Subject, fraction: float) -> float:
-    """One standard deviation of pressure, kPa; inf where it is not known or where readings leave a range."""
-    here = varied(subject, {"carbon black": fraction})
+    """One standard deviation of pressure, kPa; inf where it is not known, or where cells open or leave a range."""
+    try:
+        here = varied(subject, {"carbon black": fraction})
+    except InputError:  # no path is left through the mixture under full-scale pressure
+        return inf
     asked = Requirement(id="explore", quantity="pressure_resolution")
     for headroom in (output_headroom, adc_headroom):
         with suppress(NotRun, DoesNotApply):

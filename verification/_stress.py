@@ -99,7 +99,11 @@ def output_current(subject: Subject, requirement: Requirement, method: str) -> M
     selected, others = _swing(subject) / least, 2.0 * _offset(subject) / least
     if board.circuit.virtual_ground:
         bias = float(subject.factors.largest("readout.bias_current").max())
-        amperes, where = selected + (driven - 1) * others + bias, f"one cell of {engineering(least, 'ohm')} selected"
+        # Open columns and rows pass on to one amplifier what all cells of the selected row, or of its column, take.
+        passed_on = board.multiplexed and board.floating and board.idle_columns != "ground"
+        count = min(driven, sensed) if passed_on else 1
+        amperes = count * selected + (driven - 1) * others + bias
+        where = f"{'all cells' if passed_on else 'one cell'} of {engineering(least, 'ohm')} selected"
     else:
         amperes = (sensed - 1) * selected + (driven - 1) * others
         where = f"{sensed - 1} idle {board.line_kinds[1]}s, driven against the selected {board.line_kinds[0]}"
