@@ -72,7 +72,7 @@ FOLLOWED_SIZES = {  # rows and columns: the same with other cells of 2 kohm (tab
 def test_published_voltage_feedback_errors(
     size: int, switch: float, others: float, published: tuple[float, ...]
 ) -> None:
-    """One follower drives all idle lines. The switches of table 6a have the 5 ohm that its 42 figures agree on."""
+    """One follower drives all idle lines. The switches of table 6a have the 5 ohm that its 18 figures agree on."""
     design = amplifier(size, size, lead=switch).with_circuit("voltage-feedback")
     for cell, error in zip(PUBLISHED_CELLS, published, strict=True):
         cells = np.full((size, size), others)
