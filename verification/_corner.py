@@ -35,7 +35,7 @@ from ._targets import Box, Corners, Frame, Press, Target, evaluate, frames_of, s
 LEAST_SOLVED, MOST_UNKNOWNS = 64, 256 * 256
 """Corners are solved for every cell as long as cells times cells are no more than that, and for fewer of larger arrays;
 per sign and state."""
-MOST_WORK = 1_000_000
+MOST_WORK = 4_000_000
 """cells that are solved, all frames of all flips together, while corners are improved"""
 ALONE = 30
 """by which less is solved of a design whose boards are scanned one by one, as all are whose outputs saturate"""
