@@ -19,7 +19,7 @@
 from ._adjoint import SensitivityGroup
 from ._cards import COLUMN_INDEX, FOLLOWER, REFERENCE, ROW_INDEX, CardWriter
 from ._circuit import Reading, ReadoutCircuit
-from ._ends import sum_of_others, terminate
+from ._ends import one_driven, sum_of_others, terminate
 from ._inverting_amplifier import InvertingAmplifier
 from ._linear import LinearReadout, output_rounding
 from ._quick import PortFields, QuickFields, QuickNetwork
@@ -46,6 +46,7 @@ __all__ = [
     "Reading",
     "ReadoutCircuit",
     "SensitivityGroup",
+    "one_driven",
     "output_rounding",
     "sum_of_others",
     "terminate",

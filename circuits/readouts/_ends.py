@@ -95,7 +95,7 @@ def column_currents(board: Parts, terminated: Rounded, source: FloatArray) -> Cu
     currents, sizes, cancelled = np.empty((3, *network.shape[:-2], rows, columns))
     worst = np.zeros(relative.shape)  # each step is solved on its own
     applied = np.array([board.drive, 0.0][: 1 + board.pulled])[:, None]
-    for row, (alone, step) in enumerate(_one_driven(network, rows)):
+    for row, (alone, step) in enumerate(one_driven(network, rows)):
         worst = np.maximum(worst, step)
         held, between = alone[..., : len(applied), len(applied) :], alone[..., len(applied) :, len(applied) :]
         driven = held * (applied - source)
@@ -106,7 +106,7 @@ def column_currents(board: Parts, terminated: Rounded, source: FloatArray) -> Cu
     return Currents(currents, sizes, cancelled, relative + worst)
 
 
-def _one_driven(network: FloatArray, rows: int) -> Iterator[Rounded]:
+def one_driven(network: FloatArray, rows: int) -> Iterator[Rounded]:
     """For each selected row, the network between its terminal and all ports that are no rows, the other rows open."""
     others = np.arange(rows, network.shape[-1])
     for row in range(rows):

@@ -24,8 +24,7 @@ from ...common.arrays import FloatArray
 from ...errors import InputError
 from .._board import Board
 from .._grid import exact_ports
-from ..readouts import CIRCUITS
-from ..solvers import eliminate_leading
+from ..readouts import CIRCUITS, one_driven
 
 _BROKEN_LEAD = 1e30  # ohm: replaces an infinite lead, which would give NaN
 
@@ -66,9 +65,7 @@ def column_conductances(board: Board, cells: FloatArray) -> FloatArray:
         between, to_ground = ports[None, rows:, rows:], ports[None, rows:, :rows].sum(axis=-1)
     else:
         between, to_ground = np.empty((rows, columns, columns)), np.empty((rows, columns))
-        for row in range(rows):
-            order = np.r_[np.delete(np.arange(rows), row), row, rows : len(ports)]
-            alone = eliminate_leading(ports[np.ix_(order, order)], rows - 1).value
+        for row, (alone, _) in enumerate(one_driven(ports, rows)):
             held = len(alone) - columns  # the selected row, and the reference behind pull-downs
             between[row], to_ground[row] = alone[held:, held:], alone[:held, held:].sum(axis=0)
     conductances = -between

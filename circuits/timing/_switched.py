@@ -23,8 +23,7 @@ import numpy as np
 from ...common.arrays import FloatArray, IntArray
 from .._board import Board
 from .._grid import exact_ports
-from ..readouts import terminate
-from ..solvers import eliminate_leading
+from ..readouts import one_driven, terminate
 from ._modes import Deviations, Modes
 
 SLOWEST = 1e-9
@@ -184,11 +183,10 @@ def column_networks(board: Board, cells: FloatArray) -> Iterator[tuple[FloatArra
 
     if not board.floating:
         grounded = conductance(network[rows:, rows:], network[rows:, :rows].sum(axis=1))
-    for row in range(rows):
-        if not board.floating:
+    if not board.floating:
+        for row in range(rows):
             yield grounded, board.drive * network[row, rows:]
-            continue
-        order = np.r_[np.delete(np.arange(rows), row), row, rows : len(network)]
-        alone = eliminate_leading(network[np.ix_(order, order)], rows - 1).value
+        return
+    for alone, _ in one_driven(network, rows):
         held = len(alone) - columns  # the selected row, and the reference behind pull-downs
         yield conductance(alone[held:, held:], alone[:held, held:].sum(axis=0)), board.drive * alone[0, held:]
