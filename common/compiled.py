@@ -1,17 +1,15 @@
-"""Just-in-time compilation of loops over cells to machine code, by Numba, where the extra ``fast`` is installed.
+"""Kernels: loops over cells that Numba compiles to machine code, and the named records that they work on.
 
-An array operation of NumPy costs about a microsecond, however few cells there are, and a frame of a small skin takes
-hundreds of them. A loop that does the same work for one cell after the other takes a few microseconds as machine code.
-So a room writes such work twice: as array operations, which always run, and as a :class:`Loop`, which runs only
-compiled. The array operations are the reference of the loops' tests.
+A frame of a small skin would take hundreds of NumPy calls of a microsecond each. A kernel does the same work for one
+cell after the other. It is a function with type annotations under the decorator :func:`loop`. The first call compiles
+it, or loads the machine code that an earlier process has left in ``__pycache__`` or in the user's cache. The logger
+``ohmskin`` warns once in a process that has to compile.
 
-A loop rounds as the array operations do: sums, products, quotients and square roots follow IEEE 754, in the order in
-which they are written, and dividing by zero gives an infinity or NaN.
+Without machine code (:data:`SWITCH` or Numba's own :data:`NUMBA_SWITCH`) the same functions run as plain Python: the
+same numbers, about a thousand times as slowly, for debugging and for tests. Kernels round as written: sums, products,
+quotients and square roots follow IEEE 754 in the order of the source, and dividing by zero gives an infinity or NaN.
 
-Compiling takes seconds, importing Numba a quarter of one. So nothing happens until somebody asks for the machine code
-(:meth:`Loop.machine_code`), which is kept on disk for the next process, in ``__pycache__`` or in the user's cache. The
-logger ``ohmskin`` warns once in a process that has to compile. Python shows warnings on standard error, unless the
-program has set up another place for them.
+The state of a cell is a :class:`Record` with named fields; :class:`Records` is an array of these.
 """
 
 from __future__ import annotations
@@ -25,27 +23,64 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from types import CodeType, FunctionType, ModuleType
-from typing import Annotated, Any, Generic, ParamSpec, TypeVar, cast, get_args, get_origin, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Generic,
+    ParamSpec,
+    TypeVar,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+    overload,
+)
+
+import numpy as np
 
 from .arrays import BoolArray, CodeArray, FloatArray, IntArray
 
 SWITCH = "OHMSKIN_COMPILED"
-"""environment variable; 0, no, off or false: no machine code is used, though Numba is installed; checked: no call goes
-without a look at the types of its arguments"""
+"""environment variable; 0, no, off or false: kernels run as plain Python; checked: no call goes without a look at the
+types of its arguments"""
 NUMBA_SWITCH = "NUMBA_DISABLE_JIT"
-"""Numba's own environment variable, by which programs that use Numba are debugged; 1: nothing is compiled"""
+"""Numba's own environment variable; 1: nothing is compiled"""
+WAIT = "up to 60 s"
+"""processor time in which all kernels are compiled"""
 
-# Types of a loop's arguments: arrays whose elements are contiguous in memory, row after row.
+_OPTIONS: dict[str, bool | str] = {"nogil": True, "error_model": "numpy"}
+_UNCOUNTED = {"_nrt": False}
+"""an option that Numba does not document: nobody counts references to arrays, which doubles what a call costs. Where a
+kernel makes arrays, they must be counted"""
+_MAKERS = {"empty", "zeros"}
+"""functions of NumPy that make arrays; no kernel may use another one"""
+_SCALARS = {float: "float64", int: "intp", bool: "boolean", type(None): "void"}
+_OFF, _CHECKED = ("0", "no", "off", "false"), "checked"
+_log = logging.getLogger("ohmskin")
+_lock = threading.RLock()
+_offered: list[Loop[..., Any]] = []
+_waiting: list[Loop[..., Any]] = []
+"""kernels that are being compiled, or that wait for the compiler"""
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+# -- types of arguments ------------------------------------------------------------------------------------------------
+
+
+# Arrays whose elements are contiguous in memory, row after row.
 Row = Annotated[FloatArray, "float64[::1]"]
 Rows = Annotated[FloatArray, "float64[:, ::1]"]
 Places = Annotated[IntArray, "intp[::1]"]
 Flags = Annotated[BoolArray, "boolean[::1]"]
+FlagRows = Annotated[BoolArray, "boolean[:, ::1]"]
+Codes = Annotated[CodeArray, "uint32[::1]"]
 # Rows that need not follow each other without a gap, since there are many of them (`ohmskin.common.arrays.spaced`).
 SpacedRows = Annotated[FloatArray, "float64[:, :]"]
 SpacedPlaces = Annotated[IntArray, "intp[:, :]"]
-FlagRows = Annotated[BoolArray, "boolean[:, ::1]"]
-Codes = Annotated[CodeArray, "uint32[::1]"]
-# The same for arrays that the loop does not write to, and that nobody may write to (flags.writeable is False).
+# The same for arrays that the kernel does not write to, and that nobody may write to (flags.writeable is False).
 # Only for such arrays: to find out that an array is not of exactly the stated type takes a call 0.3 us, and to look at
 # one that nobody may write to 0.1 us more than at another.
 FixedRow = Annotated[FloatArray, "Array(float64, 1, 'C', readonly=True)"]
@@ -53,43 +88,68 @@ FixedRows = Annotated[FloatArray, "Array(float64, 2, 'C', readonly=True)"]
 FixedFlags = Annotated[BoolArray, "Array(boolean, 1, 'C', readonly=True)"]
 FixedCodes = Annotated[CodeArray, "Array(uint32, 1, 'C', readonly=True)"]
 
-WAIT = "up to 60 s"
-"""processor time in which all loops, more than eighty, are compiled on a slow core; a fast one takes half as long"""
 
-_OPTIONS: dict[str, bool | str] = {"nogil": True, "error_model": "numpy"}
-"""of Numba, for all loops"""
-_INLINED, _UNCOUNTED = {"forceinline": True}, {"_nrt": False}
-"""options beside that Numba does not document. By the first a loop becomes a part of those that call it: a call for
-each cell would take as long as the work that is done there. By the second nobody counts references to arrays, which
-doubles what a call costs; where a loop makes arrays, they must be counted"""
-_MAKERS = {"empty", "zeros"}
-"""functions of NumPy that make arrays; no loop may use another one"""
-_SCALARS = {float: "float64", int: "intp", bool: "boolean", type(None): "void"}
-_OFF, _CHECKED = ("0", "no", "off", "false"), "checked"
-_log = logging.getLogger("ohmskin")
-_lock = threading.RLock()
-_offered: list[Loop[..., Any]] = []
-_waiting: list[Loop[..., Any]] = []
-"""loops that are being compiled, or that wait for the compiler"""
+class Record:
+    """Named state of one cell, or named parameters. A subclass annotates the fields and holds nothing else.
 
-P = ParamSpec("P")
-R = TypeVar("R")
+    A field is a ``float``, or a row of n of them: ``Annotated[FloatArray, n]``.
+    """
+
+    @classmethod
+    @cache
+    def dtype(cls) -> np.dtype[np.void]:
+        """The layout in memory."""
+        fields: list[Any] = []
+        for name, hint in get_type_hints(cls, include_extras=True).items():
+            fields.append(
+                (name, np.float64, get_args(hint)[1]) if get_origin(hint) is Annotated else (name, np.float64)
+            )
+        return np.dtype(fields, align=True)
+
+
+Kind = TypeVar("Kind", bound=Record)
+
+if TYPE_CHECKING:
+
+    class Records(np.ndarray[tuple[int], np.dtype[np.void]], Generic[Kind]):
+        @overload  # type: ignore[override, no-overload-impl]
+        def __getitem__(self, index: int | np.intp) -> Kind: ...
+        @overload
+        def __getitem__(self, index: str) -> FloatArray: ...
+        @overload
+        def __getitem__(self, index: IntArray | BoolArray | slice) -> Records[Kind]: ...
+
+else:
+
+    class Records(Generic[Kind], np.recarray):
+        """An array (n,) of records. ``records[i]`` is one of them, ``records["name"]`` (n,) is a field of all."""
+
+
+def zeros(kind: type[Kind], count: int) -> Records[Kind]:
+    """(count,) records whose fields are all zero."""
+    return cast("Records[Kind]", np.zeros(count, kind.dtype()).view(Records))
+
+
+def record(kind: type[Kind], **values: float) -> Kind:
+    """One record; every field has to be given."""
+    if missing := set(kind.dtype().names or ()) ^ set(values):
+        raise TypeError(f"{kind.__name__}: {', '.join(sorted(missing))} missing or unknown")
+    found = zeros(kind, 1)
+    for name, value in values.items():
+        found[name] = value
+    return found[0]
+
+
+# -- kernels -----------------------------------------------------------------------------------------------------------
 
 
 def why_not() -> str | None:
-    """Why no loop is compiled, in a few words; None: loops are compiled."""
+    """Why no kernel is compiled, in a few words; None: they are compiled."""
     if _switch() in _OFF:
         return f"switched off by {SWITCH}={os.environ[SWITCH]}"
-    try:
-        import numba
-    except Exception as error:  # one that does not fit this NumPy or Python raises whatever it likes
-        if isinstance(error, ModuleNotFoundError) and error.name == "numba":
-            return "numba is not installed"
-        return f"numba cannot be imported: {error}"
-    if not hasattr(numba, "njit"):
-        return "numba is not the compiler of that name"
-    # Numba would then give back the function itself, which is far slower than array operations.
-    return f"switched off by {NUMBA_SWITCH}" if getattr(numba, "config", None) and numba.config.DISABLE_JIT else None
+    import numba
+
+    return f"switched off by {NUMBA_SWITCH}" if numba.config.DISABLE_JIT else None
 
 
 def is_kept() -> bool:
@@ -100,63 +160,69 @@ def is_kept() -> bool:
     import numba
 
     try:
-        numba.njit(cache=True)(_written)  # compiles nothing yet, but looks for the folder
+        numba.njit(cache=True)(_numba_type)  # compiles nothing yet, but looks for the folder
     except Exception:  # as in `Loop._compile`
         return False
     return True
 
 
 class Loop(Generic[P, R]):
-    """A function of a module that works on arrays element by element, to be compiled; see :func:`loop`."""
+    """A kernel; see :func:`loop`."""
 
     def __init__(self, function: Callable[P, R]) -> None:
         self.__module__, self.__qualname__ = function.__module__, function.__qualname__
         self.__doc__ = function.__doc__
         self.function = function
-        """the function itself: the same answers, about a thousand times as slow"""
-        self.failure: str | None = None
-        """why the compiler refused the function; None: it did not, or was not asked yet"""
+        """the function itself, as plain Python"""
         self._compiled: Any = None
-        _offered.append(self)
-        self.code: Callable[P, R] = function
-        """the compiled function once :func:`load` said so, before that ``function``"""
-        self.unchecked: Callable[P, R] = function
+        self.code: Callable[P, R] = self._first
+        """the compiled function from the first use on"""
+        self.unchecked: Callable[P, R] = self._first_unchecked
         """the same without a look at the types of the arguments, which takes half of a call: only for arrays that the
         caller has made itself, as others would be read as if they were of the stated types. Tests look at them
         nevertheless (:data:`SWITCH` is ``checked``)"""
+        _offered.append(self)
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
         return self.code(*args, **kwargs)
 
     def __reduce__(self) -> str:
-        """For pickle and copy: the loop of that name."""
+        """For pickle and copy: the kernel of that name."""
         return self.__qualname__
 
-    def machine_code(self, *, unchecked: bool = False) -> Callable[P, R] | None:
-        """The compiled function, or None where there is none: ask when an object is made, not for every frame.
+    def load(self) -> None:
+        """Compile the function, or load it from disk; at once where that has been done. Threads may call.
 
-        The first call loads the machine code from disk, or compiles for a second or so; later ones return at once.
-        Threads may call, and the compiled function runs without the interpreter's lock. It takes positional arguments
-        of exactly the types that the function states: others are refused with a TypeError, unless :attr:`unchecked` is
-        asked for.
+        The compiled function runs without the interpreter's lock. It takes positional arguments of exactly the types
+        that the function states; others are refused with a TypeError, unless it is called :attr:`unchecked`.
         """
         if why_not() is not None:
-            return None
-        if self._compiled is None and self.failure is None:
+            self.code = self.unchecked = self.function
+        elif self._compiled is None:
             _waiting.append(self)
             try:
                 with _lock:
                     self._compile()
-            except Exception as error:  # of any part of the compiler
-                self.failure = f"{type(error).__name__}: {error}"
             finally:
                 _waiting.remove(self)
-        if self._compiled is None:
+
+    def machine_code(self, *, unchecked: bool = False) -> Callable[P, R] | None:
+        """The compiled function; None where kernels are switched off."""
+        if why_not() is not None:
             return None
+        self.load()
         return self.unchecked if unchecked else self.code
 
+    def _first(self, *args: P.args, **kwargs: P.kwargs) -> R:
+        self.load()
+        return self.code(*args, **kwargs)
+
+    def _first_unchecked(self, *args: P.args, **kwargs: P.kwargs) -> R:
+        self.load()
+        return self.unchecked(*args, **kwargs)
+
     def _compile(self) -> Any:
-        """The function as Numba compiled it, for calls and for other loops, kept on disk if there is a place for it."""
+        """The function as Numba compiled it, for calls and for other kernels, kept on disk if there is a place."""
         if self._compiled is None:
             try:
                 compiled = self._compiled_by_numba(keep=True)
@@ -189,31 +255,32 @@ class Loop(Generic[P, R]):
         own.__module__, own.__qualname__ = plain.__module__, f"{plain.__qualname__}_{self._stamp()[:16]}"
         return own
 
-    def _signature(self) -> str:
-        """The types as Numba writes them, from the annotations."""
+    def _signature(self) -> Any:
         hints = get_type_hints(self.function, include_extras=True)
-        answer = _written(hints.pop("return"))
-        return f"{answer}({', '.join(_written(hint) for hint in hints.values())})"
+        answer = _numba_type(hints.pop("return"))
+        return answer(*(_numba_type(hint) for hint in hints.values()))
 
+    @cache  # noqa: B019 - kernels live as long as the process
     def _stamp(self) -> str:
         """Digest of the code, of the numbers and helpers that it uses, and of how it is compiled."""
         code = cast(FunctionType, self.function).__code__
-        parts = [code.co_code.hex(), repr(code.co_consts), repr(code.co_names), self._signature()]
+        parts = [code.co_code.hex(), repr(code.co_consts), repr(code.co_names), str(self._signature())]
         parts.append(repr(self._options()))
         for name, value in sorted(self._globals().items()):
             parts.append(f"{name}={value._stamp() if isinstance(value, Loop) else value!r}")
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
     def _options(self) -> dict[str, bool | str]:
-        """Of Numba for this loop; undocumented ones only where Numba knows them."""
+        """Of Numba for this kernel; the undocumented one only where Numba knows it."""
         from numba.core import cpu
 
-        beside = _INLINED if self._makes_arrays() else _INLINED | _UNCOUNTED
-        known = getattr(cpu, "CPUTargetOptions", None)
-        return _OPTIONS | {name: value for name, value in beside.items() if hasattr(known, name)}
+        if self._makes_arrays() or not hasattr(getattr(cpu, "CPUTargetOptions", None), "_nrt"):
+            return _OPTIONS
+        return _OPTIONS | _UNCOUNTED
 
+    @cache  # noqa: B019 - kernels live as long as the process
     def _makes_arrays(self) -> bool:
-        """Whether this loop, or one that it calls, makes arrays."""
+        """Whether this kernel, or one that it calls, makes arrays."""
         makers = _MAKERS.intersection(cast(FunctionType, self.function).__code__.co_names)
         return bool(makers) or any(isinstance(used, Loop) and used._makes_arrays() for used in self._globals().values())
 
@@ -234,51 +301,57 @@ class Loop(Generic[P, R]):
             if isinstance(value, ModuleType) or (hasattr(builtins, name) and value is getattr(builtins, name)):
                 continue
             if not isinstance(value, (Loop, bool, int, float)):
-                raise TypeError(f"{function.__qualname__} uses {name}, which is neither a number nor a loop")
+                raise TypeError(f"{function.__qualname__} uses {name}, which is neither a number nor a kernel")
             found[name] = value
         return found
 
 
 @cache
 def _tell_of_the_wait() -> None:
-    """Warn once in a process why it waits: after the first loop that was not on disk, with some fifty to come."""
+    """Warn once in a process why it waits: after the first kernel that was not on disk."""
     if is_kept():
-        _log.warning("ohmskin[fast] compiles for this machine, only this once: %s of processor time", WAIT)
+        _log.warning("ohmskin compiles for this machine, only this once: %s of processor time", WAIT)
     else:
-        _log.warning("ohmskin[fast] compiles, as no folder can keep machine code: %s; see `ohmskin doctor`", WAIT)
+        _log.warning("ohmskin compiles, as no folder can keep machine code: %s; see `ohmskin doctor`", WAIT)
 
 
 def loop(function: Callable[P, R]) -> Loop[P, R]:
-    """Offer a function of a module for compilation: a decorator.
+    """Make a function of a module a kernel: a decorator.
 
-    Its annotations are the types above, ``float``, ``int``, ``bool``, None, and tuples of these. Beside its arguments
-    it uses numbers of its module, the modules ``math`` and ``numpy``, and other loops; within a function, no function.
-    Calls are quickest where neither it nor the loops that it calls make arrays (``numpy.empty``, ``numpy.zeros``).
+    Its annotations are the types above, records, ``float``, ``int``, ``bool``, None, and tuples of these. Beside its
+    arguments it uses numbers of its module, the modules ``math`` and ``numpy``, and other kernels; within a function,
+    no function. Calls are quickest where neither it nor the kernels that it calls make arrays (``numpy.empty``,
+    ``numpy.zeros``).
     """
     return Loop(function)
 
 
 def load(*loops: Loop[..., Any]) -> bool:
-    """Compile loops, or load what is kept on disk; without arguments those of all modules that have been imported.
+    """Compile kernels, or load what is kept on disk; without arguments those of all modules that have been imported.
 
-    To be called when an object is made whose frames are to be quick, and before anything is waited for.
+    To be called before frames come, so that none has to wait.
 
     Returns:
-        Whether all of them are there as machine code, in ``Loop.code``. If not, array operations are to do the work.
+        Whether they run as machine code.
     """
-    if why_not() is not None:
-        return False
-    return all([each.machine_code() is not None for each in loops or tuple(_offered)])
+    for each in loops or tuple(_offered):
+        each.load()
+    return why_not() is None
 
 
 @contextmanager
 def switched_off() -> Iterator[None]:
-    """Make what is made meanwhile do its work by array operations: to compare."""
+    """Run all kernels as plain Python meanwhile: to compare, or to debug."""
     before = os.environ.get(SWITCH)
+    code = [(each, each.code, each.unchecked) for each in _offered]
     os.environ[SWITCH] = "off"
     try:
+        for each in _offered:
+            each.code = each.unchecked = each.function
         yield
     finally:
+        for each, checked, unchecked in code:
+            each.code, each.unchecked = checked, unchecked
         if before is None:
             del os.environ[SWITCH]
         else:
@@ -300,10 +373,15 @@ def _without_dispatcher(compiled: Any) -> Any:
     return getattr(only, "entry_point", compiled)  # no part of what Numba promises
 
 
-def _written(hint: Any) -> str:
-    """A type as Numba writes it."""
+def _numba_type(hint: Any) -> Any:
+    from numba import from_dtype, types
+
     if get_origin(hint) is Annotated:
-        return str(get_args(hint)[1])
+        return eval(get_args(hint)[1], {}, vars(types))  # as Numba reads the signatures that it is given
+    if get_origin(hint) is Records:
+        return types.Array(from_dtype(get_args(hint)[0].dtype()), 1, "C")
     if get_origin(hint) is tuple:
-        return f"Tuple(({', '.join(_written(part) for part in get_args(hint))}))"
-    return _SCALARS[hint]
+        return types.Tuple([_numba_type(part) for part in get_args(hint)])
+    if isinstance(hint, type) and issubclass(hint, Record):
+        return from_dtype(hint.dtype())
+    return getattr(types, _SCALARS[hint])
