@@ -26,7 +26,7 @@ from ..common.arrays import FloatArray
 from ..common.config import NotNegative, Positive, Section
 from ..errors import InputError
 from . import panel
-from .scenes import Fault, Played, Scene, cells, play
+from .scenes import COLUMN_NOISE, Fault, Played, Scene, cells, play
 
 TABLE = Path(__file__).with_name("judges.toml")
 JUDGED_FROM_S, JUDGED_FROM_FRAMES = 0.5, 10.0
@@ -228,10 +228,11 @@ def estimated(played: Played, estimator: Judged) -> tuple[FloatArray, FloatArray
     return pressure, std, spent
 
 
-def _resolution(played: Played) -> tuple[FloatArray, FloatArray]:
+def _resolution(played: Played) -> tuple[Any, ...]:
     """What a skin tells an estimator: the relative deviation of conductances by the ADC's steps, and ohms."""
     at_rest = np.where(np.isfinite(played.ohms[0]), played.ohms[0], np.nan)
-    return played.step_siemens / np.sqrt(12.0) * at_rest, at_rest
+    std = played.step_siemens / np.sqrt(12.0) * at_rest
+    return (std, at_rest, np.hypot(1.0, COLUMN_NOISE) * std, True) if played.shares_columns else (std, at_rest)
 
 
 def figures(played: Played, pressure: FloatArray, std: FloatArray, full_scale_kpa: float) -> Figures:

@@ -30,7 +30,9 @@ MOST_VOLTS = 2.0
 """of the amplifier, for the lesser of the resistances at rest and at full scale"""
 RANGE_V = 3.3
 """of the ADC"""
-Fault = Literal["", "sparks", "lost frames", "opens", "degrading"]
+Fault = Literal["", "sparks", "lost frames", "opens", "degrading", "divider"]
+COLUMN_NOISE = 4.0
+"""standard deviation of the conductances by noise and steps that a column of a divider shares, over that by own ones"""
 
 
 @cache
@@ -266,6 +268,17 @@ def _grip_that_trembles(t: FloatArray, _: float) -> FloatArray:
     return np.asarray(held[:, None, None] * profile)
 
 
+def _fingers_on_an_array(t: FloatArray, _: float) -> FloatArray:
+    """A finger taps on an array of 8 x 6 cells, twice a second, while another one holds two cells."""
+    rows, columns = np.mgrid[:8, :6]
+    tapped = 0.9 * np.exp(-0.6 * ((rows - 2.3) ** 2 + (columns - 3.1) ** 2))
+    tapped[tapped < 0.01] = 0.0
+    taps = np.interp((t - 1.0) % 0.5, [0.0, 0.02, 0.15, 0.17], _PRESS) * (t > 1.0)
+    share = tapped * taps[:, None, None]
+    share[:, 6:8, 1] += (0.5 * np.interp(t, [0.6, 0.7, 5.5, 5.6], _PRESS))[:, None]
+    return np.asarray(share)
+
+
 def _finger_that_vibrates(t: FloatArray, _: float) -> FloatArray:
     """39 % of full scale, 19 % to and fro at 12 Hz (6 and 3 kPa on the example cell); cells beside get less."""
     held = np.interp(t, [1.0, 1.2, 9.0, 9.1], _PRESS)
@@ -315,6 +328,7 @@ LOADS: dict[str, Load] = {
     "tremor of 2 %": Load(_tremor(0.02, 10.0), 12.0),
     "tremor of 4 % for a minute": Load(_tremor(0.04, 62.0), 65.0),
     "grip that trembles": Load(_grip_that_trembles, 27.0),
+    "fingers on an array": Load(_fingers_on_an_array, 7.0),
     "finger that vibrates": Load(_finger_that_vibrates, 12.0),
     "hold of ten minutes": Load(_ten_minutes, 620.0),
     "mixture of an hour": Load(_mixture, 3600.0),
@@ -356,6 +370,8 @@ class Played:
     noise_siemens: float
     step_siemens: float
     most_counts: int
+    shares_columns: bool = False
+    """whether noise scales all conductances of a column alike"""
 
     @property
     def time_s(self) -> FloatArray:
@@ -420,6 +436,9 @@ def read(
     volts_per_siemens = MOST_VOLTS * min(cell.rest_resistance_ohm, full_scale_ohm)
     step_v = RANGE_V / 2**bits
     volts = volts_per_siemens / ohm + 1e-3 * noise_mv * random.standard_normal(ohm.shape)
+    if fault == "divider":
+        of_column = COLUMN_NOISE * np.hypot(1e-3 * noise_mv, step_v / 12**0.5) / MOST_VOLTS
+        volts *= 1.0 + of_column * random.standard_normal((len(volts), 1, *volts.shape[2:]))
     counts, arrives = _faulty(np.round(volts / step_v), fault, frame_s, volts_per_siemens / step_v)
     counts = np.clip(counts, 0.0, 2**bits - 1)
     inside = (counts > 0) & (counts < 2**bits - 1)
@@ -433,6 +452,7 @@ def read(
         noise_siemens=1e-3 * noise_mv / volts_per_siemens,
         step_siemens=step_siemens,
         most_counts=2**bits - 1,
+        shares_columns=fault == "divider",
     )
 
 
