@@ -38,6 +38,16 @@ class CellState(Record):
     up_before: float
     down_before: float
 
+    begun: float
+    """1 where the reading of the frame starts a new line, else 0"""
+
+    # -- a jump that may be a bad contact, by `estimation._sparks` --
+    jump: float
+    """of r, from the line before; 0: none"""
+    jump_s: float
+    """time since the jump"""
+    jumped_from_kpa: float
+
     # -- the estimate, by the inversion --
     pressure_kpa: float
     gain_kpa: float
@@ -78,3 +88,35 @@ class CellState(Record):
     """variance ratio of the last window"""
     unrest_before: float
     """lesser variance ratio of the last two windows"""
+
+
+class NoiseState(Record):
+    """The noise of one cell, by `estimation._noise`."""
+
+    variance: float
+    """of the cell's own noise at rest"""
+    crowd: float
+    """recent fraction of outliers among the third differences"""
+    on_line: float
+    """number of readings since the smoothing last noticed a change; written by the smoothing"""
+    blind: float
+    """number of further frames for which the window contains a substituted reading"""
+    excess: float
+    """variance at rest of the shared noise that is left, over that of own noise; set by `estimation._shared_noise`"""
+    resolution: float
+    """standard deviation of r at rest by quantisation; 0: not known"""
+    at_rest: float
+    """standard deviation of r at rest"""
+
+
+class ColumnState(Record):
+    """One column of a divider, by `estimation._shared_noise`."""
+
+    telling: float
+    """number of sleeping cells that measured the shared noise in the last frame; negative: not known"""
+    load_sum: float
+    """CUSUM of their mean departure in the direction of loads, in standard deviations of its noise"""
+    frames: float
+    """since the sum was zero"""
+    untold: float
+    """1 where the telling cells are too few, else 0"""

@@ -140,6 +140,13 @@ def record(kind: type[Kind], **values: float) -> Kind:
     return found[0]
 
 
+def values(records: Records[Any]) -> FloatArray:
+    """(n, m) view of the m numbers of each record, in the order of the fields."""
+    if not records.dtype.itemsize:
+        return np.zeros((records.size, 0))
+    return np.asarray(records).view(np.float64).reshape(records.size, -1)
+
+
 # -- kernels -----------------------------------------------------------------------------------------------------------
 
 

@@ -1,17 +1,14 @@
 """Uncertainty propagation: standard deviation of the estimated pressures as a sum of variances; shrinkage towards 0.
 
 The variance of a followed cell sums several parts: noise, changes that the smoothing may not have noticed yet, the
-inversion's memory, motion within the frame, the model, R0, and the parts that :mod:`._following` adds (bad contacts,
-motion within the noise). A sleeping cell may carry any load that its reading does not exclude.
-Small pressures that noise alone could cause are shown closer to 0.
-
-Programs that do not read the deviation of a frame should not pay for it. Each frame therefore stores the inputs of its
-variances (:class:`LeftOpen`), in arrays that never change again. The sum is evaluated when it is asked for, or when
-other cells are to be followed. Compiled loops evaluate it at once, which costs them less than copying the inputs.
+inversion's memory, motion within the frame, the model, R0, bad contacts, and motion within the noise. A sleeping cell
+may carry any load that its reading does not exclude. Small pressures that noise alone could cause are shown closer
+to 0.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
@@ -19,15 +16,14 @@ from typing import NamedTuple
 import numpy as np
 
 from ...common.arrays import FloatArray, IntArray
-from . import _loops as loops
+from ...common.compiled import Places, Record, Records, Row, loop, record
+from .._state import CellState
 from ._conditions import Conditions
-from ._inversion import DOUBT, DOUBTED_LOAD, LIGHT_LOAD, NO_LOAD_SIGMAS, USUAL, Inversion
-from ._loops import ASLEEP_SIGMAS
-from ._noise import NoiseMeter
-from ._remembered import Block, Remembered
-from ._rows import GAIN, PRESSURE, SHARED, VARIANCE
-from ._sleep import AT_REST, Sleep
-from ._smoothing import HIDDEN, SIGMAS, Looked
+from ._inversion import DOUBT, DOUBTED_LOAD, LIGHT_LOAD, USUAL, Inversion
+from ._sleep import AT_REST
+from ._smoothing import HIDDEN, SIGMAS
+from ._sparks import doubted_jump
+from ._tremor import doubted_rise
 
 TINY = 1e-30
 """avoids 0/0"""
@@ -35,179 +31,103 @@ MODEL_ERROR = 0.005
 """fraction of full scale: the least standard deviation without a calibration. It covers loads that an estimator
 neglects: loads so small that a cell sleeps under them, and turning points below a percent. It does not estimate the
 error of a model, which only a comparison with a recording can"""
+NO_LOAD_SIGMAS = 2.0
+"""standard deviations of the noise at which a load and no load are equally likely"""
 
-_ZERO, _TINY = np.array(0.0), np.array(TINY)
-# As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
+class Limits(Record):
+    """Parameters of :func:`show_each`."""
 
-class LeftOpen(NamedTuple):
-    """Inputs of the variances of one frame. Arrays never change again."""
-
-    cells: IntArray
-    """(m,) cells that were followed"""
-    memory: FloatArray
-    """(SHARED, m) first rows of their memory after the frame"""
-    looked: Looked | None
-    """None: readings are exact"""
-    added: FloatArray | None
-    """(m,) kPa^2 in addition to the variances by noise and memory"""
+    full_kpa: float
+    most_kpa: float
+    """pressure beyond which it is limited where its variance exceeds ``doubt_kpa2``"""
+    doubt_kpa2: float
+    much_noise_kpa: float
+    """noise beyond which all pressures are shrunk"""
+    light_kpa: float
+    """:data:`._inversion.LIGHT_LOAD` in kPa"""
+    doubted_kpa2: float
+    """square of :data:`._inversion.DOUBTED_LOAD` in kPa"""
+    rise_kpa: float
+    """:attr:`._inversion.Inversion.steepness_kpa`: of a fast rise, and of a fast fall"""
+    fall_kpa: float
+    rests: float
+    """as of :class:`._inversion.Inversion`, also the next ones"""
+    seeming: float
+    per_bend: float
+    sure: float
+    model_kpa2: float
+    """variance by the model"""
+    exact: float
+    """1 where readings are exact, so that nothing is limited or shrunk, else 0"""
+    stated: float
+    """1 if a standard deviation is stated, else 0"""
 
 
 class Asleep(NamedTuple):
     """Inputs of the variances of sleeping cells. Arrays never change again."""
 
-    cells: IntArray
+    places: IntArray
     """(m,)"""
-    per_reading: FloatArray
-    """(m,) standard deviation in kPa per r: the reading may be due to a load, although 0 is shown"""
+    kpa_per_r: float
+    """standard deviation in kPa per r: the reading may be due to a load, although 0 is shown"""
     hidden_kpa: FloatArray
     """(m,) standard deviation in kPa of a further load that the noise may hide"""
 
-    def without(self, cells: IntArray, of: int) -> Asleep | None:
-        """The same without ``cells`` (k,), in an array of ``of`` cells; None: no cell remains."""
-        kept = np.ones(of, dtype=np.bool_)
-        kept[cells] = False
-        places = kept[self.cells].nonzero()[0]
-        if not places.size:
-            return None
-        return Asleep(self.cells.take(places), self.per_reading.take(places), self.hidden_kpa.take(places))
-
-    def add_to(self, variance: FloatArray, reading: FloatArray, *, compiled: bool) -> None:
-        """Add the variance of loads that the present readings (n,) do not exclude, to variances (n,) in kPa^2."""
-        if compiled:
-            loops.add_asleep.unchecked(variance, reading, self.cells, self.per_reading, self.hidden_kpa)
-            return
-        std = np.abs(reading.take(self.cells))
-        std *= self.per_reading
-        std += self.hidden_kpa
-        std *= std
-        variance[self.cells] += std
-
 
 class Deviation:
-    """The variances of n cells in kPa^2, and their inputs. Gaps and creep are added when the variances are read."""
+    """The variances of n cells in kPa^2. Those of gaps and creep are added when the variances are read."""
 
     def __init__(self, inversion: Inversion, conditions: Conditions, cells: int) -> None:
-        self._inversion, self._full_kpa = inversion, inversion.full_scale_kpa
+        full_kpa = inversion.full_scale_kpa
         self.stated = inversion.knows_errors or conditions.model_std_kpa > 0
         """whether a standard deviation is stated; else all are NaN"""
-        self._model_variance = np.array((conditions.model_std_kpa or MODEL_ERROR * self._full_kpa) ** 2)
         rest_std_kpa = np.zeros(0) if conditions.rest_std_kpa is None else conditions.rest_std_kpa
-        self._rest_variance = rest_std_kpa**2
-        self._rest_at_kpa = np.linspace(0, self._full_kpa, rest_std_kpa.size)
-        self._doubt_kpa2 = (DOUBT * self._full_kpa) ** 2
-        self._variance = np.full(cells, np.nan)
-        """(n,) kPa^2 without gaps; out of date for the cells of ``_left_open``; replaced, never changed"""
-        self._left_open: LeftOpen | None = None
-        self._asleep: Asleep | None = None
-        self._numbers = self._numbers_of_loops()
-        self.compiled = False
-        """whether compiled loops are in use"""
-
-    def _numbers_of_loops(self) -> FloatArray:
-        """The parameter array of :func:`._loops.show`."""
-        full = self._full_kpa
-        within, sure = self._inversion.bends
-        numbers = {
-            loops.MODEL_VARIANCE: float(self._model_variance),
-            loops.WITHIN: within,
-            loops.SURE: sure,
-            loops.FULL: full,
-            loops.MUCH: USUAL * full,
-            loops.MUCH_NOISE: AT_REST * full,
-            loops.NO_LOAD: NO_LOAD_SIGMAS,
-            loops.TINY: TINY,
-            loops.HIDDEN: HIDDEN,
-            loops.PER_SIGMAS: 1.0 / SIGMAS,
-            loops.STATED: float(self.stated),
-            loops.SIGMAS: SIGMAS,
-            loops.HIDDEN_SHARE: HIDDEN / SIGMAS,
-            loops.RISE_KPA: float(self._inversion.steepness_kpa[0]),
-            loops.FALL_KPA: float(self._inversion.steepness_kpa[1]),
-            loops.RESTS: self._inversion.rests,
-            loops.DOUBT_KPA2: self._doubt_kpa2,
-            loops.LIGHT_KPA2: (LIGHT_LOAD * full) ** 2,
-            loops.DOUBTED_KPA2: (DOUBTED_LOAD * full) ** 2,
-        }
-        return np.array([numbers[place] for place in range(len(numbers))])
-
-    # -- cells that are followed -------------------------------------------------------------------------------------
-
-    def follow(self, cells: IntArray) -> None:
-        """Note that ``cells`` (m,) are followed, and no longer sleep."""
-        if self._asleep is not None:
-            self._asleep = self._asleep.without(cells, self._variance.size)
-
-    def take_exact(self, block: Block) -> None:
-        """Take the memory of a frame whose readings are exact."""
-        self._left_open = LeftOpen(block.cells, block.memory[:SHARED].copy(), None, None)
-
-    def show(self, block: Block, looked: Looked, added: FloatArray | None) -> FloatArray:
-        """Take a frame; ``added`` (m,) are variances in kPa^2 by effects outside the inversion, None: zero.
-
-        Returns:
-            (m,) pressures to show in kPa.
-        """
-        memory = block.memory
-        pressure: FloatArray = memory[PRESSURE]
-        usual = USUAL * self._full_kpa
-        if pressure.item(pressure.argmax()) > usual:
-            # A pressure beyond full scale may just as well be an error of the memory.
-            excess = np.maximum(pressure - self._full_kpa, 0.0)
-            by_noise = looked.doubt_kpa(memory[GAIN], self._inversion.steepness_kpa)
-            doubtful = total(added, memory[VARIANCE]) + by_noise**2 > self._doubt_kpa2
-            pressure = np.where(doubtful, np.minimum(pressure, usual), pressure)
-            added = total(added, excess**2)
-        noise_kpa = looked.std * memory[GAIN]
-        much_noise = noise_kpa.item(noise_kpa.argmax()) > AT_REST * self._full_kpa
-        released = self._inversion.released(memory)
-        if much_noise or released is not None:
-            likely = _likely(pressure, self._inversion.hides_kpa2(memory, noise_kpa))
-            if released is not None and not much_noise:
-                np.copyto(likely, pressure, where=~released)
-            hidden = pressure - likely
-            hidden *= hidden
-            added = total(added, hidden)
-            pressure = likely
-        self._left_open = LeftOpen(block.cells, memory[:SHARED].copy(), looked, added)
-        return pressure
-
-    def show_compiled(self, block: Block, added: FloatArray, pressure: FloatArray) -> None:
-        """:meth:`show` by compiled loops, which write into ``pressure`` (n,) of all cells."""
-        variance = self._variance.copy()
-        loops.show.unchecked(
-            *(block.memory, block.line, block.taken, added, self._numbers, self._rest_at_kpa, self._rest_variance),
-            *(block.cells, pressure, variance),
+        self._rest_kpa2 = rest_std_kpa**2
+        self._rest_at_kpa = np.linspace(0, full_kpa, rest_std_kpa.size)
+        self._limits = record(
+            Limits,
+            full_kpa=full_kpa,
+            most_kpa=USUAL * full_kpa,
+            doubt_kpa2=(DOUBT * full_kpa) ** 2,
+            much_noise_kpa=AT_REST * full_kpa,
+            light_kpa=LIGHT_LOAD * full_kpa,
+            doubted_kpa2=(DOUBTED_LOAD * full_kpa) ** 2,
+            rise_kpa=float(inversion.steepness_kpa[0]),
+            fall_kpa=float(inversion.steepness_kpa[1]),
+            rests=inversion.rests,
+            seeming=inversion.seeming,
+            per_bend=inversion.bends[0],
+            sure=inversion.bends[1],
+            model_kpa2=(conditions.model_std_kpa or MODEL_ERROR * full_kpa) ** 2,
+            exact=float(inversion.exact),
+            stated=float(self.stated),
         )
-        self._variance, self._left_open = variance, None
+        self._variance = np.full(cells, np.nan)
+        """(n,) kPa^2 without gaps; replaced, never changed"""
+        self._asleep: Asleep | None = None
 
-    def flush(self) -> None:
-        """Store the variances of the last frame, since other cells are to be followed."""
-        if self._left_open is not None:
-            self._variance = self._variance.copy()
-            self._variance[self._left_open.cells] = self._variance_of(self._left_open)
-            self._left_open = None
+    def show(self, cells: Records[CellState], places: IntArray, pressure_kpa: FloatArray) -> None:
+        """Take a frame: write the pressures (n,) to show of followed cells, and renew their variances."""
+        variance = self._variance.copy()
+        of_rest = self._rest_at_kpa, self._rest_kpa2
+        show_each.unchecked(cells, places, self._limits, *of_rest, pressure_kpa, variance)
+        self._variance = variance
 
-    # -- cells that sleep --------------------------------------------------------------------------------------------
+    def wake(self, places: IntArray) -> None:
+        """Note that cells are followed, and no longer sleep."""
+        if self._asleep is not None:
+            asleep, kpa_per_r, hidden_kpa = self._asleep
+            kept = ~np.isin(asleep, places)
+            self._asleep = Asleep(asleep[kept], kpa_per_r, hidden_kpa[kept])
 
-    def watch_over(self, asleep: IntArray, remembered: Remembered, sleep: Sleep, noise: NoiseMeter) -> None:
-        """Update the variances of the cells ``asleep`` (m,), and their wake-up thresholds, to the present noise."""
-        self._variance = self._variance.copy()
-        if self.compiled:
-            per_reading, hidden_kpa = np.empty((2, asleep.size))
-            loops.watch_over.unchecked(
-                *(asleep, remembered.memory, sleep.mean, noise.at_rest, sleep.band, self._numbers),
-                *(self._rest_at_kpa, self._rest_variance, sleep.wake_at, per_reading, hidden_kpa, self._variance),
-            )
-            self._asleep = Asleep(asleep, per_reading, hidden_kpa)
-            return
-        memory = remembered.memory[:, asleep]
-        std = noise.std(sleep.mean[asleep], asleep)
-        sleep.wake_at[asleep] = ASLEEP_SIGMAS * std + sleep.band
-        self._variance[asleep] = self._own_variance(memory, np.zeros(asleep.size)) + memory[PRESSURE] ** 2
-        self._asleep = Asleep(asleep, memory[GAIN] / SIGMAS, memory[GAIN] * (HIDDEN / SIGMAS) * std)
-
-    # -- what is stated ----------------------------------------------------------------------------------------------
+    def renew(self, asleep: IntArray, at_rest: Records[CellState], noise: FloatArray) -> None:
+        """Renew the variances of sleeping cells, whose state is ``at_rest`` (1,), by their ``noise`` (m,)."""
+        cell, variance = at_rest[0], self._variance.copy()
+        own = own_kpa2.unchecked(cell, 0.0, self._limits, self._rest_at_kpa, self._rest_kpa2)
+        variance[asleep] = own + cell.pressure_kpa * cell.pressure_kpa if self.stated else np.nan
+        self._variance = variance
+        self._asleep = Asleep(asleep, cell.gain_kpa / SIGMAS, cell.gain_kpa * (HIDDEN / SIGMAS) * noise)
 
     def of_last_step(
         self, shape: tuple[int, ...], reading: FloatArray, *more: FloatArray | None
@@ -219,79 +139,124 @@ class Deviation:
             reading: (n,) r of the frame; never changes again.
             more: (n,) further variances in kPa^2, which never change again; None: zero.
         """
-        return partial(self._after, shape, self._variance, self._asleep, reading, self._left_open, more)
-
-    def _after(
-        self,
-        shape: tuple[int, ...],
-        before: FloatArray,
-        asleep: Asleep | None,
-        reading: FloatArray,
-        left_open: LeftOpen | None,
-        added: tuple[FloatArray | None, ...],
-    ) -> FloatArray:
-        """(shape) kPa^2: variances ``before`` the step, updated by sleeping and followed cells, plus ``added`` ones."""
-        if left_open is not None and left_open.cells.size == before.size:
-            variance = self._variance_of(left_open)
-        else:
-            variance = before.copy()
-            if asleep is not None:
-                asleep.add_to(variance, reading, compiled=self.compiled)
-            if left_open is not None:
-                variance[left_open.cells] = self._variance_of(left_open)
-        for more in added:
-            if more is not None:
-                variance += more
-        return variance.reshape(shape)
-
-    def _variance_of(self, left_open: LeftOpen) -> FloatArray:
-        """(m,) variance in kPa^2 of the cells that were followed in a frame."""
-        looked, memory = left_open.looked, left_open.memory
-        if looked is None:
-            std_kpa = np.zeros(left_open.cells.size)
-        else:
-            std_kpa = looked.doubt_kpa(memory[GAIN], self._inversion.steepness_kpa)
-        variance = self._own_variance(memory, std_kpa)
-        if left_open.added is not None:
-            variance += left_open.added
-        return variance
-
-    def _own_variance(self, memory: FloatArray, std_kpa: FloatArray) -> FloatArray:
-        """(m,) variance in kPa^2 of cells whose readings leave a standard deviation ``std_kpa`` (m,) of pressure."""
-        if not self.stated:
-            return np.full(memory.shape[1], np.nan)
-        variance: FloatArray = std_kpa * std_kpa
-        variance += self._inversion.within_frame(memory, np.sqrt(variance))
-        variance += memory[VARIANCE]
-        variance += self._model_variance
-        if self._rest_variance.size:
-            variance += np.interp(memory[PRESSURE], self._rest_at_kpa, self._rest_variance)
-        return variance
+        return partial(_total, shape, self._variance, self._asleep, reading, more)
 
     def state(self) -> dict[str, FloatArray]:
-        """The state, by name. To be called after :meth:`flush`."""
+        """The state, by name."""
         return {"variance": self._variance}
 
     def restore(self, state: dict[str, FloatArray]) -> None:
         """Continue from a saved :meth:`state`."""
-        self._variance, self._left_open, self._asleep = state["variance"], None, None
+        self._variance, self._asleep = state["variance"], None
 
 
-def total(one: FloatArray | None, other: FloatArray) -> FloatArray:
-    """The sum of variances (m,), of which the first may be None."""
-    return other if one is None else one + other
+def _total(
+    shape: tuple[int, ...],
+    own: FloatArray,
+    asleep: Asleep | None,
+    reading: FloatArray,
+    added: tuple[FloatArray | None, ...],
+) -> FloatArray:
+    """(shape) kPa^2: variances (n,) of cells by themselves, by readings of sleeping ones, and ``added`` ones."""
+    variance = own.copy()
+    if asleep is not None:
+        std = np.abs(reading.take(asleep.places)) * asleep.kpa_per_r + asleep.hidden_kpa
+        variance[asleep.places] += std * std
+    for more in added:
+        if more is not None:
+            variance += more
+    return variance.reshape(shape)
 
 
-def _likely(pressure: FloatArray, hides_kpa2: FloatArray) -> FloatArray:
-    """(m,) pressures p, shrunk to p / (1 + (h / p^2)^2) with h = ``hides_kpa2`` (m,), as noise alone may be the cause.
+@loop
+def show_each(
+    cells: Records[CellState],
+    places: Places,
+    limits: Limits,
+    rest_at_kpa: Row,
+    rest_kpa2: Row,
+    pressure_kpa: Row,
+    variance_kpa2: Row,
+) -> None:
+    """Write the pressures to show of cells to ``pressure_kpa`` (n,), and their variances to ``variance_kpa2`` (n,).
 
-    Most cells carry no load. Where p^2 < h, no load is more likely than a load. The memory of the cells is unchanged.
+    ``rest_kpa2`` (m,) is the variance by R0 at the pressures ``rest_at_kpa`` (m,).
     """
-    squared = pressure * pressure
+    much, much_noise = False, False
+    for k in range(places.size):
+        cell = cells[places[k]]
+        much |= cell.pressure_kpa > limits.most_kpa
+        much_noise |= cell.std * cell.gain_kpa > limits.much_noise_kpa
+    for k in range(places.size):
+        cell = cells[places[k]]
+        shown, off, slope = cell.pressure_kpa, cell.reading - cell.level, cell.gain_kpa
+        if limits.fall_kpa != 0.0:
+            slope = limits.fall_kpa if off < 0.0 else limits.rise_kpa
+        doubt = (abs(off) * slope + cell.noise * cell.gain_kpa * HIDDEN) * (1.0 / SIGMAS)
+        std_kpa = max(doubt, cell.std * cell.gain_kpa)
+        by_rise, by_jump = doubted_rise(cell, limits.seeming), doubted_jump(cell)
+        added = by_rise * by_rise + by_jump * by_jump
+        if limits.exact == 0.0:
+            if much:
+                # A pressure beyond full scale may just as well be an error of the memory.
+                if cell.variance_kpa2 + added + std_kpa * std_kpa > limits.doubt_kpa2:
+                    shown = min(shown, limits.most_kpa)
+                excess = max(cell.pressure_kpa - limits.full_kpa, 0.0)
+                added += excess * excess
+            if much_noise or cell.released > 0.0 or cell.unconfirmed > 0.0:
+                likely = shrunk(cell, shown, limits)
+                added += (shown - likely) * (shown - likely)
+                shown = likely
+        pressure_kpa[places[k]] = shown
+        own = own_kpa2(cell, std_kpa, limits, rest_at_kpa, rest_kpa2)
+        variance_kpa2[places[k]] = own + added if limits.stated > 0.0 else math.nan
+
+
+@loop
+def shrunk(cell: CellState, shown_kpa: float, limits: Limits) -> float:
+    """Pressure p, shrunk to p / (1 + (h / p^2)^2), as noise and the error of the memory alone may be the cause.
+
+    Most cells carry no load. Where p^2 < h, no load is more likely than a load. The state of the cell is unchanged.
+    """
+    noise_kpa = cell.std * cell.gain_kpa
+    hides = NO_LOAD_SIGMAS * noise_kpa
+    hides *= hides
+    light_kpa2 = limits.light_kpa * limits.light_kpa
+    if cell.released > 0.0:
+        # Low noise now does not help: the error of the memory comes from the noise of all taps so far.
+        by_memory = (noise_kpa * noise_kpa + cell.rest_variance_kpa2) * limits.rests
+        at_rest = cell.rested > 0.0 or shown_kpa < 0.0
+        hides = by_memory if at_rest else max(hides, min(by_memory, light_kpa2))
+    elif cell.unconfirmed > 0.0:
+        # The rise is in doubt. A load that was clearly shown before the rise is not.
+        by_memory = (noise_kpa * noise_kpa + cell.turn_variance_kpa2) * limits.rests
+        loaded = cell.left_kpa < -(noise_kpa * math.sqrt(limits.rests) + limits.light_kpa)
+        hides = max(hides, min(by_memory, light_kpa2 if loaded else limits.doubted_kpa2))
+    squared = shown_kpa * shown_kpa
     squared *= squared
-    either: FloatArray = hides_kpa2 * hides_kpa2
-    either += squared
-    either += _TINY
-    squared /= either
-    squared *= pressure
-    return squared
+    return shown_kpa * (squared / (squared + hides * hides + TINY))
+
+
+@loop
+def own_kpa2(cell: CellState, std_kpa: float, limits: Limits, rest_at_kpa: Row, rest_kpa2: Row) -> float:
+    """Variance of a cell whose readings leave a standard deviation ``std_kpa`` of the pressure."""
+    own = std_kpa * std_kpa
+    if limits.per_bend != 0.0:
+        # A load whose rate has changed may have turned within the frame: no reading shows the turn yet.
+        bend = abs(cell.pressure_kpa - 2.0 * cell.last_kpa + cell.before_last_kpa)
+        bend = limits.per_bend * max(bend - limits.sure * math.sqrt(own), 0.0) * cell.gain_kpa
+        own += bend * bend
+    own += cell.variance_kpa2
+    own += limits.model_kpa2
+    if rest_at_kpa.size > 0:
+        own += interpolated(cell.pressure_kpa, rest_at_kpa, rest_kpa2)
+    return own
+
+
+@loop
+def interpolated(x: float, at: Row, values: Row) -> float:
+    """:func:`numpy.interp` for a single number and evenly spaced places ``at`` (m,)."""
+    place = (x - at[0]) / (at[1] - at[0])
+    low = min(max(int(place), 0), at.size - 2)
+    share = min(max(place - low, 0.0), 1.0)
+    return float(values[low] + share * (values[low + 1] - values[low]))

@@ -8,59 +8,50 @@ Each frame passes these steps:
 2. Noise that the cells of a column share is subtracted (:mod:`._shared_noise`). The remaining noise is measured
    (:mod:`._noise`).
 3. Cells at rest sleep: only their mean is monitored, until the mean or a reading leaves the noise (:mod:`._sleep`).
-4. The other cells are followed (:mod:`._following`). Their readings are smoothed according to the noise
-   (:mod:`._smoothing`), and an :class:`._inversion.Inversion` turns them into pressures. While cells are followed,
-   their memory lies side by side in a block (:mod:`._remembered`).
-5. A reading that jumps and comes back at once was a bad contact, and the memory from before the jump is restored
-   (:mod:`._sparks`), unless the neighbouring cells show that the jump was a tap (:mod:`._taps`).
+4. The other cells are followed. Their readings are smoothed according to the noise (:mod:`._smoothing`), and an
+   :class:`._inversion.Inversion` turns them into pressures.
+5. A reading that jumps and comes back at once was a bad contact, and the state from before the jump is restored
+   (:mod:`._sparks`).
 6. The variance of a pressure sums those of noise, of the memory, of motion within the noise (:mod:`._tremor`), of gaps,
    of R0, of creep under loads longer than any in the calibration (:mod:`._held`), and of the residual error of the
    calibration (:mod:`._deviation`).
+
+The state of a cell is a :class:`.._state.CellState` and the memory of the inversion. Every step is a kernel over the
+cells that it concerns (:mod:`ohmskin.common.compiled`). Exact readings pass the same kernels: they are not smoothed,
+and no cell sleeps.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...common import compiled
 from ...common.arrays import BoolArray, FloatArray, IntArray
-from ...common.compiled import Loop
+from ...common.compiled import Record, Records, values, zeros
 from ...common.readings import Readings
 from ...errors import InputError
-from . import _loops as loops
-from . import _noise as noise_meter
-from . import _shared_noise as shared_noise
+from .._state import CellState
 from . import _smoothing as smoothing
 from . import _tremor as tremor
-from . import _window as window
 from ._conditions import Conditions
 from ._deviation import Deviation
-from ._following import Following
 from ._gaps import Gaps
 from ._held import Held
 from ._inversion import USUAL, Inversion
-from ._neighbours import Neighbours
-from ._noise import NoiseMeter
-from ._remembered import Remembered
-from ._rows import GAIN, PRESSURE
+from ._noise import RECENT, WINDOW, NoiseMeter
 from ._scale import Scale
 from ._shared_noise import SharedNoise
 from ._sleep import Sleep
 from ._sparks import Sparks
-from ._tremor import Tremor
 
 SETTLE_EVERY = 32
 """frames between two searches for cells that may go to sleep"""
 FIRST_LOOKS = 8, 16
 """frames after which there is an additional search: until then all cells are followed, at several times the usual
 cost"""
-FIRST_READINGS = 4
-"""number of readings that are averaged before the first estimate of a cell is final"""
 MORE = 1.1
 """ratio of the deviation by the quantisation steps of all readings to that by the cell's own; below this ratio the
 steps of other readings are neglected"""
@@ -68,16 +59,16 @@ EVENLY = math.sqrt(3.0)
 """largest error over the standard deviation, of an error that is evenly distributed from none to all of it"""
 STEP_STD = 1.0 / EVENLY
 """standard deviation of a quantisation error over half a step"""
-UNKNOWN_PAST = 0.25
-"""standard deviation of the first pressure of a cell, over that pressure: a load that has just begun reads much larger
-than the same load after a long hold. This uncertainty fades as that of a gap does"""
+UNUSUAL = 0.1
+"""relative change of the time between frames beyond which the interval between calls of ``sway`` is adapted"""
+_NOWHERE = np.zeros(0, dtype=np.intp)
 
 
 class Estimator:
     """Pressure of an array of cells; made by :meth:`ohmskin.cell.Cell.estimator`.
 
     Call :meth:`step` for every frame. The first reading of a cell is taken to be at equilibrium (at rest, or under a
-    load held for long); the standard deviation includes the doubt about that (:data:`UNKNOWN_PAST`).
+    load held for long).
     """
 
     def __init__(
@@ -91,20 +82,21 @@ class Estimator:
         """``rest_resistance_ohm`` (n,) holds R0 of each cell of ``shape``, ``scale`` turns their readings into r."""
         self.shape, self.inversion = shape, inversion
         self._rest_ohm, self._scale = rest_resistance_ohm, scale
-        cells, full_kpa = rest_resistance_ohm.size, inversion.full_scale_kpa
-        self._noise = NoiseMeter(cells, conditions.noise or 0.0)
+        count, full_kpa = rest_resistance_ohm.size, inversion.full_scale_kpa
+        self._cells, self._memory = zeros(CellState, count), zeros(inversion.memory, count)
+        """(n,) states of all cells"""
+        self._at_rest = zeros(CellState, 1), zeros(inversion.memory, 1)
+        """(1,) states of a cell at rest"""
+        self._begin(*self._at_rest, np.zeros(1, dtype=np.intp), np.zeros(1))
+        self._noise = NoiseMeter(count, conditions.noise or 0.0)
         self._shared_noise = SharedNoise(shape, self._noise, inversion.side)
-        self._remembered = Remembered(inversion, cells)
-        self._sleep = Sleep(cells, inversion.full_scale_r)
-        self._gaps = Gaps(cells, full_kpa, conditions)
-        self._sparks = Sparks(inversion, self._noise, self._gaps, shape)
-        self._tremor = Tremor(cells)
-        self._deviation = Deviation(inversion, conditions, cells)
-        neighbours = Neighbours(shape)
-        self._following = Following(inversion, self._noise, self._sparks, self._deviation, self._tremor, neighbours)
-        self._held = Held(cells, full_kpa, conditions.longest_load_s)
-        self._pressure = np.full(cells, np.nan)
-        self._reading = np.zeros(cells)
+        self._sleep = Sleep(count, inversion.full_scale_r)
+        self._gaps = Gaps(count, full_kpa, conditions)
+        self._sparks = Sparks(inversion, self._gaps, count)
+        self._deviation = Deviation(inversion, conditions, count)
+        self._held = Held(count, full_kpa, conditions.longest_load_s)
+        self._pressure = np.full(count, np.nan)
+        self._reading = np.zeros(count)
         """(n,) r of the last frame; never changes again"""
         self._watched = self._reading
         """(n,) the same, but readings of sleeping cells still contain shared noise; never changes again"""
@@ -112,50 +104,13 @@ class Estimator:
         """(n,) kPa^2 by loads that may have been subtracted as shared noise; never changes again; None: zero"""
         self._by_bounds: FloatArray | None = None
         """(n,) kPa^2 by readings of which only an interval is known; never changes again; None: zero"""
-        self._readings = np.zeros(cells)
-        """(n,) number of first readings that each cell has averaged"""
-        self._begun = False
-        """whether all cells have been read often enough"""
+        self._read = np.zeros(count, dtype=np.bool_)
+        """(n,) whether each cell has been read"""
+        self._followed, self._wanted = _NOWHERE, np.zeros(count, dtype=np.bool_)
+        """(m,) cells that are followed: awake, and read in the last frame; and (n,) the same as flags"""
         self._frames = 0
-        self._usual_s = 0.0
-        self._compiled = False
-
-    # -- compiled loops ----------------------------------------------------------------------------------------------
-
-    def compile(self) -> bool:
-        """Use compiled loops from now on, if the extra ``fast`` is installed.
-
-        Loading them takes half a second in the first call of a process. Compiling takes ten seconds, unless an earlier
-        process has compiled them. An estimator of exact readings (``noise=0``) has no compiled loops.
-
-        Returns:
-            Whether compiled loops are in use. Pressures and standard deviations are the same either way.
-        """
-        self._use(machine_code=not self.inversion.exact and compiled.load(*self._loops()))
-        return self._compiled
-
-    def _use(self, *, machine_code: bool) -> None:
-        """Use compiled loops, or array operations."""
-        self._compiled = machine_code
-        noise = self._noise, self._noise.window, self._shared_noise
-        followers = self._remembered, self._sparks, self._deviation, self._following
-        for part in (*noise, self._tremor, self._sleep, *followers):
-            part.compiled = machine_code
-        block = self._remembered.block
-        block.line_before = block.line.copy()  # compiled loops keep the line from before the last step here
-
-    def _loops(self) -> tuple[Loop[..., Any], ...]:
-        """All loops that a frame calls."""
-        noise = *noise_meter.LOOPS, *shared_noise.LOOPS
-        falls = tremor.LOOPS_OF_FALLS if self.inversion.steepness_kpa[1] > 0.0 else ()
-        means = (window.recent_means_each,) if self.inversion.recovers else ()
-        return *loops.ALL, *smoothing.LOOPS, *noise, *means, *tremor.LOOPS, *falls, *self.inversion.loops_used()
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Continue from a pickle, perhaps in a process without compiled loops."""
-        self.__dict__.update(state)
-        if self._compiled:
-            self.compile()
+        self._usual_s = self._sways_for_s = 0.0
+        """recent mean of the time between frames; and the time to which the calls of ``sway`` are adapted"""
 
     # -- the frame ---------------------------------------------------------------------------------------------------
 
@@ -227,7 +182,7 @@ class Estimator:
         """
         falls, r = self._scale.falls, np.empty(bound_ohm.size)
         told = np.isfinite(bound_ohm) & (bound_ohm > 0.0)
-        self._scale.read(np.where(told, bound_ohm, self._rest_ohm), r, self.inversion.credible, compiled=False)
+        self._scale.read(np.where(told, bound_ohm, self._rest_ohm), r)
         held = np.where(told, self.inversion.held_kpa(r), 0.0)
         if falls:
             return np.where(bound_ohm == 0.0, np.inf, held)
@@ -245,31 +200,25 @@ class Estimator:
             resistance = np.where(quiet, self._rest_ohm, resistance)
         known = self._normalise(resistance, r)
         before = self._pressure.copy() if self._gaps.concern(dt, self._usual_s or dt, known) else None
-        watched = blurred = loaded = None
+        watched = loaded = None
         if self._shared_noise.ratio and not exact:
-            left_over, awake = self._remembered.left_over, self._sleep.awake
-            r, watched, loaded = self._shared_noise.subtract(dt, r, known, awake, left_over)
-            self._reading, blurred = r, self._shared_noise.mean_std
+            r, watched, loaded = self._subtract_shared(dt, r, known)
+            self._reading = r
         self._watched = r if watched is None else watched
-        self._by_shared = None
         if not exact:
             self._noise.update(r, known if quiet is None else ~quiet if known is None else known & ~quiet)
-        if not self._begun:
+        if not self._read.all():
             self._start(r, known)
         if not exact:
-            woken = self._sleep.watch(dt, r, watched, blurred, loaded)
-            if woken is not None:
-                self._remembered.wake(woken)
+            self._sleep.watch(dt, r, watched, None if watched is None else self._shared_noise.mean_std, loaded)
             if loaded is not None:
-                self._remembered.interrupt(loaded)
-        if self._remembered.stale or known is not None or self._gaps.open:
-            self._choose(known)
-        block = self._remembered.block
-        if block.cells.size:
-            self._following.expect(self._usual_s or dt)
-            self._following.advance(block, dt, r, self._frames, self._pressure)
+                smoothing.interrupt(self._cells, loaded)
+        self._choose(known)
+        self._by_shared = None
+        if self._followed.size:
+            self._follow(dt, r)
             if watched is not None:
-                self._by_shared = self._variance_by_shared(r)
+                self._by_shared = self._shared_noise.doubt_kpa2(self._cells, self._followed)
         if before is None:
             self._gaps.pass_by(dt)
         else:
@@ -280,16 +229,6 @@ class Estimator:
         if not exact and (self._frames % SETTLE_EVERY == 0 or self._frames in FIRST_LOOKS):
             self._rest()
         return self._shown()
-
-    def _variance_by_shared(self, r: FloatArray) -> FloatArray | None:
-        """(n,) kPa^2 by a load that may have been subtracted from readings ``r`` (n,) as shared noise; None: zero."""
-        block, doubt = self._remembered.block, self._shared_noise.doubt(r, self._sleep.awake)
-        if doubt is None:
-            return None
-        of_all, variance = np.zeros(r.size), np.zeros(r.size)
-        of_all[doubt[0]] = doubt[1]
-        variance[block.cells] = (of_all[block.cells] * block.memory[GAIN]) ** 2
-        return variance
 
     @property
     def rest_ohm(self) -> FloatArray:
@@ -335,9 +274,9 @@ class Estimator:
             of_all = float(np.median(by_all[known])) if known.any() else 0.0
             if of_all < MORE * np.median(at_rest[found]):
                 of_all = 0.0  # as with virtual grounds: each conductance follows from its own reading alone
-        self._noise.resolve(np.where(found, at_rest, np.median(at_rest[found])), of_all)
+        self._noise.resolve(np.where(found, at_rest, np.median(at_rest[found])))
         self._shared_noise.suppose(float(np.median(at_rest[found])), of_all, scales_columns=scales_columns)
-        self.inversion.take_steps(of_all, self._noise.typical_resolution)
+        self.inversion.take_steps(self._noise.typical_resolution)
 
     def _at_rest(self, relative_std: ArrayLike, resistance_ohm: ArrayLike) -> tuple[FloatArray, BoolArray]:
         """Standard deviation (n,) of r at rest for a relative one of conductances; and (n,) where it is known."""
@@ -355,7 +294,7 @@ class Estimator:
     def variance_of_last_step(self) -> Callable[[], FloatArray]:
         """A function that returns the square of :attr:`std_kpa` of the last step, at any time and in any thread.
 
-        The function keeps references to its inputs. A step whose standard deviation is never asked for costs little.
+        The function keeps references to its inputs.
         """
         by_gaps = self._gaps.variance if self._gaps.doubtful else None
         more = by_gaps, self._held.variance, self._by_shared, self._by_bounds
@@ -375,8 +314,7 @@ class Estimator:
             (n,) which readings are credible; None: all.
         """
         low, high = self.inversion.credible
-        if self._scale.read(resistance_ohm, r, (low, high), compiled=self._compiled):
-            return None
+        self._scale.read(resistance_ohm, r)
         if low < r.item(r.argmin()) and r.item(r.argmax()) < high:  # false if one of them is NaN
             return None
         known: BoolArray = r > low
@@ -384,51 +322,93 @@ class Estimator:
         np.copyto(r, self._sleep.mean, where=~known)
         return known
 
+    def _subtract_shared(
+        self, dt: float, r: FloatArray, known: BoolArray | None
+    ) -> tuple[FloatArray, FloatArray, IntArray | None]:
+        """As :meth:`._shared_noise.SharedNoise.subtract`."""
+        left_over = np.zeros(r.size)
+        left_over[self._followed] = self.inversion.left_over(self._cells, self._memory, self._followed)
+        return self._shared_noise.subtract(dt, r, known, self._sleep.awake, left_over)
+
+    def _begin(self, cells: Records[CellState], memory: Records[Record], places: IntArray, r: FloatArray) -> None:
+        """Set the states of cells whose reading has been ``r`` (k,) for ever."""
+        smoothing.begin(cells, places, r)
+        cells["amplitude"][places] = 1.0
+        self.inversion.begin(cells, memory, places, r)
+
     def _start(self, r: FloatArray, known: BoolArray | None) -> None:
-        """Initialise cells from the mean of their first readings, as if the load had been held for ever."""
-        enough = 1 if self.inversion.exact else FIRST_READINGS
-        early = self._readings < enough
-        new = np.flatnonzero(early if known is None else early & known)
-        if new.size:
-            self._flush()
-            self._readings[new] += 1
-            mean = self._sleep.mean
-            mean[new] += (r[new] - mean[new]) / self._readings[new]
-            self._remembered.begin(new, mean[new])
-            if len(self.inversion.rows) > len(Inversion.rows):  # earlier loads matter to this inversion
-                first = new[self._readings[new] == 1]
-                self._gaps.doubt(first, UNKNOWN_PAST * np.abs(self._remembered.memory[PRESSURE, first]))
-            self._sleep.awake[new] = True
-        self._begun = bool((self._readings >= enough).all())
+        """Begin cells with their first reading, as if the load had been held for ever."""
+        new = np.flatnonzero(~self._read if known is None else ~self._read & known)
+        self._begin(self._cells, self._memory, new, r[new])
+        self._sleep.mean[new] = r[new]
+        self._read[new] = self._sleep.awake[new] = True
 
     def _choose(self, known: BoolArray | None) -> None:
-        """Gather the cells to follow: those that are awake and have been read.
+        """Choose the cells to follow: those that are awake and have been read.
 
         A cell that is not read keeps its pressure. If its reading had just jumped, it keeps the pressure from before
         the jump. When the cell is read again, its memory is advanced as if the load had been held.
         """
-        awake, remembered = self._sleep.awake, self._remembered
-        wanted = awake if known is None else awake & known
-        if not remembered.stale and np.array_equal(wanted, remembered.followed):
-            return
-        self._deviation.flush()
+        wanted = self._sleep.awake.copy() if known is None else self._sleep.awake & known
         if known is not None or self._gaps.open:
-            remembered.flush()
             self._part(wanted)
-        cells = remembered.follow(wanted)
-        self._sleep.follow(cells)
-        self._deviation.follow(cells)
+        if not np.array_equal(wanted, self._wanted):
+            self._wanted, self._followed = wanted, wanted.nonzero()[0]
+            self._deviation.wake(self._followed)
 
     def _part(self, wanted: BoolArray) -> None:
-        """Update the memory where reading resumes (as if the load had been held) and where it stops (undo jumps)."""
-        lost = self._remembered.followed & ~wanted
-        if np.count_nonzero(lost):
-            self._sparks.undo(lost, self._remembered, self._pressure)
-            self._remembered.interrupt(np.flatnonzero(lost))
+        """Update the states where reading resumes (as if the load had been held) and where it stops (undo jumps)."""
+        lost = (self._wanted & ~wanted).nonzero()[0]
+        if lost.size:
+            undone = self._sparks.undo(lost, self._cells, self._memory)
+            self._pressure[undone] = self._cells["pressure_kpa"][undone]
+            smoothing.interrupt(self._cells, lost)
         unread_s = self._gaps.unread_s
-        back = np.flatnonzero(wanted & (unread_s > 0))
+        back = (wanted & (unread_s > 0)).nonzero()[0]
         if back.size:
-            self._remembered.hold(back, unread_s[back])
+            self.inversion.hold(self._cells, self._memory, back, unread_s[back])
+
+    def _follow(self, dt: float, r: FloatArray) -> None:
+        """Take the readings ``r`` (n,) of the cells that are followed, and write their pressures."""
+        cells, memory, places, inversion = self._cells, self._memory, self._followed, self.inversion
+        usual_s = self._usual_s or dt
+        if abs(usual_s - self._sways_for_s) > UNUSUAL * self._sways_for_s:
+            self._sways_for_s = usual_s
+        if inversion.exact:
+            smoothing.take_exactly_each.unchecked(cells, places, r)
+            inversion.advance(cells, memory, places, dt)
+            self._deviation.show(cells, places, self._pressure)
+            return
+        smoothing.take_each.unchecked(cells, places, r, self._noise.at_rest)
+        if self._sparks.places.size:
+            self._sparks.put_back(cells, memory, dt)
+        gains = smoothing.gains_for(self._noise.typical / inversion.full_scale_r, dt)
+        if smoothing.smooth_each.unchecked(cells, places, self._noise.cells, dt, gains, self._sparks.large_r):
+            self._sparks.remember(cells, memory, places, (self._noise.reading(1), self._noise.reading(2)))
+        inversion.advance(cells, memory, places, dt)
+        self._look_back(dt)
+        if self._frames % RECENT == 0:
+            self._look_for_tremor(ends_window=self._frames % WINDOW == 0)
+        self._deviation.show(cells, places, self._pressure)
+
+    def _look_back(self, dt: float) -> None:
+        """Call ``recover`` and ``sway`` of the inversion when they are due."""
+        inversion, states = self.inversion, (self._cells, self._memory, self._followed)
+        if inversion.recovers and self._frames % inversion.recent == 0:
+            inversion.recover(*states, dt, self._noise.mean_of_recent(self._followed, inversion.recent))
+        every = inversion.sways_in(self._sways_for_s)
+        if every and self._frames % every == 0:
+            inversion.sway(*states, self._sways_for_s, self._noise.mean_of_recent(self._followed, every))
+
+    def _look_for_tremor(self, *, ends_window: bool) -> None:
+        """Doubt the rise of cells whose load oscillates within the noise."""
+        cells, places = self._cells, self._followed
+        beside = self._noise.beside_parabola(places)
+        tremor.look_each.unchecked(cells, places, beside)
+        if ends_window:
+            missed_kpa = np.empty(places.size)
+            if tremor.end_window_each.unchecked(cells, places, self.inversion.seeming, beside, missed_kpa):
+                self.inversion.miss(cells, self._memory, places, missed_kpa)
 
     def _end_gaps(self, dt: float, known: BoolArray | None, before: FloatArray) -> None:
         """Count the time without readings, and add the doubt of gaps that end; ``before`` (n,) kPa: the last frame."""
@@ -440,42 +420,32 @@ class Estimator:
 
     def _rest(self) -> None:
         """Put cells to sleep whose readings and memory are those of rest."""
-        block = self._remembered.block
-        if block.cells.size:
-            calm = self._sleep.calm(block, self._noise)
-            if np.count_nonzero(calm):
-                calm &= self.inversion.settled(block.memory, self._sleep.band)
-                calm &= self._readings[block.cells] >= FIRST_READINGS
-                self._put_to_sleep(block.cells[calm])
+        places = self._followed
+        calm = self._sleep.calm(self._cells, places, self._noise.at_rest)
+        if calm.any():
+            calm &= self.inversion.settled(self._cells, self._memory, places, self._sleep.band)
+            self._put_to_sleep(places[calm])
         self._watch_over()
+
+    def _put_to_sleep(self, places: IntArray) -> None:
+        self._sparks.forget(self._cells, places)
+        self._cells[places], self._memory[places] = self._at_rest
+        self._pressure[places] = 0.0  # the calibration curve may differ from 0 there by some percent
+        self._sleep.begin(places)
+        self._shared_noise.sleep(places, self._sleep.mean[places])
 
     def _watch_over(self) -> None:
         """Update the thresholds at which sleeping cells wake, and their variances."""
-        asleep = np.flatnonzero(~self._sleep.awake & (self._readings > 0))
+        asleep = np.flatnonzero(~self._sleep.awake & self._read)
         if asleep.size:
-            self._deviation.watch_over(asleep, self._remembered, self._sleep, self._noise)
-
-    def _put_to_sleep(self, cells: IntArray) -> None:
-        if not cells.size:
-            return
-        self._flush()
-        self._remembered.rest(cells)
-        self._pressure[cells] = 0.0  # the calibration curve may differ from 0 there by some percent
-        self._sparks.forget(cells)
-        self._sleep.begin(cells)
-        self._shared_noise.sleep(cells, self._sleep.mean[cells])
-        self._tremor.forget(cells)
-
-    def _flush(self) -> None:
-        """Write the state of the followed cells back; no cell is followed until :meth:`_choose` is called again."""
-        self._deviation.flush()
-        self._remembered.flush()
+            noise = self._sleep.renew(asleep, self._noise.at_rest)
+            self._deviation.renew(asleep, self._at_rest[0], noise)
 
     def _shown(self) -> FloatArray:
         """(shape) pressure in kPa."""
         pressure = self._pressure.copy()
-        if self._sparks.cells.size:
-            self._sparks.hide(pressure)
+        if self._sparks.places.size:
+            self._sparks.hide(self._cells, pressure)
         shown: FloatArray = pressure.reshape(self.shape)
         return shown
 
@@ -483,16 +453,15 @@ class Estimator:
 
     def state(self) -> dict[str, FloatArray]:
         """A copy of the whole state, for :meth:`restore`: float64 arrays by name."""
-        self._flush()
-        own = {"pressure": self._pressure, "readings": self._readings}
-        own["clock"] = np.array([self._usual_s, self._frames, *self._sleep.clock], dtype=np.float64)
-        noise = self._noise, self._shared_noise
-        for part in (*noise, self._remembered, self._sleep, self._deviation, self._gaps, self._held, self._tremor):
+        own = {"cells": values(self._cells), "memory": values(self._memory), "pressure": self._pressure}
+        own |= {"read": self._read, "followed": self._wanted}
+        own["clock"] = np.array([self._usual_s, self._sways_for_s, self._frames])
+        for part in (self._noise, self._shared_noise, self._sleep, self._deviation, self._gaps, self._held):
             own |= part.state()
         return {name: np.array(value, dtype=np.float64) for name, value in own.items()}
 
     def restore(self, state: Mapping[str, ArrayLike]) -> None:
-        """Continue from a saved :meth:`state` (arrays, or lists as JSON has them).
+        """Continue from a saved :meth:`state` (arrays, or lists as JSON has them). Recent jumps count as loads.
 
         Raises:
             InputError: the state is not one of this estimator for cells of this shape.
@@ -501,14 +470,13 @@ class Estimator:
         given = {name: np.array(value, dtype=np.float64, order="C") for name, value in state.items()}
         if {name: value.shape for name, value in expected.items()} != {n: v.shape for n, v in given.items()}:
             raise InputError(f"not a saved state of this estimator for cells of shape {self.shape}")
-        self._pressure, self._readings = given["pressure"], given["readings"]
-        self._usual_s, frames, *clock = given["clock"].tolist()
+        values(self._cells)[...], values(self._memory)[...] = given["cells"], given["memory"]
+        self._pressure, self._read, self._wanted = given["pressure"], given["read"] > 0, given["followed"] > 0
+        self._followed = self._wanted.nonzero()[0]
+        self._usual_s, self._sways_for_s, frames = given["clock"].tolist()
         self._frames = int(frames)
-        self._sleep.restore(given, clock)
-        noise = self._noise, self._shared_noise
-        for part in (*noise, self._remembered, self._deviation, self._gaps, self._held, self._tremor):
+        for part in (self._noise, self._shared_noise, self._sleep, self._deviation, self._gaps, self._held):
             part.restore(given)
-        self.inversion.take_steps(self._noise.resolution_by_all, self._noise.typical_resolution)
-        self._sparks.forget_all()
-        self._begun = bool((self._readings >= (1 if self.inversion.exact else FIRST_READINGS)).all())
+        self.inversion.take_steps(self._noise.typical_resolution)
+        self._sparks.forget(self._cells, np.arange(self._read.size))
         self._watch_over()

@@ -10,9 +10,6 @@ those across an edge of the load that the smoothing has noticed, and those far b
 differences are outliers, the noise has risen, and they count. In an array most cells are at rest. There the median cell
 decides whether noise has risen, and no cell may be much noisier than the median cell.
 
-Other noise scales with the conductance. Its share is estimated from readings of pressed cells
-(:mod:`._multiplicative`).
-
 Third differences of successive frames overlap and carry nearly the same information. Those of every third frame are
 almost independent: averaging only these costs a quarter of the accuracy and a third of the time.
 """
@@ -20,14 +17,17 @@ almost independent: averaging only these costs a quarter of the accuracy and a t
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray, IntArray, median
-from ...common.compiled import Places, Row, Rows, loop
-from ._multiplicative import COMMON, FOUND, WEIGHT, MultiplicativeNoise, additive, additive_of
-from ._window import WINDOW, Window
+from ...common.compiled import Places, Records, Row, Rows, loop, values, zeros
+from .._state import NoiseState
+
+WINDOW = 12
+"""number of readings that are kept, and to which parabolas are fitted"""
+RECENT = 4
+"""frames between two evaluations of the window"""
 
 READINGS = 200
 """number of readings over which the variance is averaged"""
@@ -76,20 +76,24 @@ HALF_STEP = math.sqrt(3.0)
 a step is the largest standard deviation of readings that flip between two codes; such readings show no motion"""
 CROSSED = 10.0
 """multiple of the variance of noise: a window with more contains an edge of the load, which the smoothing notices"""
-PRESSED = 0.2
-"""r beyond which readings can distinguish additive from multiplicative noise"""
-DITHERED = 4.0
-"""multiple of the variance by quantisation, beyond which the steps of the ADC act as ordinary noise. Cells with less
-noise stay at one code when they are pressed, and would seem to have no noise"""
 INCOMPLETE = WINDOW - 4.0
 """a cell that stays blind for more frames than this has a substituted reading among its last four"""
 
-VARIANCE, CROWD, ON_LINE, BLIND, EXCESS, RESOLUTION = range(6)
-"""rows of the state of each cell, see :meth:`NoiseMeter._name_rows`"""
 LEAST_VARIANCE = LEAST**2
-_ZERO, _ONE, _OUTLIER, _LEAST_VARIANCE = (np.array(x) for x in (0.0, 1.0, OUTLIER, LEAST_VARIANCE))
-_ACROSS, _UNCUT = np.array(ACROSS), np.array(UNCUT)
-# As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
+
+
+def _rolled(rows: FloatArray) -> list[FloatArray]:
+    """Coefficients (k, WINDOW) of readings from the oldest on, for a ring whose oldest is in row 0, 1, ..."""
+    return [np.roll(rows, shift, axis=-1) for shift in range(WINDOW)]
+
+
+_THIRD = np.zeros(WINDOW)
+_THIRD[-4:] = np.array([1.0, -3.0, 3.0, -1.0]) / np.sqrt(20.0)
+_THIRD_DIFFERENCE = _rolled(_THIRD)
+"""of white noise it has the variance of the noise"""
+_POWERS = np.vander(np.linspace(-1.0, 1.0, WINDOW), WINDOW, increasing=True)
+_BESIDE_PARABOLA = _rolled(np.linalg.qr(_POWERS)[0][:, 3:].T.copy())
+"""orthonormal rows, orthogonal to all parabolas; white noise keeps its variance in each row"""
 
 
 class NoiseMeter:
@@ -101,12 +105,12 @@ class NoiseMeter:
 
     def __init__(self, cells: int, expected: float = 0.0) -> None:
         """``expected``: standard deviation of r at rest in an earlier recording; 0: unknown."""
-        self.window = Window(cells)
-        """the last readings"""
-        self._cells = np.zeros((6, cells))
-        self._name_rows()
-        self._variance[...] = expected**2
-        self.on_line[...] = np.inf
+        self._ring, self._seen = np.zeros((WINDOW, cells)), 0
+        """(WINDOW, n) the last readings, and the number of frames that have been taken"""
+        self.cells = zeros(NoiseState, cells)
+        self.cells["variance"], self.cells["on_line"] = expected**2, np.inf
+        self.at_rest = np.sqrt(self.cells["variance"] + LEAST**2)
+        """(n,) standard deviation of r of a cell at rest; renewed in place"""
         self._passes_below = -1.0
         """fraction of outliers below which a cell's outliers are rejected; negative: they count, clipped to three
         standard deviations"""
@@ -115,49 +119,33 @@ class NoiseMeter:
         # The median of few cells is itself uncertain, and gets less weight.
         self._shared_looks = EXPECTED_LOOKS if self._expected else min(cells // MANY, SHARED_LOOKS)
         self._any_blind = 0
-        self._squares, self._limit = np.empty((2, cells))
-        self._flags = np.empty((2, cells), dtype=np.bool_)
+        """number of further frames for which the window of any cell contains a substituted reading"""
+        self._squares = np.empty(cells)
         self.typical = expected
         """standard deviation of the median cell at rest"""
-        self.at_rest = np.sqrt(self._variance + LEAST**2)
-        """(n,) standard deviation of r of a cell at rest; renewed in place"""
         self.own = expected
         """the part of :attr:`typical` that is not shared with other cells of a column"""
         self._shared = 0.0
         """variance of shared noise before its subtraction, over that of own noise at rest; 0: no noise is shared"""
         self.quiet = np.inf
         """least recent noise of the median cell; an excess over it may be motion of the load; infinite: not known"""
-        self._multiplicative = MultiplicativeNoise()
         self.typical_resolution = 0.0
         """standard deviation of the median cell's r at rest by the quantisation of its own reading; 0: not known"""
-        self.resolution_by_all = 0.0
-        """the same by the quantisation of all readings that its resistance is computed from; 0: not known"""
-        self.compiled = False
-        """whether compiled loops are in use"""
 
-    def _name_rows(self) -> None:
-        self._variance, self._crowd, self.on_line, self._blind, self.excess, self.resolution = self._cells
-        """rows (n,), views of one array that the loops take.
+    def reading(self, age: int = 0) -> FloatArray:
+        """(n,) readings of ``age`` frames ago; a view."""
+        reading: FloatArray = self._ring[(self._seen - 1 - age) % WINDOW]
+        return reading
 
-        ``_variance``: variance of own noise at rest. ``_crowd``: recent fraction of outliers among the differences.
-        ``on_line``: readings since the smoothing of a cell last noticed a change; written by the smoothing. ``_blind``:
-        number of further frames for which the window contains substituted readings. ``excess``: variance at rest of the
-        remaining shared noise over that of own noise, see :mod:`._shared_noise`. ``resolution``: part of
-        :attr:`at_rest` by quantisation, 0: not known."""
+    def mean_of_recent(self, places: IntArray, count: int) -> FloatArray:
+        """(k,) mean of the last ``count`` readings of cells; ``count`` is at most :data:`WINDOW`."""
+        mean = np.empty(places.size)
+        recent_means_each.unchecked(self._ring, (self._seen - 1) % WINDOW, places, count, mean)
+        return mean
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Continue from a pickle or a copy; the rows have to be made views of ``_cells`` again."""
-        self.__dict__.update(state)
-        self._name_rows()
-
-    @property
-    def multiplicative(self) -> float:
-        """Share of the variance of own noise at rest that scales with the conductance; 0 while it is not clear."""
-        return self._multiplicative.share
-
-    def resolve(self, resolution: FloatArray, by_all: float) -> None:
-        """Set the standard deviation of r at rest by quantisation: (n,) of own readings, and one number ``by_all``."""
-        self.resolution[...], self.resolution_by_all = resolution, by_all
+    def resolve(self, resolution: FloatArray) -> None:
+        """Set the standard deviation (n,) of r at rest by the quantisation of each cell's own reading."""
+        self.cells["resolution"] = resolution
         self.typical_resolution = float(np.median(resolution))
         np.maximum(self.at_rest, resolution, out=self.at_rest)
 
@@ -167,171 +155,96 @@ class NoiseMeter:
         Shared noise scales conductances: in r it is proportional to 1 + r. Own noise is proportional to (1 + r)^2.
         """
         scale = (1.0 + self._shared) / (1.0 + ratio)
-        self._variance *= scale
+        self.cells["variance"] *= scale
         self._expected *= scale
         self.own, self.quiet = self.own * scale**0.5, self.quiet * scale**0.5
         self._shared = ratio
         self.leave(ratio)
 
     def leave(self, excess: FloatArray | float) -> None:
-        """Set :attr:`excess` (n,): the variance of shared noise that remains in the readings from now on."""
-        self.excess[...] = excess
+        """Set the variance (n,) of shared noise that remains in the readings from now on."""
+        self.cells["excess"] = excess
         if self._looks:
             self._find_typical()
             self._state_std()
 
-    def _blurred(self, r: FloatArray) -> FloatArray:
-        """(n,) or (rows, n) standard deviation of readings ``r`` of all cells, over that of own noise at rest."""
-        scale: FloatArray = r + _ONE
-        scale *= self._blurred_more(scale, self.excess)
-        return scale
-
-    def _blurred_more(self, scale: FloatArray, excess: FloatArray) -> FloatArray:
-        """The same divided by ``scale`` (m,) = 1 + r; ``excess`` (m,) belongs to the same cells."""
-        if not (self._shared or self.multiplicative):
-            return scale
-        squares = scale * scale
-        more: FloatArray = np.sqrt(squares * additive(squares, self.multiplicative) + excess)
-        return more
-
     def update(self, r: FloatArray, known: BoolArray | None) -> None:
         """Take normalised resistances (n,); ``known`` (n,) marks those that were read, None: all."""
-        self.window.take(r)
+        self._ring[self._seen % WINDOW] = r
+        self._seen += 1
         if known is not None:
-            self._blind[~known] = WINDOW  # the window contains this reading for as many frames
+            self.cells["blind"][~known] = WINDOW  # the window contains this reading for as many frames
             self._any_blind = WINDOW
-        seen = self.window.seen
-        due = self._looks < SOON or seen % EVERY == 0
-        if due and seen > 3:
+        due = self._looks < SOON or self._seen % EVERY == 0
+        if due and self._seen > 3:
             self._look(r)
-        elif 1 < seen <= 3 and not self._looks and known is None and r.size >= MANY:
+        elif 1 < self._seen <= 3 and not self._looks and known is None and r.size >= MANY:
             self._guess(r)
         if self._any_blind:
-            self._blind -= 1.0
+            self.cells["blind"] -= 1.0
             self._any_blind -= 1
-
-    @property
-    def looks_next(self) -> bool:
-        """Whether the noise is measured again in the next frame."""
-        return self._looks < SOON or (self.window.seen + 1) % EVERY == 0
 
     def _guess(self, r: FloatArray) -> None:
         """Estimate the noise by the median change since the last frame, until there are four readings."""
-        changes = (r - self.window.reading(1)) / (r + 1.0) ** 2
+        changes = (r - self.reading(1)) / (r + 1.0) ** 2
         self.typical = float(np.median(np.abs(changes))) / (2 * MEDIAN_OF_SQUARES) ** 0.5
-        self.at_rest[:] = np.hypot(self.typical, LEAST)
-        np.maximum(self.at_rest, self.resolution, out=self.at_rest)
+        np.maximum(np.hypot(self.typical, LEAST), self.cells["resolution"], out=self.at_rest)
 
     def _look(self, r: FloatArray) -> None:
         """Average the square of the third difference that ends with ``r``."""
         squares = self._squares
-        self.window.third_difference(squares)
-        if self.compiled and self._looks:
-            self._looks += 1
-            shares = self._share, self._share_of_crowd, self._passes_below
-            average.unchecked(squares, r, self._cells, self._multiplicative.sums, self.multiplicative, *shares)
-            self._renew()
-            return
-        squares /= self._blurred(r)
-        squares *= squares
-        if self._any_blind:
-            np.copyto(squares, self._variance, where=self._blind > INCOMPLETE)
-        self._average(squares, r)
-
-    def _average(self, squares: FloatArray, r: FloatArray) -> None:
+        _THIRD_DIFFERENCE[self._seen % WINDOW].dot(self._ring, squares)
+        square_each.unchecked(squares, r, self.cells)
         if not self._looks:
-            if squares.size >= MANY:
-                self._variance[...] = float(np.median(squares)) / MEDIAN_OF_SQUARES
-            elif not self._expected:
-                self._variance[...] = squares
-            np.maximum(self._variance, LEAST**2, out=self._variance)
+            self._begin(squares)
         self._looks += 1
-        np.multiply(self._variance, _OUTLIER, self._limit)
-        self._limit += _LEAST_VARIANCE
-        outlies, flags = self._flags
-        np.greater(squares, self._limit, outlies)
-        np.less(self.on_line, _ACROSS, flags)
-        outlies |= flags
-        np.minimum(squares, self._limit, out=squares)
-        share = self._share_of_crowd
-        self._crowd *= 1.0 - share
-        np.add(self._crowd, share, out=self._crowd, where=outlies)
-        if self._passes_below > 0.0:
-            squares *= _UNCUT
-            np.less(self._crowd, self._passes_below, flags)
-            outlies &= flags
-            if self._any_blind:
-                outlies |= self._blind > INCOMPLETE
-            self._tell(squares, r, ~outlies)
-            np.copyto(squares, self._variance, where=outlies)
-        squares -= self._variance
-        squares *= self._share
-        self._variance += squares
+        share = max(1 / (self._looks + self._shared_looks), EVERY / READINGS)
+        average.unchecked(squares, self.cells, share, 1.0 / min(self._looks, CROWD_LOOKS), self._passes_below)
         self._renew()
 
-    def _tell(self, squares: FloatArray, r: FloatArray, counted: BoolArray) -> None:
-        """Use squared third differences of ``r`` to estimate the multiplicative share of the noise; all (n,)."""
-        tells = np.greater(r, PRESSED)
-        if not np.count_nonzero(tells):
-            return
-        tells &= counted & (squares > _LEAST_VARIANCE) & (self._variance > DITHERED * self.resolution * self.resolution)
-        cells = tells.nonzero()[0]
-        if cells.size:
-            ratio = squares.take(cells) / self._variance.take(cells)
-            self._multiplicative.tell(ratio, r.take(cells), self.excess.take(cells))
-
-    @property
-    def _share(self) -> float:
-        """Weight of a look in the average of the variance."""
-        return max(1 / (self._looks + self._shared_looks), EVERY / READINGS)
-
-    @property
-    def _share_of_crowd(self) -> float:
-        """Weight of a look in the average of the fraction of outliers."""
-        return 1.0 / min(self._looks, CROWD_LOOKS)
+    def _begin(self, squares: FloatArray) -> None:
+        """Set the variances by the first squared differences (n,)."""
+        variance = self.cells["variance"]
+        if squares.size >= MANY:
+            variance[...] = float(np.median(squares)) / MEDIAN_OF_SQUARES
+        elif not self._expected:
+            variance[...] = squares
+        np.maximum(variance, LEAST**2, out=variance)
 
     def _renew(self) -> None:
         """Update all that depends on the variances, after a look."""
-        if self._looks == FIRST and self._variance.size < MANY:
+        variance = self.cells["variance"]
+        if self._looks == FIRST and variance.size < MANY:
             self._raise()
         if self._expected and self._looks == KNOWN:  # remove the prior from the average
-            self._variance += EXPECTED_LOOKS / KNOWN * (self._variance - self._expected)
-            np.maximum(self._variance, LEAST**2, out=self._variance)
+            variance += EXPECTED_LOOKS / KNOWN * (variance - self._expected)
+            np.maximum(variance, LEAST**2, out=variance)
         if self._looks % POOL == 1:
-            self._multiplicative.find(self._share, POOL)
             self._pool()
         self._state_std()
 
     def _state_std(self) -> None:
         """Update the standard deviations :attr:`at_rest`."""
-        if self.compiled:
-            resolved, last = self.typical_resolution > 0.0, self.window.reading()
-            std_at_rest.unchecked(self._cells, resolved, last, self.multiplicative, self.at_rest)
-            return
-        np.add(self._variance, _LEAST_VARIANCE, self.at_rest)
-        np.sqrt(self.at_rest, self.at_rest)
-        if self._shared or self.multiplicative:
-            scale = self.window.reading() + _ONE
-            scale *= scale
-            self.at_rest *= np.sqrt(self.excess / scale + additive(scale, self.multiplicative))
-        if self.typical_resolution:
-            np.maximum(self.at_rest, self.resolution, out=self.at_rest)
+        std_at_rest.unchecked(self.cells, self.reading(), self.at_rest)
 
     def _raise(self) -> None:
         """Raise variances whose first look was small by chance, so that later readings seemed to be outliers."""
-        differences = self.window.third_differences(FIRST)
-        differences /= self._blurred(self.window.reading())
-        middle = np.median(differences**2, axis=0) / MEDIAN_OF_SQUARES
-        np.copyto(self._variance, np.maximum(self._variance, middle), where=self._blind <= 0.0)
+        by_age = np.array([_THIRD_DIFFERENCE[(self._seen - age) % WINDOW] for age in range(FIRST)])
+        squares = by_age @ self._ring
+        for row in squares:
+            square_each.unchecked(row, self.reading(), self.cells)
+        middle, variance = np.median(squares, axis=0) / MEDIAN_OF_SQUARES, self.cells["variance"]
+        np.copyto(variance, np.maximum(variance, middle), where=self.cells["blind"] <= 0.0)
 
     def _pool(self) -> None:
-        middle = median(self._variance[:: 1 + self._variance.size // ENOUGH])
-        if self._variance.size >= MANY:
-            np.minimum(self._variance, ABOVE_POOL * middle + LEAST**2, out=self._variance)
+        variance, some = self.cells["variance"], slice(None, None, 1 + self.cells.size // ENOUGH)
+        middle = median(variance[some])
+        if variance.size >= MANY:
+            np.minimum(variance, ABOVE_POOL * middle + LEAST**2, out=variance)
         self.own = middle**0.5
         self._find_typical()
         if self._looks > SOON:
-            risen = self._variance.size >= MANY and median(self._crowd[:: 1 + self._crowd.size // ENOUGH]) > ALL_CROWDED
+            risen = variance.size >= MANY and median(self.cells["crowd"][some]) > ALL_CROWDED
             self._passes_below = -1.0 if risen else CROWDED
         if self._looks > KNOWN:
             least = max(self.own, self.typical_resolution, LEAST)
@@ -341,165 +254,115 @@ class NoiseMeter:
         """Update the noise of the median cell: its own, and the remaining shared noise."""
         self.typical = self.own
         if self._shared:
-            self.typical *= (1.0 + median(self.excess[:: 1 + self.excess.size // ENOUGH])) ** 0.5
+            self.typical *= (1.0 + median(self.cells["excess"][:: 1 + self.cells.size // ENOUGH])) ** 0.5
 
-    def beside_parabola(self, cells: IntArray) -> FloatArray:
-        """(m,) variance of the last :data:`WINDOW` readings of ``cells`` about parabola fits, over the board's noise.
+    def beside_parabola(self, places: IntArray) -> FloatArray:
+        """(k,) variance of the last :data:`WINDOW` readings of cells about parabola fits, over the board's noise.
 
         A vibration within the noise looks like noise, but raises this ratio above 1. Parabolas absorb smooth motion.
         0 where the ratio is not known.
         """
-        present: FloatArray
-        if self.window.seen < WINDOW or not math.isfinite(self.quiet):
-            return np.zeros(cells.size)
-        beside, last = self.window.beside_parabola(cells)
-        if self.compiled:
-            present = np.empty(cells.size)
-            beside_each.unchecked(cells, beside, last, self._cells, self.quiet, self.multiplicative, present)
-            return present
-        scale = last + _ONE
-        scale *= self._blurred_more(scale, self.excess[cells])
-        scale *= np.maximum(self.quiet, HALF_STEP * self.resolution[cells])
-        beside /= scale
-        beside *= beside
-        present = np.add.accumulate(beside)[-1] / len(beside)
-        if self._any_blind:
-            present[self._blind[cells] > 0] = 0.0
+        present = np.zeros(places.size)
+        if self._seen >= WINDOW and math.isfinite(self.quiet):
+            ring = self._ring.take(places, axis=1)
+            beside = _BESIDE_PARABOLA[self._seen % WINDOW].dot(ring)
+            beside_each.unchecked(places, beside, ring[(self._seen - 1) % WINDOW], self.cells, self.quiet, present)
         return present
-
-    def std(self, r: FloatArray, cells: slice | IntArray = slice(None)) -> FloatArray:
-        """Standard deviation of the readings ``r`` of ``cells``."""
-        scale = np.maximum(r, -0.9)
-        scale += 1.0
-        scale *= scale
-        scale *= self.at_rest[cells]
-        return np.asarray(scale)
 
     def state(self) -> dict[str, FloatArray]:
         """The state, by name."""
+        of_array = [self.typical, self.own, self._shared, self.quiet, self._passes_below]
         return {
-            "noise_ring": self.window.ring,
-            "noise_blind": self._blind,
-            "noise_variance": self._variance,
+            "noise_ring": self._ring,
+            "noise_cells": values(self.cells),
             "noise_at_rest": self.at_rest,
-            "noise_resolution": self.resolution,
-            "noise_crowd": self._crowd,
-            "noise_on_line": self.on_line,
-            "noise_counts": np.array([self._looks, self.window.seen, self._any_blind], dtype=np.float64),
-            "noise_excess": self.excess,
-            "noise_of_array": np.array(
-                [self.typical, self.own, self._shared, self.quiet, self._passes_below, self.resolution_by_all]
-            ),
-            "noise_multiplicative": self._multiplicative.state(),
+            "noise_of_array": np.array([*of_array, self._looks, self._seen, self._any_blind]),
         }
 
     def restore(self, state: dict[str, FloatArray]) -> None:
         """Continue from a :meth:`state`."""
-        for row, name in ((VARIANCE, "variance"), (CROWD, "crowd"), (ON_LINE, "on_line"), (BLIND, "blind")):
-            self._cells[row] = state[f"noise_{name}"]
-        looks, seen, any_blind = state["noise_counts"].tolist()
-        self.excess[...] = state["noise_excess"]
+        self._ring, self.at_rest = state["noise_ring"], state["noise_at_rest"]
+        values(self.cells)[...] = state["noise_cells"]
         of_array = state["noise_of_array"].tolist()
-        self.typical, self.own, self._shared, self.quiet, self._passes_below, by_all = of_array
-        self._looks, self._any_blind = int(looks), int(any_blind)
-        self.window.ring, self.window.seen = state["noise_ring"], int(seen)
-        self._multiplicative.restore(state["noise_multiplicative"])
-        self.at_rest = state["noise_at_rest"]
-        self.resolve(state["noise_resolution"], by_all)
+        self.typical, self.own, self._shared, self.quiet, self._passes_below = of_array[:5]
+        self._looks, self._seen, self._any_blind = (int(count) for count in of_array[5:])
+        self.typical_resolution = float(np.median(self.cells["resolution"]))
 
 
 @loop
-def average(
-    squares: Row,
-    r: Row,
-    cells: Rows,
-    told: Row,
-    multiplicative: float,
-    share: float,
-    share_of_crowd: float,
-    passes_below: float,
-) -> None:
-    """:meth:`NoiseMeter._average` as a loop over cells, for third differences ``squares`` (n,) not squared yet.
+def recent_means_each(ring: Rows, newest: int, places: Places, count: int, mean: Row) -> None:
+    """Write the mean of the last ``count`` readings of cells into ``mean`` (k,); ``newest`` is a row of the ring."""
+    for k in range(places.size):
+        total = ring[newest, places[k]]
+        for age in range(1, count):
+            total += ring[(newest - age) % ring.shape[0], places[k]]
+        mean[k] = total * (1.0 / count)
 
-    ``cells`` (6, n) has the rows of :meth:`NoiseMeter._name_rows`. Adds to the sums ``told`` (5,) of multiplicative
-    noise, as :meth:`.MultiplicativeNoise.tell` does.
+
+@loop
+def square_each(differences: Row, r: Row, cells: Records[NoiseState]) -> None:
+    """Make third differences (n,) of readings ``r`` (n,) squares of differences at rest."""
+    for i in range(r.size):
+        cell, scale = cells[i], r[i] + 1.0
+        square = differences[i] / (scale * math.sqrt(scale * scale + cell.excess))
+        differences[i] = cell.variance if cell.blind > INCOMPLETE else square * square
+
+
+@loop
+def average(squares: Row, cells: Records[NoiseState], share: float, share_of_crowd: float, passes_below: float) -> None:
+    """Take squared third differences (n,) at rest into the variances.
+
+    ``share`` and ``share_of_crowd`` are their weights in the averages of the variance, and of the fraction of outliers.
     """
     uncut = UNCUT if passes_below > 0.0 else 1.0
-    tell, weights, found, common = 0, 0.0, 0.0, 0.0
-    for i in range(r.size):
-        variance = cells[VARIANCE, i]
-        scale = r[i] + 1.0
-        more = scale * scale * additive_of(scale * scale, multiplicative) + cells[EXCESS, i]
-        square = squares[i] / (scale * math.sqrt(more))
-        square *= square
-        is_blind = cells[BLIND, i] > INCOMPLETE
-        if is_blind:
-            square = variance
-        limit = variance * OUTLIER + LEAST_VARIANCE
-        outlies = square > limit or cells[ON_LINE, i] < ACROSS
-        cells[CROWD, i] *= 1.0 - share_of_crowd
+    for i in range(squares.size):
+        cell = cells[i]
+        limit = cell.variance * OUTLIER + LEAST_VARIANCE
+        outlies = squares[i] > limit or cell.on_line < ACROSS
+        cell.crowd *= 1.0 - share_of_crowd
         if outlies:
-            cells[CROWD, i] += share_of_crowd
-        if is_blind or (outlies and cells[CROWD, i] < passes_below):
+            cell.crowd += share_of_crowd
+        if cell.blind > INCOMPLETE or (outlies and cell.crowd < passes_below):
             continue
-        square = min(square, limit) * uncut
-        tells = passes_below > 0.0 and r[i] > PRESSED and square > LEAST_VARIANCE
-        if tells and variance > DITHERED * cells[RESOLUTION, i] * cells[RESOLUTION, i]:
-            slope = (scale * scale - 1.0) / more
-            weight = slope / (slope * slope + 1.0)
-            tell += 1
-            weights += weight * slope
-            found += weight * (slope * multiplicative + 1.0 - square / variance)
-            common += weight
-        cells[VARIANCE, i] += (square - variance) * share
-    told[WEIGHT] += weights
-    told[FOUND] += found
-    told[COMMON] += common / math.sqrt(max(tell, 1))
+        cell.variance += (min(squares[i], limit) * uncut - cell.variance) * share
 
 
 @loop
-def std_at_rest(cells: Rows, resolved: bool, r: Row, multiplicative: float, std: Row) -> None:
-    """Write the standard deviations ``std`` (n,) of r at rest, from the variances of the noise, as a loop over cells.
+def std_at_rest(cells: Records[NoiseState], r: Row, std: Row) -> None:
+    """Write the standard deviations ``std`` (n,) of r at rest; ``r`` (n,) are the present readings.
 
-    ``cells`` (6, n) has the rows of :meth:`NoiseMeter._name_rows`; ``r`` (n,) are the present readings. Relative to
-    (1 + r)^2, ``multiplicative`` and shared noise decrease with r.
+    Relative to (1 + r)^2, shared noise decreases with r.
     """
     for i in range(std.size):
-        std[i] = math.sqrt(cells[VARIANCE, i] + LEAST_VARIANCE)
-        if cells[EXCESS, i] > 0.0 or multiplicative > 0.0:
+        cell = cells[i]
+        std[i] = math.sqrt(cell.variance + LEAST_VARIANCE)
+        if cell.excess > 0.0:
             scale = r[i] + 1.0
-            scale *= scale
-            std[i] *= math.sqrt(cells[EXCESS, i] / scale + additive_of(scale, multiplicative))
-        if resolved:
-            std[i] = max(std[i], cells[RESOLUTION, i])
+            std[i] *= math.sqrt(cell.excess / (scale * scale) + 1.0)
+        std[i] = max(std[i], cell.resolution)
 
 
 @loop
 def beside_each(
-    places: Places, beside: Rows, last: Row, cells: Rows, quiet: float, multiplicative: float, present: Row
+    places: Places, beside: Rows, last: Row, cells: Records[NoiseState], quiet: float, present: Row
 ) -> None:
-    """The second part of :meth:`NoiseMeter.beside_parabola` as a loop over cells.
+    """Write the variance of readings about parabolas, over that of noise, into ``present`` (k,).
 
-    Args:
-        places: (m,) indices of the cells.
-        beside: (k, m) components of the readings orthogonal to parabolas.
-        last: (m,) the present readings.
-        cells: (6, n) rows of :meth:`NoiseMeter._name_rows`.
-        quiet: the board's noise.
-        multiplicative: multiplicative share of own noise.
-        present: (m,) the result; written.
+    ``beside`` (j, k) are the components of the readings orthogonal to parabolas, ``last`` (k,) the present readings.
     """
-    rows = beside.shape[0]
-    for i in range(places.size):
-        cell = places[i]
-        scale = last[i] + 1.0
-        scale *= math.sqrt(scale * scale * additive_of(scale * scale, multiplicative) + cells[EXCESS, cell])
-        scale *= max(quiet, HALF_STEP * cells[RESOLUTION, cell])
+    for k in range(places.size):
+        cell, scale = cells[places[k]], last[k] + 1.0
+        scale *= math.sqrt(scale * scale + cell.excess)
+        scale *= max(quiet, HALF_STEP * cell.resolution)
         total = 0.0
-        for row in range(rows):
-            part = beside[row, i] / scale
+        for row in range(beside.shape[0]):
+            part = beside[row, k] / scale
             total += part * part
-        present[i] = 0.0 if cells[BLIND, cell] > 0.0 else total / rows
+        present[k] = 0.0 if cell.blind > 0.0 else total / beside.shape[0]
 
 
-LOOPS = average, std_at_rest, beside_each
+@loop
+def noise_of(r: float, at_rest: float) -> float:
+    """Standard deviation of a reading ``r`` by noise ``at_rest``, which is constant in conductance."""
+    scale = max(r, -0.9) + 1.0
+    return scale * scale * at_rest

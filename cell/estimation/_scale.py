@@ -12,7 +12,6 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from ...common.arrays import FloatArray
-from . import _loops as loops
 
 BELOW = 0.1
 """least r on scales of cells whose resistance falls under load: at rest their resistance may be anything above R0"""
@@ -27,12 +26,8 @@ class Scale(ABC):
     """whether a cell at rest may read no current; otherwise a cell that does is not connected"""
 
     @abstractmethod
-    def read(self, resistance_ohm: FloatArray, r: FloatArray, credible: tuple[float, float], *, compiled: bool) -> bool:
-        """Write r (n,) of resistances (n,); NaN where no cell has such a resistance.
-
-        Returns:
-            True if all of them lie within ``credible``. False: not known, the caller has to check them.
-        """
+    def read(self, resistance_ohm: FloatArray, r: FloatArray) -> None:
+        """Write r (n,) of resistances (n,); NaN where no cell has such a resistance."""
 
     @abstractmethod
     def at_rest(self, relative_std: FloatArray, resistance_ohm: FloatArray) -> FloatArray:
@@ -48,12 +43,9 @@ class Ratio(Scale):
     def __init__(self, rest_resistance_ohm: FloatArray, *, falls: bool = False, open_at_rest: bool = False) -> None:
         self._per_ohm, self.falls, self.open_at_rest = 1.0 / rest_resistance_ohm, falls, open_at_rest
 
-    def read(self, resistance_ohm: FloatArray, r: FloatArray, credible: tuple[float, float], *, compiled: bool) -> bool:
-        if compiled:
-            return loops.read.unchecked(resistance_ohm, self._per_ohm, r, *credible)
+    def read(self, resistance_ohm: FloatArray, r: FloatArray) -> None:
         np.multiply(resistance_ohm, self._per_ohm, out=r)
         r -= 1.0
-        return False
 
     def at_rest(self, relative_std: FloatArray, resistance_ohm: FloatArray) -> FloatArray:
         return relative_std / (resistance_ohm * self._per_ohm)
@@ -67,12 +59,11 @@ class Logarithm(Scale):
     def __init__(self, rest_resistance_ohm: FloatArray, span: float) -> None:
         self._rest_ohm, self._span = rest_resistance_ohm, span
 
-    def read(self, resistance_ohm: FloatArray, r: FloatArray, credible: tuple[float, float], *, compiled: bool) -> bool:
+    def read(self, resistance_ohm: FloatArray, r: FloatArray) -> None:
         np.copyto(r, np.nan)
         np.log(self._rest_ohm / resistance_ohm, out=r, where=resistance_ohm > 0)
         r /= self._span
         np.maximum(r, -BELOW, out=r)
-        return False
 
     def at_rest(self, relative_std: FloatArray, resistance_ohm: FloatArray) -> FloatArray:
         scale = 1.0 + np.maximum(np.log(self._rest_ohm / resistance_ohm) / self._span, -BELOW)
@@ -94,7 +85,7 @@ class Contact(Scale):
         self._scale_ohm = scale_ohm
         self._shift = 1.0 / scale_ohm - 1.0 / rest_resistance_ohm
 
-    def read(self, resistance_ohm: FloatArray, r: FloatArray, credible: tuple[float, float], *, compiled: bool) -> bool:
+    def read(self, resistance_ohm: FloatArray, r: FloatArray) -> None:
         with np.errstate(divide="ignore"):
             np.divide(1.0, resistance_ohm, out=r)
             r += self._shift
@@ -102,7 +93,6 @@ class Contact(Scale):
             np.copyto(r, np.nan, where=~(np.isfinite(resistance_ohm) & (r > 0)))  # no contact or cell conducts so
             np.divide(1.0, r, out=r)
         r -= 1.0
-        return False
 
     def at_rest(self, relative_std: FloatArray, resistance_ohm: FloatArray) -> FloatArray:
         return relative_std * (self._scale_ohm / resistance_ohm)

@@ -22,11 +22,12 @@ a kept reading would follow the smallest of the random readings, and a hold woul
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from ...common.arrays import BoolArray, FloatArray, IntArray
-from ...common.compiled import Flags, Row, loop
-from ._dither import undithered_of
+from ...common.compiled import Flags, Records, Row, loop
+from .._state import ColumnState
 
 TELLING = 3
 """rank, from the smallest, of the departure that is the level of a column; a lower rank would let one or two bad
@@ -43,66 +44,21 @@ COUNTS_OFF = 3.0
 """seconds of standing out that one second without standing out subtracts"""
 
 
+DITHER = math.pi**2 / 24.0
+"""constant of the exponent of the dither. In a mean, noise of variance v leaves the fraction exp(-x) of the error of
+steps q, where x = 2 pi^2 v / q^2 (Widrow, Kollar: Quantization Noise, 2008). x / 4 is this constant times v over the
+variance q^2 / 12 of the quantisation error. We use the upper bound (1 + x / 4)^-4 of exp(-x)"""
+
+
 def constant(ratio: float) -> float:
-    """Fraction of the quantisation error that is constant from frame to frame.
+    """Fraction of the quantisation error that is constant from frame to frame, as noise makes the rest random.
 
-    ``ratio`` is the standard deviation of readings over that by quantisation alone. The result is the square of
-    :func:`.undithered_of`, as a cautious choice: keeping too much is a bias as long as the load is held, whereas a step
-    that is not kept is covered by the standard deviation.
+    ``ratio`` is the standard deviation of readings over that by quantisation alone. The result is the square of the
+    fraction that is left in a mean, as a cautious choice: keeping too much is a bias as long as the load is held,
+    whereas a step that is not kept is covered by the standard deviation.
     """
-    left = undithered_of(ratio)
+    left = (1.0 + max(ratio * ratio - 1.0, 0.0) * DITHER) ** -4
     return left * left
-
-
-def keep(
-    r: FloatArray,
-    last: FloatArray,
-    reference: FloatArray,
-    held_s: FloatArray,
-    read: BoolArray,
-    awake: BoolArray,
-    untold: BoolArray,
-    own: float,
-    steps: float,
-    side: float,
-    dt_s: float,
-) -> IntArray:
-    """Keep the readings of cells that stand out from their column; changes ``r`` and ``held_s``.
-
-    Args:
-        r: (n,) normalised resistances.
-        last: (n,) normalised resistances of the last frame.
-        reference: (n,) unloaded readings: at rest, plus the remainder of earlier loads.
-        held_s: (n,) seconds for which cells have been held.
-        read: (n,) which cells have been read.
-        awake: (n,) which cells do not sleep.
-        untold: (columns,) columns in which no sleeping cells measure the shared part.
-        own: standard deviation of r at rest by own noise and own quantisation.
-        steps: standard deviation of r at rest by the quantisation of all readings.
-        side: sign of r under a load.
-        dt_s: seconds since the last frame.
-
-    Returns:
-        (m,) cells whose reading was changed.
-    """
-    columns, bound = untold.size, min(MOST * steps, LIMIT)
-    off = np.where(read, side * (r - reference) / (1.0 + reference), np.inf).reshape(-1, columns)
-    if off.shape[0] < TELLING:
-        return np.zeros(0, dtype=np.intp)
-    level = np.partition(off, TELLING - 1, axis=0)[TELLING - 1]
-    stands_out = awake.reshape(-1, columns) & (off > level + STANDS_OUT * own)
-    held_s += np.where(stands_out.ravel(), dt_s, -COUNTS_OFF * dt_s)
-    np.maximum(np.minimum(held_s, 2.0 * HELD_S, out=held_s), 0.0, out=held_s)
-    above = np.maximum(np.minimum(level - own, 2.0 * bound - (level - own)), 0.0)
-    shared = np.where(level < 0.0, np.maximum(np.minimum(level + own, 0.0), -bound), above)
-    changes = (shared < 0.0) | ((shared > 0.0) & (held_s > HELD_S).reshape(-1, columns))
-    cells: IntArray = ((stands_out & changes & untold).ravel() & read).nonzero()[0]
-    if cells.size:
-        part, with_it = shared.take(cells % columns), r.take(cells)
-        without = (1.0 + with_it) / (1.0 + side * part) - 1.0
-        kept = np.maximum(np.minimum(last.take(cells), np.maximum(with_it, without)), np.minimum(with_it, without))
-        r[cells] = np.where(part < 0.0, without, kept)
-    return cells
 
 
 @loop
@@ -113,20 +69,35 @@ def keep_each(
     held_s: Row,
     read: Flags,
     awake: Flags,
-    untold: Row,
+    columns: Records[ColumnState],
     own: float,
     steps: float,
     side: float,
     dt_s: float,
     watched: Row,
 ) -> None:
-    """:func:`keep` as a loop; also changes ``watched`` (n,). ``untold`` (columns,) is 1 where it is true, else 0."""
-    columns, bound = untold.size, min(MOST * steps, LIMIT)
-    if r.size < TELLING * columns:
+    """Keep the readings of cells that stand out from their column; changes ``r``, ``held_s`` and ``watched``.
+
+    Args:
+        r: (n,) normalised resistances.
+        last: (n,) normalised resistances of the last frame.
+        reference: (n,) unloaded readings: at rest, plus the remainder of earlier loads.
+        held_s: (n,) seconds for which cells have been held.
+        read: (n,) which cells have been read.
+        awake: (n,) which cells do not sleep.
+        columns: their states; ``untold`` where no sleeping cells measure the shared part.
+        own: standard deviation of r at rest by own noise and own quantisation.
+        steps: standard deviation of r at rest by the quantisation of all readings.
+        side: sign of r under a load.
+        dt_s: seconds since the last frame.
+        watched: (n,) readings whose mean is monitored.
+    """
+    count, bound = columns.size, min(MOST * steps, LIMIT)
+    if r.size < TELLING * count:
         return
-    for column in range(columns):
+    for column in range(count):
         least, second, level, some_awake = np.inf, np.inf, np.inf, False
-        for i in range(column, r.size, columns):
+        for i in range(column, r.size, count):
             some_awake |= awake[i] or held_s[i] > 0.0
             if read[i]:
                 off = side * (r[i] - reference[i]) / (1.0 + reference[i])
@@ -139,11 +110,11 @@ def keep_each(
         if not some_awake:
             continue
         shared = 0.0
-        if untold[column] > 0.0 and level < 0.0:
+        if columns[column].untold > 0.0 and level < 0.0:
             shared = max(min(level + own, 0.0), -bound)
-        elif untold[column] > 0.0:
+        elif columns[column].untold > 0.0:
             shared = max(min(level - own, 2.0 * bound - (level - own)), 0.0)
-        for i in range(column, r.size, columns):
+        for i in range(column, r.size, count):
             off = side * (r[i] - reference[i]) / (1.0 + reference[i]) if read[i] else np.inf
             stands_out = awake[i] and off > level + STANDS_OUT * own
             held_s[i] += dt_s if stands_out else -COUNTS_OFF * dt_s
@@ -153,6 +124,3 @@ def keep_each(
                 if shared > 0.0:
                     without = max(min(last[i], max(r[i], without)), min(r[i], without))
                 r[i] = watched[i] = without
-
-
-LOOPS = (keep_each,)

@@ -11,11 +11,9 @@ import math
 import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray, IntArray
-from . import _loops as loops
-from . import _smoothing as smoothing
-from ._loops import CALM_SIGMAS, LEVEL_BANDS
-from ._noise import NoiseMeter
-from ._remembered import Block
+from ...common.compiled import Flags, Places, Records, Row, loop
+from .._state import CellState
+from ._noise import noise_of
 
 AT_REST = 0.005
 """fraction of full scale below which a cell may sleep"""
@@ -23,6 +21,11 @@ WATCH_S = 0.5
 """time constant of the mean of a cell, in seconds"""
 MEANS = 8
 """updates of the mean per time constant"""
+ASLEEP_SIGMAS = 5.0
+"""standard deviations beyond which a single reading, or the mean, wakes a cell"""
+CALM_SIGMAS, LEVEL_BANDS = 0.4, 3.0
+"""a cell counts as at rest if its mean exceeds the band of rest by less than the first number of standard deviations,
+and its smoothed reading is within the second number times that limit"""
 
 
 class Sleep:
@@ -32,31 +35,27 @@ class Sleep:
         self.band = AT_REST * full_scale_r
         """r within which a cell counts as at rest"""
         self.awake = np.zeros(cells, dtype=np.bool_)
-        self.all_awake = False
-        """whether all cells are followed, and none needs to be watched"""
         self.mean = np.zeros(cells)
         """(n,) mean of r with the time constant :data:`WATCH_S`"""
-        self.wake_at = np.full(cells, np.inf)
+        self._wake_at = np.full(cells, np.inf)
         """(n,) absolute r beyond which a reading wakes its cell; infinite for cells that are awake"""
         self._sum = np.zeros(cells)
         self._sum_s, self._summed = 0.0, 0
         """seconds and number of readings in the sum"""
         self._sharp = np.ones(cells)
-        self.compiled = False
-        """whether compiled loops are in use"""
 
     def watch(
         self,
-        dt: float,
+        dt_s: float,
         r: FloatArray,
         watched: FloatArray | None = None,
         blurred: FloatArray | None = None,
         loaded: IntArray | None = None,
-    ) -> IntArray | None:
-        """Take readings (n,), ``dt`` after the last ones.
+    ) -> IntArray:
+        """Take readings (n,), ``dt_s`` after the last ones.
 
         Args:
-            dt: seconds since the last frame.
+            dt_s: seconds since the last frame.
             r: (n,) readings without shared noise; a single one may wake its cell.
             watched: (n,) readings with shared noise. The mean is taken of these; a single one may wake its cell, too.
                 None: same as ``r``.
@@ -64,91 +63,109 @@ class Sleep:
             loaded: (k,) sleeping cells that wake in any case; None: no cells.
 
         Returns:
-            (m,) sleeping cells whose reading, or mean, has left the range of noise; they are awake now. None: no cells.
+            (k,) sleeping cells whose reading, or mean, has left the range of noise; they are awake now.
         """
         watched, blurred = r if watched is None else watched, self._sharp if blurred is None else blurred
-        may_wake = self._add_up(r, watched, blurred)
-        self._sum_s += dt
+        woken = np.zeros(r.size, dtype=np.bool_)
+        some = watch_each.unchecked(r, watched, blurred, self._sum, self._wake_at, woken)
+        self._sum_s += dt_s
         self._summed += 1
-        averaged = None
         if self._sum_s >= WATCH_S / MEANS:
-            share = -math.expm1(-dt / WATCH_S)
+            share = -math.expm1(-dt_s / WATCH_S)
             averaged = math.sqrt(share / (2 - share))
-            may_wake |= self._renew_means(averaged, blurred)
-        if not may_wake and loaded is None:
-            return None
-        left: BoolArray = np.abs(r) > self.wake_at
-        if watched is not r:
-            left |= np.abs(watched) > self.wake_at * blurred
-        if averaged is not None:
-            left |= np.abs(self.mean) > self.band + averaged * blurred * (self.wake_at - self.band)
+            share = -math.expm1(-self._sum_s / WATCH_S)
+            limits = self._wake_at, self.band, averaged, blurred
+            some |= renew_means_each.unchecked(self._sum, self._summed, self.mean, share, *limits, woken)
+            self._sum_s, self._summed = 0.0, 0
         if loaded is not None:
-            left[loaded] = True
-        if not np.count_nonzero(left):
-            return None
-        cells = np.flatnonzero(left)
-        self.awake[cells] = True
-        return cells
+            woken[loaded] = some = True
+        found: IntArray = woken.nonzero()[0] if some else np.zeros(0, dtype=np.intp)
+        self.awake[found], self._wake_at[found] = True, np.inf
+        return found
 
-    def _add_up(self, r: FloatArray, watched: FloatArray, blurred: FloatArray) -> bool:
-        """Add readings to the sum for the mean; returns whether one of them may wake its cell."""
-        if self.compiled:
-            return loops.watch.unchecked(r, watched, blurred, self._sum, self.wake_at)
-        self._sum += watched
-        return not self.all_awake
+    def begin(self, places: IntArray) -> None:
+        """Put cells to sleep; their wake-up thresholds are set by :meth:`renew`."""
+        self.awake[places] = False
 
-    def _renew_means(self, averaged: float, blurred: FloatArray) -> bool:
-        """Update the means by the sums; returns whether a mean may wake its cell.
-
-        ``averaged`` is the standard deviation of a mean over that of a reading; for ``blurred`` see :meth:`watch`.
-        """
-        share, summed = -math.expm1(-self._sum_s / WATCH_S), self._summed
-        self._sum_s, self._summed = 0.0, 0
-        if self.compiled:
-            limits = self.wake_at, self.band, averaged, blurred
-            return loops.renew_means.unchecked(self._sum, summed, self.mean, share, *limits)
-        self._sum /= summed
-        self._sum -= self.mean
-        self._sum *= share
-        self.mean += self._sum
-        self._sum[:] = 0.0
-        return not self.all_awake
-
-    def follow(self, cells: IntArray) -> None:
-        """Note that ``cells`` (m,) are followed, and need no wake-up threshold."""
-        self.all_awake = cells.size == self.awake.size
-        self.wake_at[cells] = np.inf
-
-    def begin(self, cells: IntArray) -> None:
-        """Put ``cells`` (m,) to sleep; the caller sets their wake-up thresholds next."""
-        self.awake[cells] = False
-        self.all_awake = False
-
-    def calm(self, block: Block, noise: NoiseMeter) -> BoolArray:
-        """(m,) cells that are followed and read as at rest."""
-        cells = block.cells
-        calm: BoolArray
-        if self.compiled:
-            calm = np.empty(cells.size, dtype=np.bool_)
-            loops.find_calm.unchecked(cells, self.mean, noise.at_rest, block.line, self.band, calm)
-            return calm
-        mean = self.mean[cells]
-        quiet = self.band + CALM_SIGMAS * noise.std(mean, cells)
-        calm = np.abs(mean) < quiet
-        calm &= np.abs(block.line[smoothing.LEVEL]) < LEVEL_BANDS * quiet
+    def calm(self, cells: Records[CellState], places: IntArray, noise_at_rest: FloatArray) -> BoolArray:
+        """(k,) cells that read as at rest; their noise at rest is ``noise_at_rest`` (n,)."""
+        calm = np.empty(places.size, dtype=np.bool_)
+        calm_each.unchecked(cells, places, self.mean, noise_at_rest, self.band, calm)
         return calm
 
-    @property
-    def clock(self) -> list[float]:
-        """Seconds and number of readings in the sum, to be saved."""
-        return [self._sum_s, self._summed]
+    def renew(self, asleep: IntArray, noise_at_rest: FloatArray) -> FloatArray:
+        """(k,) noise of the sleeping cells, by which their wake-up thresholds are set."""
+        noise = np.empty(asleep.size)
+        wake_at_each.unchecked(asleep, self.mean, noise_at_rest, self.band, self._wake_at, noise)
+        return noise
 
     def state(self) -> dict[str, FloatArray | BoolArray]:
-        """The state without :attr:`clock`, by name."""
-        return {"mean": self.mean, "sum": self._sum, "awake": self.awake}
+        """The state, by name."""
+        clock = np.array([self._sum_s, self._summed])
+        return {"mean": self.mean, "sum": self._sum, "awake": self.awake, "sleep_clock": clock}
 
-    def restore(self, state: dict[str, FloatArray], clock: list[float]) -> None:
-        """Continue from a saved :meth:`state` and :attr:`clock`."""
+    def restore(self, state: dict[str, FloatArray]) -> None:
+        """Continue from a saved :meth:`state`."""
         self.mean, self._sum, self.awake = state["mean"], state["sum"], state["awake"] > 0
-        self.wake_at, self.all_awake = np.full(self.awake.size, np.inf), False
-        self._sum_s, self._summed = clock[0], int(clock[1])
+        self._wake_at = np.full(self.awake.size, np.inf)
+        self._sum_s, self._summed = float(state["sleep_clock"][0]), int(state["sleep_clock"][1])
+
+
+@loop
+def watch_each(r: Row, watched: Row, blurred: Row, total: Row, wake_at: Row, woken: Flags) -> bool:
+    """Add readings ``watched`` (n,) to their sum; mark in ``woken`` (n,) where one, or one of ``r``, wakes its cell.
+
+    The noise of ``watched`` is ``blurred`` (n,) times that of ``r``. Returns whether any cell wakes.
+    """
+    some = False
+    for i in range(r.size):
+        total[i] += watched[i]
+        woken[i] = abs(r[i]) > wake_at[i] or abs(watched[i]) > wake_at[i] * blurred[i]
+        some |= woken[i]
+    return some
+
+
+@loop
+def renew_means_each(
+    total: Row,
+    summed: int,
+    mean: Row,
+    share: float,
+    wake_at: Row,
+    band: float,
+    averaged: float,
+    blurred: Row,
+    woken: Flags,
+) -> bool:
+    """Update the means (n,) by the sums of readings, and reset the sums; mark in ``woken`` where a mean wakes its cell.
+
+    ``averaged`` is the standard deviation of a mean over that of a reading. The noise of the summed readings is
+    ``blurred`` (n,) times that of the readings to which ``wake_at`` applies. Returns whether any cell wakes.
+    """
+    some = False
+    for i in range(mean.size):
+        mean[i] += (total[i] / summed - mean[i]) * share
+        total[i] = 0.0
+        if abs(mean[i]) > band + averaged * blurred[i] * (wake_at[i] - band):
+            woken[i] = some = True
+    return some
+
+
+@loop
+def calm_each(
+    cells: Records[CellState], places: Places, mean: Row, noise_at_rest: Row, band: float, calm: Flags
+) -> None:
+    """Mark cells in ``calm`` (k,) that read as at rest, within ``band`` of r and the noise."""
+    for k in range(places.size):
+        i = places[k]
+        quiet = band + CALM_SIGMAS * noise_of(mean[i], noise_at_rest[i])
+        calm[k] = abs(mean[i]) < quiet and abs(cells[i].level) < LEVEL_BANDS * quiet
+
+
+@loop
+def wake_at_each(asleep: Places, mean: Row, noise_at_rest: Row, band: float, wake_at: Row, noise: Row) -> None:
+    """Set the thresholds ``wake_at`` (n,) of sleeping cells by their ``noise`` (k,), which is written, too."""
+    for k in range(asleep.size):
+        i = asleep[k]
+        noise[k] = noise_of(mean[i], noise_at_rest[i])
+        wake_at[i] = ASLEEP_SIGMAS * noise[k] + band

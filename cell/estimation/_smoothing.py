@@ -12,13 +12,12 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
-from ...common.arrays import BoolArray, FloatArray
-from ...common.compiled import Flags, Places, Row, Rows, loop
-from ._rows import NOISE, READING, SMOOTHED, STD
+from ...common.arrays import FloatArray, IntArray
+from ...common.compiled import Places, Records, Row, Rows, loop
+from .._state import CellState, NoiseState
 
 ALLOWED = 0.75
 """allowance of the CUSUM: departures from the line below this many standard deviations do not add to the sum"""
@@ -32,108 +31,27 @@ STEEPEST = 15.0
 """usual change of the readings within the window, in standard deviations of a reading"""
 SHORTEST_S, LONGEST_S = 0.03, 3.0
 """limits of the window: the time in seconds in which the weight of a reading falls to 1/e"""
-LEVEL, SLOPE, COUNT, UP, DOWN, SUMS = *range(5), slice(3, 5)
-"""rows of the memory: present level of the line; its slope per second; number of readings since it began; CUSUMs of
-departures upwards and downwards"""
-ROWS = 5
 HIDDEN, SIGMAS = 3.3, 3.0
 """standard deviations of noise that may separate a reading from its noiseless value; and standard deviations of the
 estimate within which an unnoticed change of the load must lie"""
 LEAST_NOISE = 1e-9
 """added to the standard deviation of r, to keep divisions by the noise finite"""
 FAR_SHARE = 1.0 - NEAR
-_ALLOWED, _SUM, _FAR, _FAR_SHARE = (np.array(x) for x in (ALLOWED, SUM, FAR, FAR_SHARE))
-_ZERO, _ONE = np.array(0.0), np.array(1.0)
-_LEAST_NOISE, _HIDDEN, _PER_SIGMAS = (np.array(x) for x in (LEAST_NOISE, HIDDEN, 1.0 / SIGMAS))
-# As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
-class Smoothed(NamedTuple):
-    """Smoothed readings; all (m,). The next call with the same scratch overwrites ``level`` and ``begun``."""
-
-    level: FloatArray
-    std: FloatArray
-    """standard deviation of the level"""
-    begun: BoolArray | None
-    """where the reading starts a new line; None: nowhere"""
-
-
-class Looked(NamedTuple):
-    """The readings of one frame, before and after smoothing. Arrays (m,), which never change again."""
-
-    reading: FloatArray
-    noise: FloatArray
-    """standard deviation of a reading"""
-    std: FloatArray
-    """standard deviation of the smoothed readings by the noise"""
-    line: FloatArray
-    """(ROWS, m) memory of the smoothing after the reading"""
-
-    def doubt_kpa(self, gain_kpa: FloatArray, steepness_kpa: FloatArray) -> FloatArray:
-        """(m,) standard deviation in kPa of pressures that follow from the smoothed readings.
-
-        The response of r to a fast change of the load may differ from the gain of the smoothed readings.
-
-        Args:
-            gain_kpa: (m,) pressure per r of the smoothed readings.
-            steepness_kpa: (2,) pressure per r of a fast rise, and of a fast fall, that the smoothing has not noticed
-                yet; 0: the gain.
-        """
-        doubt: FloatArray = self.reading - self.line[LEVEL]
-        falls = doubt < _ZERO
-        np.abs(doubt, out=doubt)
-        doubt *= steepness_kpa.take(falls) if steepness_kpa.item(1) else gain_kpa
-        doubt += self.noise * gain_kpa * _HIDDEN
-        doubt *= _PER_SIGMAS
-        return np.maximum(doubt, self.std * gain_kpa, out=doubt)
-
-    def doubt(self) -> FloatArray:
-        """(m,) standard deviation of the smoothed readings.
-
-        The line may lag behind a change of the load. The true value then lies between the line and the reading, or
-        beyond the reading by as much as noise hides. Errors up to there stay within :data:`SIGMAS` standard deviations:
-
-            std = max((|reading - line| + HIDDEN noise) / SIGMAS, std of the line)
-        """
-        doubt: FloatArray = self.reading - self.line[LEVEL]
-        np.abs(doubt, out=doubt)
-        doubt += self.noise * _HIDDEN
-        doubt *= _PER_SIGMAS
-        return np.maximum(doubt, self.std, out=doubt)
-
-
-class Scratch:
-    """The rows of one ``line`` (ROWS, m), and arrays for intermediate results, so that a frame allocates none."""
-
-    def __init__(self, line: FloatArray) -> None:
-        cells = line.shape[1]
-        self.level, self.slope, self.count, self.sums = line[LEVEL], line[SLOPE], line[COUNT], line[SUMS]
-        self.level_and_slope, self.since = line[: SLOPE + 1], line[SLOPE:]
-        self.up, self.down = self.sums
-        self.off, self.z, self.spare = np.empty((3, cells))
-        self.above = np.empty((2, cells), dtype=np.bool_)
-        self.begun, self.near = np.empty((2, cells), dtype=np.bool_)
-        self.gains = np.empty((3, cells))
-        self.steps = self.gains[:2]
-        self.level_step, self.slope_step, self.share = self.gains
-        self.n = np.empty(cells, dtype=np.intp)
-
-
-class Gains(NamedTuple):
-    """Kalman gains by the number of readings since the line began, starting with the first; (n,) each.
-
-    They are the rows of ``rows`` (3, n).
-    """
-
-    level: FloatArray
-    slope: FloatArray
-    """gain of the slope times the time between readings"""
-    std: FloatArray
-    """standard deviation of the level over that of a reading"""
-    rows: FloatArray
+# -- gains -------------------------------------------------------------------------------------------------------------
 
 
 @lru_cache(maxsize=1024)
+def gains_for(noise: float, dt_s: float) -> FloatArray:
+    """(3, n) gains for ``noise`` relative to the range of readings, and frames every ``dt_s``; see :func:`gains`.
+
+    Windows are rounded to a grid of 10 %, so that jittering time stamps share a table.
+    """
+    steps = max(window_s(noise, dt_s) / max(dt_s, 1e-9), 0.5)
+    return gains(float(1.1 ** round(math.log(steps) / math.log(1.1))))
+
+
 def window_s(noise: float, dt_s: float) -> float:
     """The window T in seconds, for ``noise`` relative to the range of readings: weights fall to 1/e within T.
 
@@ -146,11 +64,13 @@ def window_s(noise: float, dt_s: float) -> float:
 
 
 @lru_cache(maxsize=64)
-def gains(steps: float) -> Gains:
-    """Gains of a window of ``steps`` readings. The unit of time is the time between readings, also for the slope.
+def gains(steps: float) -> FloatArray:
+    """(3, n) Kalman gains of a window of ``steps`` readings, by the number of readings since the line began.
 
-    The last entry is the limit for many readings. The gains of the Kalman filter are entries of the covariance matrix
-    of level and slope. Its inverse, the information matrix, is a sum over readings, so that the table needs no loop.
+    Rows: gain of the level; of the slope times the time between readings; and the standard deviation of the level over
+    that of a reading. The unit of time is the time between readings. The last entry is the limit for many
+    readings. The gains are entries of the covariance matrix of level and slope. Its inverse, the information matrix, is
+    a sum over readings, so that the table needs no loop.
     """
     age = np.arange(min(int(4 * steps) + 3, 4001), dtype=np.float64)
     weight = np.exp(-age / steps)
@@ -160,148 +80,91 @@ def gains(steps: float) -> Gains:
     sum_2 += weight / min(STEEPEST / steps, 1.0) ** 2
     spread = sum_0 * sum_2 - sum_1**2
     level = sum_2 / spread
-    slope, std = sum_1 / spread, np.sqrt(level)
-    rows = np.array([level, slope, std])
-    return Gains(rows[0], rows[1], rows[2], rows)
+    return np.array([level, sum_1 / spread, np.sqrt(level)])
 
 
-def begin(level: FloatArray, readings: float = 0.0) -> FloatArray:
-    """The memory (ROWS, m) of cells whose level is as certain as after ``readings`` readings."""
-    line = np.zeros((ROWS, *level.shape))
-    line[LEVEL], line[COUNT] = level, readings
-    return line
+# -- lines -------------------------------------------------------------------------------------------------------------
 
 
-def noise_of(line: FloatArray, noise_at_rest: FloatArray) -> FloatArray:
-    """(m,) standard deviation of readings near ``line`` (ROWS, m), for cells whose noise at rest is given (m,).
-
-    Boards measure currents: their noise is constant in conductance, and proportional to (1 + r)^2 in r.
-    """
-    noise: FloatArray = line[LEVEL] + _ONE
-    noise *= noise
-    noise *= noise_at_rest
-    noise += _LEAST_NOISE
-    return noise
+def begin(cells: Records[CellState], places: IntArray, r: FloatArray) -> None:
+    """Begin the lines of cells with one reading ``r`` (k,)."""
+    cells["level"][places], cells["count"][places] = r, 1.0
+    for name in ("slope", "up", "down"):
+        cells[name][places] = 0.0
 
 
-def interrupt(line: FloatArray) -> None:
-    """Make the next reading start a new line, whatever its value; changes ``line``."""
-    line[SUMS] = np.inf
-
-
-def advance(
-    line: FloatArray, dt_s: float, gains: Gains, r: FloatArray, noise: FloatArray, scratch: Scratch | None = None
-) -> Smoothed:
-    """Take readings ``r`` (m,) with standard deviation ``noise`` (m,); changes ``line`` (ROWS, m).
-
-    ``gains`` are those of :func:`gains_for`.
-    """
-    m = scratch or Scratch(line)
-    dt, sums = np.array(dt_s), m.sums
-    np.multiply(m.slope, dt, m.spare)
-    m.level += m.spare
-    np.subtract(r, m.level, m.off)
-    np.divide(m.off, noise, m.z)
-    m.up += m.z
-    m.down -= m.z
-    sums -= _ALLOWED
-    np.maximum(sums, _ZERO, out=sums)
-    m.count += _ONE
-    m.n[...] = m.count
-    gains.rows.take(m.n, axis=1, out=m.gains, mode="clip")  # the last entry holds from there on
-    m.level_step *= m.off
-    m.slope_step *= m.off
-    m.slope_step /= dt
-    m.level_and_slope += m.steps
-    begun = None
-    if sums.item(sums.argmax()) > SUM:
-        np.greater(sums, _SUM, m.above)
-        begun = np.logical_or(m.above[0], m.above[1], m.begun)
-        _begin_again(m, begun, r)
-    return Smoothed(m.level, m.share * noise, begun)
-
-
-def _begin_again(m: Scratch, begun: BoolArray, r: FloatArray) -> None:
-    """Start new lines where ``begun``: at the reading if it is far from the old line, else at a mean of both."""
-    near = np.less(np.abs(m.z, m.z), _FAR, m.near)
-    near &= begun
-    np.copyto(m.since, _ZERO, where=begun)
-    np.copyto(m.level, r, where=begun)
-    np.copyto(m.share, _ONE, where=begun)
-    if np.count_nonzero(near):
-        m.off *= _FAR_SHARE
-        np.subtract(r, m.off, m.spare)
-        np.copyto(m.level, m.spare, where=near)
-        np.copyto(m.count, _ONE, where=near)
-
-
-@lru_cache(maxsize=1024)
-def gains_for(window: float, dt_s: float) -> Gains:
-    """Gains for a window rounded to a grid of 10 %, so that jittering time stamps share a table."""
-    steps = max(window / max(dt_s, 1e-9), 0.5)
-    return gains(float(1.1 ** round(math.log(steps) / math.log(1.1))))
+def interrupt(cells: Records[CellState], places: IntArray) -> None:
+    """Make the next readings of cells start a new line, whatever their value."""
+    cells["up"][places] = cells["down"][places] = np.inf
 
 
 @loop
-def advance_each(
-    line: Rows,
-    before: Rows,
-    cells: Places,
-    on_line: Row,
-    keeps: bool,
-    dt_s: float,
-    gains: Rows,
-    taken: Rows,
-    begun: Flags,
-    large: float,
-) -> bool:
-    """:func:`advance` as a loop over cells.
+def take_each(cells: Records[CellState], places: Places, r: Row, at_rest: Row) -> None:
+    """Take the readings ``r`` (n,) of a frame; their noise at rest is ``at_rest`` (n,).
 
-    Args:
-        line: (ROWS, m), changed.
-        before: (ROWS, m), overwritten by the line before this frame.
-        cells: (m,) their indices among all n cells.
-        on_line: (n,) number of readings since each cell's line began; written if ``keeps``.
-        keeps: whether to write ``on_line``, which is read only in frames in which the noise meter works.
-        dt_s: seconds since the last readings.
-        gains: (3, n), ``rows`` of :class:`Gains`.
-        taken: (4, m) readings and their noise; the smoothed readings and their standard deviations are written here.
-        begun: (m,) marks where a new line starts; written.
-        large: distance of a reading from the line before, beyond which a new line may be a spark.
+    Boards measure currents: their noise is constant in conductance, and proportional to (1 + r)^2 in r.
+    """
+    for k in range(places.size):
+        i = places[k]
+        cell, scale = cells[i], cells[i].level + 1.0
+        cell.reading = r[i]
+        cell.noise = scale * scale * at_rest[i] + LEAST_NOISE
+
+
+@loop
+def take_exactly_each(cells: Records[CellState], places: Places, r: Row) -> None:
+    """Take the readings ``r`` (n,) of a frame, which are exact: no line is needed."""
+    for k in range(places.size):
+        cell = cells[places[k]]
+        cell.reading = cell.level = r[places[k]]
+        cell.noise, cell.std = 0.0, 0.0
+
+
+@loop
+def smooth_each(
+    cells: Records[CellState], places: Places, noise: Records[NoiseState], dt_s: float, gains: Rows, large: float
+) -> bool:
+    """Take the readings of a frame into the lines; ``gains`` (3, n) are those of :func:`gains_for`.
 
     Returns:
-        Whether a new line starts, and a reading is farther than ``large`` from the line before.
+        Whether a reading starts a new line, and one is farther than ``large`` from the line before.
     """
     last = gains.shape[1] - 1
     any_begun, any_large = False, False
-    for i in range(begun.size):
-        for row in range(ROWS):
-            before[row, i] = line[row, i]
-        r, noise = taken[READING, i], taken[NOISE, i]
-        level = line[LEVEL, i] + line[SLOPE, i] * dt_s
-        off = r - level
-        z = off / noise
-        up = max(line[UP, i] + z - ALLOWED, 0.0)
-        down = max(line[DOWN, i] - z - ALLOWED, 0.0)
-        count = line[COUNT, i] + 1.0
-        n = min(int(count), last)
-        level += gains[0, n] * off
-        slope = line[SLOPE, i] + gains[1, n] * off / dt_s
-        share = gains[2, n]
-        begins = up > SUM or down > SUM
-        if begins:
-            level, slope, count, up, down, share = r, 0.0, 0.0, 0.0, 0.0, 1.0
+    for k in range(places.size):
+        cell = cells[places[k]]
+        cell.level_before, cell.slope_before, cell.count_before = cell.level, cell.slope, cell.count
+        cell.up_before, cell.down_before = cell.up, cell.down
+        level = cell.level + cell.slope * dt_s
+        off = cell.reading - level
+        z = off / cell.noise
+        cell.up = max(cell.up + z - ALLOWED, 0.0)
+        cell.down = max(cell.down - z - ALLOWED, 0.0)
+        cell.count += 1.0
+        n = min(int(cell.count), last)
+        cell.level = level + gains[0, n] * off
+        cell.slope += gains[1, n] * off / dt_s
+        cell.std = gains[2, n] * cell.noise
+        cell.begun = 0.0
+        if cell.up > SUM or cell.down > SUM:
+            cell.level, cell.slope, cell.count, cell.up, cell.down = cell.reading, 0.0, 0.0, 0.0, 0.0
             if abs(z) < FAR:
-                level = r - off * FAR_SHARE
-                count = 1.0
-        line[LEVEL, i], line[SLOPE, i], line[COUNT, i], line[UP, i], line[DOWN, i] = level, slope, count, up, down
-        if keeps:
-            on_line[cells[i]] = count
-        taken[SMOOTHED, i], taken[STD, i] = level, share * noise
-        begun[i] = begins
-        any_begun |= begins
-        any_large |= abs(r - before[LEVEL, i]) > large
+                cell.level = cell.reading - off * FAR_SHARE
+                cell.count = 1.0
+            cell.std, cell.begun = cell.noise, 1.0
+            any_begun = True
+        noise[places[k]].on_line = cell.count
+        any_large |= abs(cell.reading - cell.level_before) > large
     return any_begun and any_large
 
 
-LOOPS = (advance_each,)
+@loop
+def doubt_of(cell: CellState) -> float:
+    """Standard deviation of the level, with a change of the load that the line has not followed yet.
+
+    The true value then lies between the line and the reading, or beyond the reading by as much as noise hides. Errors
+    up to there stay within :data:`SIGMAS` standard deviations:
+
+        std = max((|reading - line| + HIDDEN noise) / SIGMAS, std of the line)
+    """
+    return max((abs(cell.reading - cell.level) + cell.noise * HIDDEN) * (1.0 / SIGMAS), cell.std)

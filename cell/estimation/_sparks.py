@@ -1,23 +1,18 @@
 """Intermittent contacts ("sparks"): a reading that jumps and comes back within :data:`SPARK_S` was no load.
 
 The memory of a cell from before a large jump is stored for that time. If the reading comes back, the stored memory is
-restored, unless the jump was a tap: a tap changes the memory of a cell, a bad contact does not. Often the neighbouring
-cells show at once that the jump is a tap (:mod:`._taps`).
+restored, unless the jump was a tap: a tap changes the memory of a cell, a bad contact does not.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ...common.arrays import BoolArray, FloatArray, IntArray, columns, put_columns, spaced_anything
-from . import _loops as loops
-from . import _smoothing as smoothing
+from ...common.arrays import FloatArray, IntArray
+from ...common.compiled import Places, Record, Records, Row, loop, zeros
+from .._state import CellState
 from ._gaps import Gaps
 from ._inversion import Inversion
-from ._noise import NoiseMeter
-from ._remembered import Block, Remembered
-from ._rows import PRESSURE, READING, SMOOTHED, STD
-from ._taps import TOGETHER_S, Taps
 
 SPARK_S = 0.1
 """longest duration of a spark in seconds; longer jumps are loads"""
@@ -42,238 +37,189 @@ IN_DOUBT = 0.5
 """standard deviation of a jump that may be a spark, over the jump"""
 
 
-_LINE = np.arange(smoothing.ROWS)
-
-
 class Sparks:
-    """Cells whose reading has just jumped, with their memory from before the jump."""
+    """Cells whose reading has just jumped, with their states from before the jump."""
 
-    def __init__(self, inversion: Inversion, noise: NoiseMeter, gaps: Gaps, shape: tuple[int, ...]) -> None:
-        """``gaps`` takes the doubt about jumps that may have been spark or tap; ``shape`` is that of the array."""
-        self._taps = Taps(inversion, shape)
-        self._inversion, self._noise, self._gaps = inversion, noise, gaps
-        self._kept = inversion.held_rows
-        """(kept,) rows of the inversion's memory that are stored"""
-        self._compact = np.arange(self._kept.size)
-        """(kept,) the same rows in the stored memory"""
+    def __init__(self, inversion: Inversion, gaps: Gaps, cells: int) -> None:
+        """``gaps`` takes the doubt about jumps that may have been spark or tap."""
+        self._inversion, self._gaps = inversion, gaps
         self.large_r = LARGE_JUMP * inversion.full_scale_r
         """least jump of r that may be a spark"""
-        self.compiled = False
-        """whether compiled loops of the inversion are in use"""
-        self.forget_all()
+        self.places = np.zeros(0, dtype=np.intp)
+        """(k,) cells that have jumped"""
+        self._cells, self._memory = zeros(CellState, cells), zeros(inversion.memory, cells)
+        """states of these cells from before the jump"""
 
-    def forget_all(self) -> None:
-        """Treat all recent jumps as loads."""
-        self.cells = np.zeros(0, dtype=np.intp)
-        """(k,) indices of the cells that have jumped"""
-        self._looked_up = self.cells, self.cells, self.cells
-        """cache of :meth:`_places_in`: cells of the block, cells of the jumps, and (k,) places of the latter in the
-        former"""
-        self._age_s, self._jump = np.zeros((2, 0))
-        self._taps.forget_all()
-        self._memory = np.zeros((self._kept.size, 0))
-        self._line = smoothing.begin(np.zeros(0))
+    def remember(
+        self,
+        cells: Records[CellState],
+        memory: Records[Record],
+        places: IntArray,
+        before: tuple[FloatArray, FloatArray],
+    ) -> None:
+        """Store the states of cells from before a jump, unless they are stored from before an earlier jump.
 
-    def forget(self, cells: IntArray) -> None:
-        """Treat the jumps of ``cells`` (m,) as loads."""
-        if self.cells.size:
-            self._keep(~np.isin(self.cells, cells))
-
-    def remember(self, block: Block, begun: BoolArray, reading: FloatArray, noise: FloatArray) -> None:
-        """Store the memory of cells from before a jump, unless the memory from before an earlier jump is stored.
-
-        Args:
-            block: the followed cells; their lines contain the readings already, their memory does not yet.
-            begun: (m,) whether a reading started a new line.
-            reading: (m,) r.
-            noise: (m,) standard deviation of r.
+        ``cells`` have taken the readings of the frame already, and the inversion has not. ``before`` are the readings
+        (n,) of the two frames before.
         """
-        place = begun.nonzero()[0]
-        jump = reading[place] - block.line_before[smoothing.LEVEL, place]
-        size = np.abs(jump)
-        if size.item(size.argmax()) <= self.large_r:
-            return
-        reading, noise = reading[place], noise[place]
-        jumped = size > np.maximum(CLEAR_JUMP * noise, self.large_r)
-        if self._inversion.side > 0:
-            # Bad contacts add resistance. Where loads add resistance, too, a fall of a loaded cell that does not go
-            # below rest is a release.
-            loaded = block.memory[PRESSURE, place] > LARGE_JUMP * self._inversion.full_scale_kpa
-            jumped &= ~(loaded & (jump < 0) & (reading > -CLEAR * noise))
-        if self.cells.size:
-            kept = np.zeros(self._noise.at_rest.size, dtype=np.bool_)  # takes a tenth of the time of numpy.isin
-            kept[self.cells] = True
-            jumped &= ~kept[block.cells[place]]
-        jumped &= size > SUDDEN * np.abs(self._noise.window.change_before(block.cells[place]))
-        if np.count_nonzero(jumped):
-            self._add(block, place[jumped], jump[jumped])
+        found = np.empty(places.size, dtype=np.intp)
+        side, light_kpa = self._inversion.side, LARGE_JUMP * self._inversion.full_scale_kpa
+        count = find_each.unchecked(cells, places, *before, self.large_r, side, light_kpa, found)
+        if count:
+            new = found[:count]
+            self._cells[new], self._memory[new] = cells[new], memory[new]
+            take_back_each.unchecked(self._cells, new)
+            self.places = np.concatenate([self.places, new])
 
-    def put_back(self, block: Block, dt: float, reading: FloatArray, noise: FloatArray) -> None:
-        """Restore the memory of cells whose reading has come back; changes the block.
-
-        ``reading`` (m,) is r, ``dt`` seconds after the last frame; ``noise`` (m,) is its standard deviation.
-        """
-        self._age_s += dt
-        place = self._places_in(block)
-        off = reading[place] - self._line[smoothing.LEVEL]
-        np.copyto(self._jump, off, where=np.abs(off) > np.abs(self._jump))
-        jump, moved = np.abs(self._jump), self._line[smoothing.SLOPE] * self._age_s
-        over = self._age_s > SPARK_S * (1 + 1e-9)
-        back = np.abs(off - moved) < BACK * jump + CLEAR * noise[place] + np.abs(moved)
-        back &= np.abs(block.line[smoothing.LEVEL, place] - reading[place]) > SUDDENLY * jump
-        back &= ~over
-        over |= back
-        back &= ~self._taps.known
-        if back.any():
-            some = np.flatnonzero(back)
-            back[some] = self._were_sparks(block, some, place[some], dt, reading, noise)
-        if back.any():
-            self._remember_again(block.memory, block.line, place[back], back)
-            block.changed()
-        if over.any():
-            self._keep(~over)
-
-    def recognise_taps(self, dt: float, r: FloatArray) -> None:
-        """Find jumps that are loads, by the readings ``r`` (n,) of all cells, ``dt`` seconds after the last frame."""
-        off = r[self.cells] - self._line[smoothing.LEVEL]
-        self._taps.look(self.cells, self._age_s, self._jump, off, dt, r, self._noise.at_rest)
-
-    def taps(self) -> IntArray:
-        """Indices of cells that have just jumped, and are known to be under a load."""
-        return self.cells[self._taps.known & (self._age_s <= TOGETHER_S)]
+    def put_back(self, cells: Records[CellState], memory: Records[Record], dt_s: float) -> None:
+        """Restore the states of cells whose reading has come back, in a frame ``dt_s`` after the last one."""
+        came = np.empty(self.places.size, dtype=np.intp)
+        back = come_back_each.unchecked(cells, self._cells, self.places, dt_s, came)
+        if back:
+            found = came[:back]
+            self._restore(cells, memory, found[self._were_sparks(cells, memory, found, dt_s)])
+            cells["jump"][found] = 0.0
+        self.places = self.places[cells["jump"][self.places] != 0.0]
 
     def _were_sparks(
-        self, block: Block, some: IntArray, place: IntArray, dt: float, reading: FloatArray, noise: FloatArray
-    ) -> BoolArray:
-        """Whether reversed jumps (k,) were bad contacts rather than taps.
+        self, cells: Records[CellState], memory: Records[Record], places: IntArray, dt_s: float
+    ) -> FloatArray:
+        """(k,) whether reversed jumps were bad contacts rather than taps.
 
         A tap changes the memory of a cell. After a tap, the pressure computed with that changed memory equals the
         pressure before the tap, but the reading differs from the reading before. After a bad contact it is the other
         way round. In doubt, a jump is a tap. If both are plausible, the difference between the two pressures is added
         as a standard deviation, which decays.
-
-        Args:
-            block: the followed cells.
-            some: (k,) places of the jumps among all that are stored.
-            place: (k,) places of their cells in the block.
-            dt: seconds since the last frame.
-            reading: (m,) r of the block's cells.
-            noise: (m,) standard deviation of r.
         """
-        full_kpa, reading, noise = self._inversion.full_scale_kpa, reading[place], noise[place]
-        before, top = self._memory[PRESSURE, some], block.memory[PRESSURE, place]
-        tapped = self._tapped(self._memory_of(block, place), dt, reading, noise)
-        off = np.abs(reading - self._line[smoothing.LEVEL, some]) - CLEAR * noise
+        full_kpa, now = self._inversion.full_scale_kpa, cells[places]
+        reading, noise, before = now["reading"], now["noise"], now["jumped_from_kpa"]
+        if_tapped, memory_if_tapped = now.copy(), memory[places]
+        if_tapped["level"], if_tapped["std"], if_tapped["noise"] = reading, noise, 0.0
+        self._inversion.advance(if_tapped, memory_if_tapped, np.arange(places.size), dt_s)
+        tapped = if_tapped["pressure_kpa"]
+        off = np.abs(reading - self._cells["level"][places]) - CLEAR * noise
         off_if_tapped = np.abs(tapped - before)
-        moved = np.abs(top - before)
-        found: BoolArray = off * moved <= NEARER * off_if_tapped * np.abs(self._jump[some])
+        moved = np.abs(now["pressure_kpa"] - before)
+        found = off * moved <= NEARER * off_if_tapped * np.abs(now["jump"])
         plausible = np.maximum(EITHER * moved, SMALL * full_kpa)
         either = found & (off_if_tapped < plausible) & (tapped > -LARGE_JUMP * full_kpa)
-        self._gaps.doubt(self.cells[some][either], off_if_tapped[either])
+        self._gaps.doubt(places[either], off_if_tapped[either])
         return found
 
-    def _memory_of(self, block: Block, place: IntArray) -> FloatArray:
-        """(rows, k) memory of the cells at ``place`` (k,) in the block; only rows that a step needs are valid."""
-        if not self.compiled:
-            return block.memory_of(place)
-        memory = spaced_anything(len(self._inversion.rows), place.size)
-        loops.copy.unchecked(block.memory, self._kept, place, memory, self._kept, np.arange(place.size))
-        return memory
+    def _restore(self, cells: Records[CellState], memory: Records[Record], places: IntArray) -> None:
+        """Restore states, advanced by the time since the jump at constant load."""
+        if places.size:
+            memory[places] = self._memory[places]
+            restore_each.unchecked(cells, self._cells, places)
+            self._inversion.hold(cells, memory, places, cells["jump_s"][places])
 
-    def _tapped(self, memory: FloatArray, dt: float, reading: FloatArray, noise: FloatArray) -> FloatArray:
-        """(k,) kPa if the jumps were taps, by ``memory`` (rows, k), which changes; see :meth:`_were_sparks`."""
-        if self.compiled:
-            taken = np.zeros((4, reading.size))
-            taken[READING] = taken[SMOOTHED] = reading
-            taken[STD] = noise
-            line = smoothing.begin(reading)
-            after = self._inversion.advance_compiled(memory, taken, line, dt)
-        else:
-            after = self._inversion.advance(memory, dt, reading, noise, lambda: noise)
-        pressure: FloatArray = after[PRESSURE]
-        return pressure
+    def undo(self, lost: IntArray, cells: Records[CellState], memory: Records[Record]) -> IntArray:
+        """Restore the states of cells that are no longer read, where they have jumped; returns which (k,)."""
+        gone = self.places[np.isin(self.places, lost)]
+        self._restore(cells, memory, gone)
+        self.forget(cells, gone)
+        return gone
 
-    def variance(self, block: Block, memory: FloatArray) -> FloatArray:
-        """(m,) kPa^2 by jumps that may be sparks: the standard deviation is :data:`IN_DOUBT` times the jump."""
-        place = self._places_in(block)
-        jump = memory[PRESSURE, place] - self._memory[PRESSURE]
-        variance = np.zeros(memory.shape[1])
-        variance[place] = np.where(self._taps.known, 0.0, (IN_DOUBT * jump) ** 2)
-        return variance
+    def forget(self, cells: Records[CellState], places: IntArray) -> None:
+        """Treat jumps of cells as loads."""
+        if self.places.size:
+            cells["jump"][places] = 0.0
+            self.places = self.places[cells["jump"][self.places] != 0.0]
 
-    def undo(self, lost: BoolArray, remembered: Remembered, pressure: FloatArray) -> None:
-        """Restore the memory from before the jump of cells that are ``lost`` (n,), as they are no longer read.
+    def hide(self, cells: Records[CellState], pressure_kpa: FloatArray) -> None:
+        """Hide jumps beyond :data:`BEYOND` while they may be sparks; changes ``pressure_kpa`` (n,)."""
+        full_kpa, now = self._inversion.full_scale_kpa, pressure_kpa[self.places]
+        beyond = self.places[np.abs(now - full_kpa / 2) > BEYOND * full_kpa]
+        pressure_kpa[beyond] = cells["jumped_from_kpa"][beyond]
 
-        Cells that were tapped keep their present memory.
-        """
-        gone = lost[self.cells]
-        if not np.count_nonzero(gone):
-            return
-        back = gone & ~self._taps.known
-        cells = self.cells[back]
-        self._remember_again(remembered.memory, remembered.line, cells, back)
-        pressure[cells] = self._memory[PRESSURE, back]
-        self._keep(~gone)
 
-    def _places_in(self, block: Block) -> IntArray:
-        """(k,) places of the jumps' cells in the block."""
-        if self._looked_up[0] is not block.cells or self._looked_up[1] is not self.cells:
-            every = np.array_equal(self.cells, block.cells)  # takes a tenth of the time of a search
-            place = np.arange(self.cells.size) if every else np.searchsorted(block.cells, self.cells)
-            self._looked_up = block.cells, self.cells, place
-        return self._looked_up[2]
+@loop
+def find_each(
+    cells: Records[CellState],
+    places: Places,
+    before: Row,
+    two_before: Row,
+    large_r: float,
+    side: float,
+    light_kpa: float,
+    found: Places,
+) -> int:
+    """Find cells whose reading has jumped from the line; writes their places to ``found``, and returns their number.
 
-    def hide(self, pressure: FloatArray) -> None:
-        """Hide jumps beyond :data:`BEYOND` until they have lasted longer than a spark; changes ``pressure`` (n,)."""
-        full_kpa, now = self._inversion.full_scale_kpa, pressure[self.cells]
-        beyond = ~self._taps.known & (np.abs(now - full_kpa / 2) > BEYOND * full_kpa)
-        pressure[self.cells[beyond]] = self._memory[PRESSURE, beyond]
+    Bad contacts add resistance. Where loads add resistance, too (``side`` > 0), a fall of a cell that bears more than
+    ``light_kpa``, and that does not go below rest, is a release.
+    """
+    count = 0
+    for k in range(places.size):
+        i = places[k]
+        cell = cells[i]
+        jump = cell.reading - cell.level_before
+        if cell.begun == 0.0 or cell.jump != 0.0 or abs(jump) <= max(CLEAR_JUMP * cell.noise, large_r):
+            continue
+        if side > 0.0 and cell.pressure_kpa > light_kpa and jump < 0.0 and cell.reading > -CLEAR * cell.noise:
+            continue
+        if abs(jump) <= SUDDEN * abs(before[i] - two_before[i]):
+            continue
+        cell.jump, cell.jump_s, cell.jumped_from_kpa = jump, 0.0, cell.pressure_kpa
+        found[count] = i
+        count += 1
+    return count
 
-    def _remember_again(self, memory: FloatArray, line: FloatArray, places: IntArray, some: BoolArray) -> None:
-        """Restore the memory of ``some`` jumps' cells, advanced by the time since the jump at constant load.
 
-        Args:
-            memory: (rows, m), changed.
-            line: (ROWS, m), changed.
-            places: (k,) columns of these cells in ``memory`` and ``line``.
-            some: mask of the jumps, true for k of them.
-        """
-        jumps = some.nonzero()[0]
-        age_s = self._age_s[jumps]
-        if self.compiled:
-            loops.copy.unchecked(self._memory, self._compact, jumps, memory, self._kept, places)
-            self._inversion.hold_compiled(memory, places, age_s)
-            loops.copy.unchecked(self._line, _LINE, jumps, line, _LINE, places)
-            return
-        held = np.zeros((len(self._inversion.rows), jumps.size))
-        held[self._kept] = self._memory.take(jumps, axis=1)
-        put_columns(memory, places, self._inversion.hold(held, age_s))
-        put_columns(line, places, self._line.take(jumps, axis=1))
+@loop
+def take_back_each(cells: Records[CellState], places: Places) -> None:
+    """Set lines to those before the frame."""
+    for k in range(places.size):
+        cell = cells[places[k]]
+        cell.level, cell.slope, cell.count = cell.level_before, cell.slope_before, cell.count_before
+        cell.up, cell.down = cell.up_before, cell.down_before
 
-    def _add(self, block: Block, place: IntArray, jump: FloatArray) -> None:
-        """Store the memory of the cells at ``place`` (k,) in the block, from before their ``jump`` (k,)."""
-        before = self._noise.window.reading(1).copy()
-        before[self.cells] = self._line[smoothing.LEVEL]
-        self._taps.add(block.cells[place], before, anew=not (self._age_s <= TOGETHER_S).any())
-        self.cells = np.concatenate([self.cells, block.cells[place]])
-        self._age_s = np.concatenate([self._age_s, np.zeros(place.size)])
-        line = block.line_before
-        if place.size < block.cells.size:  # taking all columns would take several times as long as concatenating them
-            line = line.take(place, axis=1)
-        memory = self._before(block, place)
-        self._memory = np.concatenate([self._memory, memory], axis=1) if self._memory.size else memory
-        self._line = np.concatenate([self._line, line], axis=1)
-        self._jump = np.concatenate([self._jump, jump])
 
-    def _before(self, block: Block, place: IntArray) -> FloatArray:
-        """(kept, k) the stored rows of the memory of the cells at ``place`` (k,) in the block."""
-        if self.compiled:
-            memory = np.empty((self._kept.size, place.size))
-            loops.copy.unchecked(block.memory, self._kept, place, memory, self._compact, np.arange(place.size))
-            return memory
-        return columns(block.memory, place)[self._kept]
+@loop
+def come_back_each(
+    cells: Records[CellState], befores: Records[CellState], places: Places, dt_s: float, found: Places
+) -> int:
+    """Find jumps that are reversed, ``dt_s`` after the last frame; longer ones end. ``befores`` (n,) are from before.
 
-    def _keep(self, kept: BoolArray) -> None:
-        self.cells, self._age_s, self._jump = self.cells[kept], self._age_s[kept], self._jump[kept]
-        self._memory, self._line = self._memory.compress(kept, axis=1), self._line.compress(kept, axis=1)
-        self._taps.keep(kept)
+    Writes the places of the reversed ones to ``found``, and returns their number.
+    """
+    count = 0
+    for k in range(places.size):
+        cell, before = cells[places[k]], befores[places[k]]
+        cell.jump_s += dt_s
+        off = cell.reading - before.level
+        if abs(off) > abs(cell.jump):
+            cell.jump = off
+        jump, moved = abs(cell.jump), before.slope * cell.jump_s
+        if cell.jump_s > SPARK_S * (1.0 + 1e-9):
+            cell.jump = 0.0
+            continue
+        back = abs(off - moved) < BACK * jump + CLEAR * cell.noise + abs(moved)
+        if back and abs(cell.level - cell.reading) > SUDDENLY * jump:
+            found[count] = places[k]
+            count += 1
+    return count
+
+
+@loop
+def restore_each(cells: Records[CellState], befores: Records[CellState], places: Places) -> None:
+    """Restore lines and estimates from ``befores`` (n,)."""
+    for k in range(places.size):
+        cell, before = cells[places[k]], befores[places[k]]
+        cell.level, cell.slope, cell.count = before.level, before.slope, before.count
+        cell.up, cell.down = before.up, before.down
+        cell.pressure_kpa, cell.gain_kpa, cell.variance_kpa2 = (
+            before.pressure_kpa,
+            before.gain_kpa,
+            before.variance_kpa2,
+        )
+        cell.last_kpa, cell.before_last_kpa = before.last_kpa, before.before_last_kpa
+        cell.released, cell.unconfirmed, cell.left_kpa = before.released, before.unconfirmed, before.left_kpa
+        cell.turn_variance_kpa2, cell.rest_variance_kpa2 = before.turn_variance_kpa2, before.rest_variance_kpa2
+        cell.rested = before.rested
+
+
+@loop
+def doubted_jump(cell: CellState) -> float:
+    """Standard deviation in kPa by a jump that may be a spark."""
+    return IN_DOUBT * (cell.pressure_kpa - cell.jumped_from_kpa) if cell.jump != 0.0 else 0.0
