@@ -158,8 +158,8 @@ class SwitchedInversion(Inversion):
     ) -> None:
         m, own, p = self.model, memory[places], cells["pressure_kpa"][places]
         for name, e_kpa, t_s in (("settled_kpa", 1.0, m.tu_s), ("x2", m.e2_kpa, m.t2_s), ("x3", m.e3_kpa, m.t3_s)):
-            own[name] += (p / e_kpa - own[name]) * lag.forgotten(dt_s, t_s)
+            own[name] += (p / e_kpa - own[name]) * lag.weights(dt_s, t_s)[0]
         of_rising = p / m.eu1_kpa + (p - own["settled_kpa"]) / m.etau2_kpa
         own["r"] = np.where(own["rising"] > 0, of_rising, p / m.e1_kpa + own["x2"] + own["x3"])
-        own["lagged_r"] += (own["r"] - own["lagged_r"]) * lag.forgotten(dt_s, max(m.derivative_s, 1e-9))
+        own["lagged_r"] += (own["r"] - own["lagged_r"]) * lag.weights(dt_s, max(m.derivative_s, 1e-9))[0]
         memory[places] = own
