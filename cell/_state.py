@@ -6,7 +6,14 @@ needs of a cell at once.
 
 from __future__ import annotations
 
+from typing import Annotated
+
+from ..common.arrays import FloatArray
 from ..common.compiled import Record
+
+Pair = Annotated[FloatArray, 2]
+Scales = Annotated[FloatArray, 4]
+"""one number for each block length"""
 
 
 class CellState(Record):
@@ -105,8 +112,6 @@ class NoiseState(Record):
     """variance at rest of the shared noise that is left, over that of own noise; set by `estimation._shared_noise`"""
     resolution: float
     """standard deviation of r at rest by quantisation; 0: not known"""
-    at_rest: float
-    """standard deviation of r at rest"""
 
 
 class ColumnState(Record):
@@ -120,3 +125,149 @@ class ColumnState(Record):
     """since the sum was zero"""
     untold: float
     """1 where the telling cells are too few, else 0"""
+
+
+class PaperState(Record):
+    """Memory of a paper cell: two hypotheses about its last turning point, the tests on them, and its path length."""
+
+    # -- `inversions._linear_models`: state of the rising and of the recovery model --
+    r: float
+    rising_kpa: float
+    settled_kpa: float
+    """the pressure behind the lag of the rising model"""
+    rising_x3: float
+    """r of the slow branch, as the rising model has it"""
+    recovery_kpa: float
+    x2: float
+    """r of the fast branch in recovery"""
+    recovery_x3: float
+
+    # -- `inversions._hypotheses` --
+    direction: float
+    """1: the rising model is in force; -1: the recovery model"""
+    turn_due: float
+    """1: the readings refute the hypothesis in force, so that the next frame takes over the other one; else 0"""
+    third_last_kpa: float
+    """pressure of three frames ago"""
+    extreme_kpa: float
+    """largest direction times pressure since the last turn, less some standard deviations of noise"""
+    peak_kpa: float
+    """the same, less one standard deviation"""
+    recent_extreme_kpa: float
+    """an extreme that fades as fast as an error of the memory may"""
+    earlier_kpa: float
+    """by how much the other hypothesis would be further back if the load had turned earlier: the third hypothesis"""
+    earlier_least_kpa: float
+    """direction times the least pressure of the third hypothesis since it began"""
+    earlier_from_kpa: float
+    """direction times the pressure when it began, plus what the pressure went in frames in which it seemed to rise"""
+
+    # -- `inversions._sequential_tests`: rest of a released cell --
+    drift_kpa: float
+    """by how much an error of the memory that fades may make the pressure seem to turn by now"""
+    drift_end_kpa: float
+    """the same in the end"""
+    released_kpa: float
+    """pressure from which a recovering cell has fallen; 0: it did not fall"""
+    subtracted_kpa: float
+    """pressure that was taken for an error since the release"""
+    subtracted_before_kpa2: float
+    """square of the pressure that earlier rests have subtracted"""
+
+    # -- release --
+    largest_mean_kpa: float
+    """largest pressure of late by means of readings"""
+    cusum: float
+    """sum of the standard deviations by which means have been below it"""
+
+    # -- onset --
+    may_bear_kpa: float
+    """standard deviation by a load that may have begun to rise while the cell recovers"""
+    looks_at_rest: float
+    """looks since the recovering cell was taken for one at rest; negative where a load was taken over"""
+    earliest_kpa: float
+    """pressure of a rising model that began with the recovery, and its settled state"""
+    earliest_settled_kpa: float
+    begun_kpa: float
+    """the same of one that began at the last moment without a sign of a load"""
+    begun_settled_kpa: float
+    expected_x2: float
+    """r of the branches if no load has risen since that moment"""
+    expected_x3: float
+    pull_kpa: float
+    """negative pressure that the recovery model needs if so"""
+    clear_pull_kpa: float
+    """the same when it became clear; 0: not yet"""
+
+    # -- `inversions._tremor_path`: unexplained motion --
+    direction_before: float
+    """at the last look"""
+    last_r: float
+    extreme_r: float
+    """largest r since the load turned up, or the least since it turned down"""
+    unexplained_r: float
+    """r less all of its progress beyond the extreme"""
+    looks_back: float
+    """looks since r last went beyond the extreme"""
+    unexplained_before_r: Annotated[FloatArray, 8]
+    """the unexplained r at earlier looks, as known now"""
+
+    # -- path length --
+    looks: float
+    looks_held: float
+    """looks since an edge"""
+    mean_r: Scales
+    """mean of the last block"""
+    mean_before_r: Scales
+    bends: Scales
+    """mean squares of second differences, of first and of second ones upwards, and of both downwards, in units of the
+    variance by noise and less the part of noise"""
+    up: Scales
+    bends_up: Scales
+    down: Scales
+    bends_down: Scales
+    balance_r: float
+    """path that is told less that which turns have explained, where it is negative"""
+    may_balance_r: float
+    """the same of the path that may be"""
+
+
+class M10State(Record):
+    """Memory of an ``asymmetric`` or ``m10`` cell; loads are of full scale. Owner: `inversions._step_inverse`."""
+
+    load: float
+    branch: Pair
+    """r of the branches"""
+    broken: float
+    """r of the broken chains"""
+    anchor: float
+    """the load behind a play (backlash) as wide as the noise"""
+    went_up: float
+    """1 if the load last left its play upwards, else 0"""
+    furthest: float
+    """load up to which chains have broken since"""
+    lately: float
+    """how far the load has gone of late"""
+    moved: float
+    """last two steps of the load"""
+    moved_before: float
+    branch_variance: Pair
+    """in r^2"""
+    broken_variance: float
+    missed: float
+    """r of chains that may have broken unseen"""
+
+    # The step of the frame: the branches if the load stays, their change per unit step, and the share of their lead that
+    # they gain; the branches after the step; and the chains.
+    kept: Pair
+    follows: Pair
+    forgets: Pair
+    after: Pair
+    free: float
+    """r of the chains that were broken before and have not healed"""
+    breaking: float
+    """r of the chains that a unit of motion of the load breaks"""
+    turned_r: float
+    """standard deviation of r by chains that ADC steps hide where the load has just turned"""
+    hidden_r: float
+    """r of chains that noise hides there"""

@@ -1,27 +1,20 @@
 """Inverse models from resistance to pressure: one :class:`..estimation.Inversion` for each material and method.
 
-====================  ==========================================================================================
-:mod:`._static`       without memory: the equilibrium curve of a model, or the calibrated cubic
-:mod:`._turning`      the paper's cell, by two hypotheses about when the pressure last turned; lists its own modules
-:mod:`._inverse`      ``asymmetric`` and ``m10`` cells, by the equation of a step; :mod:`._change_over` solves rare ones
-:mod:`._switched`     the paper's own estimator (P8), the baseline
-:mod:`._learned`      linear maps of the memories in :mod:`._features`, as calibration learned them
-====================  ==========================================================================================
+=========================  =====================================================================================
+:mod:`._static`            without memory: the equilibrium curve of a model, or the calibrated cubic
+:mod:`._paper`             the paper's cell, and the paper's own estimator (P8), the baseline
+:mod:`._linear_models`     the two linear models of the paper's cell, discretised and inverted
+:mod:`._hypotheses`        the frame of the paper's cell: two hypotheses about its last turning point
+:mod:`._sequential_tests`  tests on means of its readings: rest, release, onset of a load
+:mod:`._tremor_path`       the error that a tremor within the noise leaves in it, by its path length
+:mod:`._step_inverse`      ``asymmetric`` and ``m10`` cells, by the equation of a step
+:mod:`._learned`           linear maps of the memories in :mod:`._features`, as calibration learned them
+=========================  =====================================================================================
 
-A load that goes to and fro within the noise leaves an error in either kind of cell that the inverse does not notice:
-
-====================  ==========================================================================================
-:mod:`._variances`    Allan and Hadamard variances of readings
-:mod:`._way`          the path length of the load (its "way", up and down), from these variances
-:mod:`._together`     the same, from the cross variance of a cell's neighbours
-:mod:`._meter`        own readings and neighbours combined; the part of the way that the inverse has not counted yet
-:mod:`._sway`         the error that the way leaves in the paper's cell
-:mod:`._chains`       the error that the way leaves in ``m10`` cells: chains that break unnoticed
-====================  ==========================================================================================
+Kernels decide, cell by cell; the classes hold constants. The states are in :mod:`.._state`.
 """
 
 from ._features import Bank, play_follow
-from ._inverse import AsymmetricInversion, margin
 from ._learned import (
     BEYOND,
     DRIFT,
@@ -35,9 +28,9 @@ from ._learned import (
     StaticCurve,
     Terms,
 )
+from ._paper import SwitchedInversion, TurningInversion
 from ._static import EquilibriumInversion, StaticCurveInversion, rest_slope
-from ._switched import SwitchedInversion
-from ._turning import TurningInversion
+from ._step_inverse import AsymmetricInversion, margin
 
 __all__ = [
     "BEYOND",

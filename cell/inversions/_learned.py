@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import lru_cache
+from functools import cache, cached_property, lru_cache
 from typing import Annotated, Self
 
 import numpy as np
@@ -12,8 +11,10 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from ...common.arrays import BoolArray, FloatArray, IntArray
+from ...common.compiled import Record, Records, zeros
 from ...common.config import Finite, NotNegative, Positive, Section
-from ..estimation import GAIN, PRESSURE, VARIANCE, Inversion
+from .._state import CellState
+from ..estimation import Inversion
 from ._features import Bank
 
 Numbers = Annotated[tuple[Finite, ...], Field(strict=False, min_length=1, max_length=4000)]
@@ -75,14 +76,14 @@ class Reached(Section):
     highest: Numbers
 
     def excess(self, features: FloatArray) -> FloatArray:
-        """(m,) the largest distance of any of the features (count, m) from its range."""
-        low, high = self.columns
-        return np.asarray(np.maximum(np.maximum(low - features, features - high).max(axis=0), 0.0))
+        """(m,) the largest distance of any of the features (m, count) from its range."""
+        low, high = self.limits
+        return np.asarray(np.maximum(np.maximum(low - features, features - high).max(axis=1), 0.0))
 
-    @property
-    def columns(self) -> tuple[FloatArray, FloatArray]:
-        """The lowest and highest features as arrays (count, 1) that nobody may write to."""
-        return _column(self.lowest), _column(self.highest)
+    @cached_property
+    def limits(self) -> tuple[FloatArray, FloatArray]:
+        """The lowest and highest features as arrays (count,)."""
+        return np.array(self.lowest), np.array(self.highest)
 
 
 class StaticCurve(Section):
@@ -150,14 +151,6 @@ def _end_slopes(coefficients: tuple[float, ...], low: float, high: float) -> tup
     return float(mean), float(slope)
 
 
-@lru_cache(maxsize=256)
-def _column(values: tuple[float, ...]) -> FloatArray:
-    """Numbers of a table as an array (count, 1) that nobody may write to."""
-    column = np.array(values)[:, None]
-    column.flags.writeable = False
-    return column
-
-
 class Learned(Section):
     """A linear map of features, powers of the first one, and random Fourier features (cosines along random directions).
 
@@ -211,7 +204,7 @@ class Learned(Section):
 
 
 class Terms:
-    """Features (count, m) to the terms of the linear map (m, 3 + count + directions)."""
+    """Features (m, count) to the terms of the linear map (m, 3 + count + directions)."""
 
     def __init__(
         self, mean: FloatArray, scale: FloatArray, seed: int, directions: int, dtype: type[np.floating] = np.float64
@@ -228,21 +221,12 @@ class Terms:
         self._dtype = dtype
 
     def standardised(self, features: FloatArray) -> FloatArray:
-        """Features (count, ...) in standard deviations."""
-        around = (-1, *(1,) * (features.ndim - 1))
-        z: FloatArray = features - self.mean.reshape(around)
-        z /= self.scale.reshape(around)
-        return z
-
-    def features(self, standardised: FloatArray) -> FloatArray:
-        """The inverse of :meth:`standardised`, for (count, m)."""
-        found: FloatArray = standardised * self.scale[:, None]
-        found += self.mean[:, None]
-        return found
+        """Features in standard deviations."""
+        return (features - self.mean) / self.scale
 
     def __call__(self, standardised: FloatArray) -> NDArray[np.floating]:
-        """All terms (m, terms) of standardised features (count, m), which are clipped at :data:`CLIP`."""
-        z = _clip(standardised.T, -CLIP, CLIP).astype(self._dtype)
+        """All terms of standardised features, which are clipped at :data:`CLIP`."""
+        z = _clip(standardised, -CLIP, CLIP).astype(self._dtype)
         first = z[:, :1]
         cosines = self._amplitude * np.cos(z @ self._directions + self._phases)
         return np.concatenate([np.ones_like(first), z, first**2, first**3, cosines], axis=1)
@@ -254,14 +238,14 @@ def _clip(values: FloatArray, low: FloatArray | float, high: FloatArray | float)
 
 
 def _followed_between(learned: Learned, curve: StaticCurve) -> tuple[FloatArray, FloatArray] | None:
-    """Lowest and highest features (count, 1) to which a map is followed; None: no limit, in files of earlier versions.
+    """Lowest and highest features (count,) to which a map is followed; None: no limit, in files of earlier versions.
 
     The map knows little beyond the recorded readings, and nothing beyond the range of the other features. Beyond these
     limits the answer goes on with the slope at equilibrium.
     """
     if learned.reached is None:
         return None
-    low, high = (limit.copy() for limit in learned.reached.columns)
+    low, high = (limit.copy() for limit in learned.reached.limits)
     if curve.reached is not None and not learned.beyond_recorded:
         low[0], high[0] = max(low[0], curve.reached.lowest[0]), min(high[0], curve.reached.highest[0])
     return low, high
@@ -280,20 +264,11 @@ class LearnedInversion(Inversion):
     """Runs a :class:`Learned` map and the static curve; a cell whose features have not moved keeps its last answer."""
 
     def __init__(
-        self,
-        learned: Learned,
-        curve: StaticCurve,
-        full_scale_kpa: float,
-        full_scale_r: float,
-        *,
-        exact: bool,
+        self, learned: Learned, curve: StaticCurve, full_scale_kpa: float, full_scale_r: float, *, exact: bool
     ) -> None:
-        self.learned, self._curve = learned, curve
+        self.learned, self._curve, self._bank = learned, curve, learned.bank
         curve.prepare()
-        self._bank = learned.bank
-        self._seen = slice(3 + self._bank.rows, 3 + self._bank.rows + self._bank.count)
-        bank = (f"bank{n}" for n in range(self._bank.rows))
-        self.rows = *self.rows, *bank, *(f"feature{n}" for n in range(self._bank.count))
+        self.memory = _memory_of(self._bank.rows, self._bank.count)
         self._terms = Terms(
             np.array(learned.mean), np.array(learned.scale), learned.seed, learned.directions, np.float32
         )
@@ -301,59 +276,47 @@ class LearnedInversion(Inversion):
         self._slope = math.copysign(1 / max(abs(full_scale_r), 1e-9), full_scale_r)
         """normalised load per r, at equilibrium"""
         self._within = _followed_between(learned, curve)
-        self._steepest = full_scale_kpa * abs(self._slope)
         credible = credible_range(learned.reached)
         super().__init__(full_scale_kpa, full_scale_r, credible=credible, exact=exact)
 
-    def begin(self, r: FloatArray) -> FloatArray:
-        memory = np.zeros((self._seen.stop, *r.shape))
-        memory[3 : self._seen.start] = self._bank.begin(r)
-        memory[self._seen] = self._terms.standardised(self._bank.features(memory[3 : self._seen.start]))
-        memory[GAIN] = self._steepest
-        self._answer(memory, slice(None))
-        return memory
+    def begin(self, cells: Records[CellState], memory: Records[Record], places: IntArray, r: FloatArray) -> None:
+        begun = zeros(self.memory, places.size)
+        begun["bank"] = bank = self._bank.begin(r)
+        begun["features"] = self._terms.standardised(self._bank.advance(bank, 1.0, r))
+        memory[places] = begun
+        cells["gain_kpa"][places] = self.full_scale_kpa * abs(self._slope)
+        self._answer(cells, places, begun["features"])
 
-    def advance(
-        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
-    ) -> FloatArray:
-        bank = memory[3 : self._seen.start]
-        self._bank.advance(bank, dt_s, r)
-        now = self._terms.standardised(self._bank.features(bank))
-        change = now - memory[self._seen]
-        moved = np.flatnonzero(np.abs(change, out=change).max(axis=0) > STILL)
-        if moved.size == r.size:
-            memory[self._seen] = now
-            self._answer(memory, slice(None))
-        elif moved.size:
-            memory[self._seen, moved] = now[:, moved]
-            self._answer(memory, moved)
-        return memory
+    def advance(self, cells: Records[CellState], memory: Records[Record], awake: IntArray, dt_s: float) -> None:
+        own = memory[awake]
+        bank = np.ascontiguousarray(own["bank"])
+        now = self._terms.standardised(self._bank.advance(bank, dt_s, cells["level"][awake]))
+        moved = np.abs(now - own["features"]).max(axis=1) > STILL
+        own["bank"], own["features"] = bank, np.where(moved[:, None], now, own["features"])
+        memory[awake] = own
+        self._answer(cells, awake[moved], now[moved])
 
-    def _answer(self, memory: FloatArray, cells: IntArray | slice) -> None:
-        """Map the features of ``cells`` afresh; changes ``memory``."""
-        load, std = self._map(memory[self._seen, cells])
-        memory[PRESSURE, cells] = load * self.full_scale_kpa
-        memory[VARIANCE, cells] = (std * self.full_scale_kpa) ** 2
+    def _answer(self, cells: Records[CellState], places: IntArray, standardised: FloatArray) -> None:
+        """Map features (k, count) of the cells at ``places`` (k,)."""
+        load, std = self._map(standardised)
+        cells["pressure_kpa"][places] = load * self.full_scale_kpa
+        cells["variance_kpa2"][places] = (std * self.full_scale_kpa) ** 2
 
-    def settled(self, memory: FloatArray, band: float) -> BoolArray:
-        bank = memory[3 : self._seen.start]
-        memories = np.concatenate([np.abs(self._bank.lags(bank)), self._bank.paths(bank)])
-        found: BoolArray = memories.max(axis=0) < 2 * band
-        return found
+    def settled(self, cells: Records[CellState], memory: Records[Record], places: IntArray, band: float) -> BoolArray:
+        return np.asarray(self._bank.unrest(memory["bank"][places]) < 2 * band)
 
     def _map(self, standardised: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Normalised load and its standard deviation (m) for standardised features (count, m)."""
+        """Normalised load and its standard deviation (m,) for standardised features (m, count)."""
         learned, curve = self.learned, self._curve
-        features = self._terms.features(standardised)
-        reading, inside, beyond = features[0], standardised, np.zeros(())
+        features = standardised * self._terms.scale + self._terms.mean
+        reading, inside, beyond = features[:, 0], standardised, np.zeros(())
         if learned.reached is not None and self._within is not None:
-            low, high = self._within
-            inside = self._terms.standardised(_clip(features, low, high))
+            inside = self._terms.standardised(_clip(features, *self._within))
             beyond = learned.reached.excess(features)
-        found = np.empty((standardised.shape[1], 2))
+        found = np.empty((len(standardised), 2))
         for start in range(0, len(found), BLOCK):
             block = slice(start, start + BLOCK)
-            found[block] = self._terms(inside[:, block]) @ self._weights
+            found[block] = self._terms(inside[block]) @ self._weights
         load, std = found[:, 0], np.maximum(found[:, 1] * learned.std_factor, learned.std_floor)
         if self._within is not None:
             low, high = self._within
@@ -370,4 +333,11 @@ class LearnedInversion(Inversion):
         if recorded is None or not learned.beyond_recorded:
             return learned.static_share
         fades = FADES * max(recorded.highest[0] - recorded.lowest[0], 1e-9)
-        return learned.static_share * np.maximum(1 - recorded.excess(reading[None]) / fades, 0.0)
+        return learned.static_share * np.maximum(1 - recorded.excess(reading[:, None]) / fades, 0.0)
+
+
+@cache
+def _memory_of(rows: int, count: int) -> type[Record]:
+    """The memory of a learned estimator: its bank, and the features of its last answer in standard deviations."""
+    fields = {"bank": Annotated[FloatArray, rows], "features": Annotated[FloatArray, count]}
+    return type("LearnedState", (Record,), {"__annotations__": fields})

@@ -6,8 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ...common.arrays import BoolArray, FloatArray
-from ..estimation import GAIN, PRESSURE, UNKNOWN, USUAL, VARIANCE, Inversion
+from ...common.arrays import BoolArray, FloatArray, IntArray
+from ...common.compiled import Record, Records
+from .._state import CellState
+from ..estimation import UNKNOWN, USUAL, Inversion
 from ..materials import AsymmetricModel, ContactModel, M10Model, Model, PaperModel, equilibrium_curve, equilibrium_gain
 from ._learned import BEYOND, STEEPER, StaticCurve, credible_range
 
@@ -18,8 +20,15 @@ SLOPES, FLAT = 33, 3.0
 """points at which the effect of an error of R0 is tabulated; and the largest effect over its mean"""
 CONTACT_SHARE = 0.02
 """standard deviation over the pressure, for the estimate of a contact"""
-CHAINS = 3
-"""row of the memory: r of the chains that must have broken"""
+STEEPEST = 20.0
+"""largest slope of the inverse of a curve, over its mean slope; a contact's would be infinite at rest"""
+
+
+class Chains(Record):
+    """Memory of :class:`EquilibriumInversion`."""
+
+    chains: float
+    """r of the chains that must have broken"""
 
 
 def rest_slope(equilibrium_ohm: Callable[[FloatArray], FloatArray], full_scale_kpa: float) -> FloatArray:
@@ -63,6 +72,8 @@ class EquilibriumInversion(Inversion):
     All cells share one curve of r. A contact's r is that of :class:`..estimation.Contact`.
     """
 
+    memory = Chains
+
     def __init__(
         self,
         model: Model,
@@ -92,56 +103,39 @@ class EquilibriumInversion(Inversion):
         self._breaks = isinstance(model, M10Model) and model.k > 0
         """whether motion breaks chains"""
         if isinstance(model, M10Model) and self._breaks:
-            self.rows = *self.rows, "chains"
             self._heals_s = model.tau_s
             statics = model.a * load + model.b * load**2
             self._most_r = float(statics[load <= USUAL].max()) + (model.alpha1 + model.alpha2) * USUAL
             """r of the largest credible load without broken chains: no branch exceeds its target"""
         super().__init__(full_scale_kpa, full_r, exact=exact)
 
-    def begin(self, r: FloatArray) -> FloatArray:
-        return self._at(r, np.zeros_like(r))
+    def begin(self, cells: Records[CellState], memory: Records[Chains], places: IntArray, r: FloatArray) -> None:
+        self._take(cells, memory, places, r, np.zeros_like(r))
 
-    def _at(self, r: FloatArray, chains: FloatArray) -> FloatArray:
-        """The memory (rows, m) at readings ``r`` (m,), of which at least ``chains`` (m,) is from broken chains."""
+    def _take(
+        self, cells: Records[CellState], memory: Records[Chains], places: IntArray, r: FloatArray, chains: FloatArray
+    ) -> None:
+        """Take readings ``r`` (k,) of ``places`` (k,), of which at least ``chains`` (k,) is from broken chains."""
         if self._breaks:
-            chains = np.maximum(chains, r - self._most_r)
+            memory["chains"][places] = chains = np.maximum(chains, r - self._most_r)
             r = r - chains
-        x = self._sign * r
-        memory = np.empty((len(self.rows), *r.shape))
-        load = np.interp(x, self._curve, self._load)
-        memory[PRESSURE] = load * self.full_scale_kpa
-        memory[GAIN] = np.interp(x, self._curve, self._slope) * self.full_scale_kpa
-        memory[VARIANCE] = (self._share * memory[PRESSURE]) ** 2
+        pressure = np.interp(self._sign * r, self._curve, self._load) * self.full_scale_kpa
+        variance = (self._share * pressure) ** 2
+        if self._breaks:  # no more than the usual load is believed where chains may be broken
+            variance = np.minimum(variance, (UNKNOWN * self.full_scale_kpa) ** 2)
+        cells["pressure_kpa"][places], cells["variance_kpa2"][places] = pressure, variance
+        cells["gain_kpa"][places] = np.interp(self._sign * r, self._curve, self._slope) * self.full_scale_kpa
+
+    def advance(self, cells: Records[CellState], memory: Records[Chains], awake: IntArray, dt_s: float) -> None:
+        self.hold(cells, memory, awake, np.asarray(dt_s))
+        self._take(cells, memory, awake, cells["level"][awake], memory["chains"][awake])
+
+    def hold(self, cells: Records[CellState], memory: Records[Chains], places: IntArray, dt_s: FloatArray) -> None:
         if self._breaks:
-            memory[CHAINS] = chains
-            # No more than the usual load is believed where chains may be broken.
-            np.minimum(memory[VARIANCE], (UNKNOWN * self.full_scale_kpa) ** 2, out=memory[VARIANCE])
-        return memory
+            memory["chains"][places] *= np.exp(-dt_s / self._heals_s)
 
-    def advance(
-        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
-    ) -> FloatArray:
-        if not self._breaks:
-            return self.begin(r)
-        return self._at(r, memory[CHAINS] * np.exp(-dt_s / self._heals_s))
-
-    def hold(self, memory: FloatArray, dt_s: float | FloatArray) -> FloatArray:
-        if not self._breaks:
-            return memory
-        held = memory.copy()
-        held[CHAINS] *= np.exp(-dt_s / self._heals_s)
-        return held
-
-    def settled(self, memory: FloatArray, band: float) -> BoolArray:
-        if not self._breaks:
-            return super().settled(memory, band)
-        found: BoolArray = memory[CHAINS] < band
-        return found
-
-
-STEEPEST = 20.0
-"""largest slope of the inverse of a curve, over its mean slope; a contact's would be infinite at rest"""
+    def settled(self, cells: Records[CellState], memory: Records[Chains], places: IntArray, band: float) -> BoolArray:
+        return np.asarray(memory["chains"][places] < band)
 
 
 class StaticCurveInversion(Inversion):
@@ -161,20 +155,14 @@ class StaticCurveInversion(Inversion):
         credible = credible_range(None if curve.logarithmic else curve.reached)  # a contact may be open at rest
         super().__init__(full_scale_kpa, full_scale_r, credible=credible, exact=exact)
 
-    def begin(self, r: FloatArray) -> FloatArray:
-        curve, small = self.curve, 1e-3 * self.full_scale_r
-        load, beyond = curve.load(r), curve.load(r + small)
-        memory = np.empty((3, *r.shape))
-        memory[PRESSURE] = np.clip(load, curve.limits.lowest, curve.limits.highest) * self.full_scale_kpa
-        memory[GAIN] = np.abs(beyond - load) / small * self.full_scale_kpa
-        memory[VARIANCE] = curve.std_kpa**2
+    def begin(self, cells: Records[CellState], memory: Records[Record], places: IntArray, r: FloatArray) -> None:
+        curve, small, full = self.curve, 1e-3 * self.full_scale_r, self.full_scale_kpa
+        load, beyond, variance = curve.load(r), curve.load(r + small), np.full(r.size, curve.std_kpa**2)
         if curve.reached is not None:
-            memory[VARIANCE] += (curve.doubt(r) * self.full_scale_kpa) ** 2
-            over = np.maximum(load - curve.limits.highest / BEYOND, 0.0)
-            memory[VARIANCE] += (STEEPER * over * self.full_scale_kpa) ** 2
-        return memory
+            over = STEEPER * np.maximum(load - curve.limits.highest / BEYOND, 0.0)
+            variance += (curve.doubt(r) * full) ** 2 + (over * full) ** 2
+        cells["pressure_kpa"][places] = np.clip(load, curve.limits.lowest, curve.limits.highest) * full
+        cells["gain_kpa"][places], cells["variance_kpa2"][places] = np.abs(beyond - load) / small * full, variance
 
-    def advance(
-        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
-    ) -> FloatArray:
-        return self.begin(r)
+    def advance(self, cells: Records[CellState], memory: Records[Record], awake: IntArray, dt_s: float) -> None:
+        self.begin(cells, memory, awake, cells["level"][awake])

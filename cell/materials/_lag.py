@@ -6,6 +6,7 @@ step, and the response to a piecewise linear load does not depend on the samplin
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import lru_cache, partial
 from typing import Generic, TypeVar
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...common.arrays import FloatArray
+from ...common.compiled import Row, loop
 
 M = TypeVar("M")
 T = TypeVar("T")
@@ -31,58 +33,30 @@ class ByStep(Generic[M, T]):
         return type(self), self._made_from
 
 
-def forgotten(dt_s: ArrayLike, time_constant_s: ArrayLike) -> FloatArray:
-    """The fraction 1 - exp(-dt/T) of its state that a lag forgets in one step, see :func:`weights`."""
-    share: FloatArray = -np.expm1(-_lengths(dt_s, time_constant_s))
-    return share
-
-
-def _lengths(dt_s: ArrayLike, time_constant_s: ArrayLike) -> FloatArray:
-    return np.asarray(np.asarray(dt_s, dtype=np.float64) / np.asarray(time_constant_s, dtype=np.float64))
-
-
-def weights(dt_s: ArrayLike, time_constant_s: ArrayLike) -> tuple[FloatArray, FloatArray]:
+@loop
+def weights_of(dt_s: float, time_constant_s: float) -> tuple[float, float]:
     """``gone`` and ``ramp`` of one step: x1 = x0 + (u0 - x0) gone + (u1 - u0) ramp.
 
     gone = 1 - exp(-dt/T) is the fraction of the state that the lag forgets. ramp = 1 - gone T/dt is its response, at
     the end of the step, to a ramp that rises by 1 over the step. Both keep full relative precision from dt/T = 1e-300
-    to infinity, so that an hour-long lag sampled at 10 kHz does not drift. Shapes follow the arguments.
+    to infinity, so that an hour-long lag sampled at 10 kHz does not drift.
     """
-    z = _lengths(dt_s, time_constant_s)
-    gone = -np.expm1(-z)
-    series = z / 2 * (1 - z / 3 * (1 - z / 4 * (1 - z / 5)))  # 1 - gone/z cancels; below 1e-3 this is exact
-    ramp = np.where(z < 1e-3, series, 1 - gone / np.maximum(z, 1e-3))
+    z = dt_s / time_constant_s
+    gone = -math.expm1(-z)
+    if z < 1e-3:  # 1 - gone/z cancels; here the series is exact
+        return gone, z / 2 * (1 - z / 3 * (1 - z / 4 * (1 - z / 5)))
+    return gone, 1.0 - gone / z
+
+
+@loop
+def _weights_each(dt_s: Row, time_constants_s: Row, gone: Row, ramp: Row) -> None:
+    for i in range(gone.size):
+        gone[i], ramp[i] = weights_of(dt_s[i], time_constants_s[i])
+
+
+def weights(dt_s: ArrayLike, time_constant_s: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """:func:`weights_of` for arrays, which are broadcast."""
+    z = np.broadcast_arrays(np.asarray(dt_s, dtype=np.float64), np.asarray(time_constant_s, dtype=np.float64))
+    gone, ramp = np.empty((2, *z[0].shape))
+    _weights_each.unchecked(*(np.array(each).ravel() for each in z), gone.reshape(-1), ramp.reshape(-1))
     return gone, ramp
-
-
-def symmetric(x: FloatArray, u0: FloatArray, u1: FloatArray, dt_s: ArrayLike, time_constant_s: ArrayLike) -> FloatArray:
-    """The state of a lag after a step in which its input went linearly from ``u0`` to ``u1``."""
-    gone, ramp = weights(dt_s, time_constant_s)
-    stepped: FloatArray = x + (u0 - x) * gone + (u1 - u0) * ramp
-    return stepped
-
-
-def asymmetric(
-    x: FloatArray,
-    u0: FloatArray,
-    u1: FloatArray,
-    dt_s: ArrayLike,
-    charging_s: ArrayLike,
-    discharging_s: ArrayLike,
-) -> FloatArray:
-    """A lag with the time constant ``charging_s`` while u > x, else ``discharging_s``; exact through the change-over.
-
-    Let w = u - x and u' = v, so that w' = v - w/T. From zero, w can only move towards the sign of v. Hence w changes
-    sign at most once in a step, at the time T log(1 - w0/(v T)).
-    """
-    dt = np.asarray(dt_s, dtype=np.float64)
-    w0, change = u0 - x, u1 - u0
-    first = np.where((w0 > 0) | ((w0 == 0) & (change > 0)), charging_s, discharging_s)
-    turns = (w0 * change < 0) & (dt > 0)
-    ratio = np.divide(-w0 * dt, change * first, out=np.zeros_like(w0), where=turns)
-    before = np.where(turns, np.minimum(first * np.log1p(ratio), dt), dt)
-    share = np.divide(before, dt, out=np.ones_like(w0), where=dt > 0)
-    middle = u0 + change * share
-    x = symmetric(x, u0, middle, before, first)
-    second = np.where(change > 0, charging_s, discharging_s)
-    return symmetric(x, middle, u1, dt - before, second)
