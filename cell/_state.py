@@ -257,7 +257,7 @@ class M10State(Record):
     missed: float
     """r of chains that may have broken unseen"""
 
-    # The step of the frame: the branches if the load stays, their change per unit step, and the share of their lead that
+    # The step of the frame: the branches if the load stays, their change per unit step, the share of their lead that
     # they gain; the branches after the step; and the chains.
     kept: Pair
     follows: Pair

@@ -84,13 +84,11 @@ class Bank:
 
 
 @loop
-def take(
-    r: Rows, weights: Rows, width: Row, lags: int, paths: int, smoothed: bool, memory: Rows, found: Rows
-) -> None:
+def take(r: Rows, weights: Rows, width: Row, lags: int, paths: int, smoothed: bool, memory: Rows, found: Rows) -> None:
     """Take readings ``r`` (n, m) into the ``memory``; writes features to ``found`` (n m, count).
 
-    ``weights`` (n, 1 + lags + paths) are the shares that the smoothed reading and the lags forget in each step, and that
-    the paths keep. A median of three skips a glitch of one sample.
+    ``weights`` (n, 1 + lags + paths) are the shares that the smoothed reading and the lags forget in each step, and
+    that the paths keep. A median of three skips a glitch of one sample.
     """
     samples, cells, plays = r.shape[0], r.shape[1], width.size
     first_play = 4 + lags

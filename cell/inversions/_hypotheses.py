@@ -1,4 +1,4 @@
-"""The paper's cell inverted under two hypotheses about its last turning point (multiple-model estimation), cell by cell.
+"""The paper's cell inverted under two hypotheses about its last turning point (multiple-model estimation).
 
 The paper's cell has two linear models, one for a rising load and one for recovery, and changes from one to the other
 where the pressure turns. Inverting either model is algebra (:mod:`._linear_models`); the question is which one holds.
@@ -72,8 +72,8 @@ RELEASED_CUSUM = 3.0
 :data:`SHARED_FALL` says"""
 FELL_CUSUM, FELL_SIGMAS = 1.0, 2.0
 """statistic of that test above which means of readings show a fall, too; and the standard deviations of the smoothed
-noise that then suffice for a turn, in the place of :data:`TURN_SIGMAS`, since two tests show the same fall. If that is a
-false alarm, the model that is left takes it back at once"""
+noise that then suffice for a turn, in the place of :data:`TURN_SIGMAS`, since two tests show the same fall. If that is
+a false alarm, the model that is left takes it back at once"""
 ROUND, FAST = 2e-3, 2.0
 """of full scale: standard deviation of the pressure by a slow turn, which is noticed late. If the pressure changes by
 more than FAST :data:`TURN` in the frame of a turn, the turn is noticed at once: the deviation is divided by how many
@@ -85,8 +85,8 @@ the next frame, since it may have begun to move in the middle of the first one""
 APART = 0.5
 """standard deviation over the difference of the two hypotheses, since either may be right until a turn is noticed"""
 LOST_SIGMAS, LOST_SHARE = 1.5, 0.7
-"""if a restart of the other hypothesis takes away more than LOST_SHARE of the variance, and the hypotheses were apart by
-more than LOST_SIGMAS standard deviations of the smoothed noise, the difference stays in the variance"""
+"""if a restart of the other hypothesis takes away more than LOST_SHARE of the variance, and the hypotheses were apart
+by more than LOST_SIGMAS standard deviations of the smoothed noise, the difference stays in the variance"""
 HELD_PER_S = 0.03
 """of full scale per second: rate at which a held pressure may seem to go back. A load that goes back faster has
 turned"""
@@ -95,8 +95,8 @@ CREEPS_PER_S = 0.003
 deviations of the memory. A load that goes back faster has turned, however large it is: a load held by a hand wavers by
 less than the usual limit of a turn"""
 PEAK_GOES_BACK = 6.0
-"""the peak goes down in each frame by this, times the standard deviation of the memory (at most a turn), times the share
-of its variance that fades in the frame: as an error of the memory fades, a held pressure seems to go back"""
+"""the peak goes down in each frame by this, times the standard deviation of the memory (at most a turn), times the
+share of its variance that fades in the frame: as an error of the memory fades, a held pressure seems to go back"""
 RESTART_SHARE = 0.5
 """share by which the other hypothesis is moved to the one in force in a frame, within one standard deviation of the
 peak. A restart at every frame there would take noise for a part of the press, and a late restart would miss a part of
@@ -116,8 +116,8 @@ NEGLIGIBLE = 1e-3
 ROUNDING = 1e-9
 """of full scale"""
 MOST_LOST = 1.0
-"""of full scale: largest standard deviation stated for what the memory may have lost. Half of full scale would cover any
-load, but a memory that is lost shows up to 1.1 times full scale where there is no load"""
+"""of full scale: largest standard deviation stated for what the memory may have lost. Half of full scale would cover
+any load, but a memory that is lost shows up to 1.1 times full scale where there is no load"""
 PULL_SIGMAS = 0.7
 """standard deviations of the reading: a pressure below none by more is an error of the memory. These standard
 deviations include changes that the smoothing has not noticed yet: its line overshoots for a moment where a fast release
@@ -351,7 +351,7 @@ def gone_back(cell: CellState, own: PaperState, k: PaperNumbers, s: PaperStep) -
 
     Returns:
         How far the pressure is ahead in kPa; how far the other hypothesis has gone back from the extreme that was left,
-        if a turn is unconfirmed; and whether the pressure has gone back by a turn, or an earlier turn was a false alarm.
+        if a turn is unconfirmed; and whether the pressure has turned, or an earlier turn was a false alarm.
     """
     rises = own.direction > 0.0
     pressure, other = (own.rising_kpa, own.recovery_kpa) if rises else (own.recovery_kpa, own.rising_kpa)

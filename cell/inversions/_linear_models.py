@@ -17,7 +17,7 @@ from ..materials import PaperModel, lag
 
 
 class PaperNumbers(Record):
-    """Constants of a model and of the tests on its cells; thresholds are explained where :mod:`._hypotheses` sets them."""
+    """Constants of a model and of the tests on its cells; :mod:`._hypotheses` explains the thresholds."""
 
     full_kpa: float
     lowest_kpa: float
@@ -36,8 +36,8 @@ class PaperNumbers(Record):
     fast_kpa: float
     round_kpa: float
     doubt_kpa2: float
-    """variances: from which a memory counts as uncertain; of a load of which nothing is known; the largest that a memory
-    may have lost; the largest with which a rest is averaged; and one that is beyond rounding errors"""
+    """variances: from which a memory counts as uncertain; of a load of which nothing is known; the largest that a
+    memory may have lost; the largest with which a rest is averaged; and one that is beyond rounding errors"""
     unknown_kpa2: float
     most_lost_kpa2: float
     most_rested_kpa2: float
@@ -65,7 +65,7 @@ class PaperNumbers(Record):
 
 
 class PaperStep(Record):
-    """Weights of a time step: each lag x becomes ``kept`` x + ``free`` p + ``ramp`` p1, for the pressures before and after."""
+    """Weights of a time step from pressure p to p1: each lag x becomes ``kept`` x + ``free`` p + ``ramp`` p1."""
 
     kept_u: float
     free_u: float

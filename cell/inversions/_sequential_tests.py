@@ -1,4 +1,4 @@
-"""Sequential tests on means of a few readings of the paper's cell: rest, release (CUSUM), onset of a load (Page's test).
+"""Sequential tests on means of readings of the paper's cell: rest, release (CUSUM), onset of a load (Page's test).
 
 **Rest of a released cell** (:func:`rest`): a scalar Kalman filter of the error of the memory, under the hypothesis that
 the cell bears no load. The noise at a turn leaves an error in the memory, which later shows as a load and fades only as
@@ -6,11 +6,11 @@ fast as the material recovers. The readings cannot tell such an error from a lig
 curve for seconds. But most released cells bear no load. As long as the pressure of a recovering cell differs from none
 by no more than the error of its memory explains, we take the difference for that error and subtract it. The filter
 averages the readings of the whole rest, which is much longer than the smoothing may average. While the pressure still
-moves, the load that may be left counts as noise of the readings (:data:`GOES_ON`), and the cell is not yet taken for one
-at rest. A light load that is subtracted by mistake comes back as the error of the memory fades. Three rules limit the
-harm: the subtracted pressure becomes part of the stated standard deviation at once, and is part of it at the next turn;
-the filter trusts the memory the more the more it has read; and a rise is no turn if the fading error (:data:`DRIFTS`) and
-the return of the subtracted pressure explain it.
+moves, the load that may be left counts as noise of the readings (:data:`GOES_ON`), and the cell is not yet taken for
+one at rest. A light load that is subtracted by mistake comes back as the error of the memory fades. Three rules limit
+the harm: the subtracted pressure becomes part of the stated standard deviation at once, and is part of it at the next
+turn; the filter trusts the memory the more the more it has read; and a rise is no turn if the fading error
+(:data:`DRIFTS`) and the return of the subtracted pressure explain it.
 
 **Release** (:func:`release_cusum`): after taps that have left several times the resistance at rest, noise is as many
 times larger. A release then takes the rising model back by only three standard deviations of the smoothed readings.
@@ -19,16 +19,17 @@ largest mean of late, and Page's test adds up by how many standard deviations th
 towards the present one, since errors of the memory fade, too; a release is faster than that.
 
 **Onset** (:func:`onset`): under a load the paper's cell forgets sooner than at rest. A small load therefore lets the
-resistance of a recovering cell fall *faster*, so that the recovery model needs a negative pressure (a pull), which would
-pass for an error of the memory. Two hypotheses are compared while a cell recovers: that it bears nothing, so that the
-readings follow from the memory at the last moment without a sign of a load; and that a load has risen since, at whatever
-rate. The statistic is the whole pull that the first hypothesis needs; where it needs none, the moment is moved to the
-present, as in Page's test. An error of the memory needs a pull once, while a load needs an ever larger one. When the
-pull is clear and still grows, the second hypothesis is taken over. Before, its load counts as standard deviation,
-weighted by how likely it is. A load can hide: at one rate of rise it raises the resistance by just what the cell forgets
-sooner. The readings are then those of a cell at rest until the rate changes, and the load that may have risen unseen
-counts as standard deviation. A load that fell to a part of itself and then grows slowly needs a pull as well. If most
-of its pressure was there when the recovery began, the load of the third hypothesis (:mod:`._hypotheses`) is taken over.
+resistance of a recovering cell fall *faster*, so that the recovery model needs a negative pressure (a pull), which
+would pass for an error of the memory. Two hypotheses are compared while a cell recovers: that it bears nothing, so that
+the readings follow from the memory at the last moment without a sign of a load; and that a load has risen since, at
+whatever rate. The statistic is the whole pull that the first hypothesis needs; where it needs none, the moment is moved
+to the present, as in Page's test. An error of the memory needs a pull once, while a load needs an ever larger one. When
+the pull is clear and still grows, the second hypothesis is taken over. Before, its load counts as standard deviation,
+weighted by how likely it is. A load can hide: at one rate of rise it raises the resistance by just what the cell
+forgets sooner. The readings are then those of a cell at rest until the rate changes, and the load that may have risen
+unseen counts as standard deviation. A load that fell to a part of itself and then grows slowly needs a pull as well. If
+most of its pressure was there when the recovery began, the load of the third hypothesis (:mod:`._hypotheses`) is taken
+over.
 
 T. L. Lai: "Sequential changepoint detection in quality control and dynamical systems", J. R. Statist. Soc. B 57 (1995).
 """
@@ -63,8 +64,8 @@ this condition is not asked for"""
 LIGHT = 0.1
 """share of the variance of the memory that stays after a rest, since the released cell may have borne a light load
 after all. The squares of the subtracted pressure and of a load that may have begun are added. The subtracted pressure
-stays in the variance, while it fades, until a clearly larger load is released: the falls of a tremor are no new signs of
-rest"""
+stays in the variance, while it fades, until a clearly larger load is released: the falls of a tremor are no new signs
+of rest"""
 CLEARLY_LARGER2 = 4.0
 """square of a load that is larger than the subtracted pressure for sure, over the square of that pressure"""
 DRIFTS = 2.0
@@ -78,8 +79,8 @@ PEAK_FADES = 0.15
 of a press may exceed all later ones; the other hypothesis would otherwise begin there, however long the load is held"""
 
 MEAN_SIGMAS, ALLOWANCE = 1.0, 0.75
-"""standard deviations of a mean that are subtracted from a new largest mean, since it is partly noise; and those by which
-a mean may lie below the largest without adding to the sum (the allowance of CUSUM)"""
+"""standard deviations of a mean that are subtracted from a new largest mean, since it is partly noise; and those by
+which a mean may lie below the largest without adding to the sum (the allowance of CUSUM)"""
 LARGEST_S = 0.5
 """seconds, time constant with which the largest mean fades towards the present one"""
 LOUD = 0.05
@@ -304,7 +305,7 @@ def release_cusum(cell: CellState, own: PaperState, mean: float, k: PaperNumbers
 
 @loop
 def onset(cell: CellState, own: PaperState, mean: float, k: PaperNumbers, s: LookStep) -> None:
-    """Compare the hypotheses that a recovering cell bears nothing, and that a load rises; take the load over if clear."""
+    """Compare the hypotheses that a recovering cell bears nothing and that a load rises, and take over a clear load."""
     none, looks = NONE * k.full_kpa, own.looks_at_rest
     by_noise = cell.noise * s.recovery_gain_kpa
     by_noise *= by_noise

@@ -141,14 +141,9 @@ class EquilibriumInversion(Inversion):
 class StaticCurveInversion(Inversion):
     """The calibrated cubic, without memory."""
 
-    def __init__(
-        self,
-        curve: StaticCurve,
-        full_scale_kpa: float,
-        full_scale_r: float,
-        *,
-        exact: bool,
-    ) -> None:
+    memory = Record
+
+    def __init__(self, curve: StaticCurve, full_scale_kpa: float, full_scale_r: float, *, exact: bool) -> None:
         self.curve = curve
         curve.prepare()
         self.remembers = not curve.logarithmic  # the curve of a contact is logarithmic

@@ -86,7 +86,7 @@ class M10Numbers(Record):
 
 
 class M10Step(Record):
-    """Weights of a time step, see :func:`..materials._lag.weights`: of the branches as they rise and fall, and of chains."""
+    """Weights of a time step (:func:`..materials.lag.weights`): branches that rise, that fall, and chains."""
 
     dt_s: float
     rise_gone: Pair
@@ -245,8 +245,8 @@ def equation(cell: CellState, own: M10State, k: M10Numbers, s: M10Step) -> tuple
     """The quadratic equation (slope + the sum of ``follows``) x + b x^2 = change for the step x of the load.
 
     Returns:
-        slope: dr/ds of the static response and the breaking chains; change: of r that the step must explain; and the half
-        width of the play within which a load counts as still.
+        slope: dr/ds of the static response and the breaking chains; change: of r that the step must explain; and the
+        half width of the play within which a load counts as still.
     """
     load, free = own.load, own.broken * (1.0 - s.heals)
     slope = k.a + 2.0 * k.b * load

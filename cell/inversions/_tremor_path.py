@@ -8,10 +8,10 @@ that grows. By how much r climbs follows from the path length: the sum of all th
 the load moves: half the mean square of these first differences is the Allan variance. If the load goes on in one
 direction, as in presses and in creep, the second differences are small (Hadamard variance). A load that trembles has
 large differences of both orders, up and down. Blocks of several lengths are compared: short blocks see all of the path,
-long ones can tell a weak tremor from noise; the shortest blocks that are clear are believed. Within a block the load may
-go to and fro as well; second differences show how much. The path that the shortest blocks and their noise leave room for
-is an upper bound. An edge of a load is a single event, while a tremor goes on: whether a load trembles is decided by
-second differences that go up as well as down, and the mean squares are robust.
+long ones can tell a weak tremor from noise; the shortest blocks that are clear are believed. Within a block the load
+may go to and fro as well; second differences show how much. The path that the shortest blocks and their noise leave
+room for is an upper bound. An edge of a load is a single event, while a tremor goes on: whether a load trembles is
+decided by second differences that go up as well as down, and the mean squares are robust.
 
 **Motion that a turn explains is left out** (:func:`unexplained`). While the load rises, r beyond its largest value
 since the last turn is explained by the rise; after a turn has been noticed, r below it is explained by the fall. A turn
@@ -19,9 +19,9 @@ is noticed late, and then explains all that r went since the extreme. The meter 
 some looks later. Presses and taps then leave nothing, and neither do tremors so wide that all turns are noticed. From
 the path that is told we subtract what a late turn has explained after the meter saw it.
 
-**Correction** (:func:`subtract`). The pressure that the remaining path makes is subtracted from both hypotheses and from
-the extremes with which they are compared, so that the correction is no turn. The standard deviation gains a share of the
-correction, and the pressure of the further path that noise may hide. Both errors have one sign, and are added as
+**Correction** (:func:`subtract`). The pressure that the remaining path makes is subtracted from both hypotheses and
+from the extremes with which they are compared, so that the correction is no turn. The standard deviation gains a share
+of the correction, and the pressure of the further path that noise may hide. Both errors have one sign, and are added as
 amounts. A load that grows is left alone, since it goes one way.
 """
 
@@ -75,13 +75,13 @@ HIDDEN, MOST_HIDDEN, FAST_HZ = 1.2, 6.0, 4.0
 """least and largest ratio of the path that may be to the path that blocks see; and frequency in Hz of the tremors that
 the latter is meant for"""
 HIDES_AT_FAST = 7.4
-"""path of a sine over that which blocks of its period see. For blocks of a share x of its period the excess is x^2 times
-that: the means see less of the sine, and it turns more often between them"""
+"""path of a sine over that which blocks of its period see. For blocks of a share x of its period the excess is x^2
+times that: the means see less of the sine, and it turns more often between them"""
 UNSURE = 0.3
 """standard deviation of the pressure that is subtracted, over this pressure"""
 LOOK_S = 0.11
-"""seconds from one look to the next, at most. A tremor goes to and fro in a quarter of a second, and means over a longer
-time hide it; slow boards take fewer readings"""
+"""seconds from one look to the next, at most. A tremor goes to and fro in a quarter of a second, and means over a
+longer time hide it; slow boards take fewer readings"""
 LARGEST, LARGEST_PER_S = 0.04, 0.6
 """of full scale, and of full scale per second: a load that goes farther from one look to the next has an edge. After an
 edge no path is told for as long as the mean squares remember. The limit grows with the time between looks, since a
@@ -300,7 +300,7 @@ def carried_over(own: PaperState, told: float, may: float, explained_late: float
 
 @loop
 def unexplained(cell: CellState, own: PaperState, mean: float, s: PathStep) -> tuple[float, float, bool]:
-    """Take a mean of readings; returns unexplained r for the meter, path seen by mistake, and whether there is an edge."""
+    """Take a mean of readings; returns unexplained r, path seen by mistake, and whether there is an edge."""
     late = int(s.late)
     turned, gone = own.direction != own.direction_before, mean - own.extreme_r
     unseen = mean - own.last_r

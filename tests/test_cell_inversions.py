@@ -1,0 +1,280 @@
+"""Inverses against the forward models they invert: round trips, a root finder, laws of loads; and hard cases."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+from cells import EXAMPLE, FULL, exactly
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import brentq
+
+from ohmskin.bench import judges, scenes
+from ohmskin.cell import AsymmetricModel, Cell, ContactModel, Forward, M10Model, PaperModel
+from ohmskin.common import compiled
+from ohmskin.errors import InputError
+
+REST = EXAMPLE.rest_resistance_ohm
+ASYMMETRIC = AsymmetricModel(e1_kpa=32, e2_kpa=60, e3_kpa=480, eta2_kpa_s=510, eta3_kpa_s=48000)
+SAFE = M10Model(a=0.5, b=-0.1, alpha1=0.3, rise1_s=0.3, fall1_s=4, alpha2=0.1, fall2_s=90, k=0.1, tau_s=20)
+WIDE = M10Model(a=0.4, alpha1=0.3, rise1_s=1e-3, fall1_s=2e-3, alpha2=0.2, rise2_s=1e-3, fall2_s=3600)
+CANCELLING = M10Model(a=0.5, alpha1=1e-9, rise1_s=3.0, fall1_s=3.0 + 1e-9, alpha2=0.2, rise2_s=3.0, fall2_s=3.0)
+REVERSED = M10Model(a=0.5, b=-0.1, alpha1=0.3, rise1_s=4, fall1_s=0.3, alpha2=0.1, fall2_s=90, k=0.1, tau_s=20)
+STIFFENING = M10Model(a=0.6, b=0.1, alpha1=0.4, rise1_s=3.0, fall1_s=0.1, alpha2=0.2, fall2_s=50.0, k=0.01)
+AMBIGUOUS = M10Model(a=0.3, alpha1=0.8, rise1_s=0.4, fall1_s=5, alpha2=0.2, fall2_s=400, k=0.5, tau_s=50)
+BY_STEPS = {"asymmetric": ASYMMETRIC, "m10": SAFE, "wide": WIDE, "cancel": CANCELLING}
+
+
+def cell_of(model: AsymmetricModel | M10Model | PaperModel) -> Cell:
+    return EXAMPLE.replace(model=model)
+
+
+@pytest.mark.parametrize("model", BY_STEPS.values(), ids=BY_STEPS)
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_the_inverse_is_exact_at_any_time_steps(model: AsymmetricModel | M10Model, seed: int) -> None:
+    """Random loads, time steps from 0.1 ms to 10 s in one recording."""
+    rng = np.random.default_rng(seed)
+    dt = 10 ** rng.uniform(-4, 1, 60)
+    load = rng.choice([0.0, 15.5, -1.0], (60, 3)) * rng.random((60, 3))
+    load[0] = 0
+    read = cell_of(model).forward((3,)).run(dt, load)
+    found = exactly(cell_of(model), "inverse", np.cumsum(dt), read)
+    assert found == pytest.approx(load, abs=1e-5)
+
+
+@pytest.mark.parametrize("dt", [1e-3, 2.0])
+@pytest.mark.parametrize("model", [SAFE, CANCELLING, REVERSED, STIFFENING], ids=["m10", "cancel", "back", "stiffening"])
+def test_noise_that_turns_branches_in_every_sample_costs_no_accuracy(model: M10Model, dt: float) -> None:
+    """Against a root finder that knows only the forward model, sample by sample: 1e-9 of full scale."""
+    rng, forward = np.random.default_rng(9), cell_of(model).forward(())
+    read = REST * (1.0 + 0.4 * np.sin(np.arange(40) / 5) ** 2 + 0.02 * rng.standard_normal(40) * (np.arange(40) > 0))
+    bend = FULL * (model.a - model.k) / (2 * model.b) if model.b else np.inf  # the curve turns back there
+    lowest, highest = (-bend, np.inf) if model.b >= 0 else (-np.inf, -bend)
+
+    def left(load: float, ohm: float, of: Forward) -> float:
+        return float(copy.deepcopy(of).step(dt, load)) - ohm
+
+    found, last = exactly(cell_of(model), "inverse", dt * np.arange(40), read), 0.0
+    for n in range(1, 40):
+        near = max(last - 0.6 * FULL, lowest, -0.5 * FULL), min(last + 0.6 * FULL, highest)
+        last = brentq(left, *near, args=(read[n], forward), xtol=1e-13)
+        forward.step(dt, last)
+        assert found[n] == pytest.approx(last, abs=FULL * 1e-9)
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.1])
+def test_loads_on_a_paper_cell_are_found_without_noise(dt: float) -> None:
+    """Presses that go up and down at once exactly; ramps to 1.5 % of full scale, until their turns are noticed."""
+    time = np.arange(0, 60, dt)
+    steps = sum(((time > a) & (time < a + 9)).astype(float) for a in (5, 21, 40))
+    corners = np.cumsum(np.random.default_rng(1).uniform(3, 12, 12))
+    ramps = np.interp(time, corners, np.r_[0, np.random.default_rng(2).uniform(0, 1, 11)])
+    load = np.stack([np.asarray(steps), ramps], axis=1)
+    read = EXAMPLE.forward((2,)).run(np.full(len(time), dt), FULL * load)
+    error = exactly(EXAMPLE, "inverse", time, read) / FULL - load
+    assert (np.sqrt(np.mean(error**2, axis=0)) < [1e-9, 0.015]).all()
+    assert np.sqrt(np.mean((exactly(EXAMPLE, "paper", time, read) / FULL - load) ** 2)) > 0.03, "what P8 misreads"
+
+
+@pytest.mark.parametrize("kind", ["example", "m10", "asymmetric"])
+def test_kernels_are_what_they_are_as_plain_python(kind: str) -> None:
+    """Noise, a press, a rubbed cell: the same pressures and deviations to the last bit."""
+    cell = scenes.cells()[kind]
+    time = 0.01 / scenes.SUBSTEPS * np.arange(90 * scenes.SUBSTEPS)
+    share = np.interp(time % 0.4, [0.1, 0.13, 0.25, 0.3], [0.0, 1.0, 1.0, 0.0])[:, None] * [0.0, 0.2, 0.9]
+    played = scenes.read(cell, share, 0.01, 1.0, np.random.default_rng(0))
+    found = judges.estimated(played, cell.estimator((3,)))[:2]
+    with compiled.switched_off():
+        again = judges.estimated(played, cell.estimator((3,)))[:2]
+    assert np.array_equal(found, again)
+
+
+def test_a_reading_beyond_the_models_reach_stays_finite() -> None:
+    """With b < 0 the resistance has a top; above it there is no load, and the next readings are answered again."""
+    read = REST * (1 + np.array([0.0, 0.1, 0.05, 50.0, 40.0, 0.2, 0.1, 0.0]))
+    assert np.isfinite(exactly(cell_of(SAFE), "inverse", 0.05 * np.arange(8), read)).all()
+
+
+def test_a_cell_is_refused_where_two_loads_share_a_resistance() -> None:
+    """That is where r does not fall in a fast release from a settled load."""
+    for k in (0.05, 0.29, 0.31, 0.6):
+        cell = cell_of(AMBIGUOUS.replace(k=k))
+        forward = cell.forward(())
+        forward.step(1.0, 15.5)
+        held = forward.step(1000.0, 15.5)
+        if forward.step(1e-6, 15.0) < held:
+            assert cell.default_estimator == "inverse"
+            cell.estimator((2,), "inverse")
+        else:
+            assert cell.default_estimator == "static"
+            with pytest.raises(InputError, match="more than one answer"):
+                cell.estimator((2,), "inverse")
+    contact = EXAMPLE.replace(model=ContactModel(full_scale_resistance_ohm=500))
+    with pytest.raises(InputError, match="of kind 'paper', 'asymmetric' or 'm10'"):
+        contact.estimator((2,), "inverse")
+
+
+INVERSES = [(EXAMPLE, "paper"), (EXAMPLE, "inverse"), (cell_of(ASYMMETRIC), "inverse"), (cell_of(SAFE), "inverse")]
+
+
+@pytest.mark.parametrize(("cell", "name"), INVERSES)
+def test_a_held_load_does_not_fade(cell: Cell, name: str) -> None:
+    """An hour at 10 kPa, then a gap of a week: the estimate stays."""
+    time = np.cumsum([1.0, 0.05, *[4.0] * 900, 604800.0])
+    load = np.r_[0.0, np.full(902, 10.0)]
+    read = cell.forward(()).run(np.diff(time, prepend=0.0), load)
+    assert exactly(cell, name, time, read)[-2:] == pytest.approx(10.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(("cell", "name"), INVERSES[:3])
+def test_a_cell_that_opens_and_returns(cell: Cell, name: str) -> None:
+    """Open, shorted, saturated to nonsense: missing; when it is back, it reads as if it had been looked at rarely."""
+    time = 0.05 * np.arange(400)
+    read = cell.forward((2,)).run(np.full(400, 0.05), np.repeat(8.0 * (time >= 5.0)[:, None], 2, axis=1))
+    read[150:250, 0] = np.resize([np.inf, 0.0, -5.0, np.nan], 100)
+    found = exactly(cell, name, time, read)
+    assert np.isfinite(found).all()
+    assert found[-1] == pytest.approx([8.0, 8.0], abs=1e-6)
+
+
+def test_a_wrong_rest_resistance_costs_no_more_than_itself() -> None:
+    """R0 off by 3 % shifts r by 3 % of 1 + r; the estimate is off by that over the slope, and does not run away."""
+    cell, time = cell_of(ASYMMETRIC), 0.1 * np.arange(4000)
+    load = 7.0 + 7.0 * np.sin(np.arange(4000) / 150) * np.sin(np.arange(4000) / 47)
+    read = cell.forward(()).run(np.full(4000, 0.1), load)
+    found = exactly(cell, "inverse", time, read / 1.03)
+    assert np.abs(found - load).max() < 2 * 0.03 * (1 + 0.775) * 32
+
+
+@pytest.mark.parametrize("model", [EXAMPLE.model, ASYMMETRIC, SAFE], ids=["paper", "asymmetric", "m10"])
+@given(share=st.floats(0.2, 0.95), error=st.floats(0.001, 0.005))
+@settings(max_examples=20, deadline=None)
+def test_the_deviation_counts_an_error_of_r0_as_what_it_does_to_the_answer(
+    model: PaperModel | AsymmetricModel | M10Model, share: float, error: float
+) -> None:
+    """Of a load held long: the answer with a wrong R0 differs from the one with the right R0 by that deviation."""
+    cell = EXAMPLE.replace(model=model)
+    read = cell.forward(()).run(np.full(3, 1e6), np.full(3, share * FULL))[-1]
+    right, wrong = (
+        cell.estimator((), "static", noise=0.0, rest_resistance_ohm=rest, rest_error=error)
+        for rest in (REST, (1 + error) * REST)
+    )
+    sure = cell.estimator((), "static", noise=0.0)
+    shift = abs(float(wrong.step(1.0, read)) - float(right.step(1.0, read)))
+    sure.step(1.0, read)
+    added = np.sqrt(float(right.std_kpa) ** 2 - float(sure.std_kpa) ** 2)
+    assert added == pytest.approx(shift, rel=0.1)
+
+
+def test_an_absurd_error_of_r0_is_refused() -> None:
+    for error in (-0.1, 1.5, np.nan):
+        with pytest.raises(InputError, match="error of R0"):
+            EXAMPLE.estimator((), rest_error=error)
+
+
+# -- honest deviations -------------------------------------------------------------------------------------------------
+
+
+def drawn(random: np.random.Generator) -> Cell:
+    """A paper cell of any units: gain, shares of its parts, time constants and overshoot within what is published."""
+    gain, at_once, slow = random.uniform([0.3, 0.5, 0.02], [1.2, 0.8, 0.06])
+    fast_s, slow_s, overshoot, fading_s = random.uniform([3.0, 50.0, 0.1, 2.0], [15.0, 200.0, 0.4, 10.0])
+    full, rest = random.uniform([5.0, 500.0], [200.0, 5e4])
+    e1, e2, e3, etau2 = full / gain / np.array([at_once, 1 - at_once - slow, slow, overshoot])
+    model = PaperModel(
+        **{"e1_kpa": e1, "e2_kpa": e2, "e3_kpa": e3, "eta2_kpa_s": fast_s * e2, "eta3_kpa_s": slow_s * e3},
+        **{"eu1_kpa": full / gain, "etau2_kpa": etau2, "eu2_kpa_per_s": etau2 / fading_s},
+    )
+    return Cell(rest_resistance_ohm=rest, full_scale_kpa=full, model=model)
+
+
+@pytest.mark.slow
+def test_errors_of_drawn_paper_cells_are_within_the_stated_deviations() -> None:
+    """Always the same twelve cells, so that no estimator is made for those of the judges' table alone."""
+    random = np.random.default_rng(1)
+    within = []
+    for number in range(12):
+        cell, rate_hz, noise_mv = drawn(random), (60.0, 100.0, 250.0)[number % 3], (0.1, 1.0, 10.0)[number // 4]
+        for load in ("hold", "press", "slow ramp", "sine", "taps", "finger"):
+            played = scenes.play(scenes.Scene(load, f"drawn {number}", rate_hz, 12, noise_mv), cell)
+            pressure, std, _ = judges.estimated(played, cell.estimator((scenes.CELLS,)))
+            within.append(judges.figures(played, pressure, std, cell.full_scale_kpa).within)
+    assert np.mean(within) > 97.0
+
+
+@pytest.mark.parametrize("step", [0.035, 0.07])
+def test_flips_between_two_codes_are_no_load_and_leave_little_doubt(step: float) -> None:
+    """Cells at rest whose readings are one of two neighbouring codes, from frame to frame by chance."""
+    cells = 64
+    draw = np.random.default_rng(0)
+    flips = draw.random((800, cells)) < draw.uniform(0.02, 0.5, cells)
+    estimator = EXAMPLE.estimator((cells,))
+    estimator.resolve(np.full(cells, step / np.sqrt(12)), np.full(cells, REST))
+    largest = 0.0
+    for frame in flips:
+        estimator.step(0.01, REST * (1.0 + step * frame))
+        largest = max(largest, float(estimator.std_kpa.max()))
+    assert isinstance(EXAMPLE.model, PaperModel)
+    assert largest < 1.5 * step * EXAMPLE.model.e1_kpa
+
+
+@pytest.mark.parametrize("after_s", [0.05, 1.5])
+def test_a_first_reading_under_load_is_no_long_hold_without_a_doubt(after_s: float) -> None:
+    """The skin is opened after a press has begun; it lasts for two seconds, and two more follow."""
+    dt = 0.02
+    time = np.arange(0.0, 10.0, dt)
+    share = np.interp(time, [0.1, 0.15, 2.1, 2.15, 4.0, 4.05, 5.0, 5.05, 7.0, 7.05, 8.0, 8.05], [0, 1, 1, 0] * 3)
+    load = share[:, None] * np.array([3.0, 9.0, 14.0])
+    noise = np.random.default_rng(0).normal(scale=1e-3, size=load.shape)
+    read = EXAMPLE.forward((3,)).run(np.full(len(time), dt), load) * (1.0 + noise)
+    estimator, ratios = EXAMPLE.estimator((3,)), []
+    for n in np.flatnonzero(time > 0.1 + after_s):
+        ratios.append(np.abs(estimator.step(dt, read[n]) - load[n]) / estimator.std_kpa)
+    assert np.mean(np.array(ratios) > 2.0) < 0.05
+    assert np.mean(np.array(ratios) > 3.0) < 0.02
+
+
+@pytest.mark.parametrize("factor", [0.6, 4.0])
+@pytest.mark.parametrize("kind", ["paper", "asymmetric"])
+def test_a_bad_contact_of_a_released_cell_leaves_no_trace(kind: str, factor: float) -> None:
+    """60 ms in which an unloaded cell, which still remembers a press, reads more or less than it has."""
+    cell, dt = scenes.cells()[kind], 0.01
+    time = dt / scenes.SUBSTEPS * np.arange(600 * scenes.SUBSTEPS)
+    share = np.interp(time, [0.5, 0.6, 2.5, 2.6], [0.0, 1.0, 1.0, 0.0])[:, None] * np.linspace(0.5, 0.9, 4)
+    played = scenes.read(cell, share, dt, 0.3, np.random.default_rng(0))
+    played.siemens[280:286] /= factor
+    pressure, _, _ = judges.estimated(played, cell.estimator((4,)))
+    assert np.abs(pressure[300:]).max() < 0.03 * cell.full_scale_kpa
+
+
+def test_no_pressure_beyond_the_usual_is_shown_in_doubt() -> None:
+    """Loads that turn within frames, in noise: what is shown beyond full scale is in the deviation, and not doubt."""
+    random = np.random.default_rng(0)
+    estimator, forward, doubted = EXAMPLE.estimator((16,)), EXAMPLE.forward((16,)), 0
+    for frame in range(500):
+        load = FULL * random.random(16) * (random.random(16) < 0.5) * (frame > 50)
+        for part in (random.random(), 1.0, 1.0):
+            ohm = forward.step(0.02 / 3.0, part * load)
+        shown = estimator.step(0.02, ohm * (1.0 + 0.01 * random.standard_normal(16)))
+        doubt_kpa2 = estimator.std_kpa**2 - np.maximum(shown - FULL, 0.0) ** 2
+        doubted += np.count_nonzero((shown > 1.1 * FULL * (1.0 + 1e-9)) & (doubt_kpa2 > (0.1001 * FULL) ** 2))
+    assert doubted == 0
+
+
+def test_a_drummed_cell_shows_no_overload_and_comes_back_to_rest() -> None:
+    """Forty taps raise the reading to many times that of a load; it heals within some tens of seconds."""
+    remembering = PaperModel(
+        **{"e1_kpa": 130.0, "e2_kpa": 60.0, "e3_kpa": 110.0, "eta2_kpa_s": 600.0, "eta3_kpa_s": 15000.0},
+        **{"eu1_kpa": 29.905, "etau2_kpa": 120.0, "eu2_kpa_per_s": 24.0},
+    )
+    cell = Cell(rest_resistance_ohm=10e3, full_scale_kpa=20.0, model=remembering)
+    time = 0.01 / scenes.SUBSTEPS * np.arange(1.0, 3300 * scenes.SUBSTEPS + 1)
+    wave = np.maximum(np.sin(4 * np.pi * time), 0.0) * ((time > 1.0) & (time < 21.0))
+    played = scenes.read(cell, wave[:, None] * [0.0, 0.3, 0.6, 0.9], 0.01, 0.1, np.random.default_rng(0))
+    pressure, std, _ = judges.estimated(played, cell.estimator((4,)))
+    assert pressure.max() < 1.15 * cell.full_scale_kpa
+    assert np.mean((np.abs(pressure - played.pressure_kpa) < 2 * std)[50:]) > 0.9
+    assert np.abs(pressure[3100:]).max() < 0.15 * cell.full_scale_kpa
