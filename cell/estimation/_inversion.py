@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from typing import Any
 
 import numpy as np
 
@@ -85,11 +86,11 @@ class Inversion(ABC):
     # -- required methods --------------------------------------------------------------------------------------------
 
     @abstractmethod
-    def begin(self, cells: Records[CellState], memory: Records[Record], places: IntArray, r: FloatArray) -> None:
+    def begin(self, cells: Records[CellState], memory: Records[Any], places: IntArray, r: FloatArray) -> None:
         """Set cells whose reading has been ``r`` (k,) for ever."""
 
     @abstractmethod
-    def advance(self, cells: Records[CellState], memory: Records[Record], places: IntArray, dt_s: float) -> None:
+    def advance(self, cells: Records[CellState], memory: Records[Any], places: IntArray, dt_s: float) -> None:
         """Take the present readings of cells, which are ``dt_s`` after the last ones."""
 
     # -- optional methods --------------------------------------------------------------------------------------------
@@ -101,16 +102,16 @@ class Inversion(ABC):
         return cells["pressure_kpa"].copy()
 
     def hold(  # noqa: B027 - of a memory that some inversions do not have
-        self, cells: Records[CellState], memory: Records[Record], places: IntArray, dt_s: FloatArray
+        self, cells: Records[CellState], memory: Records[Any], places: IntArray, dt_s: FloatArray
     ) -> None:
         """Let times ``dt_s`` (k,) pass at constant pressure."""
 
-    def settled(self, cells: Records[CellState], memory: Records[Record], places: IntArray, band: float) -> BoolArray:
+    def settled(self, cells: Records[CellState], memory: Records[Any], places: IntArray, band: float) -> BoolArray:
         """(k,) whether the memory is that of a cell at rest, within ``band`` of r."""
         return np.ones(places.size, dtype=bool)
 
     def recover(  # noqa: B027 - of a memory that some inversions do not have
-        self, cells: Records[CellState], memory: Records[Record], places: IntArray, dt_s: float, mean: FloatArray
+        self, cells: Records[CellState], memory: Records[Any], places: IntArray, dt_s: float, mean: FloatArray
     ) -> None:
         """Correct the memory by the readings since the last call, with ``mean`` (k,); called after :meth:`advance`."""
 
@@ -119,16 +120,16 @@ class Inversion(ABC):
         return 0
 
     def sway(  # noqa: B027 - of a memory that some inversions do not have
-        self, cells: Records[CellState], memory: Records[Record], places: IntArray, dt_s: float, mean: FloatArray
+        self, cells: Records[CellState], memory: Records[Any], places: IntArray, dt_s: float, mean: FloatArray
     ) -> None:
         """Remove what loads that oscillate unnoticed have left; called after :meth:`recover`, with its arguments."""
 
-    def left_over(self, cells: Records[CellState], memory: Records[Record], places: IntArray) -> FloatArray:
+    def left_over(self, cells: Records[CellState], memory: Records[Any], places: IntArray) -> FloatArray:
         """(k,) excess of r, by earlier loads, over the equilibrium r of the present load; 0 where unknown."""
         return np.zeros(places.size)
 
     def miss(  # noqa: B027 - of a memory that some inversions do not have
-        self, cells: Records[CellState], memory: Records[Record], places: IntArray, rise_kpa: FloatArray
+        self, cells: Records[CellState], memory: Records[Any], places: IntArray, rise_kpa: FloatArray
     ) -> None:
         """Add the uncertainty of rises ``rise_kpa`` (k,) that may be apparent only."""
 
