@@ -265,12 +265,12 @@ class Estimator:
                 whose idle rows are driven. False if they give each cell an error of its own, as where idle rows float.
         """
         of_each = all_steps_std if all_steps_std is not None and not scales_columns else step_std
-        at_rest, found = self._at_rest(of_each, resistance_ohm)
+        at_rest, found = self._std_at_rest(of_each, resistance_ohm)
         if not found.any():
             return
         of_all = 0.0
         if all_steps_std is not None:
-            by_all, known = self._at_rest(all_steps_std, resistance_ohm)
+            by_all, known = self._std_at_rest(all_steps_std, resistance_ohm)
             of_all = float(np.median(by_all[known])) if known.any() else 0.0
             if of_all < MORE * np.median(at_rest[found]):
                 of_all = 0.0  # as with virtual grounds: each conductance follows from its own reading alone
@@ -278,7 +278,7 @@ class Estimator:
         self._shared_noise.suppose(float(np.median(at_rest[found])), of_all, scales_columns=scales_columns)
         self.inversion.take_steps(self._noise.typical_resolution)
 
-    def _at_rest(self, relative_std: ArrayLike, resistance_ohm: ArrayLike) -> tuple[FloatArray, BoolArray]:
+    def _std_at_rest(self, relative_std: ArrayLike, resistance_ohm: ArrayLike) -> tuple[FloatArray, BoolArray]:
         """Standard deviation (n,) of r at rest for a relative one of conductances; and (n,) where it is known."""
         std = np.asarray(relative_std, dtype=np.float64).ravel()
         resistance = np.asarray(resistance_ohm, dtype=np.float64).ravel()
@@ -432,6 +432,9 @@ class Estimator:
         self._cells[places], self._memory[places] = self._at_rest
         self._pressure[places] = 0.0  # the calibration curve may differ from 0 there by some percent
         self._sleep.begin(places)
+        self._noise.cells["on_line"][places] = np.inf  # without a line there is no edge
+        self._wanted[places] = False
+        self._followed = self._wanted.nonzero()[0]
         self._shared_noise.sleep(places, self._sleep.mean[places])
 
     def _watch_over(self) -> None:
