@@ -130,7 +130,7 @@ def zeros(kind: type[Kind], count: int) -> Records[Kind]:
     return cast("Records[Kind]", np.zeros(count, kind.dtype()).view(Records))
 
 
-def record(kind: type[Kind], **values: float) -> Kind:
+def record(kind: type[Kind], **values: Any) -> Kind:
     """One record; every field has to be given."""
     if missing := set(kind.dtype().names or ()) ^ set(values):
         raise TypeError(f"{kind.__name__}: {', '.join(sorted(missing))} missing or unknown")

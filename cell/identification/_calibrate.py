@@ -36,8 +36,6 @@ MISSES = 3.0
 """largest drift after the recording that an inverse may miss, over its held-out error"""
 BREAKS = 0.5
 """a cell is believed to have chains that break if m10 with them has less than this fraction of the error without"""
-WORTH_COMPILING = 1000
-"""least number of samples for which compiled loops are loaded, which takes about half a second"""
 REMEMBERS = 0.8
 """fraction of the static curve's error on its worst fold, below which a cell whose resistance falls has a memory"""
 LIGHT = 0.05
@@ -219,8 +217,6 @@ def estimate_recording(
     Returns:
         Pressure, and its standard deviation or None if the estimator states none.
     """
-    if len(time_s) >= WORTH_COMPILING:
-        estimator.compile()
     pressure, std = np.empty((2, len(time_s)))
     for n, elapsed in enumerate(np.diff(time_s, prepend=time_s[0])):
         pressure[n] = estimator.step(float(elapsed), resistance_ohm[n])

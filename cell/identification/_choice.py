@@ -173,7 +173,6 @@ def errors_elsewhere(
         resistance = cell.rest_resistance_ohm * (1 + r)
         for column, name in enumerate(names):
             estimator = cell.estimator((ELSEWHERE_CELLS,), name)
-            estimator.compile()
             pressure = np.array([estimator.step(ELSEWHERE_STEP_S, frame) for frame in resistance])
             rms[row, column] = np.sqrt(np.mean((pressure / cell.full_scale_kpa - load) ** 2))
     rms = np.maximum(rms, 1e-9)

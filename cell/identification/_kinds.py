@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from ...common.arrays import FloatArray
 from ...errors import InputError
 from ..inversions import play_follow
-from ..materials import AsymmetricModel, M10Model, Model, PaperModel, simulate
+from ..materials import M10_PARAMETERS, AsymmetricModel, M10Model, Model, PaperModel, simulate
 
 INSTANT_S, RISE2_S = 0.05, 1.0
 """charging time constants in seconds: of a branch that charges at once, and the usual one of the slow branch"""
@@ -82,7 +82,7 @@ def whole_kind(start: tuple[float, ...], size: float, begun: bool) -> Kind:
     g1, g2, g3, t2, t3 = start
     return Kind(
         kind="whole",
-        names=simulate.M10_PARAMETERS[:-2],
+        names=M10_PARAMETERS[:-2],
         low=(-2 * size, -2 * size, 1e-4 * size, 0.02, 0.2, 1e-4 * size, 0.02, 3.0),
         high=(4 * size, 2 * size, 5 * size, 20.0, 100.0, 5 * size, 3000.0, 3000.0),
         starts=(
@@ -97,7 +97,7 @@ def whole_kind(start: tuple[float, ...], size: float, begun: bool) -> Kind:
 
 
 def _run_whole(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
-    count = len(simulate.M10_PARAMETERS) - 2
+    count = len(M10_PARAMETERS) - 2
     none = np.zeros((2, parameters.shape[1]))
     none[1] = 30.0
     full = np.concatenate([parameters[:count], none])
@@ -109,7 +109,7 @@ def m10_kind(start: tuple[float, ...], size: float, begun: bool) -> Kind:
     _, graphical, slow = whole.starts
     return Kind(
         kind="m10",
-        names=simulate.M10_PARAMETERS,
+        names=M10_PARAMETERS,
         low=(*whole.low, 1e-4 * size, 1.0),
         high=(*whole.high, 3 * size, 300.0),
         starts=(
@@ -124,7 +124,7 @@ def m10_kind(start: tuple[float, ...], size: float, begun: bool) -> Kind:
 
 
 def _run_m10(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
-    count = len(simulate.M10_PARAMETERS)
+    count = len(M10_PARAMETERS)
     begun = parameters[count:]
     return simulate.m10(parameters[:count], _columns(load), dt, begun if len(begun) else None)
 
@@ -170,7 +170,7 @@ def asymmetric_as_whole(solution: tuple[float, ...]) -> tuple[float, ...]:
 
 def whole_as_m10(solution: tuple[float, ...], size: float) -> tuple[float, ...]:
     """The same cell as parameters of "m10": hardly any chain breaks."""
-    count = len(simulate.M10_PARAMETERS) - 2
+    count = len(M10_PARAMETERS) - 2
     *branches, offset = solution[count:]
     return *solution[:count], 1e-3 * size, 30.0, *branches, *[0.0] * (len(branches) // 2), offset
 
@@ -211,8 +211,8 @@ def model_of(kind: str, found: FloatArray, full_scale_kpa: float) -> Model:
     unit = 1 + found[-1]
     try:
         if kind in ("m10", "whole"):
-            count = len(simulate.M10_PARAMETERS) - (2 if kind == "whole" else 0)
-            values = dict(zip(simulate.M10_PARAMETERS[:count], map(float, found), strict=False))
+            count = len(M10_PARAMETERS) - (2 if kind == "whole" else 0)
+            values = dict(zip(M10_PARAMETERS[:count], map(float, found), strict=False))
             values.setdefault("k", 0.0)
             for name in ("a", "b", "alpha1", "alpha2", "k"):
                 values[name] /= unit

@@ -196,9 +196,9 @@ def rows(calibration: NormalisedRecording, bank: Bank, simulated: tuple[FloatArr
         steps, np.concatenate([(1 + r_of) * shifts - 1, r_of + CREEP * calibration.spread * lagged], axis=1)
     )
     return Rows(
-        real=real.transpose(0, 2, 1).reshape(-1, bank.count),
-        real_load=np.repeat(calibration.load, real.shape[2]),
-        simulated=found[::thin].transpose(0, 2, 1).reshape(-1, bank.count),
+        real=real.reshape(-1, bank.count),
+        real_load=np.repeat(calibration.load, real.shape[1]),
+        simulated=found[::thin].reshape(-1, bank.count),
         simulated_load=load[::thin].ravel(),
     )
 
@@ -225,8 +225,7 @@ def learn(
     mean = data.simulated.mean(axis=0)
     scale = np.maximum(data.simulated.std(axis=0), 1e-6 * max(calibration.spread, 1e-9))
     terms = Terms(mean, scale, seed, directions, np.float32)  # cosines cost most; sums are in float64
-    at_rest = bank.features(bank.begin(np.zeros(1)))
-    rest = np.asarray(terms(terms.standardised(at_rest)), dtype=np.float64)
+    rest = np.asarray(terms(terms.standardised(np.zeros((1, bank.count)))), dtype=np.float64)
     penalty = ridge * np.eye(rest.shape[1])
     penalty[0, 0] = 0.0
     sets = [
@@ -277,7 +276,7 @@ def _blocks(terms: Terms, features: FloatArray, load: FloatArray) -> Iterator[tu
     """Terms (rows, terms) of features (rows, count), and their loads, in blocks that fit the processor's cache."""
     for start in range(0, len(features), TOGETHER):
         place = slice(start, start + TOGETHER)
-        block = np.asarray(terms(terms.standardised(features[place].T)), dtype=np.float32)
+        block = np.asarray(terms(terms.standardised(features[place])), dtype=np.float32)
         yield block, load[place].astype(np.float32)
 
 

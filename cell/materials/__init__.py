@@ -14,7 +14,7 @@
 from . import _lag as lag
 from . import _simulate as simulate
 from ._equilibrium import equilibrium_curve, equilibrium_gain
-from ._forward import Forward, as_m10, make_forward, resistance_of, resistance_on_logarithm
+from ._forward import M10_PARAMETERS, Forward, as_m10, make_forward, resistance_of, resistance_on_logarithm
 from ._lag import ByStep
 from ._material import drifted_rest_resistance
 from ._models import AsymmetricModel, ContactModel, M10Model, Model, PaperModel
@@ -22,6 +22,7 @@ from ._percolation import Percolation
 from ._simulate import smoothed, smoothing_s, white_noise
 
 __all__ = [
+    "M10_PARAMETERS",
     "AsymmetricModel",
     "ByStep",
     "ContactModel",

@@ -50,7 +50,8 @@ class Forward(ABC):
             pressure = np.broadcast_to(np.asarray(pressure_kpa, dtype=np.float64), self.shape)
         except ValueError as error:
             raise InputError(f"pressure has shape {np.shape(pressure_kpa)}, expected {self.shape}") from error
-        return self.run(np.array([dt_s]), pressure[None])[0]
+        (resistance,) = self.run(np.array([dt_s]), pressure[None])
+        return np.asarray(resistance)
 
     def _in_ohms(self, rest_ohm: FloatArray, r: FloatArray) -> FloatArray:
         """Resistance (n, k) in ohm."""
@@ -152,7 +153,7 @@ class PaperForward(Forward):
 
     def _run(self, memory: Records[PaperMemory], dt_s: FloatArray, pressure: FloatArray) -> FloatArray:
         r = np.empty(pressure.shape)
-        run_paper.unchecked(self._parameters, memory, dt_s, np.require(pressure, requirements="CW"), r)
+        run_paper.unchecked(self._parameters, memory, dt_s, np.require(pressure, requirements=["C", "W"]), r)
         return r
 
     def _remembered(self, memory: Records[PaperMemory]) -> FloatArray:

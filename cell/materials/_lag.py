@@ -58,5 +58,6 @@ def weights(dt_s: ArrayLike, time_constant_s: ArrayLike) -> tuple[FloatArray, Fl
     """:func:`weights_of` for arrays, which are broadcast."""
     z = np.broadcast_arrays(np.asarray(dt_s, dtype=np.float64), np.asarray(time_constant_s, dtype=np.float64))
     gone, ramp = np.empty((2, *z[0].shape))
-    _weights_each.unchecked(*(np.array(each).ravel() for each in z), gone.reshape(-1), ramp.reshape(-1))
+    steps, constants = (np.array(each).ravel() for each in z)
+    _weights_each.unchecked(steps, constants, gone.reshape(-1), ramp.reshape(-1))
     return gone, ramp

@@ -11,11 +11,7 @@ import numpy as np
 
 from ...common.arrays import FloatArray, scatter
 from ...common.compiled import Row, Rows, loop, zeros
-from ._forward import (
-    M10_PARAMETERS,  # noqa: F401 - offered here, too
-    m10_cells,
-    paper_cells,
-)
+from ._forward import m10_cells, paper_cells
 from ._steps import M10Memory, PaperMemory, run_m10, run_paper
 
 LONGEST_SMOOTHING_S = 0.5
@@ -34,7 +30,7 @@ def m10(parameters: FloatArray, load: FloatArray, dt_s: float, begun: FloatArray
     """
     cells = m10_cells(parameters)
     memory = zeros(M10Memory, cells.size)
-    loads = np.require(np.broadcast_to(load, (len(load), cells.size)), requirements="CW")
+    loads = np.require(np.broadcast_to(load, (len(load), cells.size)), requirements=["C", "W"])
     memory["load"] = loads[0]
     memory["x"] = cells["alpha"] * loads[0][:, None]
     if begun is not None:
@@ -62,7 +58,7 @@ def paper(parameters: FloatArray, load: FloatArray, dt_s: float) -> FloatArray:
     times_s = np.stack([settle, fall2, fall3], axis=1)
     made = paper_cells(cells, 1 / total, 1 / (overshoot * total), 1 / gain1, 1 / gain2, 1 / gain3, times_s)
     memory = zeros(PaperMemory, cells)
-    loads = np.require(np.broadcast_to(load, (len(load), cells)), requirements="CW")
+    loads = np.require(np.broadcast_to(load, (len(load), cells)), requirements=["C", "W"])
     memory["load"], memory["settled"], memory["rising"] = loads[0], loads[0], 1.0
     memory["x2"], memory["x3"], memory["r"] = gain2 * loads[0], gain3 * loads[0], total * loads[0]
     found, steps = np.empty(loads.shape), np.full(len(loads), dt_s)
