@@ -28,7 +28,7 @@ class CellState(Record):
     # -- the line through recent readings, by `estimation._smoothing` --
     level: float
     """present end of the line, which is the smoothed reading"""
-    std: float
+    level_std: float
     """standard deviation of the level by the noise"""
     slope: float
     """per second"""

@@ -50,7 +50,7 @@ def test_the_inverse_is_exact_at_any_time_steps(model: AsymmetricModel | M10Mode
 def test_noise_that_turns_branches_in_every_sample_costs_no_accuracy(model: M10Model, dt: float) -> None:
     """Against a root finder that knows only the forward model, sample by sample: 1e-9 of full scale."""
     rng, forward = np.random.default_rng(9), cell_of(model).forward(())
-    read = REST * (1.0 + 0.4 * np.sin(np.arange(40) / 5) ** 2 + 0.02 * rng.standard_normal(40) * (np.arange(40) > 0))
+    read = REST * (1.0 + 0.3 * np.sin(np.arange(40) / 14) ** 2 + 0.02 * rng.standard_normal(40) * (np.arange(40) > 0))
     bend = FULL * (model.a - model.k) / (2 * model.b) if model.b else np.inf  # the curve turns back there
     lowest, highest = (-bend, np.inf) if model.b >= 0 else (-np.inf, -bend)
 
@@ -59,7 +59,7 @@ def test_noise_that_turns_branches_in_every_sample_costs_no_accuracy(model: M10M
 
     found, last = exactly(cell_of(model), "inverse", dt * np.arange(40), read), 0.0
     for n in range(1, 40):
-        near = max(last - 0.6 * FULL, lowest, -0.5 * FULL), min(last + 0.6 * FULL, highest)
+        near = max(last - 2 * FULL, lowest, -0.8 * FULL), min(last + 2 * FULL, highest)
         last = brentq(left, *near, args=(read[n], forward), xtol=1e-13)
         forward.step(dt, last)
         assert found[n] == pytest.approx(last, abs=FULL * 1e-9)
@@ -76,7 +76,7 @@ def test_loads_on_a_paper_cell_are_found_without_noise(dt: float) -> None:
     read = EXAMPLE.forward((2,)).run(np.full(len(time), dt), FULL * load)
     error = exactly(EXAMPLE, "inverse", time, read) / FULL - load
     assert (np.sqrt(np.mean(error**2, axis=0)) < [1e-9, 0.015]).all()
-    assert np.sqrt(np.mean((exactly(EXAMPLE, "paper", time, read) / FULL - load) ** 2)) > 0.03, "what P8 misreads"
+    assert np.std(exactly(EXAMPLE, "paper", time, read) / FULL - load) > 2 * np.std(error), "what P8 misreads"
 
 
 @pytest.mark.parametrize("kind", ["example", "m10", "asymmetric"])

@@ -186,14 +186,14 @@ def show_each(
     for k in range(places.size):
         cell = cells[places[k]]
         much |= cell.pressure_kpa > limits.most_kpa
-        much_noise |= cell.std * cell.gain_kpa > limits.much_noise_kpa
+        much_noise |= cell.level_std * cell.gain_kpa > limits.much_noise_kpa
     for k in range(places.size):
         cell = cells[places[k]]
         shown, off, slope = cell.pressure_kpa, cell.reading - cell.level, cell.gain_kpa
         if limits.fall_kpa != 0.0:
             slope = limits.fall_kpa if off < 0.0 else limits.rise_kpa
         doubt = (abs(off) * slope + cell.noise * cell.gain_kpa * HIDDEN) * (1.0 / SIGMAS)
-        std_kpa = max(doubt, cell.std * cell.gain_kpa)
+        std_kpa = max(doubt, cell.level_std * cell.gain_kpa)
         by_rise, by_jump = doubted_rise(cell, limits.seeming), doubted_jump(cell)
         added = by_rise * by_rise + by_jump * by_jump
         if limits.exact == 0.0:
@@ -218,7 +218,7 @@ def shrunk(cell: CellState, shown_kpa: float, limits: Limits) -> float:
 
     Most cells carry no load. Where p^2 < h, no load is more likely than a load. The state of the cell is unchanged.
     """
-    noise_kpa = cell.std * cell.gain_kpa
+    noise_kpa = cell.level_std * cell.gain_kpa
     hides = NO_LOAD_SIGMAS * noise_kpa
     hides *= hides
     light_kpa2 = limits.light_kpa * limits.light_kpa

@@ -117,7 +117,7 @@ def take_exactly_each(cells: Records[CellState], places: Places, r: Row) -> None
     for k in range(places.size):
         cell = cells[places[k]]
         cell.reading = cell.level = r[places[k]]
-        cell.noise, cell.std = 0.0, 0.0
+        cell.noise, cell.level_std = 0.0, 0.0
 
 
 @loop
@@ -144,14 +144,14 @@ def smooth_each(
         n = min(int(cell.count), last)
         cell.level = level + gains[0, n] * off
         cell.slope += gains[1, n] * off / dt_s
-        cell.std = gains[2, n] * cell.noise
+        cell.level_std = gains[2, n] * cell.noise
         cell.begun = 0.0
         if cell.up > SUM or cell.down > SUM:
             cell.level, cell.slope, cell.count, cell.up, cell.down = cell.reading, 0.0, 0.0, 0.0, 0.0
             if abs(z) < FAR:
                 cell.level = cell.reading - off * FAR_SHARE
                 cell.count = 1.0
-            cell.std, cell.begun = cell.noise, 1.0
+            cell.level_std, cell.begun = cell.noise, 1.0
             any_begun = True
         noise[places[k]].on_line = cell.count
         any_large |= abs(cell.reading - cell.level_before) > large
@@ -167,4 +167,4 @@ def doubt_of(cell: CellState) -> float:
 
         std = max((|reading - line| + HIDDEN noise) / SIGMAS, std of the line)
     """
-    return max((abs(cell.reading - cell.level) + cell.noise * HIDDEN) * (1.0 / SIGMAS), cell.std)
+    return max((abs(cell.reading - cell.level) + cell.noise * HIDDEN) * (1.0 / SIGMAS), cell.level_std)

@@ -94,7 +94,7 @@ class Sparks:
         full_kpa, now = self._inversion.full_scale_kpa, cells[places]
         reading, noise, before = now["reading"], now["noise"], now["jumped_from_kpa"]
         if_tapped, memory_if_tapped = now.copy(), memory[places]
-        if_tapped["level"], if_tapped["std"], if_tapped["noise"] = reading, noise, 0.0
+        if_tapped["level"], if_tapped["level_std"], if_tapped["noise"] = reading, noise, 0.0
         self._inversion.advance(if_tapped, memory_if_tapped, np.arange(places.size), dt_s)
         tapped = if_tapped["pressure_kpa"]
         off = np.abs(reading - self._cells["level"][places]) - CLEAR * noise

@@ -35,7 +35,7 @@ import math
 
 from ...common.compiled import Places, Records, Row, loop, record
 from .._state import CellState, PaperState
-from ..estimation import DOUBT, HIDDEN, LOADS, SIGMAS, UNKNOWN, USUAL
+from ..estimation import DOUBT, LOADS, UNKNOWN, USUAL, doubt_of
 from ..materials import PaperModel
 from ._linear_models import PaperNumbers, PaperStep, fast_r, step_both
 from ._sequential_tests import MOST_RESTED, begin_after_turn, hidden_rise_kpa, variance_at_turn
@@ -278,11 +278,9 @@ def without_pull(cell: CellState, own: PaperState, k: PaperNumbers, s: PaperStep
     correction leaves a memory that no load has made, and a later reading at rest shows a load. What the reading lacks
     therefore counts as standard deviation.
     """
-    off = abs(cell.reading - cell.level) + cell.noise * HIDDEN
-    doubt = max(off * (1.0 / SIGMAS), cell.std)
-    allowed = -PULL_SIGMAS * s.recovery_gain_kpa * doubt + -k.negligible_kpa
+    allowed = -PULL_SIGMAS * s.recovery_gain_kpa * doubt_of(cell) + -k.negligible_kpa
     if own.direction < 0.0:
-        allowed = min(allowed, s.recovery_gain_kpa * cell.std * -TURN_SIGMAS)
+        allowed = min(allowed, s.recovery_gain_kpa * cell.level_std * -TURN_SIGMAS)
     if not cell.pressure_kpa < allowed:
         return
     cell.pressure_kpa = allowed
@@ -332,14 +330,14 @@ def turned(cell: CellState, own: PaperState, k: PaperNumbers, s: PaperStep) -> t
         confirmed = was_due and not was_unconfirmed
         ahead, back, _ = gone_back(cell, own, k, s)
     if refuted:
-        unsure = cell.std * cell.gain_kpa
+        unsure = cell.level_std * cell.gain_kpa
         own.peak_kpa = ahead - unsure
         own.extreme_kpa = own.recent_extreme_kpa = ahead - unsure * EXTREME_SIGMAS
     if cell.unconfirmed > 0.0:
         # Noise does not make a turn in both models.
         turns_of_it = CONFIRMED_RISE if own.direction > 0.0 else CONFIRMED_FALL
         other_gain = s.recovery_gain_kpa if own.direction > 0.0 else s.rising_gain_kpa
-        least = other_gain * cell.std * (turns_of_it * TURN_SIGMAS) + turn_from(cell.left_kpa, k) * turns_of_it
+        least = other_gain * cell.level_std * (turns_of_it * TURN_SIGMAS) + turn_from(cell.left_kpa, k) * turns_of_it
         if back >= least:
             cell.unconfirmed, confirmed = 0.0, True
     return ahead, confirmed
@@ -359,7 +357,7 @@ def gone_back(cell: CellState, own: PaperState, k: PaperNumbers, s: PaperStep) -
     if not rises:
         gain, other_gain = other_gain, gain
     cell.pressure_kpa, cell.gain_kpa = pressure, gain
-    unsure = cell.std * gain
+    unsure = cell.level_std * gain
     ahead = max(pressure, k.least_kpa) * own.direction
     back = other * own.direction + cell.left_kpa
     # By so much the pressure may seem to go back though the load has not turned: the drift by a fading error.
@@ -378,7 +376,7 @@ def gone_back(cell: CellState, own: PaperState, k: PaperNumbers, s: PaperStep) -
         least += seeming
     turns |= own.recent_extreme_kpa - ahead > least
     if cell.unconfirmed > 0.0:
-        turns |= back < other_gain * cell.std  # back at the extreme that was left: the turn was noise
+        turns |= back < other_gain * cell.level_std  # back at the extreme that was left: the turn was noise
     return ahead, back, turns
 
 
@@ -392,8 +390,8 @@ def is_refuted(cell: CellState, own: PaperState, k: PaperNumbers, s: PaperStep) 
     """
     begun = cell.left_kpa if cell.unconfirmed > 0.0 else own.extreme_kpa  # minus the pressure at which it began
     rise, shared = begun + own.rising_kpa, begun + own.recovery_kpa
-    clear = rise > k.clear_rise_kpa + cell.std * (TURN_SIGMAS * s.rising_gain_kpa)
-    return bool(clear and shared < rise * SHARED_RISE + cell.std * (EXTREME_SIGMAS * s.recovery_gain_kpa))
+    clear = rise > k.clear_rise_kpa + cell.level_std * (TURN_SIGMAS * s.rising_gain_kpa)
+    return bool(clear and shared < rise * SHARED_RISE + cell.level_std * (EXTREME_SIGMAS * s.recovery_gain_kpa))
 
 
 @loop
@@ -405,7 +403,7 @@ def take_over(cell: CellState, own: PaperState, due: bool, k: PaperNumbers, s: P
     The pressure that is left after the release then tells which of both it was, since most released cells bear no load:
     the possible sag counts as an error of the memory, however likely it seemed while the load was held.
     """
-    again, extreme, std = cell.unconfirmed > 0.0, own.extreme_kpa, cell.std
+    again, extreme, std = cell.unconfirmed > 0.0, own.extreme_kpa, cell.level_std
     earlier = 0.0
     if not again and own.direction > 0.0:
         earlier = likely_earlier_kpa(cell, own, std * cell.gain_kpa, 0.0, k) * MIDWAY
@@ -472,7 +470,7 @@ def unseen_kpa(
 @loop
 def restart(cell: CellState, own: PaperState, ahead: float, confirmed: bool, k: PaperNumbers, s: PaperStep) -> None:
     """Begin the other hypothesis anew where the one in force is, as long as the pressure is near its extreme."""
-    unsure = cell.std * cell.gain_kpa
+    unsure = cell.level_std * cell.gain_kpa
     below_peak = own.peak_kpa - ahead
     share = RESTART_SHARE if below_peak < unsure else 0.0
     if below_peak <= k.rounding_kpa:
@@ -564,7 +562,7 @@ def renew_variance(
     by too little for two turns to be noticed, and their distance stays in the variance. The errors that this leaves all
     have the same sign, and add up as amounts rather than as variances.
     """
-    unsure = cell.std * cell.gain_kpa
+    unsure = cell.level_std * cell.gain_kpa
     fade = s.rising_fade2 if own.direction > 0.0 else s.recovery_fade2
     error_kpa, fades = math.sqrt(cell.turn_variance_kpa2), 1.0 - fade
     recent = own.recent_extreme_kpa - (fades * error_kpa + s.held_kpa * (CREEPS_PER_S / (3.0 * HELD_PER_S)))

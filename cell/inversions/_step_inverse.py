@@ -262,8 +262,8 @@ def equation(cell: CellState, own: M10State, k: M10Numbers, s: M10Step) -> tuple
         own.follows[j] = k.alpha[j] * (s.rise_ramp[j] if charges else s.fall_ramp[j])
     still = max(slope + own.follows[0] + own.follows[1], 1e-9)
     scale = cell.level + 1.0
-    steps = min(scale * scale * k.step_r, cell.std)
-    by_noise = math.sqrt(cell.std * cell.std - steps * steps) * (STILL_SIGMAS / k.full_kpa) * cell.gain_kpa
+    steps = min(scale * scale * k.step_r, cell.level_std)
+    by_noise = math.sqrt(cell.level_std * cell.level_std - steps * steps) * (STILL_SIGMAS / k.full_kpa) * cell.gain_kpa
     width = HELD_STEPS * steps / still
     if own.lately > MOVES * width:
         width = MOVING_STEPS * steps / still
@@ -361,7 +361,7 @@ def finish(cell: CellState, own: M10State, step: float, width: float, k: M10Numb
     r, load, broken = cell.level, own.load + step, own.free + own.breaking * abs(step)
     one, other = own.after[0], own.after[1]
     if k.exact == 0.0:
-        allowed = -(3.0 * cell.std / k.full_r + 0.01)
+        allowed = -(3.0 * cell.level_std / k.full_r + 0.01)
         if load < allowed:  # the branches and chains are reduced to what the reading leaves for them
             load = allowed
             left, remembered = r - (k.a + k.b * load) * load, one + other + broken
@@ -392,7 +392,7 @@ def renew_variance(cell: CellState, own: M10State, step: float, k: M10Numbers, s
     The motion of the load between two frames is not seen: it may go straight or by a step, and turn in between. The
     second difference of the load from frame to frame tells how much this may be.
     """
-    still = STILL_SIGMAS * cell.std * cell.gain_kpa / k.full_kpa
+    still = STILL_SIGMAS * cell.level_std * cell.gain_kpa / k.full_kpa
     little = still / STILL_SIGMAS
     bend = max(abs(step - own.moved) - still, 0.0)
     # Before it turned, the load may have gone on and come back by as much as it moves in a frame.
