@@ -1,12 +1,15 @@
 """Forward models against the paper's transfer functions, and their exactness in the time step."""
 
+import mpmath
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
+from scipy.integrate import solve_ivp
 
 from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model, PaperModel
+from ohmskin.cell.materials import lag
 from ohmskin.errors import InputError
 
 EXAMPLE = Cell.example()
@@ -15,6 +18,7 @@ assert isinstance(PAPER, PaperModel)
 ASYMMETRIC = AsymmetricModel(e1_kpa=32, e2_kpa=60, e3_kpa=480, eta2_kpa_s=505, eta3_kpa_s=48000)
 M10 = M10Model(a=0.3, b=-0.2, alpha1=0.5, rise1_s=0.3, fall1_s=4, alpha2=0.2, fall2_s=90, k=0.2, tau_s=20)
 CONTACT = ContactModel(exponent=0.9, full_scale_resistance_ohm=500)
+FULL = EXAMPLE.full_scale_kpa
 CELLS = {model.kind: EXAMPLE.replace(model=model) for model in (PAPER, ASYMMETRIC, M10, CONTACT)}
 
 
@@ -193,3 +197,30 @@ def test_a_pull_that_leaves_no_resistance_is_refused(cell: Cell) -> None:
     with pytest.raises(InputError, match="leaves no resistance"):
         forward.step(0.1, -40.0)
     assert (forward.step(0.1, 0.0) > 0).all()
+
+
+@given(exponent=st.floats(-12, 3))
+def test_weights_of_a_lag_keep_full_precision(exponent: float) -> None:
+    z = 10.0**exponent
+    gone, ramp = lag.weights(z, 1.0)
+    with mpmath.workdps(40):
+        exact_gone = -mpmath.expm1(-mpmath.mpf(z))
+        exact_ramp = 1 - exact_gone / mpmath.mpf(z)
+    assert float(gone) == pytest.approx(float(exact_gone), rel=4e-16)
+    assert float(ramp) == pytest.approx(float(exact_ramp), rel=1e-12)
+
+
+@pytest.mark.parametrize(("held", "then"), [(0.2, 1.0), (0.8, 0.0), (0.5, 1.0), (1.0, -0.5)])
+def test_a_branch_that_changes_over_within_a_step_solves_its_equation(held: float, then: float) -> None:
+    """x' = (s - x)/T, with T = 0.4 s while s > x, else 5 s, against a solver of differential equations."""
+    cell = EXAMPLE.replace(model=M10Model(a=0.0, alpha1=1.0, rise1_s=0.4, fall1_s=5.0, alpha2=0.0, fall2_s=9.0))
+    steps, shares = np.array([0.3, 1.0, 3.0]), np.array([1.0, held, then])
+    r = cell.forward(()).run(steps, FULL * shares) / cell.rest_resistance_ohm - 1
+    corners = np.array([0.0, 0.3, 1.3, 4.3])
+
+    def slope(t: float, x: np.ndarray) -> np.ndarray:
+        lead = np.interp(t, corners, [0.0, *shares]) - x
+        return np.where(lead > 0, lead / 0.4, lead / 5.0)
+
+    found = solve_ivp(slope, (0, 4.3), [0.0], t_eval=corners[1:], rtol=1e-10, atol=1e-12, max_step=0.01).y[0]
+    assert r == pytest.approx(found, abs=1e-6)

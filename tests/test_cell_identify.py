@@ -1,4 +1,6 @@
-"""Calibration: known cells are found again, unknown materials are estimated with honest errors."""
+"""Calibration: known cells are found again, unknown materials are estimated honestly, bad input is refused."""
+
+from __future__ import annotations
 
 import json
 import pickle
@@ -11,10 +13,13 @@ import cells
 import numpy as np
 import pytest
 from cells import DT, EXAMPLE, FULL, Unknown, protocol_recording, sense
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.signal import lfilter
 
+from ohmskin.bench import panel
 from ohmskin.cell import (
-    AsymmetricModel,
+    CalibrationResult,
     Cell,
     ContactModel,
     M10Model,
@@ -23,16 +28,17 @@ from ohmskin.cell import (
     calibrate,
     calibration_record,
     calibration_text,
+    check_protocol,
     checked_recording,
     estimate_recording,
+    protocol_load,
+    protocol_text,
+    recovery_branches,
 )
-from ohmskin.cell.identification import _protocol as protocol
 from ohmskin.cell.identification._folds import folds
 from ohmskin.cell.identification._identify import fits
-from ohmskin.cell.identification._recovery_curve import recovery_branches
-from ohmskin.cell.inversions._inverse import margin
-from ohmskin.cell.materials import _simulate as simulate
-from ohmskin.cli._json import json_text
+from ohmskin.cell.identification._remarks import remarks
+from ohmskin.cell.inversions import Bank
 from ohmskin.errors import InputError
 
 CONTACT = ContactModel(exponent=0.9, full_scale_resistance_ohm=500)
@@ -97,24 +103,6 @@ def test_an_unknown_material_is_estimated_better_than_by_its_static_curve(
     assert rmse("distilled") < distilled * rmse("static")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("material", [cells.unknown, cells.creeping])
-def test_a_wrong_rest_resistance_is_survived(material: Callable[[], Unknown]) -> None:
-    """R0 off by 3 % cannot be told from load; it costs the default no more than the static curve."""
-    of = material()
-    rest = of.found.cell.rest_resistance_ohm * np.array([[0.97], [1.03]])
-
-    @cache
-    def rmse(name: str) -> np.ndarray:
-        """Of two rows of one cell, which differ in the R0 that they are given."""
-        estimator = of.found.cell.estimator(rest.shape, name, rest_resistance_ohm=rest)
-        steps = np.diff(of.time, prepend=of.time[0]).tolist()
-        pressure = np.stack([estimator.step(dt, np.full(rest.shape, r)) for dt, r in zip(steps, of.read, strict=True)])
-        return np.sqrt(np.mean((pressure / FULL - of.load[:, None, None]) ** 2, axis=0))
-
-    assert (rmse(of.found.cell.default_estimator) <= rmse("static")).all()
-
-
 def test_a_saved_cell_estimates_the_same(tmp_path: Path) -> None:
     of = cells.unknown()
     of.found.cell.save(tmp_path / "cell.toml", comment="two\nlines")
@@ -126,29 +114,6 @@ def test_a_saved_cell_estimates_the_same(tmp_path: Path) -> None:
             for cell in (again, of.found.cell)
         ]
         assert (both[0] == both[1]).all()
-
-
-def test_what_was_found_can_be_pickled() -> None:
-    """For other processes, with the simulations of cells like those that were found."""
-    for found in (cells.paper(), calibrate(protocol_recording(EXAMPLE.replace(model=CONTACT), 0.01))):
-        again = pickle.loads(pickle.dumps(found))
-        assert (again.cell, again.inverse_margin, again.folds) == (found.cell, found.inverse_margin, found.folds)
-        load = np.linspace(0, 1, 50)[:, None]
-        for one, other in zip(found.fits, again.fits, strict=True):
-            for simulate_one, simulate_other in zip(
-                (one.simulate, *one.simulate_folds), (other.simulate, *other.simulate_folds), strict=True
-            ):
-                seen = [run(np.random.default_rng(1), load, DT) for run in (simulate_one, simulate_other)]
-                assert (seen[0] == seen[1]).all()
-
-
-def test_what_was_found_of_every_kind_is_json() -> None:
-    """Parameters that the recording does not tell, too: the example cell has no chains that break."""
-    for fit in cells.paper().fits:
-        record = calibration_record(replace(cells.paper(), fits=(fit,)))
-        again = json.loads(json.dumps(record, allow_nan=False))
-        assert [item["identified"] for item in again["parameters"]] == [item.identified for item in fit.parameters]
-    assert not all(parameter.identified for fit in cells.paper().fits for parameter in fit.parameters)
 
 
 def test_a_cell_never_seen_at_rest_has_no_rest_resistance() -> None:
@@ -201,22 +166,6 @@ def test_a_cell_whose_resistance_falls_and_that_remembers_is_told_from_a_contact
     assert rmse[None] < 0.7 * rmse["static"]
 
 
-@pytest.mark.parametrize("settles", [0.0, 0.15])
-def test_a_contact_whose_power_law_holds_under_load_only_is_calibrated(settles: float) -> None:
-    """Conductance that comes late and lingers, over two decades: nothing to a curve, but decades of ohms at rest."""
-    time = np.arange(0, 240, DT)
-    load = np.maximum(np.sin(time / 5) * np.sin(time / 17), 0) * (time > 3)
-    late = lfilter([1 - np.exp(-DT / 15)], [1, -np.exp(-DT / 15)], load)
-    conducts = 1e-4 + 0.03 * ((1 - settles) * load + settles * late) ** 0.7
-    read = (1 + 0.005 * np.random.default_rng(0).standard_normal(len(time))) / conducts
-    found = calibrate(checked_recording(time, FULL * load, read))
-    pressure, _ = estimate_recording(found.cell.estimator(()), time, read)
-    assert np.sqrt(np.mean((pressure / FULL - load) ** 2)) < 0.08
-    shuffled = np.random.default_rng(1).permutation(read)
-    with pytest.raises(InputError, match="does not follow the pressure: the best curve leaves"):
-        calibrate(checked_recording(time, FULL * load, np.where(time % 20 < 10, shuffled, read)))
-
-
 def test_the_papers_graphical_way() -> None:
     """P6: the branches read from a recovery curve are those it was made of."""
     truth = EXAMPLE.model
@@ -229,36 +178,6 @@ def test_the_papers_graphical_way() -> None:
     assert (t2, t3) == pytest.approx((truth.t2_s, truth.t3_s), rel=0.02)
     with pytest.raises(InputError, match="does not decay"):
         recovery_branches(time, 1 + time, 15.5)
-
-
-def test_the_fast_simulation_is_the_forward_model() -> None:
-    model = M10Model(a=0.3, b=-0.2, alpha1=0.5, rise1_s=0.3, fall1_s=4, alpha2=0.2, fall2_s=90, k=0.2, tau_s=20)
-    load = simulate.random_loads(np.random.default_rng(1), 2000, 1, DT)
-    parameters = np.array([[getattr(model, name)] for name in simulate.M10_PARAMETERS])
-    fast = simulate.m10(parameters, load, DT)[:, 0]
-    exact = sense(EXAMPLE.replace(model=model), load[:, 0]) / EXAMPLE.rest_resistance_ohm - 1
-    assert fast == pytest.approx(exact, abs=0.01)
-    assert np.sqrt(np.mean((fast - exact) ** 2)) < 0.001
-
-
-def test_a_simulation_goes_on_from_what_the_cell_remembered() -> None:
-    """Cut in a history, with the memory of branches and chains given, it is the second half of the whole one."""
-    values = np.array([[0.3], [-0.1], [0.5], [0.3], [4.0], [0.2], [30.0], [90.0], [0.2], [20.0]])
-    named = dict(zip(simulate.M10_PARAMETERS, values[:, 0].tolist(), strict=True))
-    load = np.maximum(simulate.random_loads(np.random.default_rng(3), 1200, 1, DT), 0)
-    at = 100 + int(np.argmax(load[100:, 0] > 0.4))
-    whole = simulate.m10(values, load, DT)
-    chains = whole - simulate.m10(np.where(np.arange(10)[:, None] == 8, 0.0, values), load, DT)
-    one = [np.where(np.isin(np.arange(10)[:, None], kept), values, 0.0) for kept in ((2, 3, 4), (5, 6, 7))]
-    for off in one:
-        off[[3, 4, 6, 7, 9]] = values[[3, 4, 6, 7, 9]]
-    branches = [simulate.m10(parameters, load, DT)[at] for parameters in one]
-    gains = named["alpha1"], named["alpha2"]
-    begun = np.array([*(x - gain * load[at] for x, gain in zip(branches, gains, strict=True)), chains[at]])
-    assert np.abs(begun).min() > 1e-4
-    assert simulate.m10(values, load[at:], DT, begun) == pytest.approx(whole[at:], abs=1e-9)
-    many = simulate.m10(np.repeat(values, 10, axis=1), load[at:], DT, np.repeat(begun, 10, axis=1))
-    assert many == pytest.approx(np.repeat(whole[at:], 10, axis=1), abs=1e-9)
 
 
 def test_r0_of_a_recording_that_begins_under_load_is_found() -> None:
@@ -277,30 +196,12 @@ def test_r0_of_a_recording_that_begins_under_load_is_found() -> None:
     assert found[0].held_out_error < 0.02
 
 
-def test_the_fast_simulation_of_paper_cells_is_their_forward_model() -> None:
-    truth = EXAMPLE.model
-    assert isinstance(truth, PaperModel)
-    load = np.maximum(simulate.random_loads(np.random.default_rng(1), 2000, 3, DT), 0)
-    gains = [FULL / e for e in (truth.e1_kpa, truth.e2_kpa, truth.e3_kpa)]
-    values = [gains[0], gains[1], truth.t2_s, gains[2], truth.t3_s, truth.overshoot - 1, truth.tu_s]
-    fast = simulate.paper(np.repeat(np.array(values)[:, None], 3, axis=1), load, DT)
-    for cell in range(3):
-        exact = sense(EXAMPLE, load[:, cell]) / EXAMPLE.rest_resistance_ohm - 1
-        assert fast[:, cell] == pytest.approx(exact, abs=1e-12)
-
-
-def test_a_kind_that_forgets_is_not_taken_for_one_that_remembers() -> None:
-    """One set of states: the asymmetric cell is found as such, without breakdown or hand-over."""
-    model = AsymmetricModel(e1_kpa=32, e2_kpa=60, e3_kpa=480, eta2_kpa_s=510, eta3_kpa_s=48000)
-    best = fits(protocol_recording(EXAMPLE.replace(model=model), 0.002), FULL)[0]
-    assert isinstance(best.model, AsymmetricModel)
-    assert best.model.e1_kpa == pytest.approx(32, rel=0.03)
-    assert best.model.t2_s == pytest.approx(8.5, rel=0.1)
-    assert margin(best.model, FULL) > 0
-
-
 TIME = np.arange(0, 60, 0.1)
+
+
 PRESS = 10.0 * ((TIME > 10) & (TIME < 30))
+
+
 READ = 1e4 + 300 * PRESS
 
 
@@ -322,74 +223,6 @@ def test_nonsense_is_refused(time: np.ndarray, pressure: np.ndarray, resistance:
         checked_recording(time, pressure, resistance)
 
 
-@pytest.mark.slow
-def test_loads_known_while_the_resistance_is_missing_are_felt_by_the_models() -> None:
-    """Two minutes without readings hold a press that the cell remembers. Its parameters are found all the same."""
-    time = np.arange(0, 400, 0.1)
-    load = np.interp(time % 100, [0, 10, 12, 30, 33, 60, 65, 70, 74, 100], [0, 0, 0.6, 0.6, 0, 0, 1, 1, 0, 0])
-    read = sense(EXAMPLE, load)
-    missing = (time > 105) & (time < 130) | (time > 160) & (time < 255)
-    with_gaps = checked_recording(time, FULL * load, np.where(missing, np.nan, read))
-    assert np.isfinite(with_gaps.resistance_ohm).all()
-    best = fits(with_gaps, FULL)[0]
-    without = fits(checked_recording(time[~missing], FULL * load[~missing], read[~missing]), FULL)[0]
-    assert best.error < 0.002, "of the range of the resistance"
-    assert without.error > 2 * best.error
-
-
-def test_a_gap_is_no_reading() -> None:
-    time = np.concatenate([np.arange(0, 50, 0.1), np.arange(80, 130, 0.1)])
-    recording = Recording(time, 0 * time, 1e4 + 0 * time)
-    assert recording.near_reading(np.array([-1.0, 0.0, 49.95, 50.5, 65.0, 79.9, 80.0, 129.9, 131.0]), 0.2).tolist() == [
-        False, True, True, False, False, True, True, True, False
-    ]  # fmt: skip
-
-
-@pytest.mark.parametrize("jump", [1, 10, 999])
-def test_readings_mostly_on_one_side_of_a_gap_are_refused(jump: int) -> None:
-    """Such as of a cell that was open in between: nothing could be learned, or judged, of the other side."""
-    load = np.clip(2 * np.sin(2 * np.pi * 0.1 * np.arange(1000) / 20), 0, 1)
-    time = 0.1 * np.arange(1000) + np.where(np.arange(1000) < jump, 0, 1000)
-    with pytest.raises(InputError, match="without a gap"):
-        calibrate(checked_recording(time, FULL * load, sense(EXAMPLE, load)))
-
-
-@pytest.mark.slow
-def test_a_recording_with_a_minute_between_samples_is_learned_from() -> None:
-    load = np.clip(2 * np.sin(2 * np.pi * np.arange(100) / 12), 0, 1)
-    found = calibrate(checked_recording(41.0 * np.arange(100), FULL * load, sense(EXAMPLE, load, 41.0)))
-    assert found.cell.estimators is not None
-
-
-def test_a_resistance_that_follows_nothing_is_refused() -> None:
-    noise = np.random.default_rng(8).standard_normal(len(TIME))
-    with pytest.raises(InputError, match="does not follow the pressure"):
-        fits(checked_recording(TIME, PRESS, 1e4 + 100 * noise), 10.0)
-
-
-def test_the_protocol_is_checked() -> None:
-    recording = protocol_recording(EXAMPLE, 0.0)
-    assert len(protocol.check_protocol(recording, FULL)) == len(protocol.CONDITIONING) + len(protocol.PROTOCOL)
-    assert len(protocol.check_protocol(recording)) == 12
-    short = recording.time_s < 200
-    cut = checked_recording(recording.time_s[short], recording.pressure_kpa[short], recording.resistance_ohm[short])
-    with pytest.raises(InputError, match="step 11 of the protocol is missing: hold 100 % of full scale for 60 s"):
-        protocol.check_protocol(cut, FULL)
-    text = protocol.protocol_text()
-    assert "hold 50 % of full scale for 20 s" in text
-
-
-def test_a_recording_of_just_what_is_printed_shows_the_cell_at_rest() -> None:
-    """Its first line is rest: a press at once leaves R0 to the model."""
-    first, *_ = [line for line in protocol.protocol_text().splitlines() if line.lstrip().startswith("1.")]
-    assert "hold no load" in first
-    time, load = protocol.protocol_load(DT)
-    assert not load[time <= protocol.CONDITIONING[0].seconds].any()
-    printed = sum(step.seconds for step in (*protocol.CONDITIONING, *protocol.PROTOCOL))
-    assert f"{printed:.0f} s" in protocol.protocol_text()
-    assert 0 < time[-1] - printed < 10  # what the changes take
-
-
 @pytest.mark.parametrize(
     ("time", "pressure", "resistance", "message"),
     [
@@ -409,16 +242,28 @@ def test_units_that_look_wrong_are_asked_about(time: float, pressure: float, res
         checked_recording(*columns, trust_units=True)
 
 
-def test_folds_each_contain_presses() -> None:
-    """However the rests lie: here almost all presses come in the first tenth."""
-    time = np.arange(0, 600, DT)
-    load = np.where(time < 60, 0.5 * (1 - np.cos(time)), 0.0)
-    load[5500:5600] = 0.5
-    parts = folds(checked_recording(time, FULL * load, sense(EXAMPLE, load)), FULL)
-    assert len(parts) == 3
-    for part in parts:
-        inside = load[(time >= part.start_s) & (time < part.end_s)]
-        assert np.ptp(inside) > 0.3
+@pytest.mark.slow
+def test_loads_known_while_the_resistance_is_missing_are_felt_by_the_models() -> None:
+    """Two minutes without readings hold a press that the cell remembers. Its parameters are found all the same."""
+    time = np.arange(0, 400, 0.1)
+    load = np.interp(time % 100, [0, 10, 12, 30, 33, 60, 65, 70, 74, 100], [0, 0, 0.6, 0.6, 0, 0, 1, 1, 0, 0])
+    read = sense(EXAMPLE, load)
+    missing = (time > 105) & (time < 130) | (time > 160) & (time < 255)
+    with_gaps = checked_recording(time, FULL * load, np.where(missing, np.nan, read))
+    assert np.isfinite(with_gaps.resistance_ohm).all()
+    best = fits(with_gaps, FULL)[0]
+    without = fits(checked_recording(time[~missing], FULL * load[~missing], read[~missing]), FULL)[0]
+    assert best.error < 0.002, "of the range of the resistance"
+    assert without.error > 2 * best.error
+
+
+@pytest.mark.parametrize("jump", [1, 10, 999])
+def test_readings_mostly_on_one_side_of_a_gap_are_refused(jump: int) -> None:
+    """Such as of a cell that was open in between: nothing could be learned, or judged, of the other side."""
+    load = np.clip(2 * np.sin(2 * np.pi * 0.1 * np.arange(1000) / 20), 0, 1)
+    time = 0.1 * np.arange(1000) + np.where(np.arange(1000) < jump, 0, 1000)
+    with pytest.raises(InputError, match="without a gap"):
+        calibrate(checked_recording(time, FULL * load, sense(EXAMPLE, load)))
 
 
 @pytest.mark.parametrize(("presses", "count"), [(1, 0), (2, 0), (3, 1), (4, 2), (6, 3), (12, 3)])
@@ -446,12 +291,12 @@ def test_of_a_single_press_the_kind_that_fits_better_is_chosen_and_the_report_sa
     assert "as no whole press is left to judge by" in calibration_text(found)
     assert found.cell.estimators is not None
     assert "on what it was learned from" in found.cell.estimators.reason
-    assert json.loads(json_text(calibration_record(found)))["folds_s"] == []
+    assert calibration_record(found)["folds_s"] == []
 
 
 @pytest.mark.parametrize(
     ("late_s", "falls"),
-    [(-3.0, False), (-1.0, False), (3.0, False), (-3.0, True), (-1.0, True), (1.0, True), (3.0, True)],
+    [(-1.0, False), (3.0, False), (-3.0, True), (1.0, True)],
 )
 def test_clocks_that_are_apart_are_named_with_their_shift(late_s: float, falls: bool) -> None:
     """It may rise or fall under load. A cell that follows a second late is one that creeps."""
@@ -488,18 +333,6 @@ def test_a_shuffled_resistance_is_refused() -> None:
         calibrate(checked_recording(recording.time_s, recording.pressure_kpa, shuffled))
 
 
-@pytest.mark.parametrize("dt", [0.02, 1 / 12])
-def test_the_noise_of_a_force_gauge_is_smoothed_no_longer_than_it_must(dt: float) -> None:
-    """What it adds to the path of the load in ten seconds comes down to 5 % of its range; at most half a second."""
-    noise = 0.002 * np.random.default_rng(0).standard_normal(20_000)
-    noise[10] = 1 - noise.min()  # the range of the load
-    seconds = simulate.smoothing_s(noise, dt)
-    left = np.abs(np.diff(simulate.smoothed(noise, dt, seconds)[1000:])).mean() * 10 / dt
-    assert left == pytest.approx(0.05 * np.sqrt(4 / np.pi), rel=0.1)  # of mean magnitudes and standard deviations
-    assert simulate.smoothing_s(100 * noise.clip(-0.01, 0.01), dt) == simulate.LONGEST_SMOOTHING_S
-    assert simulate.smoothing_s(0.01 * noise.clip(-0.01, 0.01) + np.arange(20_000) / 20_000, dt) == 0
-
-
 @pytest.mark.parametrize(
     "model",
     [
@@ -521,3 +354,247 @@ def test_a_cell_explains_its_readings_behind_a_noisy_force_gauge(model: PaperMod
     quiet = Recording(time, gauge, read).quiet
     explained = sense(cell, np.maximum(quiet.pressure_kpa / FULL, 0), 1 / 12)
     assert np.std(explained - quiet.resistance_ohm) < 0.03 * np.ptp(read)
+
+
+def test_what_was_found_can_be_pickled_and_is_json() -> None:
+    """Parameters that the recording does not tell, too: the example cell has no chains that break."""
+    found = cells.paper()
+    again = pickle.loads(pickle.dumps(found))
+    assert (again.cell, again.inverse_margin, again.folds) == (found.cell, found.inverse_margin, found.folds)
+    load = np.linspace(0, 1, 50)[:, None]
+    for one, other in zip(found.fits, again.fits, strict=True):
+        seen = [fit.simulate(np.random.default_rng(1), load, DT) for fit in (one, other)]
+        assert (seen[0] == seen[1]).all()
+        record = json.loads(json.dumps(calibration_record(replace(found, fits=(one,))), allow_nan=False))
+        assert [item["identified"] for item in record["parameters"]] == [item.identified for item in one.parameters]
+
+
+def test_the_protocol_is_checked() -> None:
+    recording = protocol_recording(EXAMPLE, 0.0)
+    steps = [line for line in protocol_text().splitlines() if ". " in line]
+    assert "hold no load" in steps[0], "a press at once leaves R0 to the model"
+    assert len(check_protocol(recording, FULL)) == len(check_protocol(recording)) == len(steps)
+    time, load = protocol_load(DT)
+    assert not load[time <= 2.0].any()
+    short = recording.time_s < 200
+    cut = checked_recording(recording.time_s[short], recording.pressure_kpa[short], recording.resistance_ohm[short])
+    with pytest.raises(InputError, match="step 11 of the protocol is missing: hold 100 % of full scale for 60 s"):
+        check_protocol(cut, FULL)
+
+
+# -- materials outside the fitted classes, and remarks -----------------------------------------------------------------
+
+
+SUBSET = (("random", "relays", 1), ("new speeds", "maxwell", 0))
+
+
+def shortened(scene: panel.Scene, seconds: float) -> panel.Scene:
+    """The last part of the head and the first part of the rest, ``seconds`` each at most."""
+    near = np.abs(scene.time_s - scene.head_s) <= seconds
+    first = scene.time_s[near][0]
+    return replace(
+        scene,
+        time_s=scene.time_s[near] - first,
+        pressure_kpa=scene.pressure_kpa[near],
+        resistance_ohm=scene.resistance_ohm[near],
+        head_s=scene.head_s - first,
+    )
+
+
+@cache
+def judged(load: str, material: str, seed: int) -> tuple[CalibrationResult, panel.Verdict]:
+    scene = shortened(panel.scene(load, material, seed), 120)
+    found = panel.calibrated(scene)
+    return found, panel.judge(scene, found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("names", SUBSET, ids=lambda names: f"{names[0]}, {names[1]}")
+@pytest.mark.parametrize("factor", [0.97, 1.03])
+def test_the_deviation_covers_an_r0_that_is_given_wrong(names: tuple[str, str, int], factor: float) -> None:
+    """It is as before for the R0 of the calibration, which the folds judged along with everything else."""
+    found, own = judged(*names)
+    scene = replace(shortened(panel.scene(*names), 120), rest_factor=factor)
+    given = panel.judge(scene, found)
+    assert given.within_two_std >= 0.9
+    assert given.std_percent > own.std_percent
+    rest = found.cell.rest_resistance_ohm
+    known, plain = found.cell.estimator((), rest_resistance_ohm=rest, rest_error=0.0), found.cell.estimator(())
+    for read in (rest, 1.2 * rest):
+        assert known.step(0.1, read) == plain.step(0.1, read)
+        assert known.std_kpa == plain.std_kpa
+
+
+@settings(deadline=None, max_examples=30)
+@given(seed=st.integers(0, 1000), dt=st.floats(0.02, 0.5))
+def test_a_path_is_the_faded_sum_of_what_the_reading_moved(seed: int, dt: float) -> None:
+    """Written out for one cell. Motion narrower than the play adds nothing, and a reading that stays lets it fade."""
+    rng = np.random.default_rng(seed)
+    bank = Bank(0.1, (0.5,), (0.01, 0.05), paths_s=(2.0, 20.0))
+    readings = np.cumsum(rng.normal(0, 0.05, 60))
+    steps = np.full(60, dt)
+    found = bank.run(steps, readings[:, None])[:, 0, -2:]
+    middle = [readings[0]] * 2 + [sorted(readings[n - 2 : n + 1])[1] for n in range(2, 60)]
+    smooth = follower = readings[0]
+    paths = np.zeros(2)
+    for n in range(1, 60):
+        smooth += (middle[n] - smooth) * (1 - np.exp(-dt / 0.1))
+        moved = float(np.clip(follower, smooth - 0.05, smooth + 0.05)) - follower
+        follower += moved
+        paths = paths * np.exp(-dt / np.array([2.0, 20.0])) + abs(moved)
+        assert found[n] == pytest.approx(paths, abs=1e-12)
+    narrow = bank.run(steps, 0.04 * rng.choice([-1.0, 1.0], (60, 1)) * np.minimum(np.arange(60), 1)[:, None])
+    assert not narrow[:, 0, -2:].any()
+
+
+def test_the_deviation_grows_beyond_what_was_learned_from() -> None:
+    """A reading larger than any recorded one, and a change faster than any, are answered with more doubt."""
+    found, _ = judged(*SUBSET[0])
+    cell = found.cell
+    highest = float(found.recording.resistance_ohm.max())
+    for name in ("static", "play", "distilled"):
+        estimator = cell.estimator((2,), name, noise=0.0)
+        estimator.step(0.1, np.array([highest, highest + 1.5 * (highest - cell.rest_resistance_ohm)]))
+        known, unknown = estimator.std_kpa
+        assert unknown > known + 0.2 * cell.full_scale_kpa
+    overload = cell.estimator((), "static", noise=0.0).step(0.1, highest + 1.5 * (highest - cell.rest_resistance_ohm))
+    assert overload >= 0.99 * cell.full_scale_kpa
+    lost = cell.estimator((), "static")
+    lost.step(0.1, 1.1 * cell.rest_resistance_ohm)
+    before = lost.std_kpa
+    assert lost.step(0.1, 1e9) == lost.step(0.1, 1e9), "an open contact is a missing reading"
+    assert lost.std_kpa > before
+
+
+def falling() -> Cell:
+    """A contact, of which presses to full scale were recorded."""
+    cell = Cell(
+        rest_resistance_ohm=1e5, full_scale_kpa=15.5, model=ContactModel(exponent=0.9, full_scale_resistance_ohm=5e3)
+    )
+    time = np.arange(0, 120, 0.1)
+    load = 15.5 * np.sin(np.pi * time / 12) ** 2
+    read = cell.forward(()).run(np.full(len(time), 0.1), load)
+    noisy = read * (1 + 0.002 * np.random.default_rng(0).standard_normal(len(time)))
+    return calibrate(checked_recording(time, load, noisy)).cell
+
+
+RISING = {"m10": lambda: judged(*SUBSET[1])[0].cell, "paper": lambda: cells.paper().cell}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [(falling, "static"), *((RISING[kind], name) for kind in RISING for name in ("static", "play", "distilled"))],
+    ids=["falling, static", *(f"{kind}, {name}" for kind in RISING for name in ("static", "play", "distilled"))],
+)
+def test_an_overload_never_reads_as_less(make: Callable[[], Cell], name: str) -> None:
+    """Load that rises slowly to 2.5 times full scale: the pressure shown never falls.
+
+    Where the reading leaves the range of the recording, the sd covers the error.
+
+    This holds whatever share of the answer is the static curve's. Learned maps waver a little within their range.
+    """
+    cell = make()
+    assert cell.estimators is not None
+    if name == "static":
+        _overload(cell, name)
+        return
+    for share in (0.0, 0.5):
+        learned = getattr(cell.estimators, name).replace(static_share=share)
+        _overload(cell.replace(estimators=cell.estimators.replace(**{name: learned})), name)
+
+
+def _overload(cell: Cell, name: str) -> None:
+    time = np.arange(0, 110, 0.1)
+    load = np.interp(time, [0, 10, 110], [0, 0, 2.5]) * cell.full_scale_kpa
+    read = cell.forward(()).run(np.full(len(time), 0.1), load)
+    assert (np.diff(read[100:]) * (read[-1] - read[0]) > 0).all(), "the resistance goes on in the direction of a press"
+    pressure, std = estimate_recording(cell.estimator((), name, noise=0.0), time, read)
+    assert std is not None
+    fall = (1e-9 if name == "static" else 0.02) * cell.full_scale_kpa
+    assert (np.maximum.accumulate(pressure) - pressure).max() < fall
+    assert pressure[-1] >= 0.99 * cell.full_scale_kpa
+    assert cell.estimators is not None
+    curve = cell.estimators.static
+    assert curve.reached is not None
+    reading = curve.reading(read / cell.rest_resistance_ohm - 1)
+    beyond = curve.reached.excess(reading[None]) > 0.05 * (curve.reached.highest[0] - curve.reached.lowest[0])
+    assert np.count_nonzero(beyond & (load > cell.full_scale_kpa)) > 100
+    assert (np.abs(pressure - load)[beyond] < 2 * std[beyond]).all()
+
+
+def test_a_spark_in_a_recording_is_not_learned_from() -> None:
+    """Single readings that no load explains are passed over; fast presses and noise are kept."""
+    scene = panel.scene("speeds", "maxwell", 0)
+    recording = checked_recording(scene.time_s, scene.pressure_kpa, scene.resistance_ohm)
+    assert len(recording.without_sparks.time_s) == len(recording.time_s)
+    sparked = scene.resistance_ohm.copy()
+    sparked[500::700] *= 1.4
+    recording = checked_recording(scene.time_s, scene.pressure_kpa, sparked)
+    kept = recording.without_sparks
+    assert len(kept.time_s) == len(recording.time_s) - len(sparked[500::700])
+    assert not np.isin(recording.time_s[500::700], kept.time_s).any()
+
+
+def test_a_load_cell_that_is_late_and_a_converter_that_clips_are_noticed() -> None:
+    scene = panel.scene("random", "relays", 2)
+    head = scene.time_s < 120
+    time, load, read = scene.time_s[head], scene.pressure_kpa[head], scene.resistance_ohm[head]
+
+    def said(pressure: np.ndarray, resistance: np.ndarray, full_scale_kpa: float = panel.FULL_SCALE_KPA) -> str:
+        recording = checked_recording(time, pressure, resistance)
+        return " ".join(remarks(recording, full_scale_kpa, 10.0, varied=True))
+
+    assert not said(load, read)
+    assert not said(np.interp(time + 1.0, time, load), read), "a cell may follow late"
+    assert "changes 1 s before the pressure" in said(np.interp(time - 1.0, time, load), read)
+    assert "does the converter clip" in said(load, np.minimum(read, np.quantile(read, 0.8)))
+    assert "beyond it the deviation grows" in said(load, read, 2 * panel.FULL_SCALE_KPA)
+
+
+def test_a_gap_and_a_full_scale_that_is_hardly_reached_are_remarked_upon() -> None:
+    time = np.arange(0, 60, 0.1)
+    of = checked_recording(time, 5.0 * (1 - np.cos(time)), 1000 * (1 + 0.25 * (1 - np.cos(time))))
+    kept = (of.time_s < 20) | (of.time_s > 30)
+    gap = Recording(of.time_s[kept], of.pressure_kpa[kept], of.resistance_ohm[kept])
+    assert not list(remarks(of, 10.0, 10.0, varied=True))
+    assert "nothing was read for 10.2 s of 59.9 s" in " ".join(remarks(gap, 10.0, 10.0, varied=True))
+    gap = checked_recording(of.time_s, of.pressure_kpa, np.where(kept, of.resistance_ohm, np.nan))
+    assert "the resistance was not read for 10.2 s of 59.9 s" in " ".join(remarks(gap, 10.0, 10.0, varied=True))
+    assert "the largest load is 10 kPa, full scale 8 kPa" in " ".join(remarks(of, 8.0, 10.0, varied=True))
+
+
+@pytest.mark.parametrize(
+    ("kpa", "ohm", "expected"),
+    [(1.0, 1.0, ""), (100.0, 1.0, "Pa or mbar"), (0.004, 1.0, "MPa or bar"), (1.0, 1e-3, "kohm"), (1.0, 3e5, "mohm")],
+)
+def test_numbers_in_an_unusual_unit_are_remarked_upon(kpa: float, ohm: float, expected: str) -> None:
+    scene = panel.scene("random", "relays", 2)
+    head = scene.time_s < 120
+    full = kpa * panel.FULL_SCALE_KPA
+    recording = checked_recording(scene.time_s[head], kpa * scene.pressure_kpa[head], ohm * scene.resistance_ohm[head])
+    said = list(remarks(recording, full, 10.0, varied=True))
+    assert len(said) == bool(expected)
+    assert all(f"in {expected}?" in one for one in said)
+
+
+def test_a_recording_with_its_sign_turned_round_is_refused_in_words() -> None:
+    scene = panel.scene("random", "relays", 2)
+    with pytest.raises(InputError, match="is its sign turned round"):
+        checked_recording(scene.time_s, -scene.pressure_kpa, scene.resistance_ohm)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("load", "material", "share"), [("random", "m10", -0.15), ("cyclic", "relays", 0.0)])
+def test_a_drift_of_r0_is_found_with_its_size(load: str, material: str, share: float) -> None:
+    """Relays creep on, so that their readings at rest rise by a fifth, though R0 is steady: that is no drift."""
+    scene = panel.scene(load, material, 800)
+    head = scene.time_s < scene.head_s
+    time = scene.time_s[head]
+    drifted = scene.resistance_ohm[head] * (1 + share * time / time[-1])
+    recording = checked_recording(time, scene.pressure_kpa[head], drifted)
+    (drift,) = [fit.drift for fit in fits(recording, panel.FULL_SCALE_KPA) if fit.drift is not None]
+    said = " ".join(remarks(recording, panel.FULL_SCALE_KPA, 10.0, varied=True, drift=drift))
+    assert ("R0 drifts by" in said) == (share != 0.0)
+    if share:
+        assert drift.share == pytest.approx(share, abs=0.02)

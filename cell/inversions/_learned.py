@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import cache, cached_property, lru_cache
+from functools import cache, lru_cache
 from typing import Annotated, Self
 
 import numpy as np
@@ -80,10 +80,10 @@ class Reached(Section):
         low, high = self.limits
         return np.asarray(np.maximum(np.maximum(low - features, features - high).max(axis=1), 0.0))
 
-    @cached_property
+    @property
     def limits(self) -> tuple[FloatArray, FloatArray]:
-        """The lowest and highest features as arrays (count,)."""
-        return np.array(self.lowest), np.array(self.highest)
+        """The lowest and highest features as arrays (count,) that nobody may write to."""
+        return _row(self.lowest), _row(self.highest)
 
 
 class StaticCurve(Section):
@@ -149,6 +149,13 @@ def _end_slopes(coefficients: tuple[float, ...], low: float, high: float) -> tup
     mean = (cubic(high) - cubic(low)) / max(high - low, 1e-12)
     slope = np.clip(abs(cubic.deriv()(high if mean > 0 else low)), abs(mean), SATURATED * abs(mean))
     return float(mean), float(slope)
+
+
+@lru_cache(maxsize=256)
+def _row(values: tuple[float, ...]) -> FloatArray:
+    row = np.array(values)
+    row.flags.writeable = False
+    return row
 
 
 class Learned(Section):
