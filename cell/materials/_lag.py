@@ -57,7 +57,7 @@ def _weights_each(dt_s: Row, time_constants_s: Row, gone: Row, ramp: Row) -> Non
 def weights(dt_s: ArrayLike, time_constant_s: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """:func:`weights_of` for arrays, which are broadcast."""
     z = np.broadcast_arrays(np.asarray(dt_s, dtype=np.float64), np.asarray(time_constant_s, dtype=np.float64))
-    gone, ramp = np.empty((2, *z[0].shape))
+    gone, ramp = np.empty(z[0].shape), np.empty(z[0].shape)
     steps, constants = (np.array(each).ravel() for each in z)
     _weights_each.unchecked(steps, constants, gone.reshape(-1), ramp.reshape(-1))
     return gone, ramp
