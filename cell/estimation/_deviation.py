@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...common.arrays import FloatArray, IntArray
+from ...common.arrays import BoolArray, FloatArray, IntArray
 from ...common.compiled import Places, Record, Records, Row, loop, record
 from .._state import CellState
 from ._conditions import Conditions
@@ -114,11 +114,11 @@ class Deviation:
         show_each.unchecked(cells, places, self._limits, *of_rest, pressure_kpa, variance)
         self._variance = variance
 
-    def wake(self, places: IntArray) -> None:
-        """Note that cells are followed, and no longer sleep."""
+    def wake(self, awake: BoolArray) -> None:
+        """Note which cells are ``awake`` (n,) now."""
         if self._asleep is not None:
             asleep, kpa_per_r, hidden_kpa = self._asleep
-            kept = ~np.isin(asleep, places)
+            kept = ~awake[asleep]
             self._asleep = Asleep(asleep[kept], kpa_per_r, hidden_kpa[kept])
 
     def renew(self, asleep: IntArray, at_rest: Records[CellState], noise: FloatArray) -> None:
