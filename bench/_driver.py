@@ -183,7 +183,6 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
     packets = packets_of(board, cells)
     decode, read = host_protocol("ohmskin"), CountReader(board)
     estimator = cell.estimator(board.array.shape, name)
-    estimator.compile()
     times = np.empty((frames, 5))
     found_ohm, valid = np.empty_like(cells), np.empty(cells.shape, dtype=np.bool_)
     found_kpa = np.empty_like(cells)

@@ -249,7 +249,6 @@ def _read(board: Design, frames: list[FloatArray]) -> tuple[FloatArray, FloatArr
     times, valid = np.full(len(frames), np.inf), np.empty(len(frames))
     for _ in range(2):
         read, estimator = CountReader(board), Cell.example().estimator(board.array.shape)
-        estimator.compile()  # as a skin does
         for number, codes in enumerate(counts):
             start = process_time()
             reading = read(codes)

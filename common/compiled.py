@@ -49,7 +49,8 @@ NUMBA_SWITCH = "NUMBA_DISABLE_JIT"
 WAIT = "up to 60 s"
 """processor time in which all kernels are compiled"""
 
-_OPTIONS: dict[str, bool | str] = {"nogil": True, "error_model": "numpy"}
+_OPTIONS: dict[str, bool | str] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+"""of Numba; C code calls no kernel"""
 _UNCOUNTED = {"_nrt": False}
 """an option that Numba does not document: nobody counts references to arrays, which doubles what a call costs. Where a
 kernel makes arrays, they must be counted"""

@@ -77,14 +77,13 @@ def _machine_code() -> Finding:
         return Finding(State.OK, "machine code", "the first skin that is opened compiles the driver's loops, once")
     if why_not is None:
         found = (
-            "every program compiles the driver's loops anew, for about 10 s: no folder to keep them in can be written"
+            f"every program compiles the driver's loops anew, for {compiled.WAIT}: no folder to keep them in can be written"
         )
         return Finding(
             State.OPTIONAL, "machine code", found, "export NUMBA_CACHE_DIR=DIR, a folder that can be written"
         )
-    switches = [name for name in (compiled.SWITCH, compiled.NUMBA_SWITCH) if name in why_not]
-    mend = f"unset {switches[0]}" if switches else install_command("fast")
-    return Finding(State.OPTIONAL, "machine code", f"{why_not}; frames take the driver about twice as long", mend)
+    switch = next(name for name in (compiled.SWITCH, compiled.NUMBA_SWITCH) if name in why_not)
+    return Finding(State.PROBLEM, "machine code", f"{why_not}; frames take a thousand times as long", f"unset {switch}")
 
 
 def _spice() -> Iterator[Finding]:

@@ -567,11 +567,9 @@ class Converter:
             rest_error = TARE_DRIFT
         if rest_ohm is None and self._calibration is not None:
             rest_ohm = self._calibration.rest_ohm
-        estimator = self.cell.estimator(
+        return self.cell.estimator(
             self.shape, self._estimator_name, rest_resistance_ohm=rest_ohm, rest_error=rest_error
         )
-        estimator.compile()
-        return estimator
 
     def _begin_beside(self, estimator: Estimator) -> None:
         """Start the models of column steps and of line faults with the ``estimator``, for the same rest resistances."""

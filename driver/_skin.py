@@ -84,7 +84,7 @@ class Skin:
             estimator: name for :meth:`ohmskin.cell.Cell.estimator`.
             timeout: limit in s for each of three things: the wait for the board to identify itself; the processor time
                 to set up the inverse of its circuit (at most ten times as long on a busy machine); later the wait for
-                each frame. The compiler (extra ``fast``) may take longer, once on a machine.
+                each frame. The compiler may take longer, once on a machine.
             delivery: which frames readers get, see :data:`Delivery`.
             queue: number of frames that wait for readers, unless ``delivery`` is ``newest``.
             reconnect: s for which the driver tries to open a lost port again.

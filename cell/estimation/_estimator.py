@@ -61,6 +61,9 @@ STEP_STD = 1.0 / EVENLY
 """standard deviation of a quantisation error over half a step"""
 UNUSUAL = 0.1
 """relative change of the time between frames beyond which the interval between calls of ``sway`` is adapted"""
+UNKNOWN_PAST = 0.25
+"""standard deviation of the first pressure of a cell, over that pressure: a load that has just begun reads much larger
+than the same load after a long hold. This uncertainty fades as that of a gap does"""
 _NOWHERE = np.zeros(0, dtype=np.intp)
 
 
@@ -68,7 +71,7 @@ class Estimator:
     """Pressure of an array of cells; made by :meth:`ohmskin.cell.Cell.estimator`.
 
     Call :meth:`step` for every frame. The first reading of a cell is taken to be at equilibrium (at rest, or under a
-    load held for long).
+    load held for long); the standard deviation includes the doubt about that (:data:`UNKNOWN_PAST`).
     """
 
     def __init__(
@@ -340,6 +343,8 @@ class Estimator:
         """Begin cells with their first reading, as if the load had been held for ever."""
         new = np.flatnonzero(~self._read if known is None else ~self._read & known)
         self._begin(self._cells, self._memory, new, r[new])
+        if self._memory.dtype.names:  # earlier loads matter to this inversion
+            self._gaps.doubt(new, UNKNOWN_PAST * np.abs(self._cells["pressure_kpa"][new]))
         self._sleep.mean[new] = r[new]
         self._read[new] = self._sleep.awake[new] = True
 

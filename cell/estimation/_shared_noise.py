@@ -142,9 +142,13 @@ class SharedNoise:
         without, watched = np.empty((2, r.size))
         changed = subtract_each.unchecked(
             *(r, read, awake, self._noise.reading(), self._reference, self._columns, self._weights, self._per_std),
-            *(self._test, self._least_variance if testing else math.inf),
-            *(SURE * own, SURE * own * math.sqrt(1.0 + self.ratio)),
-            *(-math.expm1(-dt_s / REFERENCE_S), self._side_per_noise, without, watched),
+            self._test,
+            self._least_variance if testing else math.inf,
+            SURE * own,
+            SURE * own * math.sqrt(1.0 + self.ratio),
+            -math.expm1(-dt_s / REFERENCE_S),
+            self._side_per_noise,
+            *(without, watched),
         )
         if self._scales_columns:
             self._keep_held(dt_s, without, watched, self._reference + left_over, read, awake)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...common.arrays import FloatArray, IntArray
+from ...common.arrays import BoolArray, FloatArray, IntArray
 from ...common.compiled import Places, Record, Records, Row, loop, zeros
 from .._state import CellState
 from ._gaps import Gaps
@@ -83,7 +83,7 @@ class Sparks:
 
     def _were_sparks(
         self, cells: Records[CellState], memory: Records[Record], places: IntArray, dt_s: float
-    ) -> FloatArray:
+    ) -> BoolArray:
         """(k,) whether reversed jumps were bad contacts rather than taps.
 
         A tap changes the memory of a cell. After a tap, the pressure computed with that changed memory equals the
@@ -100,7 +100,7 @@ class Sparks:
         off = np.abs(reading - self._cells["level"][places]) - CLEAR * noise
         off_if_tapped = np.abs(tapped - before)
         moved = np.abs(now["pressure_kpa"] - before)
-        found = off * moved <= NEARER * off_if_tapped * np.abs(now["jump"])
+        found: BoolArray = off * moved <= NEARER * off_if_tapped * np.abs(now["jump"])
         plausible = np.maximum(EITHER * moved, SMALL * full_kpa)
         either = found & (off_if_tapped < plausible) & (tapped > -LARGE_JUMP * full_kpa)
         self._gaps.doubt(places[either], off_if_tapped[either])
