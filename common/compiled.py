@@ -122,13 +122,14 @@ if TYPE_CHECKING:
 
 else:
 
-    class Records(Generic[Kind], np.recarray):
+    class Records(Generic[Kind]):
         """An array (n,) of records. ``records[i]`` is one of them, ``records["name"]`` (n,) is a field of all."""
 
 
 def zeros(kind: type[Kind], count: int) -> Records[Kind]:
     """(count,) records whose fields are all zero."""
-    return cast("Records[Kind]", np.zeros(count, kind.dtype()).view(Records))
+    # Of `np.record`, whose fields are also attributes, as kernels use them.
+    return cast("Records[Kind]", np.zeros(count, np.dtype((np.record, kind.dtype()))))
 
 
 def record(kind: type[Kind], **values: Any) -> Kind:

@@ -295,12 +295,14 @@ class LearnedInversion(Inversion):
         self._answer(cells, places, begun["features"])
 
     def advance(self, cells: Records[CellState], memory: Records[Record], awake: IntArray, dt_s: float) -> None:
-        own = memory[awake]
-        bank = np.ascontiguousarray(own["bank"])
+        banks, features = memory["bank"], memory["features"]
+        bank = banks[awake]
         now = self._terms.standardised(self._bank.advance(bank, dt_s, cells["level"][awake]))
-        moved = np.abs(now - own["features"]).max(axis=1) > STILL
-        own["bank"], own["features"] = bank, np.where(moved[:, None], now, own["features"])
-        memory[awake] = own
+        banks[awake] = bank
+        moved = np.abs(now - features[awake]).max(axis=1) > STILL
+        if not moved.any():
+            return
+        features[awake[moved]] = now[moved]
         self._answer(cells, awake[moved], now[moved])
 
     def _answer(self, cells: Records[CellState], places: IntArray, standardised: FloatArray) -> None:
