@@ -160,12 +160,19 @@ def _total(
     """(shape) kPa^2: variances (n,) of cells by themselves, by readings of sleeping ones, and ``added`` ones."""
     variance = own.copy()
     if asleep is not None:
-        std = np.abs(reading.take(asleep.places)) * asleep.kpa_per_r + asleep.hidden_kpa
-        variance[asleep.places] += std * std
+        add_asleep_each.unchecked(variance, reading, *asleep)
     for more in added:
         if more is not None:
             variance += more
     return variance.reshape(shape)
+
+
+@loop
+def add_asleep_each(variance: Row, reading: Row, places: Places, kpa_per_r: float, hidden_kpa: Row) -> None:
+    """Add the variances of sleeping cells by their readings (n,) to ``variance`` (n,); see :class:`Asleep`."""
+    for k in range(places.size):
+        std_kpa = abs(reading[places[k]]) * kpa_per_r + hidden_kpa[k]
+        variance[places[k]] += std_kpa * std_kpa
 
 
 @loop
