@@ -96,7 +96,7 @@ class Estimator:
         self._sleep = Sleep(count, inversion.full_scale_r)
         self._gaps = Gaps(count, full_kpa, conditions)
         self._sparks = Sparks(inversion, self._gaps, count)
-        self._deviation = Deviation(inversion, conditions, count)
+        self._deviation = Deviation(inversion, conditions, count, self._at_rest[0])
         self._held = Held(count, full_kpa, conditions.longest_load_s)
         self._pressure = np.full(count, np.nan)
         self._reading = np.zeros(count)
@@ -450,7 +450,7 @@ class Estimator:
         asleep = np.flatnonzero(~self._sleep.awake & self._read)
         if asleep.size:
             noise = self._sleep.renew(asleep, self._noise.at_rest)
-            self._deviation.renew(asleep, self._at_rest[0], noise)
+            self._deviation.renew(asleep, noise)
 
     def _shown(self) -> FloatArray:
         """(shape) pressure in kPa."""
@@ -489,5 +489,4 @@ class Estimator:
         for part in (self._noise, self._shared_noise, self._sleep, self._deviation, self._gaps, self._held):
             part.restore(given)
         self.inversion.take_steps(self._noise.typical_resolution)
-        self._sparks.forget(self._cells, np.arange(self._read.size))
-        self._watch_over()
+        self._sparks.forget_all(self._cells)

@@ -106,12 +106,13 @@ class Sleep:
     def state(self) -> dict[str, FloatArray | BoolArray]:
         """The state, by name."""
         clock = np.array([self._sum_s, self._summed])
-        return {"mean": self.mean, "sum": self._sum, "awake": self.awake, "sleep_clock": clock}
+        own = {"mean": self.mean, "sum": self._sum, "awake": self.awake, "wake_at": self._wake_at}
+        return own | {"sleep_clock": clock}
 
     def restore(self, state: dict[str, FloatArray]) -> None:
         """Continue from a saved :meth:`state`."""
-        self.mean, self._sum, self.awake = state["mean"], state["sum"], state["awake"] > 0
-        self._wake_at = np.full(self.awake.size, np.inf)
+        self.mean, self._sum, self._wake_at = state["mean"], state["sum"], state["wake_at"]
+        self.awake = state["awake"] > 0
         self._sum_s, self._summed = float(state["sleep_clock"][0]), int(state["sleep_clock"][1])
 
 
