@@ -142,7 +142,7 @@ def test_machine_code_is_in_use_unless_it_is_switched_off(monkeypatch: pytest.Mo
     assert _installation._machine_code().state is State.OK
     monkeypatch.setenv("OHMSKIN_COMPILED", "0")
     off = _installation._machine_code()
-    assert (off.state, off.mend) == (State.OPTIONAL, "unset OHMSKIN_COMPILED")
+    assert (off.state, off.mend) == (State.PROBLEM, "unset OHMSKIN_COMPILED")
     monkeypatch.delenv("OHMSKIN_COMPILED")
     monkeypatch.setattr("numba.config.DISABLE_JIT", 1)
     assert _installation._machine_code().mend == "unset NUMBA_DISABLE_JIT"
