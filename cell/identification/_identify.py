@@ -19,7 +19,6 @@ from ._kinds import (
     Richer,
     asymmetric_as_whole,
     asymmetric_kind,
-    drifting,
     m10_kind,
     model_of,
     paper_kind,
@@ -246,7 +245,7 @@ def _find_drift(models: Sequence[tuple[Kind, tuple[float, ...], Richer]], task: 
     nested: list[tuple[float, ...]] = []
     for kind, found, richer in models:
         count = len(kind.names)
-        drifting_kind = drifting(kind)
+        drifting_kind = kind.drifting()
         starts = [drifting_kind.starts[0], with_drift(found, count, 0.0), *nested]
         fitted, covariance = solve(drifting_kind, grid, starts, task.lower)
         noise = simulate.white_noise(grid.r[grid.read]) ** 2
