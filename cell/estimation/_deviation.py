@@ -11,11 +11,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
-from ...common.arrays import FloatArray, IntArray
+from ...common.arrays import BoolArray, FloatArray, IntArray
 from ...common.compiled import Places, Record, Records, Row, loop, record
 from .._state import CellState
 from ._conditions import Conditions
@@ -64,21 +63,11 @@ class Limits(Record):
     """1 if a standard deviation is stated, else 0"""
 
 
-class Asleep(NamedTuple):
-    """Inputs of the variances of sleeping cells. Arrays never change again."""
-
-    places: IntArray
-    """(m,)"""
-    kpa_per_r: float
-    """standard deviation in kPa per r: the reading may be due to a load, although 0 is shown"""
-    hidden_kpa: FloatArray
-    """(m,) standard deviation in kPa of a further load that the noise may hide"""
-
-
 class Deviation:
     """The variances of n cells in kPa^2. Those of gaps and creep are added when the variances are read."""
 
-    def __init__(self, inversion: Inversion, conditions: Conditions, cells: int) -> None:
+    def __init__(self, inversion: Inversion, conditions: Conditions, cells: int, at_rest: Records[CellState]) -> None:
+        """``at_rest`` (1,) is the state of a sleeping cell."""
         full_kpa = inversion.full_scale_kpa
         self.stated = inversion.knows_errors or conditions.model_std_kpa > 0
         """whether a standard deviation is stated; else all are NaN"""
@@ -105,7 +94,10 @@ class Deviation:
         )
         self._variance = np.full(cells, np.nan)
         """(n,) kPa^2 without gaps; replaced, never changed"""
-        self._asleep: Asleep | None = None
+        self._at_rest = at_rest
+        self._hidden_kpa = np.full(cells, np.nan)
+        """(n,) standard deviation of a load that the noise of a sleeping cell may hide; NaN where a cell is awake;
+        replaced, never changed"""
 
     def show(self, cells: Records[CellState], places: IntArray, pressure_kpa: FloatArray) -> None:
         """Take a frame: write the pressures (n,) to show of followed cells, and renew their variances."""
@@ -114,20 +106,17 @@ class Deviation:
         show_each.unchecked(cells, places, self._limits, *of_rest, pressure_kpa, variance)
         self._variance = variance
 
-    def wake(self, places: IntArray) -> None:
-        """Note that cells are followed, and no longer sleep."""
-        if self._asleep is not None:
-            asleep, kpa_per_r, hidden_kpa = self._asleep
-            kept = ~np.isin(asleep, places)
-            self._asleep = Asleep(asleep[kept], kpa_per_r, hidden_kpa[kept])
+    def wake(self, awake: BoolArray) -> None:
+        """Note which cells are ``awake`` (n,) now."""
+        self._hidden_kpa = np.where(awake, np.nan, self._hidden_kpa)
 
-    def renew(self, asleep: IntArray, at_rest: Records[CellState], noise: FloatArray) -> None:
-        """Renew the variances of sleeping cells, whose state is ``at_rest`` (1,), by their ``noise`` (m,)."""
-        cell, variance = at_rest[0], self._variance.copy()
+    def renew(self, asleep: IntArray, noise: FloatArray) -> None:
+        """Renew the variances of sleeping cells by their ``noise`` (m,)."""
+        cell, variance, hidden_kpa = self._at_rest[0], self._variance.copy(), self._hidden_kpa.copy()
         own = own_kpa2.unchecked(cell, 0.0, self._limits, self._rest_at_kpa, self._rest_kpa2)
         variance[asleep] = own + cell.pressure_kpa * cell.pressure_kpa if self.stated else np.nan
-        self._variance = variance
-        self._asleep = Asleep(asleep, cell.gain_kpa / SIGMAS, cell.gain_kpa * (HIDDEN / SIGMAS) * noise)
+        hidden_kpa[asleep] = cell.gain_kpa * (HIDDEN / SIGMAS) * noise
+        self._variance, self._hidden_kpa = variance, hidden_kpa
 
     def of_last_step(
         self, shape: tuple[int, ...], reading: FloatArray, *more: FloatArray | None
@@ -139,33 +128,44 @@ class Deviation:
             reading: (n,) r of the frame; never changes again.
             more: (n,) further variances in kPa^2, which never change again; None: zero.
         """
-        return partial(_total, shape, self._variance, self._asleep, reading, more)
+        asleep = self._hidden_kpa, self._at_rest[0].gain_kpa / SIGMAS
+        return partial(_total, shape, self._variance, asleep, reading, more)
 
     def state(self) -> dict[str, FloatArray]:
         """The state, by name."""
-        return {"variance": self._variance}
+        return {"variance": self._variance, "hidden_kpa": self._hidden_kpa}
 
     def restore(self, state: dict[str, FloatArray]) -> None:
         """Continue from a saved :meth:`state`."""
-        self._variance, self._asleep = state["variance"], None
+        self._variance, self._hidden_kpa = state["variance"], state["hidden_kpa"]
 
 
 def _total(
     shape: tuple[int, ...],
     own: FloatArray,
-    asleep: Asleep | None,
+    asleep: tuple[FloatArray, float],
     reading: FloatArray,
     added: tuple[FloatArray | None, ...],
 ) -> FloatArray:
     """(shape) kPa^2: variances (n,) of cells by themselves, by readings of sleeping ones, and ``added`` ones."""
     variance = own.copy()
-    if asleep is not None:
-        std = np.abs(reading.take(asleep.places)) * asleep.kpa_per_r + asleep.hidden_kpa
-        variance[asleep.places] += std * std
+    add_asleep_each.unchecked(variance, reading, *asleep)
     for more in added:
         if more is not None:
             variance += more
     return variance.reshape(shape)
+
+
+@loop
+def add_asleep_each(variance: Row, reading: Row, hidden_kpa: Row, kpa_per_r: float) -> None:
+    """Add the variances of sleeping cells to ``variance`` (n,): a load that the noise hides, ``hidden_kpa`` (n,).
+
+    Their readings (n,) may be due to a load as well, although none is shown. ``hidden_kpa`` is NaN elsewhere.
+    """
+    for i in range(variance.size):
+        if not math.isnan(hidden_kpa[i]):
+            std_kpa = abs(reading[i]) * kpa_per_r + hidden_kpa[i]
+            variance[i] += std_kpa * std_kpa
 
 
 @loop

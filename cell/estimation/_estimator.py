@@ -96,7 +96,7 @@ class Estimator:
         self._sleep = Sleep(count, inversion.full_scale_r)
         self._gaps = Gaps(count, full_kpa, conditions)
         self._sparks = Sparks(inversion, self._gaps, count)
-        self._deviation = Deviation(inversion, conditions, count)
+        self._deviation = Deviation(inversion, conditions, count, self._at_rest[0])
         self._held = Held(count, full_kpa, conditions.longest_load_s)
         self._pressure = np.full(count, np.nan)
         self._reading = np.zeros(count)
@@ -109,8 +109,11 @@ class Estimator:
         """(n,) kPa^2 by readings of which only an interval is known; never changes again; None: zero"""
         self._read = np.zeros(count, dtype=np.bool_)
         """(n,) whether each cell has been read"""
+        self._all_read = False
         self._followed, self._wanted = _NOWHERE, np.zeros(count, dtype=np.bool_)
         """(m,) cells that are followed: awake, and read in the last frame; and (n,) the same as flags"""
+        self._stale = True
+        """whether the followed cells have to be chosen anew"""
         self._frames = 0
         self._usual_s = self._sways_for_s = 0.0
         """recent mean of the time between frames; and the time to which the calls of ``sway`` are adapted"""
@@ -210,13 +213,15 @@ class Estimator:
         self._watched = r if watched is None else watched
         if not exact:
             self._noise.update(r, known if quiet is None else ~quiet if known is None else known & ~quiet)
-        if not self._read.all():
+        if not self._all_read:
             self._start(r, known)
         if not exact:
-            self._sleep.watch(dt, r, watched, None if watched is None else self._shared_noise.mean_std, loaded)
+            blurred = None if watched is None else self._shared_noise.mean_std
+            self._stale |= self._sleep.watch(dt, r, watched, blurred, loaded)
             if loaded is not None:
                 smoothing.interrupt(self._cells, loaded)
-        self._choose(known)
+        if self._stale or known is not None or self._gaps.open:
+            self._choose(known)
         self._by_shared = None
         if self._followed.size:
             self._follow(dt, r)
@@ -346,7 +351,8 @@ class Estimator:
         if self._memory.dtype.names:  # earlier loads matter to this inversion
             self._gaps.doubt(new, UNKNOWN_PAST * np.abs(self._cells["pressure_kpa"][new]))
         self._sleep.mean[new] = r[new]
-        self._read[new] = self._sleep.awake[new] = True
+        self._read[new] = self._sleep.awake[new] = self._stale = True
+        self._all_read = bool(self._read.all())
 
     def _choose(self, known: BoolArray | None) -> None:
         """Choose the cells to follow: those that are awake and have been read.
@@ -357,9 +363,8 @@ class Estimator:
         wanted = self._sleep.awake.copy() if known is None else self._sleep.awake & known
         if known is not None or self._gaps.open:
             self._part(wanted)
-        if not np.array_equal(wanted, self._wanted):
-            self._wanted, self._followed = wanted, wanted.nonzero()[0]
-            self._deviation.wake(self._followed)
+        self._wanted, self._followed, self._stale = wanted, wanted.nonzero()[0], False
+        self._deviation.wake(self._sleep.awake)
 
     def _part(self, wanted: BoolArray) -> None:
         """Update the states where reading resumes (as if the load had been held) and where it stops (undo jumps)."""
@@ -426,10 +431,9 @@ class Estimator:
     def _rest(self) -> None:
         """Put cells to sleep whose readings and memory are those of rest."""
         places = self._followed
-        calm = self._sleep.calm(self._cells, places, self._noise.at_rest)
-        if calm.any():
-            calm &= self.inversion.settled(self._cells, self._memory, places, self._sleep.band)
-            self._put_to_sleep(places[calm])
+        calm = places[self._sleep.calm(self._cells, places, self._noise.at_rest)]
+        if calm.size:
+            self._put_to_sleep(calm[self.inversion.settled(self._cells, self._memory, calm, self._sleep.band)])
         self._watch_over()
 
     def _put_to_sleep(self, places: IntArray) -> None:
@@ -438,8 +442,7 @@ class Estimator:
         self._pressure[places] = 0.0  # the calibration curve may differ from 0 there by some percent
         self._sleep.begin(places)
         self._noise.cells["on_line"][places] = np.inf  # without a line there is no edge
-        self._wanted[places] = False
-        self._followed = self._wanted.nonzero()[0]
+        self._stale = True
         self._shared_noise.sleep(places, self._sleep.mean[places])
 
     def _watch_over(self) -> None:
@@ -447,7 +450,7 @@ class Estimator:
         asleep = np.flatnonzero(~self._sleep.awake & self._read)
         if asleep.size:
             noise = self._sleep.renew(asleep, self._noise.at_rest)
-            self._deviation.renew(asleep, self._at_rest[0], noise)
+            self._deviation.renew(asleep, noise)
 
     def _shown(self) -> FloatArray:
         """(shape) pressure in kPa."""
@@ -480,11 +483,10 @@ class Estimator:
             raise InputError(f"not a saved state of this estimator for cells of shape {self.shape}")
         values(self._cells)[...], values(self._memory)[...] = given["cells"], given["memory"]
         self._pressure, self._read, self._wanted = given["pressure"], given["read"] > 0, given["followed"] > 0
-        self._followed = self._wanted.nonzero()[0]
+        self._followed, self._all_read, self._stale = self._wanted.nonzero()[0], bool(self._read.all()), True
         self._usual_s, self._sways_for_s, frames = given["clock"].tolist()
         self._frames = int(frames)
         for part in (self._noise, self._shared_noise, self._sleep, self._deviation, self._gaps, self._held):
             part.restore(given)
         self.inversion.take_steps(self._noise.typical_resolution)
-        self._sparks.forget(self._cells, np.arange(self._read.size))
-        self._watch_over()
+        self._sparks.forget_all(self._cells)

@@ -42,7 +42,7 @@ class Sleep:
         self._sum = np.zeros(cells)
         self._sum_s, self._summed = 0.0, 0
         """seconds and number of readings in the sum"""
-        self._sharp = np.ones(cells)
+        self._sharp, self._woken = np.ones(cells), np.zeros(cells, dtype=np.bool_)
 
     def watch(
         self,
@@ -51,7 +51,7 @@ class Sleep:
         watched: FloatArray | None = None,
         blurred: FloatArray | None = None,
         loaded: IntArray | None = None,
-    ) -> IntArray:
+    ) -> bool:
         """Take readings (n,), ``dt_s`` after the last ones.
 
         Args:
@@ -63,11 +63,13 @@ class Sleep:
             loaded: (k,) sleeping cells that wake in any case; None: no cells.
 
         Returns:
-            (k,) sleeping cells whose reading, or mean, has left the range of noise; they are awake now.
+            Whether a sleeping cell is awake now, since its reading, or its mean, has left the range of noise.
         """
         watched, blurred = r if watched is None else watched, self._sharp if blurred is None else blurred
-        woken = np.zeros(r.size, dtype=np.bool_)
-        some = watch_each.unchecked(r, watched, blurred, self._sum, self._wake_at, woken)
+        woken = self._woken
+        some = watch_each.unchecked(r, watched, blurred, self._sum, self._wake_at)
+        if some:
+            wake_each.unchecked(r, watched, blurred, self._wake_at, woken)
         self._sum_s += dt_s
         self._summed += 1
         if self._sum_s >= WATCH_S / MEANS:
@@ -79,9 +81,11 @@ class Sleep:
             self._sum_s, self._summed = 0.0, 0
         if loaded is not None:
             woken[loaded] = some = True
-        found: IntArray = woken.nonzero()[0] if some else np.zeros(0, dtype=np.intp)
-        self.awake[found], self._wake_at[found] = True, np.inf
-        return found
+        if some:
+            self.awake |= woken
+            self._wake_at[woken] = np.inf
+            woken[:] = False
+        return some
 
     def begin(self, places: IntArray) -> None:
         """Put cells to sleep; their wake-up thresholds are set by :meth:`renew`."""
@@ -102,27 +106,40 @@ class Sleep:
     def state(self) -> dict[str, FloatArray | BoolArray]:
         """The state, by name."""
         clock = np.array([self._sum_s, self._summed])
-        return {"mean": self.mean, "sum": self._sum, "awake": self.awake, "sleep_clock": clock}
+        own = {"mean": self.mean, "sum": self._sum, "awake": self.awake, "wake_at": self._wake_at}
+        return own | {"sleep_clock": clock}
 
     def restore(self, state: dict[str, FloatArray]) -> None:
         """Continue from a saved :meth:`state`."""
-        self.mean, self._sum, self.awake = state["mean"], state["sum"], state["awake"] > 0
-        self._wake_at = np.full(self.awake.size, np.inf)
+        self.mean, self._sum, self._wake_at = state["mean"], state["sum"], state["wake_at"]
+        self.awake = state["awake"] > 0
         self._sum_s, self._summed = float(state["sleep_clock"][0]), int(state["sleep_clock"][1])
 
 
 @loop
-def watch_each(r: Row, watched: Row, blurred: Row, total: Row, wake_at: Row, woken: Flags) -> bool:
-    """Add readings ``watched`` (n,) to their sum; mark in ``woken`` (n,) where one, or one of ``r``, wakes its cell.
+def watch_each(r: Row, watched: Row, blurred: Row, total: Row, wake_at: Row) -> bool:
+    """Add readings ``watched`` (n,) to their sum; returns whether one of them, or of ``r`` (n,), wakes its cell.
 
-    The noise of ``watched`` is ``blurred`` (n,) times that of ``r``. Returns whether any cell wakes.
+    The noise of ``watched`` is ``blurred`` (n,) times that of ``r``.
     """
     some = False
     for i in range(r.size):
         total[i] += watched[i]
-        woken[i] = abs(r[i]) > wake_at[i] or abs(watched[i]) > wake_at[i] * blurred[i]
-        some |= woken[i]
+        some |= wakes(r[i], watched[i], blurred[i], wake_at[i])
     return some
+
+
+@loop
+def wake_each(r: Row, watched: Row, blurred: Row, wake_at: Row, woken: Flags) -> None:
+    """Mark in ``woken`` (n,) where a reading wakes its cell; other arguments as of :func:`watch_each`."""
+    for i in range(r.size):
+        woken[i] = wakes(r[i], watched[i], blurred[i], wake_at[i])
+
+
+@loop
+def wakes(r: float, watched: float, blurred: float, wake_at: float) -> bool:
+    """Whether a reading is beyond the noise of a sleeping cell."""
+    return (abs(r) > wake_at) | (abs(watched) > wake_at * blurred)
 
 
 @loop

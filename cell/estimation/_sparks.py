@@ -120,6 +120,11 @@ class Sparks:
         self.forget(cells, gone)
         return gone
 
+    def forget_all(self, cells: Records[CellState]) -> None:
+        """Treat all jumps as loads."""
+        cells["jump"] = 0.0
+        self.places = self.places[:0]
+
     def forget(self, cells: Records[CellState], places: IntArray) -> None:
         """Treat jumps of cells as loads."""
         if self.places.size:
