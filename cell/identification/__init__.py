@@ -12,8 +12,8 @@
 from ._calibrate import CalibrationResult, calibrate, estimate_recording
 from ._protocol import check_protocol, protocol_load, protocol_text
 from ._recording import Recording, check_resistances, checked_recording, read_recording
-from ._recovery_curve import recovery_branches
 from ._report import calibration_figure, calibration_record, calibration_text
+from ._straight_lines import recovery_branches
 
 __all__ = [
     "CalibrationResult",

@@ -2,6 +2,7 @@
 
 The static curve is the baseline. Another estimator replaces it only if it passes two tests.
 
+1. On the folds its errors are smaller than those of the curve by more than chance explains (paired t test).
 2. Unless the recording has many presses: on simulated cells under random loads its errors are no larger than those of
    the curve by more than a tenth. Every kind of cell that explains the recording is simulated. The reason: a recording
    of a single press has folds that are all alike, and several kinds of cells explain it. An estimator trained on one

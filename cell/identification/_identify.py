@@ -11,7 +11,6 @@ import numpy as np
 from ...common.arrays import FloatArray
 from ...errors import InputError
 from ..materials import Model, simulate
-from ._contact_fit import fit_contact
 from ._fitted import Drift, Fit, Parameter
 from ._folds import Fold, folds
 from ._kinds import (
@@ -19,7 +18,6 @@ from ._kinds import (
     Richer,
     asymmetric_as_whole,
     asymmetric_kind,
-    drifting,
     m10_kind,
     model_of,
     paper_kind,
@@ -29,8 +27,8 @@ from ._kinds import (
 )
 from ._least_squares import Grid, correlation_length, predict, solve
 from ._recording import Recording
-from ._recovery_curve import longest_recovery, recovery_branches
 from ._remarks import clock_shift_s
+from ._straight_lines import fit_contact, longest_recovery, recovery_branches
 from ._training import cubic
 
 POINTS, POINTS_BEFORE_FOLDS = 2000, 1000
@@ -246,7 +244,7 @@ def _find_drift(models: Sequence[tuple[Kind, tuple[float, ...], Richer]], task: 
     nested: list[tuple[float, ...]] = []
     for kind, found, richer in models:
         count = len(kind.names)
-        drifting_kind = drifting(kind)
+        drifting_kind = kind.drifting()
         starts = [drifting_kind.starts[0], with_drift(found, count, 0.0), *nested]
         fitted, covariance = solve(drifting_kind, grid, starts, task.lower)
         noise = simulate.white_noise(grid.r[grid.read]) ** 2

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from pydantic import ValidationError
@@ -25,16 +24,9 @@ DRIFTS = 1.0
 """bound of a fitted drift over the recording, over R0, in either direction"""
 
 
-def _as_it_is(load: FloatArray) -> FloatArray:
-    return load
-
-
 @dataclass(frozen=True)
 class Kind:
-    """A kind of model as a least-squares problem: free parameters, bounds, starts.
-
-    Kinds, and fits that refer to them, can be pickled, since all functions are those of this module.
-    """
+    """A kind of model as a least-squares problem: free parameters, bounds, starts."""
 
     kind: str
     names: tuple[str, ...]
@@ -44,16 +36,51 @@ class Kind:
     """the first holds the usual values for this range of r, and is the centre of the prior"""
     size: float
     """range of r in the recording"""
-    run: Callable[[FloatArray, FloatArray, float], FloatArray]
-    """parameters (p, m), load (n,) or (n, m) as ``felt``, dt -> r (n, m), without the offset of R0"""
+    fixed: tuple[float, ...] = ()
+    """values of :data:`..materials.M10_PARAMETERS`; NaN where a free parameter stands. (): the paper's model"""
     begun: int = 0
     """number of parameters, after the named ones, for the initial memory of branches and chains"""
-    felt: Callable[[FloatArray], FloatArray] = _as_it_is
-    """preprocesses the load (n, m) or (n,) for ``run``; called once for any number of parameter sets"""
+    drifts: bool = False
+    """whether the last named parameter is a drift of R0 over the recording, over R0"""
+
+    def felt(self, load: FloatArray) -> FloatArray:
+        """The load (n,) or (n, m) as :meth:`run` takes it, (n, 1) or (n, m), for any number of parameter sets."""
+        columns = load[:, None] if load.ndim == 1 else load
+        if self.fixed:
+            return columns
+        return play_follow(columns, 4 * simulate.white_noise(columns[:, 0]))  # noise would switch the phase
+
+    def run(self, parameters: FloatArray, load: FloatArray, dt_s: float) -> FloatArray:
+        """r (n, m), without the offset of R0, for ``parameters`` (p, m) under a load as :meth:`felt`."""
+        named, begun = parameters[: len(self.names) - self.drifts], parameters[len(self.names) :]
+        if not self.fixed:
+            r = simulate.paper(named, load, dt_s)
+        else:
+            full = np.repeat(np.array(self.fixed)[:, None], parameters.shape[1], axis=1)
+            full[np.isnan(self.fixed)] = named
+            memory = np.zeros((3, parameters.shape[1]))
+            memory[: self.begun] = begun
+            r = simulate.m10(full, load, dt_s, memory)
+        if not self.drifts:
+            return r
+        # Relative to the initial R0, of cells whose R0 changes linearly.
+        return np.asarray((1 + r) * (1 + np.linspace(0, 1, len(r))[:, None] * parameters[len(named)]) - 1)
+
+    def drifting(self) -> Kind:
+        """The same kind with a drift of R0 as one more parameter, after the named ones."""
+        return replace(
+            self,
+            names=(*self.names, "drift"),
+            low=(*self.low, -DRIFTS),
+            high=(*self.high, DRIFTS),
+            starts=tuple((*start, 0.0) for start in self.starts),
+            drifts=True,
+        )
 
 
 Richer = Callable[[tuple[float, ...]], tuple[float, ...]]
 """converts a solution to the parameters of the next, richer kind"""
+FREE = np.nan
 
 
 def asymmetric_kind(start: tuple[float, ...], size: float, begun: bool) -> Kind:
@@ -65,16 +92,9 @@ def asymmetric_kind(start: tuple[float, ...], size: float, begun: bool) -> Kind:
         high=(5 * size, 5 * size, 100.0, 5 * size, 3000.0),
         starts=((0.5 * size, 0.4 * size, 5.0, 0.1 * size, 100.0), (g1, g2, t2, g3, t3)),
         size=size,
-        run=_run_asymmetric,
+        fixed=(FREE, 0.0, FREE, INSTANT_S, FREE, FREE, INSTANT_S, FREE, 0.0, INSTANT_S),
         begun=2 if begun else 0,
     )
-
-
-def _run_asymmetric(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
-    a, alpha1, fall1, alpha2, fall2 = parameters[:5]
-    zero, instant = np.zeros_like(a), np.full_like(a, INSTANT_S)
-    full = np.stack([a, zero, alpha1, instant, fall1, alpha2, instant, fall2, zero, instant])
-    return simulate.m10(full, _columns(load), dt, _unbroken(parameters[5:]))
 
 
 def whole_kind(start: tuple[float, ...], size: float, begun: bool) -> Kind:
@@ -91,23 +111,16 @@ def whole_kind(start: tuple[float, ...], size: float, begun: bool) -> Kind:
             (0.7 * size, 0.0, 0.2 * size, 3.0, 3.0, 0.2 * size, 60.0, 60.0),
         ),
         size=size,
-        run=_run_whole,
+        fixed=(*[FREE] * 8, 0.0, 30.0),
         begun=2 if begun else 0,
     )
-
-
-def _run_whole(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
-    count = len(M10_PARAMETERS) - 2
-    none = np.zeros((2, parameters.shape[1]))
-    none[1] = 30.0
-    full = np.concatenate([parameters[:count], none])
-    return simulate.m10(full, _columns(load), dt, _unbroken(parameters[count:]))
 
 
 def m10_kind(start: tuple[float, ...], size: float, begun: bool) -> Kind:
     whole = whole_kind(start, size, begun)
     _, graphical, slow = whole.starts
-    return Kind(
+    return replace(
+        whole,
         kind="m10",
         names=M10_PARAMETERS,
         low=(*whole.low, 1e-4 * size, 1.0),
@@ -117,16 +130,9 @@ def m10_kind(start: tuple[float, ...], size: float, begun: bool) -> Kind:
             (*graphical, 0.1 * size, 5.0),
             (*slow, 0.01 * size, 30.0),
         ),
-        size=size,
-        run=_run_m10,
+        fixed=(FREE,) * 10,
         begun=3 if begun else 0,
     )
-
-
-def _run_m10(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
-    count = len(M10_PARAMETERS)
-    begun = parameters[count:]
-    return simulate.m10(parameters[:count], _columns(load), dt, begun if len(begun) else None)
 
 
 def paper_kind(start: tuple[float, ...], size: float) -> Kind:
@@ -138,28 +144,7 @@ def paper_kind(start: tuple[float, ...], size: float) -> Kind:
         high=(5 * size, 5 * size, 100.0, 5 * size, 3000.0, 3.0, 300.0),
         starts=((0.5 * size, 0.4 * size, 5.0, 0.1 * size, 100.0, 0.2, 5.0), (g1, g2, t2, g3, t3, 0.2, 5.0)),
         size=size,
-        run=_run_paper,
-        felt=_without_noise,
     )
-
-
-def _run_paper(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
-    return simulate.paper(parameters, _columns(load), dt)
-
-
-def _without_noise(load: FloatArray) -> FloatArray:
-    columns = _columns(load)
-    noise = 4 * simulate.white_noise(columns[:, 0])  # noise would switch the phase at every sample
-    return play_follow(columns, noise)
-
-
-def _unbroken(begun: FloatArray) -> FloatArray | None:
-    """Initial memory of branches (2, m) or (0, m), in the form for :func:`..materials.simulate.m10`."""
-    return np.concatenate([begun, np.zeros((1, begun.shape[1]))]) if len(begun) else None
-
-
-def _columns(load: FloatArray) -> FloatArray:
-    return load[:, None] if load.ndim == 1 else load
 
 
 def asymmetric_as_whole(solution: tuple[float, ...]) -> tuple[float, ...]:
@@ -175,32 +160,9 @@ def whole_as_m10(solution: tuple[float, ...], size: float) -> tuple[float, ...]:
     return *solution[:count], 1e-3 * size, 30.0, *branches, *[0.0] * (len(branches) // 2), offset
 
 
-def drifting(kind: Kind) -> Kind:
-    """The same kind with a drift of R0 as one more parameter, after the named ones."""
-    return replace(
-        kind,
-        names=(*kind.names, "drift"),
-        low=(*kind.low, -DRIFTS),
-        high=(*kind.high, DRIFTS),
-        starts=tuple((*start, 0.0) for start in kind.starts),
-        run=partial(_run_drifting, kind),
-    )
-
-
-def _run_drifting(kind: Kind, parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
-    count = len(kind.names)
-    r = kind.run(np.delete(parameters, count, axis=0), load, dt)
-    return _drifted(parameters[count], r)
-
-
 def with_drift(solution: tuple[float, ...], count: int, share: float) -> tuple[float, ...]:
     """A solution with the drift ``share`` inserted after its ``count`` named parameters."""
     return *solution[:count], share, *solution[count:]
-
-
-def _drifted(drift: FloatArray, r: FloatArray) -> FloatArray:
-    """r (n, m), relative to the initial R0, of cells whose R0 changes linearly by the fraction ``drift`` (m,)."""
-    return np.asarray((1 + r) * (1 + np.linspace(0, 1, len(r))[:, None] * drift) - 1)
 
 
 def model_of(kind: str, found: FloatArray, full_scale_kpa: float) -> Model:

@@ -1,4 +1,4 @@
-"""Parameters of the cell models (augmented Burgers, M10, contact): the ``[model]`` table of CELL.toml, by kind.
+"""Parameters of the cell models (augmented Burgers, M10, contact): ``[model]`` of CELL.toml; equilibrium curves.
 
 r = (R - R0)/R0 is the normalised resistance (P3), p the pressure in kPa, s = p / full scale the normalised load.
 Moduli E and viscosities eta have no mechanical meaning here: they describe the normalised resistance (paper, IV.B).
@@ -10,6 +10,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from ...common.arrays import FloatArray
 from ...common.config import Finite, NotNegative, Positive, Section
 
 
@@ -158,3 +159,26 @@ class ContactModel(Section):
 
 
 Model = Annotated[PaperModel | AsymmetricModel | M10Model | ContactModel, Field(discriminator="kind")]
+
+
+def equilibrium_gain(model: Model, full_scale_kpa: float, rest_resistance_ohm: float) -> float:
+    """r at equilibrium under full scale; negative for a contact."""
+    match model:
+        case PaperModel() | AsymmetricModel():
+            return model.gain_per_kpa * full_scale_kpa
+        case M10Model():
+            return model.a + model.b + model.alpha1 + model.alpha2
+        case ContactModel():
+            return 1 / (1 + rest_resistance_ohm / model.full_scale_resistance_ohm) - 1
+
+
+def equilibrium_curve(model: Model, full_scale_kpa: float, rest_resistance_ohm: float, load: FloatArray) -> FloatArray:
+    """r at equilibrium under each normalised ``load``; equals :func:`equilibrium_gain` at ``load`` = 1."""
+    match model:
+        case PaperModel() | AsymmetricModel():
+            curve = model.gain_per_kpa * full_scale_kpa * load
+        case M10Model():
+            curve = (model.a + model.alpha1 + model.alpha2) * load + model.b * load**2
+        case ContactModel():
+            curve = 1 / (1 + rest_resistance_ohm / model.full_scale_resistance_ohm * load**model.exponent) - 1
+    return curve
