@@ -29,7 +29,7 @@ import numpy as np
 
 from ..cell import ESTIMATORS, Cell, calibrate, checked_recording, protocol_load
 from ..circuits import Design, adc_codes, scan_batch
-from ..common import compiled, plots
+from ..common import plots
 from ..common.arrays import FloatArray
 from ..driver import CountReader, Skin
 from ..errors import InputError
@@ -84,8 +84,6 @@ class Row:
     """per second of processor time: what a reader of a skin gets who takes every frame and its standard deviations"""
     queued_frames_per_second: float = field(metadata=column("queued", "{:.0f}"))
     """the same where :data:`QUEUED` frames come together"""
-    times_as_fast: float = field(metadata=column("code", "{:.2f}"))
-    """by machine code (:mod:`ohmskin.common.compiled`) over array operations, both in turn; 1 without machine code"""
     decode_us: float = field(metadata=column("decode", "{:.0f}"))
     """median per frame"""
     ohms_us: float = field(metadata=column("ohms", "{:.0f}"))
@@ -208,7 +206,6 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
             times[number] = decoded - start, solved - decoded, estimated - solved, asked - taken, asked - taking
             found_ohm[number], valid[number], found_kpa[number] = frame.resistance, frame.valid, frame.pressure
     queued_s = _taking_queued(packets, board, cell, name)
-    times_as_fast = 1.0 if compiled.why_not() else _times_as_fast(packets, board, cell, name)
     whole = times[:, 4]
     usual = float(np.median(whole))
     off_ohm = np.abs(found_ohm / cells - 1.0)[valid]
@@ -224,7 +221,6 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
         is_default=name in (None, cell.default_estimator),
         frames_per_second=frames / float(whole.sum()),
         queued_frames_per_second=frames / queued_s,
-        times_as_fast=times_as_fast,
         decode_us=1e6 * decode_s,
         ohms_us=1e6 * ohms_s,
         kpa_us=1e6 * kpa_s,
@@ -248,23 +244,6 @@ def _taking_queued(packets: list[bytes], board: Design, cell: Cell, name: str | 
                 port.work(QUEUED * APART_S)
             _ = skin.read(0.0).pressure_std
         return process_time() - start
-
-
-def _times_as_fast(packets: list[bytes], board: Design, cell: Cell, name: str | None) -> float:
-    """How many times as fast machine code takes the frames as array operations do, frame by frame in turn."""
-    by_arrays, by_code = (port_of(packets, board) for _ in range(2))
-    took_s = np.zeros(2)
-    with contextlib.ExitStack() as stack:
-        with compiled.switched_off():
-            plain = stack.enter_context(every_frame(by_arrays, board, cell, name))
-        quick = stack.enter_context(every_frame(by_code, board, cell, name))
-        for _ in packets:
-            for one, (skin, port) in enumerate(((plain, by_arrays), (quick, by_code))):
-                port.work(APART_S)
-                start = process_time()
-                _ = skin.read(0.0).pressure_std
-                took_s[one] += process_time() - start
-    return float(took_s[0] / took_s[1])
 
 
 @contextlib.contextmanager
@@ -340,13 +319,10 @@ def packets_of(
 
 
 def head() -> str:
-    """What the columns are, and whether machine code is in use."""
-    why_not = compiled.why_not()
-    code = "by machine code where there is some; code: times as fast as by array operations"
+    """What the columns are."""
     return (
         "frames per second of processor time on one core that a reader of a skin gets, bytes to kPa with standard "
-        f"deviations, and where {QUEUED} frames come together; worst frame in medians; errors of valid cells\n"
-        + (f"by array operations: {why_not}" if why_not else code)
+        f"deviations, and where {QUEUED} frames come together; worst frame in medians; errors of valid cells"
     )
 
 

@@ -46,7 +46,7 @@ SWITCH = "OHMSKIN_COMPILED"
 types of its arguments"""
 NUMBA_SWITCH = "NUMBA_DISABLE_JIT"
 """Numba's own environment variable; 1: nothing is compiled"""
-WAIT = "up to 60 s"
+WAIT = "up to 30 s"
 """processor time in which all kernels are compiled"""
 
 _OPTIONS: dict[str, bool | str] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}

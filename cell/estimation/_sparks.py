@@ -87,7 +87,9 @@ class Sparks:
 
     def taps(self, cells: Records[CellState]) -> IntArray:
         """(k,) cells that have just jumped, and are known to be under a load."""
-        return self.places[(cells["jump_is_load"][self.places] > 0.0) & (cells["jump_s"][self.places] <= TOGETHER_S)]
+        tapped = (cells["jump_is_load"][self.places] > 0.0) & (cells["jump_s"][self.places] <= TOGETHER_S)
+        found: IntArray = self.places[tapped]
+        return found
 
     def put_back(self, cells: Records[CellState], memory: Records[Record], dt_s: float) -> None:
         """Restore the states of cells whose reading has come back, in a frame ``dt_s`` after the last one."""

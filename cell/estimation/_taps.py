@@ -77,10 +77,10 @@ class Taps:
         some = jumps[young & (np.abs(off) > LASTS * np.abs(jump)) & (jump * side > 0)]
         if not some.size:
             return
-        ends = np.zeros((2, some.size), dtype=np.bool_)
+        ends_column = ends_row = np.zeros(some.size, dtype=np.bool_)
         if self._grid:
-            whole, *ends = self._lines(some, cells["jump"][some], reading, noise)
-            some, ends = some[~whole], np.array(ends)[:, ~whole]
+            whole, ends_column, ends_row = self._lines(some, cells["jump"][some], reading, noise)
+            some, ends_column, ends_row = some[~whole], ends_column[~whole], ends_row[~whole]
         size, moved = np.abs(cells["jump"][some]), self._beside((reading - self.before) * side, some)
         beside = self._beside(noise, some)
         with_it = moved > np.maximum(SHARED * size, CLEAR * beside)  # False where there is none
@@ -89,7 +89,7 @@ class Taps:
         spread = (jointly[0] | jointly[1]) & (jointly[2] | jointly[3])
         soon = age_s[some] <= max(IN_LINE_S, dt_s) * _SOON
         cells["jump_frames"][some] += soon & (along_column | along_row | (side < 0))
-        lasted = (cells["jump_frames"][some] >= FRAMES) & ~np.where(along_column, *ends)
+        lasted = (cells["jump_frames"][some] >= FRAMES) & ~np.where(along_column, ends_column, ends_row)
         cells["jump_is_load"][some] = spread | lasted
         for _ in range(2):  # spreads by two cells, about the width of a fingertip; others follow in the next frame
             loads = np.zeros(reading.size)
