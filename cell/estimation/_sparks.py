@@ -139,7 +139,7 @@ class Sparks:
         Cells that were tapped keep their present memory.
         """
         gone = self.places[np.isin(self.places, lost)]
-        undone = gone[cells["jump_is_load"][gone] == 0.0]
+        undone: IntArray = gone[cells["jump_is_load"][gone] == 0.0]
         self._restore(cells, memory, undone)
         self.forget(cells, gone)
         return undone
