@@ -60,7 +60,7 @@ EVENLY = math.sqrt(3.0)
 STEP_STD = 1.0 / EVENLY
 """standard deviation of a quantisation error over half a step"""
 UNUSUAL = 0.1
-"""relative change of the time between frames beyond which the interval between calls of ``correct_tremor`` is adapted"""
+"""relative change of the time between frames beyond which calls of ``correct_tremor`` are adapted to it"""
 UNKNOWN_PAST = 0.25
 """standard deviation of the first pressure of a cell, over that pressure: a load that has just begun reads much larger
 than the same load after a long hold. This uncertainty fades as that of a gap does"""

@@ -119,7 +119,7 @@ class Inversion(ABC):
     def correct_tremor(  # noqa: B027 - of a memory that some inversions do not have
         self, cells: Records[CellState], memory: Records[Any], places: IntArray, dt_s: float, mean: FloatArray
     ) -> None:
-        """Remove what loads that oscillate unnoticed have left; called after :meth:`check_means`, with its arguments."""
+        """Subtract what a tremor within the noise has left; called after :meth:`check_means`, with its arguments."""
 
     def left_over(self, cells: Records[CellState], memory: Records[Any], places: IntArray) -> FloatArray:
         """(k,) excess of r, by earlier loads, over the equilibrium r of the present load; 0 where unknown."""
