@@ -54,6 +54,11 @@ class CellState(Record):
     jump_s: float
     """time since the jump"""
     jumped_from_kpa: float
+    """pressure before the jump"""
+    jump_is_load: float
+    """1 where neighbouring cells tell that the jump is a load, else 0; by `estimation._taps`, as the next one"""
+    jump_frames: float
+    """number of frames in which a neighbour has moved with the jump"""
 
     # -- the estimate, by the inversion --
     pressure_kpa: float

@@ -19,7 +19,6 @@ from ...common.compiled import Places, Record, Records, Row, loop, record
 from .._state import CellState
 from ._conditions import Conditions
 from ._inversion import DOUBT, DOUBTED_LOAD, LIGHT_LOAD, USUAL, Inversion
-from ._sleep import AT_REST
 from ._smoothing import HIDDEN, SIGMAS
 from ._sparks import doubted_jump
 from ._tremor import doubted_rise
@@ -41,8 +40,6 @@ class Limits(Record):
     most_kpa: float
     """pressure beyond which it is limited where its variance exceeds ``doubt_kpa2``"""
     doubt_kpa2: float
-    much_noise_kpa: float
-    """noise beyond which all pressures are shrunk"""
     light_kpa: float
     """:data:`._inversion.LIGHT_LOAD` in kPa"""
     doubted_kpa2: float
@@ -79,7 +76,6 @@ class Deviation:
             full_kpa=full_kpa,
             most_kpa=USUAL * full_kpa,
             doubt_kpa2=(DOUBT * full_kpa) ** 2,
-            much_noise_kpa=AT_REST * full_kpa,
             light_kpa=LIGHT_LOAD * full_kpa,
             doubted_kpa2=(DOUBTED_LOAD * full_kpa) ** 2,
             rise_kpa=float(inversion.steepness_kpa[0]),
@@ -182,11 +178,6 @@ def show_each(
 
     ``rest_kpa2`` (m,) is the variance by R0 at the pressures ``rest_at_kpa`` (m,).
     """
-    much, much_noise = False, False
-    for k in range(places.size):
-        cell = cells[places[k]]
-        much |= cell.pressure_kpa > limits.most_kpa
-        much_noise |= cell.level_std * cell.gain_kpa > limits.much_noise_kpa
     for k in range(places.size):
         cell = cells[places[k]]
         shown, off, slope = cell.pressure_kpa, cell.reading - cell.level, cell.gain_kpa
@@ -197,16 +188,13 @@ def show_each(
         by_rise, by_jump = doubted_rise(cell, limits.seeming), doubted_jump(cell)
         added = by_rise * by_rise + by_jump * by_jump
         if limits.exact == 0.0:
-            if much:
-                # A pressure beyond full scale may just as well be an error of the memory.
-                if cell.variance_kpa2 + added + std_kpa * std_kpa > limits.doubt_kpa2:
-                    shown = min(shown, limits.most_kpa)
-                excess = max(cell.pressure_kpa - limits.full_kpa, 0.0)
-                added += excess * excess
-            if much_noise or cell.released > 0.0 or cell.unconfirmed > 0.0:
-                likely = shrunk(cell, shown, limits)
-                added += (shown - likely) * (shown - likely)
-                shown = likely
+            # A pressure beyond full scale may just as well be an error of the memory.
+            if cell.variance_kpa2 + added + std_kpa * std_kpa > limits.doubt_kpa2:
+                shown = min(shown, limits.most_kpa)
+            excess = max(cell.pressure_kpa - limits.full_kpa, 0.0)
+            likely = shrunk(cell, shown, limits)
+            added += excess * excess + (shown - likely) * (shown - likely)
+            shown = likely
         pressure_kpa[places[k]] = shown
         own = own_kpa2(cell, std_kpa, limits, rest_at_kpa, rest_kpa2)
         variance_kpa2[places[k]] = own + added if limits.stated > 0.0 else math.nan

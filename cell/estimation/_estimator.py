@@ -11,7 +11,7 @@ Each frame passes these steps:
 4. The other cells are followed. Their readings are smoothed according to the noise (:mod:`._smoothing`), and an
    :class:`._inversion.Inversion` turns them into pressures.
 5. A reading that jumps and comes back at once was a bad contact, and the state from before the jump is restored
-   (:mod:`._sparks`).
+   (:mod:`._sparks`), unless the neighbouring cells show that the jump was a tap (:mod:`._taps`).
 6. The variance of a pressure sums those of noise, of the memory, of motion within the noise (:mod:`._tremor`), of gaps,
    of R0, of creep under loads longer than any in the calibration (:mod:`._held`), and of the residual error of the
    calibration (:mod:`._deviation`).
@@ -95,7 +95,7 @@ class Estimator:
         self._shared_noise = SharedNoise(shape, self._noise, inversion.side)
         self._sleep = Sleep(count, inversion.full_scale_r)
         self._gaps = Gaps(count, full_kpa, conditions)
-        self._sparks = Sparks(inversion, self._gaps, count)
+        self._sparks = Sparks(inversion, self._gaps, shape)
         self._deviation = Deviation(inversion, conditions, count, self._at_rest[0])
         self._held = Held(count, full_kpa, conditions.longest_load_s)
         self._pressure = np.full(count, np.nan)
@@ -395,7 +395,11 @@ class Estimator:
         gains = smoothing.gains_for(self._noise.typical / inversion.full_scale_r, dt)
         if smoothing.smooth_each.unchecked(cells, places, self._noise.cells, dt, gains, self._sparks.large_r):
             self._sparks.remember(cells, memory, places, (self._noise.reading(1), self._noise.reading(2)))
+        if self._sparks.places.size:
+            self._sparks.recognise_taps(cells, dt, r, self._noise.at_rest)
         inversion.advance(cells, memory, places, dt)
+        if self._sparks.places.size:
+            tremor.accept(cells, self._sparks.taps(cells))
         self._look_back(dt)
         if self._frames % RECENT == 0:
             self._look_for_tremor(ends_window=self._frames % WINDOW == 0)

@@ -1,10 +1,13 @@
 """Intermittent contacts ("sparks"): a reading that jumps and comes back within :data:`SPARK_S` was no load.
 
 The memory of a cell from before a large jump is stored for that time. If the reading comes back, the stored memory is
-restored, unless the jump was a tap: a tap changes the memory of a cell, a bad contact does not.
+restored, unless the jump was a tap: a tap changes the memory of a cell, a bad contact does not. Often the neighbouring
+cells show at once that the jump is a tap (:mod:`._taps`).
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -13,6 +16,7 @@ from ...common.compiled import Places, Record, Records, Row, loop, zeros
 from .._state import CellState
 from ._gaps import Gaps
 from ._inversion import Inversion
+from ._taps import TOGETHER_S, Taps
 
 SPARK_S = 0.1
 """longest duration of a spark in seconds; longer jumps are loads"""
@@ -40,9 +44,10 @@ IN_DOUBT = 0.5
 class Sparks:
     """Cells whose reading has just jumped, with their states from before the jump."""
 
-    def __init__(self, inversion: Inversion, gaps: Gaps, cells: int) -> None:
-        """``gaps`` takes the doubt about jumps that may have been spark or tap."""
-        self._inversion, self._gaps = inversion, gaps
+    def __init__(self, inversion: Inversion, gaps: Gaps, shape: tuple[int, ...]) -> None:
+        """``gaps`` takes the doubt about jumps that may have been spark or tap; ``shape`` is that of the array."""
+        self._inversion, self._gaps, cells = inversion, gaps, math.prod(shape)
+        self._taps = Taps(inversion, shape)
         self.large_r = LARGE_JUMP * inversion.full_scale_r
         """least jump of r that may be a spark"""
         self.places = np.zeros(0, dtype=np.intp)
@@ -67,9 +72,22 @@ class Sparks:
         count = find_each.unchecked(cells, places, *before, self.large_r, side, light_kpa, found)
         if count:
             new = found[:count]
+            if not (cells["jump_s"][self.places] <= TOGETHER_S).any():
+                self._taps.before = before[0].copy()
+                self._taps.before[self.places] = self._cells["level"][self.places]
             self._cells[new], self._memory[new] = cells[new], memory[new]
             take_back_each.unchecked(self._cells, new)
             self.places = np.concatenate([self.places, new])
+
+    def recognise_taps(
+        self, cells: Records[CellState], dt_s: float, reading: FloatArray, noise_at_rest: FloatArray
+    ) -> None:
+        """Find jumps that are loads, by the readings (n,) of all cells, ``dt_s`` seconds after the last frame."""
+        self._taps.look(cells, self.places, dt_s, reading, noise_at_rest)
+
+    def taps(self, cells: Records[CellState]) -> IntArray:
+        """(k,) cells that have just jumped, and are known to be under a load."""
+        return self.places[(cells["jump_is_load"][self.places] > 0.0) & (cells["jump_s"][self.places] <= TOGETHER_S)]
 
     def put_back(self, cells: Records[CellState], memory: Records[Record], dt_s: float) -> None:
         """Restore the states of cells whose reading has come back, in a frame ``dt_s`` after the last one."""
@@ -114,11 +132,15 @@ class Sparks:
             self._inversion.hold(cells, memory, places, cells["jump_s"][places])
 
     def undo(self, lost: IntArray, cells: Records[CellState], memory: Records[Record]) -> IntArray:
-        """Restore the states of cells that are no longer read, where they have jumped; returns which (k,)."""
+        """Restore the states of cells that are no longer read, where they have jumped; returns which (k,).
+
+        Cells that were tapped keep their present memory.
+        """
         gone = self.places[np.isin(self.places, lost)]
-        self._restore(cells, memory, gone)
+        undone = gone[cells["jump_is_load"][gone] == 0.0]
+        self._restore(cells, memory, undone)
         self.forget(cells, gone)
-        return gone
+        return undone
 
     def forget_all(self, cells: Records[CellState]) -> None:
         """Treat all jumps as loads."""
@@ -134,7 +156,8 @@ class Sparks:
     def hide(self, cells: Records[CellState], pressure_kpa: FloatArray) -> None:
         """Hide jumps beyond :data:`BEYOND` while they may be sparks; changes ``pressure_kpa`` (n,)."""
         full_kpa, now = self._inversion.full_scale_kpa, pressure_kpa[self.places]
-        beyond = self.places[np.abs(now - full_kpa / 2) > BEYOND * full_kpa]
+        doubted = cells["jump_is_load"][self.places] == 0.0
+        beyond = self.places[doubted & (np.abs(now - full_kpa / 2) > BEYOND * full_kpa)]
         pressure_kpa[beyond] = cells["jumped_from_kpa"][beyond]
 
 
@@ -166,6 +189,7 @@ def find_each(
         if abs(jump) <= SUDDEN * abs(before[i] - two_before[i]):
             continue
         cell.jump, cell.jump_s, cell.jumped_from_kpa = jump, 0.0, cell.pressure_kpa
+        cell.jump_is_load, cell.jump_frames = 0.0, 0.0
         found[count] = i
         count += 1
     return count
@@ -201,8 +225,11 @@ def come_back_each(
             continue
         back = abs(off - moved) < BACK * jump + CLEAR * cell.noise + abs(moved)
         if back and abs(cell.level - cell.reading) > SUDDENLY * jump:
-            found[count] = places[k]
-            count += 1
+            if cell.jump_is_load > 0.0:
+                cell.jump = 0.0
+            else:
+                found[count] = places[k]
+                count += 1
     return count
 
 
@@ -227,4 +254,5 @@ def restore_each(cells: Records[CellState], befores: Records[CellState], places:
 @loop
 def doubted_jump(cell: CellState) -> float:
     """Standard deviation in kPa by a jump that may be a spark."""
-    return IN_DOUBT * (cell.pressure_kpa - cell.jumped_from_kpa) if cell.jump != 0.0 else 0.0
+    doubted = cell.jump != 0.0 and cell.jump_is_load == 0.0
+    return IN_DOUBT * (cell.pressure_kpa - cell.jumped_from_kpa) if doubted else 0.0

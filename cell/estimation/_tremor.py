@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 
+from ...common.arrays import IntArray
 from ...common.compiled import Places, Records, Row, loop
 from .._state import CellState
 from ._noise import CROSSED
@@ -28,6 +29,14 @@ SUSPICION = 0.5
 
 FADES = 0.5
 """fraction of a temporary doubt that remains after the next window, if that window shows no more"""
+
+
+def accept(cells: Records[CellState], places: IntArray) -> None:
+    """Accept the present pressures as those of a load: clears all doubt about their rise."""
+    for name in ("risen_from_kpa", "looked_at_kpa"):
+        cells[name][places] = cells["pressure_kpa"][places]
+    for name in ("waiting_kpa", "edge_kpa"):
+        cells[name][places] = 0.0
 
 
 @loop
