@@ -251,8 +251,8 @@ class M10State(Record):
     """1 if the load last left its play upwards, else 0"""
     furthest: float
     """load up to which chains have broken since"""
-    lately: float
-    """how far the load has gone of late"""
+    recent_path: float
+    """how far the load has gone of late, up and down"""
     moved: float
     """last two steps of the load"""
     moved_before: float

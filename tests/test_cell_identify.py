@@ -518,7 +518,7 @@ def _overload(cell: Cell, name: str) -> None:
     curve = cell.estimators.static
     assert curve.reached is not None
     reading = curve.reading(read / cell.rest_resistance_ohm - 1)
-    beyond = curve.reached.excess(reading[None]) > 0.05 * (curve.reached.highest[0] - curve.reached.lowest[0])
+    beyond = curve.reached.excess(reading[:, None]) > 0.05 * (curve.reached.highest[0] - curve.reached.lowest[0])
     assert np.count_nonzero(beyond & (load > cell.full_scale_kpa)) > 100
     assert (np.abs(pressure - load)[beyond] < 2 * std[beyond]).all()
 

@@ -11,7 +11,9 @@ from cells import DT, EXAMPLE, FULL
 
 from ohmskin.cell import AsymmetricModel, Cell, ContactModel, estimate_recording
 from ohmskin.cell._cell import Calibrated
-from ohmskin.cell.inversions._learned import Limits, Seen, StaticCurve
+from ohmskin.cell.inversions import Limits, Reached, Seen, StaticCurve
+
+REACHED = Reached(lowest=(-0.9,), highest=(3.0,))
 
 
 def _unknown() -> Cell:
@@ -25,7 +27,7 @@ def _paper() -> Cell:
 def _asymmetric() -> Cell:
     """As if calibrated from readings with a little noise."""
     model = AsymmetricModel(e1_kpa=32, e2_kpa=60, e3_kpa=480, eta2_kpa_s=510, eta3_kpa_s=48000)
-    curve = StaticCurve(coefficients=(0.0, 1.3), limits=Limits(lowest=0, highest=1.2), std_kpa=1.0)
+    curve = StaticCurve(coefficients=(0.0, 1.3), limits=Limits(lowest=0, highest=1.2), std_kpa=1.0, reached=REACHED)
     learned = Calibrated(
         default="inverse",
         reason="",
@@ -144,7 +146,11 @@ def test_a_contact_has_no_doubt_about_a_gap_once_it_is_read_again(calibrated: bo
     cell = Cell(rest_resistance_ohm=6e4, full_scale_kpa=FULL, model=model)
     if calibrated:
         curve = StaticCurve(
-            coefficients=(0.0, 0.37), limits=Limits(lowest=0, highest=1.2), std_kpa=0.3, logarithmic=True
+            coefficients=(0.0, 0.37),
+            limits=Limits(lowest=0, highest=1.2),
+            std_kpa=0.3,
+            logarithmic=True,
+            reached=REACHED,
         )
         found = Calibrated(default="static", reason="", held_out_percent={"static": 1.0}, static=curve)
         cell = cell.replace(estimators=found)

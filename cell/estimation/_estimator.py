@@ -60,7 +60,7 @@ EVENLY = math.sqrt(3.0)
 STEP_STD = 1.0 / EVENLY
 """standard deviation of a quantisation error over half a step"""
 UNUSUAL = 0.1
-"""relative change of the time between frames beyond which the interval between calls of ``sway`` is adapted"""
+"""relative change of the time between frames beyond which calls of ``correct_tremor`` are adapted to it"""
 UNKNOWN_PAST = 0.25
 """standard deviation of the first pressure of a cell, over that pressure: a load that has just begun reads much larger
 than the same load after a long hold. This uncertainty fades as that of a gap does"""
@@ -115,8 +115,8 @@ class Estimator:
         self._stale = True
         """whether the followed cells have to be chosen anew"""
         self._frames = 0
-        self._usual_s = self._sways_for_s = 0.0
-        """recent mean of the time between frames; and the time to which the calls of ``sway`` are adapted"""
+        self._usual_s = self._tremor_for_s = 0.0
+        """recent mean of the time between frames; and the time to which the calls of ``correct_tremor`` are adapted"""
 
     # -- the frame ---------------------------------------------------------------------------------------------------
 
@@ -382,8 +382,8 @@ class Estimator:
         """Take the readings ``r`` (n,) of the cells that are followed, and write their pressures."""
         cells, memory, places, inversion = self._cells, self._memory, self._followed, self.inversion
         usual_s = self._usual_s or dt
-        if abs(usual_s - self._sways_for_s) > UNUSUAL * self._sways_for_s:
-            self._sways_for_s = usual_s
+        if abs(usual_s - self._tremor_for_s) > UNUSUAL * self._tremor_for_s:
+            self._tremor_for_s = usual_s
         if inversion.exact:
             smoothing.take_exactly_each.unchecked(cells, places, r)
             inversion.advance(cells, memory, places, dt)
@@ -406,13 +406,13 @@ class Estimator:
         self._deviation.show(cells, places, self._pressure)
 
     def _look_back(self, dt: float) -> None:
-        """Call ``recover`` and ``sway`` of the inversion when they are due."""
+        """Call ``check_means`` and ``correct_tremor`` of the inversion when they are due."""
         inversion, states = self.inversion, (self._cells, self._memory, self._followed)
-        if inversion.recovers and self._frames % inversion.recent == 0:
-            inversion.recover(*states, dt, self._noise.mean_of_recent(self._followed, inversion.recent))
-        every = inversion.sways_in(self._sways_for_s)
+        if inversion.means_every and self._frames % inversion.means_every == 0:
+            inversion.check_means(*states, dt, self._noise.mean_of_recent(self._followed, inversion.means_every))
+        every = inversion.tremor_every(self._tremor_for_s)
         if every and self._frames % every == 0:
-            inversion.sway(*states, self._sways_for_s, self._noise.mean_of_recent(self._followed, every))
+            inversion.correct_tremor(*states, self._tremor_for_s, self._noise.mean_of_recent(self._followed, every))
 
     def _look_for_tremor(self, *, ends_window: bool) -> None:
         """Doubt the rise of cells whose load oscillates within the noise."""
@@ -422,7 +422,7 @@ class Estimator:
         if ends_window:
             missed_kpa = np.empty(places.size)
             if tremor.end_window_each.unchecked(cells, places, self.inversion.seeming, beside, missed_kpa):
-                self.inversion.miss(cells, self._memory, places, missed_kpa)
+                self.inversion.doubt_rises(cells, self._memory, places, missed_kpa)
 
     def _end_gaps(self, dt: float, known: BoolArray | None, before: FloatArray) -> None:
         """Count the time without readings, and add the doubt of gaps that end; ``before`` (n,) kPa: the last frame."""
@@ -470,7 +470,7 @@ class Estimator:
         """A copy of the whole state, for :meth:`restore`: float64 arrays by name."""
         own = {"cells": values(self._cells), "memory": values(self._memory), "pressure": self._pressure}
         own |= {"read": self._read, "followed": self._wanted}
-        own["clock"] = np.array([self._usual_s, self._sways_for_s, self._frames])
+        own["clock"] = np.array([self._usual_s, self._tremor_for_s, self._frames])
         for part in (self._noise, self._shared_noise, self._sleep, self._deviation, self._gaps, self._held):
             own |= part.state()
         return {name: np.array(value, dtype=np.float64) for name, value in own.items()}
@@ -488,7 +488,7 @@ class Estimator:
         values(self._cells)[...], values(self._memory)[...] = given["cells"], given["memory"]
         self._pressure, self._read, self._wanted = given["pressure"], given["read"] > 0, given["followed"] > 0
         self._followed, self._all_read, self._stale = self._wanted.nonzero()[0], bool(self._read.all()), True
-        self._usual_s, self._sways_for_s, frames = given["clock"].tolist()
+        self._usual_s, self._tremor_for_s, frames = given["clock"].tolist()
         self._frames = int(frames)
         for part in (self._noise, self._shared_noise, self._sleep, self._deviation, self._gaps, self._held):
             part.restore(given)

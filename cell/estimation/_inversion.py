@@ -17,7 +17,6 @@ import numpy as np
 from ...common.arrays import BoolArray, FloatArray, IntArray
 from ...common.compiled import Record, Records, zeros
 from .._state import CellState
-from ._noise import RECENT
 
 LOADS = (-0.5, 3.0)
 """range of loads that an inversion searches, in multiples of full scale"""
@@ -53,10 +52,8 @@ class Inversion(ABC):
     second difference that counts, in standard deviations of noise; 0: no such variance"""
     steepness_kpa = np.zeros(2)
     """pressure in kPa per r of a fast rise of the load, and of a fast fall; 0: the gain of the cell"""
-    recovers = False
-    """whether :meth:`recover` does anything"""
-    recent = RECENT
-    """frames from one call of :meth:`recover` to the next"""
+    means_every = 0
+    """frames from one call of :meth:`check_means` to the next; 0: no calls"""
     rests = 0.0
     """squared standard deviations at which a load and no load are equally likely in cells classified as at rest; 0: no
     cell is so classified"""
@@ -110,25 +107,25 @@ class Inversion(ABC):
         """(k,) whether the memory is that of a cell at rest, within ``band`` of r."""
         return np.ones(places.size, dtype=bool)
 
-    def recover(  # noqa: B027 - of a memory that some inversions do not have
+    def check_means(  # noqa: B027 - of a memory that some inversions do not have
         self, cells: Records[CellState], memory: Records[Any], places: IntArray, dt_s: float, mean: FloatArray
     ) -> None:
         """Correct the memory by the readings since the last call, with ``mean`` (k,); called after :meth:`advance`."""
 
-    def sways_in(self, dt_s: float) -> int:
-        """Frames from one call of :meth:`sway` to the next, for frames every ``dt_s``; 0: no calls."""
+    def tremor_every(self, dt_s: float) -> int:
+        """Frames from one call of :meth:`correct_tremor` to the next, for frames every ``dt_s``; 0: no calls."""
         return 0
 
-    def sway(  # noqa: B027 - of a memory that some inversions do not have
+    def correct_tremor(  # noqa: B027 - of a memory that some inversions do not have
         self, cells: Records[CellState], memory: Records[Any], places: IntArray, dt_s: float, mean: FloatArray
     ) -> None:
-        """Remove what loads that oscillate unnoticed have left; called after :meth:`recover`, with its arguments."""
+        """Subtract what a tremor within the noise has left; called after :meth:`check_means`, with its arguments."""
 
     def left_over(self, cells: Records[CellState], memory: Records[Any], places: IntArray) -> FloatArray:
         """(k,) excess of r, by earlier loads, over the equilibrium r of the present load; 0 where unknown."""
         return np.zeros(places.size)
 
-    def miss(  # noqa: B027 - of a memory that some inversions do not have
+    def doubt_rises(  # noqa: B027 - of a memory that some inversions do not have
         self, cells: Records[CellState], memory: Records[Any], places: IntArray, rise_kpa: FloatArray
     ) -> None:
         """Add the uncertainty of rises ``rise_kpa`` (k,) that may be apparent only."""

@@ -244,7 +244,6 @@ def learn(
     errors = np.linalg.solve(normal, error_moments)
     return Learned(
         smoothing_s=SMOOTHING_S,
-        smoothed=False,
         lags_s=lags_s,
         plays=widths,
         paths_s=paths_s,

@@ -36,15 +36,10 @@ class Bank:
     """half widths of the plays, as normalised resistance"""
     paths_s: tuple[float, ...] = ()
     """time constants with which path lengths fade"""
-    smoothed: bool = False
-    """whether the first feature is the smoothed reading, as in earlier versions"""
 
     @cached_property
     def count(self) -> int:
-        """Number of features: the last reading, its distance from the smoothed one, each lag and each play; the paths.
-
-        The last and the smoothed reading are exchanged where the bank is :attr:`smoothed`.
-        """
+        """Number of features: the last reading, its distance from the smoothed one, each lag and play; the paths."""
         return 2 + len(self.lags_s) + len(self.plays) + len(self.paths_s)
 
     @cached_property
@@ -78,13 +73,13 @@ class Bank:
         found = np.empty((r.size, self.count))
         take.unchecked(
             *(np.ascontiguousarray(r), weights, np.array(self.plays), len(self.lags_s), len(self.paths_s)),
-            *(self.smoothed, memory, found),
+            *(memory, found),
         )
         return found
 
 
 @loop
-def take(r: Rows, weights: Rows, width: Row, lags: int, paths: int, smoothed: bool, memory: Rows, found: Rows) -> None:
+def take(r: Rows, weights: Rows, width: Row, lags: int, paths: int, memory: Rows, found: Rows) -> None:
     """Take readings ``r`` (n, m) into the ``memory``; writes features to ``found`` (n m, count).
 
     ``weights`` (n, 1 + lags + paths) are the shares that the smoothed reading and the lags forget in each step, and
@@ -109,10 +104,9 @@ def take(r: Rows, weights: Rows, width: Row, lags: int, paths: int, smoothed: bo
             for j in range(paths):
                 memory[i, first_path + j] = memory[i, first_path + j] * weights[n, 1 + lags + j] + moved
             row = n * cells + i
-            head, other = (smooth, now) if smoothed else (now, smooth)
-            found[row, 0], found[row, 1] = head, head - other
+            found[row, 0], found[row, 1] = now, now - smooth
             for j in range(lags + plays):
-                found[row, 2 + j] = head - memory[i, 4 + j]
+                found[row, 2 + j] = now - memory[i, 4 + j]
             for j in range(paths):
                 found[row, 2 + lags + plays + j] = memory[i, first_path + j]
 

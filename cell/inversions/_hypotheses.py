@@ -79,8 +79,8 @@ ROUND, FAST = 2e-3, 2.0
 more than FAST :data:`TURN` in the frame of a turn, the turn is noticed at once: the deviation is divided by how many
 times more"""
 BETWEEN, JUST_BEGUN = 0.3, 3.0
-"""of the way of a load in a frame: standard deviation of how far beyond the readings the load went before it turned.
-That is between none and half; the root mean square. And times the way of a load in a frame: the most that it may go in
+"""of the path of a load in a frame: standard deviation of how far beyond the readings the load went before it turned.
+That is between none and half; the root mean square. And times that path: the most that it may go in
 the next frame, since it may have begun to move in the middle of the first one"""
 APART = 0.5
 """standard deviation over the difference of the two hypotheses, since either may be right until a turn is noticed"""
@@ -452,15 +452,15 @@ def unseen_kpa(
 ) -> float:
     """Standard deviation that turns between two frames leave in a pressure, known to ``unsure_kpa`` by noise.
 
-    The extreme falls between two frames. It exceeds the readings by up to half of the way that the load went in the
-    frame before or after, whichever is less. On that way r goes up by one model and down by the other. The errors of
-    all turns have the same sign, so that they add up as amounts rather than as variances. A way that noise explains, or
-    a converter that flips between two codes, does not count.
+    The extreme falls between two frames. It exceeds the readings by up to half of the path that the load went in the
+    frame before or after, whichever is less. On that path r goes up by one model and down by the other. The errors of
+    all turns have the same sign, so that they add up as amounts rather than as variances. A path that noise explains,
+    or a converter that flips between two codes, does not count.
     """
     last, before = cell.last_kpa, cell.before_last_kpa
     there = max(own.direction * (own.third_last_kpa - before), own.direction * (before - last), 0.0)
-    way = min(JUST_BEGUN * there, abs(pressure_kpa - last))
-    by_load = max(way - TURN_SIGMAS * unsure_kpa, 0.0)
+    path = min(JUST_BEGUN * there, abs(pressure_kpa - last))
+    by_load = max(path - TURN_SIGMAS * unsure_kpa, 0.0)
     return float(BETWEEN * by_load * k.bend * gain_kpa)
 
 

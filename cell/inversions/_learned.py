@@ -62,7 +62,7 @@ class Seen(Section):
     speed_kpa_per_s: NotNegative = 0.0
     """rms change of the load in a second"""
     longest_load_s: NotNegative = 0.0
-    """longest time for which the cell was loaded; 0: in files of earlier versions"""
+    """longest time for which the cell was loaded; 0: unknown"""
 
 
 class Reached(Section):
@@ -94,14 +94,12 @@ class StaticCurve(Section):
     logarithmic: bool = False
     limits: Limits
     std_kpa: Positive
-    reached: Reached | None = None
-    """range of the reading that the curve was fitted to; None: in files of earlier versions"""
+    reached: Reached
+    """range of the reading that the curve was fitted to"""
 
     def load(self, r: FloatArray) -> FloatArray:
         """The normalised load for a normalised resistance, not limited; a straight line beyond what was recorded."""
         x = self.reading(r)
-        if self.reached is None:
-            return np.asarray(np.polynomial.Polynomial(self.coefficients)(x))
         # A cubic may turn back, above all beyond the readings it was fitted to: an overload would then read as no load.
         low, high = self.reached.lowest[0], self.reached.highest[0]
         reading, load = _monotone(self.coefficients, low, high)
@@ -113,8 +111,6 @@ class StaticCurve(Section):
 
         Towards more load it grows with the slope of the cubic at that end: where readings saturate, they tell little.
         """
-        if self.reached is None:
-            return np.zeros_like(r)
         x, low, high = self.reading(r), self.reached.lowest[0], self.reached.highest[0]
         mean, slope = _end_slopes(self.coefficients, low, high)
         more, less = (x - high, low - x) if mean > 0 else (low - x, x - high)
@@ -165,12 +161,10 @@ class Learned(Section):
     """
 
     smoothing_s: Positive
-    smoothed: bool = True
-    """whether the first feature is the smoothed reading, as in files of earlier versions, or the last one"""
     lags_s: Positives
     plays: Positives
     paths_s: Positives = ()
-    """() in files of earlier versions"""
+    """(): motion breaks no chains of this cell"""
     mean: Numbers
     scale: Positives
     seed: Annotated[int, Field(ge=0)] = 0
@@ -183,8 +177,8 @@ class Learned(Section):
     """standard deviation over expected absolute error, as confirmed by held-out data"""
     std_floor: NotNegative
     limits: Limits
-    reached: Reached | None = None
-    """range of the features that were learned from; None: in files of earlier versions"""
+    reached: Reached
+    """range of the features that were learned from"""
     static_share: Annotated[float, Field(ge=0, le=1)] = 0.0
     """weight of the static curve in the answer; the rest is the map's"""
     beyond_recorded: bool = False
@@ -194,7 +188,7 @@ class Learned(Section):
     @property
     def bank(self) -> Bank:
         """The memories from which the features are made."""
-        return Bank(self.smoothing_s, self.lags_s, self.plays, self.paths_s, self.smoothed)
+        return Bank(self.smoothing_s, self.lags_s, self.plays, self.paths_s)
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -205,7 +199,7 @@ class Learned(Section):
         for name, length in (("mean", count), ("scale", count), ("weights", terms), ("error_weights", terms)):
             if len(getattr(self, name)) != length:
                 raise ValueError(f"{name} must have {length} entries, got {len(getattr(self, name))}")
-        if self.reached is not None and {len(self.reached.lowest), len(self.reached.highest)} != {count}:
+        if {len(self.reached.lowest), len(self.reached.highest)} != {count}:
             raise ValueError(f"reached must have {count} entries each")
         return self
 
@@ -244,24 +238,20 @@ def _clip(values: FloatArray, low: FloatArray | float, high: FloatArray | float)
     return np.asarray(np.minimum(np.maximum(values, low), high))
 
 
-def _followed_between(learned: Learned, curve: StaticCurve) -> tuple[FloatArray, FloatArray] | None:
-    """Lowest and highest features (count,) to which a map is followed; None: no limit, in files of earlier versions.
+def _followed_between(learned: Learned, curve: StaticCurve) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest features (count,) to which a map is followed.
 
     The map knows little beyond the recorded readings, and nothing beyond the range of the other features. Beyond these
     limits the answer goes on with the slope at equilibrium.
     """
-    if learned.reached is None:
-        return None
     low, high = (limit.copy() for limit in learned.reached.limits)
-    if curve.reached is not None and not learned.beyond_recorded:
+    if not learned.beyond_recorded:
         low[0], high[0] = max(low[0], curve.reached.lowest[0]), min(high[0], curve.reached.highest[0])
     return low, high
 
 
-def credible_range(reached: Reached | None) -> tuple[float, float]:
+def credible_range(reached: Reached) -> tuple[float, float]:
     """Range of credible r: up to :data:`CREDIBLE` times the range of the readings learned from, beyond this range."""
-    if reached is None:
-        return -1.0, np.inf
     low, high = reached.lowest[0], reached.highest[0]
     span = CREDIBLE * max(high - low, 1e-9)
     return max(low - span, -1.0), high + span
@@ -318,18 +308,14 @@ class LearnedInversion(Inversion):
         """Normalised load and its standard deviation (m,) for standardised features (m, count)."""
         learned, curve = self.learned, self._curve
         features = standardised * self._terms.scale + self._terms.mean
-        reading, inside, beyond = features[:, 0], standardised, np.zeros(())
-        if learned.reached is not None and self._within is not None:
-            inside = self._terms.standardised(_clip(features, *self._within))
-            beyond = learned.reached.excess(features)
+        reading, (low, high) = features[:, 0], self._within
+        inside, beyond = self._terms.standardised(_clip(features, low, high)), learned.reached.excess(features)
         found = np.empty((len(standardised), 2))
         for start in range(0, len(found), BLOCK):
             block = slice(start, start + BLOCK)
             found[block] = self._terms(inside[block]) @ self._weights
         load, std = found[:, 0], np.maximum(found[:, 1] * learned.std_factor, learned.std_floor)
-        if self._within is not None:
-            low, high = self._within
-            load += self._slope * (reading - _clip(reading, low[0], high[0]))
+        load += self._slope * (reading - _clip(reading, low[0], high[0]))
         if learned.static_share:
             load += self._static_share(reading) * (curve.load(reading) - load)
         std = np.hypot(std, np.maximum(STEEPER * beyond * abs(self._slope), curve.doubt(reading)))
@@ -339,7 +325,7 @@ class LearnedInversion(Inversion):
     def _static_share(self, reading: FloatArray) -> FloatArray | float:
         """Weight of the static curve; it fades beyond the recorded readings if the map is followed there."""
         learned, recorded = self.learned, self._curve.reached
-        if recorded is None or not learned.beyond_recorded:
+        if not learned.beyond_recorded:
             return learned.static_share
         fades = FADES * max(recorded.highest[0] - recorded.lowest[0], 1e-9)
         return learned.static_share * np.maximum(1 - recorded.excess(reading[:, None]) / fades, 0.0)

@@ -9,7 +9,7 @@ import numpy as np
 from ...common.arrays import BoolArray, FloatArray, IntArray
 from ...common.compiled import Record, Records, zeros
 from .._state import CellState, PaperState
-from ..estimation import WINDOW, Inversion, credible_readings
+from ..estimation import RECENT, WINDOW, Inversion, credible_readings
 from ..materials import ByStep, PaperModel, lag
 from . import _hypotheses as hypotheses
 from . import _sequential_tests as tests
@@ -40,7 +40,7 @@ class TurningInversion(Inversion):
         self.bends = hypotheses.BETWEEN * bend, hypotheses.TURN_SIGMAS
         self.seeming = WINDOW * UNSEEN * bend
         self.steepness_kpa = np.array([1 / rise_r, model.e1_kpa])
-        self.rests, self.recovers = tests.RESTED_SIGMAS**2, not exact
+        self.rests, self.means_every = tests.RESTED_SIGMAS**2, 0 if exact else RECENT
         held_kpa_per_s = hypotheses.HELD_PER_S * full_scale_kpa
         self._steps = ByStep(partial(paper_step, held_kpa_per_s=held_kpa_per_s), model)
         self._looks = ByStep(tests.look_step, model)
@@ -57,20 +57,20 @@ class TurningInversion(Inversion):
     def advance(self, cells: Records[CellState], memory: Records[PaperState], awake: IntArray, dt_s: float) -> None:
         hypotheses.advance_each.unchecked(cells, memory, awake, self._numbers, self._steps.of(dt_s))
 
-    def recover(
+    def check_means(
         self, cells: Records[CellState], memory: Records[PaperState], awake: IntArray, dt_s: float, mean: FloatArray
     ) -> None:
-        tests.look_each.unchecked(cells, memory, awake, mean, self._numbers, self._looks.of(dt_s))
+        tests.test_each.unchecked(cells, memory, awake, mean, self._numbers, self._looks.of(dt_s))
 
-    def sways_in(self, dt_s: float) -> int:
+    def tremor_every(self, dt_s: float) -> int:
         return 0 if self.exact else tremor.readings_in_look(dt_s)
 
-    def sway(
+    def correct_tremor(
         self, cells: Records[CellState], memory: Records[PaperState], awake: IntArray, dt_s: float, mean: FloatArray
     ) -> None:
-        tremor.look_each.unchecked(cells, memory, awake, mean, self._numbers, self._paths.of(dt_s))
+        tremor.correct_each.unchecked(cells, memory, awake, mean, self._numbers, self._paths.of(dt_s))
 
-    def miss(
+    def doubt_rises(
         self, cells: Records[CellState], memory: Records[PaperState], places: IntArray, rise_kpa: FloatArray
     ) -> None:
         """A load that goes to and fro within the noise seems to rise: r goes up by one model and down, by less, by the

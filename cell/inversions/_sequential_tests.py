@@ -181,7 +181,7 @@ def look_step(model: PaperModel, dt_s: float) -> LookStep:
 
 
 @loop
-def look_each(
+def test_each(
     cells: Records[CellState],
     memory: Records[PaperState],
     awake: Places,

@@ -147,15 +147,15 @@ class StaticCurveInversion(Inversion):
         self.curve = curve
         curve.prepare()
         self.remembers = not curve.logarithmic  # the curve of a contact is logarithmic
-        credible = credible_range(None if curve.logarithmic else curve.reached)  # a contact may be open at rest
+        # A contact may be open at rest.
+        credible = (-1.0, np.inf) if curve.logarithmic else credible_range(curve.reached)
         super().__init__(full_scale_kpa, full_scale_r, credible=credible, exact=exact)
 
     def begin(self, cells: Records[CellState], memory: Records[Record], places: IntArray, r: FloatArray) -> None:
         curve, small, full = self.curve, 1e-3 * self.full_scale_r, self.full_scale_kpa
-        load, beyond, variance = curve.load(r), curve.load(r + small), np.full(r.size, curve.std_kpa**2)
-        if curve.reached is not None:
-            over = STEEPER * np.maximum(load - curve.limits.highest / BEYOND, 0.0)
-            variance += (curve.doubt(r) * full) ** 2 + (over * full) ** 2
+        load, beyond = curve.load(r), curve.load(r + small)
+        over = STEEPER * np.maximum(load - curve.limits.highest / BEYOND, 0.0)
+        variance = curve.std_kpa**2 + (curve.doubt(r) * full) ** 2 + (over * full) ** 2
         cells["pressure_kpa"][places] = np.clip(load, curve.limits.lowest, curve.limits.highest) * full
         cells["gain_kpa"][places], cells["variance_kpa2"][places] = np.abs(beyond - load) / small * full, variance
 

@@ -29,9 +29,9 @@ from ..materials import AsymmetricModel, ByStep, M10Model, as_m10, lag
 BETWEEN, AROUND, TO_AND_FRO = 0.58, 0.5, 0.6
 """error by the motion of the load between two frames. BETWEEN times the bend of the load (its second difference between
 frames) times ramp (1 - ramp) is the standard deviation of a lag, since the load may go straight or by a step. AROUND
-times the way of the load in the frame after a turn is the standard deviation of its way to and fro between two frames;
-TO_AND_FRO times it is the expected way, which adds up, since all turns err to the same side. Taken from vibrations and
-slips, whose drops are faster than a frame"""
+times the path of the load in the frame after a turn is the standard deviation of its path to and fro between two
+frames; TO_AND_FRO times it is the expected path, which adds up, since all turns err to the same side. Taken from
+vibrations and slips, whose drops are faster than a frame"""
 STILL_SIGMAS = 3.0
 """half width of the play of the anchor, in standard deviations by noise"""
 HELD_STEPS, MOVING_STEPS = 3.3, 1.85
@@ -39,11 +39,11 @@ HELD_STEPS, MOVING_STEPS = 3.3, 1.85
 by half a step at most, which is hardly less than the latter. Where readings of a held load flip between two codes, the
 smoothing overshoots, and the branches relax until the readings flip back. A load that moves may go back by little more
 than a step, as beside the place where a rubbing finger turns"""
-MOVES, LATELY_S = 1.5, 0.12
-"""a load moves if its recent way is more than MOVES times the half width of a held load's play by ADC steps; LATELY_S
-is the time constant in seconds with which the recent way fades"""
+MOVES, RECENT_PATH_S = 1.5, 0.12
+"""a load moves if its recent path is more than MOVES times the half width of a held load's play by ADC steps;
+RECENT_PATH_S is the time constant in seconds with which the recent path fades"""
 AT_A_TURN = 4.0
-"""standard deviation, in standard deviations by ADC steps, of the way to a turn and back that the steps hide. Two of
+"""standard deviation, in standard deviations by ADC steps, of the path to a turn and back that the steps hide. Two of
 them are those of a single turn. Repeated loads turn at the same readings, so that their errors are alike"""
 OVERSHOOT, TURNS_KNOWN = 0.5, 0.4
 """of the half width of the play by noise: how far noise takes the furthest load of a press beyond the turn; and the
@@ -95,7 +95,7 @@ class M10Step(Record):
     fall_ramp: Pair
     heals: float
     heals_ramp: float
-    lately_gone: float
+    recent_gone: float
 
 
 def margin(model: AsymmetricModel | M10Model, full_scale_kpa: float) -> float:
@@ -181,7 +181,7 @@ class AsymmetricInversion(Inversion):
     def advance(self, cells: Records[CellState], memory: Records[M10State], awake: IntArray, dt_s: float) -> None:
         advance_each.unchecked(cells, memory, awake, self._numbers, self._steps.of(dt_s))
 
-    def miss(
+    def doubt_rises(
         self, cells: Records[CellState], memory: Records[M10State], places: IntArray, rise_kpa: FloatArray
     ) -> None:
         """Motion within the noise breaks chains, which looks like a load that rises."""
@@ -203,11 +203,11 @@ class AsymmetricInversion(Inversion):
 
 def _step(model: M10Model, dt_s: float) -> M10Step:
     m = model
-    gone, ramp = lag.weights(dt_s, np.array([m.rise1_s, m.rise2_s, m.fall1_s, m.fall2_s, m.tau_s, LATELY_S]))
+    gone, ramp = lag.weights(dt_s, np.array([m.rise1_s, m.rise2_s, m.fall1_s, m.fall2_s, m.tau_s, RECENT_PATH_S]))
     return record(
         M10Step,
         **{"rise_gone": gone[:2], "rise_ramp": ramp[:2], "fall_gone": gone[2:4], "fall_ramp": ramp[2:4]},
-        **{"dt_s": dt_s, "heals": gone[4], "heals_ramp": ramp[4], "lately_gone": gone[5]},
+        **{"dt_s": dt_s, "heals": gone[4], "heals_ramp": ramp[4], "recent_gone": gone[5]},
     )
 
 
@@ -265,7 +265,7 @@ def equation(cell: CellState, own: M10State, k: M10Numbers, s: M10Step) -> tuple
     steps = min(scale * scale * k.step_r, cell.level_std)
     by_noise = math.sqrt(cell.level_std * cell.level_std - steps * steps) * (STILL_SIGMAS / k.full_kpa) * cell.gain_kpa
     width = HELD_STEPS * steps / still
-    if own.lately > MOVES * width:
+    if own.recent_path > MOVES * width:
         width = MOVING_STEPS * steps / still
     width = max(by_noise, width)
     breaking, own.turned_r, own.hidden_r = k.k * (1.0 - s.heals_ramp), 0.0, 0.0
@@ -373,10 +373,10 @@ def finish(cell: CellState, own: M10State, step: float, width: float, k: M10Numb
             left = r - (k.a + k.b * load) * load - (one + other + broken)
             if k.k > 0.0:  # no credible load explains so much r: chains have broken unseen
                 broken += max(left, 0.0)
-    own.lately *= 1.0 - s.lately_gone
+    own.recent_path *= 1.0 - s.recent_gone
     if own.breaking != 0.0:
         own.furthest = load
-        own.lately += abs(step)
+        own.recent_path += abs(step)
     gain = k.full_kpa / max(k.a + 2.0 * k.b * load - k.k, 0.05 * k.full_r)
     own.load, own.branch[0], own.branch[1], own.broken = load, one, other, broken
     own.anchor = max(min(own.anchor, load + width), load - width)
@@ -398,16 +398,16 @@ def renew_variance(cell: CellState, own: M10State, step: float, k: M10Numbers, s
     # Before it turned, the load may have gone on and come back by as much as it moves in a frame.
     sign = 1.0 if step > 0.0 else (-1.0 if step < 0.0 else 0.0)
     turned = -sign * own.moved > little or -sign * own.moved_before > little
-    way = max(abs(step) - still, 0.0) if turned else 0.0
+    path = max(abs(step) - still, 0.0) if turned else 0.0
     errors = 0.0
     for j in range(2):
         stays = 1.0 - own.forgets[j]
         error = BETWEEN * bend * own.follows[j] * (1.0 - own.follows[j] / max(k.alpha[j], 1e-9))
         own.branch_variance[j] = own.branch_variance[j] * (stays * stays) + error * error
         errors += own.branch_variance[j]
-    by_turns, stays = AROUND * k.k * way, 1.0 - s.heals
+    by_turns, stays = AROUND * k.k * path, 1.0 - s.heals
     own.broken_variance = own.broken_variance * (stays * stays) + (by_turns * by_turns + own.turned_r * own.turned_r)
-    own.missed = own.missed * stays + (TO_AND_FRO * k.k * way + own.hidden_r)
+    own.missed = own.missed * stays + (TO_AND_FRO * k.k * path + own.hidden_r)
     own.moved_before, own.moved = own.moved, step
     errors += own.broken_variance
     cell.variance_kpa2 = min((errors + own.missed * own.missed) * (cell.gain_kpa * cell.gain_kpa), k.most_kpa2)
@@ -422,4 +422,4 @@ def hold_each(memory: Records[M10State], places: Places, dt_s: Row, k: M10Number
             lead = k.alpha[j] * own.load - own.branch[j]
             own.branch[j] += lead * -math.expm1(-dt_s[n] / (k.rise_s[j] if lead > 0.0 else k.fall_s[j]))
         own.broken *= math.exp(-dt_s[n] / heals_s)
-        own.lately *= math.exp(-dt_s[n] / LATELY_S)
+        own.recent_path *= math.exp(-dt_s[n] / RECENT_PATH_S)

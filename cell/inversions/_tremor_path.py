@@ -174,7 +174,7 @@ def begin_path(own: PaperState) -> None:
 
 
 @loop
-def look_each(
+def correct_each(
     cells: Records[CellState],
     memory: Records[PaperState],
     awake: Places,
