@@ -190,11 +190,8 @@ class PaperState(Record):
     """standard deviation by a load that may have begun to rise while the cell recovers"""
     looks_at_rest: float
     """looks since the recovering cell was taken for one at rest; negative where a load was taken over"""
-    earliest_kpa: float
-    """pressure of a rising model that began with the recovery, and its settled state"""
-    earliest_settled_kpa: float
     begun_kpa: float
-    """the same of one that began at the last moment without a sign of a load"""
+    """pressure of a rising model that began at the last moment without a sign of a load, and its settled state"""
     begun_settled_kpa: float
     expected_x2: float
     """r of the branches if no load has risen since that moment"""

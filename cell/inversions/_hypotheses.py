@@ -38,7 +38,7 @@ from .._state import CellState, PaperState
 from ..estimation import DOUBT, LOADS, UNKNOWN, USUAL, doubt_of
 from ..materials import PaperModel
 from ._linear_models import PaperNumbers, PaperStep, fast_r, step_both
-from ._sequential_tests import MOST_RESTED, begin_after_turn, hidden_rise_kpa, variance_at_turn
+from ._sequential_tests import MOST_RESTED, begin_after_turn, variance_at_turn
 from ._tremor_path import begin_path
 
 TURN, LIGHT_TURN, TURN_SHARE = 0.01, 0.002, 0.02
@@ -159,7 +159,6 @@ def paper_numbers(model: PaperModel, full_kpa: float, *, exact: bool) -> PaperNu
         r_per_kpa=m.gain_per_kpa,
         settled_per_kpa=1.0 + m.etau2_kpa / m.eu1_kpa,
         rise_per_fall=rise_r / fall_r,
-        fall_per_rise=fall_r / rise_r,
         fall_share=SHARED_FALL * fall_r / rise_r,
         bend=rise_r - fall_r,
         exact=float(exact),
@@ -417,11 +416,8 @@ def take_over(cell: CellState, own: PaperState, due: bool, k: PaperNumbers, s: P
     rounded = k.fast_kpa / max(abs(pressure - cell.last_kpa), k.fast_kpa) * k.round_kpa
     unseen = unseen_kpa(cell, own, pressure, gain, unsure, k) + rounded
     noticed = not again and not due
-    if noticed:
-        if rises:
-            unseen += hidden_rise_kpa(own, pressure, extreme, k)
-        else:
-            own.looks_at_rest = 0.0
+    if noticed and not rises:
+        own.looks_at_rest = 0.0
     own.may_bear_kpa, own.cusum = 0.0, 0.0
     doubt = math.sqrt(before) + unseen
     by_noise = s.recovery_gain_kpa * std

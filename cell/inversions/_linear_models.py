@@ -56,7 +56,6 @@ class PaperNumbers(Record):
     """1 + etau2/Eu1, by which a pressure enters the settled state of the rising model where this model begins"""
     rise_per_fall: float
     """r per kPa of a fast rise over that of a fast fall"""
-    fall_per_rise: float
     fall_share: float
     bend: float
     """difference of r per kPa of a fast rise and a fast fall"""

@@ -25,11 +25,10 @@ the readings follow from the memory at the last moment without a sign of a load;
 whatever rate. The statistic is the whole pull that the first hypothesis needs; where it needs none, the moment is moved
 to the present, as in Page's test. An error of the memory needs a pull once, while a load needs an ever larger one. When
 the pull is clear and still grows, the second hypothesis is taken over. Before, its load counts as standard deviation,
-weighted by how likely it is. A load can hide: at one rate of rise it raises the resistance by just what the cell
-forgets sooner. The readings are then those of a cell at rest until the rate changes, and the load that may have risen
-unseen counts as standard deviation. A load that fell to a part of itself and then grows slowly needs a pull as well. If
-most of its pressure was there when the recovery began, the load of the third hypothesis (:mod:`._hypotheses`) is taken
-over.
+weighted by how likely it is. Limit: at one rate of rise, the hidden rate, a load raises the resistance by
+just what the cell forgets sooner; the readings are those of a cell at rest until the rate changes. A load that fell to
+a part of itself and then grows slowly needs a pull as well. If most of its pressure was there when the recovery began,
+the load of the third hypothesis (:mod:`._hypotheses`) is taken over.
 
 T. L. Lai: "Sequential changepoint detection in quality control and dynamical systems", J. R. Statist. Soc. B 57 (1995).
 """
@@ -42,7 +41,7 @@ from ...common.compiled import Places, Record, Records, Row, loop, record
 from .._state import CellState, PaperState
 from ..estimation import RECENT
 from ..materials import PaperModel, lag
-from ._linear_models import PaperNumbers, fast_r, gains_of, lags_before
+from ._linear_models import PaperNumbers, gains_of, lags_before
 
 USUAL_ERROR = 0.3
 """share of the variance stated for the memory at a release that the usual error has; the rest covers rare errors"""
@@ -89,8 +88,6 @@ current, so that in so much noise single resistances are far too large, and all 
 
 SETTLES = 7.0
 """looks at a cell at rest after which its memory is known: by then the smoothing has passed the release"""
-HIDDEN_SHARE = 0.7
-"""standard deviation over the pressure that a hidden rise would add"""
 MODEL = 0.06
 """share of the variance of the memory that no averaging of readings removes, since its error does not fade just as the
 filter of :func:`rest` assumes. With this share no rest after taps, in noise of up to 3 mV, needs a clear pull"""
@@ -108,9 +105,6 @@ NONE, CLEAR = 0.002, 0.01
 """of full scale: a smaller pull counts as none; a smaller load is not taken over"""
 EITHER = 0.6
 """standard deviation of a load that is taken over, over the load: it may have begun later"""
-HIDES_S, HIDDEN = 2.0, 0.4
-"""seconds for which a load may have risen at the hidden rate; and standard deviation over such a load where the pull is
-clear"""
 HELD = 0.7
 """share of a load that must have been there when recovery began for it to count as held since"""
 LASTS_S = 3.0
@@ -143,9 +137,6 @@ class LookStep(Record):
     ramp_u: float
     look_gain_kpa: float
     """pressure per r of the rising model from one look to the next"""
-    hidden_2_kpa: float
-    """load that is reached within :data:`HIDES_S` at the hidden rate, per r of the first branch"""
-    hidden_3_kpa: float
     may_bear_fades: float
     """share of the standard deviation by a load at the hidden rate that is left at the next look"""
 
@@ -155,9 +146,6 @@ def look_step(model: PaperModel, dt_s: float) -> LookStep:
     m, look_s = model, RECENT * dt_s
     gain, (rising_fade, fade) = gains_of(m, dt_s)
     before, (forgets, ramp) = lags_before(m, 0.5 * (RECENT - 1) * dt_s), lag.weights(look_s, m.tu_s)
-    # A small load p: r' = p' (1 / Eu1 + 1 / etau2) - r / Tu. At rest, each branch: r' = -r / T. The hidden rate equates
-    # them.
-    unseen = HIDES_S / fast_r(m)[0]
     return record(
         LookStep,
         rising_gain_kpa=gain[0],
@@ -174,8 +162,6 @@ def look_step(model: PaperModel, dt_s: float) -> LookStep:
         forgets_u=float(forgets),
         ramp_u=float(ramp),
         look_gain_kpa=gains_of(m, look_s)[0][0],
-        hidden_2_kpa=unseen * (1.0 / m.tu_s - 1.0 / m.t2_s),
-        hidden_3_kpa=unseen * (1.0 / m.tu_s - 1.0 / m.t3_s),
         may_bear_fades=math.exp(-look_s / LASTS_S),
     )
 
@@ -317,7 +303,6 @@ def onset(cell: CellState, own: PaperState, mean: float, k: PaperNumbers, s: Loo
         own.looks_at_rest = looks
     own.expected_x2 *= s.fades_2
     own.expected_x3 *= s.fades_3
-    own.earliest_kpa, own.earliest_settled_kpa = risen_since(own.earliest_kpa, own.earliest_settled_kpa, own.r, k, s)
     own.begun_kpa, own.begun_settled_kpa = risen_since(own.begun_kpa, own.begun_settled_kpa, own.r, k, s)
     if not (recovers and looks >= SETTLES):
         return
@@ -332,8 +317,6 @@ def onset(cell: CellState, own: PaperState, mean: float, k: PaperNumbers, s: Loo
     shown, may_bear = max(cell.pressure_kpa, 0.0), own.may_bear_kpa * s.may_bear_fades
     if looks == SETTLES or pull <= load * COINCIDENCE + none or load < -unsure:
         settled = (own.x2 + own.recovery_x3) * -k.etau2_kpa
-        if looks == SETTLES:
-            own.earliest_kpa, own.earliest_settled_kpa = 0.0, settled
         own.begun_kpa, own.begun_settled_kpa, own.pull_kpa, own.clear_pull_kpa = 0.0, settled, 0.0, 0.0
         own.expected_x2, own.expected_x3 = own.x2, own.recovery_x3
         may_bear_load(cell, own, may_bear)
@@ -342,8 +325,6 @@ def onset(cell: CellState, own: PaperState, mean: float, k: PaperNumbers, s: Loo
     clear, clear_before = pull > unsure * CLEAR_SIGMAS, own.clear_pull_kpa
     if clear and clear_before == 0.0:
         own.clear_pull_kpa = pull
-    hidden = own.x2 * s.hidden_2_kpa + own.recovery_x3 * s.hidden_3_kpa
-    hidden = max(min(hidden, own.earliest_kpa) - shown, 0.0) * HIDDEN
     more = clear and clear_before > 0.0 and pull > clear_before + math.sqrt(by_noise) * MORE_SIGMAS
     held = own.rising_kpa + own.earlier_kpa
     risen = max(load, held) if held * -HELD > own.earlier_from_kpa else load
@@ -352,12 +333,11 @@ def onset(cell: CellState, own: PaperState, mean: float, k: PaperNumbers, s: Loo
         own.rising_kpa, own.settled_kpa = risen, risen * k.settled_per_kpa - own.r * k.etau2_kpa
         own.rising_x3, own.turn_due, own.looks_at_rest, own.may_bear_kpa = own.recovery_x3, 1.0, -looks, 0.0
         cell.rested = 0.0
-        cell.turn_variance_kpa2 = cell.turn_variance_kpa2 + doubt * doubt + hidden * hidden
+        cell.turn_variance_kpa2 = cell.turn_variance_kpa2 + doubt * doubt
         cell.variance_kpa2 = cell.turn_variance_kpa2
         return
     likely = min(max((pull / unsure - SOME_SIGMAS) * (1.0 / (CLEAR_SIGMAS - SOME_SIGMAS)), 0.0), 1.0)
-    may_bear = max(may_bear, math.sqrt(likely) * max(load - shown, 0.0))
-    may_bear_load(cell, own, max(may_bear, hidden) if clear else may_bear)
+    may_bear_load(cell, own, max(may_bear, math.sqrt(likely) * max(load - shown, 0.0)))
 
 
 @loop
@@ -373,19 +353,3 @@ def may_bear_load(cell: CellState, own: PaperState, kpa: float) -> None:
     """Set the standard deviation by a load that may have begun to rise while the cell recovers."""
     cell.variance_kpa2 += kpa * kpa - own.may_bear_kpa * own.may_bear_kpa
     own.may_bear_kpa = kpa
-
-
-@loop
-def hidden_rise_kpa(own: PaperState, pressure_kpa: float, extreme_kpa: float, k: PaperNumbers) -> float:
-    """Standard deviation in kPa of a rise that has just been noticed, and may have begun earlier.
-
-    The load has risen to ``pressure_kpa`` from minus ``extreme_kpa``. The smaller the share of the rise that the
-    recovery model shows, the nearer is its rate to the hidden rate, and the more likely the load began before. Its
-    pressure then lies between that of the rising model and that of a load which began with the recovery.
-    """
-    rise = pressure_kpa + extreme_kpa
-    if own.looks_at_rest < SETTLES or rise <= 0.0:
-        return 0.0
-    shared = (own.recovery_kpa + extreme_kpa) / rise * k.fall_per_rise
-    hidden = min(max(1.0 - shared, 0.0), 1.0)
-    return float(hidden * hidden * max(own.earliest_kpa - pressure_kpa, 0.0) * HIDDEN_SHARE)
