@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import importlib
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 from fnmatch import fnmatchcase
@@ -172,7 +173,9 @@ def rows(only: str = "", *, quick: bool = False) -> list[Row]:
     chosen = [row for row in every if any(fnmatchcase(part, pattern) for part in (row.name, row.gate))]
     chosen = [row for row in chosen if row.quick or not quick]
     if not chosen:
-        raise InputError(f"no row of {TABLE.name} contains '{only}'")
+        raise InputError(
+            f"no row of {TABLE.name} contains '{only}'; a row is called '{every[0].name}', and * stands for any text"
+        )
     return chosen
 
 
@@ -180,7 +183,8 @@ def maker(name: str | None) -> Maker:
     """What makes the estimator of a cell.
 
     Args:
-        name: of an estimator, or ``module:function``; None: each cell's default.
+        name: of an estimator, or ``module:function``, where the module may be a file in the working directory; None:
+            each cell's default.
 
     Raises:
         InputError: there is no such function.
@@ -189,6 +193,8 @@ def maker(name: str | None) -> Maker:
     if name is None or ":" not in name:
         return lambda cell, shape: cell.estimator(shape, name)
     module, _, function = name.partition(":")
+    if "" not in sys.path:  # an installed command does not look in the working directory, as ``python -m`` does
+        sys.path.append("")
     try:
         made: Maker = getattr(importlib.import_module(module), function)
     except (ImportError, AttributeError) as error:

@@ -218,5 +218,5 @@ def _where_raised(error: Exception, path: Path) -> str:
         for frame in traceback.extract_tb(error.__traceback__)
         if Path(frame.filename).resolve() == path.resolve()
     ]
-    place = f"{path.name}, line {lines[-1]}" if lines else f"what {path.name} returns"
+    place = f"{path.name}, line {lines[-1]}" if lines else "function(design, cell), or the number that it returns"
     return " ".join(f"{place}: {type(error).__name__}: {error}".split())
