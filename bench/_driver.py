@@ -18,25 +18,25 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import itertools
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from time import monotonic, process_time
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from ..cell import ESTIMATORS, Cell, calibrate, checked_recording, protocol_load
 from ..circuits import Design, adc_codes, scan_batch
-from ..common import compiled, plots
-from ..common.arrays import FloatArray
+from ..common import compiled
+from ..common.arrays import CodeArray, FloatArray
 from ..driver import CountReader, Skin
 from ..errors import InputError
 from ..wire import FramePacket, host_protocol
 from ._estimators import noisy
 from ._paced_port import PacedPort, frame_packets
-from .harness import column
+from .harness import column, picture
 
 FRAMES = 400
 FRAME_RATE_HZ = 200.0
@@ -64,7 +64,7 @@ CASES: tuple[tuple[str, str, int, int], ...] = (
 """circuit, idle rows, ADC bits, saturated cells"""
 APART_S = 1e3  # from packet to packet on the port's own clock, beside which no real time counts
 _PROTOCOL_STEP_S = 0.05  # between the samples of the calibration
-_LARGEST_FLOATING = 32  # side beyond which boards with floating rows are left out: minutes
+LARGEST_FLOATING = 32  # side beyond which boards with floating rows are left out: minutes
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def driver(sizes: Iterable[int], *, frames: int = FRAMES) -> Iterator[Row]:
         for circuit, idle_rows, bits, saturated in CASES:
             if saturated > size * size:
                 continue
-            if size <= _LARGEST_FLOATING or idle_rows == "ground":
+            if size <= LARGEST_FLOATING or idle_rows == "ground":
                 yield _measured(design(size, circuit, idle_rows, bits), Cell.example(), None, saturated, frames)
 
 
@@ -142,8 +142,26 @@ def live_estimators(sizes: Iterable[int], *, learned: bool = True, frames: int =
             yield _measured(design(size, "inverting-amplifier", "ground", 12), cell, name, 0, frames)
 
 
-def design(size: int, circuit: str, idle_rows: str, bits: int) -> Design:
+def design(
+    size: int,
+    circuit: str,
+    idle_rows: str,
+    bits: int,
+    *,
+    columns: int | None = None,
+    array: Mapping[str, float] = MappingProxyType({}),
+    readout: Mapping[str, Any] = MappingProxyType({}),
+) -> Design:
     """A board for the shipped example cell, which rises from 10 kohm when pressed.
+
+    Args:
+        size: rows.
+        circuit: of the readout.
+        idle_rows: as in a design.
+        bits: of the converter.
+        columns: as many as rows unless given.
+        array: keys of the array beside 5 ohm of each lead.
+        readout: keys of the readout that are not as usual.
 
     Raises:
         InputError: the size is no array's, or too large.
@@ -152,14 +170,14 @@ def design(size: int, circuit: str, idle_rows: str, bits: int) -> Design:
     if not 1 <= size <= LARGEST:
         raise InputError(f"size is {size}; expected 1 to {LARGEST}")
     amplified = circuit.endswith("amplifier")
-    readout: dict[str, Any] = {"circuit": circuit, "reference_resistance": 20e3 if amplified else 5e3}
+    parts: dict[str, Any] = {"circuit": circuit, "reference_resistance": 20e3 if amplified else 5e3}
     if circuit != "voltage-divider":
-        readout |= {"open_loop_gain": 1e5, "supply": [-0.1, 3.3]}
+        parts |= {"open_loop_gain": 1e5, "supply": [-0.1, 3.3]}
     return Design.model_validate(
         {
-            "array": {"rows": size, "columns": size, "row_lead": 5.0, "column_lead": 5.0},
+            "array": {"rows": size, "columns": columns or size, "row_lead": 5.0, "column_lead": 5.0, **array},
             "drive": {"voltage": -1.0 if amplified else 3.3, "idle_rows": idle_rows},
-            "readout": readout,
+            "readout": {**parts, **readout},
             "adc": {"bits": bits, "range": [0.0, 3.3]},
         }
     )
@@ -332,12 +350,17 @@ def packets_of(
         rate_hz: of the packets.
 
     """
-    assert board.adc is not None
-    volts = scan_batch(board, cells).volts
-    volts = volts + np.random.default_rng(2).normal(scale=NOISE_STEPS * board.adc.step, size=volts.shape)
-    codes = adc_codes(board, volts)
+    codes = counts_of(board, cells)
     numbers = range(len(codes) if frames is None else frames)
     return frame_packets((codes[number // each % len(codes)] for number in numbers), rate_hz)
+
+
+def counts_of(board: Design, cells: FloatArray) -> CodeArray:
+    """(frames, rows, columns) counts of such cells in ohm, with noise of :data:`NOISE_STEPS`."""
+    assert board.adc is not None
+    volts = scan_batch(board, cells).volts
+    noise = np.random.default_rng(2).normal(scale=NOISE_STEPS * board.adc.step, size=volts.shape)
+    return adc_codes(board, volts + noise)
 
 
 def head() -> str:
@@ -359,22 +382,11 @@ def live_picture(rows: Iterable[Row]) -> str:
 
     """
     shown = list(rows)
-    sizes = sorted({row.size for row in shown})
-    markers = dict(zip(sizes, itertools.cycle("osD^vP*X"), strict=False))
-    with plots.drawing(1, 2, width=9.0, height=3.4) as (figure, axes):
-        panels = axes[0]
-        for name in dict.fromkeys(row.estimator for row in shown):
-            curve = sorted((row for row in shown if row.estimator == name), key=lambda row: row.size)
-            speeds = [row.frames_per_second for row in curve]
-            for panel, errors in zip(
-                panels, ([row.rmse_kpa for row in curve], [row.worst_kpa for row in curve]), strict=True
-            ):
-                (line,) = panel.plot(speeds, errors, "-", label=name)
-                for row, speed, error in zip(curve, speeds, errors, strict=True):
-                    panel.plot([speed], [error], markers[row.size], ms=5, color=line.get_color())
-        for panel, what in zip(panels, ("RMSE", "error of the worst cell"), strict=True):
-            panel.set(xscale="log", yscale="log", xlabel="frames per second of processor time", ylabel=f"{what} / kPa")
-        for size, marker in markers.items():
-            panels[0].plot([], [], marker, ms=5, color=plots.INK, label=f"{size} × {size}")
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right upper", fontsize=8)
-        return plots.svg(figure)
+    panels = {
+        what: {
+            name: [(row.size, row.frames_per_second, error(row)) for row in shown if row.estimator == name]
+            for name in dict.fromkeys(row.estimator for row in shown)
+        }
+        for what, error in (("RMSE", lambda row: row.rmse_kpa), ("worst cell", lambda row: row.worst_kpa))
+    }
+    return picture(panels, "frames per second of processor time", "error / kPa")

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from typing import Any
+
+from ..common import plots
 
 GAP = "  "
 
@@ -69,3 +71,28 @@ def _text(value: Any, column: Column) -> str:
     if isinstance(value, (int, float)) and column.unit != 1.0:
         value /= column.unit
     return column.form.format(value)
+
+
+Curves = Mapping[str, list[tuple[int, float, float]]]
+"""name of a curve -> size of the array, x and y of each of its points"""
+
+
+def picture(panels: Mapping[str, Curves], x: str, y: str, *, dashed: Collection[str] = ()) -> str:
+    """SVG of panels beside each other with logarithmic axes, and sizes at the points; ``dashed``: curves of others.
+
+    Raises:
+        MissingExtra: matplotlib is not installed.
+
+    """
+    with plots.drawing(1, len(panels), width=1.9 + 4.6 * len(panels), height=3.6, sharey=True) as (figure, axes):
+        for panel, (title, curves) in zip(axes[0], panels.items(), strict=True):
+            for name, points in curves.items():
+                _, xs, ys = zip(*sorted(points), strict=True)
+                other = name in dashed
+                panel.plot(xs, ys, "s--" if other else "o-", ms=3.5, lw=0.9 if other else 1.4, label=name)
+                for size, at, height in points:
+                    panel.annotate(str(size), (at, height), textcoords="offset points", xytext=(3, 3), fontsize=6)
+            panel.set(xscale="log", yscale="log", xlabel=x, title=title)
+        axes[0][0].set_ylabel(y)
+        figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside right upper", fontsize=8)
+        return plots.svg(figure)

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
 from boards import DESIGN, scene
 
-from ohmskin import bench
 from ohmskin.bench import _emulator as of_boards
-from ohmskin.bench import harness
 from ohmskin.cli import run
 from ohmskin.emulator import Scene, plan
 
@@ -49,16 +46,3 @@ def test_the_command_prints_a_plan_and_opens_nothing(tmp_path: Path, capsys: pyt
     assert "frames per processor second" in text
     assert "not modelled at all" in text
     assert not list(tmp_path.iterdir())
-
-
-def test_the_benchmark_measures_what_it_says(capsys: pytest.CaptureFixture[str]) -> None:
-    (row,) = of_boards.emulator([6], contacts=[2], rates_hz=[500.0])
-    assert (row.size, row.contacts, row.frame_rate_hz) == (6, 2, 500.0)
-    assert 0 < row.touched_cells <= 36
-    assert row.difference_steps <= row.certified_steps + 1e-6 <= 0.25 + 1e-6
-    assert row.frames_per_second > 0 < row.full_frames_per_second
-    assert run(["bench", "--emulator", "--size", "4", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert {entry["contacts"] for entry in found} == set(of_boards.CONTACTS)
-    assert "6 x 6" in "".join(harness.table([row], of_boards.HEAD))
-    assert bench.__doc__

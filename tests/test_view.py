@@ -36,8 +36,6 @@ from playwright.sync_api import Browser, expect, sync_playwright
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from ohmskin.bench._view import measured_page
-from ohmskin.bench.harness import table
 from ohmskin.circuits import Reason
 from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import Frame, Skin
@@ -762,12 +760,3 @@ def test_the_command_prints_the_address_and_ends_with_ctrl_c(tmp_path: Path) -> 
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=HANG_S)
     assert (process.returncode, out, err) == (130, "", "")
-
-
-def test_the_bench_measures_a_page(browser: Browser) -> None:
-    with live() as board, opened(browser, board.url) as page:
-        row = measured_page(page, os.getpid(), 6, seconds=0.5)
-    assert row.drawn_hz > 0
-    assert row.board_hz > 0
-    assert all(0 < cost < 1000 for cost in (row.draw_ms, row.main_thread_ms, row.server_ms))
-    assert "6 x 6" in "".join(table([row]))

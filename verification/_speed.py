@@ -14,7 +14,7 @@ LIVE_CYCLES = 60
 
 def solvers(_: Subject) -> Finding:
     """S1: time, true error and certified bound of every method on square arrays."""
-    rows = list(bench.measure(SIZES, (1.0,), memory=False, peers=False))
+    rows = list(bench.measure(SIZES, (1.0,), peers=False))
     methods = [row for row in rows if row.bound is not None and row.full_scale_error is not None]
     exact = [row.error for row in rows if row.method == "exact" and row.error is not None]
     return Finding(
@@ -36,7 +36,7 @@ def solvers(_: Subject) -> Finding:
         ],
         text=[
             "Arrays of cells between 10 kohm and 1 Mohm with 1 ohm per segment and lead, against an independent sparse "
-            "factorisation. `ohmskin bench` measures the same beside other programs, with more sizes and memory."
+            "factorisation. `ohmskin bench` measures the same beside other programs, with more sizes."
         ],
         figures=[Figure(bench.picture(rows), "Error against time, one curve per method, along the sizes.")],
         tables=[
