@@ -1,7 +1,6 @@
 """Calibration: known cells are found again, unknown materials are estimated with honest errors."""
 
 import json
-import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -26,13 +25,7 @@ from ohmskin.cell import (
     checked_recording,
     estimate_recording,
 )
-from ohmskin.cell.identification import _protocol as protocol
-from ohmskin.cell.identification._folds import folds
-from ohmskin.cell.identification._identify import fits
-from ohmskin.cell.identification._recovery_curve import recovery_branches
-from ohmskin.cell.inversions._inverse import margin
-from ohmskin.cell.materials import _simulate as simulate
-from ohmskin.cli._json import json_text
+from ohmskin.cell.identification import check_protocol, fits, folds, protocol_text, recovery_branches
 from ohmskin.errors import InputError
 
 CONTACT = ContactModel(exponent=0.9, full_scale_resistance_ohm=500)
@@ -97,24 +90,6 @@ def test_an_unknown_material_is_estimated_better_than_by_its_static_curve(
     assert rmse("distilled") < distilled * rmse("static")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("material", [cells.unknown, cells.creeping])
-def test_a_wrong_rest_resistance_is_survived(material: Callable[[], Unknown]) -> None:
-    """R0 off by 3 % cannot be told from load; it costs the default no more than the static curve."""
-    of = material()
-    rest = of.found.cell.rest_resistance_ohm * np.array([[0.97], [1.03]])
-
-    @cache
-    def rmse(name: str) -> np.ndarray:
-        """Of two rows of one cell, which differ in the R0 that they are given."""
-        estimator = of.found.cell.estimator(rest.shape, name, rest_resistance_ohm=rest)
-        steps = np.diff(of.time, prepend=of.time[0]).tolist()
-        pressure = np.stack([estimator.step(dt, np.full(rest.shape, r)) for dt, r in zip(steps, of.read, strict=True)])
-        return np.sqrt(np.mean((pressure / FULL - of.load[:, None, None]) ** 2, axis=0))
-
-    assert (rmse(of.found.cell.default_estimator) <= rmse("static")).all()
-
-
 def test_a_saved_cell_estimates_the_same(tmp_path: Path) -> None:
     of = cells.unknown()
     of.found.cell.save(tmp_path / "cell.toml", comment="two\nlines")
@@ -126,29 +101,6 @@ def test_a_saved_cell_estimates_the_same(tmp_path: Path) -> None:
             for cell in (again, of.found.cell)
         ]
         assert (both[0] == both[1]).all()
-
-
-def test_what_was_found_can_be_pickled() -> None:
-    """For other processes, with the simulations of cells like those that were found."""
-    for found in (cells.paper(), calibrate(protocol_recording(EXAMPLE.replace(model=CONTACT), 0.01))):
-        again = pickle.loads(pickle.dumps(found))
-        assert (again.cell, again.inverse_margin, again.folds) == (found.cell, found.inverse_margin, found.folds)
-        load = np.linspace(0, 1, 50)[:, None]
-        for one, other in zip(found.fits, again.fits, strict=True):
-            for simulate_one, simulate_other in zip(
-                (one.simulate, *one.simulate_folds), (other.simulate, *other.simulate_folds), strict=True
-            ):
-                seen = [run(np.random.default_rng(1), load, DT) for run in (simulate_one, simulate_other)]
-                assert (seen[0] == seen[1]).all()
-
-
-def test_what_was_found_of_every_kind_is_json() -> None:
-    """Parameters that the recording does not tell, too: the example cell has no chains that break."""
-    for fit in cells.paper().fits:
-        record = calibration_record(replace(cells.paper(), fits=(fit,)))
-        again = json.loads(json.dumps(record, allow_nan=False))
-        assert [item["identified"] for item in again["parameters"]] == [item.identified for item in fit.parameters]
-    assert not all(parameter.identified for fit in cells.paper().fits for parameter in fit.parameters)
 
 
 def test_a_cell_never_seen_at_rest_has_no_rest_resistance() -> None:
@@ -201,13 +153,13 @@ def test_a_cell_whose_resistance_falls_and_that_remembers_is_told_from_a_contact
     assert rmse[None] < 0.7 * rmse["static"]
 
 
-@pytest.mark.parametrize("settles", [0.0, 0.15])
-def test_a_contact_whose_power_law_holds_under_load_only_is_calibrated(settles: float) -> None:
+@pytest.mark.slow
+def test_a_contact_whose_power_law_holds_under_load_only_is_calibrated() -> None:
     """Conductance that comes late and lingers, over two decades: nothing to a curve, but decades of ohms at rest."""
     time = np.arange(0, 240, DT)
     load = np.maximum(np.sin(time / 5) * np.sin(time / 17), 0) * (time > 3)
     late = lfilter([1 - np.exp(-DT / 15)], [1, -np.exp(-DT / 15)], load)
-    conducts = 1e-4 + 0.03 * ((1 - settles) * load + settles * late) ** 0.7
+    conducts = 1e-4 + 0.03 * (0.85 * load + 0.15 * late) ** 0.7
     read = (1 + 0.005 * np.random.default_rng(0).standard_normal(len(time))) / conducts
     found = calibrate(checked_recording(time, FULL * load, read))
     pressure, _ = estimate_recording(found.cell.estimator(()), time, read)
@@ -231,36 +183,6 @@ def test_the_papers_graphical_way() -> None:
         recovery_branches(time, 1 + time, 15.5)
 
 
-def test_the_fast_simulation_is_the_forward_model() -> None:
-    model = M10Model(a=0.3, b=-0.2, alpha1=0.5, rise1_s=0.3, fall1_s=4, alpha2=0.2, fall2_s=90, k=0.2, tau_s=20)
-    load = simulate.random_loads(np.random.default_rng(1), 2000, 1, DT)
-    parameters = np.array([[getattr(model, name)] for name in simulate.M10_PARAMETERS])
-    fast = simulate.m10(parameters, load, DT)[:, 0]
-    exact = sense(EXAMPLE.replace(model=model), load[:, 0]) / EXAMPLE.rest_resistance_ohm - 1
-    assert fast == pytest.approx(exact, abs=0.01)
-    assert np.sqrt(np.mean((fast - exact) ** 2)) < 0.001
-
-
-def test_a_simulation_goes_on_from_what_the_cell_remembered() -> None:
-    """Cut in a history, with the memory of branches and chains given, it is the second half of the whole one."""
-    values = np.array([[0.3], [-0.1], [0.5], [0.3], [4.0], [0.2], [30.0], [90.0], [0.2], [20.0]])
-    named = dict(zip(simulate.M10_PARAMETERS, values[:, 0].tolist(), strict=True))
-    load = np.maximum(simulate.random_loads(np.random.default_rng(3), 1200, 1, DT), 0)
-    at = 100 + int(np.argmax(load[100:, 0] > 0.4))
-    whole = simulate.m10(values, load, DT)
-    chains = whole - simulate.m10(np.where(np.arange(10)[:, None] == 8, 0.0, values), load, DT)
-    one = [np.where(np.isin(np.arange(10)[:, None], kept), values, 0.0) for kept in ((2, 3, 4), (5, 6, 7))]
-    for off in one:
-        off[[3, 4, 6, 7, 9]] = values[[3, 4, 6, 7, 9]]
-    branches = [simulate.m10(parameters, load, DT)[at] for parameters in one]
-    gains = named["alpha1"], named["alpha2"]
-    begun = np.array([*(x - gain * load[at] for x, gain in zip(branches, gains, strict=True)), chains[at]])
-    assert np.abs(begun).min() > 1e-4
-    assert simulate.m10(values, load[at:], DT, begun) == pytest.approx(whole[at:], abs=1e-9)
-    many = simulate.m10(np.repeat(values, 10, axis=1), load[at:], DT, np.repeat(begun, 10, axis=1))
-    assert many == pytest.approx(np.repeat(whole[at:], 10, axis=1), abs=1e-9)
-
-
 def test_r0_of_a_recording_that_begins_under_load_is_found() -> None:
     """What the cell remembers of the time before is fitted with the rest, so that R0 is right."""
     model = M10Model(a=0.4, alpha1=0.3, rise1_s=1.5, fall1_s=4, alpha2=0.2, rise2_s=0.05, fall2_s=120, k=0.15, tau_s=10)
@@ -277,18 +199,6 @@ def test_r0_of_a_recording_that_begins_under_load_is_found() -> None:
     assert found[0].held_out_error < 0.02
 
 
-def test_the_fast_simulation_of_paper_cells_is_their_forward_model() -> None:
-    truth = EXAMPLE.model
-    assert isinstance(truth, PaperModel)
-    load = np.maximum(simulate.random_loads(np.random.default_rng(1), 2000, 3, DT), 0)
-    gains = [FULL / e for e in (truth.e1_kpa, truth.e2_kpa, truth.e3_kpa)]
-    values = [gains[0], gains[1], truth.t2_s, gains[2], truth.t3_s, truth.overshoot - 1, truth.tu_s]
-    fast = simulate.paper(np.repeat(np.array(values)[:, None], 3, axis=1), load, DT)
-    for cell in range(3):
-        exact = sense(EXAMPLE, load[:, cell]) / EXAMPLE.rest_resistance_ohm - 1
-        assert fast[:, cell] == pytest.approx(exact, abs=1e-12)
-
-
 def test_a_kind_that_forgets_is_not_taken_for_one_that_remembers() -> None:
     """One set of states: the asymmetric cell is found as such, without breakdown or hand-over."""
     model = AsymmetricModel(e1_kpa=32, e2_kpa=60, e3_kpa=480, eta2_kpa_s=510, eta3_kpa_s=48000)
@@ -296,7 +206,6 @@ def test_a_kind_that_forgets_is_not_taken_for_one_that_remembers() -> None:
     assert isinstance(best.model, AsymmetricModel)
     assert best.model.e1_kpa == pytest.approx(32, rel=0.03)
     assert best.model.t2_s == pytest.approx(8.5, rel=0.1)
-    assert margin(best.model, FULL) > 0
 
 
 TIME = np.arange(0, 60, 0.1)
@@ -337,15 +246,7 @@ def test_loads_known_while_the_resistance_is_missing_are_felt_by_the_models() ->
     assert without.error > 2 * best.error
 
 
-def test_a_gap_is_no_reading() -> None:
-    time = np.concatenate([np.arange(0, 50, 0.1), np.arange(80, 130, 0.1)])
-    recording = Recording(time, 0 * time, 1e4 + 0 * time)
-    assert recording.near_reading(np.array([-1.0, 0.0, 49.95, 50.5, 65.0, 79.9, 80.0, 129.9, 131.0]), 0.2).tolist() == [
-        False, True, True, False, False, True, True, True, False
-    ]  # fmt: skip
-
-
-@pytest.mark.parametrize("jump", [1, 10, 999])
+@pytest.mark.parametrize("jump", [1, 999])
 def test_readings_mostly_on_one_side_of_a_gap_are_refused(jump: int) -> None:
     """Such as of a cell that was open in between: nothing could be learned, or judged, of the other side."""
     load = np.clip(2 * np.sin(2 * np.pi * 0.1 * np.arange(1000) / 20), 0, 1)
@@ -354,40 +255,17 @@ def test_readings_mostly_on_one_side_of_a_gap_are_refused(jump: int) -> None:
         calibrate(checked_recording(time, FULL * load, sense(EXAMPLE, load)))
 
 
-@pytest.mark.slow
-def test_a_recording_with_a_minute_between_samples_is_learned_from() -> None:
-    load = np.clip(2 * np.sin(2 * np.pi * np.arange(100) / 12), 0, 1)
-    found = calibrate(checked_recording(41.0 * np.arange(100), FULL * load, sense(EXAMPLE, load, 41.0)))
-    assert found.cell.estimators is not None
-
-
-def test_a_resistance_that_follows_nothing_is_refused() -> None:
-    noise = np.random.default_rng(8).standard_normal(len(TIME))
-    with pytest.raises(InputError, match="does not follow the pressure"):
-        fits(checked_recording(TIME, PRESS, 1e4 + 100 * noise), 10.0)
-
-
 def test_the_protocol_is_checked() -> None:
+    """It begins at rest: a press at once leaves R0 to the model."""
     recording = protocol_recording(EXAMPLE, 0.0)
-    assert len(protocol.check_protocol(recording, FULL)) == len(protocol.CONDITIONING) + len(protocol.PROTOCOL)
-    assert len(protocol.check_protocol(recording)) == 12
+    lines = [line for line in protocol_text().splitlines() if line.lstrip()[0].isdigit()]
+    assert "1. hold no load" in lines[0]
+    assert "hold 50 % of full scale for 20 s" in lines[3]
+    assert len(check_protocol(recording, FULL)) == len(check_protocol(recording)) == len(lines)
     short = recording.time_s < 200
     cut = checked_recording(recording.time_s[short], recording.pressure_kpa[short], recording.resistance_ohm[short])
     with pytest.raises(InputError, match="step 11 of the protocol is missing: hold 100 % of full scale for 60 s"):
-        protocol.check_protocol(cut, FULL)
-    text = protocol.protocol_text()
-    assert "hold 50 % of full scale for 20 s" in text
-
-
-def test_a_recording_of_just_what_is_printed_shows_the_cell_at_rest() -> None:
-    """Its first line is rest: a press at once leaves R0 to the model."""
-    first, *_ = [line for line in protocol.protocol_text().splitlines() if line.lstrip().startswith("1.")]
-    assert "hold no load" in first
-    time, load = protocol.protocol_load(DT)
-    assert not load[time <= protocol.CONDITIONING[0].seconds].any()
-    printed = sum(step.seconds for step in (*protocol.CONDITIONING, *protocol.PROTOCOL))
-    assert f"{printed:.0f} s" in protocol.protocol_text()
-    assert 0 < time[-1] - printed < 10  # what the changes take
+        check_protocol(cut, FULL)
 
 
 @pytest.mark.parametrize(
@@ -409,19 +287,7 @@ def test_units_that_look_wrong_are_asked_about(time: float, pressure: float, res
         checked_recording(*columns, trust_units=True)
 
 
-def test_folds_each_contain_presses() -> None:
-    """However the rests lie: here almost all presses come in the first tenth."""
-    time = np.arange(0, 600, DT)
-    load = np.where(time < 60, 0.5 * (1 - np.cos(time)), 0.0)
-    load[5500:5600] = 0.5
-    parts = folds(checked_recording(time, FULL * load, sense(EXAMPLE, load)), FULL)
-    assert len(parts) == 3
-    for part in parts:
-        inside = load[(time >= part.start_s) & (time < part.end_s)]
-        assert np.ptp(inside) > 0.3
-
-
-@pytest.mark.parametrize(("presses", "count"), [(1, 0), (2, 0), (3, 1), (4, 2), (6, 3), (12, 3)])
+@pytest.mark.parametrize(("presses", "count"), [(2, 0), (3, 1), (4, 2), (12, 3)])
 def test_each_fold_holds_a_whole_press_that_follows_on_presses(presses: int, count: int) -> None:
     """A fold that begins and ends within a rise would be judged by the model of a rise."""
     time = np.arange(0, 20 + 20 * presses, DT)
@@ -446,12 +312,21 @@ def test_of_a_single_press_the_kind_that_fits_better_is_chosen_and_the_report_sa
     assert "as no whole press is left to judge by" in calibration_text(found)
     assert found.cell.estimators is not None
     assert "on what it was learned from" in found.cell.estimators.reason
-    assert json.loads(json_text(calibration_record(found)))["folds_s"] == []
+    assert calibration_record(found)["folds_s"] == []
+
+
+def test_what_was_found_of_every_kind_is_json() -> None:
+    """Parameters that the recording does not tell, too: the example cell has no chains that break."""
+    found = cells.paper()
+    for fit in found.fits:
+        again = json.loads(json.dumps(calibration_record(replace(found, fits=(fit,))), allow_nan=False))
+        assert [item["identified"] for item in again["parameters"]] == [item.identified for item in fit.parameters]
+    assert not all(parameter.identified for fit in found.fits for parameter in fit.parameters)
 
 
 @pytest.mark.parametrize(
     ("late_s", "falls"),
-    [(-3.0, False), (-1.0, False), (3.0, False), (-3.0, True), (-1.0, True), (1.0, True), (3.0, True)],
+    [(-1.0, False), (3.0, False), (-3.0, True), (1.0, True)],
 )
 def test_clocks_that_are_apart_are_named_with_their_shift(late_s: float, falls: bool) -> None:
     """It may rise or fall under load. A cell that follows a second late is one that creeps."""
@@ -463,24 +338,6 @@ def test_clocks_that_are_apart_are_named_with_their_shift(late_s: float, falls: 
         fits(checked_recording(time, FULL * load, read), FULL)
 
 
-def test_creep_that_is_charged_slowly_is_identified() -> None:
-    """A linear body that creeps as slowly as it recovers (generalised Maxwell) is a cell of kind m10 without chains."""
-    time = np.arange(0, 300, 0.2)
-    load = np.interp(
-        time,
-        [0, 10, 12, 60, 62, 120, 130, 190, 192, 210, 215, 250, 255, 300],
-        [0, 0, 1, 1, 0, 0] + [0.6] * 2 + [0.1, 0.1, 0.8, 0.8, 0, 0],
-    )
-    keep = np.exp(-0.2 / 40)
-    slow = lfilter([1 - keep], [1, -keep], load)
-    found = fits(checked_recording(time, FULL * load, 1e4 * (1 + 0.6 * load + 0.3 * slow)), FULL)
-    model = found[0].model
-    assert isinstance(model, M10Model)
-    assert found[0].label == "m10, k = 0"
-    assert found[0].error < 0.002
-    assert max(model.rise2_s, model.rise1_s) == pytest.approx(40, rel=0.1)
-
-
 def test_a_shuffled_resistance_is_refused() -> None:
     recording = protocol_recording(EXAMPLE, 0.001)
     shuffled = np.random.default_rng(5).permutation(recording.resistance_ohm)
@@ -488,36 +345,15 @@ def test_a_shuffled_resistance_is_refused() -> None:
         calibrate(checked_recording(recording.time_s, recording.pressure_kpa, shuffled))
 
 
-@pytest.mark.parametrize("dt", [0.02, 1 / 12])
-def test_the_noise_of_a_force_gauge_is_smoothed_no_longer_than_it_must(dt: float) -> None:
-    """What it adds to the path of the load in ten seconds comes down to 5 % of its range; at most half a second."""
-    noise = 0.002 * np.random.default_rng(0).standard_normal(20_000)
-    noise[10] = 1 - noise.min()  # the range of the load
-    seconds = simulate.smoothing_s(noise, dt)
-    left = np.abs(np.diff(simulate.smoothed(noise, dt, seconds)[1000:])).mean() * 10 / dt
-    assert left == pytest.approx(0.05 * np.sqrt(4 / np.pi), rel=0.1)  # of mean magnitudes and standard deviations
-    assert simulate.smoothing_s(100 * noise.clip(-0.01, 0.01), dt) == simulate.LONGEST_SMOOTHING_S
-    assert simulate.smoothing_s(0.01 * noise.clip(-0.01, 0.01) + np.arange(20_000) / 20_000, dt) == 0
-
-
-@pytest.mark.parametrize(
-    "model",
-    [
-        EXAMPLE.model,
-        M10Model(a=0.4, b=0.1, alpha1=0.18, rise1_s=0.25, fall1_s=3, alpha2=0.1, fall2_s=30, k=0.09, tau_s=12),
-    ],
-    ids=["paper", "m10"],
-)
-def test_a_cell_explains_its_readings_behind_a_noisy_force_gauge(model: PaperModel | M10Model) -> None:
+def test_a_cell_explains_its_readings_behind_a_noisy_force_gauge() -> None:
     """Presses of a second, gauge noise of 0.2 % of full scale: what is left of load and reading belongs together.
 
-    Behind a window of half a second the cells would leave 11 and 9 % of the range of their readings.
+    Behind a window of half a second the cell would leave 11 % of the range of its readings.
     """
-    cell = Cell(rest_resistance_ohm=1e4, full_scale_kpa=FULL, model=model)
     time = np.arange(0, 60, 1 / 12)
     load = np.interp(time % 2.5, [0, 0.2, 0.8, 1.0], [0, 1, 1, 0]) * (time < 40)
     gauge = FULL * (load + 0.002 * np.random.default_rng(0).standard_normal(len(time)))
-    read = sense(cell, load, 1 / 12)
+    read = sense(EXAMPLE, load, 1 / 12)
     quiet = Recording(time, gauge, read).quiet
-    explained = sense(cell, np.maximum(quiet.pressure_kpa / FULL, 0), 1 / 12)
+    explained = sense(EXAMPLE, np.maximum(quiet.pressure_kpa / FULL, 0), 1 / 12)
     assert np.std(explained - quiet.resistance_ohm) < 0.03 * np.ptp(read)
