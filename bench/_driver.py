@@ -68,14 +68,20 @@ LARGEST_FLOATING = 32  # side beyond which boards with floating rows are left ou
 
 
 @dataclass(frozen=True)
-class Row:
-    """One board."""
+class OnBoard:
+    """Which board was measured."""
 
     size: int = field(metadata=column("cells", "{0} x {0}"))
     """of the N x N array"""
     circuit: str = field(metadata=column("circuit", "{}", width=18))
     idle_rows: str = field(metadata=column("idle", "{}", width=6))
     bits: int = field(metadata=column("bits", "{}"))
+
+
+@dataclass(frozen=True)
+class Row(OnBoard):
+    """One board."""
+
     saturated_cells: int = field(metadata=column("saturated", "{}"))
     estimator: str = field(metadata=column("estimator", "{}", width=9))
     is_default: bool = field(metadata=column("default"))
@@ -183,6 +189,11 @@ def design(
     )
 
 
+def described(board: Design) -> tuple[int, str, str, int]:
+    """The fields of :class:`OnBoard`."""
+    return board.array.rows, board.readout.circuit, board.drive.idle_rows, board.adc.bits if board.adc else 0
+
+
 def calibrated_example() -> Cell:
     """The example cell as the calibration protocol finds it, with its learned estimators."""
     random = np.random.default_rng(0)
@@ -234,10 +245,7 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
     off_kpa = (found_kpa - pressure)[valid]
     decode_s, ohms_s, kpa_s, std_s, _ = (float(part) for part in np.median(times, axis=0))
     return Row(
-        size=board.array.rows,
-        circuit=board.readout.circuit,
-        idle_rows=board.drive.idle_rows,
-        bits=board.adc.bits if board.adc else 0,
+        *described(board),
         saturated_cells=saturated,
         estimator=name or cell.default_estimator,
         is_default=name in (None, cell.default_estimator),

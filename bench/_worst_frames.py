@@ -26,7 +26,9 @@ from ._driver import (
     FRAME_RATE_HZ,
     HARD_OHM,
     LARGEST_FLOATING,
+    OnBoard,
     counts_of,
+    described,
     design,
     every_frame,
     packets_of,
@@ -76,17 +78,13 @@ HEAD = (
 
 
 @dataclass(frozen=True)
-class WorstFrames:
+class WorstFrames(OnBoard):
     """One board."""
 
-    circuit: str = field(metadata=column("circuit", "{}", width=19))
-    idle_rows: str = field(metadata=column("idle", "{}", width=6))
-    idle_columns: str = field(metadata=column("columns", "{}"))
+    columns: int = field(metadata=column("columns", "{}"))
+    idle_columns: str = field(metadata=column("idle", "{}", width=5))
     segment: float = field(metadata=column("ohm", "{:g}", width=3))
     """of a line from cell to cell"""
-    bits: int = field(metadata=column("bits", "{}"))
-    rows: int = field(metadata=column("rows", "{}"))
-    columns: int = field(metadata=column("columns", "{}"))
     first_ms: float = field(metadata=column("first ms", "{:.1f}"))
     """processor time of the first frame of all"""
     usual_us: float = field(metadata=column("usual us", "{:.0f}"))
@@ -124,13 +122,10 @@ def _measured(board: Design, segment: float) -> WorstFrames:
     times = _times(board, pressed((rows, columns), USUAL)[1])
     usual = float(np.median(times[5:]))
     return WorstFrames(
-        circuit=board.readout.circuit,
-        idle_rows=board.drive.idle_rows,
+        *described(board),
+        columns=columns,
         idle_columns=board.readout.idle_columns,
         segment=segment,
-        bits=board.adc.bits if board.adc else 0,
-        rows=rows,
-        columns=columns,
         first_ms=1e3 * float(times[0]),
         usual_us=1e6 * usual,
         wandering=float(times[5:].max()) / usual,

@@ -141,13 +141,9 @@ HEAD = f"least standard deviation of a cell in % by one frame, with {_driver.NOI
 
 
 @dataclass(frozen=True)
-class Knowable:
+class Knowable(_driver.OnBoard):
     """A board on which readings depend on many cells."""
 
-    size: int = field(metadata=column("cells", "{0} x {0}", width=7))
-    circuit: str = field(metadata=column("circuit", "{}", width=19))
-    idle_rows: str = field(metadata=column("idle", "{}", width=6))
-    bits: int = field(metadata=column("bits", "{}"))
     least: dict[str, float] = field(metadata=column("{}", "{:.1f}", width=6, unit=0.01))
     """bound of the best, the median and the worst cell"""
     possible: float = field(metadata=column("can be valid, %", "{:.0f}", unit=0.01))
@@ -167,7 +163,7 @@ def knowable() -> Iterator[Knowable]:
             reading = read(counts)
         quantiles = {"best": float(least.min()), "median": float(np.median(least)), "worst": float(least.max())}
         possible = float((SIGMAS * least <= 0.5).mean())
-        yield Knowable(size, circuit, idle_rows, bits, quantiles, possible, float(reading.valid.mean()))
+        yield Knowable(*_driver.described(board), quantiles, possible, float(reading.valid.mean()))
 
 
 @click.command()
