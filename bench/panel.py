@@ -7,7 +7,7 @@
 The recordings come from emulated materials outside the fitted model classes (:mod:`._materials`), under each kind of
 load, and with each kind of disturbance. Every load is combined with some of the materials, which rotate with the seed;
 ``--material`` chooses them instead. CSV files with the columns ``time_s,pressure_kpa,resistance_ohm`` are judged
-as they are, played three times as fast and as slow, and thinned.
+instead.
 """
 
 from __future__ import annotations
@@ -36,8 +36,6 @@ RESTING, RESTING_S = 0.01, 5.0
 """a cell is at rest that has had less than this share of full scale for that long"""
 DISTURBANCES = ("thinned", "noisy", "outliers", "R0 3 % low")
 """what happens to random presses"""
-ONE_PRESS_S = 20.0
-"""how long after the first press of a file the head ends that has only that"""
 PER_LOAD = 2
 """materials that each kind of load is combined with, unless they are chosen"""
 
@@ -124,20 +122,11 @@ def scene(load: str, material: str, seed: int) -> Scene:
     return found.thinned(3, load) if disturbance == "thinned" else found
 
 
-def scenes_of(path: Path, head: float) -> Iterator[Scene]:
-    """A recorded file as it is, played faster and slower, thinned, and with little to learn from."""
+def recorded(path: Path, head: float) -> Scene:
+    """A recorded file, of which the share ``head`` is learned from."""
     of = Recording.load(path)
     time = of.time_s - of.time_s[0]
-    plain = Scene("as it is", path.stem, 0, time, of.pressure_kpa, of.resistance_ohm, head * float(time[-1]))
-    yield plain
-    for factor in (0.3, 3.0):
-        yield replace(plain, load=f"time x {factor:g}", time_s=factor * time, head_s=factor * plain.head_s)
-    yield plain.thinned(3, "thinned")
-    yield replace(plain, load="half the head", head_s=plain.head_s / 2)
-    pressed = np.flatnonzero(of.pressure_kpa > 0.5 * of.pressure_kpa.max())
-    released = np.flatnonzero(of.pressure_kpa[pressed[0] :] < 0.1 * of.pressure_kpa.max())
-    if released.size:
-        yield replace(plain, load="one press", head_s=float(time[pressed[0] + released[0]]) + ONE_PRESS_S)
+    return Scene("as it is", path.stem, 0, time, of.pressure_kpa, of.resistance_ohm, head * float(time[-1]))
 
 
 def calibrated(of: Scene) -> CalibrationResult:
@@ -265,11 +254,11 @@ def main(
     that the stated deviations cover.
     """
     made = (scene(*names) for names in scenes(seeds, loads, materials))
-    recorded = (part for path in files for part in scenes_of(path, head))
+    given = (recorded(path, head) for path in files)
     verdicts: list[Verdict] = []
 
     def judged() -> Iterator[Verdict]:
-        for of in recorded if files else made:
+        for of in given if files else made:
             verdicts.append(judge(of, calibrated(of)))
             yield verdicts[-1]
 

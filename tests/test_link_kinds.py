@@ -16,6 +16,7 @@ import pytest
 import serial
 import tomli_w
 from boards import DESIGN, PRESS, scene
+from click.testing import CliRunner
 from patience import HANG_S, Patience
 
 from ohmskin.bench import soak
@@ -235,16 +236,16 @@ def test_more_than_1024_open_files_are_no_obstacle() -> None:
 
 def test_frames_and_hosts_without_end_leave_nothing_behind(scene_file: Path) -> None:
     """A bounded run of what ``python -m ohmskin.bench.soak`` does with many more frames and two thousand hosts."""
-    lines: list[str] = []
-    code = soak.main([str(scene_file), "--frames", "600", "--hosts", "120"], say=lines.append)
-    assert code == 0, lines
+    ran = CliRunner().invoke(soak.main, [str(scene_file), "--frames", "600", "--hosts", "120"])
+    assert ran.exit_code == 0, ran.output
+    lines = ran.output.splitlines()
     assert lines[0].startswith("600 frames arrived, 0 missing or corrupt")
     assert lines[1].startswith("120 hosts came and went, 40 of them were sent something, 0 files")
 
 
 def test_a_soak_that_finds_something_says_so(scene_file: Path) -> None:
     scene_file.write_text(scene_file.read_text() + "[line]\npacket_loss = 0.01\n")
-    assert soak.main([str(scene_file), "--frames", "600", "--hosts", "3"], say=lambda line: None) == 1
+    assert CliRunner().invoke(soak.main, [str(scene_file), "--frames", "600", "--hosts", "3"]).exit_code == 1
 
 
 def test_unplugging_hangs_up_on_the_host_and_plugging_in_serves_it_again() -> None:
