@@ -392,9 +392,9 @@ def live_picture(rows: Iterable[Row]) -> str:
     shown = list(rows)
     panels = {
         what: {
-            name: [(row.size, row.frames_per_second, error(row)) for row in shown if row.estimator == name]
+            name: [(row.size, row.frames_per_second, getattr(row, error)) for row in shown if row.estimator == name]
             for name in dict.fromkeys(row.estimator for row in shown)
         }
-        for what, error in (("RMSE", lambda row: row.rmse_kpa), ("worst cell", lambda row: row.worst_kpa))
+        for what, error in (("RMSE", "rmse_kpa"), ("worst cell", "worst_kpa"))
     }
     return picture(panels, "frames per second of processor time", "error / kPa")

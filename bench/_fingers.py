@@ -189,8 +189,8 @@ def fingers(sizes: Iterable[int], *, scenes: Iterable[Scene] = SCENES, seed: int
 
 def played(size: int, board: tuple[str, str, int, float], scene: Scene, rng: np.random.Generator) -> Fingers:
     """Play one scene on one board."""
-    *kind, noise_mv = board
-    readout = design(size, *kind)
+    circuit, idle_rows, bits, noise_mv = board
+    readout = design(size, circuit, idle_rows, bits)
     seconds, each = REST_S + scene.plays * (scene.seconds + REST_S), scene.substeps
     fine_s = times_of(seconds, RATE_HZ, each)
     plays = [_play(k, scene, size, fine_s, rng) for k in range(scene.plays)] if scene.ways else []

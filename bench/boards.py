@@ -92,9 +92,9 @@ class Built:
 
 def built() -> Iterator[Built]:
     """Measure all boards of :data:`READOUTS`."""
-    for (name, (*readout, resistances)), bits in product(READOUTS.items(), BITS):
+    for (name, (circuit, idle_rows, idle_columns, resistances)), bits in product(READOUTS.items(), BITS):
         for (rest_ohm, reference_ohm), noise_v in product(resistances, NOISE_V):
-            board = design(*readout, bits, reference_ohm)  # type: ignore[arg-type]  # three names
+            board = design(circuit, idle_rows, idle_columns, bits, reference_ohm)
             yield Built(name, bits, rest_ohm, reference_ohm, noise_v, *_read(board, rest_ohm, noise_v))
 
 
