@@ -34,7 +34,6 @@ from ..common.arrays import CodeArray, FloatArray
 from ..driver import CountReader, Skin
 from ..errors import InputError
 from ..wire import FramePacket, host_protocol
-from ._estimators import noisy
 from ._paced_port import PacedPort, frame_packets
 from .harness import column, picture
 
@@ -42,6 +41,8 @@ FRAMES = 400
 FRAME_RATE_HZ = 200.0
 NOISE_STEPS = 0.5
 """standard deviation of the outputs' noise in ADC steps"""
+NOISE = 0.005
+"""standard deviation of readings of a simulated cell, relative to R0"""
 QUEUED = 16
 """frames that come together for a reader who is behind; USB brings ten at 10,000 frames per second"""
 LARGEST = 256
@@ -194,12 +195,17 @@ def described(board: Design) -> tuple[int, str, str, int]:
     return board.array.rows, board.readout.circuit, board.drive.idle_rows, board.adc.bits if board.adc else 0
 
 
+def noisy(cell: Cell, load: FloatArray, dt_s: float, rng: np.random.Generator) -> FloatArray:
+    """Ohm (n,) of one cell under normalised loads ``dt_s`` apart, with noise of :data:`NOISE`."""
+    ohms = cell.forward(()).run(np.full(len(load), dt_s), cell.full_scale_kpa * load)
+    return ohms + NOISE * cell.rest_resistance_ohm * rng.standard_normal(len(load))
+
+
 def calibrated_example() -> Cell:
     """The example cell as the calibration protocol finds it, with its learned estimators."""
-    random = np.random.default_rng(0)
     time_s, load = protocol_load(_PROTOCOL_STEP_S)
     true = Cell.example()
-    ohms = noisy(true, load, _PROTOCOL_STEP_S, random)
+    ohms = noisy(true, load, _PROTOCOL_STEP_S, np.random.default_rng(0))
     recording = checked_recording(time_s, true.full_scale_kpa * load, ohms, name="protocol")
     return calibrate(recording, full_scale_kpa=true.full_scale_kpa).cell
 

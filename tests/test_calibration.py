@@ -318,6 +318,7 @@ def test_a_tare_replaces_the_rest_and_keeps_the_gain() -> None:
 # --- the command ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_command_calibrates_the_example(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     output = tmp_path / "skin.toml"
     port = f"ohmskin://{EXAMPLES / 'calibration.toml'}?clock=fast"

@@ -80,9 +80,9 @@ def estimators(_: Subject) -> Finding:
     return Finding(
         checks=checks,
         text=[
-            "Each estimator is calibrated by the 280 s protocol alone and judged on random presses. The material is "
-            "relays with fractional creep, and shares nothing with the models in the product. Times are per cell and "
-            "sample with 64 x 64 cells in motion."
+            "Each estimator is calibrated on 240 s of random presses and judged on others, half of them without "
+            "holds. The material is relays with fractional creep, and shares nothing with the models in the product. "
+            "Times are per cell and sample with 64 x 64 cells in motion."
         ],
         tables=[
             Table(
