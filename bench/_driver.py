@@ -372,9 +372,13 @@ def packets_of(
 def counts_of(board: Design, cells: FloatArray) -> CodeArray:
     """(frames, rows, columns) counts of such cells in ohm, with noise of :data:`NOISE_STEPS`."""
     assert board.adc is not None
+    return quantised(board, cells, NOISE_STEPS * board.adc.step, np.random.default_rng(2))
+
+
+def quantised(board: Design, cells: FloatArray, noise_v: float, random: np.random.Generator) -> CodeArray:
+    """(frames, rows, columns) counts of such cells in ohm, with white noise of the outputs."""
     volts = scan_batch(board, cells).volts
-    noise = np.random.default_rng(2).normal(scale=NOISE_STEPS * board.adc.step, size=volts.shape)
-    return adc_codes(board, volts + noise)
+    return adc_codes(board, volts + random.normal(scale=noise_v, size=volts.shape))
 
 
 def head() -> str:

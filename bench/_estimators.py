@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from time import perf_counter
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from ..cell import ESTIMATORS, Cell, estimate_recording
 from ..common.arrays import FloatArray
 from ..errors import InputError
 from . import panel
-from .harness import column
+from .harness import column, timed
 
 
 @dataclass(frozen=True)
@@ -61,9 +60,5 @@ def estimators(
 def _cost(cell: Cell, name: str, moving: FloatArray) -> float:
     """Microseconds per cell and sample: the median frame of (frames, cells) readings."""
     estimator = cell.estimator(moving.shape[1:], name)
-    spent = []
-    for frame in moving:
-        start = perf_counter()
-        estimator.step(panel.DT_S, frame)
-        spent.append(perf_counter() - start)
+    spent = timed(lambda frame: estimator.step(panel.DT_S, frame), moving)
     return 1e6 * float(np.median(spent[3:])) / int(moving.shape[1])

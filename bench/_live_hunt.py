@@ -32,7 +32,7 @@ from ..circuits import Reason
 from ..common.arrays import FloatArray
 from ..driver import CountReader, Reading
 from ._live_streams import MOVING, LiveStream, stream
-from .harness import column
+from .harness import column, timed
 
 _MOST_USUAL_FRAMES = 10.0
 _LEAST_USUAL = 3  # frames
@@ -107,7 +107,9 @@ def check(family: str, number: int, tally: LiveTally) -> None:
         found["unsettled"] = "in the last frame"
     for _ in range(_TIMED_AGAIN):  # the machine's load only adds to a time
         if _over_usual(times, usual) > _MOST_USUAL_FRAMES:
-            times = [min(pair) for pair in zip(times, _times(read_from), strict=True)]
+            times = [
+                min(pair) for pair in zip(times, timed(CountReader(read_from.design), read_from.counts), strict=True)
+            ]
     longest = _over_usual(times, usual)
     tally.longest = max(tally.longest, longest)
     if longest > _MOST_USUAL_FRAMES:
@@ -147,16 +149,6 @@ def _known_noise(noise_steps: FloatArray, free: list[int]) -> float:
         if sum(count for count, each in zip(free, noise_steps, strict=False) if each >= noise) >= _LEAST_SHOWN:
             known = max(known, float(noise))
     return known
-
-
-def _times(read_from: LiveStream) -> list[float]:
-    """Processor time in s that a reader takes for each frame."""
-    reader, times = CountReader(read_from.design), []
-    for counts in read_from.counts:
-        start = process_time()
-        reader(counts)
-        times.append(process_time() - start)
-    return times
 
 
 def _over_usual(work: list[float], usual: list[int]) -> float:

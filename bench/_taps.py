@@ -20,11 +20,11 @@ from itertools import product
 import numpy as np
 
 from ..cell import Cell
-from ..circuits import Design, adc_codes, scan_batch
+from ..circuits import Design
 from ..common.arrays import FloatArray
 from ..driver import Contact, Skin
 from ..errors import InputError
-from ._driver import OnBoard, described, design
+from ._driver import OnBoard, described, design, quantised
 from ._paced_port import PacedPort, frame_packets
 from .harness import column
 
@@ -187,10 +187,7 @@ def contacts_of(
     board: Design, ohm: FloatArray, noise_mv: float, rate_hz: float, rng: np.random.Generator
 ) -> Iterator[tuple[float, tuple[Contact, ...]]]:
     """Time in s and contacts of each frame (frames, rows, columns) of a skin that is tared at the beginning."""
-    assert board.adc is not None
-    volts = scan_batch(board, ohm).volts
-    codes = adc_codes(board, volts + rng.normal(scale=1e-3 * noise_mv, size=volts.shape))
-    packets = frame_packets(codes, rate_hz)
+    packets = frame_packets(quantised(board, ohm, 1e-3 * noise_mv, rng), rate_hz)
     port = PacedPort(packets, 1e-3, board)
     port.work(10.0 + 1e-3 * len(packets))  # all frames have come
     with warnings.catch_warnings():

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from ..cell import Cell
+from ..cell import Cell, Estimator
 from ..circuits import Design
-from ..common.arrays import FloatArray
+from ..common.arrays import CodeArray, FloatArray
 from ..driver import CountReader
 from ._driver import (
     APART_S,
@@ -35,7 +35,7 @@ from ._driver import (
     port_of,
     pressed,
 )
-from .harness import column
+from .harness import column, timed
 
 LIMIT = 10.0
 """usual frames that a frame may cost"""
@@ -177,13 +177,13 @@ def _woken(board: Design, lasts: int) -> float:
 
 def _times(board: Design, frames: FloatArray) -> FloatArray:
     """Processor time in s of each frame of cells (frames, rows, columns) in ohm."""
-    counts = counts_of(board, frames)
-    times = np.full(len(counts), np.inf)
+    counts, times = counts_of(board, frames), np.full(len(frames), np.inf)
     for _ in range(2):
         read, estimator = CountReader(board), Cell.example().estimator(board.array.shape)
         estimator.compile()  # as a skin does
-        for number, codes in enumerate(counts):
-            start = process_time()
-            estimator.step(1.0 / FRAME_RATE_HZ, read(codes).resistance)
-            times[number] = min(times[number], process_time() - start)
+
+        def step(codes: CodeArray, by: CountReader = read, to: Estimator = estimator) -> None:
+            to.step(1.0 / FRAME_RATE_HZ, by(codes).resistance)
+
+        times = np.minimum(times, timed(step, counts))
     return times

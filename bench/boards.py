@@ -24,7 +24,7 @@ from math import hypot, sqrt
 import click
 import numpy as np
 
-from ..circuits import Design, adc_codes, scan, sensitivity
+from ..circuits import Design, sensitivity
 from ..common.arrays import FloatArray
 from ..driver import CountReader
 from . import _driver
@@ -103,11 +103,12 @@ def _read(board: Design, rest_ohm: float, noise_v: float) -> tuple[dict[str, flo
     rest = rest_ohm * np.exp(draw.normal(0.0, 0.1, (8, 8)))
     row, column = np.indices((8, 8))
     finger = np.exp(-((row - 2.3) ** 2 + (column - 5.1) ** 2) / 1.3)
+    loads = np.r_[np.zeros(AT_REST), np.linspace(0.0, 1.0, PRESSING), np.ones(HELD)][:, None, None] * finger
     frames = []
-    for share in np.r_[np.zeros(AT_REST), np.linspace(0.0, 1.0, PRESSING), np.ones(HELD)]:
-        cells = rest / (1.0 + share * finger * (HARD - 1.0))
-        reading = read(adc_codes(board, scan(board, cells).volts + draw.normal(scale=noise_v, size=cells.shape)))
-        frames.append((reading.valid, reading.uncertainty, reading.resistance / cells - 1.0, share * finger))
+    cells = rest / (1.0 + loads * (HARD - 1.0))
+    for counts, true, share in zip(_driver.quantised(board, cells, noise_v, draw), cells, loads, strict=True):
+        reading = read(counts)
+        frames.append((reading.valid, reading.uncertainty, reading.resistance / true - 1.0, share))
     valid, stated, off, load = (np.array(each[FROM:]) for each in zip(*frames, strict=True))
     found = valid.astype(bool)
     parts = {"rest": load < 0.02, "pressed": load > 0.5}
