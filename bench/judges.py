@@ -44,14 +44,10 @@ QUICK_MOST_S = 40.0
 
 
 class Judged(Protocol):
-    """What can be judged. Where it has them, ``compile()`` and ``resolve(...)`` are called as a skin calls them.
+    """What can be judged. Where it has them, ``compile()`` and ``resolve(...)`` are called as a skin calls them."""
 
-    An estimator with the attribute ``takes_readings = True`` is stepped with :class:`ohmskin.common.readings.Readings`
-    in place of ohms.
-    """
-
-    def step(self, elapsed_s: float, readings: Any, /) -> FloatArray:
-        """Take a frame; returns kPa."""
+    def step(self, elapsed_s: float, resistance: ArrayLike, /) -> FloatArray:
+        """Take a frame in ohm; returns kPa."""
 
     @property
     def std_kpa(self) -> FloatArray:
@@ -218,17 +214,15 @@ def judge(chosen: Iterable[Row], make: Maker) -> Iterator[Verdict]:
 def estimated(played: Played, estimator: Judged) -> tuple[FloatArray, FloatArray, float]:
     """Pressure and standard deviation (n, *cells) in kPa, NaN in lost frames; and the processor time in s."""
     ohms = played.ohms
-    by_readings = getattr(estimator, "takes_readings", False)
     if (use_machine_code := getattr(estimator, "compile", None)) is not None:
         use_machine_code()
-    if (resolve := getattr(estimator, "resolve", None)) is not None and not by_readings:
+    if (resolve := getattr(estimator, "resolve", None)) is not None:
         resolve(*_resolution(played))
     pressure, std = np.full((2, *ohms.shape), np.nan)
     last, spent = -1, 0.0
     for n in np.flatnonzero(played.arrives).tolist():
-        frame: ArrayLike | Any = played.readings(n) if by_readings else ohms[n]
         start = process_time()
-        pressure[n] = estimator.step((n - last) * played.frame_s, frame)
+        pressure[n] = estimator.step((n - last) * played.frame_s, ohms[n])
         std[n] = estimator.std_kpa
         spent += process_time() - start
         last = n
