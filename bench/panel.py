@@ -90,10 +90,6 @@ class Verdict:
     """median standard deviation, of full scale"""
     rest_kpa: float = field(metadata=column("rest", "{:.2f}"))
     """mean size of what is shown at rest; NaN if the cell never rests"""
-    static_rest_kpa: float = field(metadata=column("static", "{:.2f}"))
-    """the same of the static curve"""
-    rest_within_two_std: float = field(metadata=column("in 2 sd", "{:.0f}", unit=0.01))
-    """share of the samples at rest within two stated standard deviations"""
     folds: dict[int, float] = field(metadata=column("fold {}", "{:.1f}"))
     """error of the chosen estimator on each fold of the calibration, % of full scale"""
 
@@ -169,11 +165,6 @@ def judge(
     learned = [name for name in ("play", "distilled") if getattr(cell.estimators, name) is not None]
     others = [percent(errors(name)[0]) for name in learned if name != chosen]
     resting = at_rest(of.time_s, of.pressure_kpa / full)[later]
-    within = np.abs(error) <= 2 * std
-
-    def at_rest_mean(values: FloatArray) -> float:
-        return float(np.mean(values[resting])) if resting.any() else np.nan
-
     return Verdict(
         load=of.load,
         material=of.material,
@@ -185,11 +176,9 @@ def judge(
         worst_sd=float((np.abs(error) / std).max()),
         static_percent=percent(static),
         best_percent=min([percent(error), percent(static), *others]),
-        within_two_std=float(np.mean(within)),
+        within_two_std=float(np.mean(np.abs(error) <= 2 * std)),
         std_percent=float(100 * np.median(std) / full),
-        rest_kpa=at_rest_mean(np.abs(error)),
-        static_rest_kpa=at_rest_mean(np.abs(static)),
-        rest_within_two_std=at_rest_mean(within.astype(np.float64)),
+        rest_kpa=float(np.mean(np.abs(error)[resting])) if resting.any() else np.nan,
         folds=dict(enumerate(cell.estimators.fold_percent[cell.estimators.default], 1)),
     )
 
@@ -250,8 +239,7 @@ def main(
 ) -> None:
     """Calibrate with defaults on the head of each recording and judge the rest; errors are % of full scale.
 
-    Rest is what is shown without load in kPa, by the chosen estimator and by the static curve, and the share of it
-    that the stated deviations cover.
+    Rest is what is shown without load in kPa.
     """
     made = (scene(*names) for names in scenes(seeds, loads, materials))
     given = (recorded(path, head) for path in files)

@@ -55,8 +55,8 @@ def remarks(
             "does the temperature change, or a lead loosen? Estimates drift with it; "
             "record again when R0 is steady"
         )
-    lead = resistance_lead_s(recording)
-    if lead > 0:
+    lead = clock_shift_s(recording)
+    if lead > 0:  # a lag can be a property of the cell, as many follow the pressure late; a lead cannot
         yield (
             f"the resistance changes {lead:.2g} s before the pressure does: is the load cell late, or are the clocks "
             "apart? The delay is taken for a property of the cell"
@@ -117,14 +117,6 @@ def believed(drift: Drift) -> bool:
     """
     large = drift.share < -FALLS or drift.share > RISES
     return large and abs(drift.share) > DRIFT_ERRORS * drift.std_error and drift.unexplained < DRIFT_LEAVES
-
-
-def resistance_lead_s(recording: Recording) -> float:
-    """Lead of the resistance before the pressure in seconds; 0: no clear lead.
-
-    A lead cannot be a property of a cell. A lag can: many cells follow the pressure late.
-    """
-    return max(clock_shift_s(recording), 0.0)
 
 
 def clock_shift_s(recording: Recording) -> float:
