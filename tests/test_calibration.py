@@ -79,17 +79,6 @@ def well_calibrated() -> Watch:
     return watched(time_s, resistances(time_s, kpa), plan_of())
 
 
-def calibrated(bend: Bend | None = None, loads: Sequence[float] = (5.0, 12.0), **changes: FloatArray) -> Watch:
-    time_s, kpa = history(loads)
-    ohm = resistances(time_s, kpa, **changes)
-    return watched(time_s, ohm if bend is None else bend(time_s, ohm), plan_of(loads))
-
-
-def verdict_text(watch: Watch) -> str:
-    assert watch.rest is not None
-    return calibrate_cells(CELL, watch.rest, watch.presses).text()
-
-
 # --- what is recovered ------------------------------------------------------------------------------------------------
 
 
@@ -118,44 +107,41 @@ def test_any_believable_gains_are_recovered(gains: list[float]) -> None:
 # --- what is refused --------------------------------------------------------------------------------------------------
 
 
-def test_cells_never_pressed_are_named() -> None:
+def at(place: tuple[int, int], factor: float) -> FloatArray:
+    """1 for every cell but one."""
+    factors = np.ones(SHAPE)
+    factors[place] = factor
+    return factors
+
+
+@pytest.mark.parametrize(
+    ("bend", "message"),
+    [
+        (lambda time_s, ohm: ohm * at((0, 1), 2.5), r"seems to be loaded: cell \(0, 1\) has 2\.4 times"),
+        (lambda time_s, ohm: 5.0 * ohm, r"seems to be loaded: the typical resistance is .* times that of the cell's"),
+        (
+            lambda time_s, ohm: ohm * (1 + 0.1 * np.exp(-time_s / 1.0))[:, None, None],
+            "not at rest: the resistance of 6 cells is changing",
+        ),
+        (
+            lambda time_s, ohm: ohm * (1 + 0.1 * (time_s > 40.0))[:, None, None],
+            "with a drifting rest resistance",
+        ),
+        (lambda time_s, ohm: np.where(ohm > at((0, 0), 1.35e-2) * 1e6, np.nan, ohm), "without a valid reading under"),
+        (lambda time_s, ohm: np.where(at((1, 2), 0.0) > 0, ohm, RESTS), r"never pressed: \(1, 2\)"),
+    ],
+)
+def test_readings_that_tell_no_calibration_are_refused(bend: Bend, message: str) -> None:
     time_s, kpa = history()
-    kpa[:, 1, 2] = 0.0
-    watch = watched(time_s, resistances(time_s, kpa), plan_of())
-    assert not watch.done
-    assert "never pressed: (1, 2)" in verdict_text(watch)
+    ohm = bend(time_s, resistances(time_s, kpa))
+    with pytest.raises(InputError, match=message):
+        calibration_of(time_s, ohm)
 
 
-def test_a_skin_that_is_loaded_at_first_is_refused() -> None:
-    def loaded(time_s: FloatArray, ohm: FloatArray) -> FloatArray:
-        ohm = ohm.copy()
-        ohm[:, 0, 1] *= 2.5
-        return ohm
-
-    with pytest.raises(InputError, match=r"seems to be loaded: cell \(0, 1\) has 2\.4 times"):
-        calibrated(loaded)
-    with pytest.raises(InputError, match=r"seems to be loaded: the typical resistance is .* times that of the cell's"):
-        calibrated(lambda time_s, ohm: 5.0 * ohm)
-
-
-def test_a_rest_that_is_still_changing_is_refused() -> None:
-    with pytest.raises(InputError, match=r"not at rest: the resistance of 6 cells is changing"):
-        calibrated(lambda time_s, ohm: ohm * (1 + 0.1 * np.exp(-time_s / 1.0))[:, None, None])
-
-
-def test_a_rest_that_drifts_later_is_refused() -> None:
-    text = verdict_text(calibrated(lambda time_s, ohm: ohm * (1 + 0.1 * (time_s > 40.0))[:, None, None]))
-    assert "drifting rest resistance" in text
-
-
-def test_cells_that_saturate_are_refused() -> None:
-    def saturated(time_s: FloatArray, ohm: FloatArray) -> FloatArray:
-        ohm = ohm.copy()
-        cell = ohm[:, 0, 0]
-        cell[cell > 1.5 * RESTS[0, 0]] = np.nan
-        return ohm
-
-    assert "without a valid reading under load" in verdict_text(calibrated(saturated))
+def calibration_of(time_s: FloatArray, ohm: FloatArray) -> Calibration:
+    watch = watched(time_s, ohm, plan_of())
+    assert watch.rest is not None
+    return calibrate_cells(CELL, watch.rest, watch.presses).calibration(scene().skin.design, CELL, "")
 
 
 @pytest.mark.parametrize(
@@ -470,10 +456,7 @@ def test_pressures_after_a_calibration_are_within_their_deviations() -> None:
     rng = np.random.default_rng(5)
     time_s, kpa = history()
     noisy = resistances(time_s, kpa) * (1 + 0.002 * rng.standard_normal(kpa.shape))
-    watch = watched(time_s, noisy, plan_of())
-    assert watch.rest is not None
-    design = scene().skin.design
-    made = calibrate_cells(CELL, watch.rest, watch.presses).calibration(design, CELL, "")
+    made = calibration_of(time_s, noisy)
     later_s = np.arange(0.0, 60.0, STEP_S)
     swinging = 5 * np.maximum(np.sin(0.7 * later_s[:, None, None] + np.arange(6).reshape(SHAPE)), 0.0)
     later = resistances(later_s, swinging) * (1 + 0.002 * rng.standard_normal(swinging.shape))
