@@ -1,4 +1,4 @@
-"""Plans of scenes, the examples' own plans, and the benchmark of the emulator."""
+"""Plans of scenes, and the examples' own plans."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 from boards import DESIGN, scene
 
-from ohmskin.bench import _emulator as of_boards
 from ohmskin.cli import run
 from ohmskin.emulator import Scene, plan
 
@@ -19,7 +18,6 @@ EXAMPLES = sorted(
 @pytest.fixture(autouse=True)
 def _short(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ohmskin.emulator._plan._BUDGET_S", 0.05)
-    monkeypatch.setattr(of_boards, "_BUDGET_S", 0.05)
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)

@@ -18,7 +18,7 @@ from ..inversions import margin as inverse_margin
 from ..materials import AsymmetricModel, M10Model, Model, resistance_on_logarithm, simulate
 from . import _choice as choice
 from . import _training as training
-from ._fitted import Fit, Parameter
+from ._fitted import Fit, Parameter, no_simulation
 from ._folds import Fold, folds, strokes
 from ._identify import contact_fit, falls, fits
 from ._judged import Judged, Regimes, best_share, mixed
@@ -418,10 +418,7 @@ def _calibrated_contact(cell: Cell, recording: Recording) -> Cell:
     """Calibrate a contact, which has no memory: the only estimator is a cubic in log(R0/R)."""
     r, load = recording.resistance_ohm / cell.rest_resistance_ohm - 1, recording.pressure_kpa / cell.full_scale_kpa
 
-    def unused(rng: np.random.Generator, loads: FloatArray, dt: float) -> FloatArray:
-        raise AssertionError("the static curve is not learned from simulations")
-
-    whole = training.NormalisedRecording(recording.time_s, r, load, cell.rest_resistance_ohm, unused, 0.0)
+    whole = training.NormalisedRecording(recording.time_s, r, load, cell.rest_resistance_ohm, no_simulation, 0.0)
     samples = Regimes.of(recording, cell.full_scale_kpa)
     held_out, parts = folds(recording, cell.full_scale_kpa), []
     for fold in held_out or (_all_of(recording),):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 from pydantic import ValidationError
 
@@ -48,7 +46,6 @@ def fit_contact(recording: Recording, full_scale_kpa: float, rest: float) -> Fit
             f"{recording.name}: no contact cell fits: {error.errors()[0]['msg']} (exponent {found[0]:.3g})"
         ) from error
     std = np.sqrt(np.diag(covariance)) * np.array([1.0, found[1]])
-    simulation = partial(_simulated, rest, found)
     return Fit(
         model=model,
         rest_resistance_ohm=rest,
@@ -58,13 +55,4 @@ def fit_contact(recording: Recording, full_scale_kpa: float, rest: float) -> Fit
         ),
         error=left(found, np.ones_like(felt)),
         fold_errors=tuple(errors),
-        simulate=simulation,
-        simulate_folds=(simulation,) * len(errors),
     )
-
-
-def _simulated(rest: float, found: FloatArray, rng: np.random.Generator, loads: FloatArray, dt: float) -> FloatArray:
-    """Resistance of the fitted contact, which has no memory; parameters are not varied."""
-    exponent, full_scale_resistance = found
-    resistance: FloatArray = 1 / (1 / rest + np.maximum(loads, 0) ** exponent / full_scale_resistance)
-    return resistance

@@ -15,6 +15,11 @@ Simulation = Callable[[np.random.Generator, FloatArray, float], FloatArray]
 parameters, under loads (n, m)"""
 
 
+def no_simulation(rng: np.random.Generator, load: FloatArray, dt_s: float) -> FloatArray:
+    """Of a contact, of which nothing is learned from simulations."""
+    raise AssertionError("a contact is not simulated")
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One identified parameter."""
@@ -38,9 +43,9 @@ class Fit:
     """rms residual of the resistance over its range, on the fitted data"""
     fold_errors: tuple[float, ...]
     """rms prediction error over the same range on each fold, after fitting the part before the fold"""
-    simulate: Simulation
+    simulate: Simulation = no_simulation
     """simulates cells like the identified one"""
-    simulate_folds: tuple[Simulation, ...]
+    simulate_folds: tuple[Simulation, ...] = ()
     """the same for the fit before each fold"""
     independent: float = np.inf
     """number of independent samples that the residual amounts to"""
