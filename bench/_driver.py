@@ -2,8 +2,7 @@
 
 A scene of fingers that wander over a skin is turned into packets beforehand, with the board's own noise and ADC. A
 reader of a :class:`ohmskin.driver.Skin` then takes every frame with its validity, pressure and standard deviation, from
-a port in memory. The processor time of that is what frames per second are stated from, for two readers: one who waits
-for each frame, and one who is behind, so that :data:`QUEUED` frames have come whenever he finds none.
+a port in memory, and waits for each. The processor time of that is what frames per second are stated from.
 
 The same packets go through the stages alone, in turn with the skin: packets (:mod:`ohmskin.wire`), counts to ohms
 (:class:`ohmskin.driver.CountReader`), ohms to kPa (an estimator of the cell). Standard deviations are
@@ -43,8 +42,6 @@ NOISE_STEPS = 0.5
 """standard deviation of the outputs' noise in ADC steps"""
 NOISE = 0.005
 """standard deviation of readings of a simulated cell, relative to R0"""
-QUEUED = 16
-"""frames that come together for a reader who is behind; USB brings ten at 10,000 frames per second"""
 LARGEST = 256
 """side of the largest array that is driven"""
 HARD_OHM = 5.0
@@ -89,8 +86,6 @@ class Row(OnBoard):
     """the estimator that a skin of this cell takes by itself"""
     frames_per_second: float = field(metadata=column("frames/s", "{:.0f}"))
     """per second of processor time: what a reader of a skin gets who takes every frame and its standard deviations"""
-    queued_frames_per_second: float = field(metadata=column("queued", "{:.0f}"))
-    """the same where :data:`QUEUED` frames come together"""
     times_as_fast: float = field(metadata=column("code", "{:.2f}"))
     """by machine code (:mod:`ohmskin.common.compiled`) over array operations, both in turn; 1 without machine code"""
     decode_us: float = field(metadata=column("decode", "{:.0f}"))
@@ -243,7 +238,6 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
             asked = process_time()
             times[number] = decoded - start, solved - decoded, estimated - solved, asked - taken, asked - taking
             found_ohm[number], valid[number], found_kpa[number] = frame.resistance, frame.valid, frame.pressure
-    queued_s = _taking_queued(packets, board, cell, name)
     times_as_fast = 1.0 if compiled.why_not() else _times_as_fast(packets, board, cell, name)
     whole = times[:, 4]
     usual = float(np.median(whole))
@@ -256,7 +250,6 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
         estimator=name or cell.default_estimator,
         is_default=name in (None, cell.default_estimator),
         frames_per_second=frames / float(whole.sum()),
-        queued_frames_per_second=frames / queued_s,
         times_as_fast=times_as_fast,
         decode_us=1e6 * decode_s,
         ohms_us=1e6 * ohms_s,
@@ -269,18 +262,6 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
         rmse_kpa=float(np.sqrt(np.mean(off_kpa**2))) if off_kpa.size else np.nan,
         worst_kpa=float(np.abs(off_kpa).max(initial=0.0)),
     )
-
-
-def _taking_queued(packets: list[bytes], board: Design, cell: Cell, name: str | None) -> float:
-    """Processor time in s in which a reader takes all frames with their standard deviations, of which many wait."""
-    port = port_of(packets, board)
-    with every_frame(port, board, cell, name) as skin:
-        start = process_time()
-        for number in range(len(packets)):
-            if number % QUEUED == 0:
-                port.work(QUEUED * APART_S)
-            _ = skin.read(0.0).pressure_std
-        return process_time() - start
 
 
 def _times_as_fast(packets: list[bytes], board: Design, cell: Cell, name: str | None) -> float:
@@ -387,7 +368,7 @@ def head() -> str:
     code = "by machine code where there is some; code: times as fast as by array operations"
     return (
         "frames per second of processor time on one core that a reader of a skin gets, bytes to kPa with standard "
-        f"deviations, and where {QUEUED} frames come together; worst frame in medians; errors of valid cells\n"
+        "deviations; worst frame in medians; errors of valid cells\n"
         + (f"by array operations: {why_not}" if why_not else code)
     )
 
