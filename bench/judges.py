@@ -39,8 +39,6 @@ RECORDING_S = 120.0
 """of a recording before and after the moment up to which is learned"""
 QUICK_EVERY = 6
 """of the scenes, one is in the quick selection"""
-QUICK_MOST_S = 40.0
-"""no longer scene is in it"""
 
 
 class Judged(Protocol):
