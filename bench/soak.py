@@ -14,6 +14,7 @@ import json
 import os
 import resource
 import socket
+import sys
 import tempfile
 import threading
 from collections.abc import Iterator
@@ -28,6 +29,7 @@ import numpy as np
 
 from ..driver import Skin
 from ..emulator import PtyPort, Scene, TcpPort, running
+from ..errors import OhmskinError
 from ..view import LiveSource, serve
 
 PATIENCE_S = 3600.0
@@ -200,4 +202,7 @@ def main(scene: Path, frames: int, hosts: int, seed: int) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except OhmskinError as error:
+        sys.exit(str(error))

@@ -24,8 +24,6 @@ from ohmskin.cell import Cell
 from ohmskin.circuits import METHODS, adc_codes, scan
 from ohmskin.cli import run
 from ohmskin.driver import Arrival, CountReader, Skin
-from ohmskin.verification import _speed as speed
-from ohmskin.verification._outcome import Outcome
 from ohmskin.wire import host_protocol
 
 
@@ -226,15 +224,6 @@ def test_a_frame_that_comes_while_others_are_decoded_is_the_newest() -> None:
         assert frame.sequence == int(port.now()) - 1 == 5
         port.work(1.0)
         assert skin.latest(inf).sequence == 6
-
-
-def test_the_report_has_a_section_of_the_live_path(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(speed, "SIZES", (3, 4))
-    monkeypatch.setattr(speed, "LIVE_CYCLES", 12)
-    finding = speed.live_path(None)  # type: ignore[arg-type]
-    assert finding.outcome is Outcome.PASS
-    assert [len(table.rows) for table in finding.tables] == [6, 2]
-    assert finding.figures[0].svg.lstrip().startswith(("<?xml", "<svg"))
 
 
 def test_the_command_prints_all_three(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
