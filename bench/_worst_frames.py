@@ -82,7 +82,7 @@ class WorstFrames(OnBoard):
     """One board."""
 
     columns: int = field(metadata=column("columns", "{}"))
-    idle_columns: str = field(metadata=column("idle", "{}", width=5))
+    idle_columns: str = field(metadata=column("idle columns", "{}"))
     segment: float = field(metadata=column("ohm", "{:g}", width=3))
     """of a line from cell to cell"""
     first_ms: float = field(metadata=column("first ms", "{:.1f}"))
