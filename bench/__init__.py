@@ -19,7 +19,7 @@ Searches for faults, each a program: ``python -m ohmskin.bench.hunt`` holds read
 tell them at all.
 """
 
-from ._driver import NOISE, live_estimators, live_picture, noisy
+from ._driver import NOISE, live_estimators, noisy
 from ._estimators import INDEPENDENT, estimators
 from ._freshness import freshness
 from ._measurement import board, cells, measure, picture
@@ -32,7 +32,6 @@ __all__ = [
     "estimators",
     "freshness",
     "live_estimators",
-    "live_picture",
     "measure",
     "noisy",
     "picture",

@@ -34,7 +34,7 @@ from ..driver import CountReader, Skin
 from ..errors import InputError
 from ..wire import FramePacket, host_protocol
 from ._paced_port import PacedPort, frame_packets
-from .harness import column, picture
+from .harness import column
 
 FRAMES = 400
 FRAME_RATE_HZ = 200.0
@@ -371,21 +371,3 @@ def head() -> str:
         "deviations; worst frame in medians; errors of valid cells\n"
         + (f"by array operations: {why_not}" if why_not else code)
     )
-
-
-def live_picture(rows: Iterable[Row]) -> str:
-    """SVG: error against frames per second, one curve per estimator through the sizes.
-
-    Raises:
-        MissingExtra: matplotlib is not installed.
-
-    """
-    shown = list(rows)
-    panels = {
-        what: {
-            name: [(row.size, row.frames_per_second, getattr(row, error)) for row in shown if row.estimator == name]
-            for name in dict.fromkeys(row.estimator for row in shown)
-        }
-        for what, error in (("RMSE", "rmse_kpa"), ("worst cell", "worst_kpa"))
-    }
-    return picture(panels, "frames per second of processor time", "error / kPa")

@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..circuits import METHODS, Array, Design, Drive, Readout, scan, scan_batch
+from ..common import plots
 from ..common.arrays import FloatArray
 from ..common.config import LEAST, MOST
 from ..errors import InputError, MissingExtra, SolverError
 from ._peers import PEERS, reference
 from .harness import column
-from .harness import picture as curves
 
 TOLERANCES = (1e-3, 1e-6, 1e-9, 1e-12)
 _ONCE = 5.0  # s beyond which a peer is not run again to find its best time
@@ -184,18 +184,21 @@ def picture(rows: Sequence[Row]) -> str:
         MissingExtra: matplotlib is not installed.
 
     """
-    shown = [row for row in rows if row.seconds and row.error is not None]
-    methods = dict.fromkeys(row.method for row in shown)
-    panels = {
-        f"{segment:g} ohm per segment": {
-            method: [
-                (row.size, 1e3 * (row.seconds or 0.0), max(row.error or 0.0, 1e-17))
-                for row in shown
-                if (row.method, row.segment) == (method, segment)
-            ]
-            for method in methods
-        }
-        for segment in dict.fromkeys(row.segment for row in rows)
-    }
-    peers = methods.keys() - {row.method for row in shown if row.bound is not None}
-    return curves(panels, "time per frame / ms", "worst error of a reading, relative to it", dashed=peers)
+    segments = list(dict.fromkeys(row.segment for row in rows))
+    shown = sorted((row for row in rows if row.seconds and row.error is not None), key=lambda row: row.size)
+    own = {row.method for row in shown if row.bound is not None}
+    with plots.drawing(1, len(segments), width=1.9 + 4.6 * len(segments), height=3.6, sharey=True) as (figure, axes):
+        for panel, segment in zip(axes[0], segments, strict=True):
+            here = [row for row in shown if row.segment == segment]
+            for method in dict.fromkeys(row.method for row in here):
+                curve = [row for row in here if row.method == method]
+                times = [1e3 * (row.seconds or 0.0) for row in curve]
+                errors = [max(row.error or 0.0, 1e-17) for row in curve]
+                line, width = ("o-", 1.4) if method in own else ("s--", 0.9)
+                panel.plot(times, errors, line, ms=3.5, lw=width, label=method)
+                for row, at, height in zip(curve, times, errors, strict=True):
+                    panel.annotate(str(row.size), (at, height), textcoords="offset points", xytext=(3, 3), fontsize=6)
+            panel.set(xscale="log", yscale="log", xlabel="time per frame / ms", title=f"{segment:g} ohm per segment")
+        axes[0][0].set_ylabel("worst error of a reading, relative to it")
+        figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside right upper", fontsize=8)
+        return plots.svg(figure)

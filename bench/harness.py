@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from time import monotonic, process_time
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from ..common import plots
 from ..common.arrays import FloatArray
 
 GAP = "  "
@@ -110,28 +109,3 @@ def search(
             check(family, number, tally)
             yield from (*tally.findings[known:], *tally.slow[slow:])
         number += 1
-
-
-Curves = Mapping[str, list[tuple[int, float, float]]]
-"""name of a curve -> size of the array, x and y of each of its points"""
-
-
-def picture(panels: Mapping[str, Curves], x: str, y: str, *, dashed: Collection[str] = ()) -> str:
-    """SVG of panels beside each other with logarithmic axes, and sizes at the points; ``dashed``: curves of others.
-
-    Raises:
-        MissingExtra: matplotlib is not installed.
-
-    """
-    with plots.drawing(1, len(panels), width=1.9 + 4.6 * len(panels), height=3.6, sharey=True) as (figure, axes):
-        for panel, (title, curves) in zip(axes[0], panels.items(), strict=True):
-            for name, points in curves.items():
-                _, xs, ys = zip(*sorted(points), strict=True)
-                other = name in dashed
-                panel.plot(xs, ys, "s--" if other else "o-", ms=3.5, lw=0.9 if other else 1.4, label=name)
-                for size, at, height in points:
-                    panel.annotate(str(size), (at, height), textcoords="offset points", xytext=(3, 3), fontsize=6)
-            panel.set(xscale="log", yscale="log", xlabel=x, title=title)
-        axes[0][0].set_ylabel(y)
-        figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside right upper", fontsize=8)
-        return plots.svg(figure)

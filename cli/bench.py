@@ -51,7 +51,9 @@ class _ManyValues(click.Command):
 @click.option("--segment", "segments", type=float, multiple=True, default=(1.0,), metavar="R ...", show_default=True)
 @click.option("--peers/--no-peers", default=True, show_default=True, help="Measure other programs and libraries, too.")
 @click.option("--wait", "patient", is_flag=True, help="Wait for slow peers, too: ngspice takes 20 s for 64 x 64.")
-@click.option("--picture", type=click.Path(path_type=Path), metavar="OUT.svg", help="Draw error against time.")
+@click.option(
+    "--picture", type=click.Path(path_type=Path), metavar="OUT.svg", help="Of solvers: draw error against time."
+)
 @click.option("--estimators", is_flag=True, help="Measure the pressure estimators instead, on a material of their own.")
 @click.option(
     "--driver", "of_driver", is_flag=True, help="Measure the live path instead, bytes to kPa, at these sizes."
@@ -98,7 +100,7 @@ def command(
         _show([("", of_cells.estimators())], as_json)
         return
     if of_driver:
-        _live_path(sizes, as_json, picture)
+        _live_path(sizes, as_json)
         return
     if of_contacts:
         measured = (of_taps.HEAD, of_taps.taps_and_faults(sizes)), (of_fingers.HEAD, of_fingers.fingers(sizes))
@@ -149,21 +151,12 @@ def _show(measured: Sequence[tuple[str, Iterable[Any]]], as_json: bool) -> None:
             click.echo(line)
 
 
-def _live_path(sizes: tuple[int, ...], as_json: bool, picture: Path | None) -> None:
+def _live_path(sizes: tuple[int, ...], as_json: bool) -> None:
     """Boards, sudden events, estimators, and a whole skin."""
-    judged: list[of_drivers.Row] = []
-
-    def estimators() -> Iterator[of_drivers.Row]:
-        for row in of_drivers.live_estimators(sizes):
-            judged.append(row)
-            yield row
-        if picture is not None:
-            tables.write_text(picture, of_drivers.live_picture(judged))
-
     measured = (
         (of_drivers.head(), of_drivers.driver(sizes)),
         (of_events.HEAD, of_events.worst_frames(sizes)),
-        ("the same by estimator", estimators()),
+        ("the same by estimator", of_drivers.live_estimators(sizes)),
         (of_skins.HEAD, of_skins.freshness(sizes)),
     )
     _show(measured, as_json)

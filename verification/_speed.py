@@ -132,9 +132,6 @@ def live_path(_: Subject) -> Finding:
             "system add. "
             "`ohmskin bench --driver` measures more sizes, other circuits and the estimators that learn."
         ],
-        figures=[
-            Figure(bench.live_picture(rows), "Error against speed, one curve per estimator, along the sizes N x N.")
-        ],
         tables=[
             Table(
                 ["array", "estimator", "frames/s", "packets", "ohms", "kPa", "std", "skin", "RMSE, kPa", "worst, kPa"],
