@@ -6,67 +6,69 @@ whose clock is fast by 100 ppm reaches its tick at 10 s after 9.999 s of line ti
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from math import inf
+from typing import Protocol
 
 import numpy as np
 
-from ..wire import BoardProtocol
-from ._board import Board
 from ._faults import Line, Schedule, may_lose
-from ._hand import Hand
 from ._line import Transmission
 from ._scene import Scene
-from ._skin import Sample
 
 ANSWER_ROOM = 4096
 """bytes of room in the transmit buffer with which commands are answered; with less their answers wait"""
+HANDSHAKE_BYTES = 4096
+"""on the line, from which on the handshake line stops the board; what is on its way then still fits"""
 BAUD_TOLERANCE = 0.04
 """relative error of the baud rate that a UART of 10 bits a byte stands: half a bit in ten, less its sampling error"""
 LONGEST_SPLIT = 7
 """bytes that a line with the fault split-bytes delivers at a time, at most"""
 
 
+class LivingBoard(Protocol):
+    """A board as the device drives it: the model of one (:class:`._board.Board`), or the program of a real one."""
+
+    streaming: bool
+    orders: int
+    """commands taken so far that start or stop frames"""
+    overrun: bool
+    """set when a frame found no room"""
+    clear_to_send: bool
+    """level of the handshake line: False where much waits to be read"""
+
+    @property
+    def streams_unasked(self) -> bool: ...
+
+    @property
+    def next_us(self) -> int: ...
+
+    @property
+    def wants_tick(self) -> bool: ...
+
+    def tick(self) -> list[bytes]: ...
+
+    def receive(self, data: bytes) -> None: ...
+
+    def answers(self) -> list[bytes]: ...
+
+    def reset(self, *, boots_for_us: int = 0) -> None: ...
+
+    def farewell(self) -> bytes: ...
+
+
 class Device:
     """Everything at the far end of a port."""
 
-    def __init__(
-        self,
-        scene: Scene,
-        *,
-        seed: int = 0,
-        boot_id: int = 1,
-        duration_s: float = inf,
-        protocol: BoardProtocol | None = None,
-        record: Callable[[Sample], None] | None = None,
-        capacity: int | None = None,
-        hand: Hand | None = None,
-        ahead: bool = False,
-    ) -> None:
-        """Switch the device on; arguments as for :class:`Board`.
+    def __init__(self, scene: Scene, board: LivingBoard, *, seed: int = 0, capacity: int | None = None) -> None:
+        """Switch the device on.
 
         Args:
-            scene: skin, board, line and faults.
-            seed: for the converter's noise, the line's faults and the jitter.
-            boot_id: number of this start of the board.
-            duration_s: s after which no frame comes any more.
-            protocol: the board's end of the line.
-            record: told of every frame that the board scans.
+            scene: line, clock and faults.
+            board: what is at the other end of the line.
+            seed: for the line's faults and the jitter.
             capacity: bytes of the transmit buffer; None: those of a microcontroller.
-            hand: presses beside the scene's contacts.
-            ahead: compute frames ahead in a thread.
 
         """
-        self.board = Board(
-            scene,
-            seed=seed,
-            boot_id=boot_id,
-            duration_s=duration_s,
-            protocol=protocol,
-            record=record,
-            hand=hand,
-            ahead=ahead,
-        )
+        self.board = board
         if capacity is None:
             rows, columns = scene.skin.design.array.shape
             capacity = 8192 + 8 * rows * columns
@@ -108,6 +110,7 @@ class Device:
         if reset is not None:
             self.reset(reset.text, now_us, boots_for_s=reset.duration_s or 0.0)
         scanning = self.board.wants_tick
+        self.board.clear_to_send = len(self.transmission) < HANDSHAKE_BYTES
         packets = self.board.tick()
         if not host_present:
             return

@@ -24,7 +24,7 @@ from needs import need
 from ohmskin.cell import Cell
 from ohmskin.circuits import Design, Settling, adc_codes, scan
 from ohmskin.driver import Skin
-from ohmskin.emulator import PtyPort, Sample, Scene
+from ohmskin.emulator import PtyPort, Sample, Scene, running
 from ohmskin.emulator.firmware import (
     AVR8JS,
     CLOCK_HZ,
@@ -34,7 +34,6 @@ from ohmskin.emulator.firmware import (
     Processor,
     check_scene,
     missing_for,
-    running_firmware,
 )
 from ohmskin.errors import InputError, LinkError, MissingExtra
 from ohmskin.verification import _firmware as verification_firmware
@@ -295,7 +294,7 @@ def test_faults_of_the_line_are_counted_and_survived(tmp_path: Path) -> None:
     truth = tmp_path / "truth.npz"
     with (
         PtyPort() as port,
-        running_firmware(faulty, port, clock="fast", duration_s=3.0, truth=truth),
+        running(faulty, port, engine="firmware", clock="fast", duration_s=3.0, truth=truth),
         Skin.open(port.name, delivery="lossless", timeout=60.0) as skin,
     ):
         frames = list(islice(skin, 135))
@@ -313,7 +312,7 @@ def test_a_stall_ends_though_more_waits_than_the_converter_holds(tmp_path: Path)
     stalled = scene(link_fault=[{"kind": "stall", "at_s": 0.5, "duration_s": 2.0}])
     with (
         PtyPort() as port,
-        running_firmware(stalled, port, clock="fast", duration_s=3.0),
+        running(stalled, port, engine="firmware", clock="fast", duration_s=3.0),
         Skin.open(port.name, delivery="lossless") as skin,
     ):
         frames = list(skin)
@@ -328,7 +327,7 @@ def test_the_end_of_a_finite_run_is_an_end_and_no_pulled_cable(loss: float, tmp_
     truth = tmp_path / "truth.npz"
     with (
         PtyPort() as port,
-        running_firmware(scene(line={"packet_loss": loss}), port, clock="fast", duration_s=6.0, truth=truth),
+        running(scene(line={"packet_loss": loss}), port, engine="firmware", clock="fast", duration_s=6.0, truth=truth),
         Skin.open(port.name, delivery="lossless", timeout=60.0) as skin,
     ):
         first, *others = skin  # a LinkError, if the end were not told

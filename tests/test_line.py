@@ -10,7 +10,7 @@ from boards import DESIGN, scene
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ohmskin.emulator import Device, Line, LineSettings, LinkFault, Scene, Transmission
+from ohmskin.emulator import Board, Device, Line, LineSettings, LinkFault, Scene, Transmission
 from ohmskin.errors import InputError
 from ohmskin.wire import Corrupt, Description, Event, Flag, FramePacket, Identity, host_protocol
 
@@ -142,7 +142,7 @@ def test_a_fault_that_cannot_be_is_refused(fault: dict[str, object], message: st
 
 def live(what: Scene, seconds: float, *, read: bool = True, seed: int = 0) -> tuple[Device, list[tuple[float, Event]]]:
     """A device for some seconds of line time, read every millisecond; the events and when they came."""
-    device, host, heard = Device(what, seed=seed), host_protocol("ohmskin"), []
+    device, host, heard = Device(what, Board(what, seed=seed), seed=seed), host_protocol("ohmskin"), []
     now_us = 0.0
     while now_us < 1e6 * seconds:
         while device.next_us <= now_us:
@@ -198,7 +198,7 @@ def test_the_boards_clock_has_its_offset_and_its_drift() -> None:
 
 def test_jitter_delays_frames_and_keeps_their_order() -> None:
     what = scene(clock={"jitter_s": 0.004}, board={"frame_rate": 100.0})
-    device, host = Device(what), host_protocol("ohmskin")
+    device, host = Device(what, Board(what)), host_protocol("ohmskin")
     delays = []
     for _ in range(500):
         due_us = device.next_us
@@ -239,7 +239,7 @@ def test_a_stall_delivers_late_and_a_second_host_takes_bytes_away() -> None:
     assert [frame.sequence for frame in frames(heard)][:5] == list(range(5))
 
     what = scene(link_fault=[{"kind": "second-host", "at_s": 1.0, "duration_s": 1.0}], board={"frame_rate": 100.0})
-    device, host, heard = Device(what), host_protocol("ohmskin"), []
+    device, host, heard = Device(what, Board(what)), host_protocol("ohmskin"), []
     while device.time_s < 3.0:
         device.tick(host_present=True)
         device.advance(device.next_us)

@@ -21,7 +21,7 @@ from patience import HANG_S, Patience
 
 from ohmskin.bench import soak
 from ohmskin.driver import Skin
-from ohmskin.emulator import Device, PtyPort, Rfc2217Port, Scene, TcpPort, running
+from ohmskin.emulator import Board, Device, PtyPort, Rfc2217Port, Scene, TcpPort, running
 from ohmskin.emulator import _ports as ports
 from ohmskin.wire import Command, Corrupt, Event, FramePacket, Identity, Order, encode, host_protocol
 
@@ -187,7 +187,8 @@ def test_a_host_that_reads_is_not_pushed_out() -> None:
 
 
 def test_a_flood_of_commands_by_a_host_that_does_not_read_grows_nothing_and_stops_no_clock() -> None:
-    device = Device(scene(board={"frame_rate": 100.0}))
+    what = scene(board={"frame_rate": 100.0})
+    device = Device(what, Board(what))
     flood = encode(Command(Order.DESCRIBE)) * 200 + encode(Command(Order.SELF_TEST)) * 200
     largest = 0
     while device.time_s < 5.0:

@@ -74,6 +74,8 @@ def check_scene(scene: Scene) -> BoardKind:
             raise InputError(f'link_fault[{number}]: "{fault.kind}"; the firmware engine has {kinds}')
     if scene.clock != ClockSettings():
         raise InputError("clock: the firmware engine has the exact clock of its processor; leave the table out")
+    if scene.line.auto_reset:
+        raise InputError("line.auto_reset: the firmware engine has no such part; leave the key out")
     design = scene.skin.design
     rows, columns = design.array.shape
     for kind in REFERENCE_BOARDS:
