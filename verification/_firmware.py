@@ -94,9 +94,7 @@ def _received(subject: Subject, scene: Scene) -> list[Check]:
         truth_file = Path(folder) / "truth.npz"
         port = PtyPort()
         with (
-            running(
-                scene, port, engine="firmware", clock="fast", duration_s=(FRAMES + 25) / RATE_HZ, truth=truth_file
-            ),
+            running(scene, port, engine="firmware", clock="fast", duration_s=(FRAMES + 25) / RATE_HZ, truth=truth_file),
             Skin.open(port.name, cell=subject.cell, delivery="lossless", timeout=PATIENCE_S) as skin,
         ):
             frames = list(islice(skin, FRAMES))
