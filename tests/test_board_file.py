@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from ohmskin.circuits import Design, Reason, adc_codes
 from ohmskin.cli import run
 from ohmskin.common.config import parse
-from ohmskin.driver import Skin, Tare, discover
+from ohmskin.driver import Skin, discover
 from ohmskin.emulator import PtyPort, running
 from ohmskin.errors import InputError
 from ohmskin.wire import (
@@ -343,15 +343,6 @@ def test_damage_costs_the_frames_that_it_hits(path: Path, noise: bytes, cut: int
     assert len(wrong) <= allowed
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_noise_without_end_takes_bounded_memory(path: Path) -> None:
-    host, random = host_protocol(path), np.random.default_rng(5)
-    for k in range(20):
-        host.feed(random.bytes(20_000), float(k))
-    held = max((len(value) for value in vars(host).values() if isinstance(value, bytearray | list)), default=0)
-    assert held < 25_000
-
-
 # With driver, emulator and recordings
 
 
@@ -440,23 +431,6 @@ def test_a_cell_that_the_board_leaves_out_is_marked_as_missing() -> None:
     assert marked.counts[0, 2] == 0
     others = np.arange(6).reshape(2, 3) != 2
     np.testing.assert_allclose(marked.resistance[others], whole.resistance[others], rtol=1e-6)
-
-
-def test_a_tare_in_counts_is_saved_and_refused_elsewhere(tmp_path: Path) -> None:
-    tare = Tare(
-        rest_resistance_ohm=np.full((2, 3), np.nan),
-        measured=np.ones((2, 3), dtype=bool),
-        std_ohm=np.full((2, 3), np.nan),
-        frames=4,
-        lost=None,
-        serial_number="",
-        wall_time=1e9,
-        rest_counts=np.arange(6.0).reshape(2, 3),
-    )
-    tare.save(tmp_path / "rest.npz")
-    again = Tare.load(tmp_path / "rest.npz")
-    np.testing.assert_array_equal(again.rest, tare.rest)
-    assert "counts" in repr(again)
 
 
 # Files

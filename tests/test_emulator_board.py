@@ -15,14 +15,12 @@ from ohmskin.wire import (
     Command,
     Description,
     Event,
-    Flag,
     FramePacket,
     Identity,
     LineState,
     Order,
     Reply,
     SelfTest,
-    Status,
     encode,
     host_protocol,
 )
@@ -39,15 +37,6 @@ def live(board: Board, ticks: int) -> list[Event]:
 def ask(board: Board, order: Order, **values: int) -> list[Event]:
     board.receive(encode(Command(order, **values)))
     return events(board.answers())
-
-
-def test_a_board_streams_from_power_up_and_says_once_a_second_who_it_is() -> None:
-    sent = live(Board(scene(board={"frame_rate": 10.0})), 25)
-    assert [type(event) for event in sent[:3]] == [Identity, Description, FramePacket]
-    frames = [event for event in sent if isinstance(event, FramePacket)]
-    assert [(frame.sequence, frame.time_us) for frame in frames] == [(k, 100_000 * k) for k in range(25)]
-    identities = [event for event in sent if isinstance(event, Identity)]
-    assert [(who.sequence, who.time_us) for who in identities] == [(0, 0), (10, 1_000_000), (20, 2_000_000)]
 
 
 def test_the_description_is_the_scene_again() -> None:
@@ -88,19 +77,6 @@ def test_a_stopped_board_is_silent_but_its_skin_lives_on() -> None:
     assert (after.time_us, after.payload) == (there.time_us, there.payload)
 
 
-def test_describe_is_answered_in_both_states_and_noise_in_none() -> None:
-    board = Board(scene())
-    live(board, 3)
-    (answer,) = ask(board, Order.DESCRIBE)
-    assert isinstance(answer, Description)
-    assert (answer.sequence, answer.time_us) == (3, 60_000)
-    ask(board, Order.STOP)
-    (answer,) = ask(board, Order.DESCRIBE)
-    assert isinstance(answer, Description)
-    board.receive(b"\x07hello\0\xff\0" + encode(FramePacket(0, 0, 1, 1, b"\0\0")))
-    assert not board.answers()
-
-
 def test_a_flood_of_commands_gets_one_answer_of_each_kind() -> None:
     board = Board(scene())
     live(board, 1)
@@ -113,31 +89,6 @@ def test_a_flood_of_commands_gets_one_answer_of_each_kind() -> None:
         "SelfTest",
     ]
     assert not board.answers()
-
-
-def test_a_new_rate_begins_at_the_next_tick() -> None:
-    board = Board(scene(board={"frame_rate": 10.0}))
-    live(board, 3)
-    (reply,) = ask(board, Order.RATE, period_us=2_000)
-    assert isinstance(reply, Reply)
-    assert reply.status is Status.TAKEN
-    times = [event.time_us for event in live(board, 4) if isinstance(event, FramePacket)]
-    assert times == [300_000, 302_000, 304_000, 306_000]
-    (reply,) = ask(board, Order.RATE, period_us=0)
-    assert isinstance(reply, Reply)
-    assert reply.status is Status.OUT_OF_RANGE
-    assert board.next_us == 308_000
-
-
-def test_one_frame_is_one_frame() -> None:
-    board = Board(scene())
-    live(board, 2)
-    ask(board, Order.STOP)
-    assert not live(board, 5)
-    ask(board, Order.ONE_FRAME)
-    (frame,) = live(board, 5)
-    assert isinstance(frame, FramePacket)
-    assert frame.sequence == 2
 
 
 def test_the_self_test_finds_broken_and_joined_lines_and_reads_its_resistors() -> None:
@@ -156,14 +107,6 @@ def test_the_self_test_finds_broken_and_joined_lines_and_reads_its_resistors() -
     for nominal, measured in result.references:
         assert measured == pytest.approx(nominal, rel=0.01)
         assert measured != nominal  # it went through the converter
-
-
-def test_an_overrun_is_flagged_in_the_next_frame_only() -> None:
-    board = Board(scene())
-    live(board, 2)
-    board.overrun = True
-    flags = [event.flags for event in live(board, 2) if isinstance(event, FramePacket)]
-    assert flags == [Flag.OVERRUN, Flag.NONE]
 
 
 def test_noise_has_its_size_and_its_seed() -> None:

@@ -15,11 +15,6 @@ EXAMPLES = sorted(
 )
 
 
-@pytest.fixture(autouse=True)
-def _short(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ohmskin.emulator._plan._BUDGET_S", 0.05)
-
-
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_the_examples_can_be_planned(example: Path) -> None:
     made = plan(Scene.load(example))

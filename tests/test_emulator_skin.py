@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -12,21 +11,20 @@ from boards import DESIGN, scene
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ohmskin.circuits import Design, scan
+from ohmskin.circuits import scan
 from ohmskin.emulator import (
     Board,
     Bump,
     Contact,
     Disc,
     EmulatedSkin,
-    FrameBlock,
     Image,
     Point,
     Rectangle,
     Scene,
     spread,
 )
-from ohmskin.errors import InputError, SolverError
+from ohmskin.errors import InputError
 from ohmskin.wire import Command, Order, encode
 
 BIG: dict[str, Any] = {
@@ -87,35 +85,6 @@ def test_how_frames_are_asked_for_changes_no_bit(pieces: list[int], seed: int) -
             if done % 97 == 0:
                 np.testing.assert_array_equal(block.volts[place], straight["volts"][done])
             done += 1
-
-
-@pytest.mark.parametrize("ahead", [False, True])
-def test_a_new_frame_rate_begins_where_the_old_one_was(ahead: bool) -> None:
-    what = sliding(board={"frame_rate": 100.0})
-    skin = EmulatedSkin(what, ahead=ahead)
-    for _ in range(31):
-        skin.read()
-    skin.set_period(5_000)
-    after = []
-    for _ in range(40):
-        block, place = skin.read()
-        after.append((int(block.time_us[place]), block.resistance_ohm[place]))
-    assert [time for time, _ in after] == [310_000 + 5_000 * k for k in range(40)]
-    straight = read(what, 50)
-    for frame in range(31, 50):  # the frames at full hundredths are in both
-        np.testing.assert_allclose(after[2 * (frame - 31)][1], straight["resistance_ohm"][frame], rtol=2e-3)
-    np.testing.assert_allclose(after[0][1], straight["resistance_ohm"][31], rtol=1e-12)
-
-
-def test_untouched_cells_have_no_state_and_released_ones_lose_it() -> None:
-    what = scene(
-        contact=[{"cells": [[1, 1]], "load_kpa": [[0.0, 9.0], [1.0, 9.0], [1.0, 0.0]]}], board={"frame_rate": 0.01}
-    )
-    skin = EmulatedSkin(what)
-    for _ in range(600):
-        skin.read()
-    assert not len(skin._physics._active)
-    assert read(what, 40)["resistance_ohm"][-1].max() == pytest.approx(1e4, rel=1e-5)
 
 
 def brute(shape: Disc | Rectangle | Bump, array: tuple[int, int]) -> np.ndarray:
@@ -347,51 +316,6 @@ def test_a_picture_that_is_none_is_refused_in_one_line(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=message) as caught:
             Scene.from_tables(tables, source="s", directory=tmp_path)
         assert "\n" not in str(caught.value)
-
-
-def test_one_disc_on_the_largest_array_takes_little_memory() -> None:
-    tracemalloc.start()
-    Disc(center=(512.0, 512.0), radius_cells=700.0).coverage((1024, 1024))
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert peak < 300e6
-
-
-def test_names_say_what_they_are() -> None:
-    assert FrameBlock.__doc__
-    assert Design.model_validate(BIG).array.rows == 9
-
-
-def test_the_first_frame_of_a_slow_circuit_does_not_wait_for_others() -> None:
-    divider = {**DESIGN, "readout": {"circuit": "voltage-divider", "reference_resistance": 20e3}}
-    skin = EmulatedSkin(scene(skin={"design": divider}))
-    lengths = []
-    for _ in range(60):
-        block, place = skin.read()
-        if place == 0:
-            lengths.append(len(block))
-    assert lengths[:2] == [1, 3]
-    assert max(lengths) <= 8
-
-
-@pytest.mark.parametrize("ahead", [False, True])
-def test_what_fails_in_the_physics_is_raised_where_frames_are_read(
-    ahead: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    skin = EmulatedSkin(scene(), ahead=ahead)
-    skin.read()
-
-    def fail(*args: object) -> None:
-        raise SolverError("no solution")
-
-    monkeypatch.setattr("ohmskin.emulator._skin.scan_sequence", fail)
-
-    def read_on() -> None:
-        for _ in range(10):
-            skin.read()
-
-    with pytest.raises(SolverError, match="no solution"):
-        read_on()
 
 
 def test_the_same_seed_gives_the_same_bytes_with_and_without_a_thread() -> None:

@@ -43,47 +43,6 @@ def test_output_to_a_descriptor_appends_where_the_shell_appends(design: Path) ->
     assert sorted(path.name for path in design.iterdir()) == ["all.csv", "cells.csv", "design.toml"]
 
 
-def test_a_link_to_standard_output_is_written_through(design: Path) -> None:
-    (design / "link.csv").symlink_to("/dev/stdout")
-    shown = subprocess.run([*SCANNING, "link.csv"], cwd=design, capture_output=True, text=True, check=True).stdout
-    assert len(shown.split(",")) == 2
-    assert (design / "link.csv").is_symlink()
-
-
-def test_a_pipe_is_written_through(tmp_path: Path) -> None:
-    pipe = tmp_path / "pipe"
-    os.mkfifo(pipe)
-    with subprocess.Popen(["cat", pipe], stdout=subprocess.PIPE) as reader:
-        check_writable(pipe)
-        write_text(pipe, "through\n")
-        assert reader.stdout is not None
-        assert reader.stdout.read() == b"through\n"
-    assert pipe.is_fifo()
-
-
-def test_a_replaced_file_keeps_its_mode(tmp_path: Path) -> None:
-    file = tmp_path / "private.csv"
-    file.write_text("old")
-    file.chmod(0o640)
-    write_text(file, "new")
-    assert file.read_text() == "new"
-    assert file.stat().st_mode & 0o777 == 0o640
-
-
-def test_a_new_file_has_the_mode_that_the_user_asks_for(tmp_path: Path) -> None:
-    before = os.umask(0o027)
-    try:
-        write_text(tmp_path / "new.csv", "new")
-    finally:
-        os.umask(before)
-    assert (tmp_path / "new.csv").stat().st_mode & 0o777 == 0o640
-
-
-def test_a_name_as_long_as_the_system_allows_can_be_written(tmp_path: Path) -> None:
-    write_text(tmp_path / ("n" * 255), "new")
-    assert [len(path.name) for path in tmp_path.iterdir()] == [255]
-
-
 @pytest.mark.parametrize("error", [InputError("of the content"), LinkError("of a port"), KeyboardInterrupt()])
 def test_an_error_within_the_block_leaves_the_old_file(error: BaseException, tmp_path: Path) -> None:
     file = tmp_path / "kept.csv"

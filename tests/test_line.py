@@ -80,16 +80,6 @@ def test_a_usb_bridge_sends_full_packets_at_once_and_the_rest_when_its_timer_end
     assert line.next_us(17_000.0) == np.inf
 
 
-def test_a_stalled_line_holds_everything_and_loses_nothing_that_fits() -> None:
-    line = Transmission(LineSettings(), 1000)
-    for k in range(5):
-        line.offer(bytes([k]) * 10, 100.0 * k)
-        line.advance(100.0 * k, stalled=True)
-    assert not line.host
-    line.advance(600.0)
-    assert bytes(line.host) == b"".join(bytes([k]) * 10 for k in range(5))
-
-
 def carried(kind: str, **keys: object) -> list[bytes]:
     fault = LinkFault.model_validate({"kind": kind, **keys})
     line = Line(LineSettings(), 3, [fault])
@@ -194,22 +184,6 @@ def test_the_boards_clock_has_its_offset_and_its_drift() -> None:
     assert stamps[0] == 50_000_000
     slope = np.polyfit(arrivals, stamps, 1)[0]
     assert slope == pytest.approx(1.001, abs=5e-5)
-
-
-def test_jitter_delays_frames_and_keeps_their_order() -> None:
-    what = scene(clock={"jitter_s": 0.004}, board={"frame_rate": 100.0})
-    device, host = Device(what, Board(what)), host_protocol("ohmskin")
-    delays = []
-    for _ in range(500):
-        due_us = device.next_us
-        device.tick(host_present=True)
-        sent_us = device._line_us
-        device.advance(1e12)
-        host.feed(device.arrived(), 0.0)
-        delays.append(sent_us - due_us)
-        device.transmission.clear(sent_us)
-    assert np.std(delays) == pytest.approx(4000 * np.sqrt(1 - 2 / np.pi), rel=0.15)
-    assert min(delays) >= 0
 
 
 def test_a_reset_is_a_new_boot_with_text_on_the_line() -> None:

@@ -114,16 +114,6 @@ def test_the_source_distribution_holds_what_a_maintainer_needs(built: Path) -> N
     assert {"Makefile", "README.md", "CHANGELOG.md", "LICENSE", "pyproject.toml"} <= packed
 
 
-def test_make_restores_the_links(built: Path, tmp_path: Path) -> None:
-    (file,) = built.glob("*.tar.gz")
-    with tarfile.open(file) as archive:
-        archive.extractall(tmp_path, filter="data")
-    (source,) = tmp_path.iterdir()
-    _run("make", "-s", "links", cwd=source)
-    for room in ROOMS:
-        assert (source / room).samefile(source / "src" / "ohmskin" / room)
-
-
 def _lowest_versions() -> list[str]:
     """One line NAME==VERSION for every requirement of the package and of its extra `report`."""
     lines = []
@@ -132,12 +122,6 @@ def _lowest_versions() -> list[str]:
         (bound,) = [clause.version for clause in requirement.specifier if clause.operator in (">=", "==")]
         lines.append(f"{requirement.name}=={bound}")
     return lines
-
-
-def test_the_wheel_holds_no_tests(wheel: Path) -> None:
-    for name in map(Path, zipfile.ZipFile(wheel).namelist()):
-        assert "tests" not in name.parts
-        assert not name.name.startswith(("test_", "conftest"))
 
 
 def test_every_command_starts(clean: Path, tmp_path: Path) -> None:
