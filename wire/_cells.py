@@ -4,16 +4,42 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
+from ..common.config import Finite, Section
 from ._packets import Corrupt, FramePacket
 from ._protocol import Layout
 
 Numbers = NDArray[np.float64]
-CellOrder = Literal["row-major", "column-major"]
+Byte = Annotated[int, Field(ge=0, le=255)]
+
+
+class AnyFrame(Section):
+    """Keys of ``[frame]`` in BOARD.toml that every format has: how the numbers lie in the array."""
+
+    order: Literal["row-major", "column-major"] = "row-major"
+    flip_rows: bool = False
+    flip_columns: bool = False
+    invert: bool = False
+    """counts fall with pressure: they are turned over before anything else sees them"""
+    range: Annotated[tuple[Finite, Finite], Field(strict=False)] | None = None
+    """numbers that stand for count 0 and for the largest count; None: the numbers are the counts"""
+    invalid: Literal["mark", "drop"] = "mark"
+    """what a number that is missing, NaN or outside the range costs: the cell, or the frame"""
+
+    def cells(self, layout: Layout) -> Cells:
+        """The cells of an array."""
+        shape, most = (layout.rows, layout.columns), 2**layout.adc_bits - 1
+        index = np.arange(shape[0] * shape[1])
+        grid = index.reshape(shape) if self.order == "row-major" else index.reshape(shape[::-1]).T
+        grid = grid[:: -1 if self.flip_rows else 1, :: -1 if self.flip_columns else 1]
+        lowest, highest = (0.0, float(most)) if self.range is None else self.range
+        step = (highest - lowest) / most
+        return Cells(shape, grid.ravel(), lowest, step, most, self.invert, drops=self.invalid == "drop")
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,26 +58,6 @@ class Cells:
     invert: bool
     drops: bool
     """whether a number that is no count costs the whole frame"""
-
-    @classmethod
-    def of(
-        cls,
-        layout: Layout,
-        *,
-        order: CellOrder = "row-major",
-        flip_rows: bool = False,
-        flip_columns: bool = False,
-        invert: bool = False,
-        span: tuple[float, float] | None = None,
-        drops: bool = False,
-    ) -> Self:
-        """Cells of an array; the arguments are those of ``[frame]`` in BOARD.toml."""
-        shape, most = (layout.rows, layout.columns), 2**layout.adc_bits - 1
-        index = np.arange(shape[0] * shape[1])
-        grid = index.reshape(shape) if order == "row-major" else index.reshape(shape[::-1]).T
-        grid = grid[:: -1 if flip_rows else 1, :: -1 if flip_columns else 1]
-        lowest, highest = (0.0, float(most)) if span is None else span
-        return cls(shape, grid.ravel(), lowest, (highest - lowest) / most, most, invert, drops)
 
     @property
     def count(self) -> int:
