@@ -232,7 +232,69 @@ class PtyPort(Port):
             self._link.release()
 
 
-class TcpPort(Port):
+class _SocketPort(Port):
+    """A stream socket with a host at its other end, or none."""
+
+    _host: socket.socket | None = None
+    _took_at = 0.0
+    """time at which the host took bytes last, or at which nothing waited for it"""
+
+    def host_present(self) -> bool:
+        return self._host is not None
+
+    def fileno(self) -> int:
+        return -1 if self._host is None else self._host.fileno()
+
+    def read(self) -> bytes | None:
+        if self._host is None:
+            return None
+        try:
+            data = self._host.recv(READ_AT_ONCE)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        if not data:
+            self._hang_up()
+            return None
+        return data
+
+    def write(self, data: bytes) -> int:
+        if self._host is None:
+            return 0
+        try:
+            sent = self._host.send(data)
+        except OSError:  # full, or broken: what broke shows at the next read
+            return 0
+        self._took_at = time.monotonic()
+        return sent
+
+    def unread(self) -> int:
+        if self._host is None:
+            return 0
+        (unacknowledged,) = struct.unpack("i", fcntl.ioctl(self._host, termios.TIOCOUTQ, struct.pack("i", 0)))
+        return int(unacknowledged)
+
+    def _close(self) -> None:
+        self._hang_up()
+
+    def _hang_up(self) -> None:
+        if self._host is not None:
+            self._host.close()
+            self._host = None
+
+
+class PairPort(_SocketPort):
+    """One end of a socket pair, for a host in the same process, who holds the other end."""
+
+    def __init__(self, name: str = "pair") -> None:
+        self.name = name
+        self._host, self.host_end = socket.socketpair()
+        self._host.setblocking(False)
+        self._host.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 16384)
+
+
+class TcpPort(_SocketPort):
     """A listening TCP socket for one host at a time.
 
     A second host is hung up on, unless the first one has left bytes unread for :data:`DEAF_S`.
@@ -250,9 +312,6 @@ class TcpPort(Port):
     SCHEME = "socket"
 
     def __init__(self, host: str, port: int) -> None:
-        self._host: socket.socket | None = None
-        self._took_at = 0.0
-        """time at which the host took bytes last, or at which nothing waited for it"""
         self._is_over = False
         self._listen(host, port)
 
@@ -304,39 +363,6 @@ class TcpPort(Port):
     def _greet(self) -> None:
         """A host has come."""
 
-    def fileno(self) -> int:
-        assert self._host is not None
-        return self._host.fileno()
-
-    def read(self) -> bytes | None:
-        assert self._host is not None
-        try:
-            data = self._host.recv(READ_AT_ONCE)
-        except BlockingIOError:
-            return b""
-        except OSError:
-            data = b""
-        if not data:
-            self._hang_up()
-            return None
-        return data
-
-    def write(self, data: bytes) -> int:
-        if self._host is None:
-            return 0
-        try:
-            sent = self._host.send(data)
-        except OSError:  # full, or broken: what broke shows at the next read
-            return 0
-        self._took_at = time.monotonic()
-        return sent
-
-    def unread(self) -> int:
-        if self._host is None:
-            return 0
-        (unacknowledged,) = struct.unpack("i", fcntl.ioctl(self._host, termios.TIOCOUTQ, struct.pack("i", 0)))
-        return int(unacknowledged)
-
     def end(self) -> None:
         super().end()
         self._is_over = True
@@ -358,16 +384,14 @@ class TcpPort(Port):
         if self._listener is not None:
             self._listener.close()
             self._listener = None
-        self._hang_up()
+        super()._close()
 
     def _hang_up(self) -> None:
-        if self._host is not None:
-            if self._is_over:
-                # Closing resets a connection on which bytes of the host have come that nobody has read.
-                with contextlib.suppress(OSError):
-                    self._host.shutdown(socket.SHUT_WR)
-            self._host.close()
-            self._host = None
+        if self._host is not None and self._is_over:
+            # Closing resets a connection on which bytes of the host have come that nobody has read.
+            with contextlib.suppress(OSError):
+                self._host.shutdown(socket.SHUT_WR)
+        super()._hang_up()
 
 
 class ControlLines:
@@ -475,49 +499,6 @@ class _Connection:
 
     def write(self, data: bytes) -> None:
         self._outgoing += data
-
-
-class PairPort(Port):
-    """One end of a socket pair, for a host in the same process, who holds the other end."""
-
-    def __init__(self, name: str = "pair") -> None:
-        self.name = name
-        self._socket, self.host_end = socket.socketpair()
-        self._socket.setblocking(False)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 16384)
-
-    def host_present(self) -> bool:
-        return self._socket.fileno() >= 0
-
-    def fileno(self) -> int:
-        return self._socket.fileno()
-
-    def read(self) -> bytes | None:
-        try:
-            data = self._socket.recv(READ_AT_ONCE)
-        except BlockingIOError:
-            return b""
-        except OSError:
-            data = b""
-        if not data:
-            self._socket.close()
-            return None
-        return data
-
-    def write(self, data: bytes) -> int:
-        try:
-            return self._socket.send(data)
-        except OSError:
-            return 0
-
-    def unread(self) -> int:
-        if self._socket.fileno() < 0:
-            return 0
-        (waiting,) = struct.unpack("i", fcntl.ioctl(self._socket, termios.TIOCOUTQ, struct.pack("i", 0)))
-        return int(waiting)
-
-    def _close(self) -> None:
-        self._socket.close()
 
 
 def _left(host: socket.socket) -> bool:

@@ -9,8 +9,7 @@ from boards import DESIGN, scene
 from ohmskin.cell import Cell
 from ohmskin.circuits import Design, adc_codes, scan
 from ohmskin.common.config import parse
-from ohmskin.emulator import Board, Line, Sample, Scene
-from ohmskin.emulator._scene import LineSettings
+from ohmskin.emulator import Board, Line, LineSettings, Sample, Scene
 from ohmskin.wire import (
     Command,
     Description,

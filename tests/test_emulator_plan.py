@@ -17,7 +17,7 @@ EXAMPLES = sorted(
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_the_examples_can_be_planned(example: Path) -> None:
-    made = plan(Scene.load(example))
+    made = plan(Scene.load(example), budget_s=0.05)
     assert made.frames_per_second > 0
     assert made.error_steps <= 0.25
     assert sum(made.methods.values()) == made.frames > 0
@@ -25,11 +25,11 @@ def test_the_examples_can_be_planned(example: Path) -> None:
 
 
 def test_a_plan_names_the_method_and_the_cells() -> None:
-    by_interpolation = plan(scene(board={"frame_rate": 500.0}))
+    by_interpolation = plan(scene(board={"frame_rate": 500.0}), budget_s=0.05)
     assert by_interpolation.methods["interpolation"] > by_interpolation.methods["exact"]
     assert by_interpolation.most_cells == 1
     divider = {**DESIGN, "readout": {"circuit": "voltage-divider", "reference_resistance": 20e3}}
-    solved = plan(scene(skin={"design": divider}))
+    solved = plan(scene(skin={"design": divider}), budget_s=0.05)
     assert "interpolation" not in solved.methods
 
 

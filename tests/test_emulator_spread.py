@@ -9,8 +9,7 @@ import pytest
 from boards import DESIGN, scene
 from scipy.integrate import dblquad
 
-from ohmskin.emulator import EmulatedSkin
-from ohmskin.emulator._spread import shares, spread
+from ohmskin.emulator import EmulatedSkin, shares, spread
 
 MIDDLES = (np.arange(6) + 0.5) / 6 - 0.5
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from ohmskin.circuits import Design
@@ -417,21 +417,6 @@ def test_an_unknown_family_names_the_nearest() -> None:
 
 def test_idle_zeros_are_no_events() -> None:
     assert PacketDecoder().feed(bytes(1000)) == []
-
-
-@settings(max_examples=25)
-@given(st.lists(packets, max_size=3), st.lists(noise, min_size=4, max_size=4), st.sampled_from([b"\0", b"\0a", b"a\0"]))
-def test_noise_of_many_delimiters_is_few_stretches(sent: list[Packet], between: list[bytes], dense: bytes) -> None:
-    """The packets within are found as in other noise, and no byte is lost."""
-    data = b"".join(200 * dense + some + b"\0" + encode(one) for one, some in zip(sent, between, strict=False))
-    data += 200 * dense + between[-1] + b"\0"
-    events, one_by_one = PacketDecoder().feed(data), by_bytes(PacketDecoder(), data)
-    corrupt = [event.size for event in events if isinstance(event, Corrupt)]
-    assert [event for event in events if not isinstance(event, Corrupt)] == [
-        event for event in one_by_one if not isinstance(event, Corrupt)
-    ]
-    assert sum(corrupt) == sum(event.size for event in one_by_one if isinstance(event, Corrupt))
-    assert len(corrupt) < 200
 
 
 def test_noise_without_end_takes_bounded_memory_and_is_reported_while_it_comes() -> None:

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..common.frozen import frozen
 from ..errors import InputError
 
 VERSION = 2
@@ -81,8 +80,7 @@ class LineState(enum.Enum):
     NOT_TESTED = 3
 
 
-@frozen
-@dataclass(slots=True, unsafe_hash=True)
+@dataclass(frozen=True, slots=True)
 class FramePacket:
     """One scan of the whole array. ``FramePacket.of(counts, ...)`` makes one from an array."""
 
