@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 import struct
 import zlib
@@ -77,12 +76,6 @@ A, B = [[1, 2, 3], [4, 5, 6]], [[7, 8, 9], [10, 11, 12]]
 def test_numbers_with_any_separator_in_a_line() -> None:
     for line in (b"1,2,3,4,5,6\r\n", b" 1  2 3\t4;5, 6;\n", b"1.0 2e0 +3 4.4 4.6 6\n"):
         assert frames(heard(text(), b"cut\n", line)) == [A]
-
-
-def test_the_first_line_may_be_cut_and_is_dropped() -> None:
-    events = heard(text(), b"1,2,3,4,5,6\n7,8,9,10,11,12\n")
-    assert frames(events) == [B]
-    assert reasons(events) == ["the host joined in the middle of a line"]
 
 
 def test_text_is_skipped_and_counted_and_damaged_lines_are_dropped() -> None:
@@ -211,14 +204,6 @@ def test_words_in_literal_bytes(word: str, line: bytes) -> None:
     assert frames(heard(family, whole * 3)) == [A, A, A]
     sent = board_protocol(family).frame(FramePacket.of(np.array(A), sequence=0, time_us=0))
     assert sent == b"\xaa\x55\0" + line + b"\0\0"
-
-
-def test_nan_and_negative_floats_cost_their_cells() -> None:
-    line = b"\xaa\x55" + struct.pack("<6f", 0.0, math.nan, 0.5, 1.0, -0.1, math.inf)
-    events = heard(binary(word="float32le", header=[0xAA, 0x55], range=[0.0, 1.0]), line * 2 + b"\xaa\x55")
-    first = next(event for event in events if isinstance(event, FramePacket))
-    assert first.absent == (1, 4, 5)
-    assert first.counts.tolist() == [[0, 0, 128], [255, 0, 0]]
 
 
 @pytest.mark.parametrize("name", CHECKSUMS)

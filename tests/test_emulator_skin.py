@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from ohmskin.circuits import scan
 from ohmskin.emulator import (
-    Board,
     Bump,
     Contact,
     Disc,
@@ -25,7 +24,6 @@ from ohmskin.emulator import (
     spread,
 )
 from ohmskin.errors import InputError
-from ohmskin.wire import Command, Order, encode
 
 BIG: dict[str, Any] = {
     **DESIGN,
@@ -120,10 +118,6 @@ def test_coverage_is_the_area_that_counting_finds(center: tuple[float, float], s
     ):
         np.testing.assert_allclose(shape.coverage((6, 7)), brute(shape, (6, 7)), atol=0.03)
         assert shape.coverage((60, 60)).sum() <= shape.area_cells(25.4) * (1 + 1e-9) + 1e-9
-
-
-def test_a_disc_that_covers_everything_covers_whole_cells() -> None:
-    np.testing.assert_allclose(Disc(center=(3.0, 3.0), radius_cells=1e5).coverage((6, 7)), 1.0, atol=1e-5)
 
 
 def test_a_sliding_shape_is_at_each_time_the_shape_at_that_place() -> None:
@@ -316,15 +310,3 @@ def test_a_picture_that_is_none_is_refused_in_one_line(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=message) as caught:
             Scene.from_tables(tables, source="s", directory=tmp_path)
         assert "\n" not in str(caught.value)
-
-
-def test_the_same_seed_gives_the_same_bytes_with_and_without_a_thread() -> None:
-    what = sliding(board={"frame_rate": 500.0, "noise": 1e-3})
-    boards = [Board(what, seed=5, boot_id=9, ahead=ahead) for ahead in (False, True)]
-    for tick in range(400):
-        if tick in {50, 90}:  # a host that changes the rate, stops and starts
-            for board in boards:
-                board.receive(encode(Command(Order.RATE, period_us=1500)))
-                board.receive(encode(Command(Order.STOP if tick == 50 else Order.START)))
-        first, second = (b"".join(board.tick()) for board in boards)
-        assert first == second

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import signal
 import subprocess
 import sys
 import time
@@ -85,20 +84,6 @@ def test_a_killed_emulator_leaves_its_frames(tmp_path: Path) -> None:
     assert len(truth.sequence) > 10
     np.testing.assert_array_equal(truth.sequence, np.arange(len(truth.sequence)))
     assert truth.pressure_kpa[:, 1, 2].max() > 2.0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGHUP, 129), (signal.SIGTERM, 143)])
-def test_a_hang_up_ends_the_run_with_a_whole_truth(tmp_path: Path, number: int, code: int) -> None:
-    board = start_emulator(tmp_path)
-    board.send_signal(number)
-    _, errors = board.communicate(timeout=HANG_S)
-    assert (board.returncode, errors.count("Traceback")) == (code, 0)
-    truth = Truth.load(tmp_path / "t.npz")
-    np.testing.assert_array_equal(truth.sequence, np.arange(len(truth.sequence)))
-    assert truth.full_scale_kpa == 15.5
-    assert truth.pitch_mm == pytest.approx(25.4)
-    assert not list(tmp_path.glob("*.spool*"))
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -11,10 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ohmskin.common.config import read_toml, write_toml
+from ohmskin.common.config import read_toml
 from ohmskin.common.files import check_writable, read_bytes, whole_file, write_together
-from ohmskin.common.tables import read_cells, read_columns, write_text
-from ohmskin.common.text import one_line, printable
+from ohmskin.common.tables import read_cells, read_columns
 from ohmskin.errors import InputError, LinkError
 
 SCANNING = [sys.executable, "-m", "ohmskin", "scan", "design.toml", "--cells", "cells.csv", "-o"]
@@ -84,14 +82,6 @@ def test_a_place_is_checked_without_touching_it(tmp_path: Path) -> None:
             check_writable(place)
 
 
-def test_a_file_name_that_is_not_utf8_can_be_written_about(tmp_path: Path) -> None:
-    name = os.fsdecode(b"\xff.toml")
-    write_text(tmp_path / "report.txt", name)
-    assert (tmp_path / "report.txt").read_text() == r"\udcff.toml"
-    assert printable(name) == r"\udcff.toml"
-    assert one_line("red \x1b[31m\n\ttitle \u202e") == r"red \x1b[31m title \u202e"
-
-
 @pytest.mark.parametrize("device", ["/dev/full", "/dev/zero", "/dev/urandom"])
 def test_endless_input_is_refused(device: str) -> None:
     with pytest.raises(InputError, match="larger than 16 MiB"):
@@ -119,13 +109,6 @@ def test_a_byte_order_mark_is_no_part_of_the_text(head: bytes, tmp_path: Path) -
     assert read_toml(file) == {"key": 1}
     file.write_bytes(head + b"1,2\n")
     assert read_cells(file, (1, 2)).tolist() == [[1.0, 2.0]]
-
-
-def test_written_toml_reads_back(tmp_path: Path) -> None:
-    tables = {"number": 1e-320, "none": float("inf"), "text": 'q"\x1b\n', "table": {"list": [1, [2.5]]}}
-    write_toml(tmp_path / "out.toml", tables, comment="first\nsecond \x1b")
-    assert read_toml(tmp_path / "out.toml") == tables
-    assert (tmp_path / "out.toml").read_text().startswith("# first\n# second \\x1b\n")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

@@ -269,20 +269,6 @@ def test_faults_of_the_line_are_counted_and_survived(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_stall_ends_though_more_waits_than_the_converter_holds(tmp_path: Path) -> None:
-    """At the fast clock, where board time otherwise stands still until the host has read."""
-    stalled = scene(link_fault=[{"kind": "stall", "at_s": 0.5, "duration_s": 2.0}])
-    with (
-        PtyPort() as port,
-        running(stalled, port, engine="firmware", clock="fast", duration_s=3.0),
-        Skin.open(port.name, delivery="lossless") as skin,
-    ):
-        frames = list(skin)
-    assert frames[-1].device_time > 2.5
-    assert sum(frame.lost_before for frame in frames) > 0
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("loss", [0.0, 0.3])
 def test_the_end_of_a_finite_run_is_an_end_and_no_pulled_cable(loss: float, tmp_path: Path) -> None:
     """No firmware says that it is over; the emulator does in its place, on a lossy line again and again."""
@@ -390,13 +376,6 @@ def test_a_program_that_uses_what_is_not_modelled_is_named(tmp_path: Path) -> No
         Processor(AVR8JS, file, b"", Nothing()) as chip,
         pytest.raises(LinkError, match=r"wrote 0xa0 to the register at 0x7a, which .* not modelled"),
     ):
-        chip.run(1000)
-
-
-def test_a_file_that_is_no_program_is_named(tmp_path: Path) -> None:
-    file = tmp_path / "text.hex"
-    file.write_text("hello\n")
-    with Processor(AVR8JS, file, b"", Nothing()) as chip, pytest.raises(LinkError, match="not Intel HEX: hello"):
         chip.run(1000)
 
 

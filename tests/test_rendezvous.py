@@ -13,7 +13,7 @@ from itertools import islice
 from pathlib import Path
 
 import pytest
-from boards import EXAMPLES, scene, until
+from boards import EXAMPLES, scene
 
 from ohmskin.common.rendezvous import Announcement, announced, announced_ports
 from ohmskin.driver import Skin, discover
@@ -242,31 +242,8 @@ class TestBoards:
                 first = next(skin)
         assert (first.sequence, first.lost_before) == (0, 0)
 
-    def test_a_board_is_found_under_its_new_name_and_not_while_it_is_away(self, tmp_path: Path) -> None:
-        pulled = {"kind": "unplug", "at_s": 0.2, "duration_s": 0.5, "name": "new"}
-        port = PtyPort(tmp_path / "old")
-        with running(scene(link_fault=[pulled]), port):
-            until(lambda: [board.port for board in discover(timeout=1.0)] == [str(tmp_path / "new")])
-
 
 class TestFiles:
-    def test_names_of_one_port_are_told_from_others(self, tmp_path: Path) -> None:
-        link = tmp_path / "skin"
-        with PtyPort(link) as port, TcpPort.at(":0") as listening:
-            number = listening.name.rpartition(":")[2]
-            for name in (str(link), os.path.realpath(link), listening.name, f"socket://localhost:{number}"):
-                assert announced(name) is not None, name
-            for name in (
-                "/dev/ttyACM0",
-                f"rfc2217://127.0.0.1:{number}",
-                "socket://127.0.0.1:1",
-                "loop://",
-                "socket://",
-            ):
-                assert announced(name) is None, name
-            assert port.name == str(link)
-        assert announced(str(link)) is None
-
     def test_a_file_that_a_dead_emulator_left_is_removed(self) -> None:
         there = Announcement("/dev/pts/1000")
         left = files()[0].with_name("0-dead.port")
