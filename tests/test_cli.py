@@ -225,7 +225,7 @@ def test_a_defect_is_one_line_with_an_exit_code_of_its_own(
 def test_an_interrupt_at_any_time_of_the_start_is_one_line() -> None:
     """The signal comes later and later, until the command is done before it comes."""
     outcomes = []
-    for delay_ms in (0, 40, 100, 200, 300, 500, 1000, 5000):
+    for delay_ms in (0, 150, 400, 5000):
         with subprocess.Popen(
             [sys.executable, "-c", START], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
         ) as process:

@@ -132,6 +132,7 @@ def test_every_command_starts(clean: Path, tmp_path: Path) -> None:
         assert f"Usage: ohmskin {command} " in said
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_the_demo_runs_without_ngspice(clean: Path, tmp_path: Path) -> None:
     """All but what follows presses frame by frame or calibrates a cell, which takes a minute without Numba.
@@ -160,6 +161,7 @@ def test_pressures_come_without_extras(clean: Path, tmp_path: Path) -> None:
     assert _run(clean / "python", "-W", "error", "-c", code, scene, cwd=tmp_path) == "(4, 4) True\n"
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_the_command_line_works_with_the_lowest_versions_that_the_metadata_allows(clean: Path) -> None:
     """The last test of this file, as it puts into the environment what tests need."""
