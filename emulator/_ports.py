@@ -22,7 +22,6 @@ from serial.rfc2217 import PortManager, Serial
 
 from ..common.rendezvous import END_OF_TRANSMISSION, Announcement
 from ..errors import InputError, LinkError
-from ._link_name import LinkName
 
 READ_AT_ONCE = 4096
 """bytes read of a host before the board goes on living: a flood of commands cannot hold it up"""
@@ -88,12 +87,9 @@ class Port(ABC):
 
     def unplug(self) -> None:
         """Take the port away for a while, as when the cable is pulled."""
-        self._unplug()
+        self._close()
         if self._announcement is not None:
             self._announcement.move("")
-
-    def _unplug(self) -> None:
-        self._close()
 
     def plug_in(self, name: str | None) -> None:
         """Bring the port back, under another ``name`` if one is given.
@@ -122,6 +118,55 @@ class Port(ABC):
         self.close()
 
 
+class _Link:
+    """A symbolic link to a pseudo-terminal.
+
+    A link to a terminal that is no more, such as a killed emulator leaves, is replaced. Anything else is left alone.
+
+    Raises:
+        InputError: something else is there, or the link cannot be made.
+
+    """
+
+    def __init__(self, path: Path) -> None:
+        if not path.name:
+            raise InputError(f"'{path}' is no name for a link; expected the name of a file")
+        self.path = path
+        self._device = ""
+        if not os.path.lexists(path):
+            return
+        target = self._target()
+        if target is None:
+            raise InputError(f"{path}: exists and is no symbolic link; expected a free name")
+        if not target.startswith("/dev/") or path.exists():
+            use = "is in use, perhaps by another emulator" if path.exists() else "no emulator made"
+            raise InputError(f"{path}: leads to {target}, which {use}; expected a free name")
+
+    def point_to(self, device: str) -> None:
+        """Let the link lead to ``device``; replaces an earlier link in one step."""
+        partial = self.path.with_name(f".{self.path.name}.partial-{os.getpid()}")
+        try:
+            partial.symlink_to(device)
+            partial.replace(self.path)
+        except OSError as error:
+            partial.unlink(missing_ok=True)
+            raise InputError(f"{self.path}: cannot be linked: {error.strerror}") from error
+        self._device = device
+
+    def remove(self) -> None:
+        """Take the link away; one that leads elsewhere by now is left alone."""
+        if self._device and self._target() == self._device:
+            with contextlib.suppress(OSError):
+                self.path.unlink()
+        self._device = ""
+
+    def _target(self) -> str | None:
+        try:
+            return os.readlink(self.path)
+        except OSError:
+            return None
+
+
 class PtyPort(Port):
     """A pseudo-terminal, which any serial program can open at any baud rate.
 
@@ -130,18 +175,14 @@ class PtyPort(Port):
         listed: whether hosts that look for boards open this port to see who is there.
 
     Raises:
-        InputError: ``link`` belongs to another emulator, is something else than an emulator's link, or cannot be made.
+        InputError: ``link`` is in use, is something else than an emulator's link, or cannot be made.
 
     """
 
     def __init__(self, link: Path | None = None, *, listed: bool = True) -> None:
         self._listed = listed
-        self._link = None if link is None else LinkName(link)
-        try:
-            self._open()
-        except BaseException:
-            self._release()
-            raise
+        self._link = None if link is None else _Link(link)
+        self._open()
 
     def _open(self) -> None:
         self._master, host_end = pty.openpty()
@@ -208,28 +249,17 @@ class PtyPort(Port):
             os.close(host_end)
         return int(waiting)
 
-    def _unplug(self) -> None:
-        if self._link is not None:
-            self._link.remove()
-        os.close(self._master)
-        self._master = -1
-
     def plug_in(self, name: str | None) -> None:
         if name is not None and self._link is not None:
-            new = LinkName(self._link.path.with_name(name))
-            self._link.release()
-            self._link = new
+            self._link = _Link(self._link.path.with_name(name))
         self._open()
 
     def _close(self) -> None:
-        self._release()
+        if self._link is not None:
+            self._link.remove()
         if self._master >= 0:
             os.close(self._master)
             self._master = -1
-
-    def _release(self) -> None:
-        if self._link is not None:
-            self._link.release()
 
 
 class _SocketPort(Port):

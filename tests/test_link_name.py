@@ -1,4 +1,4 @@
-"""The symbolic link of an emulator: owned by one living process, taken over from a dead one, never from a stranger."""
+"""The symbolic link of an emulator: one owner at a time, taken over from a dead one, never from a stranger."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_what_no_emulator_made_is_left_alone(tmp_path: Path, make: str) -> None:
 def test_a_name_has_one_owner_at_a_time(tmp_path: Path) -> None:
     link = tmp_path / "skin"
     with PtyPort(link) as first:
-        with pytest.raises(InputError, match="in use by another emulator"):
+        with pytest.raises(InputError, match="in use, perhaps by another emulator"):
             PtyPort(link)
         assert link.resolve() == Path(os.path.realpath(first.name))
     with PtyPort(link):
