@@ -86,6 +86,20 @@ def test_a_killed_emulator_leaves_its_frames(tmp_path: Path) -> None:
     assert truth.pressure_kpa[:, 1, 2].max() > 2.0
 
 
+def test_a_full_disk_is_named_with_the_spool_that_holds_the_frames(tmp_path: Path) -> None:
+    """A limit on the size of files stands for the disk. What an earlier run has left is not overwritten."""
+    (tmp_path / "prototype.toml").write_text((ROOT / "verification" / "prototype.toml").read_text())
+    (tmp_path / "scene.toml").write_text(SCENE)
+    (tmp_path / "t.npz.spool.npy").write_bytes(b"earlier")
+    emulate = f"{sys.executable} -m ohmskin emulate scene.toml --truth t.npz --duration 30"
+    limited = ["sh", "-c", f"ulimit -f 700; exec {emulate}"]
+    done = subprocess.run(limited, cwd=tmp_path, capture_output=True, text=True, timeout=HANG_S, check=False)
+    (line,) = done.stderr.splitlines()
+    assert (done.returncode, line.count("t.npz: cannot be written: File too large; t.npz.2.spool.npy holds")) == (2, 1)
+    assert len(Truth.load(tmp_path / "t.npz.2.spool.npy").sequence) > 100
+    assert (tmp_path / "t.npz.spool.npy").read_bytes() == b"earlier"
+
+
 @pytest.mark.parametrize(
     ("name", "reason"),
     [("no/t.npz", "No such file"), (".", "is a directory"), (os.devnull, "no regular file")],
