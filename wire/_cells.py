@@ -68,13 +68,12 @@ class Cells:
         """Whether each of these numbers stands for a count."""
         return bool(self._good(self._scaled(numbers)).all())
 
-    def event(self, numbers: Numbers, size: int, received_at: float) -> FramePacket | Corrupt:
+    def event(self, numbers: Numbers, size: int) -> FramePacket | Corrupt:
         """The frame of (cells,) numbers in the order sent, NaN where one is missing.
 
         Args:
             numbers: as they were sent.
             size: bytes of the frame on the line.
-            received_at: when its last byte came.
 
         """
         scaled = self._scaled(numbers[self.place])
@@ -92,9 +91,7 @@ class Cells:
             counts = np.uint16(self.most) - counts
         if absent:
             counts[list(absent)] = 0
-        return FramePacket.of(
-            counts.reshape(self.shape), sequence=None, time_us=None, absent=absent, received_at=received_at
-        )
+        return FramePacket.of(counts.reshape(self.shape), sequence=None, time_us=None, absent=absent)
 
     def numbers(self, frame: FramePacket) -> Numbers:
         """The (cells,) numbers that a board sends for ``frame``, in the order sent."""

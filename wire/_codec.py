@@ -6,7 +6,6 @@ The invariant: whatever bytes arrive, in whatever pieces, :meth:`PacketDecoder.f
 
 from __future__ import annotations
 
-import math
 import struct
 import zlib
 from collections.abc import Callable
@@ -58,7 +57,7 @@ _NO_FLAGS = Flag.NONE
 _FIRST_COMMAND = 0x80
 """packet types from here on go from host to board"""
 _Header = dict[str, Any]
-"""what every packet of a board keeps: sequence, time_us, boot_id, and received_at, when its last byte came"""
+"""what every packet of a board keeps: sequence, time_us and boot_id"""
 
 
 def encode(packet: Packet) -> bytes:
@@ -95,12 +94,11 @@ def _write(packet: Packet) -> tuple[int, bytes]:
             return packet.order.value, _RATE.pack(packet.period_us) if packet.order is Order.RATE else b""
 
 
-def decode(stuffed: bytes, received_at: float = math.nan) -> Packet | BadCommand:
+def decode(stuffed: bytes) -> Packet | BadCommand:
     """The packet in the bytes between two delimiters.
 
     Args:
         stuffed: without the delimiters.
-        received_at: time of the last byte, kept in the packet.
 
     Raises:
         ProtocolError: the bytes are no packet of this version; the message is the first rule that they break.
@@ -124,7 +122,7 @@ def decode(stuffed: bytes, received_at: float = math.nan) -> Packet | BadCommand
     if read is None:
         raise ProtocolError(f"unknown packet type 0x{kind:02x}")
     try:
-        return read({"sequence": sequence, "time_us": time_us, "boot_id": boot_id, "received_at": received_at}, payload)
+        return read({"sequence": sequence, "time_us": time_us, "boot_id": boot_id}, payload)
     except InputError as error:
         raise ProtocolError(str(error)) from error
 
@@ -140,16 +138,16 @@ class PacketDecoder:
         self._too_long = False
         """the stretch has outgrown every packet; the rest of it, up to the delimiter, is corrupt too"""
 
-    def feed(self, data: bytes, received_at: float = math.nan) -> list[Packet | BadCommand | Corrupt]:
+    def feed(self, data: bytes) -> list[Packet | BadCommand | Corrupt]:
         """The packets and corrupt stretches completed by ``data``, in order of arrival."""
         found: list[Packet | BadCommand | Corrupt] = []
         *completed, rest = bytes(data).split(b"\0")
         for piece in completed:
             if piece and not self._stretch and not self._too_long and len(piece) <= _MAX_STUFFED:
-                found.append(_decoded(piece, received_at))  # the usual case: a packet that came in one piece
+                found.append(_decoded(piece))  # the usual case: a packet that came in one piece
                 continue
             self._collect(piece, found)
-            self._finish(found, received_at)
+            self._finish(found)
         if rest:
             self._collect(rest, found)
         return found
@@ -161,7 +159,7 @@ class PacketDecoder:
             self._stretch.clear()
             self._too_long = True
 
-    def _finish(self, found: list[Packet | BadCommand | Corrupt], received_at: float) -> None:
+    def _finish(self, found: list[Packet | BadCommand | Corrupt]) -> None:
         stretch, too_long = bytes(self._stretch), self._too_long
         self._stretch.clear()
         self._too_long = False
@@ -170,12 +168,12 @@ class PacketDecoder:
         if too_long:
             found.append(Corrupt(len(stretch), "the end of a stretch longer than any packet"))
             return
-        found.append(_decoded(stretch, received_at))
+        found.append(_decoded(stretch))
 
 
-def _decoded(stretch: bytes, received_at: float) -> Packet | BadCommand | Corrupt:
+def _decoded(stretch: bytes) -> Packet | BadCommand | Corrupt:
     try:
-        return decode(stretch, received_at)
+        return decode(stretch)
     except ProtocolError as error:
         return Corrupt(len(stretch), str(error))
 

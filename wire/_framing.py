@@ -6,6 +6,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Annotated
 
+from numpy.typing import ArrayLike
 from pydantic import Field
 
 from ..common.config import Section
@@ -134,11 +135,9 @@ class PolledBoard(BoardProtocol):
         return [Command(Order.ONE_FRAME) for byte in data if self.asks(byte)]
 
 
-def one_frame(
-    packet_counts: object, received_at: float, *, sequence: int | None = None, time_us: int | None = None
-) -> list[Event]:
+def one_frame(counts: ArrayLike, *, sequence: int | None = None, time_us: int | None = None) -> list[Event]:
     """The event of one frame."""
-    return [FramePacket.of(packet_counts, sequence=sequence, time_us=time_us, received_at=received_at)]  # type: ignore[arg-type]
+    return [FramePacket.of(counts, sequence=sequence, time_us=time_us)]
 
 
 def require(family: Family, layout: Layout, shapes: list[tuple[int, int]], adc_bits: Sequence[int]) -> None:

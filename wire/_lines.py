@@ -228,7 +228,7 @@ class TextHost(LineHost):
             return [Corrupt(size, "a line with bytes that are no text")]
         if not self._form.by_frames and self._form.is_end(text):
             self._size += size
-            return self._finish(received_at)
+            return self._finish()
         if not text:
             return []
         if first and self._form.end is None:
@@ -243,7 +243,7 @@ class TextHost(LineHost):
         fault = f"a line of {len(numbers)} numbers; expected {self._expected}" if wrong else ""
         if self._form.by_frames:
             cells = np.array(numbers[self._form.skip :])
-            return [Corrupt(size, fault) if fault else self._cells.event(cells, size, received_at)]
+            return [Corrupt(size, fault) if fault else self._cells.event(cells, size)]
         events: list[Event] = []
         if self._form.end is None:
             begins = self._begins_by_number(numbers) if self._form.numbered_rows else self._begins(received_at)
@@ -257,7 +257,7 @@ class TextHost(LineHost):
         if len(self._rows) <= self._lines:  # more rows need not be kept to know that they are too many
             self._rows.append(numbers)
         if self._form.end is None and len(self._rows) == self._lines:
-            events += self._finish(received_at)
+            events += self._finish()
         return events
 
     def _begins_by_number(self, numbers: list[float]) -> bool:
@@ -283,7 +283,7 @@ class TextHost(LineHost):
         self._rows, self._size, self._fault, self._ahead = [], 0, "", 0
         return events
 
-    def _finish(self, received_at: float) -> list[Event]:
+    def _finish(self) -> list[Event]:
         """The event of the frame under way, which is over."""
         rows, size, form = self._rows, self._size, self._form
         if not rows and not self._fault:
@@ -295,4 +295,4 @@ class TextHost(LineHost):
             self._fault = "rows whose numbers do not follow each other"
             return self._drop()
         self._rows, self._size = [], 0
-        return [self._cells.event(np.array([row[form.skip :] for row in rows]).ravel(), size, received_at)]
+        return [self._cells.event(np.array([row[form.skip :] for row in rows]).ravel(), size)]

@@ -202,7 +202,7 @@ class CobsHost(_WordHost):
             stretch = bytes(self._buffer) + piece
             self._buffer.clear()
             if stretch:
-                events.append(self._take(stretch, received_at))
+                events.append(self._take(stretch))
         self._buffer += rest
         longest = self._size + self._size // 254 + 1
         if len(self._buffer) > max(2 * longest, MOST_TEXT):
@@ -210,7 +210,7 @@ class CobsHost(_WordHost):
             self._buffer.clear()
         return events
 
-    def _take(self, stretch: bytes, received_at: float) -> Event:
+    def _take(self, stretch: bytes) -> Event:
         try:
             frame = bytes(cobs.decode(stretch))
         except cobs.DecodeError as error:
@@ -220,7 +220,7 @@ class CobsHost(_WordHost):
         fault = self._form.fault(frame)
         if fault:
             return Corrupt(len(stretch), fault)
-        return self._cells.event(self._form.numbers(frame), len(stretch) + 1, received_at)
+        return self._cells.event(self._form.numbers(frame), len(stretch) + 1)
 
 
 class BinaryHost(_WordHost):
@@ -246,7 +246,7 @@ class BinaryHost(_WordHost):
         self._buffer += data
         events: list[Event] = []
         while True:
-            event = self._next(received_at)
+            event = self._next()
             if event is None:
                 return events
             events.append(event)
@@ -269,9 +269,9 @@ class BinaryHost(_WordHost):
         elif ahead:
             return
         while len(self._buffer) >= self._size:
-            yield self._take(received_at)
+            yield self._take()
 
-    def _next(self, received_at: float) -> Event | None:
+    def _next(self) -> Event | None:
         """The next event in the buffer, or None when more bytes are needed."""
         header = self._form.mark
         if self._in_step and header and not self._buffer.startswith(header):
@@ -283,8 +283,8 @@ class BinaryHost(_WordHost):
         if len(self._buffer) < self._size:
             return None
         if self._is_next():
-            return self._take(received_at)
-        return self._find_checked() if self._form.proves else self._find_by_headers(received_at)
+            return self._take()
+        return self._find_checked() if self._form.proves else self._find_by_headers()
 
     def _is_next(self) -> bool:
         """Whether the head of the buffer is a frame without doubt."""
@@ -330,7 +330,7 @@ class BinaryHost(_WordHost):
             if at + self._size > len(self._buffer) or not self._fault(at):
                 return self._skip(at, reason)
 
-    def _find_by_headers(self, received_at: float) -> Event | None:
+    def _find_by_headers(self) -> Event | None:
         """Find the phase in two lengths of a frame: places with a header, a frame, and another header behind it."""
         header, buffer, size = self._form.mark, self._buffer, self._size
         enough = 2 * size + len(header) - 1
@@ -356,7 +356,7 @@ class BinaryHost(_WordHost):
             best = min(places, key=self._distance)
         if best > 0:
             return self._skip(best, "bytes ahead of a header", in_step=True)
-        return self._take(received_at)
+        return self._take()
 
     def _candidates(self) -> Iterator[int]:
         """Places within the first frame's length at which a frame may begin."""
@@ -381,11 +381,11 @@ class BinaryHost(_WordHost):
             apart = np.abs(self._form.numbers(bytes(self._buffer[at : at + self._size])) - self._last)
         return float(np.nansum(apart))
 
-    def _take(self, received_at: float) -> Event:
+    def _take(self) -> Event:
         self._last = self._form.numbers(bytes(self._buffer[: self._size]))
         self._in_step = True
         del self._buffer[: self._size]
-        return self._cells.event(self._last, self._size, received_at)
+        return self._cells.event(self._last, self._size)
 
     def _skip(self, size: int, reason: str, *, in_step: bool = False) -> Corrupt:
         self._in_step = in_step

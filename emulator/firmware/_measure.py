@@ -33,8 +33,6 @@ class DwellError:
 
     dwell_us: int
     """us from selecting a row to its first conversion, as set"""
-    first_sample_us: float
-    """us from selecting a row to the sample instant of its first column, as it was"""
     measured_steps: float
     predicted_steps: float
     """by :class:`ohmskin.circuits.Settling` for the same instants"""
@@ -89,7 +87,6 @@ def dwell_error(design: Design, settings: BoardSettings) -> DwellError:
     loaded = slice(None, None, 2)
     return DwellError(
         dwell_us,
-        1e6 * max(after for after, _, column in instants if column == 0),
         float(np.abs(samples[-1].volts - settled)[loaded].max() / design.adc.step),
         float(np.abs(predicted).max() / design.adc.step),
     )
