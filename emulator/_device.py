@@ -6,13 +6,13 @@ whose clock is fast by 100 ppm reaches its tick at 10 s after 9.999 s of line ti
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 
+from ._board import Board
 from ._faults import Line, Schedule, may_lose
 from ._line import Transmission
 from ._scene import Scene
+from .firmware import FirmwareInService
 
 ANSWER_ROOM = 4096
 """bytes of room in the transmit buffer with which commands are answered; with less their answers wait"""
@@ -24,35 +24,8 @@ LONGEST_SPLIT = 7
 """bytes that a line with the fault split-bytes delivers at a time, at most"""
 
 
-class LivingBoard(Protocol):
-    """A board as the device drives it: the model of one (:class:`._board.Board`), or the program of a real one."""
-
-    streaming: bool
-    orders: int
-    """commands taken so far that start or stop frames"""
-    overrun: bool
-    """set when a frame found no room"""
-    clear_to_send: bool
-    """level of the handshake line: False where much waits to be read"""
-
-    @property
-    def streams_unasked(self) -> bool: ...
-
-    @property
-    def next_us(self) -> int: ...
-
-    @property
-    def wants_tick(self) -> bool: ...
-
-    def tick(self) -> list[bytes]: ...
-
-    def receive(self, data: bytes) -> None: ...
-
-    def answers(self) -> list[bytes]: ...
-
-    def reset(self, *, boots_for_us: int = 0) -> None: ...
-
-    def farewell(self) -> bytes: ...
+LivingBoard = Board | FirmwareInService
+"""the model of a board, or the program of a real one"""
 
 
 class Device:

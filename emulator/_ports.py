@@ -15,7 +15,6 @@ import time
 import tty
 from abc import ABC, abstractmethod
 from pathlib import Path
-from types import TracebackType
 from typing import Self, cast
 
 from serial.rfc2217 import PortManager, Serial
@@ -112,9 +111,7 @@ class Port(ABC):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

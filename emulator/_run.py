@@ -14,7 +14,6 @@ from __future__ import annotations
 import contextlib
 import secrets
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from math import inf
@@ -113,7 +112,7 @@ def emulate(
             board = Board(scene, protocol=protocol, ahead=clock == "real", **life)
             device = Device(scene, board, seed=seed, capacity=capacity)
         outcome = Outcome()
-        pace: _Pace = _RealPace(device, outcome) if clock == "real" else _FastPace(device)
+        pace = (_RealPace if clock == "real" else _FastPace)(device, outcome)
         session = _Session(device, port, pace, auto_reset=scene.line.auto_reset)
         ready()
         end_us = duration_s * 1e6
@@ -160,7 +159,7 @@ def _protocol(family: str | Path | Family, scene: Scene) -> BoardProtocol:
 class _Session:
     """The device on one side, the port on the other, and a host who comes and goes."""
 
-    def __init__(self, device: Device, port: Port, pace: _Pace, *, auto_reset: bool) -> None:
+    def __init__(self, device: Device, port: Port, pace: _RealPace, *, auto_reset: bool) -> None:
         self._device, self._port, self._pace = device, port, pace
         self._auto_reset = auto_reset
         self._present = False
@@ -265,52 +264,28 @@ class _Session:
             self._device.transmission.taken(self._port.write(sampled))
 
 
-class _Pace(ABC):
-    """When to tick, and what the line time is."""
+class _RealPace:
+    """When to tick, and what the line time is: the machine's."""
 
-    @abstractmethod
-    def now_us(self) -> float:
-        """Line time."""
-
-    @abstractmethod
-    def host_arrived(self) -> None:
-        """A host has opened the port."""
-
-    @abstractmethod
-    def host_spoke(self) -> None:
-        """The host has sent something."""
-
-    @abstractmethod
-    def due(self, *, host_present: bool) -> bool:
-        """Whether the next tick is due now."""
-
-    @abstractmethod
-    def wait_s(self) -> float:
-        """How long nothing can become due by itself."""
-
-    @abstractmethod
-    def finish(self) -> None:
-        """No more ticks will come: what is on the line arrives."""
-
-
-class _RealPace(_Pace):
     def __init__(self, device: Device, outcome: Outcome) -> None:
         self._device, self._outcome = device, outcome
         self._start = time.monotonic()
 
     def now_us(self) -> float:
+        """Line time."""
         return 1e6 * (time.monotonic() - self._start)
 
     def host_arrived(self) -> None:
-        pass
+        """A host has opened the port."""
 
     def host_spoke(self) -> None:
-        pass
+        """The host has sent something."""
 
     def finish(self) -> None:
-        pass
+        """No more ticks will come: what is on the line arrives."""
 
     def due(self, *, host_present: bool) -> bool:
+        """Whether the next tick is due now."""
         late_s = (self.now_us() - self._device.next_us) / 1e6
         if late_s > MOST_BEHIND_S:
             self._device.fall_behind(1e6 * late_s)
@@ -318,13 +293,16 @@ class _RealPace(_Pace):
         return late_s >= 0
 
     def wait_s(self) -> float:
+        """How long nothing can become due by itself."""
         now_us = self.now_us()
         return (min(self._device.next_us, self._device.transmission.next_us(now_us)) - now_us) / 1e6
 
 
-class _FastPace(_Pace):
-    def __init__(self, device: Device) -> None:
-        self._device = device
+class _FastPace(_RealPace):
+    """As fast as the host takes the bytes."""
+
+    def __init__(self, device: Device, outcome: Outcome) -> None:
+        super().__init__(device, outcome)
         self._orders = 0
         self._silent_until = inf
         self._line_us = 0.0

@@ -1,4 +1,4 @@
-"""The program of a reference board as a board in service (:class:`.._device.LivingBoard`)."""
+"""The program of a reference board as a board in service, as the device drives it (:mod:`.._device`)."""
 
 from __future__ import annotations
 
