@@ -33,13 +33,13 @@ class AnyFrame(Section):
 
     def cells(self, layout: Layout) -> Cells:
         """The cells of an array."""
-        shape, most = (layout.rows, layout.columns), 2**layout.adc_bits - 1
+        shape, largest = (layout.rows, layout.columns), 2**layout.adc_bits - 1
         index = np.arange(shape[0] * shape[1])
         grid = index.reshape(shape) if self.order == "row-major" else index.reshape(shape[::-1]).T
         grid = grid[:: -1 if self.flip_rows else 1, :: -1 if self.flip_columns else 1]
-        lowest, highest = (0.0, float(most)) if self.range is None else self.range
-        step = (highest - lowest) / most
-        return Cells(shape, grid.ravel(), lowest, step, most, self.invert, drops=self.invalid == "drop")
+        lowest, highest = (0.0, float(largest)) if self.range is None else self.range
+        step = (highest - lowest) / largest
+        return Cells(shape, grid.ravel(), lowest, step, largest, self.invert, drops=self.invalid == "drop")
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +53,8 @@ class Cells:
     """number that stands for count 0"""
     step: float
     """of the numbers from one count to the next"""
-    most: int
-    """largest count"""
+    largest: int
+    """count"""
     invert: bool
     drops: bool
     """whether a number that is no count costs the whole frame"""
@@ -88,7 +88,7 @@ class Cells:
             scaled = np.where(good, scaled, 0.0)
         counts = scaled.astype(np.uint16)
         if self.invert:
-            counts = np.uint16(self.most) - counts
+            counts = np.uint16(self.largest) - counts
         if absent:
             counts[list(absent)] = 0
         return FramePacket.of(counts.reshape(self.shape), sequence=None, time_us=None, absent=absent)
@@ -97,7 +97,7 @@ class Cells:
         """The (cells,) numbers that a board sends for ``frame``, in the order sent."""
         counts = frame.counts.ravel().astype(np.float64)
         if self.invert:
-            counts = self.most - counts
+            counts = self.largest - counts
         sent = np.empty(counts.size)
         sent[self.place] = self.lowest + self.step * counts
         return sent
@@ -108,7 +108,7 @@ class Cells:
         return scaled
 
     def _good(self, scaled: Numbers) -> NDArray[np.bool_]:
-        good: NDArray[np.bool_] = (scaled >= 0) & (scaled <= self.most)  # both False for NaN
+        good: NDArray[np.bool_] = (scaled >= 0) & (scaled <= self.largest)  # both False for NaN
         return good
 
 
@@ -166,7 +166,7 @@ class Pauses:
         return self._counted >= self.PERIODS * self._period
 
     @property
-    def clear(self) -> int | None:
+    def by_pause(self) -> int | None:
         """Place at which frames begin; None: no pause is clearly longer than the others."""
         longest = sorted(self._pause_s.items(), key=lambda item: item[1])[-2:]
         if not longest or longest[-1][1] <= 0.0 or self._period == 1:
@@ -177,7 +177,7 @@ class Pauses:
     @property
     def start(self) -> int:
         """Place at which frames begin."""
-        clear = self.clear
-        if clear is not None:
-            self.origin = clear
+        place = self.by_pause
+        if place is not None:
+            self.origin = place
         return self.origin

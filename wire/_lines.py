@@ -275,7 +275,7 @@ class TextHost(LineHost):
         """End what came before a frame, or a frame that is not complete."""
         events: list[Event] = []
         if self._ahead:
-            reason = AMBIGUOUS if self._pauses.clear is None else "lines ahead of the first pause"
+            reason = AMBIGUOUS if self._pauses.by_pause is None else "lines ahead of the first pause"
             events.append(Corrupt(self._ahead, reason))
         if self._rows or self._fault:
             fault = self._fault or f"a frame of {len(self._rows)} lines; expected {self._lines}"

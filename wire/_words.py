@@ -261,9 +261,9 @@ class BinaryHost(_WordHost):
             return
         ahead = (self._pauses.start - head) % self._size
         if (ahead and len(self._buffer) >= ahead) or not self._placed:
-            clear = self._pauses.clear is not None
+            shown = self._pauses.by_pause is not None
             if not self._placed or ahead:
-                yield Corrupt(ahead, "bytes ahead of the first pause" if clear else AMBIGUOUS_PHASE)
+                yield Corrupt(ahead, "bytes ahead of the first pause" if shown else AMBIGUOUS_PHASE)
             del self._buffer[:ahead]
             self._placed = True
         elif ahead:
