@@ -21,7 +21,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from boards import DESIGN, Script, Wire, gone, scene
+from boards import DESIGN, Script, Wire, frame, gone, identity, scene, sheet
 from pages import colours_of_cells, opened, paused, served, shown, start, until
 from patience import HANG_S, Patience
 from playwright.sync_api import Browser, expect, sync_playwright
@@ -34,7 +34,7 @@ from ohmskin.driver import Frame, Skin
 from ohmskin.emulator import Board, Hand, PtyPort, Scene, running
 from ohmskin.errors import InputError, MissingExtra
 from ohmskin.view import LiveSource, RecordedSource
-from ohmskin.wire import BoardFile, DescriptionPiece, Flag, FramePacket, Identity, encode, write_description
+from ohmskin.wire import BoardFile, Flag
 
 WIDE = {**DESIGN, "array": {"rows": 6, "columns": 8, "row_lead": 70.0}}
 SHORTED = {"at_s": 0.0, "kind": "shorted-cell", "place": [0, 7]}
@@ -260,25 +260,9 @@ def test_a_board_without_a_circuit_shows_counts(browser: Browser) -> None:
 
 def board_says(numbers: range, *, boot_id: int = 1, last: bool = False) -> list[bytes]:
     """The packets of a 3 x 2 board: who it is, then some frames."""
-    what = scene().skin
-    text = write_description(what.design.model_dump(), what.cell.model_dump())
-    head = [
-        encode(Identity(0, 0, 3, 2, 12, True, 1000, len(text), "A1", "test", boot_id)),
-        encode(DescriptionPiece(0, 0, 0, len(text), text, boot_id)),
-    ]
-    frames = [
-        encode(
-            FramePacket.of(
-                np.full((3, 2), 2000 + k),
-                sequence=k,
-                time_us=10_000 * k,
-                boot_id=boot_id,
-                flags=Flag.LAST if last and k == numbers[-1] else Flag.NONE,
-            )
-        )
-        for k in numbers
-    ]
-    return head + frames
+    flags = {numbers[-1]: Flag.LAST} if last else {}
+    frames = [frame(k, boot_id=boot_id, level=2000 + k, us=10_000 * k, flags=flags.get(k, Flag.NONE)) for k in numbers]
+    return [identity(boot_id), sheet(boot_id), *frames]
 
 
 def test_a_board_that_goes_away_comes_back_and_ends(browser: Browser) -> None:
