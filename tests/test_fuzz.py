@@ -11,7 +11,7 @@ import pytest
 from fuzz.formats import FORMATS
 
 ROOT = Path(__file__).parent.parent
-CASES = 20
+CASES = 40
 
 
 def test_a_bounded_run_finds_nothing() -> None:

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from boards import DESIGN, scene
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ohmskin.emulator import Board, Device, Line, LineSettings, LinkFault, Scene, Transmission
@@ -21,6 +21,7 @@ def data(size: int, seed: int = 1) -> bytes:
     return np.random.default_rng(seed).bytes(size)
 
 
+@settings(max_examples=30)
 @given(sizes, st.sampled_from([9600, 115_200, 1_000_000]), st.integers(1, 5000))
 def test_a_uart_carries_a_byte_in_ten_bit_times(sizes: list[int], baud_rate: int, step_us: int) -> None:
     line = Transmission(LineSettings(baud_rate=baud_rate, board_buffer=10**6), 1)

@@ -223,6 +223,7 @@ def test_counts_are_a_read_only_array_of_their_shape() -> None:
     assert not packet.counts.flags.writeable
 
 
+@settings(max_examples=50)
 @given(packets)
 def test_an_independent_encoder_agrees(packet: Packet) -> None:
     data = encode(packet)
