@@ -252,7 +252,8 @@ def test_faults_of_the_line_are_counted_and_survived(tmp_path: Path) -> None:
     kinds = ["flipped-bits", "dropped-bytes", "inserted-bytes", "duplicated-bytes", "dropped-packets"]
     faults = [{"kind": kind, "at_s": 0.6 + 0.3 * number} for number, kind in enumerate(kinds)]
     stall = {"kind": "stall", "at_s": 2.2, "duration_s": 0.3}
-    faulty = scene(link_fault=[*faults, stall])
+    split = {"kind": "split-bytes", "at_s": 0.2, "duration_s": 0.1}
+    faulty = scene(link_fault=[*faults, stall, split])
     truth = tmp_path / "truth.npz"
     with (
         PtyPort() as port,

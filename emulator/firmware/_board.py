@@ -28,7 +28,7 @@ from ._processor import CLOCK_HZ, Processor
 from ._wiring import DirectWiring, ShiftedWiring, Wiring
 
 _HERE = Path(__file__).parent
-_LINK_FAULTS = (*BYTE_FAULTS, *PACKET_FAULTS, "stall")
+_LINK_FAULTS = (*BYTE_FAULTS, *PACKET_FAULTS, "stall", "split-bytes", "second-host")
 _FIRST_ROW = frozenset({0})
 _ADC_BITS = 10
 _STORED = struct.Struct("<BBBxHxxI16s")  # the settings in EEPROM, see docs/hardware.md
