@@ -78,10 +78,9 @@ def host_of(port: Port, reconnect: float = 30.0) -> Skin:
 
 class TestEnds:
     @pytest.mark.parametrize("link", LINKS)
-    @pytest.mark.parametrize("reconnect", [0.0, 30.0])
-    def test_the_end_of_a_family_without_an_end_packet_is_an_end(self, link: str, reconnect: float) -> None:
+    def test_the_end_of_a_family_without_an_end_packet_is_an_end(self, link: str) -> None:
         port = LINKS[link]()
-        with silent_board(port), host_of(port, reconnect) as skin:
+        with silent_board(port), host_of(port) as skin:
             assert len(list(skin)) == 50
             with pytest.raises(LinkEnded, match="the emulated board has come to the end of its time"):
                 skin.read()

@@ -7,16 +7,13 @@ it is either read as an independent reader reads it, or refused in one :class:`I
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import io
 import json
 import math
 import os
 import random
 import re
-import shutil
 import struct
-import tempfile
 import tomllib
 import warnings
 import zlib
@@ -35,10 +32,10 @@ from ohmskin.circuits import Design, scan
 from ohmskin.cli import run
 from ohmskin.common.tables import read_cells, read_columns
 from ohmskin.common.text import one_line
-from ohmskin.driver import Calibration, ReplayPort, Skin
+from ohmskin.driver import ReplayPort, Skin
 from ohmskin.emulator import Scene
 from ohmskin.errors import InputError, LinkEnded, LinkError, OhmskinError, SolverError
-from ohmskin.wire import BOARDS, BoardFile, FramePacket, Order, board_protocol, host_protocol
+from ohmskin.wire import BoardFile, FramePacket, Order, board_protocol, host_protocol
 
 from .mutations import mutated
 
@@ -167,54 +164,6 @@ def _judge_scene(data: bytes, rng: random.Random, folder: Path) -> str:
         assert (pressure >= 0).all(), "pressure is negative"
         assert pressure.max() <= most * (1 + 1e-9), "a cell bears more than all contacts together"
     return ACCEPTED
-
-
-def _calibration_text(rng: random.Random) -> bytes:
-    where = Path(tempfile.mkdtemp()) / "calibration.toml"
-    grid = np.reshape([rng.uniform(0.5, 2.0) for _ in range(math.prod(SHAPE))], SHAPE)
-    Calibration(
-        rest_ohm=1e4 * grid,
-        gain=grid,
-        gain_std=0.01 * grid,
-        rest_std_kpa=0.01 * grid,
-        residual_kpa=0.0 * grid,
-        calibrated=grid > 0.6,
-        loads_kpa=(5.0, 12.0),
-        presses=24,
-        serial_number="A1",
-        design_hash="d",
-        cell_hash="c",
-        date="2026-01-02T03:04:05+00:00",
-        remarks=("one",),
-    ).save(where)
-    content = where.read_bytes()
-    shutil.rmtree(where.parent)
-    return content
-
-
-def _judge_calibration(data: bytes, rng: random.Random, folder: Path) -> str:
-    """What is accepted has the hash that it states, as the standard library works it out."""
-    path = folder / "calibration.toml"
-    if rng.random() < 0.7:
-        with contextlib.suppress(Exception):  # whatever the mutation has left of the tables
-            data = data.replace(_tables(data)["hash"].encode(), _calibration_hash(data).encode())
-    path.write_bytes(data)
-    found = _read(path, Calibration.load)
-    if found is None:
-        return REFUSED
-    tables = _tables(data)
-    assert _calibration_hash(data) == tables["hash"] == found.hash
-    assert found.gain.tolist() == tables["cells"]["gain"]
-    return ACCEPTED
-
-
-def _calibration_hash(data: bytes) -> str:
-    tables = _tables(data)
-    del tables["format"], tables["hash"]
-    for name in ("rest_ohm", "gain", "gain_std", "rest_std_kpa", "residual_kpa"):
-        tables["cells"][name] = [[float(value) for value in line] for line in tables["cells"][name]]
-    tables["loads_kpa"] = [float(load) for load in tables["loads_kpa"]]
-    return hashlib.sha256(json.dumps(tables, sort_keys=True).encode()).hexdigest()
 
 
 def _tables(data: bytes) -> dict[str, Any]:
@@ -415,34 +364,6 @@ def _unstuffed(data: bytes) -> bytes | None:
         if code < 255 and place < len(data):
             out.append(0)
     return bytes(out)
-
-
-def _family_stream(rng: random.Random) -> bytes:
-    """A few frames of any family of boards, after the number of the family."""
-    number = rng.randrange(len(BOARDS))
-    family = list(BOARDS.values())[number]
-    board, layout = board_protocol(family.name), family.layout
-    stream = bytes([number])
-    for sequence in range(3):
-        most = 2**layout.adc_bits
-        counts = [[rng.randrange(most) for _ in range(layout.columns)] for _ in range(layout.rows)]
-        stream += board.frame(FramePacket.of(np.array(counts), sequence=sequence, time_us=20_000 * sequence))
-    return stream
-
-
-def _judge_families(data: bytes, rng: random.Random, folder: Path) -> str:
-    """Nothing is raised, and no more frames come than bytes can hold, however the stream is cut."""
-    family = list(BOARDS.values())[(data[0] if data else 0) % len(BOARDS)]
-    host, frames, place = host_protocol(family.name), 0, 0
-    while place < len(data):
-        end = place + rng.choice((1, 64, 4096))
-        for event in host.feed(data[place:end], 0.0):
-            if isinstance(event, FramePacket):
-                frames += 1
-                assert event.counts.max() < 2**16
-        place = end
-    assert frames <= len(data)
-    return ACCEPTED if frames else REFUSED
 
 
 def _board_text(rng: random.Random) -> bytes:
@@ -646,11 +567,9 @@ FORMATS = {
         Format("design", _design_text, _judge_design),
         Format("cell", _cell_text, _judge_cell),
         Format("scene", _scene_text, _judge_scene),
-        Format("calibration", _calibration_text, _judge_calibration),
         Format("cells", _cells_text, _judge_cells),
         Format("recording", _recording_text, _judge_recording),
         Format("frames", _stream, _judge_stream, text=False),
-        Format("families", _family_stream, _judge_families, text=False),
         Format("board", _board_text, _judge_board),
         Format("mcap", _recorded, _judge_recorded, text=False),
         Format("call", _call, _judge_call),
