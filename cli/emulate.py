@@ -18,14 +18,7 @@ from ._opening import BOARD_HELP
 
 @click.command(epilog=arguments.example("ohmskin emulate scene.toml --link /tmp/skin --truth truth.npz"))
 @click.argument("scene_file", metavar="SCENE.toml", type=click.Path(path_type=Path))
-@click.option(
-    "--board",
-    "family",
-    default="ohmskin",
-    show_default=True,
-    metavar="NAME|FILE.toml",
-    help=BOARD_HELP,
-)
+@click.option("--board", "family", default="ohmskin", show_default=True, metavar="NAME|FILE.toml", help=BOARD_HELP)
 @click.option(
     "--baud", type=click.IntRange(min=300), metavar="N", help="Baud rate of the board's UART [the scene's, else none]."
 )

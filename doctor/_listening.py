@@ -217,13 +217,7 @@ def _answer(
 
 
 def _judged(
-    port: str,
-    baud_rate: int,
-    chunks: Sequence[Chunk],
-    *,
-    described: bool,
-    send: bytes = b"",
-    poll: bytes = b"",
+    port: str, baud_rate: int, chunks: Sequence[Chunk], *, described: bool, send: bytes = b"", poll: bytes = b""
 ) -> Traffic | None:
     """The family that the bytes are of, or the description that accounts for them."""
     data = _joined(chunks)

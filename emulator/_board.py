@@ -231,11 +231,7 @@ class Board:
         if self._record is not None:
             self._record(block.sample(place, self._sequence))
         frame = FramePacket.of(
-            block.counts[place],
-            sequence=self._sequence,
-            time_us=time_us,
-            flags=self._flags(),
-            boot_id=self.boot_id,
+            block.counts[place], sequence=self._sequence, time_us=time_us, flags=self._flags(), boot_id=self.boot_id
         )
         self.overrun = False
         self._frames_wanted = max(self._frames_wanted - 1, 0)

@@ -143,10 +143,7 @@ def running(scene: Scene, port: Port, **options: Unpack[Options]) -> AbstractCon
 def _truth_file(path: Path, scene: Scene) -> TruthFile:
     skin = scene.skin
     return TruthFile(
-        path,
-        skin.design.array.shape,
-        pitch_mm=skin.cell_pitch_mm,
-        full_scale_kpa=skin.cell.full_scale_kpa,
+        path, skin.design.array.shape, pitch_mm=skin.cell_pitch_mm, full_scale_kpa=skin.cell.full_scale_kpa
     )
 
 

@@ -133,10 +133,7 @@ def test_only_the_table_of_circuits_knows_their_names() -> None:
 def _modules() -> dict[str, Path]:
     """Every module of the package by its name; a face by the name of its folder."""
     top = ROOT / "src/ohmskin"
-    files = [
-        *top.glob("*.py"),
-        *(file for room in ROOMS for file in (ROOT / room).rglob("*.py")),
-    ]
+    files = [*top.glob("*.py"), *(file for room in ROOMS for file in (ROOT / room).rglob("*.py"))]
     return {".".join(["ohmskin", *_place(file)]).removesuffix(".py").removesuffix(".__init__"): file for file in files}
 
 

@@ -30,16 +30,7 @@ from ohmskin.doctor import (
 )
 from ohmskin.driver import Skin
 from ohmskin.emulator import PtyPort
-from ohmskin.wire import (
-    BOARDS,
-    BoardFile,
-    Family,
-    FramePacket,
-    Order,
-    board_family,
-    board_protocol,
-    host_protocol,
-)
+from ohmskin.wire import BOARDS, BoardFile, Family, FramePacket, Order, board_family, board_protocol, host_protocol
 
 
 @pytest.fixture

@@ -78,10 +78,7 @@ def test_a_flood_of_commands_gets_one_answer_of_each_kind() -> None:
 
 
 def test_the_self_test_finds_broken_and_joined_lines_and_reads_its_resistors() -> None:
-    faults = [
-        {"kind": "broken-row", "place": [0, 0]},
-        {"kind": "bridged-columns", "place": [1, 2], "resistance": 10.0},
-    ]
+    faults = [{"kind": "broken-row", "place": [0, 0]}, {"kind": "bridged-columns", "place": [1, 2], "resistance": 10.0}]
     big = {**DESIGN, "array": {"rows": 3, "columns": 5}, "fault": faults}
     board = Board(scene(skin={"design": big}, board={"reference_resistances": [10e3, 30e3]}))
     live(board, 1)

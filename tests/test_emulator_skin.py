@@ -12,17 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ohmskin.circuits import scan
-from ohmskin.emulator import (
-    Bump,
-    Contact,
-    Disc,
-    EmulatedSkin,
-    Image,
-    Point,
-    Rectangle,
-    Scene,
-    spread,
-)
+from ohmskin.emulator import Bump, Contact, Disc, EmulatedSkin, Image, Point, Rectangle, Scene, spread
 from ohmskin.errors import InputError
 
 BIG: dict[str, Any] = {

@@ -101,8 +101,7 @@ def test_a_full_disk_is_named_with_the_spool_that_holds_the_frames(tmp_path: Pat
 
 
 @pytest.mark.parametrize(
-    ("name", "reason"),
-    [("no/t.npz", "No such file"), (".", "is a directory"), (os.devnull, "no regular file")],
+    ("name", "reason"), [("no/t.npz", "No such file"), (".", "is a directory"), (os.devnull, "no regular file")]
 )
 def test_a_truth_file_that_cannot_be_is_refused_before_the_run(tmp_path: Path, name: str, reason: str) -> None:
     with pytest.raises(InputError, match=re.escape(reason)), TruthFile(tmp_path / name, (3, 2)):

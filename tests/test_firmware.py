@@ -36,16 +36,7 @@ from ohmskin.errors import InputError, LinkError, MissingExtra
 from ohmskin.verification import _firmware as verification_firmware
 from ohmskin.verification._outcome import Outcome
 from ohmskin.verification._subject import Subject
-from ohmskin.wire import (
-    Corrupt,
-    Description,
-    Event,
-    FramePacket,
-    LineState,
-    Order,
-    SelfTest,
-    host_protocol,
-)
+from ohmskin.wire import Corrupt, Description, Event, FramePacket, LineState, Order, SelfTest, host_protocol
 
 ROOT = Path(__file__).parents[1]
 FIRMWARE = ROOT / "firmware"

@@ -290,10 +290,7 @@ def test_one_changed_byte_never_passes_for_a_packet(packet: Packet, data: st.Dat
         (raw(0x05, bytes(6), version=3), "protocol version 3; this host speaks version 2"),
         (raw(0x7E, b""), "unknown packet type 0x7e"),
         (raw(0x01, b"\1\0"), "frame with 2 bytes of payload, expected at least 6"),
-        (
-            raw(0x01, b"\2\0\2\0\0\0" + b"\0" * 7),
-            "frame of 2 x 2 cells with 7 bytes of counts; expected 2 for each",
-        ),
+        (raw(0x01, b"\2\0\2\0\0\0" + b"\0" * 7), "frame of 2 x 2 cells with 7 bytes of counts; expected 2 for each"),
         (raw(0x01, b"\0\0\2\0\0\0"), "frame of 0 x 2 cells; expected 1 ... 65535 of each"),
         (raw(0x02, b"12345678"), "piece of a description with 8 bytes, expected more than 8"),
         (raw(0x02, struct.pack("<II", 0, 2**30) + b"{"), "description of 1073741824 bytes; at most"),

@@ -144,11 +144,7 @@ def reference_outputs(design: Design, resistance: FloatArray) -> FloatArray:
     array = design.array
     known = np.resize(REFERENCE_RESISTORS_OHM, array.columns)
     extended = design.replace(
-        array={
-            "rows": array.rows + 1,
-            "row_lead": _before(array.row_lead),
-            "row_segment": _before(array.row_segment),
-        },
+        array={"rows": array.rows + 1, "row_lead": _before(array.row_lead), "row_segment": _before(array.row_segment)},
         fault=tuple(_one_row_further(fault) for fault in design.fault),
     )
     outputs: FloatArray = scan(extended, np.vstack([known, resistance]), method="exact").volts[0]
