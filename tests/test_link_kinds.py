@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import resource
 import socket
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from contextlib import ExitStack, suppress
+from itertools import islice
 from pathlib import Path
 
 import pytest
@@ -204,3 +207,35 @@ def test_the_driver_survives_the_example_of_a_bad_link(tmp_path: Path) -> None:
     assert statistics.corrupt > 0
     assert statistics.reconnects == 1
     assert statistics.reboots == 2
+
+
+@pytest.mark.slow
+def test_a_host_that_never_reads_gives_way_to_one_that_knocks() -> None:
+    port = TcpPort.at(":0")
+    what = scene(skin={"design": DESIGN | {"array": {"rows": 32, "columns": 32}}}, board={"frame_rate": 500.0})
+    with running(what, port), connect(port) as deaf:
+        assert read_until(deaf, FramePacket)
+        patience = Patience()
+        while True:
+            patience.spend()
+            with connect(port) as next_host:
+                try:
+                    if read_until(next_host, FramePacket, timeout_s=0.3):
+                        break
+                except (AssertionError, ConnectionError):
+                    time.sleep(0.1)
+
+
+def test_more_than_1024_open_files_are_no_obstacle() -> None:
+    """``select()`` fails beyond file descriptor 1023; emulator and driver do not use it."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if hard != resource.RLIM_INFINITY and hard < 1400:
+        pytest.skip(f"at most {hard} files may be open here")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 1400), hard))
+    with ExitStack() as files:
+        files.callback(resource.setrlimit, resource.RLIMIT_NOFILE, (soft, hard))
+        for _ in range(1100):
+            files.callback(os.close, os.open(os.devnull, os.O_RDONLY))
+        for port in (PtyPort(), TcpPort.at(":0")):
+            with running(scene(), port), Skin.open(port.name) as skin:
+                assert len(list(islice(skin, 3))) == 3
