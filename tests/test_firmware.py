@@ -33,9 +33,7 @@ from ohmskin.emulator.firmware import (
     missing_for,
 )
 from ohmskin.errors import InputError, LinkError, MissingExtra
-from ohmskin.verification import _firmware as verification_firmware
-from ohmskin.verification._outcome import Outcome
-from ohmskin.verification._subject import Subject
+from ohmskin.verification import verify
 from ohmskin.wire import Corrupt, Description, Event, FramePacket, LineState, Order, SelfTest, host_protocol
 
 ROOT = Path(__file__).parents[1]
@@ -393,16 +391,15 @@ def test_the_command_runs_the_firmware_and_writes_the_truth(tmp_path: Path) -> N
 
 @pytest.mark.slow
 def test_the_report_on_the_firmware_passes_and_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The experiment of `ohmskin verify --target firmware`, with few of its points."""
+    """Claim P14 of `ohmskin verify --target firmware`, with few of its points."""
     for name, few in (("FRAMES", 60), ("DWELLS_US", (60,)), ("PRESCALERS_LOG2", (7,)), ("BAUD_RATES", (115_200,))):
-        monkeypatch.setattr(verification_firmware, name, few)
-    subject = Subject(scene().skin.design, target="firmware")
-    finding = verification_firmware.firmware_in_the_loop(subject)
-    assert {check.outcome for check in finding.checks} == {Outcome.PASS}
-    ((_, arriving, dropped),) = finding.tables[1].rows
+        monkeypatch.setattr(f"ohmskin.verification._firmware.{name}", few)
+    (claim,) = verify(scene().skin.design, paper=True, only=("P14",), target="firmware").sections
+    assert claim.outcome == "pass"
+    ((_, arriving, dropped),) = claim.finding.tables[1].rows
     assert 170 < float(arriving) < 190  # 62 bytes of ten bits at 115 200 baud
     assert float(dropped) > 100
-    other = Subject(scene(replace={"adc": {"bits": 12}}).skin.design, target="firmware")
-    (check,) = verification_firmware.firmware_in_the_loop(other).checks
-    assert check.outcome == Outcome.NOT_RUN
-    assert "converts 10 bits" in check.reason
+    other = scene(replace={"adc": {"bits": 12}}).skin.design
+    (claim,) = verify(other, paper=True, only=("P14",), target="firmware").sections
+    assert claim.outcome == "not run"
+    assert "converts 10 bits" in claim.finding.checks[0].reason
