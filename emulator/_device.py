@@ -17,7 +17,7 @@ from .firmware import FirmwareInService
 ANSWER_ROOM = 4096
 """bytes of room in the transmit buffer with which commands are answered; with less their answers wait"""
 HANDSHAKE_BYTES = 4096
-"""on the line, from which on the handshake line stops the board; what is on its way then still fits"""
+"""of a USB converter: what is on its way when it stops the board still fits"""
 BAUD_TOLERANCE = 0.04
 """relative error of the baud rate that a UART of 10 bits a byte stands: half a bit in ten, less its sampling error"""
 LONGEST_SPLIT = 7
@@ -31,7 +31,15 @@ LivingBoard = Board | FirmwareInService
 class Device:
     """Everything at the far end of a port."""
 
-    def __init__(self, scene: Scene, board: LivingBoard, *, seed: int = 0, capacity: int | None = None) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        board: LivingBoard,
+        *,
+        seed: int = 0,
+        capacity: int | None = None,
+        handshake_bytes: float = HANDSHAKE_BYTES,
+    ) -> None:
         """Switch the device on.
 
         Args:
@@ -39,9 +47,11 @@ class Device:
             board: what is at the other end of the line.
             seed: for the line's faults and the jitter.
             capacity: bytes of the transmit buffer; None: those of a microcontroller.
+            handshake_bytes: on the line, from which on the handshake line stops the board.
 
         """
         self.board = board
+        self._handshake_bytes = handshake_bytes
         if capacity is None:
             rows, columns = scene.skin.design.array.shape
             capacity = 8192 + 8 * rows * columns
@@ -83,7 +93,7 @@ class Device:
         if reset is not None:
             self.reset(reset.text, now_us, boots_for_s=reset.duration_s or 0.0)
         scanning = self.board.wants_tick
-        self.board.clear_to_send = len(self.transmission) < HANDSHAKE_BYTES
+        self.board.clear_to_send = len(self.transmission) < self._handshake_bytes
         packets = self.board.tick()
         if not host_present:
             return

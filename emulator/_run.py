@@ -23,7 +23,7 @@ from typing import Any, Literal, TypedDict, Unpack
 from ..common.checks import positive
 from ..wire import BoardProtocol, Family, board_protocol
 from ._board import Board
-from ._device import Device, LivingBoard
+from ._device import HANDSHAKE_BYTES, Device, LivingBoard
 from ._hand import Hand
 from ._ports import Port
 from ._scene import Scene
@@ -106,7 +106,9 @@ def emulate(
         board: LivingBoard
         if options.get("engine", "model") == "firmware":
             board = stack.enter_context(FirmwareInService(scene, **life))
-            device = Device(scene.replace(line={"baud_rate": None}), board, seed=seed, capacity=2**62)
+            usb = scene.replace(line={"baud_rate": None})  # behind the converter; the board's UART is in the processor
+            handshake_bytes = inf if clock == "fast" else HANDSHAKE_BYTES
+            device = Device(usb, board, seed=seed, capacity=2**62, handshake_bytes=handshake_bytes)
         else:
             protocol = _protocol(options.get("family", "ohmskin"), scene)
             board = Board(scene, protocol=protocol, ahead=clock == "real", **life)
