@@ -203,6 +203,6 @@ def main(scene: Path, frames: int, hosts: int, seed: int) -> None:
 
 if __name__ == "__main__":
     try:
-        sys.exit(main())
+        main()
     except OhmskinError as error:
         sys.exit(str(error))

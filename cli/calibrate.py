@@ -198,7 +198,7 @@ def _text(made: Calibration, verdict: Verdict, output: Path) -> str:
         f"{output}: {int(good.sum())} of {good.size} cells calibrated with {made.presses} presses; "
         f"gains {made.gain[good].min():.3g} to {made.gain[good].max():.3g}, rest {made.rest_ohm[good].min():.4g} to "
         f"{made.rest_ohm[good].max():.4g} ohm, residual at most {made.residual_kpa[good].max():.2g} kPa; "
-        f"hash {made.hash[:16]}"
+        f"hash {made.hash[:16]}",
     ]
     text = verdict.text()
     if text:
