@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import logging
 import math
+import os
 import re
+import resource
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -22,6 +27,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 from boards import DESIGN, Script, Wire, frame, gone, identity, scene, sheet
+from boards import until as wait_until
 from pages import colours_of_cells, opened, paused, served, shown, start, until
 from patience import HANG_S, Patience
 from playwright.sync_api import Browser, expect, sync_playwright
@@ -534,3 +540,99 @@ def test_the_command_prints_the_address_and_ends_with_ctrl_c(tmp_path: Path) -> 
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=HANG_S)
     assert (process.returncode, out, err) == (130, "", "")
+
+
+def test_the_map_fills_its_panel_and_nothing_is_cut_off(browser: Browser) -> None:
+    with live() as board, opened(browser, board.url, viewport={"width": 1440, "height": 900}) as page:
+        boxes = page.evaluate(
+            "['#cells', '.skin', '#plot'].map((one) => document.querySelector(one).getBoundingClientRect().toJSON())"
+        )
+        cells, panel, plot = boxes
+        assert cells["width"] * cells["height"] > 0.6 * panel["width"] * panel["height"]
+        assert plot["bottom"] < 900
+        assert page.evaluate("document.documentElement.scrollHeight") <= 900
+
+
+def raw_status(url: str, request: bytes) -> int:
+    """The HTTP status of any bytes."""
+    parts = urlsplit(url)
+    with socket.create_connection((parts.hostname, parts.port or 0), timeout=60) as stranger:
+        stranger.sendall(request)
+        answer = stranger.makefile("rb").readline()
+    return int(answer.split()[1])
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
+def test_requests_that_contradict_themselves_are_bad_requests(host: str) -> None:
+    with still(host=host) as (shown, _):
+        url = f"http://127.0.0.1:{urlsplit(shown).port}{urlsplit(shown).path}"
+        name, path = f"Host: {urlsplit(url).netloc}\r\n".encode(), urlsplit(url).path.encode()
+        upgrade = (
+            b"Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+            b"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
+        )
+        origin = b"Origin: http://" + urlsplit(url).netloc.encode() + b"\r\n"
+        assert raw_status(url, b"GET %s HTTP/1.1\r\n%s\r\n" % (path, name)) == 200
+        assert raw_status(url, b"GET %sframes HTTP/1.1\r\n%s%s%s\r\n" % (path, name, upgrade, origin)) == 101
+        for request in (
+            b"GET %sframes HTTP/1.1\r\n%s%s%s\r\n" % (path, name, upgrade, 2 * origin),
+            b"GET %sframes HTTP/1.1\r\n%s%s%s\r\n" % (path, 2 * name, upgrade, origin),
+            b"GET %sframes HTTP/1.1\r\n%s%sOrigin: http://[\r\n\r\n" % (path, name, upgrade),
+            b"GET //[/ HTTP/1.1\r\n%s\r\n" % name,
+            b"GET http://[ HTTP/1.1\r\n%s\r\n" % name,
+            b"GET %s\xc3\xa4 HTTP/1.1\r\n%s\r\n" % (path, name),
+            b"GET /\xff HTTP/1.1\r\n%s\r\n" % name,
+        ):
+            assert raw_status(url, request) == 400, request
+
+
+def test_strangers_are_few_and_in_nobodys_way() -> None:
+    """They come faster than they are closed; the page is served all the time, and those who came first are gone."""
+    with still(host="0.0.0.0") as (shown, port), contextlib.ExitStack() as crowd:
+        address = ("127.0.0.1", urlsplit(shown).port or 0)
+        url = f"http://127.0.0.1:{address[1]}{urlsplit(shown).path}"
+        before = len(os.listdir("/proc/self/fd"))
+        with join(url) as browser:
+            for number in range(4):
+                strangers = [crowd.enter_context(socket.create_connection(address, timeout=60)) for _ in range(100)]
+                for stranger in strangers[::2]:
+                    stranger.sendall(b"GET / HTTP/1.1\r\nHost: ")
+                assert status_of(url, urlsplit(url).netloc) == 200
+                assert isinstance(answer_to(browser, f'{{"do": "next", "after": {number - 1}}}'), bytes)
+                port.say(*board_says(range(number + 2, number + 3))[2:])
+                if not number:
+                    first = strangers
+            for stranger in first:
+                with suppress(ConnectionError):
+                    assert stranger.recv(100) == b""
+            served_now = len(os.listdir("/proc/self/fd")) - before - 400
+            assert served_now < 140, "of 400 that hold on, which are of this process, too"
+
+
+def test_a_stranger_who_says_nothing_is_hung_up_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ohmskin.view._server.REQUEST_S", 0.2)
+    with (
+        still() as (url, _),
+        socket.create_connection(("127.0.0.1", urlsplit(url).port or 0), timeout=60) as idle,
+        socket.create_connection(("127.0.0.1", urlsplit(url).port or 0), timeout=60) as slow,
+    ):
+        slow.sendall(b"GET / HTTP/1.1\r\nHost:")
+        for stranger in (idle, slow):
+            with suppress(ConnectionError):
+                assert stranger.recv(100) == b""
+
+
+def test_what_asyncio_says_of_strangers_does_not_reach_the_terminal(caplog: pytest.LogCaptureFixture) -> None:
+    """Where there are too many open files it has much to say, once a second."""
+    with still() as (url, _), contextlib.ExitStack() as waiting:
+        address, limits = ("127.0.0.1", urlsplit(url).port or 0), resource.getrlimit(resource.RLIMIT_NOFILE)
+        logging.getLogger("ohmskin.view").setLevel(logging.ERROR)
+        stranger = waiting.enter_context(socket.socket())
+        try:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (len(os.listdir("/proc/self/fd")) - 1, limits[1]))
+            stranger.connect(address)
+            wait_until(lambda: any("accept" in record.message for record in caplog.records))
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+        assert {record.name for record in caplog.records} == {"ohmskin.view"}
+        assert status_of(url, urlsplit(url).netloc) == 200

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import errno
 import importlib.resources
 import logging
 import socket
-from collections.abc import AsyncIterator, Mapping, Sequence
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
+from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass
 from http import HTTPStatus
 from typing import TYPE_CHECKING
@@ -20,6 +19,7 @@ from ._access import Access, Refused
 from ._orders import LARGEST_BYTES
 from ._session import Session
 from ._source import Source
+from ._strangers import REQUEST_S, Strangers
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import Server, ServerConnection
@@ -28,10 +28,6 @@ if TYPE_CHECKING:
 SOCKET_PATH = "frames"
 MOST_BROWSERS = 32
 """that are served at the same time"""
-REQUEST_S = 10.0
-"""time in which a request must have come and been answered"""
-CLOSE_S = 1.0
-"""time in which the server closes at its end"""
 SECURITY = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
@@ -74,47 +70,67 @@ async def serve(source: Source, *, host: str = "127.0.0.1", ports: Sequence[int]
     # Strangers must not fill the terminal: what they send wrong is answered, and not logged.
     quiet = logging.getLogger("ohmskin.view")
     quiet.setLevel(logging.CRITICAL + 1)
-    desk = _FrontDesk(source, Access.for_host(host), _files())
+    strangers = Strangers()
+    desk = _FrontDesk(source, Access.for_host(host), _files(), strangers)
     server = None
-    for port in ports:
+    with _asyncio_tells(quiet):
+        for port in ports:
+            try:
+                server = await listen(
+                    desk.follow,
+                    host,
+                    port,
+                    process_request=desk.answer,
+                    compression=None,  # frames of float32 hardly shrink, at a cost per frame
+                    max_size=LARGEST_BYTES,
+                    max_queue=4,
+                    open_timeout=REQUEST_S,
+                    create_connection=strangers.connections(),
+                    logger=quiet,
+                    server_header=None,
+                )
+                break
+            except OSError as error:
+                if port == ports[-1]:
+                    raise InputError(_why_not(error, host, port)) from error
+        assert server is not None
         try:
-            server = await listen(
-                desk.follow,
-                host,
-                port,
-                process_request=desk.answer,
-                compression=None,  # frames of float32 hardly shrink, at a cost per frame
-                max_size=LARGEST_BYTES,
-                max_queue=4,
-                open_timeout=REQUEST_S,
-                logger=quiet,
-                server_header=None,
-            )
-            break
-        except OSError as error:
-            if port == ports[-1]:
-                raise InputError(_why_not(error, host, port)) from error
-    assert server is not None
+            found = next(iter(server.sockets)).getsockname()[1]
+            yield Page(f"http://{_shown_host(host)}:{found}{desk.access.prefix}", found)
+        finally:
+            strangers.hang_up()
+            await _shut(server)
+
+
+@contextmanager
+def _asyncio_tells(logger: logging.Logger) -> Iterator[None]:
+    """Let asyncio tell ``logger`` what goes wrong, such as too many open files, and not the terminal."""
+    loop = asyncio.get_running_loop()
+    before = loop.get_exception_handler()
+    loop.set_exception_handler(
+        lambda _, context: logger.error("%s", context["message"], exc_info=context.get("exception"))
+    )
     try:
-        found = next(iter(server.sockets)).getsockname()[1]
-        yield Page(f"http://{_shown_host(host)}:{found}{desk.access.prefix}", found)
+        yield
     finally:
-        await _shut(server)
+        loop.set_exception_handler(before)
 
 
 async def _shut(server: Server) -> None:
     for connection in server.connections:
         connection.transport.abort()  # a browser that does not read would hold up the end
     server.close()
-    with contextlib.suppress(TimeoutError):  # of connections that have asked nothing yet
-        await asyncio.wait_for(server.wait_closed(), CLOSE_S)
+    await server.wait_closed()
 
 
 class _FrontDesk:
     """Answers requests: a file, a WebSocket, or a refusal."""
 
-    def __init__(self, source: Source, access: Access, files: Mapping[str, tuple[str, bytes]]) -> None:
+    def __init__(
+        self, source: Source, access: Access, files: Mapping[str, tuple[str, bytes]], strangers: Strangers
+    ) -> None:
         self.access = access
+        self._strangers = strangers
         self._source = source
         self._files = files
         self._browsers = 0
@@ -143,6 +159,7 @@ class _FrontDesk:
 
     async def follow(self, connection: ServerConnection) -> None:
         """Serve one browser until it leaves."""
+        self._strangers.accept(connection)
         self._browsers += 1
         try:
             await Session(connection, self._source).run()
