@@ -251,8 +251,6 @@ class M10State(Record):
     """1 if the load last left its play upwards, else 0"""
     furthest: float
     """load up to which chains have broken since"""
-    recent_path: float
-    """how far the load has gone of late, up and down"""
     moved: float
     """last two steps of the load"""
     moved_before: float
@@ -272,7 +270,5 @@ class M10State(Record):
     """r of the chains that were broken before and have not healed"""
     breaking: float
     """r of the chains that a unit of motion of the load breaks"""
-    turned_r: float
-    """standard deviation of r by chains that ADC steps hide where the load has just turned"""
     hidden_r: float
     """r of chains that noise hides there"""

@@ -284,7 +284,6 @@ class Estimator:
                 of_all = 0.0  # as with virtual grounds: each conductance follows from its own reading alone
         self._noise.resolve(np.where(found, at_rest, np.median(at_rest[found])))
         self._shared_noise.suppose(float(np.median(at_rest[found])), of_all, scales_columns=scales_columns)
-        self.inversion.take_steps(self._noise.typical_resolution)
 
     def _std_at_rest(self, relative_std: ArrayLike, resistance_ohm: ArrayLike) -> tuple[FloatArray, BoolArray]:
         """Standard deviation (n,) of r at rest for a relative one of conductances; and (n,) where it is known."""
@@ -492,5 +491,4 @@ class Estimator:
         self._frames = int(frames)
         for part in (self._noise, self._shared_noise, self._sleep, self._deviation, self._gaps, self._held):
             part.restore(given)
-        self.inversion.take_steps(self._noise.typical_resolution)
         self._sparks.forget_all(self._cells)

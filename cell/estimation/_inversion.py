@@ -130,11 +130,6 @@ class Inversion(ABC):
     ) -> None:
         """Add the uncertainty of rises ``rise_kpa`` (k,) that may be apparent only."""
 
-    def take_steps(  # noqa: B027 - of a memory that some inversions do not have
-        self, own: float
-    ) -> None:
-        """Set the standard deviation ``own`` of r at rest by the quantisation of the cell's own reading; 0: unknown."""
-
 
 def credible_readings(steepest: float) -> tuple[float, float]:
     """Credible range of r, for a fast response ``steepest`` to full scale: see :data:`LOADS` and :data:`MEMORIES`."""

@@ -34,17 +34,6 @@ frames; TO_AND_FRO times it is the expected path, which adds up, since all turns
 vibrations and slips, whose drops are faster than a frame"""
 STILL_SIGMAS = 3.0
 """half width of the play of the anchor, in standard deviations by noise"""
-HELD_STEPS, MOVING_STEPS = 3.3, 1.85
-"""half width of the play in standard deviations by ADC steps, for a held load and for one that moves. A reading is off
-by half a step at most, which is hardly less than the latter. Where readings of a held load flip between two codes, the
-smoothing overshoots, and the branches relax until the readings flip back. A load that moves may go back by little more
-than a step, as beside the place where a rubbing finger turns"""
-MOVES, RECENT_PATH_S = 1.5, 0.12
-"""a load moves if its recent path is more than MOVES times the half width of a held load's play by ADC steps;
-RECENT_PATH_S is the time constant in seconds with which the recent path fades"""
-AT_A_TURN = 4.0
-"""standard deviation, in standard deviations by ADC steps, of the path to a turn and back that the steps hide. Two of
-them are those of a single turn. Repeated loads turn at the same readings, so that their errors are alike"""
 OVERSHOOT, TURNS_KNOWN = 0.5, 0.4
 """of the half width of the play by noise: how far noise takes the furthest load of a press beyond the turn; and the
 standard deviation of that. The longer a load stays near its turn, the more readings reach beyond: the errors of the
@@ -79,8 +68,6 @@ class M10Numbers(Record):
     lowest_end: float
     """range of loads that the solver searches"""
     highest_end: float
-    step_r: float
-    """standard deviation of r at rest by the steps of the ADC; 0: unknown"""
     exact: float
     """1: readings are taken as free of noise"""
 
@@ -95,7 +82,6 @@ class M10Step(Record):
     fall_ramp: Pair
     heals: float
     heals_ramp: float
-    recent_gone: float
 
 
 def margin(model: AsymmetricModel | M10Model, full_scale_kpa: float) -> float:
@@ -150,13 +136,8 @@ class AsymmetricInversion(Inversion):
             most_kpa2=(full / 2) ** 2,
             lowest_end=bottom if self.exact else max(bottom, LOADS[0]),
             highest_end=top if self.exact else min(top, highest),
-            step_r=0.0,
             exact=float(self.exact),
         )
-
-    def take_steps(self, own: float) -> None:
-        """As :meth:`.Inversion.take_steps`: a reading is off by no more than half of its own step."""
-        self._numbers.step_r = own
 
     def held_kpa(self, r: FloatArray) -> FloatArray:
         return self._held_load(r) * self.full_scale_kpa
@@ -203,11 +184,11 @@ class AsymmetricInversion(Inversion):
 
 def _step(model: M10Model, dt_s: float) -> M10Step:
     m = model
-    gone, ramp = lag.weights(dt_s, np.array([m.rise1_s, m.rise2_s, m.fall1_s, m.fall2_s, m.tau_s, RECENT_PATH_S]))
+    gone, ramp = lag.weights(dt_s, np.array([m.rise1_s, m.rise2_s, m.fall1_s, m.fall2_s, m.tau_s]))
     return record(
         M10Step,
         **{"rise_gone": gone[:2], "rise_ramp": ramp[:2], "fall_gone": gone[2:4], "fall_ramp": ramp[2:4]},
-        **{"dt_s": dt_s, "heals": gone[4], "heals_ramp": ramp[4], "recent_gone": gone[5]},
+        **{"dt_s": dt_s, "heals": gone[4], "heals_ramp": ramp[4]},
     )
 
 
@@ -261,14 +242,8 @@ def equation(cell: CellState, own: M10State, k: M10Numbers, s: M10Step) -> tuple
         charges = lead > 0.0 or (lead == 0.0 and up)
         own.follows[j] = k.alpha[j] * (s.rise_ramp[j] if charges else s.fall_ramp[j])
     still = max(slope + own.follows[0] + own.follows[1], 1e-9)
-    scale = cell.level + 1.0
-    steps = min(scale * scale * k.step_r, cell.level_std)
-    by_noise = math.sqrt(cell.level_std * cell.level_std - steps * steps) * (STILL_SIGMAS / k.full_kpa) * cell.gain_kpa
-    width = HELD_STEPS * steps / still
-    if own.recent_path > MOVES * width:
-        width = MOVING_STEPS * steps / still
-    width = max(by_noise, width)
-    breaking, own.turned_r, own.hidden_r = k.k * (1.0 - s.heals_ramp), 0.0, 0.0
+    width = STILL_SIGMAS * cell.level_std * cell.gain_kpa / k.full_kpa
+    breaking, own.hidden_r = k.k * (1.0 - s.heals_ramp), 0.0
     if k.k != 0.0 and k.exact == 0.0:
         # A load that has turned has crossed its play, and broken chains there. A load that goes on after noise took it
         # back has broken the chains up to its furthest point before.
@@ -277,8 +252,8 @@ def equation(cell: CellState, own: M10State, k: M10Numbers, s: M10Step) -> tuple
         if not abs(load + change / still - own.anchor) > width:
             breaking = 0.0
         elif up != went_up:
-            own.turned_r, own.hidden_r = AT_A_TURN * k.k * steps / still, TURNS_KNOWN * k.k * by_noise
-            crossed = k.k * min(max(beyond - OVERSHOOT * by_noise, 0.0), 2.0 * width)
+            own.hidden_r = TURNS_KNOWN * k.k * width
+            crossed = k.k * min(max(beyond - OVERSHOOT * width, 0.0), 2.0 * width)
             free, change, own.went_up = free + crossed, change - crossed, 1.0 if up else 0.0
         else:
             again = k.k * max(beyond, 0.0)
@@ -373,10 +348,8 @@ def finish(cell: CellState, own: M10State, step: float, width: float, k: M10Numb
             left = r - (k.a + k.b * load) * load - (one + other + broken)
             if k.k > 0.0:  # no credible load explains so much r: chains have broken unseen
                 broken += max(left, 0.0)
-    own.recent_path *= 1.0 - s.recent_gone
     if own.breaking != 0.0:
         own.furthest = load
-        own.recent_path += abs(step)
     gain = k.full_kpa / max(k.a + 2.0 * k.b * load - k.k, 0.05 * k.full_r)
     own.load, own.branch[0], own.branch[1], own.broken = load, one, other, broken
     own.anchor = max(min(own.anchor, load + width), load - width)
@@ -406,7 +379,7 @@ def renew_variance(cell: CellState, own: M10State, step: float, k: M10Numbers, s
         own.branch_variance[j] = own.branch_variance[j] * (stays * stays) + error * error
         errors += own.branch_variance[j]
     by_turns, stays = AROUND * k.k * path, 1.0 - s.heals
-    own.broken_variance = own.broken_variance * (stays * stays) + (by_turns * by_turns + own.turned_r * own.turned_r)
+    own.broken_variance = own.broken_variance * (stays * stays) + by_turns * by_turns
     own.missed = own.missed * stays + (TO_AND_FRO * k.k * path + own.hidden_r)
     own.moved_before, own.moved = own.moved, step
     errors += own.broken_variance
@@ -422,4 +395,3 @@ def hold_each(memory: Records[M10State], places: Places, dt_s: Row, k: M10Number
             lead = k.alpha[j] * own.load - own.branch[j]
             own.branch[j] += lead * -math.expm1(-dt_s[n] / (k.rise_s[j] if lead > 0.0 else k.fall_s[j]))
         own.broken *= math.exp(-dt_s[n] / heals_s)
-        own.recent_path *= math.exp(-dt_s[n] / RECENT_PATH_S)
