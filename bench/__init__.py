@@ -3,38 +3,35 @@
 ``ohmskin bench`` prints them. What a measurement has to say are the columns of its dataclass (:mod:`.harness`).
 
 Estimators: :mod:`.judges` plays the scenes of ``judges.toml`` (:mod:`.scenes`) and compares any estimator with gates,
-and with the figures that were frozen; :mod:`._estimators` compares all estimators on a material of nobody's
-(:mod:`._independent`). ``python -m ohmskin.bench.panel`` judges calibrations on the specimens of :mod:`._materials`.
+and with the figures that were frozen. ``python -m ohmskin.bench.panel`` judges calibrations on the specimens of
+:mod:`._materials`, and :mod:`._estimators` compares all estimators on some of them.
 
 Solvers: :mod:`._measurement` beside :mod:`._peers`.
 
 The live path: :mod:`._driver`, the age of frames (:mod:`._freshness`, over a :mod:`._paced_port`) and
 :mod:`._worst_frames`; contacts of short taps, and false ones of electrical faults (:mod:`._taps`);
 contacts of fingers that move, hold or cross a dead row, and false ones of drift (:mod:`._fingers`).
-The emulator: :mod:`._emulator`. The page: :mod:`._view`.
 
 Searches for faults, each a program: ``python -m ohmskin.bench.hunt`` holds readings against exact rational arithmetic
 (:mod:`._reference`), with ``--live`` streams against the cells behind them (:mod:`._live_hunt`);
-``python -m ohmskin.bench.boards`` counts the valid cells of boards that people build, and ``python -m
-ohmskin.bench.knowable`` states how well one frame can tell them at all.
+``python -m ohmskin.bench.soak`` is an endurance test of emulator, driver, recorder and page;
+``python -m ohmskin.bench.boards`` counts the valid cells of boards that people build, beside how well one frame can
+tell them at all.
 """
 
-from ._driver import live_estimators, live_picture
-from ._estimators import INDEPENDENT, NOISE, estimators, noisy
-from ._freshness import Freshness, freshness
-from ._measurement import Row, board, cells, measure, picture
+from ._driver import NOISE, live_estimators, noisy
+from ._estimators import INDEPENDENT, estimators
+from ._freshness import freshness
+from ._measurement import board, cells, measure, picture
 
 __all__ = [
     "INDEPENDENT",
     "NOISE",
-    "Freshness",
-    "Row",
     "board",
     "cells",
     "estimators",
     "freshness",
     "live_estimators",
-    "live_picture",
     "measure",
     "noisy",
     "picture",

@@ -2,8 +2,7 @@
 
 A scene of fingers that wander over a skin is turned into packets beforehand, with the board's own noise and ADC. A
 reader of a :class:`ohmskin.driver.Skin` then takes every frame with its validity, pressure and standard deviation, from
-a port in memory. The processor time of that is what frames per second are stated from, for two readers: one who waits
-for each frame, and one who is behind, so that :data:`QUEUED` frames have come whenever he finds none.
+a port in memory, and waits for each. The processor time of that is what frames per second are stated from.
 
 The same packets go through the stages alone, in turn with the skin: packets (:mod:`ohmskin.wire`), counts to ohms
 (:class:`ohmskin.driver.CountReader`), ohms to kPa (an estimator of the cell). Standard deviations are
@@ -18,23 +17,21 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import itertools
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from time import monotonic, process_time
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from ..cell import ESTIMATORS, Cell, calibrate, checked_recording, protocol_load
 from ..circuits import Design, adc_codes, scan_batch
-from ..common import plots
-from ..common.arrays import FloatArray
+from ..common.arrays import CodeArray, FloatArray
 from ..driver import CountReader, Skin
 from ..errors import InputError
 from ..wire import FramePacket, host_protocol
-from ._estimators import noisy
 from ._paced_port import PacedPort, frame_packets
 from .harness import column
 
@@ -42,8 +39,8 @@ FRAMES = 400
 FRAME_RATE_HZ = 200.0
 NOISE_STEPS = 0.5
 """standard deviation of the outputs' noise in ADC steps"""
-QUEUED = 16
-"""frames that come together for a reader who is behind; USB brings ten at 10,000 frames per second"""
+NOISE = 0.005
+"""standard deviation of readings of a simulated cell, relative to R0"""
 LARGEST = 256
 """side of the largest array that is driven"""
 HARD_OHM = 5.0
@@ -64,26 +61,30 @@ CASES: tuple[tuple[str, str, int, int], ...] = (
 """circuit, idle rows, ADC bits, saturated cells"""
 APART_S = 1e3  # from packet to packet on the port's own clock, beside which no real time counts
 _PROTOCOL_STEP_S = 0.05  # between the samples of the calibration
-_LARGEST_FLOATING = 32  # side beyond which boards with floating rows are left out: minutes
+LARGEST_FLOATING = 32  # side beyond which boards with floating rows are left out: minutes
 
 
 @dataclass(frozen=True)
-class Row:
-    """One board."""
+class OnBoard:
+    """Which board was measured."""
 
     size: int = field(metadata=column("cells", "{0} x {0}"))
     """of the N x N array"""
     circuit: str = field(metadata=column("circuit", "{}", width=18))
     idle_rows: str = field(metadata=column("idle", "{}", width=6))
     bits: int = field(metadata=column("bits", "{}"))
+
+
+@dataclass(frozen=True)
+class Row(OnBoard):
+    """One board."""
+
     saturated_cells: int = field(metadata=column("saturated", "{}"))
     estimator: str = field(metadata=column("estimator", "{}", width=9))
     is_default: bool = field(metadata=column("default"))
     """the estimator that a skin of this cell takes by itself"""
     frames_per_second: float = field(metadata=column("frames/s", "{:.0f}"))
     """per second of processor time: what a reader of a skin gets who takes every frame and its standard deviations"""
-    queued_frames_per_second: float = field(metadata=column("queued", "{:.0f}"))
-    """the same where :data:`QUEUED` frames come together"""
     decode_us: float = field(metadata=column("decode", "{:.0f}"))
     """median per frame"""
     ohms_us: float = field(metadata=column("ohms", "{:.0f}"))
@@ -116,7 +117,7 @@ def driver(sizes: Iterable[int], *, frames: int = FRAMES) -> Iterator[Row]:
         for circuit, idle_rows, bits, saturated in CASES:
             if saturated > size * size:
                 continue
-            if size <= _LARGEST_FLOATING or idle_rows == "ground":
+            if size <= LARGEST_FLOATING or idle_rows == "ground":
                 yield _measured(design(size, circuit, idle_rows, bits), Cell.example(), None, saturated, frames)
 
 
@@ -140,8 +141,26 @@ def live_estimators(sizes: Iterable[int], *, learned: bool = True, frames: int =
             yield _measured(design(size, "inverting-amplifier", "ground", 12), cell, name, 0, frames)
 
 
-def design(size: int, circuit: str, idle_rows: str, bits: int) -> Design:
+def design(
+    size: int,
+    circuit: str,
+    idle_rows: str,
+    bits: int,
+    *,
+    columns: int | None = None,
+    array: Mapping[str, float] = MappingProxyType({}),
+    readout: Mapping[str, Any] = MappingProxyType({}),
+) -> Design:
     """A board for the shipped example cell, which rises from 10 kohm when pressed.
+
+    Args:
+        size: rows.
+        circuit: of the readout.
+        idle_rows: as in a design.
+        bits: of the converter.
+        columns: as many as rows unless given.
+        array: keys of the array beside 5 ohm of each lead.
+        readout: keys of the readout that are not as usual.
 
     Raises:
         InputError: the size is no array's, or too large.
@@ -150,25 +169,35 @@ def design(size: int, circuit: str, idle_rows: str, bits: int) -> Design:
     if not 1 <= size <= LARGEST:
         raise InputError(f"size is {size}; expected 1 to {LARGEST}")
     amplified = circuit.endswith("amplifier")
-    readout: dict[str, Any] = {"circuit": circuit, "reference_resistance": 20e3 if amplified else 5e3}
+    parts: dict[str, Any] = {"circuit": circuit, "reference_resistance": 20e3 if amplified else 5e3}
     if circuit != "voltage-divider":
-        readout |= {"open_loop_gain": 1e5, "supply": [-0.1, 3.3]}
+        parts |= {"open_loop_gain": 1e5, "supply": [-0.1, 3.3]}
     return Design.model_validate(
         {
-            "array": {"rows": size, "columns": size, "row_lead": 5.0, "column_lead": 5.0},
+            "array": {"rows": size, "columns": columns or size, "row_lead": 5.0, "column_lead": 5.0, **array},
             "drive": {"voltage": -1.0 if amplified else 3.3, "idle_rows": idle_rows},
-            "readout": readout,
+            "readout": {**parts, **readout},
             "adc": {"bits": bits, "range": [0.0, 3.3]},
         }
     )
 
 
+def described(board: Design) -> tuple[int, str, str, int]:
+    """The fields of :class:`OnBoard`."""
+    return board.array.rows, board.readout.circuit, board.drive.idle_rows, board.adc.bits if board.adc else 0
+
+
+def noisy(cell: Cell, load: FloatArray, dt_s: float, rng: np.random.Generator) -> FloatArray:
+    """Ohm (n,) of one cell under normalised loads ``dt_s`` apart, with noise of :data:`NOISE`."""
+    ohms = cell.forward(()).run(np.full(len(load), dt_s), cell.full_scale_kpa * load)
+    return ohms + NOISE * cell.rest_resistance_ohm * rng.standard_normal(len(load))
+
+
 def calibrated_example() -> Cell:
     """The example cell as the calibration protocol finds it, with its learned estimators."""
-    random = np.random.default_rng(0)
     time_s, load = protocol_load(_PROTOCOL_STEP_S)
     true = Cell.example()
-    ohms = noisy(true, load, _PROTOCOL_STEP_S, random)
+    ohms = noisy(true, load, _PROTOCOL_STEP_S, np.random.default_rng(0))
     recording = checked_recording(time_s, true.full_scale_kpa * load, ohms, name="protocol")
     return calibrate(recording, full_scale_kpa=true.full_scale_kpa).cell
 
@@ -205,22 +234,17 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
             asked = process_time()
             times[number] = decoded - start, solved - decoded, estimated - solved, asked - taken, asked - taking
             found_ohm[number], valid[number], found_kpa[number] = frame.resistance, frame.valid, frame.pressure
-    queued_s = _taking_queued(packets, board, cell, name)
     whole = times[:, 4]
     usual = float(np.median(whole))
     off_ohm = np.abs(found_ohm / cells - 1.0)[valid]
     off_kpa = (found_kpa - pressure)[valid]
     decode_s, ohms_s, kpa_s, std_s, _ = (float(part) for part in np.median(times, axis=0))
     return Row(
-        size=board.array.rows,
-        circuit=board.readout.circuit,
-        idle_rows=board.drive.idle_rows,
-        bits=board.adc.bits if board.adc else 0,
+        *described(board),
         saturated_cells=saturated,
         estimator=name or cell.default_estimator,
         is_default=name in (None, cell.default_estimator),
         frames_per_second=frames / float(whole.sum()),
-        queued_frames_per_second=frames / queued_s,
         decode_us=1e6 * decode_s,
         ohms_us=1e6 * ohms_s,
         kpa_us=1e6 * kpa_s,
@@ -232,18 +256,6 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
         rmse_kpa=float(np.sqrt(np.mean(off_kpa**2))) if off_kpa.size else np.nan,
         worst_kpa=float(np.abs(off_kpa).max(initial=0.0)),
     )
-
-
-def _taking_queued(packets: list[bytes], board: Design, cell: Cell, name: str | None) -> float:
-    """Processor time in s in which a reader takes all frames with their standard deviations, of which many wait."""
-    port = port_of(packets, board)
-    with every_frame(port, board, cell, name) as skin:
-        start = process_time()
-        for number in range(len(packets)):
-            if number % QUEUED == 0:
-                port.work(QUEUED * APART_S)
-            _ = skin.read(0.0).pressure_std
-        return process_time() - start
 
 
 @contextlib.contextmanager
@@ -310,46 +322,26 @@ def packets_of(
         rate_hz: of the packets.
 
     """
-    assert board.adc is not None
-    volts = scan_batch(board, cells).volts
-    volts = volts + np.random.default_rng(2).normal(scale=NOISE_STEPS * board.adc.step, size=volts.shape)
-    codes = adc_codes(board, volts)
+    codes = counts_of(board, cells)
     numbers = range(len(codes) if frames is None else frames)
     return frame_packets((codes[number // each % len(codes)] for number in numbers), rate_hz)
+
+
+def counts_of(board: Design, cells: FloatArray) -> CodeArray:
+    """(frames, rows, columns) counts of such cells in ohm, with noise of :data:`NOISE_STEPS`."""
+    assert board.adc is not None
+    return quantised(board, cells, NOISE_STEPS * board.adc.step, np.random.default_rng(2))
+
+
+def quantised(board: Design, cells: FloatArray, noise_v: float, random: np.random.Generator) -> CodeArray:
+    """(frames, rows, columns) counts of such cells in ohm, with white noise of the outputs."""
+    volts = scan_batch(board, cells).volts
+    return adc_codes(board, volts + random.normal(scale=noise_v, size=volts.shape))
 
 
 def head() -> str:
     """What the columns are."""
     return (
         "frames per second of processor time on one core that a reader of a skin gets, bytes to kPa with standard "
-        f"deviations, and where {QUEUED} frames come together; worst frame in medians; errors of valid cells"
+        "deviations; worst frame in medians; errors of valid cells"
     )
-
-
-def live_picture(rows: Iterable[Row]) -> str:
-    """SVG: error against frames per second, one curve per estimator through the sizes.
-
-    Raises:
-        MissingExtra: matplotlib is not installed.
-
-    """
-    shown = list(rows)
-    sizes = sorted({row.size for row in shown})
-    markers = dict(zip(sizes, itertools.cycle("osD^vP*X"), strict=False))
-    with plots.drawing(1, 2, width=9.0, height=3.4) as (figure, axes):
-        panels = axes[0]
-        for name in dict.fromkeys(row.estimator for row in shown):
-            curve = sorted((row for row in shown if row.estimator == name), key=lambda row: row.size)
-            speeds = [row.frames_per_second for row in curve]
-            for panel, errors in zip(
-                panels, ([row.rmse_kpa for row in curve], [row.worst_kpa for row in curve]), strict=True
-            ):
-                (line,) = panel.plot(speeds, errors, "-", label=name)
-                for row, speed, error in zip(curve, speeds, errors, strict=True):
-                    panel.plot([speed], [error], markers[row.size], ms=5, color=line.get_color())
-        for panel, what in zip(panels, ("RMSE", "error of the worst cell"), strict=True):
-            panel.set(xscale="log", yscale="log", xlabel="frames per second of processor time", ylabel=f"{what} / kPa")
-        for size, marker in markers.items():
-            panels[0].plot([], [], marker, ms=5, color=plots.INK, label=f"{size} × {size}")
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right upper", fontsize=8)
-        return plots.svg(figure)

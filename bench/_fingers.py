@@ -15,14 +15,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 
 from ..cell import Cell
 from ..common.arrays import FloatArray
 from ..driver import Contact
-from ._driver import design
-from ._taps import contacts_of
+from ._driver import OnBoard, described, design
+from ._taps import CELL_VARIANCE, bell, contacts_of, read, times_of
 from .harness import column
 
 BOARDS: tuple[tuple[str, str, int, float], ...] = (
@@ -70,14 +71,9 @@ HEAD = (
 
 
 @dataclass(frozen=True)
-class Fingers:
+class Fingers(OnBoard):
     """One scene on one board."""
 
-    size: int = field(metadata=column("cells", "{0} x {0}"))
-    """of the N x N array"""
-    circuit: str = field(metadata=column("circuit", "{}", width=18))
-    idle_rows: str = field(metadata=column("idle", "{}", width=6))
-    bits: int = field(metadata=column("bits", "{}"))
     noise_mv: float = field(metadata=column("noise, mV", "{:g}"))
     scene: str = field(metadata=column("scene", "{}", width=22))
     found_percent: float = field(metadata=column("found", "{:.0f}"))
@@ -181,69 +177,47 @@ class Play:
     end_s: float
     edge_s: float
     """in which the fingers come down, and are lifted"""
-    places: FloatArray
-    """(fingers, frames, 2) rows and columns, in the frames of the whole stream"""
-    peaks_kpa: FloatArray
-    """(fingers, frames)"""
+    kpa: FloatArray
+    """(fingers, steps, rows, columns)"""
 
 
 def fingers(sizes: Iterable[int], *, scenes: Iterable[Scene] = SCENES, seed: int = 0) -> Iterator[Fingers]:
     """Play each scene on each of the :data:`BOARDS`, at sizes of :data:`LEAST_SIZE` and more."""
-    scenes = tuple(scenes)
-    for size in sizes:
-        if size < LEAST_SIZE:
-            continue
-        for board in BOARDS:
-            for scene in scenes:
-                yield played(size, board, scene, np.random.default_rng(seed))
+    for size, board, scene in product([size for size in sizes if size >= LEAST_SIZE], BOARDS, tuple(scenes)):
+        yield played(size, board, scene, np.random.default_rng(seed))
 
 
 def played(size: int, board: tuple[str, str, int, float], scene: Scene, rng: np.random.Generator) -> Fingers:
     """Play one scene on one board."""
     circuit, idle_rows, bits, noise_mv = board
     readout = design(size, circuit, idle_rows, bits)
-    pitch_mm = 1e3 * (readout.sheet.pitch or 1.0)
-    seconds = REST_S + scene.plays * (scene.seconds + REST_S)
-    each = scene.substeps
-    fine_s = np.arange(1.0, each * round(seconds * RATE_HZ) + 1) / (each * RATE_HZ)
-    time_s = fine_s[each - 1 :: each]
+    seconds, each = REST_S + scene.plays * (scene.seconds + REST_S), scene.substeps
+    fine_s = times_of(seconds, RATE_HZ, each)
     plays = [_play(k, scene, size, fine_s, rng) for k in range(scene.plays)] if scene.ways else []
-    loads = [_loads(play, scene, (size, size)) for play in plays]
-    kpa = np.sum(loads, axis=(0, 1)) if loads else np.zeros((len(fine_s), size, size))
-    dt_s = np.full(len(fine_s), 1.0 / (each * RATE_HZ))
-    ohm: FloatArray = Cell.example().forward((size, size)).run(dt_s, kpa)[each - 1 :: each]
-    loads = [load[:, each - 1 :: each] for load in loads]
+    ohm = read(sum((play.kpa.sum(axis=0) for play in plays), np.zeros((len(fine_s), size, size))), RATE_HZ, each)
     if scene.dead_row:
         ohm[:, size // 2] = np.inf
     if scene.drifting:
-        drift = 1.0 + DRIFT * np.clip((time_s - REST_S) / scene.seconds, 0.0, 1.0)
-        where = (slice(None), slice(None)) if scene.drifting == "all" else (size // 2, size // 3)
-        ohm[(slice(None), *where)] *= drift.reshape((-1,) + (1,) * (ohm[(0, *where)].ndim))
+        drift = 1.0 + DRIFT * np.clip((fine_s[each - 1 :: each] - REST_S) / scene.seconds, 0.0, 1.0)
+        where = np.s_[:, :, :] if scene.drifting == "all" else np.s_[:, size // 2, size // 3, None]
+        ohm[where] *= drift.reshape(-1, *[1] * (ohm[where].ndim - 1))
     seen = list(contacts_of(readout, ohm, noise_mv, RATE_HZ, rng))
-    found, delays, kept, own, forces, off = [], [], [], 0, [], []
-    for play, load in zip(plays, loads, strict=True):
-        judged = _judge(play, load, seen, time_s, pitch_mm)
-        found += judged.found
-        delays += judged.delays_s
-        kept.append(judged.kept)
-        own += len(load)
-        forces += judged.force_shares
-        off += judged.off_cells
+    judged = _Judged(1e3 * (readout.sheet.pitch or 1.0))
+    for play in plays:
+        judged.add(play, play.kpa[:, each - 1 :: each], seen)
     ids = {contact.id for _, contacts in seen for contact in contacts}
+    untouched = [now_s for now_s, contacts in seen if contacts and not any(_touches(play, now_s) for play in plays)]
     return Fingers(
-        size=size,
-        circuit=circuit,
-        idle_rows=idle_rows,
-        bits=bits,
+        *described(readout),
         noise_mv=noise_mv,
         scene=scene.name,
-        found_percent=100.0 * float(np.mean(found)) if found else np.nan,
-        delay_ms=1e3 * float(np.median(delays)) if delays else np.nan,
-        ids_kept_percent=100.0 * float(np.mean(kept)) if kept else np.nan,
-        false=max(len(ids) - own, 0),
-        false_s=sum(bool(contacts) and not _touched(plays, now_s) for now_s, contacts in seen) / RATE_HZ,
-        force_share=float(np.median(forces)) if forces else np.nan,
-        off_cells=float(np.median(off)) if off else np.nan,
+        found_percent=100.0 * float(np.mean(judged.found)) if judged.found else np.nan,
+        delay_ms=1e3 * float(np.median(judged.delays_s)) if judged.delays_s else np.nan,
+        ids_kept_percent=100.0 * float(np.mean(judged.kept)) if judged.kept else np.nan,
+        false=max(len(ids) - sum(len(play.kpa) for play in plays), 0),
+        false_s=len(untouched) / RATE_HZ,
+        force_share=float(np.median(judged.force_shares)) if judged.force_shares else np.nan,
+        off_cells=float(np.median(judged.off_cells)) if judged.off_cells else np.nan,
     )
 
 
@@ -252,74 +226,57 @@ def _play(number: int, scene: Scene, size: int, time_s: FloatArray, rng: np.rand
     start_s = REST_S + number * (scene.seconds + REST_S)
     end_s = start_s + scene.seconds
     places = (size - 1) / 2.0 + scene.ways(np.clip((time_s - start_s) / scene.seconds, 0.0, 1.0), rng)
-    if scene.on_cells:
-        places = np.round(places)
+    places = np.round(places) if scene.on_cells else places
     edge_s = min(EDGE_S, scene.seconds / 6.0)
     down = np.interp(time_s, [start_s, start_s + edge_s, end_s - edge_s, end_s], [0.0, 1.0, 1.0, 0.0])
     peaks = Cell.example().full_scale_kpa * rng.uniform(*scene.peaks, len(places))
-    return Play(start_s, end_s, edge_s, places, peaks[:, None] * down)
+    variance = scene.width_cells**2 + (0.0 if scene.on_cells else CELL_VARIANCE)
+    kpa = (peaks[:, None] * down)[:, :, None, None] * np.array([bell(one, variance, (size, size)) for one in places])
+    return Play(start_s, end_s, edge_s, np.where(kpa < 1e-3, 0.0, kpa))
 
 
-def _touched(plays: list[Play], time_s: float) -> bool:
-    return any(play.start_s <= time_s <= play.end_s + LATE_S for play in plays)
+def _touches(play: Play, time_s: float) -> bool:
+    return play.start_s <= time_s <= play.end_s + LATE_S
 
 
-def _loads(play: Play, scene: Scene, shape: tuple[int, int]) -> FloatArray:
-    """(fingers, frames, rows, columns) kPa."""
-    row, column = np.indices(shape)
-    away = (row - play.places[:, :, 0, None, None]) ** 2 + (column - play.places[:, :, 1, None, None]) ** 2
-    # The mean of a bell over a cell is nearly a bell that is wider by the variance of the cell's own width.
-    variance = scene.width_cells**2 + (0.0 if scene.on_cells else 1.0 / 12.0)
-    load: FloatArray = play.peaks_kpa[:, :, None, None] * np.exp(-away / (2.0 * variance))
-    load[load < 1e-3] = 0.0
-    return load
-
-
-@dataclass(frozen=True)
+@dataclass
 class _Judged:
-    found: list[bool]
-    delays_s: list[float]
-    kept: bool
-    force_shares: list[float]
-    off_cells: list[float]
+    """Contacts compared with fingers."""
 
+    pitch_mm: float
+    found: list[bool] = field(default_factory=list)
+    delays_s: list[float] = field(default_factory=list)
+    kept: list[bool] = field(default_factory=list)
+    force_shares: list[float] = field(default_factory=list)
+    off_cells: list[float] = field(default_factory=list)
 
-def _judge(
-    play: Play,
-    load: FloatArray,
-    seen: list[tuple[float, tuple[Contact, ...]]],
-    time_s: FloatArray,
-    pitch_mm: float,
-) -> _Judged:
-    """Compare contacts with the fingers of one play."""
-    first_s = np.full(len(load), np.inf)
-    found: list[bool] = []
-    names: list[set[int]] = [set() for _ in load]
-    force_shares, off_cells = [], []
-    rows, columns = np.indices(load.shape[2:])
-    for now_s, contacts in seen:
-        if not play.start_s < now_s < play.end_s - play.edge_s / 2:
-            continue
-        frame = min(round(now_s * RATE_HZ), len(time_s) - 1)
-        held = now_s > play.start_s + play.edge_s + LATE_S or now_s > play.start_s + (play.end_s - play.start_s) / 2
-        for finger, kpa in enumerate(load[:, frame]):
-            total = kpa.sum()
-            if not total:
+    def add(self, play: Play, load: FloatArray, seen: list[tuple[float, tuple[Contact, ...]]]) -> None:
+        """Take a play with loads (fingers, frames, rows, columns) in kPa."""
+        first_s = np.full(len(load), np.inf)
+        names: list[set[int]] = [set() for _ in load]
+        rows, columns = np.indices(load.shape[2:])
+        settled_s = min(play.start_s + play.edge_s + LATE_S, 0.5 * (play.start_s + play.end_s))
+        for now_s, contacts in seen:
+            if not play.start_s < now_s < play.end_s - play.edge_s / 2:
                 continue
-            centre = float((rows * kpa).sum() / total), float((columns * kpa).sum() / total)
-            far = [math.dist(centre, (one.y_mm / pitch_mm, one.x_mm / pitch_mm)) for one in contacts]
-            here = [one for one, away in zip(contacts, far, strict=True) if away < NEAR_CELLS + 2.0 * bool(one.joined)]
-            if held:
-                found.append(bool(here))
-            if not here:
-                continue
-            first_s[finger] = min(first_s[finger], now_s)
-            contact = contacts[int(np.argmin(far))]
-            if held and not contact.joined and min(far) < NEAR_CELLS:
-                names[finger].add(contact.id)
-                if len(contacts) == len(load):
-                    off_cells.append(min(far))
-                    force_shares.append(contact.force_n / (1e-3 * float(total) * pitch_mm**2))
-    kept = all(len(one) == 1 for one in names) and len(set().union(*names)) == len(names)
-    delays = (first_s - play.start_s)[np.isfinite(first_s)].tolist()
-    return _Judged(found, delays, kept, force_shares, off_cells)
+            places = [(one.y_mm / self.pitch_mm, one.x_mm / self.pitch_mm) for one in contacts]
+            for finger, kpa in enumerate(load[:, min(round(now_s * RATE_HZ), load.shape[1] - 1)]):
+                if not (total := float(kpa.sum())):
+                    continue
+                centre = float((rows * kpa).sum()) / total, float((columns * kpa).sum()) / total
+                far = [math.dist(centre, place) for place in places]
+                near = [away < NEAR_CELLS + 2.0 * bool(one.joined) for one, away in zip(contacts, far, strict=True)]
+                held = now_s > settled_s
+                if held:
+                    self.found.append(any(near))
+                if not any(near):
+                    continue
+                first_s[finger] = min(first_s[finger], now_s)
+                contact = contacts[int(np.argmin(far))]
+                if held and not contact.joined and min(far) < NEAR_CELLS:
+                    names[finger].add(contact.id)
+                    if len(contacts) == len(load):
+                        self.off_cells.append(min(far))
+                        self.force_shares.append(contact.force_n / (1e-3 * total * self.pitch_mm**2))
+        self.kept.append(all(len(one) == 1 for one in names) and len(set().union(*names)) == len(names))
+        self.delays_s += (first_s - play.start_s)[np.isfinite(first_s)].tolist()

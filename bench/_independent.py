@@ -45,18 +45,3 @@ def presses(rng: np.random.Generator, seconds: float, dt_s: float, *, holds: boo
     at = np.arange(0, seconds, dt_s)
     load: FloatArray = np.interp(at, times, levels)
     return load
-
-
-def resistance(
-    load: FloatArray,
-    dt_s: float,
-    rng: np.random.Generator,
-    *,
-    rest_resistance_ohm: float = 10000.0,
-    noise: float = 0.002,
-) -> FloatArray:
-    """Resistance (n,) in ohm: half from the relays, half from creep, saturating, with noise relative to itself."""
-    deformed = 0.5 * preisach(load, rng) + 0.5 * fractional_creep(load, dt_s)
-    r = 0.9 * np.tanh(1.2 * deformed) / np.tanh(1.2)
-    noisy: FloatArray = rest_resistance_ohm * (1 + r) * (1 + noise * rng.standard_normal(len(load)))
-    return noisy

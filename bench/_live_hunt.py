@@ -23,19 +23,17 @@ Work is processor time, the shortest of four readings where one is over ten usua
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import dataclass, field
-from time import monotonic, process_time
+from time import process_time
 
-import click
 import numpy as np
 
 from ..circuits import Reason
 from ..common.arrays import FloatArray
 from ..driver import CountReader, Reading
-from ._live_streams import FAMILIES, MOVING, LiveStream, stream
+from ._live_streams import MOVING, LiveStream, stream
+from .harness import column, timed
 
-KINDS = ("wrong cell", "factor of two", "unsolved", "unsettled")
 _MOST_USUAL_FRAMES = 10.0
 _LEAST_USUAL = 3  # frames
 _TIMED_AGAIN = 3  # times that a stream with a frame of more than ten usual ones in processor time is read again
@@ -48,22 +46,23 @@ _ASSUMED_NOISE = 0.5  # ADC steps that the reader assumes in the first frame
 class LiveTally:
     """What was found in one family."""
 
-    boards: int = 0
-    unreadable: int = 0
+    family: str = field(default="", metadata=column("family", "{}", width=20))
+    boards: int = field(default=0, metadata=column("boards", "{}", width=7))
+    unreadable: int = field(default=0, metadata=column("unread", "{}"))
     """boards that cannot be read, so that no stream was made"""
-    frames: int = 0
-    valid: int = 0
+    frames: int = field(default=0, metadata=column("frames", "{}", width=7))
+    valid: int = field(default=0, metadata=column("valid", "{}", width=8))
     """cells"""
-    cells: int = 0
-    used: float = 0.0
+    cells: int = field(default=0, metadata=column("of cells", "{}"))
+    used: float = field(default=0.0, metadata=column("used", "{:.2g}", width=6))
     """largest error over its uncertainty, streams without noise"""
-    surprised: int = 0
+    surprised: int = field(default=0, metadata=column("surprised", "{}"))
     """frames with wrong cells that no reader could know to be wrong"""
-    longest: float = 0.0
+    longest: float = field(default=0.0, metadata=column("longest", "{:.1f}"))
     """longest frame over the stream's median"""
-    slow: list[str] = field(default_factory=list)
+    slow: list[str] = field(default_factory=list, metadata=column("slow", "{}"))
     """streams with a frame of more than ten usual ones"""
-    findings: list[str] = field(default_factory=list)
+    findings: list[str] = field(default_factory=list, metadata=column("findings", "{}"))
 
     def count(self, what: str) -> int:
         """Findings of one kind."""
@@ -108,7 +107,9 @@ def check(family: str, number: int, tally: LiveTally) -> None:
         found["unsettled"] = "in the last frame"
     for _ in range(_TIMED_AGAIN):  # the machine's load only adds to a time
         if _over_usual(times, usual) > _MOST_USUAL_FRAMES:
-            times = [min(pair) for pair in zip(times, _times(read_from), strict=True)]
+            times = [
+                min(pair) for pair in zip(times, timed(CountReader(read_from.design), read_from.counts), strict=True)
+            ]
     longest = _over_usual(times, usual)
     tally.longest = max(tally.longest, longest)
     if longest > _MOST_USUAL_FRAMES:
@@ -150,51 +151,8 @@ def _known_noise(noise_steps: FloatArray, free: list[int]) -> float:
     return known
 
 
-def _times(read_from: LiveStream) -> list[float]:
-    """Processor time in s that a reader takes for each frame."""
-    reader, times = CountReader(read_from.design), []
-    for counts in read_from.counts:
-        start = process_time()
-        reader(counts)
-        times.append(process_time() - start)
-    return times
-
-
 def _over_usual(work: list[float], usual: list[int]) -> float:
     """The most work of a frame after the first over the median of the ``usual`` ones; 0 if these are too few."""
     if len(usual) < _LEAST_USUAL:
         return 0.0
     return max(work[1:MOVING]) / max(float(np.median([work[frame] for frame in usual])), 1e-9)
-
-
-def run(seed: int, seconds: float, families: tuple[str, ...] = ()) -> int:
-    """Check stream after stream, one of each family in turn, until the time is up. Returns the number of findings."""
-    tallies = {family: LiveTally() for family in families or FAMILIES}
-    start, number = monotonic(), seed * 10_000_000
-    with contextlib.suppress(KeyboardInterrupt):  # the search may be ended at any time
-        while monotonic() - start < seconds:
-            for family, tally in tallies.items():
-                known, slow = len(tally.findings), len(tally.slow)
-                check(family, number, tally)
-                for told in tally.findings[known:] + tally.slow[slow:]:
-                    click.echo(told)
-            number += 1
-    click.echo(table(tallies))
-    return sum(len(tally.findings) for tally in tallies.values())
-
-
-def table(tallies: dict[str, LiveTally]) -> str:
-    """The tallies as text."""
-    lines = [
-        f"{'family':20} {'boards':>7} {'unread':>7} {'frames':>7} {'valid':>7} {'used':>6} {'surprise':>8}"
-        f" {'slow':>5} {'longest':>8}  findings: " + ", ".join(KINDS)
-    ]
-    for family, tally in tallies.items():
-        kinds = ", ".join(str(tally.count(kind)) for kind in KINDS)
-        valid = 100.0 * tally.valid / max(tally.cells, 1)
-        lines.append(
-            f"{family:20} {tally.boards:7} {tally.unreadable:7} {tally.frames:7} {valid:6.1f}% {tally.used:6.2g}"
-            f" {tally.surprised:8} {len(tally.slow):5} {tally.longest:8.1f}"
-            f"  {len(tally.findings)}: {kinds}"
-        )
-    return "\n".join(lines)

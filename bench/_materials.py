@@ -251,14 +251,6 @@ def mostly_rest(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, floa
     return load, 0.5 * len(load) * dt_s
 
 
-def under_load(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
-    """Random presses; the recording begins in the middle of one."""
-    load, head_s = random(rng, dt_s)
-    after = round(60 / dt_s)
-    cut = after + int(np.argmax(load[after:] > 0.5)) + round(1 / dt_s)
-    return load[cut:], 0.7 * head_s
-
-
 def alike(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
     """Twenty presses that are all alike, which are learned from, and then random ones."""
     rise, held, fall, pause = rng.uniform(1, 5), rng.uniform(0, 4), rng.uniform(1, 5), rng.uniform(0, 4)
@@ -268,13 +260,6 @@ def alike(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
     first = _along(points, dt_s)
     later = np.clip(independent.presses(rng, 300, dt_s, holds=True), 0, None)
     return np.concatenate([first, later]), len(first) * dt_s
-
-
-def overload(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
-    """Random presses to at most half of full scale, which are learned from, and then such to all of it."""
-    first, later = (np.clip(independent.presses(rng, 240, dt_s, holds=True), 0, None) for _ in range(2))
-    first[-round(3 / dt_s) :] = 0
-    return np.concatenate([0.5 * first / first.max(), later / later.max()]), 240.0
 
 
 LOADS: dict[str, Load] = {
@@ -287,7 +272,5 @@ LOADS: dict[str, Load] = {
     "faster": faster,
     "slower": slower,
     "mostly rest": mostly_rest,
-    "under load": under_load,
     "alike": alike,
-    "overload": overload,
 }

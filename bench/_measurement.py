@@ -1,11 +1,8 @@
-"""The measurements: time, true error, certified bound and memory of each method on the same arrays, in one run."""
+"""The measurements: time, true error and certified bound of each method on the same arrays, in one run."""
 
 from __future__ import annotations
 
 import gc
-import json
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -41,8 +38,6 @@ class Row:
     """worst over all cells, relative to the largest reading: what the bound bounds"""
     bound: float | None = field(default=None, metadata=column("bound", "{:.1e}"))
     """certified beforehand; only ohmskin's methods have one"""
-    memory: int | None = field(default=None, metadata=column("MB", "{:.0f}", unit=1e6))
-    """bytes that solving one frame added at its peak"""
     note: str = field(default="", metadata=column("", "{}"))
 
 
@@ -71,7 +66,6 @@ def measure(
     sizes: Sequence[int],
     segments: Sequence[float],
     *,
-    memory: bool = True,
     peers: bool = True,
     patient: bool = False,
 ) -> Iterator[Row]:
@@ -80,7 +74,6 @@ def measure(
     Args:
         sizes: sides of the arrays.
         segments: ohm per segment and lead.
-        memory: also measure memory, in a new process per method and size, at the first of the segments.
         peers: also measure other programs and libraries.
         patient: wait also for those that take far longer than the others.
 
@@ -94,22 +87,21 @@ def measure(
     for segment in segments:
         if not LEAST <= segment <= MOST:
             raise InputError(f"segment is {segment} ohm; expected {LEAST:g} to {MOST:g}: the peers need more than 0")
-    return _rows(sizes, segments, memory, peers, patient)
+    return _rows(sizes, segments, peers, patient)
 
 
-def _rows(sizes: Sequence[int], segments: Sequence[float], memory: bool, peers: bool, patient: bool) -> Iterator[Row]:
+def _rows(sizes: Sequence[int], segments: Sequence[float], peers: bool, patient: bool) -> Iterator[Row]:
     for size in sizes:
         for segment in segments:
             design, frame = board(size, segment), cells(size)[0]
             true = reference(design, frame)
-            weighed = memory and segment == segments[0]
-            yield from _own(design, frame, true, segment, weighed)
+            yield from _own(design, frame, true, segment)
             yield _batch(design, size, segment)
             if peers:
-                yield from _others(design, frame, true, segment, weighed, patient)
+                yield from _others(design, frame, true, segment, patient)
 
 
-def _own(design: Design, frame: FloatArray, true: FloatArray, segment: float, weighed: bool) -> Iterator[Row]:
+def _own(design: Design, frame: FloatArray, true: FloatArray, segment: float) -> Iterator[Row]:
     size = len(frame)
     unit = -design.drive.voltage * np.max(design.readout.reference_resistance)
     for name, asked in [
@@ -129,7 +121,6 @@ def _own(design: Design, frame: FloatArray, true: FloatArray, segment: float, we
             seconds,
             *_errors(result.volts / unit, true),
             bound=result.error_bound,
-            memory=_memory(name, size, segment) if weighed and name in METHODS else None,
             note=f"by {result.method}" if name != result.method else "",
         )
 
@@ -141,9 +132,7 @@ def _batch(design: Design, size: int, segment: float) -> Row:
     return Row(size, segment, "exact, in a batch", seconds, note=f"of {count} frames")
 
 
-def _others(
-    design: Design, frame: FloatArray, true: FloatArray, segment: float, weighed: bool, patient: bool
-) -> Iterator[Row]:
+def _others(design: Design, frame: FloatArray, true: FloatArray, segment: float, patient: bool) -> Iterator[Row]:
     size = len(frame)
     for peer in PEERS:
         reason = peer.missing()
@@ -167,7 +156,6 @@ def _others(
             peer.name,
             seconds,
             *_errors(currents, true),
-            memory=_memory(peer.name, size, segment) if weighed and peer.name != "ngspice" else None,
             note="" if seconds < _ONCE else "once",
         )
 
@@ -189,16 +177,6 @@ def _best(work: Callable[[], object]) -> float:
     return best
 
 
-def _memory(name: str, size: int, segment: float) -> int | None:
-    """Bytes by which one frame raises the peak of a new process; None where the system does not tell."""
-    command = [sys.executable, "-m", f"{__package__}._memory", name, str(size), str(segment)]
-    process = subprocess.run(command, capture_output=True, text=True, check=False)
-    if process.returncode:
-        return None
-    peak: int | None = json.loads(process.stdout)
-    return peak
-
-
 def picture(rows: Sequence[Row]) -> str:
     """SVG: error against time, one panel per segment resistance, one curve per method through the sizes.
 
@@ -207,23 +185,20 @@ def picture(rows: Sequence[Row]) -> str:
 
     """
     segments = list(dict.fromkeys(row.segment for row in rows))
-    shown = [row for row in rows if row.seconds and row.error is not None]
+    shown = sorted((row for row in rows if row.seconds and row.error is not None), key=lambda row: row.size)
+    own = {row.method for row in shown if row.bound is not None}
     with plots.drawing(1, len(segments), width=1.9 + 4.6 * len(segments), height=3.6, sharey=True) as (figure, axes):
-        panels = axes[0]
-        for panel, segment in zip(panels, segments, strict=True):
-            for method in dict.fromkeys(row.method for row in shown):
-                curve = sorted(
-                    (row for row in shown if row.method == method and row.segment == segment), key=lambda row: row.size
-                )
-                times, errors = (
-                    [1e3 * (row.seconds or 0.0) for row in curve],
-                    [max(row.error or 0.0, 1e-17) for row in curve],
-                )
-                own = any(row.bound is not None for row in curve)
-                panel.plot(times, errors, "o-" if own else "s--", ms=3.5, lw=1.4 if own else 0.9, label=method)
-                for row, x, y in zip(curve, times, errors, strict=True):
-                    panel.annotate(str(row.size), (x, y), textcoords="offset points", xytext=(3, 3), fontsize=6)
+        for panel, segment in zip(axes[0], segments, strict=True):
+            here = [row for row in shown if row.segment == segment]
+            for method in dict.fromkeys(row.method for row in here):
+                curve = [row for row in here if row.method == method]
+                times = [1e3 * (row.seconds or 0.0) for row in curve]
+                errors = [max(row.error or 0.0, 1e-17) for row in curve]
+                line, width = ("o-", 1.4) if method in own else ("s--", 0.9)
+                panel.plot(times, errors, line, ms=3.5, lw=width, label=method)
+                for row, at, height in zip(curve, times, errors, strict=True):
+                    panel.annotate(str(row.size), (at, height), textcoords="offset points", xytext=(3, 3), fontsize=6)
             panel.set(xscale="log", yscale="log", xlabel="time per frame / ms", title=f"{segment:g} ohm per segment")
-        panels[0].set_ylabel("worst error of a reading, relative to it")
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right upper", fontsize=8)
+        axes[0][0].set_ylabel("worst error of a reading, relative to it")
+        figure.legend(*axes[0][0].get_legend_handles_labels(), loc="outside right upper", fontsize=8)
         return plots.svg(figure)

@@ -20,11 +20,11 @@ from itertools import product
 import numpy as np
 
 from ..cell import Cell
-from ..circuits import Design, adc_codes, scan_batch
+from ..circuits import Design
 from ..common.arrays import FloatArray
 from ..driver import Contact, Skin
 from ..errors import InputError
-from ._driver import design
+from ._driver import OnBoard, described, design, quantised
 from ._paced_port import PacedPort, frame_packets
 from .harness import column
 
@@ -53,6 +53,8 @@ RISE_S = 0.01
 """of a tap, and its fall; a third of the tap if that is less"""
 SUBSTEPS = 4
 """in which a frame's load is simulated"""
+CELL_VARIANCE = 1.0 / 12.0
+"""of the width of a cell: the mean of a bell over a cell is nearly a bell that is wider by as much"""
 NEAR_CELLS = 1.0
 """distance of a contact from its tap"""
 
@@ -70,15 +72,30 @@ class Tap:
 
     def kpa(self, time_s: FloatArray, shape: tuple[int, int]) -> FloatArray:
         """(n, rows, columns) pressure at times (n,)."""
-        row, column = np.indices(shape)
-        away = (row - self.row) ** 2 + (column - self.column) ** 2
-        # The mean of a bell over a cell is nearly a bell that is wider by the variance of the cell's own width.
-        bell = np.exp(-away / (2.0 * (self.width_cells**2 + 1.0 / 12.0)))
-        bell[bell < 1e-3] = 0.0
         rise = min(RISE_S, self.duration_s / 3.0)
         corners = self.start_s + np.array([0.0, rise, self.duration_s - rise, self.duration_s])
         share = np.interp(time_s, corners, [0.0, 1.0, 1.0, 0.0])
-        return np.asarray(self.peak_kpa * share[:, None, None] * bell)
+        shape_of = bell(np.array([[self.row, self.column]]), self.width_cells**2 + CELL_VARIANCE, shape)
+        return np.asarray(self.peak_kpa * share[:, None, None] * np.where(shape_of < 1e-3, 0.0, shape_of))
+
+
+def bell(place: FloatArray, variance: float, shape: tuple[int, int]) -> FloatArray:
+    """(n, rows, columns) share of its peak, of a pressure whose middle is at (n, 2) rows and columns."""
+    row, column = np.indices(shape)
+    away = (row - place[:, 0, None, None]) ** 2 + (column - place[:, 1, None, None]) ** 2
+    return np.asarray(np.exp(-away / (2.0 * variance)))
+
+
+def times_of(seconds: float, rate_hz: float, substeps: int = SUBSTEPS) -> FloatArray:
+    """Times (n,) in s of the steps in which a load is simulated."""
+    return np.arange(1.0, round(seconds * rate_hz) * substeps + 1) / (substeps * rate_hz)
+
+
+def read(kpa: FloatArray, rate_hz: float, substeps: int = SUBSTEPS) -> FloatArray:
+    """(frames, rows, columns) ohm of example cells, under loads at :func:`times_of`."""
+    dt_s = np.full(len(kpa), 1.0 / (substeps * rate_hz))
+    ohm: FloatArray = Cell.example().forward(kpa.shape[1:]).run(dt_s, kpa)[substeps - 1 :: substeps]
+    return ohm
 
 
 HEAD = (
@@ -89,14 +106,9 @@ HEAD = (
 
 
 @dataclass(frozen=True)
-class Taps:
+class Taps(OnBoard):
     """One board at one frame rate."""
 
-    size: int = field(metadata=column("cells", "{0} x {0}"))
-    """of the N x N array"""
-    circuit: str = field(metadata=column("circuit", "{}", width=18))
-    idle_rows: str = field(metadata=column("idle", "{}", width=6))
-    bits: int = field(metadata=column("bits", "{}"))
     noise_mv: float = field(metadata=column("noise, mV", "{:g}"))
     rate_hz: float = field(metadata=column("frames/s", "{:.0f}"))
     found: dict[float, float] = field(metadata=column("{:g} s", "{:.0f}", unit=0.01))
@@ -132,14 +144,12 @@ def random_taps(number: int, shape: tuple[int, int], rng: np.random.Generator) -
 
 def resistances(taps: Iterable[Tap], shape: tuple[int, int], rate_hz: float, seconds: float) -> FloatArray:
     """(frames, rows, columns) ohm of example cells that are tapped."""
-    fine = np.arange(1.0, round(seconds * rate_hz) * SUBSTEPS + 1) / (SUBSTEPS * rate_hz)
+    fine = times_of(seconds, rate_hz)
     kpa = np.zeros((len(fine), *shape))
     for tap in taps:
         during = slice(*np.searchsorted(fine, [tap.start_s, tap.start_s + tap.duration_s]))
         kpa[during] += tap.kpa(fine[during], shape)
-    dt_s = np.full(len(fine), 1.0 / (SUBSTEPS * rate_hz))
-    ohm: FloatArray = Cell.example().forward(shape).run(dt_s, kpa)[SUBSTEPS - 1 :: SUBSTEPS]
-    return ohm
+    return read(kpa, rate_hz)
 
 
 FAULTS = ("cell", "line", "impulse")
@@ -177,10 +187,7 @@ def contacts_of(
     board: Design, ohm: FloatArray, noise_mv: float, rate_hz: float, rng: np.random.Generator
 ) -> Iterator[tuple[float, tuple[Contact, ...]]]:
     """Time in s and contacts of each frame (frames, rows, columns) of a skin that is tared at the beginning."""
-    assert board.adc is not None
-    volts = scan_batch(board, ohm).volts
-    codes = adc_codes(board, volts + rng.normal(scale=1e-3 * noise_mv, size=volts.shape))
-    packets = frame_packets(codes, rate_hz)
+    packets = frame_packets(quantised(board, ohm, 1e-3 * noise_mv, rng), rate_hz)
     port = PacedPort(packets, 1e-3, board)
     port.work(10.0 + 1e-3 * len(packets))  # all frames have come
     with warnings.catch_warnings():
@@ -228,10 +235,7 @@ def taps_and_faults(
         force_share, off_cells = accuracy(taps, seen, shape, 1e3 * _pitch_m(board))
         delays = [first - tap.start_s for tap, first in zip(taps, first_s, strict=True) if first < np.inf]
         yield Taps(
-            size=size,
-            circuit=circuit,
-            idle_rows=idle_rows,
-            bits=bits,
+            *described(board),
             noise_mv=noise_mv,
             rate_hz=rate_hz,
             found={one: _share(first_s, [tap.duration_s == one for tap in taps]) for one in DURATIONS_S},

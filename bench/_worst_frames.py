@@ -1,7 +1,7 @@
 """Longest calls of the live recovery: what sudden changes cost on every kind of board, in usual frames.
 
-The driver promises that a frame never costs more than ten usual ones. Five fingers that wander over the skin give the
-usual frame (median), and each of :data:`EVENTS` changes much at once. The recovery is deterministic. Each stream is
+The driver promises that a frame never costs more than ten usual ones. Fingers that wander over the skin give the usual
+frame (median), and each of :func:`_events` changes much at once. The recovery is deterministic. Each stream is
 therefore read twice, and of each frame the shorter processor time counts, so that a loaded machine does not.
 
 A skin that has rested costs less than one with fingers. What it costs to wake it, all cells at once, is stated in usual
@@ -10,28 +10,37 @@ frames of the resting skin, packets to kPa with standard deviations.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from time import process_time
 from typing import Any
 
 import numpy as np
 
-from ..cell import Cell
-from ..circuits import Design, adc_codes, scan
-from ..common.arrays import FloatArray
+from ..cell import Cell, Estimator
+from ..circuits import Design
+from ..common.arrays import CodeArray, FloatArray
 from ..driver import CountReader
-from ._driver import APART_S, every_frame, packets_of, port_of
-from .harness import column
+from ._driver import (
+    APART_S,
+    FRAME_RATE_HZ,
+    HARD_OHM,
+    LARGEST_FLOATING,
+    OnBoard,
+    counts_of,
+    described,
+    design,
+    every_frame,
+    packets_of,
+    port_of,
+    pressed,
+)
+from .harness import column, timed
 
 LIMIT = 10.0
 """usual frames that a frame may cost"""
-HARD_OHM = 5.0
-"""of cells that are held at a short, so that their readings stand at a limit"""
-PRESS_SHARE = 0.12
-"""of its resistance at rest that a hard press leaves of a cell"""
-NOISE_STEPS = 0.5
-"""standard deviation of the outputs' noise in ADC steps"""
+REST_OHM, PRESS_SHARE = 10e3, 0.12
+"""of a cell at rest, and the share of it that a hard press leaves"""
 BEFORE, DURING, AFTER = 8, 12, 12
 """frames of an event"""
 ASLEEP, SETTLING = 50, 34
@@ -61,67 +70,21 @@ CASES: tuple[tuple[str, str, str, float, int, int], ...] = (
     ("voltage-divider", "float", "load", 0.0, 16, 1),
 )
 """circuit, idle rows, idle columns, ohm of a line's segment, ADC bits, columns over rows"""
-_LARGEST_FLOATING = 32  # rows beyond which boards with floating rows are left out: minutes
-_FRAME_S = 0.005
-_LEAD_OHM = 5.0
-_REST_OHM = 10e3
-
-Change = Callable[[FloatArray, np.random.Generator], FloatArray]
-
-
-def _hard_press(rest: FloatArray, draw: np.random.Generator) -> FloatArray:
-    return rest * PRESS_SHARE * 10 ** draw.uniform(-0.1, 0.1, rest.shape)
-
-
-def _saturated(rest: FloatArray, draw: np.random.Generator) -> FloatArray:
-    cells = rest.copy()
-    cells.flat[draw.choice(rest.size, min(7, rest.size // 2), replace=False)] = HARD_OHM
-    return cells
-
-
-def _half_pressed(rest: FloatArray, draw: np.random.Generator) -> FloatArray:
-    cells = rest.copy()
-    cells[:, : max(1, rest.shape[1] // 2)] *= PRESS_SHARE
-    return cells
-
-
-def _open_cell(rest: FloatArray, draw: np.random.Generator) -> FloatArray:
-    cells = rest.copy()
-    cells.flat[int(draw.integers(rest.size))] = np.inf
-    return cells
-
-
-def _dead_row(rest: FloatArray, draw: np.random.Generator) -> FloatArray:
-    cells = rest.copy()
-    cells[int(draw.integers(len(rest)))] = np.inf
-    return cells
-
-
-EVENTS: dict[str, Change] = {
-    "press": _hard_press,
-    "half": _half_pressed,
-    "saturated": _saturated,
-    "open": _open_cell,
-    "dead row": _dead_row,
-}
-"""hard press of all cells at once, and of half of them; seven cells at a limit; a cell without a contact; a row without
-a driver. Each begins from rest and ends at once."""
-
 
 HEAD = (
     f"longest call, counts to kPa, in usual frames of the same board, at most {LIMIT:g}; the first frame of all apart; "
-    f"pressed as a whole from rest ({HOLD}, {TAP}) in usual frames of a reader of the skin at rest. Valid cells in "
-    "percent with fingers, and at the end of each event (back); frames without any after it (without)"
+    f"pressed as a whole from rest ({HOLD}, {TAP}) in usual frames of a reader of the skin at rest"
 )
 
 
 @dataclass(frozen=True)
-class WorstFrames:
+class WorstFrames(OnBoard):
     """One board."""
 
-    board: str = field(metadata=column("board", "{}", width=46))
-    rows: int = field(metadata=column("rows", "{}"))
     columns: int = field(metadata=column("columns", "{}"))
+    idle_columns: str = field(metadata=column("idle columns", "{}"))
+    segment: float = field(metadata=column("ohm", "{:g}", width=3))
+    """of a line from cell to cell"""
     first_ms: float = field(metadata=column("first ms", "{:.1f}"))
     """processor time of the first frame of all"""
     usual_us: float = field(metadata=column("usual us", "{:.0f}"))
@@ -132,96 +95,73 @@ class WorstFrames:
     """longest frame of each event, in usual frames; frames after the first"""
     asleep: dict[str, float] = field(metadata=column("{}", "{:.1f}"))
     """longest frame after a sleeping skin is pressed as a whole or released, in usual frames of the skin at rest"""
-    back: dict[str, float] = field(metadata=column("back: {}", "{:.0f}"))
-    """percent of the cells valid in the last frame of the event, and in the last frame after it, the less of both"""
-    wait: dict[str, int] = field(metadata=column("without: {}", "{}"))
-    """frames without any valid cell after an event begins, or after it ends, the more of both"""
-    valid_percent: float = field(metadata=column("valid, %", "{:.1f}"))
-    """of the cells, while fingers wander"""
-
-    @property
-    def worst(self) -> float:
-        """Longest frame of all after the first, in usual frames."""
-        return max(self.wandering, *self.events.values(), *self.asleep.values())
 
 
 def worst_frames(sizes: Iterable[int]) -> Iterator[WorstFrames]:
     """Measure the boards of :data:`CASES` with so many rows."""
     for size in sizes:
         for circuit, idle_rows, idle_columns, segment, bits, wider in CASES:
-            if idle_rows == "float" and size > _LARGEST_FLOATING:
-                continue
-            name = f"{circuit}, {idle_rows}"
-            if circuit == "voltage-divider":
-                name += f"/{idle_columns}"
-            name += f", {bits} bits" + (f", {segment:g} ohm" if segment else "")
-            array = {"rows": size, "columns": wider * size, "row_lead": _LEAD_OHM, "column_lead": _LEAD_OHM}
-            array |= {"row_segment": segment, "column_segment": segment}
-            amplified = circuit.endswith("amplifier")
-            readout: dict[str, Any] = {"circuit": circuit, "idle_columns": idle_columns}
-            readout["reference_resistance"] = 2e3 if amplified else 5e3
-            if circuit != "voltage-divider":
-                readout |= {"open_loop_gain": 1e5, "supply": [-0.1, 3.3]}
-            design = {
-                "array": array,
-                "drive": {"voltage": -1.0 if amplified else 3.3, "idle_rows": idle_rows},
-                "readout": readout,
-                "adc": {"bits": bits, "range": [0.0, 3.3]},
-            }
-            yield worst_frames_of(name, Design.model_validate(design))
+            if idle_rows == "ground" or size <= LARGEST_FLOATING:
+                board = design(
+                    size,
+                    circuit,
+                    idle_rows,
+                    bits,
+                    columns=wider * size,
+                    readout={"idle_columns": idle_columns}
+                    | ({"reference_resistance": 2e3} if circuit.endswith("amplifier") else {}),
+                    array={"row_segment": segment, "column_segment": segment},
+                )
+                yield _measured(board, segment)
 
 
-def worst_frames_of(name: str, board: Design) -> WorstFrames:
-    """Measure one board with a converter."""
+def _measured(board: Design, segment: float) -> WorstFrames:
     draw = np.random.default_rng(0)
-    shape = board.array.shape
-    rest = _REST_OHM * 10 ** draw.uniform(-0.05, 0.05, shape)
-    wandering = list(_wandering(rest, draw))
-    times, valid = _read(board, wandering)
+    rows, columns = board.array.shape
+    rest = REST_OHM * 10 ** draw.uniform(-0.05, 0.05, (rows, columns))
+    times = _times(board, pressed((rows, columns), USUAL)[1])
     usual = float(np.median(times[5:]))
-    events, back, wait = {}, {}, {}
-    for event, change in EVENTS.items():
-        pressed = change(rest, draw)
-        frames = [rest] * BEFORE + [pressed] * DURING + [rest] * AFTER
-        spent, share = _read(board, frames)
-        events[event] = float(spent[1:].max()) / usual
-        back[event] = 100.0 * min(share[BEFORE + DURING - 1], share[-1])
-        during, after = share[BEFORE : BEFORE + DURING], share[BEFORE + DURING :]
-        wait[event] = max(_without_valid(during), _without_valid(after))
     return WorstFrames(
-        board=name,
-        rows=shape[0],
-        columns=shape[1],
+        *described(board),
+        columns=columns,
+        idle_columns=board.readout.idle_columns,
+        segment=segment,
         first_ms=1e3 * float(times[0]),
         usual_us=1e6 * usual,
         wandering=float(times[5:].max()) / usual,
-        events=events,
+        events={
+            name: float(_times(board, np.array([rest] * BEFORE + [cells] * DURING + [rest] * AFTER))[1:].max()) / usual
+            for name, cells in _events(rest, draw).items()
+        },
         asleep={name: _woken(board, lasts) for name, lasts in LASTS.items()},
-        back=back,
-        wait=wait,
-        valid_percent=100.0 * float(valid[5:].mean()),
     )
 
 
-def _without_valid(share: FloatArray) -> int:
-    """Frames before the first one with a valid cell; all, if there is none."""
-    return int(np.argmax(share > 0)) if (share > 0).any() else len(share)
+def _events(rest: FloatArray, draw: np.random.Generator) -> dict[str, FloatArray]:
+    """Cells of events that begin from rest and end at once: a hard press of all cells, and of half of them; seven cells
+    at a limit; a cell without a contact; a row without a driver.
+    """
+    rows, columns = rest.shape
 
+    def with_cells(where: Any, ohm: Any) -> FloatArray:
+        cells = rest.copy()
+        cells[where] = ohm
+        return cells
 
-def _wandering(rest: FloatArray, draw: np.random.Generator) -> Iterator[FloatArray]:
-    row, column = np.indices(rest.shape)
-    place, way = draw.uniform(0.0, 1.0, (5, 2)) * rest.shape, draw.uniform(-0.02, 0.02, (5, 2))
-    for number in range(USUAL):
-        load = np.zeros(rest.shape)
-        for finger, at in enumerate(place + number * way):
-            strength = 0.5 + 0.5 * np.sin(number / 8.0 + finger)
-            load += strength * np.exp(-((row - at[0]) ** 2 + (column - at[1]) ** 2) / 2.0)
-        yield rest / (1.0 + 2.0 * load)
+    some = np.unravel_index(draw.choice(rest.size, min(7, rest.size // 2), replace=False), rest.shape)
+    half = np.s_[:, : max(1, columns // 2)]
+    return {
+        "press": rest * PRESS_SHARE * 10 ** draw.uniform(-0.1, 0.1, rest.shape),
+        "half": with_cells(half, PRESS_SHARE * rest[half]),
+        "saturated": with_cells(some, HARD_OHM),
+        "open": with_cells((draw.integers(rows), draw.integers(columns)), np.inf),
+        "dead row": with_cells(draw.integers(rows), np.inf),
+    }
 
 
 def _woken(board: Design, lasts: int) -> float:
     """Longest frame after a sleeping skin is pressed as a whole for so many frames, in usual frames of it at rest."""
-    rest = np.full(board.array.shape, _REST_OHM)
+    rest = np.full(board.array.shape, REST_OHM)
     packets = packets_of(board, np.array([rest] * ASLEEP + [WAKES * rest] * lasts + [rest] * AFTER))
     times = np.full(len(packets), np.inf)
     for _ in range(2):
@@ -235,24 +175,14 @@ def _woken(board: Design, lasts: int) -> float:
     return float(times[ASLEEP:].max() / np.median(times[SETTLING:ASLEEP]))
 
 
-def _read(board: Design, frames: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Processor time in s and share of valid cells of each frame."""
-    assert board.adc is not None
-    noise = np.random.default_rng(1)
-    volts: dict[int, FloatArray] = {}
-    counts = []
-    for cells in frames:
-        if id(cells) not in volts:
-            volts[id(cells)] = scan(board, cells).volts
-        noisy = volts[id(cells)] + noise.normal(scale=NOISE_STEPS * board.adc.step, size=cells.shape)
-        counts.append(adc_codes(board, noisy).astype(np.uint16))
-    times, valid = np.full(len(frames), np.inf), np.empty(len(frames))
+def _times(board: Design, frames: FloatArray) -> FloatArray:
+    """Processor time in s of each frame of cells (frames, rows, columns) in ohm."""
+    counts, times = counts_of(board, frames), np.full(len(frames), np.inf)
     for _ in range(2):
         read, estimator = CountReader(board), Cell.example().estimator(board.array.shape)
-        for number, codes in enumerate(counts):
-            start = process_time()
-            reading = read(codes)
-            estimator.step(_FRAME_S, reading.resistance)
-            times[number] = min(times[number], process_time() - start)
-            valid[number] = reading.valid.mean()
-    return times, valid
+
+        def step(codes: CodeArray, by: CountReader = read, to: Estimator = estimator) -> None:
+            to.step(1.0 / FRAME_RATE_HZ, by(codes).resistance)
+
+        times = np.minimum(times, timed(step, counts))
+    return times

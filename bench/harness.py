@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
-from typing import Any
+from time import monotonic, process_time
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+from ..common.arrays import FloatArray
 
 GAP = "  "
 
@@ -64,8 +69,43 @@ def _cells(row: Any) -> Iterator[tuple[str, str, int, bool]]:
 def _text(value: Any, column: Column) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
+    if isinstance(value, list):
+        value = len(value)
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return "-"
     if isinstance(value, (int, float)) and column.unit != 1.0:
         value /= column.unit
     return column.form.format(value)
+
+
+def timed(work: Callable[[Any], object], items: Iterable[Any]) -> FloatArray:
+    """Processor time in s that ``work`` takes for each of the items (n,)."""
+    times = []
+    for item in items:
+        start = process_time()
+        work(item)
+        times.append(process_time() - start)
+    return np.array(times)
+
+
+class Tally(Protocol):
+    """What a search has found in one family."""
+
+    findings: list[str]
+    slow: list[str]
+
+
+Found = TypeVar("Found", bound=Tally)
+
+
+def search(
+    tallies: Mapping[str, Found], check: Callable[[str, int, Found], None], seed: int, seconds: float
+) -> Iterator[str]:
+    """Check number after number, one of each family in turn, until the time is up; yields findings as they are made."""
+    until, number = monotonic() + seconds, seed * 10_000_000
+    while monotonic() < until:
+        for family, tally in tallies.items():
+            known, slow = len(tally.findings), len(tally.slow)
+            check(family, number, tally)
+            yield from (*tally.findings[known:], *tally.slow[slow:])
+        number += 1

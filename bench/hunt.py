@@ -19,8 +19,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from math import inf
 from typing import Any
@@ -31,8 +30,9 @@ import numpy as np
 from ..circuits import CIRCUITS, METHODS, Design, scan
 from ..common.arrays import FloatArray
 from ..errors import SolverError
-from . import _live_hunt, _live_streams
+from . import _live_hunt, _live_streams, harness
 from ._reference import Indeterminate, reference_volts
+from .harness import column
 
 _ULP = float(np.finfo(np.float64).eps)
 _NOTHING = 1e-30  # V; ideal parts are stood for by conductances 1e40 times the largest one
@@ -191,20 +191,23 @@ FAMILIES: dict[str, Callable[[Draw, Tables, tuple[int, int]], FloatArray]] = {
 class Tally:
     """What was found in one family."""
 
-    designs: int = 0
-    refused: int = 0
+    family: str = field(default="", metadata=column("family", "{}", width=12))
+    designs: int = field(default=0, metadata=column("designs", "{}", width=8))
+    refused: int = field(default=0, metadata=column("refused", "{}"))
     """by the reading, rightly"""
-    infinite: int = 0
+    infinite: int = field(default=0, metadata=column("infinite", "{}"))
     """readings with an infinite output"""
-    empty: int = 0
+    empty: int = field(default=0, metadata=column("empty", "{}"))
     """bounds above 1e-6"""
-    error: float = 0.0
+    error: float = field(default=0.0, metadata=column("error", "{:.1e}"))
     """largest error of an output, relative to the largest output of its frame"""
-    used: float = 0.0
+    used: float = field(default=0.0, metadata=column("/ bound", "{:.1e}"))
     """largest error over its bound"""
-    bound: float = 0.0
+    bound: float = field(default=0.0, metadata=column("bound", "{:.1e}"))
     """largest bound that is not empty"""
-    findings: list[str] = field(default_factory=list)
+    findings: list[str] = field(default_factory=list, metadata=column("findings", "{}"))
+    slow: list[str] = field(default_factory=list)
+    """nothing is timed"""
 
 
 def check(family: str, number: int, tally: Tally) -> None:
@@ -261,36 +264,6 @@ def _answer(design: Design, cells: FloatArray) -> FloatArray | None:
         return None
 
 
-def search(tallies: dict[str, Tally], seed: int, seconds: float) -> Iterator[str]:
-    """Check design after design, one of each family in turn, until the time is up.
-
-    Yields findings as they are made, and the tallies every ten minutes.
-    """
-    start = said = time.monotonic()
-    number = seed * 10_000_000
-    while time.monotonic() - start < seconds:
-        for family, tally in tallies.items():
-            known = len(tally.findings)
-            check(family, number, tally)
-            yield from tally.findings[known:]
-        number += 1
-        if time.monotonic() - said > 600.0:
-            said = time.monotonic()
-            yield table(tallies)
-
-
-def table(tallies: dict[str, Tally]) -> str:
-    """The tallies as text."""
-    names = ("designs", "refused", "infinite", "empty", "error", "/ bound", "bound", "findings")
-    lines = [f"{'family':12} " + " ".join(f"{name:>8}" for name in names)]
-    for family, tally in tallies.items():
-        lines.append(
-            f"{family:12} {tally.designs:8} {tally.refused:8} {tally.infinite:8} {tally.empty:8} {tally.error:8.1e} "
-            f"{tally.used:8.1e} {tally.bound:8.1e} {len(tally.findings):8}"
-        )
-    return "\n".join(lines)
-
-
 def _shown(finding: str, known: Collection[str], *, live: bool) -> str:
     """The design and the cells of FAMILY:NUMBER, with --live those of each frame, and what was read of them."""
     family, _, number = finding.rpartition(":")
@@ -333,12 +306,20 @@ def main(seconds: float, seed: int, family: tuple[str, ...], live: bool, show: s
         click.echo(_shown(show, known, live=live))
         return
     if live:
-        raise SystemExit(1 if _live_hunt.run(seed, seconds, family) else 0)
-    tallies = {name: Tally() for name in family or FAMILIES}
+        _search({name: _live_hunt.LiveTally(name) for name in family or known}, _live_hunt.check, seed, seconds)
+    else:
+        _search({name: Tally(name) for name in family or known}, check, seed, seconds)
+
+
+def _search(
+    tallies: dict[str, harness.Found], check: Callable[[str, int, harness.Found], None], seed: int, seconds: float
+) -> None:
+    """Print findings as they come, then the tallies; exits with 1 if there are any findings."""
     with contextlib.suppress(KeyboardInterrupt):  # the search may be ended at any time
-        for finding in search(tallies, seed, seconds):
+        for finding in harness.search(tallies, check, seed, seconds):
             click.echo(finding)
-    click.echo(table(tallies))
+    for line in harness.table(tallies.values()):
+        click.echo(line)
     raise SystemExit(1 if any(tally.findings for tally in tallies.values()) else 0)
 
 

@@ -8,8 +8,9 @@
 from __future__ import annotations
 
 import importlib
+import sys
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, astuple, dataclass, field, replace
 from fnmatch import fnmatchcase
 from itertools import product
 from pathlib import Path
@@ -26,6 +27,7 @@ from ..common.arrays import FloatArray
 from ..common.config import NotNegative, Positive, Section
 from ..errors import InputError
 from . import panel
+from .harness import column
 from .scenes import COLUMN_NOISE, Fault, Played, Scene, cells, play
 
 TABLE = Path(__file__).with_name("judges.toml")
@@ -37,19 +39,13 @@ RECORDING_S = 120.0
 """of a recording before and after the moment up to which is learned"""
 QUICK_EVERY = 6
 """of the scenes, one is in the quick selection"""
-QUICK_MOST_S = 40.0
-"""no longer scene is in it"""
 
 
 class Judged(Protocol):
-    """What can be judged. Where it has them, ``compile()`` and ``resolve(...)`` are called as a skin calls them.
+    """What can be judged. Where it has it, ``resolve(...)`` is called as a skin calls it."""
 
-    An estimator with the attribute ``takes_readings = True`` is stepped with :class:`ohmskin.common.readings.Readings`
-    in place of ohms.
-    """
-
-    def step(self, elapsed_s: float, readings: Any, /) -> FloatArray:
-        """Take a frame; returns kPa."""
+    def step(self, elapsed_s: float, resistance: ArrayLike, /) -> FloatArray:
+        """Take a frame in ohm; returns kPa."""
 
     @property
     def std_kpa(self) -> FloatArray:
@@ -172,7 +168,9 @@ def rows(only: str = "", *, quick: bool = False) -> list[Row]:
     chosen = [row for row in every if any(fnmatchcase(part, pattern) for part in (row.name, row.gate))]
     chosen = [row for row in chosen if row.quick or not quick]
     if not chosen:
-        raise InputError(f"no row of {TABLE.name} contains '{only}'")
+        raise InputError(
+            f"no row of {TABLE.name} contains '{only}'; a row is called '{every[0].name}', and * stands for any text"
+        )
     return chosen
 
 
@@ -180,7 +178,8 @@ def maker(name: str | None) -> Maker:
     """What makes the estimator of a cell.
 
     Args:
-        name: of an estimator, or ``module:function``; None: each cell's default.
+        name: of an estimator, or ``module:function``, where the module may be a file in the working directory; None:
+            each cell's default.
 
     Raises:
         InputError: there is no such function.
@@ -189,6 +188,8 @@ def maker(name: str | None) -> Maker:
     if name is None or ":" not in name:
         return lambda cell, shape: cell.estimator(shape, name)
     module, _, function = name.partition(":")
+    if "" not in sys.path:  # an installed command does not look in the working directory, as ``python -m`` does
+        sys.path.append("")
     try:
         made: Maker = getattr(importlib.import_module(module), function)
     except (ImportError, AttributeError) as error:
@@ -211,17 +212,13 @@ def judge(chosen: Iterable[Row], make: Maker) -> Iterator[Verdict]:
 def estimated(played: Played, estimator: Judged) -> tuple[FloatArray, FloatArray, float]:
     """Pressure and standard deviation (n, *cells) in kPa, NaN in lost frames; and the processor time in s."""
     ohms = played.ohms
-    by_readings = getattr(estimator, "takes_readings", False)
-    if (use_machine_code := getattr(estimator, "compile", None)) is not None:
-        use_machine_code()
-    if (resolve := getattr(estimator, "resolve", None)) is not None and not by_readings:
+    if (resolve := getattr(estimator, "resolve", None)) is not None:
         resolve(*_resolution(played))
     pressure, std = np.full((2, *ohms.shape), np.nan)
     last, spent = -1, 0.0
     for n in np.flatnonzero(played.arrives).tolist():
-        frame: ArrayLike | Any = played.readings(n) if by_readings else ohms[n]
         start = process_time()
-        pressure[n] = estimator.step((n - last) * played.frame_s, frame)
+        pressure[n] = estimator.step((n - last) * played.frame_s, ohms[n])
         std[n] = estimator.std_kpa
         spent += process_time() - start
         last = n
@@ -329,33 +326,39 @@ def misses(row: Row, found: Figures) -> tuple[str, ...]:
     return tuple(missed)
 
 
-# -- the table as text -------------------------------------------------------------------------------------------------
+# -- the tables --------------------------------------------------------------------------------------------------------
 
-HEADER = (
-    f"{'row':<66}{'gate':<15}{'RMSE, % FS: today, now, most':>30}{'within 2 sd, %':>20}{'worst, sd':>17}"
-    f"{'sd, % FS':>20}{'rest, kPa':>20}  misses"
+TITLES = dict(
+    zip(
+        FIGURES,
+        ("RMSE, % FS: today, now (most)", "within 2 sd, %", "worst, sd", "sd, % FS", "rest, kPa"),
+        strict=True,
+    )
 )
 
 
-def line(verdict: Verdict) -> str:
-    """A row: frozen figures, measured ones, and limits where there are any."""
+@dataclass(frozen=True)
+class Line:
+    """A row as text: frozen figures, measured ones, and limits where there are any."""
+
+    row: str = field(metadata=column("row", "{}", width=64))
+    gate: str = field(metadata=column("gate", "{}", width=13))
+    figures: dict[str, str] = field(metadata=column("{}", "{}", width=18))
+    misses: str = field(metadata=column("misses", "{}"))
+
+
+def line(verdict: Verdict) -> Line:
+    """A row of the table that :func:`.harness.table` prints."""
     row, found = verdict.row, verdict.found
     today = row.today or Figures(*[np.nan] * 4)
 
-    def shown(value: float) -> str:
-        return "-" if np.isnan(value) else f"{value:.3g}"
-
-    def pair(figure: str) -> str:
-        return f"{shown(getattr(today, figure))} {shown(getattr(found, figure))}"
-
-    def limited(figure: str) -> str:
+    def shown(figure: str) -> str:
         limit = limit_of(row, figure, found)
-        return pair(figure) + ("" if np.isnan(limit) else f" ({shown(limit)})")
+        values = [getattr(today, figure), getattr(found, figure)]
+        before, now = ("-" if np.isnan(value) else f"{value:.3g}" for value in values)
+        return f"{before} {now}" + ("" if np.isnan(limit) else f" ({limit:.3g})")
 
-    return (
-        f"{row.name:<66}{row.gate:<15}{limited('rmse'):>30}{limited('within'):>20}{limited('worst'):>17}"
-        f"{limited('sd'):>20}{limited('rest'):>20}  {', '.join(verdict.misses)}"
-    )
+    return Line(row.name, row.gate, {TITLES[one]: shown(one) for one in FIGURES}, ", ".join(verdict.misses))
 
 
 def record(verdict: Verdict) -> dict[str, Any]:
@@ -373,37 +376,47 @@ def record(verdict: Verdict) -> dict[str, Any]:
     }
 
 
-def summary(verdicts: Iterable[Verdict]) -> str:
-    """Gates, and in how many of their rows they hold: now, and for the figures that were frozen."""
+@dataclass(frozen=True)
+class Summary:
+    """A gate, and in how many of its rows it holds: now, and for the figures that were frozen."""
+
+    gate: str = field(metadata=column("gate", "{}", width=14))
+    rows: int = field(metadata=column("rows", "{}", width=4))
+    hold: int = field(metadata=column("hold", "{}", width=4))
+    held: int = field(metadata=column("held", "{}", width=4))
+    rmse: float = field(metadata=column("RMSE, median", "{:.2f}"))
+    rmse_today: float = field(metadata=column("today", "{:.2f}", width=6))
+    within: float = field(metadata=column("in 2 sd, mean", "{:.1f}"))
+    within_today: float = field(metadata=column("today", "{:.1f}", width=6))
+    microseconds: float = field(metadata=column("us per cell and frame", "{:.2f}"))
+    """processor time of the estimator"""
+
+
+def summary(verdicts: Iterable[Verdict]) -> Iterator[Summary]:
+    """Each gate of the verdicts, then all."""
     every = list(verdicts)
-    lines = [
-        f"{'gate':<16}{'rows':>6}{'hold':>6}{'held':>6}{'RMSE, median':>15}{'today':>8}{'in 2 sd, mean':>15}"
-        f"{'today':>8}"
-    ]
     for gate in [*dict.fromkeys(one.row.gate for one in every), "all"]:
         some = [one for one in every if gate in (one.row.gate, "all")]
-        frozen = [one.row.today for one in some if one.row.today is not None]
-        held = sum(not misses(one.row, one.row.today) for one in some if one.row.today is not None)
-        before = np.nan, np.nan
-        if frozen:
-            before = float(np.median([one.rmse for one in frozen])), float(np.mean([one.within for one in frozen]))
-        lines.append(
-            f"{gate:<16}{len(some):>6}{sum(not one.misses for one in some):>6}{held:>6}"
-            f"{np.median([one.found.rmse for one in some]):>15.2f}{before[0]:>8.2f}"
-            f"{np.mean([one.found.within for one in some]):>15.1f}{before[1]:>8.1f}"
+        pairs = [(one.row, one.row.today) for one in some if one.row.today is not None]
+        timed = [one for one in some if one.cell_frames]
+        yield Summary(
+            gate=gate,
+            rows=len(some),
+            hold=sum(not one.misses for one in some),
+            held=sum(not misses(row, today) for row, today in pairs),
+            rmse=float(np.median([one.found.rmse for one in some])),
+            rmse_today=float(np.median([today.rmse for _, today in pairs])) if pairs else np.nan,
+            within=float(np.mean([one.found.within for one in some])),
+            within_today=float(np.mean([today.within for _, today in pairs])) if pairs else np.nan,
+            microseconds=1e6 * sum(one.seconds for one in timed) / max(sum(one.cell_frames for one in timed), 1),
         )
-    cell_frames = sum(one.cell_frames for one in every)
-    spent = sum(one.seconds for one in every if one.cell_frames)
-    if cell_frames:
-        lines.append(f"{1e6 * spent / cell_frames:.2f} us of processor time per cell and frame")
-    return "\n".join(lines)
 
 
 def freeze(verdicts: Iterable[Verdict]) -> None:
     """Write what was measured into the table, as today's figures of these rows."""
     today = dict(config.load(TABLE, Table).today)
     for one in verdicts:
-        found = [getattr(one.found, figure) for figure in ("rmse", "within", "worst", "sd", "rest", "static")]
+        found = list(astuple(one.found))
         while np.isnan(found[-1]):
             found.pop()
         today[one.row.name] = [float(f"{value:.3g}") for value in found]

@@ -7,15 +7,15 @@
 The recordings come from emulated materials outside the fitted model classes (:mod:`._materials`), under each kind of
 load, and with each kind of disturbance. Every load is combined with some of the materials, which rotate with the seed;
 ``--material`` chooses them instead. CSV files with the columns ``time_s,pressure_kpa,resistance_ohm`` are judged
-as they are, played three times as fast and as slow, and thinned.
+instead.
 """
 
 from __future__ import annotations
 
-import json
 import zlib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ import numpy as np
 from ..cell import CalibrationResult, Cell, Recording, calibrate, checked_recording, estimate_recording
 from ..common.arrays import FloatArray
 from ._materials import LOADS, MATERIALS
+from .harness import column, table
 
 DT_S = 0.1
 FULL_SCALE_KPA = 15.5
@@ -35,8 +36,6 @@ RESTING, RESTING_S = 0.01, 5.0
 """a cell is at rest that has had less than this share of full scale for that long"""
 DISTURBANCES = ("thinned", "noisy", "outliers", "R0 3 % low")
 """what happens to random presses"""
-ONE_PRESS_S = 20.0
-"""how long after the first press of a file the head ends that has only that"""
 PER_LOAD = 2
 """materials that each kind of load is combined with, unless they are chosen"""
 
@@ -71,31 +70,27 @@ class Scene:
 class Verdict:
     """How the chosen estimator does on what it has not seen."""
 
-    load: str
-    material: str
-    seed: int
-    estimator: str
+    load: str = field(metadata=column("load", "{}", width=13))
+    material: str = field(metadata=column("material", "{:.11}", width=11))
+    seed: int = field(metadata=column("seed", "{}"))
+    estimator: str = field(metadata=column("chosen", "{}", width=9))
     model: str
-    rmse_percent: float
+    rmse_percent: float = field(metadata=column("RMSE", "{:.1f}", width=5))
     """of full scale, as the next ones"""
-    worst_percent: float
+    static_percent: float = field(metadata=column("static", "{:.1f}"))
+    """RMSE of the static curve on the same samples"""
+    best_percent: float = field(metadata=column("best", "{:.1f}"))
+    """RMSE of the best of the learned estimators, chosen after the fact"""
+    worst_percent: float = field(metadata=column("worst", "{:.0f}"))
     worst_sd: float
     """largest error over its stated deviation"""
-    static_percent: float
-    """RMSE of the static curve on the same samples"""
-    best_percent: float
-    """RMSE of the best of the learned estimators, chosen after the fact"""
-    within_two_std: float
+    within_two_std: float = field(metadata=column("in 2 sd", "{:.0f}", unit=0.01))
     """share of the samples whose truth lies within two stated standard deviations"""
-    std_percent: float
+    std_percent: float = field(metadata=column("sd", "{:.1f}", width=4))
     """median standard deviation, of full scale"""
-    rest_kpa: float
+    rest_kpa: float = field(metadata=column("rest", "{:.2f}"))
     """mean size of what is shown at rest; NaN if the cell never rests"""
-    static_rest_kpa: float
-    """the same of the static curve"""
-    rest_within_two_std: float
-    """share of the samples at rest within two stated standard deviations"""
-    folds: tuple[float, ...]
+    folds: dict[int, float] = field(metadata=column("fold {}", "{:.1f}"))
     """error of the chosen estimator on each fold of the calibration, % of full scale"""
 
 
@@ -123,20 +118,11 @@ def scene(load: str, material: str, seed: int) -> Scene:
     return found.thinned(3, load) if disturbance == "thinned" else found
 
 
-def scenes_of(path: Path, head: float) -> Iterator[Scene]:
-    """A recorded file as it is, played faster and slower, thinned, and with little to learn from."""
+def recorded(path: Path, head: float) -> Scene:
+    """A recorded file, of which the share ``head`` is learned from."""
     of = Recording.load(path)
     time = of.time_s - of.time_s[0]
-    plain = Scene("as it is", path.stem, 0, time, of.pressure_kpa, of.resistance_ohm, head * float(time[-1]))
-    yield plain
-    for factor in (0.3, 3.0):
-        yield replace(plain, load=f"time x {factor:g}", time_s=factor * time, head_s=factor * plain.head_s)
-    yield plain.thinned(3, "thinned")
-    yield replace(plain, load="half the head", head_s=plain.head_s / 2)
-    pressed = np.flatnonzero(of.pressure_kpa > 0.5 * of.pressure_kpa.max())
-    released = np.flatnonzero(of.pressure_kpa[pressed[0] :] < 0.1 * of.pressure_kpa.max())
-    if released.size:
-        yield replace(plain, load="one press", head_s=float(time[pressed[0] + released[0]]) + ONE_PRESS_S)
+    return Scene("as it is", path.stem, 0, time, of.pressure_kpa, of.resistance_ohm, head * float(time[-1]))
 
 
 def calibrated(of: Scene) -> CalibrationResult:
@@ -179,11 +165,6 @@ def judge(
     learned = [name for name in ("play", "distilled") if getattr(cell.estimators, name) is not None]
     others = [percent(errors(name)[0]) for name in learned if name != chosen]
     resting = at_rest(of.time_s, of.pressure_kpa / full)[later]
-    within = np.abs(error) <= 2 * std
-
-    def at_rest_mean(values: FloatArray) -> float:
-        return float(np.mean(values[resting])) if resting.any() else np.nan
-
     return Verdict(
         load=of.load,
         material=of.material,
@@ -195,12 +176,10 @@ def judge(
         worst_sd=float((np.abs(error) / std).max()),
         static_percent=percent(static),
         best_percent=min([percent(error), percent(static), *others]),
-        within_two_std=float(np.mean(within)),
+        within_two_std=float(np.mean(np.abs(error) <= 2 * std)),
         std_percent=float(100 * np.median(std) / full),
-        rest_kpa=at_rest_mean(np.abs(error)),
-        static_rest_kpa=at_rest_mean(np.abs(static)),
-        rest_within_two_std=at_rest_mean(within.astype(np.float64)),
-        folds=cell.estimators.fold_percent[cell.estimators.default],
+        rest_kpa=float(np.mean(np.abs(error)[resting])) if resting.any() else np.nan,
+        folds=dict(enumerate(cell.estimators.fold_percent[cell.estimators.default], 1)),
     )
 
 
@@ -224,37 +203,29 @@ def scenes(
                 yield load, material, seed
 
 
-def line(of: Verdict) -> str:
-    """One row of the table."""
-    flag = " *" if of.rmse_percent > 1.1 * of.static_percent else ""
-    folds = " ".join(f"{value:.1f}" for value in of.folds)
-    return (
-        f"{of.load:<14}{of.material:<12.11}{of.seed:>4}  {of.estimator:<10}{of.rmse_percent:>6.1f}"
-        f"{of.static_percent:>8.1f}{of.best_percent:>6.1f}{of.worst_percent:>7.0f}{100 * of.within_two_std:>8.0f}"
-        f"{of.std_percent:>6.1f}{of.rest_kpa:>7.2f}{of.static_rest_kpa:>8.2f}{100 * of.rest_within_two_std:>8.0f}"
-        f"  {folds}{flag}"
-    )
+@dataclass(frozen=True)
+class Summary:
+    """Worst figures of a kind of load."""
+
+    load: str = field(metadata=column("load", "{}", width=13))
+    times_static: float = field(metadata=column("worst ratio to static", "{:.2f}"))
+    rmse: dict[str, float] = field(metadata=column("{} RMSE", "{:.1f}"))
+    within: dict[str, float] = field(metadata=column("in 2 sd, {}", "{:.0f}", unit=0.01))
+    rest_kpa: float = field(metadata=column("rest, kPa", "{:.2f}"))
 
 
-HEADER = (
-    f"{'load':<14}{'material':<12}{'seed':>4}  {'chosen':<10}{'RMSE':>6}{'static':>8}{'best':>6}{'worst':>7}"
-    f"{'in 2 sd':>8}{'sd':>6}{'rest':>7}{'static':>8}{'in 2 sd':>8}  folds"
-)
-
-
-def summary(verdicts: Sequence[Verdict]) -> str:
-    """Worst figures of each kind of load."""
-    lines = [f"{'load':<14}{'worst ratio to static':>23}{'RMSE':>16}{'in 2 sd, least':>16}{'all':>6}{'rest, kPa':>11}"]
+def summary(verdicts: Sequence[Verdict]) -> Iterator[Summary]:
+    """One row for each kind of load."""
     for load in dict.fromkeys(of.load for of in verdicts):
         some = [of for of in verdicts if of.load == load]
-        errors = [of.rmse_percent for of in some]
-        within = [100 * of.within_two_std for of in some]
-        rest = [of.rest_kpa for of in some if np.isfinite(of.rest_kpa)]
-        ratio = max(of.rmse_percent / of.static_percent for of in some)
-        span = f"{min(errors):.1f} to {max(errors):.1f}"
-        shown = f"{max(rest):>11.2f}" if rest else f"{'-':>11}"
-        lines.append(f"{load:<14}{ratio:>23.2f}{span:>16}{min(within):>16.0f}{np.mean(within):>6.0f}{shown}")
-    return "\n".join(lines)
+        errors, within = [of.rmse_percent for of in some], [of.within_two_std for of in some]
+        yield Summary(
+            load=load,
+            times_static=max(of.rmse_percent / of.static_percent for of in some),
+            rmse={"least": min(errors), "largest": max(errors)},
+            within={"least": min(within), "all": float(np.mean(within))},
+            rest_kpa=max((of.rest_kpa for of in some if np.isfinite(of.rest_kpa)), default=np.nan),
+        )
 
 
 @click.command()
@@ -263,30 +234,24 @@ def summary(verdicts: Sequence[Verdict]) -> str:
 @click.option("--load", "loads", multiple=True, type=click.Choice([*LOADS, *DISTURBANCES]), help="May be repeated.")
 @click.option("--material", "materials", multiple=True, type=click.Choice(list(MATERIALS)), help="May be repeated.")
 @click.option("--head", type=click.FloatRange(0.05, 0.95), default=0.4, show_default=True, help="Share of a CSV.")
-@click.option("--json", "as_json", is_flag=True, help="Print the verdicts as JSON.")
 def main(
-    files: tuple[Path, ...],
-    seeds: tuple[int, ...],
-    loads: tuple[str, ...],
-    materials: tuple[str, ...],
-    head: float,
-    as_json: bool,
+    files: tuple[Path, ...], seeds: tuple[int, ...], loads: tuple[str, ...], materials: tuple[str, ...], head: float
 ) -> None:
     """Calibrate with defaults on the head of each recording and judge the rest; errors are % of full scale.
 
-    Rest is what is shown without load in kPa, by the chosen estimator and by the static curve, and the share of it
-    that the stated deviations cover. A star marks what is worse than the static curve by more than a tenth.
+    Rest is what is shown without load in kPa.
     """
     made = (scene(*names) for names in scenes(seeds, loads, materials))
-    recorded = (part for path in files for part in scenes_of(path, head))
-    verdicts = []
-    if not as_json:
-        click.echo(HEADER)
-    for of in recorded if files else made:
-        verdicts.append(judge(of, calibrated(of)))
-        if not as_json:
-            click.echo(line(verdicts[-1]))
-    click.echo(json.dumps([asdict(of) for of in verdicts], indent=1) if as_json else "\n" + summary(verdicts))
+    given = (recorded(path, head) for path in files)
+    verdicts: list[Verdict] = []
+
+    def judged() -> Iterator[Verdict]:
+        for of in given if files else made:
+            verdicts.append(judge(of, calibrated(of)))
+            yield verdicts[-1]
+
+    for text in chain(table(judged()), [""], table(summary(verdicts))):
+        click.echo(text)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,6 @@ import numpy as np
 
 from ..cell import AsymmetricModel, Cell, ContactModel, M10Model, PaperModel
 from ..common.arrays import BoolArray, FloatArray
-from ..common.readings import Readings
 from ..errors import InputError
 
 CELLS = 8
@@ -367,9 +366,7 @@ class Played:
     """NaN where nothing is read"""
     arrives: BoolArray
     """(n,) which frames do"""
-    noise_siemens: float
     step_siemens: float
-    most_counts: int
     shares_columns: bool = False
     """whether noise scales all conductances of a column alike"""
 
@@ -382,20 +379,6 @@ class Played:
         """Readings as an estimator of resistances gets them: infinite where the converter shows nothing."""
         limit = np.where(self.counts == 0.0, np.inf, np.nan)
         return np.where(np.isnan(self.siemens), limit, 1.0 / self.siemens)
-
-    def readings(self, frame: int) -> Readings:
-        """A frame with what is known of its errors."""
-        counts, siemens = self.counts[frame], self.siemens[frame]
-        shape, read = counts.shape, np.isfinite(counts)
-        half = 0.5 * self.step_siemens
-        return Readings(
-            conductance=siemens,
-            noise_variance=np.full(shape, self.noise_siemens**2),
-            column_std=np.zeros(shape),
-            half_step=np.full(shape, half),
-            least=np.where(read & (counts >= self.most_counts), self.most_counts * self.step_siemens - half, 0.0),
-            greatest=np.where(read & (counts <= 0.0), half + 3.0 * self.noise_siemens, np.inf),
-        )
 
 
 def play(scene: Scene, cell: Cell | None = None) -> Played:
@@ -449,9 +432,7 @@ def read(
         siemens=np.where(inside, counts * step_siemens, np.nan),
         counts=counts,
         arrives=arrives,
-        noise_siemens=1e-3 * noise_mv / volts_per_siemens,
         step_siemens=step_siemens,
-        most_counts=2**bits - 1,
         shares_columns=fault == "divider",
     )
 

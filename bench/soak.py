@@ -8,7 +8,6 @@ missing, however busy the machine is.
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import contextlib
 import json
@@ -18,17 +17,19 @@ import socket
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any, cast
 
+import click
 import numpy as np
 
 from ..driver import Skin
 from ..emulator import PtyPort, Scene, TcpPort, running
+from ..errors import OhmskinError
 from ..view import LiveSource, serve
 
 PATIENCE_S = 3600.0
@@ -180,26 +181,28 @@ def resident_kb() -> int:
     return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() // 1024
 
 
-def main(arguments: list[str] | None = None, say: Callable[[str], None] = print) -> int:
-    """Run both parts; the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m ohmskin.bench.soak", description=__doc__)
-    parser.add_argument("scene", metavar="SCENE.toml", type=Path)
-    parser.add_argument("--frames", type=int, default=300_000, help="default 300000")
-    parser.add_argument("--hosts", type=int, default=2_000, help="default 2000")
-    parser.add_argument("--seed", type=int, default=0)
-    chosen = parser.parse_args(arguments)
-    scene = Scene.load(chosen.scene)
-    came = soak_frames(scene, chosen.frames, chosen.seed)
-    say(
+@click.command()
+@click.argument("scene", metavar="SCENE.toml", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.option("--frames", default=300_000, show_default=True, help="That go through all of them.")
+@click.option("--hosts", default=2_000, show_default=True, help="That come and go.")
+@click.option("--seed", default=0, show_default=True)
+def main(scene: Path, frames: int, hosts: int, seed: int) -> None:
+    """Carry frames through emulator, driver, recorder and page, and let hosts come and go; exits with 1 on a fault."""
+    played = Scene.load(scene)
+    came = soak_frames(played, frames, seed)
+    click.echo(
         f"{came.arrived} frames arrived, {came.missing} missing or corrupt, {came.recorded} recorded, {came.shown} "
         f"shown; memory grew by {came.growth_kb} kB, {came.threads} threads and {came.files} files are left"
     )
-    served, left = soak_hosts(scene, chosen.hosts, chosen.seed)
-    say(f"{chosen.hosts} hosts came and went, {served} of them were sent something, {left} files are still open")
-    whole = came.arrived == chosen.frames and came.missing == 0 and came.shown > 0 and came.recorded > 0
+    served, left = soak_hosts(played, hosts, seed)
+    click.echo(f"{hosts} hosts came and went, {served} of them were sent something, {left} files are still open")
+    whole = came.arrived == frames and came.missing == 0 and came.shown > 0 and came.recorded > 0
     tidy = came.growth_kb <= MOST_GROWTH_KB and not (came.threads > 0 or came.files > 0 or left > 0)
-    return int(not (whole and tidy and served >= chosen.hosts // 3))
+    raise SystemExit(int(not (whole and tidy and served >= hosts // 3)))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        main()
+    except OhmskinError as error:
+        sys.exit(str(error))

@@ -9,7 +9,7 @@ noise, and the remaining error is that of the model, which is relative.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -56,20 +56,9 @@ class Fit:
     @classmethod
     def empty(cls, shape: tuple[int, int]) -> Fit:
         """A fit without results."""
-        return cls(
-            rest_ohm=np.full(shape, np.nan),
-            gain=np.full(shape, np.nan),
-            gain_std=np.full(shape, np.nan),
-            rest_std_kpa=np.full(shape, np.nan),
-            residual_kpa=np.full(shape, np.nan),
-            residual_share=np.full(shape, np.nan),
-            rest_change=np.full(shape, np.nan),
-            effect=np.full(shape, np.nan),
-            noise=np.full(shape, np.nan),
-            presses=np.zeros(shape, dtype=np.intp),
-            unread=np.zeros(shape, dtype=np.bool_),
-            reversed=np.zeros(shape, dtype=np.bool_),
-        )
+        numbers = {item.name: np.full(shape, np.nan) for item in fields(cls) if item.type == "FloatArray"}
+        unread, reversed_ = (np.zeros(shape, dtype=np.bool_) for _ in range(2))
+        return cls(**numbers, presses=np.zeros(shape, dtype=np.intp), unread=unread, reversed=reversed_)
 
 
 def fit_cells(cell: Cell, rest: Rest, presses: Sequence[Press]) -> Fit:

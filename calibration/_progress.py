@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
@@ -27,6 +28,10 @@ _Text = Annotated[str, Field(max_length=1000)]
 _Ohm = Positive | None
 _Numbers = Annotated[list[Finite], Field(max_length=MOST)]
 _Ohms = Annotated[list[_Ohm], Field(max_length=MOST)]
+
+
+_ARRAYS = "resistance_ohm", "std_ohm", "change"
+"""fields of :class:`Rest` that are arrays of all cells; they are flat in the file"""
 
 
 class _Rest(Section):
@@ -80,28 +85,8 @@ class Progress:
         content = {
             "format": FORMAT,
             "setup": self.setup,
-            "rest": {
-                "time_s": self.rest.time_s,
-                "resistance_ohm": _listed(self.rest.resistance_ohm),
-                "std_ohm": _listed(self.rest.std_ohm),
-                "change": _listed(self.rest.change),
-                "frames": self.rest.frames,
-            },
-            "presses": [
-                {
-                    "cells": press.cells.tolist(),
-                    "time_s": press.time_s.tolist(),
-                    "load_kpa": press.load_kpa.tolist(),
-                    "window_s": press.window_s.tolist(),
-                    "resistance_ohm": [_listed(line) for line in press.resistance_ohm],
-                    "std_ohm": press.std_ohm.tolist(),
-                    "frames": press.frames,
-                    "step": press.step,
-                    "felt_kpa": press.felt_kpa,
-                    "fault": press.fault,
-                }
-                for press in self.presses
-            ],
+            "rest": {name: _plain(np.ravel(value) if name in _ARRAYS else value) for name, value in _named(self.rest)},
+            "presses": [{name: _plain(value) for name, value in _named(press)} for press in self.presses],
             "trace": self.trace,
         }
         with whole_file(path) as file:
@@ -139,11 +124,10 @@ class Progress:
                 )
         rows, columns = plan.shape
         rest = file.rest
-        if not len(rest.resistance_ohm) == len(rest.std_ohm) == len(rest.change) == rows * columns:
+        arrays = {name: _array(getattr(rest, name)) for name in _ARRAYS}
+        if any(len(values) != rows * columns for values in arrays.values()):
             raise InputError(f"{path}: rest: expected {rows * columns} values")
-        ohm, std, change = (
-            _array(values).reshape(plan.shape) for values in (rest.resistance_ohm, rest.std_ohm, rest.change)
-        )
+        ohm, std, change = (values.reshape(plan.shape) for values in arrays.values())
         presses = tuple(_press(press, plan, f"{path}: presses[{number}]") for number, press in enumerate(file.presses))
         if any(later.time_s[0] < earlier.time_s[0] for earlier, later in pairwise(presses)):
             raise InputError(f"{path}: presses: expected them in the order of time")
@@ -180,8 +164,16 @@ def _press(file: _Press, plan: Plan, source: str) -> Press:
     return replace(press, resistance_ohm=press.resistance_ohm.reshape(windows, cells))
 
 
-def _listed(values: FloatArray) -> list[float | None]:
-    return [value if np.isfinite(value) else None for value in values.ravel().tolist()]
+def _named(measured: Rest | Press) -> Iterator[tuple[str, Any]]:
+    return ((item.name, getattr(measured, item.name)) for item in fields(measured))
+
+
+def _plain(value: Any) -> Any:
+    """Arrays as lists, with None in place of NaN."""
+    if isinstance(value, (np.ndarray, list)):
+        return [_plain(item) for item in value]
+    value = value.item() if isinstance(value, np.generic) else value
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _array(values: list[float] | list[float | None]) -> FloatArray:

@@ -12,12 +12,10 @@ import click
 
 from .. import bench
 from ..bench import _driver as of_drivers
-from ..bench import _emulator as of_boards
 from ..bench import _estimators as of_cells
 from ..bench import _fingers as of_fingers
 from ..bench import _freshness as of_skins
 from ..bench import _taps as of_taps
-from ..bench import _view as of_pages
 from ..bench import _worst_frames as of_events
 from ..bench import harness, judges
 from ..common import tables
@@ -51,12 +49,12 @@ class _ManyValues(click.Command):
 )
 @click.option("--size", "sizes", type=int, multiple=True, default=(8, 16, 32, 64), metavar="N ...", show_default=True)
 @click.option("--segment", "segments", type=float, multiple=True, default=(1.0,), metavar="R ...", show_default=True)
-@click.option("--memory/--no-memory", default=True, show_default=True, help="Measure memory, each in a new process.")
 @click.option("--peers/--no-peers", default=True, show_default=True, help="Measure other programs and libraries, too.")
 @click.option("--wait", "patient", is_flag=True, help="Wait for slow peers, too: ngspice takes 20 s for 64 x 64.")
-@click.option("--picture", type=click.Path(path_type=Path), metavar="OUT.svg", help="Draw error against time.")
+@click.option(
+    "--picture", type=click.Path(path_type=Path), metavar="OUT.svg", help="Of solvers: draw error against time."
+)
 @click.option("--estimators", is_flag=True, help="Measure the pressure estimators instead, on a material of their own.")
-@click.option("--emulator", "of_emulator", is_flag=True, help="Measure the virtual board instead, at these sizes.")
 @click.option(
     "--driver", "of_driver", is_flag=True, help="Measure the live path instead, bytes to kPa, at these sizes."
 )
@@ -75,17 +73,14 @@ class _ManyValues(click.Command):
     "--estimator", metavar="NAME", help="Of the judges: what is judged; also module:function(cell, shape). [cell's own]"
 )
 @click.option("--freeze", is_flag=True, help="Of the judges: write the figures into the table as today's.")
-@click.option("--view", "of_page", is_flag=True, help="Measure the page of `ohmskin view` instead, in Chromium.")
 @arguments.as_json("the measurements")
 def command(
     sizes: tuple[int, ...],
     segments: tuple[float, ...],
-    memory: bool,
     peers: bool,
     patient: bool,
     picture: Path | None,
     estimators: bool,
-    of_emulator: bool,
     of_driver: bool,
     of_contacts: bool,
     of_judges: bool,
@@ -93,11 +88,10 @@ def command(
     quick: bool,
     estimator: str | None,
     freeze: bool,
-    of_page: bool,
     as_json: bool,
 ) -> None:
-    """Measure N x N arrays of 10 kohm to 1 Mohm with R ohm per line segment and lead: time per frame, true error,
-    certified bound and memory of every method. Set OPENBLAS_NUM_THREADS=1 to compare on one thread.
+    """Measure N x N arrays of 10 kohm to 1 Mohm with R ohm per line segment and lead: time per frame, true error
+    and certified bound of every method. Set OPENBLAS_NUM_THREADS=1 to compare on one thread.
     """
     if of_judges:
         _judge(only, quick, estimator, freeze, as_json)
@@ -105,23 +99,17 @@ def command(
     if estimators:
         _show([("", of_cells.estimators())], as_json)
         return
-    if of_emulator:
-        _show([(of_boards.HEAD, of_boards.emulator(sizes))], as_json)
-        return
     if of_driver:
-        _live_path(sizes, as_json, picture)
+        _live_path(sizes, as_json)
         return
     if of_contacts:
         measured = (of_taps.HEAD, of_taps.taps_and_faults(sizes)), (of_fingers.HEAD, of_fingers.fingers(sizes))
         _show(measured, as_json)
         return
-    if of_page:
-        _show([(of_pages.HEAD, of_pages.view(sizes))], as_json)
-        return
     arrays = [(size, segment) for size in sizes for segment in segments]
     rows = []
     with progress_bar("measuring") as progress:
-        for row in bench.measure(sizes, segments, memory=memory, peers=peers, patient=patient):
+        for row in bench.measure(sizes, segments, peers=peers, patient=patient):
             rows.append(row)
             progress(arrays.index((row.size, row.segment)), len(arrays), f"{row.size} x {row.size}, {row.method}")
     if picture is not None:
@@ -132,20 +120,25 @@ def command(
 def _judge(only: str, quick: bool, estimator: str | None, freeze: bool, as_json: bool) -> None:
     """Print today's and the measured figures of each row, and whether its gate holds."""
     chosen, make = judges.rows(only, quick=quick), judges.maker(estimator)
-    verdicts = []
-    if not as_json:
-        click.echo(judges.HEADER)
-    with progress_bar("judging") as progress:
-        for done, row in enumerate(chosen):
-            progress(done, len(chosen), row.name)
-            for verdict in judges.judge([row], make):
-                verdicts.append(verdict)
-                if not as_json:
-                    click.echo(judges.line(verdict))
+    verdicts: list[judges.Verdict] = []
+
+    def lines() -> Iterator[judges.Line]:
+        with progress_bar("judging") as progress:
+            for done, row in enumerate(chosen):
+                progress(done, len(chosen), row.name)
+                for verdict in judges.judge([row], make):
+                    verdicts.append(verdict)
+                    yield judges.line(verdict)
+
+    for text in harness.table(lines()):
+        if not as_json:
+            click.echo(text)
     if freeze:
         judges.freeze(verdicts)
-    records = [judges.record(verdict) for verdict in verdicts]
-    click.echo(json_text(records, indent=1) if as_json else "\n" + judges.summary(verdicts))
+    if as_json:
+        click.echo(json_text([judges.record(verdict) for verdict in verdicts], indent=1))
+    else:
+        _show([("\n" * bool(verdicts), judges.summary(verdicts))], as_json=False)
 
 
 def _show(measured: Sequence[tuple[str, Iterable[Any]]], as_json: bool) -> None:
@@ -158,21 +151,12 @@ def _show(measured: Sequence[tuple[str, Iterable[Any]]], as_json: bool) -> None:
             click.echo(line)
 
 
-def _live_path(sizes: tuple[int, ...], as_json: bool, picture: Path | None) -> None:
+def _live_path(sizes: tuple[int, ...], as_json: bool) -> None:
     """Boards, sudden events, estimators, and a whole skin."""
-    judged: list[of_drivers.Row] = []
-
-    def estimators() -> Iterator[of_drivers.Row]:
-        for row in of_drivers.live_estimators(sizes):
-            judged.append(row)
-            yield row
-        if picture is not None:
-            tables.write_text(picture, of_drivers.live_picture(judged))
-
     measured = (
         (of_drivers.head(), of_drivers.driver(sizes)),
         (of_events.HEAD, of_events.worst_frames(sizes)),
-        ("the same by estimator", estimators()),
+        ("the same by estimator", of_drivers.live_estimators(sizes)),
         (of_skins.HEAD, of_skins.freshness(sizes)),
     )
     _show(measured, as_json)

@@ -32,9 +32,7 @@ USUAL_FILE = "board.toml"
 
 @click.command(
     epilog=arguments.example(
-        "ohmskin doctor",
-        "ohmskin doctor /dev/ttyUSB0",
-        "ohmskin doctor /dev/ttyUSB0 --baud 76800 -o mat.toml",
+        "ohmskin doctor", "ohmskin doctor /dev/ttyUSB0", "ohmskin doctor /dev/ttyUSB0 --baud 76800 -o mat.toml"
     )
 )
 @click.argument("port", required=False)

@@ -9,8 +9,8 @@ from typing import cast
 
 import click
 
-from ..emulator import ClockName, Port, PtyPort, Rfc2217Port, Scene, TcpPort, emulate, plan, stop_on_signals
-from ..emulator.firmware import AVR8JS, check_scene, emulate_firmware
+from ..emulator import ClockName, EngineName, Port, PtyPort, Rfc2217Port, Scene, TcpPort, emulate, plan, stop_on_signals
+from ..emulator.firmware import AVR8JS, check_scene
 from ..wire import board_family
 from . import arguments
 from ._opening import BOARD_HELP
@@ -18,14 +18,7 @@ from ._opening import BOARD_HELP
 
 @click.command(epilog=arguments.example("ohmskin emulate scene.toml --link /tmp/skin --truth truth.npz"))
 @click.argument("scene_file", metavar="SCENE.toml", type=click.Path(path_type=Path))
-@click.option(
-    "--board",
-    "family",
-    default="ohmskin",
-    show_default=True,
-    metavar="NAME|FILE.toml",
-    help=BOARD_HELP,
-)
+@click.option("--board", "family", default="ohmskin", show_default=True, metavar="NAME|FILE.toml", help=BOARD_HELP)
 @click.option(
     "--baud", type=click.IntRange(min=300), metavar="N", help="Baud rate of the board's UART [the scene's, else none]."
 )
@@ -79,24 +72,18 @@ def command(
         check_scene(scene)
         AVR8JS.require()
     with stop_on_signals() as stop, _port(link, tcp, rfc2217) as port:
-        clock_name = cast("ClockName", clock)
-        ready = partial(click.echo, banner(scene, port, family))  # who reads the name of the port may open it
-        if engine == "firmware":
-            outcome = emulate_firmware(
-                scene, port, clock=clock_name, duration_s=duration, seed=seed, truth=truth, ready=ready, stop=stop
-            )
-        else:
-            outcome = emulate(
-                scene,
-                port,
-                clock=clock_name,
-                duration_s=duration,
-                seed=seed,
-                truth=truth,
-                family=family,
-                ready=ready,
-                stop=stop,
-            )
+        outcome = emulate(
+            scene,
+            port,
+            clock=cast("ClockName", clock),
+            duration_s=duration,
+            seed=seed,
+            truth=truth,
+            family=family,
+            engine=cast("EngineName", engine),
+            ready=partial(click.echo, banner(scene, port, family)),  # who reads the name of the port may open it
+            stop=stop,
+        )
         for note in outcome.notes():
             click.echo(f"ohmskin: {note}", err=True)
         return 0 if stop.signal is None else 128 + stop.signal

@@ -17,18 +17,8 @@ from ._recording import played_frames
 @click.command(epilog=arguments.example("ohmskin score press.mcap truth.npz --json"))
 @click.argument("recording", type=click.Path(path_type=Path), metavar="RECORDING")
 @click.argument("truth", type=click.Path(path_type=Path), metavar="TRUTH")
-@click.option(
-    "--pitch",
-    type=arguments.positive,
-    metavar="MM",
-    help="From cell to cell; else what TRUTH says.",
-)
-@click.option(
-    "--full-scale",
-    type=arguments.positive,
-    metavar="KPA",
-    help="Of the percentages; else what TRUTH says.",
-)
+@click.option("--pitch", type=arguments.positive, metavar="MM", help="From cell to cell; else what TRUTH says.")
+@click.option("--full-scale", type=arguments.positive, metavar="KPA", help="Of the percentages; else what TRUTH says.")
 @click.option("--json", "as_json", is_flag=True, help="Print the score as JSON.")
 def command(recording: Path, truth: Path, pitch: float | None, full_scale: float | None, as_json: bool) -> None:
     """Compare RECORDING with TRUTH, an .npz file of `ohmskin emulate --truth`.

@@ -39,13 +39,7 @@ USUAL_PORT = 8700
 )
 @click.option("--no-browser", is_flag=True, help="Print the address, and open no browser.")
 @opening_options()
-def command(
-    what: str,
-    port: int | None,
-    host: str,
-    no_browser: bool,
-    opening: Opening,
-) -> int:
+def command(what: str, port: int | None, host: str, no_browser: bool, opening: Opening) -> int:
     """Show a skin in the browser: the board at PORT, the emulated board of SCENE.toml, or a recording.
 
     The page has a heat map, contacts, pressures over time, the state of the link, and a button for tare; for a

@@ -78,9 +78,6 @@ Places = Annotated[IntArray, "intp[::1]"]
 Flags = Annotated[BoolArray, "boolean[::1]"]
 FlagRows = Annotated[BoolArray, "boolean[:, ::1]"]
 Codes = Annotated[CodeArray, "uint32[::1]"]
-# Rows that need not follow each other without a gap, since there are many of them (`ohmskin.common.arrays.spaced`).
-SpacedRows = Annotated[FloatArray, "float64[:, :]"]
-SpacedPlaces = Annotated[IntArray, "intp[:, :]"]
 # The same for arrays that the kernel does not write to, and that nobody may write to (flags.writeable is False).
 # Only for such arrays: to find out that an array is not of exactly the stated type takes a call 0.3 us, and to look at
 # one that nobody may write to 0.1 us more than at another.

@@ -76,9 +76,7 @@ def _machine_code() -> Finding:
     if why_not is None and compiled.is_kept():
         return Finding(State.OK, "machine code", "the first skin that is opened compiles the driver's loops, once")
     if why_not is None:
-        found = (
-            f"every program compiles the driver's loops anew, for {compiled.WAIT}: no folder to keep them in can be written"
-        )
+        found = f"every program compiles kernels anew, for {compiled.WAIT}: no folder to keep them in can be written"
         return Finding(
             State.OPTIONAL, "machine code", found, "export NUMBA_CACHE_DIR=DIR, a folder that can be written"
         )

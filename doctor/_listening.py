@@ -25,9 +25,9 @@ LONGEST_LISTENING_S = 6.0
 """at one baud rate, if bytes come that are no frames yet: a board boots, or sends slowly"""
 ASKED = 5
 """times that a board is asked for a frame"""
-GLANCE_S = 0.3
+SHORT_LISTEN_S = 0.3
 """at a further baud rate, if the port has been silent"""
-TELL_S = 0.25
+PROGRESS_S = 0.25
 COMMON_RATES = (115_200, 1_000_000, 250_000, 2_000_000, 500_000, 921_600, 9_600, 230_400, 57_600, 460_800, 38_400)
 """baud rates of boards, those of the families among them, in the order in which they are tried"""
 FEWEST_FRAMES = 2
@@ -114,7 +114,9 @@ def examine_traffic(
         line = open_port(port, baudrate=setting.baud_rate, dtr=setting.dtr, rts=setting.rts)
         try:
             chunks: list[Chunk] = []
-            found = _listened(port, line, setting, chunks, GLANCE_S if silent else listen_s, tell, described=described)
+            found = _listened(
+                port, line, setting, chunks, SHORT_LISTEN_S if silent else listen_s, tell, described=described
+            )
             asked = [] if chunks else _families_to_ask(port, setting)
             for family in asked:
                 found = found or _answer(port, line, setting, family, chunks, listen_s, tell, described=described)
@@ -215,13 +217,7 @@ def _answer(
 
 
 def _judged(
-    port: str,
-    baud_rate: int,
-    chunks: Sequence[Chunk],
-    *,
-    described: bool,
-    send: bytes = b"",
-    poll: bytes = b"",
+    port: str, baud_rate: int, chunks: Sequence[Chunk], *, described: bool, send: bytes = b"", poll: bytes = b""
 ) -> Traffic | None:
     """The family that the bytes are of, or the description that accounts for them."""
     data = _joined(chunks)
@@ -247,7 +243,7 @@ def _collect(line: BytePort, seconds: float, chunks: list[Chunk], doing: str, te
     end = line.now() + seconds
     while (left := end - line.now()) > 0:
         tell(f"{doing}, {sum(len(chunk.data) for chunk in chunks)} bytes")
-        if line.wait(min(left, TELL_S)):
+        if line.wait(min(left, PROGRESS_S)):
             arrival = line.read()
             if arrival.data:
                 chunks.append(Chunk(arrival.received_at, arrival.data))

@@ -11,13 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.arrays import AnyArray, BoolArray, FloatArray
-from ..common.frozen import frozen
 from ._contacts import Contact
 from ._later import Later
 
 
-@frozen
-@dataclass(slots=True, eq=False, weakref_slot=True)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Frame:
     """One scan of the skin. Arrays are (rows, columns) and read-only."""
 

@@ -11,7 +11,7 @@ from ._line import Transmission
 from ._line_settings import ClockSettings, LineSettings, LinkFault
 from ._plan import Plan, PlannedEffect, plan
 from ._ports import PairPort, Port, PtyPort, Rfc2217Port, TcpPort
-from ._run import emulate, running
+from ._run import EngineName, emulate, running
 from ._scene import BoardSettings, Scene, SkinSettings
 from ._score import Recording, Score, Truth, score, score_text
 from ._service import ClockName, Outcome, Stop, stop_on_signals
@@ -30,6 +30,7 @@ __all__ = [
     "Device",
     "Disc",
     "EmulatedSkin",
+    "EngineName",
     "FrameBlock",
     "Hand",
     "Image",

@@ -77,11 +77,13 @@ class Board:
         self.scene = scene
         self._hand = hand
         self.protocol = board_protocol("ohmskin") if protocol is None else protocol
-        self.streaming = not self.protocol.family.polled
+        self.streaming = self.streams_unasked
         self.orders = 0
         """commands taken so far that start or stop frames"""
         self.overrun = False
         """set by the sender when it had to drop a frame: the next one says so"""
+        self.clear_to_send = True
+        """handshake line, to which the model of a board pays no attention"""
         self.boot_id = boot_id
         self.duration_s = duration_s
         self._record = record
@@ -104,6 +106,11 @@ class Board:
     def skin(self) -> EmulatedSkin:
         """What the board reads."""
         return self._skin
+
+    @property
+    def streams_unasked(self) -> bool:
+        """Whether boards of this family send frames from power-up on."""
+        return not self.protocol.family.polled
 
     @property
     def next_us(self) -> int:
@@ -162,7 +169,7 @@ class Board:
 
         """
         self.boot_id = (self.boot_id + 1) % 2**32
-        self.streaming = not self.protocol.family.polled
+        self.streaming = self.streams_unasked
         self.overrun = False
         self._frames_wanted = 0
         self._sequence = 0
@@ -224,11 +231,7 @@ class Board:
         if self._record is not None:
             self._record(block.sample(place, self._sequence))
         frame = FramePacket.of(
-            block.counts[place],
-            sequence=self._sequence,
-            time_us=time_us,
-            flags=self._flags(),
-            boot_id=self.boot_id,
+            block.counts[place], sequence=self._sequence, time_us=time_us, flags=self._flags(), boot_id=self.boot_id
         )
         self.overrun = False
         self._frames_wanted = max(self._frames_wanted - 1, 0)

@@ -6,25 +6,26 @@ whose clock is fast by 100 ppm reaches its tick at 10 s after 9.999 s of line ti
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from math import inf
-
 import numpy as np
 
-from ..wire import BoardProtocol
 from ._board import Board
 from ._faults import Line, Schedule, may_lose
-from ._hand import Hand
 from ._line import Transmission
 from ._scene import Scene
-from ._skin import Sample
+from .firmware import FirmwareInService
 
 ANSWER_ROOM = 4096
 """bytes of room in the transmit buffer with which commands are answered; with less their answers wait"""
+HANDSHAKE_BYTES = 4096
+"""of a USB converter: what is on its way when it stops the board still fits"""
 BAUD_TOLERANCE = 0.04
 """relative error of the baud rate that a UART of 10 bits a byte stands: half a bit in ten, less its sampling error"""
 LONGEST_SPLIT = 7
 """bytes that a line with the fault split-bytes delivers at a time, at most"""
+
+
+LivingBoard = Board | FirmwareInService
+"""the model of a board, or the program of a real one"""
 
 
 class Device:
@@ -33,40 +34,24 @@ class Device:
     def __init__(
         self,
         scene: Scene,
+        board: LivingBoard,
         *,
         seed: int = 0,
-        boot_id: int = 1,
-        duration_s: float = inf,
-        protocol: BoardProtocol | None = None,
-        record: Callable[[Sample], None] | None = None,
         capacity: int | None = None,
-        hand: Hand | None = None,
-        ahead: bool = False,
+        handshake_bytes: float = HANDSHAKE_BYTES,
     ) -> None:
-        """Switch the device on; arguments as for :class:`Board`.
+        """Switch the device on.
 
         Args:
-            scene: skin, board, line and faults.
-            seed: for the converter's noise, the line's faults and the jitter.
-            boot_id: number of this start of the board.
-            duration_s: s after which no frame comes any more.
-            protocol: the board's end of the line.
-            record: told of every frame that the board scans.
+            scene: line, clock and faults.
+            board: what is at the other end of the line.
+            seed: for the line's faults and the jitter.
             capacity: bytes of the transmit buffer; None: those of a microcontroller.
-            hand: presses beside the scene's contacts.
-            ahead: compute frames ahead in a thread.
+            handshake_bytes: on the line, from which on the handshake line stops the board.
 
         """
-        self.board = Board(
-            scene,
-            seed=seed,
-            boot_id=boot_id,
-            duration_s=duration_s,
-            protocol=protocol,
-            record=record,
-            hand=hand,
-            ahead=ahead,
-        )
+        self.board = board
+        self._handshake_bytes = handshake_bytes
         if capacity is None:
             rows, columns = scene.skin.design.array.shape
             capacity = 8192 + 8 * rows * columns
@@ -108,6 +93,7 @@ class Device:
         if reset is not None:
             self.reset(reset.text, now_us, boots_for_s=reset.duration_s or 0.0)
         scanning = self.board.wants_tick
+        self.board.clear_to_send = len(self.transmission) < self._handshake_bytes
         packets = self.board.tick()
         if not host_present:
             return

@@ -22,7 +22,7 @@ class Hand:
         self._pressing: dict[int, SignalSafeEvent] = {}
         """number of a load that somebody waits for -> set when it is in force"""
         self._pressure_kpa = np.zeros(shape)
-        self._wanted = 0
+        self.wanted = 0
         """number of the present load"""
         self._offered = 0
         """number of the load that the board was last given"""
@@ -51,8 +51,8 @@ class Hand:
             raise InputError("pressure_kpa must be finite and not negative")
         with self._lock:
             self._pressure_kpa = pressure
-            self._wanted += 1
-            mine = self._wanted
+            self.wanted += 1
+            mine = self.wanted
             taken = self._pressing[mine] = SignalSafeEvent()
         try:
             if not taken.wait(timeout_s):
@@ -64,9 +64,9 @@ class Hand:
     def take_change(self) -> FloatArray | None:
         """For the board: the load (rows, columns) in kPa if it has changed, else None."""
         with self._lock:
-            if self._offered == self._wanted:
+            if self._offered == self.wanted:
                 return None
-            self._offered = self._wanted
+            self._offered = self.wanted
             return self._pressure_kpa
 
     def in_force(self, since_s: float) -> None:

@@ -13,8 +13,6 @@ from ._board import Board
 from ._scene import Scene
 from ._skin import FrameBlock
 
-_BUDGET_S = 1.0
-"""s of processor time that a plan may take for trying the scene"""
 _LONGEST_S = 60.0
 """s of the scene that are tried at most"""
 
@@ -82,8 +80,13 @@ class Plan:
         return f"{self.frames_per_second:.2g} frames per processor second, {times:.2g} times the frame rate: {verdict}"
 
 
-def plan(scene: Scene, *, seed: int = 0) -> Plan:
+def plan(scene: Scene, *, seed: int = 0, budget_s: float = 1.0) -> Plan:
     """Try the beginning of a scene and say what it takes.
+
+    Args:
+        scene: what would be emulated.
+        seed: of the noise.
+        budget_s: s of processor time that trying may take.
 
     Raises:
         SolverError: the scene leads to a circuit without a solution.
@@ -96,7 +99,7 @@ def plan(scene: Scene, *, seed: int = 0) -> Plan:
     block = busiest = None
     frames, error_volts = 0, 0.0
     start = process_time()
-    while process_time() < start + _BUDGET_S and board.next_us <= 1e6 * _LONGEST_S:
+    while process_time() < start + budget_s and board.next_us <= 1e6 * _LONGEST_S:
         board.tick()
         frames += 1
         if board.skin.block is not block:

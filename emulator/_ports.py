@@ -15,14 +15,12 @@ import time
 import tty
 from abc import ABC, abstractmethod
 from pathlib import Path
-from types import TracebackType
 from typing import Self, cast
 
 from serial.rfc2217 import PortManager, Serial
 
 from ..common.rendezvous import END_OF_TRANSMISSION, Announcement
 from ..errors import InputError, LinkError
-from ._link_name import LinkName
 
 READ_AT_ONCE = 4096
 """bytes read of a host before the board goes on living: a flood of commands cannot hold it up"""
@@ -88,12 +86,9 @@ class Port(ABC):
 
     def unplug(self) -> None:
         """Take the port away for a while, as when the cable is pulled."""
-        self._unplug()
+        self._close()
         if self._announcement is not None:
             self._announcement.move("")
-
-    def _unplug(self) -> None:
-        self._close()
 
     def plug_in(self, name: str | None) -> None:
         """Bring the port back, under another ``name`` if one is given.
@@ -116,10 +111,57 @@ class Port(ABC):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
+
+
+class _Link:
+    """A symbolic link to a pseudo-terminal.
+
+    A link to a terminal that is no more, such as a killed emulator leaves, is replaced. Anything else is left alone.
+
+    Raises:
+        InputError: something else is there, or the link cannot be made.
+
+    """
+
+    def __init__(self, path: Path) -> None:
+        if not path.name:
+            raise InputError(f"'{path}' is no name for a link; expected the name of a file")
+        self.path = path
+        self._device = ""
+        if not os.path.lexists(path):
+            return
+        target = self._target()
+        if target is None:
+            raise InputError(f"{path}: exists and is no symbolic link; expected a free name")
+        if not target.startswith("/dev/") or path.exists():
+            use = "is in use, perhaps by another emulator" if path.exists() else "no emulator made"
+            raise InputError(f"{path}: leads to {target}, which {use}; expected a free name")
+
+    def point_to(self, device: str) -> None:
+        """Let the link lead to ``device``; replaces an earlier link in one step."""
+        partial = self.path.with_name(f".{self.path.name}.partial-{os.getpid()}")
+        try:
+            partial.symlink_to(device)
+            partial.replace(self.path)
+        except OSError as error:
+            partial.unlink(missing_ok=True)
+            raise InputError(f"{self.path}: cannot be linked: {error.strerror}") from error
+        self._device = device
+
+    def remove(self) -> None:
+        """Take the link away; one that leads elsewhere by now is left alone."""
+        if self._device and self._target() == self._device:
+            with contextlib.suppress(OSError):
+                self.path.unlink()
+        self._device = ""
+
+    def _target(self) -> str | None:
+        try:
+            return os.readlink(self.path)
+        except OSError:
+            return None
 
 
 class PtyPort(Port):
@@ -130,18 +172,14 @@ class PtyPort(Port):
         listed: whether hosts that look for boards open this port to see who is there.
 
     Raises:
-        InputError: ``link`` belongs to another emulator, is something else than an emulator's link, or cannot be made.
+        InputError: ``link`` is in use, is something else than an emulator's link, or cannot be made.
 
     """
 
     def __init__(self, link: Path | None = None, *, listed: bool = True) -> None:
         self._listed = listed
-        self._link = None if link is None else LinkName(link)
-        try:
-            self._open()
-        except BaseException:
-            self._release()
-            raise
+        self._link = None if link is None else _Link(link)
+        self._open()
 
     def _open(self) -> None:
         self._master, host_end = pty.openpty()
@@ -208,31 +246,82 @@ class PtyPort(Port):
             os.close(host_end)
         return int(waiting)
 
-    def _unplug(self) -> None:
-        if self._link is not None:
-            self._link.remove()
-        os.close(self._master)
-        self._master = -1
-
     def plug_in(self, name: str | None) -> None:
         if name is not None and self._link is not None:
-            new = LinkName(self._link.path.with_name(name))
-            self._link.release()
-            self._link = new
+            self._link = _Link(self._link.path.with_name(name))
         self._open()
 
     def _close(self) -> None:
-        self._release()
+        if self._link is not None:
+            self._link.remove()
         if self._master >= 0:
             os.close(self._master)
             self._master = -1
 
-    def _release(self) -> None:
-        if self._link is not None:
-            self._link.release()
+
+class _SocketPort(Port):
+    """A stream socket with a host at its other end, or none."""
+
+    _host: socket.socket | None = None
+    _took_at = 0.0
+    """time at which the host took bytes last, or at which nothing waited for it"""
+
+    def host_present(self) -> bool:
+        return self._host is not None
+
+    def fileno(self) -> int:
+        return -1 if self._host is None else self._host.fileno()
+
+    def read(self) -> bytes | None:
+        if self._host is None:
+            return None
+        try:
+            data = self._host.recv(READ_AT_ONCE)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        if not data:
+            self._hang_up()
+            return None
+        return data
+
+    def write(self, data: bytes) -> int:
+        if self._host is None:
+            return 0
+        try:
+            sent = self._host.send(data)
+        except OSError:  # full, or broken: what broke shows at the next read
+            return 0
+        self._took_at = time.monotonic()
+        return sent
+
+    def unread(self) -> int:
+        if self._host is None:
+            return 0
+        (unacknowledged,) = struct.unpack("i", fcntl.ioctl(self._host, termios.TIOCOUTQ, struct.pack("i", 0)))
+        return int(unacknowledged)
+
+    def _close(self) -> None:
+        self._hang_up()
+
+    def _hang_up(self) -> None:
+        if self._host is not None:
+            self._host.close()
+            self._host = None
 
 
-class TcpPort(Port):
+class PairPort(_SocketPort):
+    """One end of a socket pair, for a host in the same process, who holds the other end."""
+
+    def __init__(self, name: str = "pair") -> None:
+        self.name = name
+        self._host, self.host_end = socket.socketpair()
+        self._host.setblocking(False)
+        self._host.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 16384)
+
+
+class TcpPort(_SocketPort):
     """A listening TCP socket for one host at a time.
 
     A second host is hung up on, unless the first one has left bytes unread for :data:`DEAF_S`.
@@ -250,9 +339,6 @@ class TcpPort(Port):
     SCHEME = "socket"
 
     def __init__(self, host: str, port: int) -> None:
-        self._host: socket.socket | None = None
-        self._took_at = 0.0
-        """time at which the host took bytes last, or at which nothing waited for it"""
         self._is_over = False
         self._listen(host, port)
 
@@ -304,39 +390,6 @@ class TcpPort(Port):
     def _greet(self) -> None:
         """A host has come."""
 
-    def fileno(self) -> int:
-        assert self._host is not None
-        return self._host.fileno()
-
-    def read(self) -> bytes | None:
-        assert self._host is not None
-        try:
-            data = self._host.recv(READ_AT_ONCE)
-        except BlockingIOError:
-            return b""
-        except OSError:
-            data = b""
-        if not data:
-            self._hang_up()
-            return None
-        return data
-
-    def write(self, data: bytes) -> int:
-        if self._host is None:
-            return 0
-        try:
-            sent = self._host.send(data)
-        except OSError:  # full, or broken: what broke shows at the next read
-            return 0
-        self._took_at = time.monotonic()
-        return sent
-
-    def unread(self) -> int:
-        if self._host is None:
-            return 0
-        (unacknowledged,) = struct.unpack("i", fcntl.ioctl(self._host, termios.TIOCOUTQ, struct.pack("i", 0)))
-        return int(unacknowledged)
-
     def end(self) -> None:
         super().end()
         self._is_over = True
@@ -358,16 +411,14 @@ class TcpPort(Port):
         if self._listener is not None:
             self._listener.close()
             self._listener = None
-        self._hang_up()
+        super()._close()
 
     def _hang_up(self) -> None:
-        if self._host is not None:
-            if self._is_over:
-                # Closing resets a connection on which bytes of the host have come that nobody has read.
-                with contextlib.suppress(OSError):
-                    self._host.shutdown(socket.SHUT_WR)
-            self._host.close()
-            self._host = None
+        if self._host is not None and self._is_over:
+            # Closing resets a connection on which bytes of the host have come that nobody has read.
+            with contextlib.suppress(OSError):
+                self._host.shutdown(socket.SHUT_WR)
+        super()._hang_up()
 
 
 class ControlLines:
@@ -475,49 +526,6 @@ class _Connection:
 
     def write(self, data: bytes) -> None:
         self._outgoing += data
-
-
-class PairPort(Port):
-    """One end of a socket pair, for a host in the same process, who holds the other end."""
-
-    def __init__(self, name: str = "pair") -> None:
-        self.name = name
-        self._socket, self.host_end = socket.socketpair()
-        self._socket.setblocking(False)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 16384)
-
-    def host_present(self) -> bool:
-        return self._socket.fileno() >= 0
-
-    def fileno(self) -> int:
-        return self._socket.fileno()
-
-    def read(self) -> bytes | None:
-        try:
-            data = self._socket.recv(READ_AT_ONCE)
-        except BlockingIOError:
-            return b""
-        except OSError:
-            data = b""
-        if not data:
-            self._socket.close()
-            return None
-        return data
-
-    def write(self, data: bytes) -> int:
-        try:
-            return self._socket.send(data)
-        except OSError:
-            return 0
-
-    def unread(self) -> int:
-        if self._socket.fileno() < 0:
-            return 0
-        (waiting,) = struct.unpack("i", fcntl.ioctl(self._socket, termios.TIOCOUTQ, struct.pack("i", 0)))
-        return int(waiting)
-
-    def _close(self) -> None:
-        self._socket.close()
 
 
 def _left(host: socket.socket) -> bool:

@@ -11,34 +11,38 @@
 
 from __future__ import annotations
 
+import contextlib
 import secrets
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager
 from math import inf
 from pathlib import Path
+from typing import Any, Literal, TypedDict, Unpack
 
 from ..common.checks import positive
 from ..wire import BoardProtocol, Family, board_protocol
-from ._device import Device
+from ._board import Board
+from ._device import HANDSHAKE_BYTES, Device, LivingBoard
 from ._hand import Hand
 from ._ports import Port
 from ._scene import Scene
-from ._service import (
-    HOST_POLL_S,
-    LISTENER_S,
-    MOST_BEHIND_S,
-    ClockName,
-    HasFileno,
-    Outcome,
-    Stop,
-    in_thread,
-    tell_over,
-    wait_for,
-)
+from ._service import ClockName, HasFileno, Outcome, Stop, in_thread, wait_for
 from ._truth import TruthFile
+from .firmware import AVR8JS, FirmwareInService, check_scene
 
+EngineName = Literal["model", "firmware"]
+
+HOST_POLL_S = 0.01
+"""how often to look whether a host has come: opening a pty wakes nobody"""
+LISTENER_S = 1.0
+"""fast clock: how long a host may say nothing before it is taken for a mere listener"""
+OVER_S = 1.0
+"""for how long a host behind a line that loses packets is told that no frame follows, a hundred times at most"""
+MOST_BEHIND_S = 0.5
+"""real clock: how late a board may be before its time is let go"""
+DRAIN_S = 5.0
+"""at the end: how long to wait for a host that has stopped reading"""
 LONGEST_WAIT_S = 0.1
 """how often to look in any case: for a second host to turn away"""
 TICKS_AT_ONCE = 64
@@ -47,60 +51,74 @@ WRITE_SOON = 4096
 """bytes that have arrived at the host's end with which the port goes before further ticks"""
 
 
+class Options(TypedDict, total=False):
+    """How to run a board, with the usual values: keyword arguments of :func:`emulate` and :func:`running`."""
+
+    clock: ClockName
+    """``real`` (usual) or ``fast``, see the head of this module"""
+    duration_s: float
+    """s of board time; usually without end"""
+    seed: int
+    """for noise, faults and jitter; usually 0"""
+    truth: Path | None
+    """file for every frame as it truly was; None: none"""
+    family: str | Path | Family
+    """whose protocol the board speaks, as for :func:`ohmskin.wire.board_family`; usually the native one"""
+    engine: EngineName
+    """``model`` (usual), or ``firmware`` for the reference board's own program, which speaks the native protocol"""
+    hand: Hand | None
+    """presses beside the scene's contacts"""
+
+
 def emulate(
-    scene: Scene,
-    port: Port,
-    *,
-    clock: ClockName = "real",
-    duration_s: float = inf,
-    seed: int = 0,
-    truth: Path | None = None,
-    family: str | Path | Family = "ohmskin",
-    hand: Hand | None = None,
-    ready: Callable[[], None] = lambda: None,
-    stop: Stop,
+    scene: Scene, port: Port, *, stop: Stop, ready: Callable[[], None] = lambda: None, **options: Unpack[Options]
 ) -> Outcome:
-    """Run a board on ``port`` for ``duration_s`` of board time or until ``stop``, and write the truth file then.
+    """Run a board on ``port`` until its time is over or ``stop``, and write the truth file then.
 
     Args:
         scene: what to emulate.
         port: where a host meets the board; left open.
-        clock: ``real`` or ``fast``, see the head of this module.
-        duration_s: s of board time.
-        seed: for noise, faults and jitter.
-        truth: file for every frame as it truly was; None: none.
-        family: whose protocol the board speaks, as for :func:`ohmskin.wire.board_family`.
-        hand: presses beside the scene's contacts.
-        ready: called when the board is there, and nothing of what was asked for is refused any more.
         stop: asks for the end.
+        ready: called when the board is there, and nothing of what was asked for is refused any more.
+        options: see :class:`Options`.
 
     Raises:
-        InputError: the duration is not above 0, the family has no such array, or the truth file cannot be written.
-        LinkError: the port failed.
+        InputError: the duration is not above 0, the family has no such array, no firmware fits the scene, or the truth
+            file cannot be written.
+        MissingExtra: the firmware cannot run here.
+        LinkError: the port or the emulated processor failed.
         SolverError: the scene leads to a circuit without a solution.
 
     """
-    duration_s = positive("duration", duration_s, "s")
-    protocol = _protocol(family, scene)
-    with nullcontext() if truth is None else _truth_file(truth, scene) as file:
-        device = Device(
-            scene,
-            seed=seed,
-            boot_id=secrets.randbits(32),
-            duration_s=duration_s,
-            protocol=protocol,
-            record=None if file is None else file.append,
-            # At the fast clock no tick is due while more than a little waits; only a UART can overflow.
-            hand=hand,
-            ahead=clock == "real",
-            capacity=2**62 if clock == "fast" and scene.line.baud_rate is None else None,
-        )
+    duration_s = positive("duration", options.get("duration_s", inf), "s")
+    clock, truth, seed = options.get("clock", "real"), options.get("truth"), options.get("seed", 0)
+    with contextlib.ExitStack() as stack:
+        file = None if truth is None else stack.enter_context(_truth_file(truth, scene))
+        life: dict[str, Any] = {
+            "seed": seed,
+            "boot_id": secrets.randbits(32),
+            "duration_s": duration_s,
+            "hand": options.get("hand"),
+            "record": None if file is None else file.append,
+        }
+        # At the fast clock no tick is due while more than a little waits; only a UART can overflow.
+        capacity = 2**62 if clock == "fast" and scene.line.baud_rate is None else None
+        board: LivingBoard
+        if options.get("engine", "model") == "firmware":
+            board = stack.enter_context(FirmwareInService(scene, **life))
+            usb = scene.replace(line={"baud_rate": None})  # behind the converter; the board's UART is in the processor
+            handshake_bytes = inf if clock == "fast" else HANDSHAKE_BYTES
+            device = Device(usb, board, seed=seed, capacity=2**62, handshake_bytes=handshake_bytes)
+        else:
+            protocol = _protocol(options.get("family", "ohmskin"), scene)
+            board = Board(scene, protocol=protocol, ahead=clock == "real", **life)
+            device = Device(scene, board, seed=seed, capacity=capacity)
         outcome = Outcome()
-        pace: _Pace = _RealPace(device, outcome) if clock == "real" else _FastPace(device)
+        pace = (_RealPace if clock == "real" else _FastPace)(device, outcome)
         session = _Session(device, port, pace, auto_reset=scene.line.auto_reset)
         ready()
         end_us = duration_s * 1e6
-        while device.board.next_us < end_us and not stop.is_set():
+        while board.next_us < end_us and not stop.is_set():
             session.exchange()
             if not session.live(end_us):
                 session.wait(stop)
@@ -112,47 +130,22 @@ def emulate(
     return outcome
 
 
-@contextmanager
-def running(
-    scene: Scene,
-    port: Port,
-    *,
-    clock: ClockName = "real",
-    duration_s: float = inf,
-    seed: int = 0,
-    truth: Path | None = None,
-    family: str | Path | Family = "ohmskin",
-    hand: Hand | None = None,
-) -> Iterator[None]:
+def running(scene: Scene, port: Port, **options: Unpack[Options]) -> AbstractContextManager[None]:
     """:func:`emulate` in a thread while the block lasts: a board for a test in the same process.
 
     The port is closed when the board's time is over or the block ends. What :func:`emulate` raises is raised at the
-    end of the block.
+    end of the block; only a firmware that cannot run here is refused before.
     """
-    with in_thread(
-        lambda stop: emulate(
-            scene,
-            port,
-            clock=clock,
-            duration_s=duration_s,
-            seed=seed,
-            truth=truth,
-            family=family,
-            hand=hand,
-            stop=stop,
-        ),
-        port,
-    ):
-        yield
+    if options.get("engine") == "firmware":
+        check_scene(scene)
+        AVR8JS.require()
+    return in_thread(lambda stop: emulate(scene, port, stop=stop, **options), port)
 
 
 def _truth_file(path: Path, scene: Scene) -> TruthFile:
     skin = scene.skin
     return TruthFile(
-        path,
-        skin.design.array.shape,
-        pitch_mm=skin.cell_pitch_mm,
-        full_scale_kpa=skin.cell.full_scale_kpa,
+        path, skin.design.array.shape, pitch_mm=skin.cell_pitch_mm, full_scale_kpa=skin.cell.full_scale_kpa
     )
 
 
@@ -165,7 +158,7 @@ def _protocol(family: str | Path | Family, scene: Scene) -> BoardProtocol:
 class _Session:
     """The device on one side, the port on the other, and a host who comes and goes."""
 
-    def __init__(self, device: Device, port: Port, pace: _Pace, *, auto_reset: bool) -> None:
+    def __init__(self, device: Device, port: Port, pace: _RealPace, *, auto_reset: bool) -> None:
         self._device, self._port, self._pace = device, port, pace
         self._auto_reset = auto_reset
         self._present = False
@@ -216,27 +209,28 @@ class _Session:
         wait_for(readable, writable, min(max(self._pace.wait_s(), 0.0), longest))
 
     def drain(self, stop: Stop) -> None:
-        """Let a host take what was sent, and the end; unless the board was switched off, and may come back."""
+        """Tell the host that no frame follows, and let it read to the end, as long as it goes on reading.
+
+        A host that has understood hangs up. To one that is still there behind a lossy line it is said again. A board
+        that was switched off says nothing, since it may come back.
+        """
         self._pace.finish()
         self.exchange()
-        if not stop.is_set():
-            tell_over(self, stop, lossy=self._device.may_lose)
+        if stop.is_set():
+            return
+        said = self._device.say_over(self._pace.now_us())
+        say_again_until = time.monotonic() + (OVER_S if self._device.may_lose else 0.0)
 
-    @property
-    def present(self) -> bool:
-        return self._present
+        def to_say() -> bool:
+            return not said or time.monotonic() < say_again_until
 
-    def say_over(self) -> bool:
-        return self._device.say_over(self._pace.now_us())
-
-    def unsent(self) -> int:
-        return len(self._device.transmission)
-
-    def unread(self) -> int:
-        return self._port.unread()
-
-    def rest(self, stop: Stop) -> None:
-        wait_for([stop], [], HOST_POLL_S)
+        for _ in patience(lambda: (len(self._device.transmission) + to_say(), self._port.unread())):
+            self.exchange()
+            if stop.is_set() or not self._present:
+                return
+            if to_say() and not len(self._device.transmission):
+                said = self._device.say_over(self._pace.now_us())
+            wait_for([stop], [], HOST_POLL_S)
 
     def _follow_cable(self) -> bool:
         """Take the port away or bring it back as the scene says; whether it is there."""
@@ -269,52 +263,28 @@ class _Session:
             self._device.transmission.taken(self._port.write(sampled))
 
 
-class _Pace(ABC):
-    """When to tick, and what the line time is."""
+class _RealPace:
+    """When to tick, and what the line time is: the machine's."""
 
-    @abstractmethod
-    def now_us(self) -> float:
-        """Line time."""
-
-    @abstractmethod
-    def host_arrived(self) -> None:
-        """A host has opened the port."""
-
-    @abstractmethod
-    def host_spoke(self) -> None:
-        """The host has sent something."""
-
-    @abstractmethod
-    def due(self, *, host_present: bool) -> bool:
-        """Whether the next tick is due now."""
-
-    @abstractmethod
-    def wait_s(self) -> float:
-        """How long nothing can become due by itself."""
-
-    @abstractmethod
-    def finish(self) -> None:
-        """No more ticks will come: what is on the line arrives."""
-
-
-class _RealPace(_Pace):
     def __init__(self, device: Device, outcome: Outcome) -> None:
         self._device, self._outcome = device, outcome
         self._start = time.monotonic()
 
     def now_us(self) -> float:
+        """Line time."""
         return 1e6 * (time.monotonic() - self._start)
 
     def host_arrived(self) -> None:
-        pass
+        """A host has opened the port."""
 
     def host_spoke(self) -> None:
-        pass
+        """The host has sent something."""
 
     def finish(self) -> None:
-        pass
+        """No more ticks will come: what is on the line arrives."""
 
     def due(self, *, host_present: bool) -> bool:
+        """Whether the next tick is due now."""
         late_s = (self.now_us() - self._device.next_us) / 1e6
         if late_s > MOST_BEHIND_S:
             self._device.fall_behind(1e6 * late_s)
@@ -322,13 +292,16 @@ class _RealPace(_Pace):
         return late_s >= 0
 
     def wait_s(self) -> float:
+        """How long nothing can become due by itself."""
         now_us = self.now_us()
         return (min(self._device.next_us, self._device.transmission.next_us(now_us)) - now_us) / 1e6
 
 
-class _FastPace(_Pace):
-    def __init__(self, device: Device) -> None:
-        self._device = device
+class _FastPace(_RealPace):
+    """As fast as the host takes the bytes."""
+
+    def __init__(self, device: Device, outcome: Outcome) -> None:
+        super().__init__(device, outcome)
         self._orders = 0
         self._silent_until = inf
         self._line_us = 0.0
@@ -359,7 +332,7 @@ class _FastPace(_Pace):
         if not host_present:
             return False
         if board.orders == self._orders and time.monotonic() >= self._silent_until:
-            board.streaming = not board.protocol.family.polled
+            board.streaming = board.streams_unasked
         return board.wants_tick and len(self._device.transmission.host) < WRITE_SOON
 
     def wait_s(self) -> float:
@@ -367,3 +340,23 @@ class _FastPace(_Pace):
 
     def finish(self) -> None:
         self._line_us = inf
+
+
+def patience(unread: Callable[[], tuple[int, int]]) -> Iterator[None]:
+    """Steps to wait for a host that reads to the end: until nothing is left, or until it has long stopped reading.
+
+    Args:
+        unread: bytes that wait before the port and behind it.
+
+    """
+    left, ends_at, quiet = None, 0.0, 0
+    while quiet < 3:
+        yield
+        before, left = left, unread()
+        now = time.monotonic()
+        if left != before:
+            ends_at = now + DRAIN_S
+        elif now > ends_at:
+            return
+        # The kernel moves bytes on in steps: empty for a moment is not empty yet.
+        quiet = quiet + 1 if left == (0, 0) else 0

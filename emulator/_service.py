@@ -1,7 +1,4 @@
-"""What the loops around a board share: the request to stop, what a run came to, its thread, and how they wait.
-
-:mod:`._run` serves the model of a board, :mod:`.firmware._loop` the program of a real one.
-"""
+"""What a board in service needs of the operating system: the request to stop, a thread, and how it waits."""
 
 from __future__ import annotations
 
@@ -10,7 +7,6 @@ import select
 import selectors
 import signal
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,18 +16,8 @@ from ._ports import Port
 
 ClockName = Literal["real", "fast"]
 
-HOST_POLL_S = 0.01
-"""how often to look whether a host has come: opening a pty wakes nobody"""
-LISTENER_S = 1.0
-"""fast clock: how long a host may say nothing before it is taken for a mere listener"""
-OVER_S = 1.0
-"""for how long a host behind a line that loses packets is told that no frame follows, a hundred times at most"""
-MOST_BEHIND_S = 0.5
-"""real clock: how late a board may be before its time is let go"""
 MOST_FOR_SELECT = 1024
 """file descriptors that ``select()`` can wait for (FD_SETSIZE)"""
-DRAIN_S = 5.0
-"""at the end: how long to wait for a host that has stopped reading"""
 
 
 class Stop:
@@ -101,55 +87,6 @@ class Outcome:
         return notes
 
 
-class Leaving(Protocol):
-    """A board at its end, on the way to its host."""
-
-    @property
-    def present(self) -> bool:
-        """Whether a host is there."""
-        ...
-
-    def exchange(self) -> None:
-        """Pass on what has come from either side."""
-        ...
-
-    def say_over(self) -> bool:
-        """Say that no frame follows; False where there was no room for that."""
-        ...
-
-    def unsent(self) -> int:
-        """Bytes that wait for the port."""
-        ...
-
-    def unread(self) -> int:
-        """Bytes in the port that the host has not read."""
-        ...
-
-    def rest(self, stop: Stop) -> None:
-        """Wait for a moment."""
-        ...
-
-
-def tell_over(board: Leaving, stop: Stop, *, lossy: bool) -> None:
-    """Tell the host that no frame follows, and let it read to the end, as long as it goes on reading.
-
-    A host that has understood hangs up. To one that is still there behind a ``lossy`` line it is said again.
-    """
-    said = board.say_over()
-    say_again_until = time.monotonic() + (OVER_S if lossy else 0.0)
-
-    def to_say() -> bool:
-        return not said or time.monotonic() < say_again_until
-
-    for _ in patience(lambda: (board.unsent() + to_say(), board.unread())):
-        board.exchange()
-        if stop.is_set() or not board.present:
-            return
-        if to_say() and not board.unsent():
-            said = board.say_over()
-        board.rest(stop)
-
-
 class HasFileno(Protocol):
     """What a selector can wait for."""
 
@@ -198,23 +135,3 @@ def in_thread(serve: Callable[[Stop], object], port: Port) -> Iterator[None]:
         stop.close()
     if failures:
         raise failures[0]
-
-
-def patience(unread: Callable[[], tuple[int, int]]) -> Iterator[None]:
-    """Steps to wait for a host that reads to the end: until nothing is left, or until it has long stopped reading.
-
-    Args:
-        unread: bytes that wait before the port and behind it.
-
-    """
-    left, ends_at, quiet = None, 0.0, 0
-    while quiet < 3:
-        yield
-        before, left = left, unread()
-        now = time.monotonic()
-        if left != before:
-            ends_at = now + DRAIN_S
-        elif now > ends_at:
-            return
-        # The kernel moves bytes on in steps: empty for a moment is not empty yet.
-        quiet = quiet + 1 if left == (0, 0) else 0

@@ -90,21 +90,6 @@ class Shape(Section):
         """
         raise NotImplementedError
 
-    def coverage(self, shape: tuple[int, int], pitch_mm: float = 25.4) -> FloatArray:
-        """(rows, columns) share of the load on each cell of an array, with the shape where the scene file puts it."""
-        middle = self.middle(pitch_mm)
-        if middle is None:
-            raise InputError("the shape has no center")
-        (first_row, last_row), (first_column, last_column) = self.window(np.array([middle]), shape, pitch_mm)
-        covered = np.zeros(shape)
-        rows, columns = np.arange(first_row, last_row), np.arange(first_column, last_column)
-        if not (len(rows) and len(columns)):
-            return covered
-        covered[first_row:last_row, first_column:last_column] = self.cover(
-            np.array([middle]), rows.astype(float), columns.astype(float), pitch_mm
-        )[0]
-        return covered
-
     def window(
         self, middles: FloatArray, shape: tuple[int, int], pitch_mm: float
     ) -> tuple[tuple[int, int], tuple[int, int]]:

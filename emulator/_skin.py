@@ -9,7 +9,7 @@ come back to rest are stepped.
 from __future__ import annotations
 
 import copy
-import threading
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -111,8 +111,9 @@ class EmulatedSkin:
         self._next_tick = 0
         self._longest = longest_block(scene.skin.design)
         self._length = 1
-        self._ahead = ahead
-        self._next: _NextBlock | None = None
+        self._pool = ThreadPoolExecutor(1, "ohmskin-physics") if ahead else None
+        self._next: tuple[ScenePhysics, Future[FrameBlock]] | None = None
+        """the physics behind the next block, and that block, where it is computed ahead"""
         self._before = self._physics = ScenePhysics(scene, np.random.default_rng(seed))
         self._block: FrameBlock | None = None
         self._place = 0
@@ -156,7 +157,7 @@ class EmulatedSkin:
     def _forget_frames_ahead(self) -> None:
         """Frames computed ahead did not happen: live through those before them again."""
         if self._next is not None:
-            self._next.join()
+            wait([self._next[1]])
             self._next = None
         if self._block is not None and self._place < len(self._block):
             self._physics = self._before
@@ -165,47 +166,23 @@ class EmulatedSkin:
         self._block, self._place, self._length = None, 0, 1
 
     def _compute(self) -> None:
-        computed = self._next or self._start_block(self._next_tick)
-        self._before = self._physics
-        self._physics, self._block = computed.result()
-        self._place, self._next = 0, None
-        if self._ahead:
-            self._next = self._start_block(self._next_tick + len(self._block))
-            self._next.start()
+        if self._next is None:
+            physics = self._physics.copy()
+            block = physics.run(self._times(self._next_tick))
+        else:
+            physics, block = self._next[0], self._next[1].result()
+        self._before, self._physics = self._physics, physics
+        self._block, self._place, self._next = block, 0, None
+        if self._pool is not None:
+            ahead = physics.copy()
+            self._next = ahead, self._pool.submit(ahead.run, self._times(self._next_tick + len(block)))
 
-    def _start_block(self, first_tick: int) -> _NextBlock:
+    def _times(self, first_tick: int) -> IntArray:
+        """When the frames of a block are due."""
         times = np.array([self._ticks.at(first_tick + k) for k in range(self._length)])
         # 1, 3, 5, 9, 17 ... frames: intervals of these halve evenly.
         self._length = min(self._longest, max(3, 2 * self._length - 1))
-        return _NextBlock(self._physics, times)
-
-
-class _NextBlock(threading.Thread):
-    """A block and the physics behind its last frame, computed in this thread or by the one that asks for them."""
-
-    def __init__(self, physics: ScenePhysics, time_us: IntArray) -> None:
-        # No daemon: the interpreter waits for its end. A thread that is cut off within numpy aborts the process.
-        super().__init__(name="ohmskin-physics", daemon=False)
-        self._physics, self._time_us = physics.copy(), time_us
-        self._block: FrameBlock | None = None
-        self._error: Exception | None = None
-
-    def run(self) -> None:
-        try:
-            self._block = self._physics.run(self._time_us)
-        except Exception as error:
-            self._error = error
-
-    def result(self) -> tuple[ScenePhysics, FrameBlock]:
-        """Wait for the thread, if it was started. Raises what the physics raised."""
-        if self.ident is None:
-            self.run()
-        else:
-            self.join()
-        if self._error is not None:
-            raise self._error
-        assert self._block is not None
-        return self._physics, self._block
+        return times
 
 
 def longest_block(design: Design) -> int:

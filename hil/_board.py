@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import importlib
 import importlib.resources
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..emulator import Hand, PtyPort, Scene, running
+from ..emulator import EngineName, Hand, PtyPort, Scene, running
+from ..emulator.firmware import missing_for
 from ..errors import OhmskinError
 
 EMULATED, FIRMWARE = "emulated", "firmware"
@@ -58,14 +58,13 @@ def serve(
     if target not in (EMULATED, FIRMWARE):
         yield BoardInService(target, target, family, None)
         return
+    engine: EngineName = "firmware" if target == FIRMWARE else "model"
+    if engine == "firmware" and (reason := missing_for()) is not None:
+        raise TargetMissing(reason)
     described = _scene(scene)
     port = PtyPort()
     hand = Hand(described.skin.design.array.shape)
-    if target == FIRMWARE:
-        with _firmware(described, port, seed, hand):
-            yield BoardInService(target, port.name, family, hand)
-        return
-    with running(described, port, seed=seed, family=family, hand=hand):
+    with running(described, port, seed=seed, family=family, engine=engine, hand=hand):
         yield BoardInService(target, port.name, family, hand)
 
 
@@ -74,19 +73,3 @@ def _scene(path: Path | None) -> Scene:
         return Scene.load(path)
     with importlib.resources.as_file(importlib.resources.files(__package__) / "suite") as folder:
         return Scene.load(folder / "scene.toml")
-
-
-@contextmanager
-def _firmware(scene: Scene, port: PtyPort, seed: int, hand: Hand) -> Iterator[None]:
-    """The firmware's engine on ``port``. It needs Node.js, which not every machine has."""
-    try:
-        engine = importlib.import_module("ohmskin.emulator.firmware")
-    except ImportError as error:
-        port.close()
-        raise TargetMissing(f"the firmware cannot be run here: {error}") from error
-    reason = engine.missing_for()
-    if reason is not None:
-        port.close()
-        raise TargetMissing(str(reason))
-    with engine.running_firmware(scene, port, seed=seed, hand=hand):
-        yield

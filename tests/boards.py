@@ -50,12 +50,7 @@ def identity(
 
 
 def frame(
-    sequence: int,
-    *,
-    boot_id: int = 1,
-    level: int | list[int] = 2000,
-    flags: Flag = Flag.NONE,
-    us: int | None = None,
+    sequence: int, *, boot_id: int = 1, level: int | list[int] = 2000, flags: Flag = Flag.NONE, us: int | None = None
 ) -> bytes:
     """A frame of that board, with counts ``level`` in all cells or rows, at ``us`` or its number in ms."""
     counts, time_us = np.full((3, 2), level), 1000 * sequence if us is None else us

@@ -31,6 +31,13 @@ def protocol_recording(cell: Cell, noise: float, seed: int = 0) -> Recording:
     )
 
 
+def resistance(load: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Ohm (n,): half from relays, half from fractional creep, saturating, with noise relative to itself."""
+    deformed = 0.5 * independent.preisach(load, rng) + 0.5 * independent.fractional_creep(load, DT)
+    r = 0.9 * np.tanh(1.2 * deformed) / np.tanh(1.2)
+    return np.asarray(1e4 * (1 + r) * (1 + 0.002 * rng.standard_normal(len(load))))
+
+
 def exactly(cell: Cell, name: str | None, time: np.ndarray, read: np.ndarray, **options: float) -> np.ndarray:
     """kPa (n, *shape) of readings (n, *shape) taken as free of noise."""
     estimator = cell.estimator(read.shape[1:], name, noise=0.0, **options)
@@ -64,7 +71,7 @@ def unknown() -> Unknown:
     """Random presses: half to learn from, then loads and readings to judge by."""
     rng = np.random.default_rng(3)
     load = independent.presses(rng, 900, DT, holds=True)
-    read = independent.resistance(load, DT, rng)
+    read = resistance(load, rng)
     load, read = load[-6000:], read[-6000:]  # conditioned before
     part = len(load) // 2
     found = calibrate(checked_recording(DT * np.arange(part), FULL * load[:part], read[:part]), full_scale_kpa=FULL)
@@ -78,7 +85,7 @@ def creeping() -> Unknown:
     _, pressed = protocol.protocol_load(DT)
     later = [independent.presses(rng, 200, DT, holds=holds) for holds in (True, False)]
     load = np.concatenate([pressed, np.zeros(round(600 / DT)), *later])
-    read = independent.resistance(load, DT, rng)
+    read = resistance(load, rng)
     part = len(pressed)
     found = calibrate(checked_recording(DT * np.arange(part), FULL * load[:part], read[:part]), full_scale_kpa=FULL)
     return Unknown(found, load, read, part)

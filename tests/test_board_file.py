@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 import struct
 import zlib
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 from ohmskin.circuits import Design, Reason, adc_codes
 from ohmskin.cli import run
 from ohmskin.common.config import parse
-from ohmskin.driver import Skin, Tare, discover
+from ohmskin.driver import Skin, discover
 from ohmskin.emulator import PtyPort, running
 from ohmskin.errors import InputError
 from ohmskin.wire import (
@@ -77,12 +76,6 @@ A, B = [[1, 2, 3], [4, 5, 6]], [[7, 8, 9], [10, 11, 12]]
 def test_numbers_with_any_separator_in_a_line() -> None:
     for line in (b"1,2,3,4,5,6\r\n", b" 1  2 3\t4;5, 6;\n", b"1.0 2e0 +3 4.4 4.6 6\n"):
         assert frames(heard(text(), b"cut\n", line)) == [A]
-
-
-def test_the_first_line_may_be_cut_and_is_dropped() -> None:
-    events = heard(text(), b"1,2,3,4,5,6\n7,8,9,10,11,12\n")
-    assert frames(events) == [B]
-    assert reasons(events) == ["the host joined in the middle of a line"]
 
 
 def test_text_is_skipped_and_counted_and_damaged_lines_are_dropped() -> None:
@@ -213,14 +206,6 @@ def test_words_in_literal_bytes(word: str, line: bytes) -> None:
     assert sent == b"\xaa\x55\0" + line + b"\0\0"
 
 
-def test_nan_and_negative_floats_cost_their_cells() -> None:
-    line = b"\xaa\x55" + struct.pack("<6f", 0.0, math.nan, 0.5, 1.0, -0.1, math.inf)
-    events = heard(binary(word="float32le", header=[0xAA, 0x55], range=[0.0, 1.0]), line * 2 + b"\xaa\x55")
-    first = next(event for event in events if isinstance(event, FramePacket))
-    assert first.absent == (1, 4, 5)
-    assert first.counts.tolist() == [[0, 0, 128], [255, 0, 0]]
-
-
 @pytest.mark.parametrize("name", CHECKSUMS)
 def test_the_usual_check_value_of_every_checksum(name: str) -> None:
     """Of the ASCII text "123456789", as the catalogues of CRCs list it."""
@@ -343,15 +328,6 @@ def test_damage_costs_the_frames_that_it_hits(path: Path, noise: bytes, cut: int
     assert len(wrong) <= allowed
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_noise_without_end_takes_bounded_memory(path: Path) -> None:
-    host, random = host_protocol(path), np.random.default_rng(5)
-    for k in range(20):
-        host.feed(random.bytes(20_000), float(k))
-    held = max((len(value) for value in vars(host).values() if isinstance(value, bytearray | list)), default=0)
-    assert held < 25_000
-
-
 # With driver, emulator and recordings
 
 
@@ -440,23 +416,6 @@ def test_a_cell_that_the_board_leaves_out_is_marked_as_missing() -> None:
     assert marked.counts[0, 2] == 0
     others = np.arange(6).reshape(2, 3) != 2
     np.testing.assert_allclose(marked.resistance[others], whole.resistance[others], rtol=1e-6)
-
-
-def test_a_tare_in_counts_is_saved_and_refused_elsewhere(tmp_path: Path) -> None:
-    tare = Tare(
-        rest_resistance_ohm=np.full((2, 3), np.nan),
-        measured=np.ones((2, 3), dtype=bool),
-        std_ohm=np.full((2, 3), np.nan),
-        frames=4,
-        lost=None,
-        serial_number="",
-        wall_time=1e9,
-        rest_counts=np.arange(6.0).reshape(2, 3),
-    )
-    tare.save(tmp_path / "rest.npz")
-    again = Tare.load(tmp_path / "rest.npz")
-    np.testing.assert_array_equal(again.rest, tare.rest)
-    assert "counts" in repr(again)
 
 
 # Files

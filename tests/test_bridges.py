@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import ast
 import asyncio
 import base64
 import importlib.util
 import json
-import signal
 import struct
-import subprocess
-import sys
-import time
 from collections.abc import Iterator
-from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 from types import ModuleType
@@ -21,13 +15,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from boards import EXAMPLES, Script, Wire, gone, scene
-from patience import HANG_S
-from test_record import pieces
+from boards import EXAMPLES, Wire, scene
 
 from ohmskin.driver import Frame, Skin
 from ohmskin.emulator import Board, PtyPort, running
-from ohmskin.errors import InputError, LinkTimeout
 
 
 def bridge(name: str) -> ModuleType:
@@ -103,37 +94,6 @@ def test_an_observation_is_that_of_the_frame(pressed: list[Frame]) -> None:
     assert image[1, 1].tolist() == [round(255 * frame.pressure[1, 1] / 31.0)] * 3
 
 
-def test_an_old_frame_is_no_observation() -> None:
-    lerobot = bridge("lerobot_skin")
-    sensor = lerobot.SkinSensor("x", shape=(3, 2), max_age=0.05)
-    with Skin(Script(*pieces(range(3)))) as sensor._skin:
-        time.sleep(0.2)
-        with pytest.raises(LinkTimeout) as caught:
-            sensor.get_observation()
-        assert isinstance(caught.value, TimeoutError)
-    with Skin(Script(*pieces(range(3)), last=gone), reopen=gone, reconnect=30) as sensor._skin:
-        deadline = time.monotonic() + 30
-        while sensor.is_connected:
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
-
-
-def test_a_skin_of_another_shape_or_under_load_is_refused(board: str) -> None:
-    lerobot = bridge("lerobot_skin")
-    with pytest.raises(ConnectionError, match=r"a skin of \(3, 2\) cells; expected \(8, 8\)"):
-        lerobot.SkinSensor(board, shape=(8, 8)).connect()
-    port = PtyPort()
-    pressed = {"cells": [[1, 1]], "load_kpa": [[0.0, 15.0], [1.0, 15.0]]}
-    with running(scene(contact=[pressed]), port):
-        sensor = lerobot.SkinSensor(port.name, shape=(3, 2))
-        with pytest.raises(InputError, match="the skin seems to be loaded"):
-            sensor.connect()
-        assert not sensor.is_connected
-        sensor.connect(calibrate=False)
-        assert not sensor.is_calibrated
-        sensor.disconnect()
-
-
 class Arm:
     """The least of a LeRobot robot."""
 
@@ -175,34 +135,6 @@ def test_a_robot_with_a_skin_observes_both_and_acts_as_before(board: str) -> Non
     assert robot.name == "arm"
     robot.disconnect()
     assert not robot.is_connected
-
-
-def test_the_sensor_has_what_lerobots_abstract_robot_wants() -> None:
-    """Against the source of the installed LeRobot, which is read and not imported: it would load torch."""
-    if find_spec("lerobot") is None:
-        pytest.skip("lerobot is not installed (pip install --no-deps lerobot will do)")
-    (folder,) = find_spec("lerobot").submodule_search_locations  # type: ignore[union-attr]
-    tree = ast.parse((Path(folder) / "robots" / "robot.py").read_text())
-    (robot,) = (node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == "Robot")
-    lerobot = bridge("lerobot_skin")
-    sensor_lacks = {"action_features", "send_action"}
-    checked = 0
-    for method in robot.body:
-        if not isinstance(method, ast.FunctionDef):
-            continue
-        marks = {ast.unparse(mark) for mark in method.decorator_list}
-        if "abc.abstractmethod" not in marks:
-            continue
-        names = [argument.arg for argument in method.args.args]
-        for kind in (lerobot.SkinSensor, lerobot.RobotWithSkin):
-            if method.name in sensor_lacks:
-                continue
-            mine = getattr(kind, method.name)
-            assert isinstance(mine, property) == ("property" in marks), method.name
-            if not isinstance(mine, property):
-                assert mine.__code__.co_varnames[: mine.__code__.co_argcount] == tuple(names), method.name
-            checked += 1
-    assert checked >= 2 * 7
 
 
 # --- Foxglove ---------------------------------------------------------------------------------------------------------
@@ -265,30 +197,6 @@ def test_foxglove_receives_the_frames(pressed: list[Frame]) -> None:
 
 
 # --- ROS 2 ------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.skipif(find_spec("foxglove") is None, reason="foxglove-sdk is not installed")
-def test_the_foxglove_program_says_in_one_line_what_is_wrong() -> None:
-    words = [sys.executable, str(EXAMPLES / "bridges" / "foxglove_live.py"), "/dev/nothing-here", "--listen", "0"]
-    ended = subprocess.run(words, capture_output=True, text=True, check=False, timeout=HANG_S)
-    assert ended.returncode == 1
-    assert ended.stderr.startswith("/dev/nothing-here: no such port")
-    assert ended.stderr.count("\n") == 1
-
-
-@pytest.mark.skipif(find_spec("foxglove") is None, reason="foxglove-sdk is not installed")
-def test_the_foxglove_program_is_ended_by_an_interrupt_without_a_traceback(board: str) -> None:
-    words = [sys.executable, str(EXAMPLES / "bridges" / "foxglove_live.py"), board, "--listen", "0"]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as program:
-        assert program.stdout is not None
-        assert program.stdout.readline().startswith("ws://127.0.0.1:")
-        program.send_signal(signal.SIGINT)
-        try:
-            _, errors = program.communicate(timeout=HANG_S)
-        finally:
-            program.kill()
-    assert program.returncode == 130
-    assert "Traceback" not in errors
 
 
 def test_ros_messages_survive_their_wire_format(pressed: list[Frame]) -> None:

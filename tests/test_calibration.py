@@ -79,32 +79,11 @@ def well_calibrated() -> Watch:
     return watched(time_s, resistances(time_s, kpa), plan_of())
 
 
-def with_presses(change: Callable[[int, Press], Press]) -> str:
-    """What is said of the faultless calibration with some presses changed."""
-    watch = well_calibrated()
-    assert watch.rest is not None
-    presses = [change(number, press) for number, press in enumerate(watch.presses)]
-    return calibrate_cells(CELL, watch.rest, presses).text()
-
-
-def calibrated(bend: Bend | None = None, loads: Sequence[float] = (5.0, 12.0), **changes: FloatArray) -> Watch:
-    time_s, kpa = history(loads)
-    ohm = resistances(time_s, kpa, **changes)
-    return watched(time_s, ohm if bend is None else bend(time_s, ohm), plan_of(loads))
-
-
-def verdict_text(watch: Watch) -> str:
-    assert watch.rest is not None
-    return calibrate_cells(CELL, watch.rest, watch.presses).text()
-
-
 # --- what is recovered ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("together", [False, True])
-def test_ideal_cells_give_back_their_gains(together: bool) -> None:
-    time_s, kpa = history(together=together)
-    watch = watched(time_s, resistances(time_s, kpa), plan_of(press="all" if together else "each"))
+def test_ideal_cells_give_back_their_gains() -> None:
+    watch = well_calibrated()
     assert watch.done
     assert watch.rest is not None
     verdict = calibrate_cells(CELL, watch.rest, watch.presses)
@@ -114,7 +93,7 @@ def test_ideal_cells_give_back_their_gains(together: bool) -> None:
     np.testing.assert_allclose(verdict.fit.rest_ohm, RESTS, rtol=2e-4)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(st.lists(st.floats(0.4, 2.5), min_size=6, max_size=6))
 def test_any_believable_gains_are_recovered(gains: list[float]) -> None:
     true = np.reshape(gains, SHAPE)
@@ -125,85 +104,70 @@ def test_any_believable_gains_are_recovered(gains: list[float]) -> None:
     np.testing.assert_allclose(calibrate_cells(CELL, watch.rest, watch.presses).fit.gain, true, rtol=1e-2)
 
 
-def test_noise_widens_what_is_stated_of_a_gain() -> None:
-    def noisy(time_s: FloatArray, ohm: FloatArray) -> FloatArray:
-        return ohm * (1 + 0.01 * np.random.default_rng(2).standard_normal(ohm.shape))
-
-    watch = calibrated(noisy)
-    assert watch.rest is not None
-    fit = calibrate_cells(CELL, watch.rest, watch.presses).fit
-    error = fit.gain / GAINS - 1
-    assert (np.abs(error) < 4 * fit.gain_std).all()
-    assert fit.gain_std.max() < 0.05
-
-
 # --- what is refused --------------------------------------------------------------------------------------------------
 
 
-def test_cells_never_pressed_are_named() -> None:
+def at(place: tuple[int, int], factor: float) -> FloatArray:
+    """1 for every cell but one."""
+    factors = np.ones(SHAPE)
+    factors[place] = factor
+    return factors
+
+
+@pytest.mark.parametrize(
+    ("bend", "message"),
+    [
+        (lambda time_s, ohm: ohm * at((0, 1), 2.5), r"seems to be loaded: cell \(0, 1\) has 2\.4 times"),
+        (lambda time_s, ohm: 5.0 * ohm, r"seems to be loaded: the typical resistance is .* times that of the cell's"),
+        (
+            lambda time_s, ohm: ohm * (1 + 0.1 * np.exp(-time_s / 1.0))[:, None, None],
+            "not at rest: the resistance of 6 cells is changing",
+        ),
+        (
+            lambda time_s, ohm: ohm * (1 + 0.1 * (time_s > 40.0))[:, None, None],
+            "with a drifting rest resistance",
+        ),
+        (lambda time_s, ohm: np.where(ohm > at((0, 0), 1.35e-2) * 1e6, np.nan, ohm), "without a valid reading under"),
+        (lambda time_s, ohm: np.where(at((1, 2), 0.0) > 0, ohm, RESTS), r"never pressed: \(1, 2\)"),
+    ],
+)
+def test_readings_that_tell_no_calibration_are_refused(bend: Bend, message: str) -> None:
     time_s, kpa = history()
-    kpa[:, 1, 2] = 0.0
-    watch = watched(time_s, resistances(time_s, kpa), plan_of())
-    assert not watch.done
-    assert "never pressed: (1, 2)" in verdict_text(watch)
+    ohm = bend(time_s, resistances(time_s, kpa))
+    with pytest.raises(InputError, match=message):
+        calibration_of(time_s, ohm)
 
 
-def test_a_skin_that_is_loaded_at_first_is_refused() -> None:
-    def loaded(time_s: FloatArray, ohm: FloatArray) -> FloatArray:
-        ohm = ohm.copy()
-        ohm[:, 0, 1] *= 2.5
-        return ohm
-
-    with pytest.raises(InputError, match=r"seems to be loaded: cell \(0, 1\) has 2\.4 times"):
-        calibrated(loaded)
-    with pytest.raises(InputError, match=r"seems to be loaded: the typical resistance is .* times that of the cell's"):
-        calibrated(lambda time_s, ohm: 5.0 * ohm)
+def calibration_of(time_s: FloatArray, ohm: FloatArray) -> Calibration:
+    watch = watched(time_s, ohm, plan_of())
+    assert watch.rest is not None
+    return calibrate_cells(CELL, watch.rest, watch.presses).calibration(scene().skin.design, CELL, "")
 
 
-def test_a_rest_that_is_still_changing_is_refused() -> None:
-    with pytest.raises(InputError, match=r"not at rest: the resistance of 6 cells is changing"):
-        calibrated(lambda time_s, ohm: ohm * (1 + 0.1 * np.exp(-time_s / 1.0))[:, None, None])
-
-
-def test_a_rest_that_drifts_later_is_refused() -> None:
-    text = verdict_text(calibrated(lambda time_s, ohm: ohm * (1 + 0.1 * (time_s > 40.0))[:, None, None]))
-    assert "drifting rest resistance" in text
-
-
-def test_cells_that_saturate_are_refused() -> None:
-    def saturated(time_s: FloatArray, ohm: FloatArray) -> FloatArray:
-        ohm = ohm.copy()
-        cell = ohm[:, 0, 0]
-        cell[cell > 1.5 * RESTS[0, 0]] = np.nan
-        return ohm
-
-    assert "without a valid reading under load" in verdict_text(calibrated(saturated))
-
-
-def test_one_press_of_a_cell_is_too_few() -> None:
-    text = with_presses(lambda number, press: press if number < 6 else replace(press, fault="left out"))
-    assert text.startswith("6 cells pressed too seldom: (0, 0), (0, 1), (0, 2), (1, 0), ... (1 times; expected")
-
-
-def test_noise_larger_than_the_effect_is_refused() -> None:
-    assert "noisier than a load shows" in with_presses(lambda _, press: replace(press, std_ohm=np.full(1, 5e4)))
-
-
-def test_a_gain_out_of_range_is_refused() -> None:
-    assert "gain that is not believed" in with_presses(lambda _, press: replace(press, load_kpa=10 * press.load_kpa))
-
-
-def test_a_cell_that_changes_less_under_more_load_is_refused() -> None:
-    other = {5.0: 12.0, 12.0: 5.0}
-    text = with_presses(
-        lambda _, press: replace(press, load_kpa=press.load_kpa * other[press.held_kpa] / press.held_kpa)
-    )
-    assert "changing less under a larger load: (0, 0), (0, 1), (0, 2), (1, 0), ..." in text
-
-
-def test_presses_that_contradict_each_other_are_refused() -> None:
-    text = with_presses(lambda number, press: press if number else replace(press, load_kpa=1.5 * press.load_kpa))
-    assert re.match(r"1 cell with presses that contradict each other: \(0, 0\) \(\d+ % rms of the load", text)
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (
+            lambda number, press: replace(press, fault="left out" if number > 5 else ""),
+            "6 cells pressed too seldom: (0, 0)",
+        ),
+        (lambda number, press: replace(press, std_ohm=np.full(1, 5e4)), "noisier than a load shows"),
+        (lambda number, press: replace(press, load_kpa=10 * press.load_kpa), "gain that is not believed"),
+        (
+            lambda number, press: replace(press, load_kpa=press.load_kpa * (2.4 if press.held_kpa < 10 else 1 / 2.4)),
+            "changing less under a larger load: (0, 0), (0, 1), (0, 2), (1, 0), ...",
+        ),
+        (
+            lambda number, press: press if number else replace(press, load_kpa=1.5 * press.load_kpa),
+            "1 cell with presses that contradict each other: (0, 0)",
+        ),
+    ],
+)
+def test_presses_that_tell_no_gain_are_refused(change: Callable[[int, Press], Press], said: str) -> None:
+    watch = well_calibrated()
+    assert watch.rest is not None
+    presses = [change(number, press) for number, press in enumerate(watch.presses)]
+    assert said in calibrate_cells(CELL, watch.rest, presses).text()
 
 
 def test_two_cells_at_once_are_refused_and_can_be_pressed_again() -> None:
@@ -259,17 +223,6 @@ def test_a_file_reads_back_bit_for_bit(tmp_path: Path) -> None:
     for name in ("rest_ohm", "gain", "gain_std", "rest_std_kpa", "residual_kpa", "calibrated"):
         np.testing.assert_array_equal(getattr(two, name), getattr(one, name))
     assert Calibration.from_json(one.as_json(), source="recording").hash == one.hash
-
-
-def test_a_calibration_prints_as_one_line_without_its_arrays() -> None:
-    assert repr(made()) == (
-        "<Calibration of 3 x 2 cells: 6 calibrated, gains 0.8 to 1.3, typically 10000 ohm at rest; "
-        "12 presses at 5, 12 kPa; 2026-01-02T03:04:05+00:00; board EMULATED>"
-    )
-    bad = made(calibrated=np.zeros((3, 2), dtype=np.bool_), remarks=("one",), serial_number="")
-    assert repr(bad) == (
-        "<Calibration of 3 x 2 cells: 0 calibrated; 12 presses at 5, 12 kPa; 2026-01-02T03:04:05+00:00; 1 remark>"
-    )
 
 
 def test_an_edited_file_is_refused_in_one_line(tmp_path: Path) -> None:
@@ -351,6 +304,7 @@ def test_a_tare_replaces_the_rest_and_keeps_the_gain() -> None:
 # --- the command ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_command_calibrates_the_example(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     output = tmp_path / "skin.toml"
     port = f"ohmskin://{EXAMPLES / 'calibration.toml'}?clock=fast"
@@ -366,48 +320,28 @@ def test_the_command_calibrates_the_example(tmp_path: Path, capsys: pytest.Captu
     assert not output.with_name("skin.toml.progress").exists()
 
 
-def test_words_that_do_not_fit_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for words in (
-        ["--load", "5", "--mass", "1"],
-        ["--mass", "1"],
-        ["--load", "-5", "--yes"],
-        ["--load", "5", "--press", "some", "--yes"],
-        [],
-    ):
-        port = f"ohmskin://{EXAMPLES / 'calibration.toml'}?clock=fast"
-        assert run(["calibrate", port, "-o", str(tmp_path / "a.toml"), *words]) == 2
-        assert capsys.readouterr().err.count("\n") == 1
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (["--load", "-5"], "a calibration needs loads above 0 kPa"),
-        (["--load", "nan"], "a calibration needs loads above 0 kPa"),
         (["--mass", "-1", "--area", "1e-4"], "a calibration needs loads above 0 kPa"),
+        (["--load", "5", "--mass", "1"], "--mass"),
+        (["--mass", "1"], "--area"),
+        ([], "--load"),
         (["--load", "5", "--press", "some"], "press 'some'; expected each, all, or a patch"),
         (["--load", "5"] * 101, "101 loads; expected at most 100"),
+        (["--load", "12000", "--yes"], "at most 4 times the full scale of the cells, 15.5 kPa: is it in Pa"),
+        (["--mass", "200", "--area", "1e-4", "--yes"], "is it in Pa, the weight in g"),
     ],
 )
-def test_words_that_fit_no_skin_are_refused_before_anything_is_asked(
+def test_words_that_do_not_fit_are_refused_before_anybody_presses(
     words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Neither whether the skin is unloaded nor the board: there is nobody and no port."""
-    assert run(["calibrate", str(tmp_path / "no-port"), "-o", str(tmp_path / "a.toml"), *words]) == 2
+    """In another unit a press would begin at a load that never comes."""
+    port = f"ohmskin://{EXAMPLES / 'calibration.toml'}?clock=fast&duration=10"
+    assert run(["calibrate", port, "-o", str(tmp_path / "a.toml"), *words]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert message in line
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("words", [["--load", "5", "--load", "12000"], ["--mass", "200", "--area", "1e-4"]])
-def test_loads_in_another_unit_are_asked_about_before_anybody_presses(
-    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """12 kPa in Pa and 0.2 kg in g: a press begins at a quarter of its load, so none would ever be noticed."""
-    port = f"ohmskin://{EXAMPLES / 'calibration.toml'}?clock=fast&duration=10"
-    assert run(["calibrate", port, "-o", str(tmp_path / "a.toml"), "--yes", *words]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "expected at most 4 times the full scale of the cells, 15.5 kPa: is it in Pa, the weight in g" in line
     assert list(tmp_path.iterdir()) == []
 
 
@@ -505,7 +439,7 @@ def test_a_reference_sensor_gives_the_loads(tmp_path: Path, capsys: pytest.Captu
     assert "does not show the presses that the skin felt" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("drift_ppm", [-300.0, 0.0, 300.0])
+@pytest.mark.parametrize("drift_ppm", [-300.0, 0.0])
 def test_two_clocks_are_told_apart(drift_ppm: float) -> None:
     skin_s = np.arange(0.0, 600.0, 0.05)
     rng = np.random.default_rng(4)
@@ -522,10 +456,7 @@ def test_pressures_after_a_calibration_are_within_their_deviations() -> None:
     rng = np.random.default_rng(5)
     time_s, kpa = history()
     noisy = resistances(time_s, kpa) * (1 + 0.002 * rng.standard_normal(kpa.shape))
-    watch = watched(time_s, noisy, plan_of())
-    assert watch.rest is not None
-    design = scene().skin.design
-    made = calibrate_cells(CELL, watch.rest, watch.presses).calibration(design, CELL, "")
+    made = calibration_of(time_s, noisy)
     later_s = np.arange(0.0, 60.0, STEP_S)
     swinging = 5 * np.maximum(np.sin(0.7 * later_s[:, None, None] + np.arange(6).reshape(SHAPE)), 0.0)
     later = resistances(later_s, swinging) * (1 + 0.002 * rng.standard_normal(swinging.shape))

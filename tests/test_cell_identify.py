@@ -1,9 +1,5 @@
-"""Calibration: known cells are found again, unknown materials are estimated honestly, bad input is refused."""
+"""Calibration: known cells are found again, unknown materials are estimated with honest errors."""
 
-from __future__ import annotations
-
-import json
-import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -13,13 +9,10 @@ import cells
 import numpy as np
 import pytest
 from cells import DT, EXAMPLE, FULL, Unknown, protocol_recording, sense
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from ohmskin.bench import panel
 from ohmskin.cell import (
-    CalibrationResult,
+    AsymmetricModel,
     Cell,
     ContactModel,
     M10Model,
@@ -28,17 +21,10 @@ from ohmskin.cell import (
     calibrate,
     calibration_record,
     calibration_text,
-    check_protocol,
     checked_recording,
     estimate_recording,
-    protocol_load,
-    protocol_text,
-    recovery_branches,
 )
-from ohmskin.cell.identification._folds import folds
-from ohmskin.cell.identification._identify import fits
-from ohmskin.cell.identification._remarks import remarks
-from ohmskin.cell.inversions import Bank
+from ohmskin.cell.identification import check_protocol, fits, folds, protocol_text, recovery_branches
 from ohmskin.errors import InputError
 
 CONTACT = ContactModel(exponent=0.9, full_scale_resistance_ohm=500)
@@ -166,6 +152,22 @@ def test_a_cell_whose_resistance_falls_and_that_remembers_is_told_from_a_contact
     assert rmse[None] < 0.7 * rmse["static"]
 
 
+@pytest.mark.slow
+def test_a_contact_whose_power_law_holds_under_load_only_is_calibrated() -> None:
+    """Conductance that comes late and lingers, over two decades: nothing to a curve, but decades of ohms at rest."""
+    time = np.arange(0, 240, DT)
+    load = np.maximum(np.sin(time / 5) * np.sin(time / 17), 0) * (time > 3)
+    late = lfilter([1 - np.exp(-DT / 15)], [1, -np.exp(-DT / 15)], load)
+    conducts = 1e-4 + 0.03 * (0.85 * load + 0.15 * late) ** 0.7
+    read = (1 + 0.005 * np.random.default_rng(0).standard_normal(len(time))) / conducts
+    found = calibrate(checked_recording(time, FULL * load, read))
+    pressure, _ = estimate_recording(found.cell.estimator(()), time, read)
+    assert np.sqrt(np.mean((pressure / FULL - load) ** 2)) < 0.08
+    shuffled = np.random.default_rng(1).permutation(read)
+    with pytest.raises(InputError, match="does not follow the pressure: the best curve leaves"):
+        calibrate(checked_recording(time, FULL * load, np.where(time % 20 < 10, shuffled, read)))
+
+
 def test_the_papers_graphical_way() -> None:
     """P6: the branches read from a recovery curve are those it was made of."""
     truth = EXAMPLE.model
@@ -196,12 +198,17 @@ def test_r0_of_a_recording_that_begins_under_load_is_found() -> None:
     assert found[0].held_out_error < 0.02
 
 
+def test_a_kind_that_forgets_is_not_taken_for_one_that_remembers() -> None:
+    """One set of states: the asymmetric cell is found as such, without breakdown or hand-over."""
+    model = AsymmetricModel(e1_kpa=32, e2_kpa=60, e3_kpa=480, eta2_kpa_s=510, eta3_kpa_s=48000)
+    best = fits(protocol_recording(EXAMPLE.replace(model=model), 0.002), FULL)[0]
+    assert isinstance(best.model, AsymmetricModel)
+    assert best.model.e1_kpa == pytest.approx(32, rel=0.03)
+    assert best.model.t2_s == pytest.approx(8.5, rel=0.1)
+
+
 TIME = np.arange(0, 60, 0.1)
-
-
 PRESS = 10.0 * ((TIME > 10) & (TIME < 30))
-
-
 READ = 1e4 + 300 * PRESS
 
 
@@ -223,6 +230,43 @@ def test_nonsense_is_refused(time: np.ndarray, pressure: np.ndarray, resistance:
         checked_recording(time, pressure, resistance)
 
 
+@pytest.mark.slow
+def test_loads_known_while_the_resistance_is_missing_are_felt_by_the_models() -> None:
+    """Two minutes without readings hold a press that the cell remembers. Its parameters are found all the same."""
+    time = np.arange(0, 400, 0.1)
+    load = np.interp(time % 100, [0, 10, 12, 30, 33, 60, 65, 70, 74, 100], [0, 0, 0.6, 0.6, 0, 0, 1, 1, 0, 0])
+    read = sense(EXAMPLE, load)
+    missing = (time > 105) & (time < 130) | (time > 160) & (time < 255)
+    with_gaps = checked_recording(time, FULL * load, np.where(missing, np.nan, read))
+    assert np.isfinite(with_gaps.resistance_ohm).all()
+    best = fits(with_gaps, FULL)[0]
+    without = fits(checked_recording(time[~missing], FULL * load[~missing], read[~missing]), FULL)[0]
+    assert best.error < 0.002, "of the range of the resistance"
+    assert without.error > 2 * best.error
+
+
+@pytest.mark.parametrize("jump", [1, 999])
+def test_readings_mostly_on_one_side_of_a_gap_are_refused(jump: int) -> None:
+    """Such as of a cell that was open in between: nothing could be learned, or judged, of the other side."""
+    load = np.clip(2 * np.sin(2 * np.pi * 0.1 * np.arange(1000) / 20), 0, 1)
+    time = 0.1 * np.arange(1000) + np.where(np.arange(1000) < jump, 0, 1000)
+    with pytest.raises(InputError, match="without a gap"):
+        calibrate(checked_recording(time, FULL * load, sense(EXAMPLE, load)))
+
+
+def test_the_protocol_is_checked() -> None:
+    """It begins at rest: a press at once leaves R0 to the model."""
+    recording = protocol_recording(EXAMPLE, 0.0)
+    lines = [line for line in protocol_text().splitlines() if line.lstrip()[0].isdigit()]
+    assert "1. hold no load" in lines[0]
+    assert "hold 50 % of full scale for 20 s" in lines[3]
+    assert len(check_protocol(recording, FULL)) == len(check_protocol(recording)) == len(lines)
+    short = recording.time_s < 200
+    cut = checked_recording(recording.time_s[short], recording.pressure_kpa[short], recording.resistance_ohm[short])
+    with pytest.raises(InputError, match="step 11 of the protocol is missing: hold 100 % of full scale for 60 s"):
+        check_protocol(cut, FULL)
+
+
 @pytest.mark.parametrize(
     ("time", "pressure", "resistance", "message"),
     [
@@ -242,31 +286,7 @@ def test_units_that_look_wrong_are_asked_about(time: float, pressure: float, res
         checked_recording(*columns, trust_units=True)
 
 
-@pytest.mark.slow
-def test_loads_known_while_the_resistance_is_missing_are_felt_by_the_models() -> None:
-    """Two minutes without readings hold a press that the cell remembers. Its parameters are found all the same."""
-    time = np.arange(0, 400, 0.1)
-    load = np.interp(time % 100, [0, 10, 12, 30, 33, 60, 65, 70, 74, 100], [0, 0, 0.6, 0.6, 0, 0, 1, 1, 0, 0])
-    read = sense(EXAMPLE, load)
-    missing = (time > 105) & (time < 130) | (time > 160) & (time < 255)
-    with_gaps = checked_recording(time, FULL * load, np.where(missing, np.nan, read))
-    assert np.isfinite(with_gaps.resistance_ohm).all()
-    best = fits(with_gaps, FULL)[0]
-    without = fits(checked_recording(time[~missing], FULL * load[~missing], read[~missing]), FULL)[0]
-    assert best.error < 0.002, "of the range of the resistance"
-    assert without.error > 2 * best.error
-
-
-@pytest.mark.parametrize("jump", [1, 10, 999])
-def test_readings_mostly_on_one_side_of_a_gap_are_refused(jump: int) -> None:
-    """Such as of a cell that was open in between: nothing could be learned, or judged, of the other side."""
-    load = np.clip(2 * np.sin(2 * np.pi * 0.1 * np.arange(1000) / 20), 0, 1)
-    time = 0.1 * np.arange(1000) + np.where(np.arange(1000) < jump, 0, 1000)
-    with pytest.raises(InputError, match="without a gap"):
-        calibrate(checked_recording(time, FULL * load, sense(EXAMPLE, load)))
-
-
-@pytest.mark.parametrize(("presses", "count"), [(1, 0), (2, 0), (3, 1), (4, 2), (6, 3), (12, 3)])
+@pytest.mark.parametrize(("presses", "count"), [(2, 0), (3, 1), (4, 2), (12, 3)])
 def test_each_fold_holds_a_whole_press_that_follows_on_presses(presses: int, count: int) -> None:
     """A fold that begins and ends within a rise would be judged by the model of a rise."""
     time = np.arange(0, 20 + 20 * presses, DT)
@@ -308,24 +328,6 @@ def test_clocks_that_are_apart_are_named_with_their_shift(late_s: float, falls: 
         fits(checked_recording(time, FULL * load, read), FULL)
 
 
-def test_creep_that_is_charged_slowly_is_identified() -> None:
-    """A linear body that creeps as slowly as it recovers (generalised Maxwell) is a cell of kind m10 without chains."""
-    time = np.arange(0, 300, 0.2)
-    load = np.interp(
-        time,
-        [0, 10, 12, 60, 62, 120, 130, 190, 192, 210, 215, 250, 255, 300],
-        [0, 0, 1, 1, 0, 0] + [0.6] * 2 + [0.1, 0.1, 0.8, 0.8, 0, 0],
-    )
-    keep = np.exp(-0.2 / 40)
-    slow = lfilter([1 - keep], [1, -keep], load)
-    found = fits(checked_recording(time, FULL * load, 1e4 * (1 + 0.6 * load + 0.3 * slow)), FULL)
-    model = found[0].model
-    assert isinstance(model, M10Model)
-    assert found[0].label == "m10, k = 0"
-    assert found[0].error < 0.002
-    assert max(model.rise2_s, model.rise1_s) == pytest.approx(40, rel=0.1)
-
-
 def test_a_shuffled_resistance_is_refused() -> None:
     recording = protocol_recording(EXAMPLE, 0.001)
     shuffled = np.random.default_rng(5).permutation(recording.resistance_ohm)
@@ -333,268 +335,15 @@ def test_a_shuffled_resistance_is_refused() -> None:
         calibrate(checked_recording(recording.time_s, recording.pressure_kpa, shuffled))
 
 
-@pytest.mark.parametrize(
-    "model",
-    [
-        EXAMPLE.model,
-        M10Model(a=0.4, b=0.1, alpha1=0.18, rise1_s=0.25, fall1_s=3, alpha2=0.1, fall2_s=30, k=0.09, tau_s=12),
-    ],
-    ids=["paper", "m10"],
-)
-def test_a_cell_explains_its_readings_behind_a_noisy_force_gauge(model: PaperModel | M10Model) -> None:
+def test_a_cell_explains_its_readings_behind_a_noisy_force_gauge() -> None:
     """Presses of a second, gauge noise of 0.2 % of full scale: what is left of load and reading belongs together.
 
-    Behind a window of half a second the cells would leave 11 and 9 % of the range of their readings.
+    Behind a window of half a second the cell would leave 11 % of the range of its readings.
     """
-    cell = Cell(rest_resistance_ohm=1e4, full_scale_kpa=FULL, model=model)
     time = np.arange(0, 60, 1 / 12)
     load = np.interp(time % 2.5, [0, 0.2, 0.8, 1.0], [0, 1, 1, 0]) * (time < 40)
     gauge = FULL * (load + 0.002 * np.random.default_rng(0).standard_normal(len(time)))
-    read = sense(cell, load, 1 / 12)
+    read = sense(EXAMPLE, load, 1 / 12)
     quiet = Recording(time, gauge, read).quiet
-    explained = sense(cell, np.maximum(quiet.pressure_kpa / FULL, 0), 1 / 12)
+    explained = sense(EXAMPLE, np.maximum(quiet.pressure_kpa / FULL, 0), 1 / 12)
     assert np.std(explained - quiet.resistance_ohm) < 0.03 * np.ptp(read)
-
-
-def test_what_was_found_can_be_pickled_and_is_json() -> None:
-    """Parameters that the recording does not tell, too: the example cell has no chains that break."""
-    found = cells.paper()
-    again = pickle.loads(pickle.dumps(found))
-    assert (again.cell, again.inverse_margin, again.folds) == (found.cell, found.inverse_margin, found.folds)
-    load = np.linspace(0, 1, 50)[:, None]
-    for one, other in zip(found.fits, again.fits, strict=True):
-        seen = [fit.simulate(np.random.default_rng(1), load, DT) for fit in (one, other)]
-        assert (seen[0] == seen[1]).all()
-        record = json.loads(json.dumps(calibration_record(replace(found, fits=(one,))), allow_nan=False))
-        assert [item["identified"] for item in record["parameters"]] == [item.identified for item in one.parameters]
-
-
-def test_the_protocol_is_checked() -> None:
-    recording = protocol_recording(EXAMPLE, 0.0)
-    steps = [line for line in protocol_text().splitlines() if ". " in line]
-    assert "hold no load" in steps[0], "a press at once leaves R0 to the model"
-    assert len(check_protocol(recording, FULL)) == len(check_protocol(recording)) == len(steps)
-    time, load = protocol_load(DT)
-    assert not load[time <= 2.0].any()
-    short = recording.time_s < 200
-    cut = checked_recording(recording.time_s[short], recording.pressure_kpa[short], recording.resistance_ohm[short])
-    with pytest.raises(InputError, match="step 11 of the protocol is missing: hold 100 % of full scale for 60 s"):
-        check_protocol(cut, FULL)
-
-
-# -- materials outside the fitted classes, and remarks -----------------------------------------------------------------
-
-
-SUBSET = (("random", "relays", 1), ("new speeds", "maxwell", 0))
-
-
-def shortened(scene: panel.Scene, seconds: float) -> panel.Scene:
-    """The last part of the head and the first part of the rest, ``seconds`` each at most."""
-    near = np.abs(scene.time_s - scene.head_s) <= seconds
-    first = scene.time_s[near][0]
-    return replace(
-        scene,
-        time_s=scene.time_s[near] - first,
-        pressure_kpa=scene.pressure_kpa[near],
-        resistance_ohm=scene.resistance_ohm[near],
-        head_s=scene.head_s - first,
-    )
-
-
-@cache
-def judged(load: str, material: str, seed: int) -> tuple[CalibrationResult, panel.Verdict]:
-    scene = shortened(panel.scene(load, material, seed), 120)
-    found = panel.calibrated(scene)
-    return found, panel.judge(scene, found)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("names", SUBSET, ids=lambda names: f"{names[0]}, {names[1]}")
-@pytest.mark.parametrize("factor", [0.97, 1.03])
-def test_the_deviation_covers_an_r0_that_is_given_wrong(names: tuple[str, str, int], factor: float) -> None:
-    """It is as before for the R0 of the calibration, which the folds judged along with everything else."""
-    found, own = judged(*names)
-    scene = replace(shortened(panel.scene(*names), 120), rest_factor=factor)
-    given = panel.judge(scene, found)
-    assert given.within_two_std >= 0.9
-    assert given.std_percent > own.std_percent
-    rest = found.cell.rest_resistance_ohm
-    known, plain = found.cell.estimator((), rest_resistance_ohm=rest, rest_error=0.0), found.cell.estimator(())
-    for read in (rest, 1.2 * rest):
-        assert known.step(0.1, read) == plain.step(0.1, read)
-        assert known.std_kpa == plain.std_kpa
-
-
-@settings(deadline=None, max_examples=30)
-@given(seed=st.integers(0, 1000), dt=st.floats(0.02, 0.5))
-def test_a_path_is_the_faded_sum_of_what_the_reading_moved(seed: int, dt: float) -> None:
-    """Written out for one cell. Motion narrower than the play adds nothing, and a reading that stays lets it fade."""
-    rng = np.random.default_rng(seed)
-    bank = Bank(0.1, (0.5,), (0.01, 0.05), paths_s=(2.0, 20.0))
-    readings = np.cumsum(rng.normal(0, 0.05, 60))
-    steps = np.full(60, dt)
-    found = bank.run(steps, readings[:, None])[:, 0, -2:]
-    middle = [readings[0]] * 2 + [sorted(readings[n - 2 : n + 1])[1] for n in range(2, 60)]
-    smooth = follower = readings[0]
-    paths = np.zeros(2)
-    for n in range(1, 60):
-        smooth += (middle[n] - smooth) * (1 - np.exp(-dt / 0.1))
-        moved = float(np.clip(follower, smooth - 0.05, smooth + 0.05)) - follower
-        follower += moved
-        paths = paths * np.exp(-dt / np.array([2.0, 20.0])) + abs(moved)
-        assert found[n] == pytest.approx(paths, abs=1e-12)
-    narrow = bank.run(steps, 0.04 * rng.choice([-1.0, 1.0], (60, 1)) * np.minimum(np.arange(60), 1)[:, None])
-    assert not narrow[:, 0, -2:].any()
-
-
-def test_the_deviation_grows_beyond_what_was_learned_from() -> None:
-    """A reading larger than any recorded one, and a change faster than any, are answered with more doubt."""
-    found, _ = judged(*SUBSET[0])
-    cell = found.cell
-    highest = float(found.recording.resistance_ohm.max())
-    for name in ("static", "play", "distilled"):
-        estimator = cell.estimator((2,), name, noise=0.0)
-        estimator.step(0.1, np.array([highest, highest + 1.5 * (highest - cell.rest_resistance_ohm)]))
-        known, unknown = estimator.std_kpa
-        assert unknown > known + 0.2 * cell.full_scale_kpa
-    overload = cell.estimator((), "static", noise=0.0).step(0.1, highest + 1.5 * (highest - cell.rest_resistance_ohm))
-    assert overload >= 0.99 * cell.full_scale_kpa
-    lost = cell.estimator((), "static")
-    lost.step(0.1, 1.1 * cell.rest_resistance_ohm)
-    before = lost.std_kpa
-    assert lost.step(0.1, 1e9) == lost.step(0.1, 1e9), "an open contact is a missing reading"
-    assert lost.std_kpa > before
-
-
-def falling() -> Cell:
-    """A contact, of which presses to full scale were recorded."""
-    cell = Cell(
-        rest_resistance_ohm=1e5, full_scale_kpa=15.5, model=ContactModel(exponent=0.9, full_scale_resistance_ohm=5e3)
-    )
-    time = np.arange(0, 120, 0.1)
-    load = 15.5 * np.sin(np.pi * time / 12) ** 2
-    read = cell.forward(()).run(np.full(len(time), 0.1), load)
-    noisy = read * (1 + 0.002 * np.random.default_rng(0).standard_normal(len(time)))
-    return calibrate(checked_recording(time, load, noisy)).cell
-
-
-RISING = {"m10": lambda: judged(*SUBSET[1])[0].cell, "paper": lambda: cells.paper().cell}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("make", "name"),
-    [(falling, "static"), *((RISING[kind], name) for kind in RISING for name in ("static", "play", "distilled"))],
-    ids=["falling, static", *(f"{kind}, {name}" for kind in RISING for name in ("static", "play", "distilled"))],
-)
-def test_an_overload_never_reads_as_less(make: Callable[[], Cell], name: str) -> None:
-    """Load that rises slowly to 2.5 times full scale: the pressure shown never falls.
-
-    Where the reading leaves the range of the recording, the sd covers the error.
-
-    This holds whatever share of the answer is the static curve's. Learned maps waver a little within their range.
-    """
-    cell = make()
-    assert cell.estimators is not None
-    if name == "static":
-        _overload(cell, name)
-        return
-    for share in (0.0, 0.5):
-        learned = getattr(cell.estimators, name).replace(static_share=share)
-        _overload(cell.replace(estimators=cell.estimators.replace(**{name: learned})), name)
-
-
-def _overload(cell: Cell, name: str) -> None:
-    time = np.arange(0, 110, 0.1)
-    load = np.interp(time, [0, 10, 110], [0, 0, 2.5]) * cell.full_scale_kpa
-    read = cell.forward(()).run(np.full(len(time), 0.1), load)
-    assert (np.diff(read[100:]) * (read[-1] - read[0]) > 0).all(), "the resistance goes on in the direction of a press"
-    pressure, std = estimate_recording(cell.estimator((), name, noise=0.0), time, read)
-    assert std is not None
-    fall = (1e-9 if name == "static" else 0.02) * cell.full_scale_kpa
-    assert (np.maximum.accumulate(pressure) - pressure).max() < fall
-    assert pressure[-1] >= 0.99 * cell.full_scale_kpa
-    assert cell.estimators is not None
-    curve = cell.estimators.static
-    assert curve.reached is not None
-    reading = curve.reading(read / cell.rest_resistance_ohm - 1)
-    beyond = curve.reached.excess(reading[:, None]) > 0.05 * (curve.reached.highest[0] - curve.reached.lowest[0])
-    assert np.count_nonzero(beyond & (load > cell.full_scale_kpa)) > 100
-    assert (np.abs(pressure - load)[beyond] < 2 * std[beyond]).all()
-
-
-def test_a_spark_in_a_recording_is_not_learned_from() -> None:
-    """Single readings that no load explains are passed over; fast presses and noise are kept."""
-    scene = panel.scene("speeds", "maxwell", 0)
-    recording = checked_recording(scene.time_s, scene.pressure_kpa, scene.resistance_ohm)
-    assert len(recording.without_sparks.time_s) == len(recording.time_s)
-    sparked = scene.resistance_ohm.copy()
-    sparked[500::700] *= 1.4
-    recording = checked_recording(scene.time_s, scene.pressure_kpa, sparked)
-    kept = recording.without_sparks
-    assert len(kept.time_s) == len(recording.time_s) - len(sparked[500::700])
-    assert not np.isin(recording.time_s[500::700], kept.time_s).any()
-
-
-def test_a_load_cell_that_is_late_and_a_converter_that_clips_are_noticed() -> None:
-    scene = panel.scene("random", "relays", 2)
-    head = scene.time_s < 120
-    time, load, read = scene.time_s[head], scene.pressure_kpa[head], scene.resistance_ohm[head]
-
-    def said(pressure: np.ndarray, resistance: np.ndarray, full_scale_kpa: float = panel.FULL_SCALE_KPA) -> str:
-        recording = checked_recording(time, pressure, resistance)
-        return " ".join(remarks(recording, full_scale_kpa, 10.0, varied=True))
-
-    assert not said(load, read)
-    assert not said(np.interp(time + 1.0, time, load), read), "a cell may follow late"
-    assert "changes 1 s before the pressure" in said(np.interp(time - 1.0, time, load), read)
-    assert "does the converter clip" in said(load, np.minimum(read, np.quantile(read, 0.8)))
-    assert "beyond it the deviation grows" in said(load, read, 2 * panel.FULL_SCALE_KPA)
-
-
-def test_a_gap_and_a_full_scale_that_is_hardly_reached_are_remarked_upon() -> None:
-    time = np.arange(0, 60, 0.1)
-    of = checked_recording(time, 5.0 * (1 - np.cos(time)), 1000 * (1 + 0.25 * (1 - np.cos(time))))
-    kept = (of.time_s < 20) | (of.time_s > 30)
-    gap = Recording(of.time_s[kept], of.pressure_kpa[kept], of.resistance_ohm[kept])
-    assert not list(remarks(of, 10.0, 10.0, varied=True))
-    assert "nothing was read for 10.2 s of 59.9 s" in " ".join(remarks(gap, 10.0, 10.0, varied=True))
-    gap = checked_recording(of.time_s, of.pressure_kpa, np.where(kept, of.resistance_ohm, np.nan))
-    assert "the resistance was not read for 10.2 s of 59.9 s" in " ".join(remarks(gap, 10.0, 10.0, varied=True))
-    assert "the largest load is 10 kPa, full scale 8 kPa" in " ".join(remarks(of, 8.0, 10.0, varied=True))
-
-
-@pytest.mark.parametrize(
-    ("kpa", "ohm", "expected"),
-    [(1.0, 1.0, ""), (100.0, 1.0, "Pa or mbar"), (0.004, 1.0, "MPa or bar"), (1.0, 1e-3, "kohm"), (1.0, 3e5, "mohm")],
-)
-def test_numbers_in_an_unusual_unit_are_remarked_upon(kpa: float, ohm: float, expected: str) -> None:
-    scene = panel.scene("random", "relays", 2)
-    head = scene.time_s < 120
-    full = kpa * panel.FULL_SCALE_KPA
-    recording = checked_recording(scene.time_s[head], kpa * scene.pressure_kpa[head], ohm * scene.resistance_ohm[head])
-    said = list(remarks(recording, full, 10.0, varied=True))
-    assert len(said) == bool(expected)
-    assert all(f"in {expected}?" in one for one in said)
-
-
-def test_a_recording_with_its_sign_turned_round_is_refused_in_words() -> None:
-    scene = panel.scene("random", "relays", 2)
-    with pytest.raises(InputError, match="is its sign turned round"):
-        checked_recording(scene.time_s, -scene.pressure_kpa, scene.resistance_ohm)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("load", "material", "share"), [("random", "m10", -0.15), ("cyclic", "relays", 0.0)])
-def test_a_drift_of_r0_is_found_with_its_size(load: str, material: str, share: float) -> None:
-    """Relays creep on, so that their readings at rest rise by a fifth, though R0 is steady: that is no drift."""
-    scene = panel.scene(load, material, 800)
-    head = scene.time_s < scene.head_s
-    time = scene.time_s[head]
-    drifted = scene.resistance_ohm[head] * (1 + share * time / time[-1])
-    recording = checked_recording(time, scene.pressure_kpa[head], drifted)
-    (drift,) = [fit.drift for fit in fits(recording, panel.FULL_SCALE_KPA) if fit.drift is not None]
-    said = " ".join(remarks(recording, panel.FULL_SCALE_KPA, 10.0, varied=True, drift=drift))
-    assert ("R0 drifts by" in said) == (share != 0.0)
-    if share:
-        assert drift.share == pytest.approx(share, abs=0.02)

@@ -13,7 +13,6 @@ from pathlib import Path
 import click
 import numpy as np
 import pytest
-from designs import amplifier
 
 from ohmskin.circuits import Design, effects, scan
 from ohmskin.cli import COMMANDS, ohmskin, run
@@ -80,13 +79,6 @@ def test_scan_prints_and_writes_what_the_library_computes(folder: Path, capsys: 
     assert printed["saturated"] == [[False] * 3] * 2
     assert printed["seconds"] > 0
     assert np.array_equal(np.loadtxt("out.csv", delimiter=","), expected.resistance)
-
-
-def test_scan_without_options_prints_the_resistances(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["scan", "design.toml", "--cells", "cells.csv", "--readout", "voltage-divider"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 2
-    assert all(len(line.split(",")) == 3 for line in lines)
 
 
 BAD = {  # what is wrong: (replaced in design.toml, by, what the message names)
@@ -230,15 +222,10 @@ def test_a_defect_is_one_line_with_an_exit_code_of_its_own(
         assert shown.endswith(message)
 
 
-def test_debug_shows_where_input_was_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["scan", "nowhere.toml", "--cells", "cells.csv", "--debug"]) == 2
-    assert "in read_bytes" in capsys.readouterr().err
-
-
 def test_an_interrupt_at_any_time_of_the_start_is_one_line() -> None:
     """The signal comes later and later, until the command is done before it comes."""
     outcomes = []
-    for delay_ms in (0, 40, 100, 200, 300, 500, 1000, 5000):
+    for delay_ms in (0, 150, 400, 5000):
         with subprocess.Popen(
             [sys.executable, "-c", START], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
         ) as process:
@@ -287,9 +274,3 @@ def _refused(arguments: list[str], named: list[str], capsys: pytest.CaptureFixtu
     for word in named:
         assert word in message
     assert set(Path().rglob("*")) == before
-
-
-def test_a_design_can_be_made_in_python() -> None:
-    design = amplifier(2, 2)
-    assert design.with_circuit("voltage-divider").readout.circuit == "voltage-divider"
-    assert design.with_circuit("voltage-divider").array == design.array

@@ -6,8 +6,11 @@ import tomllib
 from pathlib import Path
 from typing import get_args
 
-from ohmskin.cell import Cell
-from ohmskin.cell.materials._models import AsymmetricModel, ContactModel, M10Model, PaperModel
+import numpy as np
+import pytest
+
+from ohmskin.bench.judges import maker
+from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model, PaperModel
 
 PAGE = (Path(__file__).parents[1] / "docs" / "cell.md").read_text(encoding="utf-8")
 
@@ -26,3 +29,16 @@ def test_the_table_names_every_key() -> None:
         (line,) = [line for line in table.splitlines() if line.startswith(f"| `{kind}` |")]
         needed = {name for name, key in model.model_fields.items() if name != "kind" and key.is_required()}
         assert {name for name in needed if f"`{name}`" not in line} == set()
+
+
+def test_the_estimator_of_the_page_is_found_in_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (code,) = [block for block in PAGE.split("```python\n") if block.startswith("import numpy")]
+    (tmp_path / "mine.py").write_text(code.split("```")[0])
+    monkeypatch.chdir(tmp_path)
+    cell = Cell.example()
+    estimator = maker("mine:make")(cell, (2, 3))
+    ohms = np.full((2, 3), 1.4 * cell.rest_resistance_ohm)
+    np.testing.assert_allclose(estimator.step(0.01, ohms), 0.5 * cell.full_scale_kpa)
+    assert estimator.std_kpa.shape == (2, 3)

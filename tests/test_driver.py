@@ -496,7 +496,7 @@ class TextLines(HostProtocol):
             counts = np.array([int(word) for word in line.split()]).reshape(-1, self.layout.columns)
         except ValueError as error:
             return Corrupt(len(line), str(error))
-        return FramePacket.of(counts, sequence=None, time_us=None, received_at=received_at)
+        return FramePacket.of(counts, sequence=None, time_us=None)
 
     def request(self, order: Order, *, period_us: int = 0) -> bytes:
         return b"a" if order is Order.START else b""

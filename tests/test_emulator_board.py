@@ -7,22 +7,19 @@ import pytest
 from boards import DESIGN, scene
 
 from ohmskin.cell import Cell
-from ohmskin.circuits import Design, adc_codes, scan
+from ohmskin.circuits import Design
 from ohmskin.common.config import parse
-from ohmskin.emulator import Board, Line, Sample, Scene
-from ohmskin.emulator._scene import LineSettings
+from ohmskin.emulator import Board, Line, LineSettings, Sample, Scene
 from ohmskin.wire import (
     Command,
     Description,
     Event,
-    Flag,
     FramePacket,
     Identity,
     LineState,
     Order,
     Reply,
     SelfTest,
-    Status,
     encode,
     host_protocol,
 )
@@ -41,15 +38,6 @@ def ask(board: Board, order: Order, **values: int) -> list[Event]:
     return events(board.answers())
 
 
-def test_a_board_streams_from_power_up_and_says_once_a_second_who_it_is() -> None:
-    sent = live(Board(scene(board={"frame_rate": 10.0})), 25)
-    assert [type(event) for event in sent[:3]] == [Identity, Description, FramePacket]
-    frames = [event for event in sent if isinstance(event, FramePacket)]
-    assert [(frame.sequence, frame.time_us) for frame in frames] == [(k, 100_000 * k) for k in range(25)]
-    identities = [event for event in sent if isinstance(event, Identity)]
-    assert [(who.sequence, who.time_us) for who in identities] == [(0, 0), (10, 1_000_000), (20, 2_000_000)]
-
-
 def test_the_description_is_the_scene_again() -> None:
     what = scene(board={"serial_number": "A7"})
     identity, sheet, *_ = live(Board(what, boot_id=77), 1)
@@ -60,19 +48,6 @@ def test_the_description_is_the_scene_again() -> None:
     assert sheet.cell is not None
     assert parse(sheet.design, Design, source="design") == what.skin.design
     assert parse(sheet.cell, Cell, source="cell") == what.skin.cell
-
-
-def test_frames_are_the_codes_of_the_scanned_cells() -> None:
-    """Each step again by hand: pressure, cell, circuit, converter."""
-    what = scene()
-    frames = [event for event in live(Board(what), 120) if isinstance(event, FramePacket)]
-    cells, design, before = what.skin.cell.forward((3, 2)), what.skin.design, 0.0
-    for frame in frames:
-        now = frame.time_us / 1e6
-        ohms = cells.step(now - before, what.pressure_kpa(now))
-        np.testing.assert_array_equal(frame.counts, adc_codes(design, scan(design, ohms).volts))
-        before = now
-    assert len({frame.payload for frame in frames}) > 20
 
 
 def test_a_stopped_board_is_silent_but_its_skin_lives_on() -> None:
@@ -86,19 +61,6 @@ def test_a_stopped_board_is_silent_but_its_skin_lives_on() -> None:
     assert isinstance(after, FramePacket)
     assert after.sequence == 5  # what was not scanned is not lost
     assert (after.time_us, after.payload) == (there.time_us, there.payload)
-
-
-def test_describe_is_answered_in_both_states_and_noise_in_none() -> None:
-    board = Board(scene())
-    live(board, 3)
-    (answer,) = ask(board, Order.DESCRIBE)
-    assert isinstance(answer, Description)
-    assert (answer.sequence, answer.time_us) == (3, 60_000)
-    ask(board, Order.STOP)
-    (answer,) = ask(board, Order.DESCRIBE)
-    assert isinstance(answer, Description)
-    board.receive(b"\x07hello\0\xff\0" + encode(FramePacket(0, 0, 1, 1, b"\0\0")))
-    assert not board.answers()
 
 
 def test_a_flood_of_commands_gets_one_answer_of_each_kind() -> None:
@@ -115,36 +77,8 @@ def test_a_flood_of_commands_gets_one_answer_of_each_kind() -> None:
     assert not board.answers()
 
 
-def test_a_new_rate_begins_at_the_next_tick() -> None:
-    board = Board(scene(board={"frame_rate": 10.0}))
-    live(board, 3)
-    (reply,) = ask(board, Order.RATE, period_us=2_000)
-    assert isinstance(reply, Reply)
-    assert reply.status is Status.TAKEN
-    times = [event.time_us for event in live(board, 4) if isinstance(event, FramePacket)]
-    assert times == [300_000, 302_000, 304_000, 306_000]
-    (reply,) = ask(board, Order.RATE, period_us=0)
-    assert isinstance(reply, Reply)
-    assert reply.status is Status.OUT_OF_RANGE
-    assert board.next_us == 308_000
-
-
-def test_one_frame_is_one_frame() -> None:
-    board = Board(scene())
-    live(board, 2)
-    ask(board, Order.STOP)
-    assert not live(board, 5)
-    ask(board, Order.ONE_FRAME)
-    (frame,) = live(board, 5)
-    assert isinstance(frame, FramePacket)
-    assert frame.sequence == 2
-
-
 def test_the_self_test_finds_broken_and_joined_lines_and_reads_its_resistors() -> None:
-    faults = [
-        {"kind": "broken-row", "place": [0, 0]},
-        {"kind": "bridged-columns", "place": [1, 2], "resistance": 10.0},
-    ]
+    faults = [{"kind": "broken-row", "place": [0, 0]}, {"kind": "bridged-columns", "place": [1, 2], "resistance": 10.0}]
     big = {**DESIGN, "array": {"rows": 3, "columns": 5}, "fault": faults}
     board = Board(scene(skin={"design": big}, board={"reference_resistances": [10e3, 30e3]}))
     live(board, 1)
@@ -156,14 +90,6 @@ def test_the_self_test_finds_broken_and_joined_lines_and_reads_its_resistors() -
     for nominal, measured in result.references:
         assert measured == pytest.approx(nominal, rel=0.01)
         assert measured != nominal  # it went through the converter
-
-
-def test_an_overrun_is_flagged_in_the_next_frame_only() -> None:
-    board = Board(scene())
-    live(board, 2)
-    board.overrun = True
-    flags = [event.flags for event in live(board, 2) if isinstance(event, FramePacket)]
-    assert flags == [Flag.OVERRUN, Flag.NONE]
 
 
 def test_noise_has_its_size_and_its_seed() -> None:

@@ -9,51 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 from boards import DESIGN, scene
-from hypothesis import given
-from hypothesis import strategies as st
 
 from ohmskin.cell import Cell
 from ohmskin.circuits import Design
-from ohmskin.emulator import Bump, Contact, Disc, Rectangle, Scene
+from ohmskin.emulator import Contact, Scene
 from ohmskin.errors import InputError
-
-SHAPE = (9, 11)
-inside = st.tuples(st.floats(2, 5), st.floats(3, 8))
-
-
-@given(inside, st.floats(0.05, 2.4))
-def test_the_cells_under_a_disc_share_its_area(center: tuple[float, float], radius: float) -> None:
-    covered = Disc(center=center, radius_cells=radius).coverage(SHAPE)
-    assert covered.min() >= 0
-    assert covered.max() <= 1 + 1e-12
-    assert covered.sum() == pytest.approx(np.pi * radius**2, rel=0.02)
-    moved = Disc(center=(center[0] + 1, center[1] - 1), radius_cells=radius).coverage(SHAPE)
-    np.testing.assert_allclose(moved, np.roll(covered, (1, -1), axis=(0, 1)), atol=1e-9)
-
-
-@given(inside, st.tuples(st.floats(0.01, 4), st.floats(0.01, 4)))
-def test_the_cells_under_a_rectangle_share_its_area(center: tuple[float, float], size: tuple[float, float]) -> None:
-    covered = Rectangle(center=center, size_cells=size).coverage(SHAPE)
-    assert covered.max() <= 1 + 1e-12
-    assert covered.sum() == pytest.approx(size[0] * size[1])
-    reached = np.argwhere(covered > 0)
-    assert (np.abs(reached - center) <= np.divide(size, 2) + 0.5).all()
-
-
-def test_a_bump_is_the_mean_of_a_bell_over_each_cell() -> None:
-    center, sigma, fine = (3.2, 4.9), 0.7, 200
-    grid = (np.arange(fine) + 0.5) / fine - 0.5
-    rows = np.arange(9)[:, None] + grid - center[0]
-    columns = np.arange(11)[:, None] + grid - center[1]
-    bell = [np.exp(-(axis**2) / (2 * sigma**2)).mean(axis=1) for axis in (rows, columns)]
-    covered = Bump(center=center, sigma_cells=sigma).coverage(SHAPE)
-    np.testing.assert_allclose(covered, np.outer(*bell), atol=1e-5)
-
-
-def test_a_disc_is_the_same_from_both_sides() -> None:
-    disc = Disc(center=(4.0, 4.0), radius_cells=1.7).coverage((9, 9))
-    np.testing.assert_allclose(disc, disc[::-1, ::-1], atol=1e-12)
-    np.testing.assert_allclose(disc, disc.T, atol=2e-3)
 
 
 def test_loads_are_straight_between_points_and_constant_outside() -> None:

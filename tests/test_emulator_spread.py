@@ -9,8 +9,7 @@ import pytest
 from boards import DESIGN, scene
 from scipy.integrate import dblquad
 
-from ohmskin.emulator import EmulatedSkin
-from ohmskin.emulator._spread import Spreading, shares, spread
+from ohmskin.emulator import EmulatedSkin, shares, spread
 
 MIDDLES = (np.arange(6) + 0.5) / 6 - 0.5
 
@@ -51,27 +50,6 @@ def test_a_thin_layer_spreads_little_and_none_nothing() -> None:
     assert thin[1, 2] > thick[1, 2]
     assert thin[1, 3] < thick[1, 3]
     np.testing.assert_allclose(thin, pressure, atol=0.5)
-
-
-def test_few_pressed_cells_spread_like_the_whole_array() -> None:
-    random = np.random.default_rng(4)
-    shape, depth = (12, 9), 0.6
-    cells = np.sort(random.choice(108, 7, replace=False))
-    pressure = random.uniform(0, 20, (5, 7))
-    felt, below = Spreading(shape, depth).below(cells, pressure)
-    assert (np.diff(felt) > 0).all()
-    for frame in range(5):
-        surface, expected = np.zeros(shape), np.zeros(shape)
-        surface.flat[cells] = pressure[frame]
-        expected.flat[felt] = below[frame]
-        np.testing.assert_allclose(spread(surface, depth), expected, rtol=1e-12, atol=1e-15)
-
-
-def test_a_held_load_is_felt_as_held_to_the_last_bit() -> None:
-    random = np.random.default_rng(5)
-    cells = np.sort(random.choice(108, 20, replace=False))
-    _, below = Spreading((12, 9), 0.6).below(cells, np.tile(random.uniform(0, 20, 20), (65, 1)))
-    assert (below == below[0]).all()
 
 
 def test_a_cover_and_an_uncut_sheet_spread_what_presses_on_the_skin() -> None:

@@ -16,7 +16,7 @@ from needs import need
 
 from ohmskin.circuits import Design
 from ohmskin.emulator import Scene
-from ohmskin.emulator.firmware import AVR8JS, REFERENCE_BOARDS, BoardKind, Engine, FirmwareBoard, Processor, missing_for
+from ohmskin.emulator.firmware import AVR8JS, REFERENCE_BOARDS, BoardKind, Engine, FirmwareBoard, missing_for
 from ohmskin.wire import Order, host_protocol
 
 ROOT = Path(__file__).parents[1]
@@ -67,59 +67,3 @@ def test_both_emulators_send_the_same_frames(avr8js: Engine, simavr: Engine, kin
     assert len(frames[0]) == 15
     assert others[0] == others[1]
     assert {packet[0] for packet in others[0]} == {2, 3, 4}
-
-
-# Cycles from the instruction set manual (Atmel 0856), for a program counter of 16 bits.
-CYCLES = {
-    "nop": ([0x0000], 1),
-    "sbi": ([0x9A28], 2),
-    "cbi": ([0x9828], 2),
-    "lds": ([0x9100, 0x0200], 2),
-    "sts": ([0x9300, 0x0200], 2),
-    "ld X+": ([0x910D], 2),
-    "ldd Y+3": ([0x810B], 2),
-    "lpm": ([0x9104], 3),
-    "adiw": ([0x9610], 2),
-    "push": ([0x930F], 2),
-    "mul": ([0x9F01], 2),
-    "rjmp": ([0xC000], 2),
-    "in": ([0xB70F], 1),
-}
-
-
-class Ports:
-    """Cycles of the writes to port D."""
-
-    def __init__(self) -> None:
-        self.written: dict[int, float] = {}
-
-    def port_written(self, cycle: float, port: str, output: int, direction: int) -> None:
-        if port == "D" and direction:
-            self.written[output] = cycle
-
-    def conversion_started(self, cycle: float, channel: int) -> None: ...
-
-    def conversion_sampled(self, cycle: float, channel: int) -> float | None:
-        return None
-
-    def chip_reset(self, cycle: float) -> None: ...
-
-
-@pytest.mark.parametrize("name", CYCLES)
-def test_instructions_take_the_cycles_of_the_manual(name: str, avr8js: Engine, simavr: Engine, tmp_path: Path) -> None:
-    words, cycles = CYCLES[name]
-    set_up = [0xE0B2, 0xE0A0, 0xE0D3, 0xE0C0, 0xE0F0, 0xE0E0, 0xEF5F, 0xB95A]  # X, Y, Z into memory; DDRD = 0xff
-    mark = [0xE051, 0xB95B, 0xE052]  # PORTD = 1, then 2 behind what is measured
-    data = b"".join(word.to_bytes(2, "little") for word in [*set_up, *mark, *words * 10, 0xB95B, 0xCFFF])
-    lines = []
-    for start in range(0, len(data), 16):
-        piece = data[start : start + 16]
-        record = bytes([len(piece), 0, start, 0]) + piece
-        lines.append(f":{record.hex()}{-sum(record) & 0xFF:02x}")
-    file = tmp_path / "program.hex"
-    file.write_text("\n".join([*lines, ":00000001ff"]) + "\n")
-    for engine in (avr8js, simavr):
-        ports = Ports()
-        with Processor(engine, file, b"", ports) as chip:
-            chip.run(1000)
-        assert ports.written[2] - ports.written[1] - 2 == 10 * cycles, engine.name

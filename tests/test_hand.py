@@ -25,7 +25,7 @@ def _pressed_at_tick(board: Board, hand: Hand, tick: int, pressure: np.ndarray) 
     since: list[float] = []
     presser = threading.Thread(target=lambda: since.append(hand.press(pressure)))
     presser.start()
-    while not hand._wanted:
+    while not hand.wanted:
         time.sleep(0.001)
     packets.append(board.tick())
     presser.join()

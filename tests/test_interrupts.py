@@ -8,6 +8,7 @@ import threading
 import time
 from types import FrameType
 
+import pytest
 from boards import scene
 
 from ohmskin.driver import Skin
@@ -16,6 +17,7 @@ from ohmskin.emulator import PtyPort, running
 INTERRUPTS = 300
 
 
+@pytest.mark.slow
 def test_interrupts_lose_no_count_and_no_lock() -> None:
     armed = False
     hits = contradictions = 0

@@ -12,7 +12,6 @@ import pytest
 from ohmskin.bench import judges, scenes
 from ohmskin.cell import Cell
 from ohmskin.cli import run
-from ohmskin.common.readings import Readings
 
 FROZEN = (
     "taps | example, 100 Hz, 12 bits, 1 mV",
@@ -25,19 +24,17 @@ FROZEN = (
 
 
 class Knows:
-    """Shows the truth, off by so many of its own deviations, of readings that it gets as they are."""
-
-    takes_readings = True
+    """Shows the truth, off by so many of its own deviations."""
 
     def __init__(self, cell: Cell, shape: tuple[int, ...], off: float = 0.5) -> None:
         self.played: scenes.Played | None = None
         self.frame, self.off = -1, off
         self.std_kpa = np.full(shape, 0.01 * cell.full_scale_kpa)
 
-    def step(self, elapsed_s: float, readings: Readings) -> np.ndarray:
+    def step(self, elapsed_s: float, resistance: np.ndarray) -> np.ndarray:
         assert self.played is not None
         self.frame += 1
-        np.testing.assert_array_equal(readings.conductance, self.played.siemens[self.frame])
+        np.testing.assert_array_equal(resistance, self.played.ohms[self.frame])
         return np.asarray(self.played.pressure_kpa[self.frame] + self.off * self.std_kpa)
 
 
@@ -86,14 +83,9 @@ def test_a_gate_names_the_figures_that_miss_it(change: dict[str, float], missed:
     assert judges.misses(row, replace(today, **change)) == missed
 
 
-def test_readings_tell_bounds_where_the_converter_is_at_a_limit() -> None:
-    """A cell of 10 Mohm reads no count: its conductance lies between none and the bound."""
+def test_a_cell_that_the_converter_cannot_tell_from_an_open_one_reads_infinite() -> None:
     played = scenes.play(scenes.Scene("rest", "fsr", noise_mv=0.0))
-    readings, true = played.readings(5), 1.0 / scenes.cells()["fsr"].rest_resistance_ohm
-    assert np.isnan(readings.conductance).all()
     assert np.isinf(played.ohms).all()
-    assert (readings.least <= true).all()
-    assert (true <= readings.greatest).all()
 
 
 def test_rows_are_chosen_by_name_and_gate(capsys: pytest.CaptureFixture[str]) -> None:

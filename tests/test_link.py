@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import itertools
 import os
 import re
 import signal
@@ -19,14 +17,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from boards import DESIGN, scene, until
+from boards import DESIGN, scene
 from patience import HANG_S
 
 from ohmskin.circuits import Design, adc_codes
 from ohmskin.cli import run
 from ohmskin.driver import Frame, Skin
 from ohmskin.emulator import PtyPort, Scene, TcpPort, running
-from ohmskin.errors import InputError, LinkError, LinkTimeout, ProtocolError
+from ohmskin.errors import InputError, LinkError, ProtocolError
 
 SCENE = """
 [skin]
@@ -105,39 +103,6 @@ def test_the_frames_are_the_truth_and_the_estimate_is_near_it(scene_file: Path, 
     assert np.abs(quiet).max() < 0.1
 
 
-def test_a_tare_takes_unknown_lines_out_of_the_estimate(scene_file: Path, tmp_path: Path) -> None:
-    """A design that does not mention the switches' 70 ohm: the steady part of what they add is tared away."""
-    port, truth = PtyPort(), tmp_path / "truth.npz"
-    what = Scene.load(scene_file)
-    told = what.skin.design
-    forgetful = told.replace(array={"row_lead": 0.0})
-    with running(what, port, clock="fast", duration_s=10.0, truth=truth):
-        frames = collect(port.name, tare=True, design=forgetful)
-    assert [frame.sequence for frame in frames] == list(range(20, 500))
-    errors = np.array([frame.pressure for frame in frames]) - np.load(truth)["pressure_kpa"][20:]
-    assert np.sqrt(np.mean(errors**2)) < 0.12
-
-
-def test_a_lossy_and_noisy_line_is_counted_end_to_end(tmp_path: Path) -> None:
-    faults = [
-        {"kind": "dropped-packets", "probability": 0.05, "at_s": 1.0},
-        {"kind": "flipped-bits", "probability": 2e-4, "at_s": 1.0},
-    ]
-    what = scene(link_fault=faults)
-    port, truth = PtyPort(), tmp_path / "truth.npz"
-    with running(what, port, clock="fast", duration_s=20.0, truth=truth):
-        frames = collect(port.name, lossy=True)
-    arrays = np.load(truth)
-    lost = sum(frame.lost_before for frame in frames)
-    assert len(arrays["sequence"]) == 1000
-    assert 20 < lost < 120
-    first = frames[0].sequence - frames[0].lost_before
-    assert lost + len(frames) == frames[-1].sequence - first + 1
-    codes = adc_codes(what.skin.design, arrays["volts"])
-    for frame in frames:
-        np.testing.assert_array_equal(frame.counts, codes[frame.sequence])
-
-
 def test_what_a_host_that_does_not_read_loses_is_counted(tmp_path: Path) -> None:
     """A 16 x 16 skin at 200 Hz fills what driver, kernel and board hold in a quarter of a second."""
     port, truth = PtyPort(), tmp_path / "truth.npz"
@@ -155,22 +120,6 @@ def test_what_a_host_that_does_not_read_loses_is_counted(tmp_path: Path) -> None
     assert any(frame.overrun for frame in frames)
     with np.load(truth) as arrays:
         np.testing.assert_array_equal(arrays["sequence"], np.arange(len(arrays["sequence"])))
-
-
-@pytest.mark.parametrize("end", ["pty", "tcp"])
-def test_a_slow_host_gets_the_frame_of_now_and_nothing_is_lost(end: str) -> None:
-    """The thread drains the port meanwhile: what the host was too slow for is skipped, not lost, and not late."""
-    port = PtyPort() if end == "pty" else TcpPort.at(":0")
-    with running(scene(board={"frame_rate": 200.0}), port), Skin.open(port.name) as skin:
-        frames = [next(skin)]
-        for _ in range(4):
-            enough = skin.stats().frames + 30
-            until(lambda enough=enough: skin.stats().frames > enough)  # type: ignore[misc]
-            frames.append(next(skin))
-    for before, after in itertools.pairwise(frames):
-        assert after.sequence - before.sequence == 1 + after.skipped_before
-        assert after.skipped_before > 10
-        assert (after.lost_before, after.overrun) == (0, False)
 
 
 def test_a_host_that_only_listens_is_served_at_the_fast_clock_too() -> None:
@@ -231,31 +180,6 @@ def test_a_signal_ends_the_run_with_the_truth_written(
     assert sorted(file.name for file in tmp_path.iterdir()) == ["scene.toml", "truth.npz"]
 
 
-def test_a_board_killed_in_mid_stream_is_missed_at_once(scene_file: Path, tmp_path: Path) -> None:
-    with (
-        command(scene_file, "--link", tmp_path / "skin") as (process, port),
-        Skin.open(port, timeout=30, reconnect=0.5) as skin,
-    ):
-        next(skin)
-        process.kill()
-        began = time.monotonic()
-        with pytest.raises(LinkError, match="the board has gone away"):
-            list(skin)
-    assert time.monotonic() - began < 25  # and not when the wait for a frame is over
-
-
-def test_a_stale_link_is_replaced_and_a_file_is_not(tmp_path: Path) -> None:
-    link = tmp_path / "skin"
-    link.symlink_to("/dev/pts/nobody")
-    with PtyPort(link) as port:
-        assert link.resolve() == Path(os.path.realpath(port.name))
-    assert not link.is_symlink()
-    link.write_text("precious")
-    with pytest.raises(InputError, match="skin: exists and is no symbolic link"):
-        PtyPort(link)
-    assert link.read_text() == "precious"
-
-
 @contextmanager
 def chatter(data: bytes) -> Iterator[str]:
     """A serial device that is no board: it says ``data`` again and again."""
@@ -283,11 +207,6 @@ def test_a_port_that_sends_noise_is_named_within_the_timeout() -> None:
         pytest.raises(ProtocolError, match=f"{name}: no description within 2 s: .* bytes came"),
     ):
         Skin.open(name, timeout=2.0)
-
-
-def test_a_silent_port_is_a_timeout() -> None:
-    with chatter(b"") as name, pytest.raises(LinkTimeout, match=f"{name}: .*the port is silent"):
-        Skin.open(name, timeout=0.3)
 
 
 def free_tcp_port() -> int:
@@ -357,41 +276,6 @@ def test_what_is_wrong_with_an_opening_is_told_before_anything_is_compiled(
     assert not asked
 
 
-def test_looking_whether_a_recording_can_begin_leaves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(LinkError, match="no such port"):
-        Skin.open("/dev/nothing-here", record=tmp_path / "press.mcap")
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("mode", "reason"),
-    [
-        (0o660, "which this user is not in; `ohmskin doctor "),
-        (0o600, "and its mode -rw------- keeps this user out; `ohmskin doctor "),
-        (0o000, "and its mode ---------- keeps this user out; `ohmskin doctor "),
-    ],
-)
-@pytest.mark.parametrize("at_a_glance", [False, True])
-def test_a_port_without_permission_names_the_group(
-    mode: int, reason: str, at_a_glance: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The operating system's refusal itself: the superuser, who may run this, would not get it."""
-    device = tmp_path / "tty"
-    device.touch()
-    device.chmod(mode)
-    monkeypatch.setattr("ohmskin.driver._port_names.os.getegid", lambda: 12345)
-    monkeypatch.setattr("ohmskin.driver._port_names.os.getgroups", lambda: [12346])
-
-    def refuse(*_: object) -> int:
-        raise PermissionError(errno.EACCES, "Permission denied")
-
-    if at_a_glance:
-        monkeypatch.setattr("ohmskin.driver._port_names.os.access", lambda *_: False)
-    monkeypatch.setattr("serial.serialposix.os.open", refuse)
-    with pytest.raises(LinkError, match="permission denied; the port belongs to group .*" + re.escape(reason)):
-        Skin.open(str(device))
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -432,30 +316,3 @@ def test_the_driver_example_runs_as_it_is(scene_file: Path, tmp_path: Path) -> N
         )
     assert done.stdout.count("kPa") > 2
     assert (done.returncode, done.stderr) == (0, "")  # the board's time is over: an end, no failure
-
-
-def test_the_latency_example_runs_as_it_is() -> None:
-    example = Path(__file__).parents[1] / "examples" / "link_latency.py"
-    port = PtyPort()
-    with running(scene(board={"frame_rate": 200.0}), port):
-        arguments = [sys.executable, str(example), port.name, "5", "0.5"]
-        done = subprocess.run(arguments, capture_output=True, text=True, timeout=HANG_S, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert re.search(r"^age    / ms 50 %: \d+\.\d+  95 %: ", done.stdout)
-    assert re.search(r"\d+ frames/s came, \d+ lost, \d+ skipped; CPU \d+ %", done.stdout)
-
-
-def test_a_pty_knows_whether_the_host_has_read_everything() -> None:
-    """Bytes just written lie in a buffer of the kernel first, and are lost if the port is closed then."""
-    with PtyPort() as port:
-        host = os.open(port.name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        try:
-            for size in [1, 64, 1000, 4000] * 50:
-                left = port.write(bytes(size))  # of which the kernel may have room for a part only
-                assert 0 < left <= size
-                assert 0 < port.unread() <= left  # the kernel may have moved a part of them on
-                while left:
-                    left -= len(os.read(host, left))
-                assert port.unread() == 0
-        finally:
-            os.close(host)

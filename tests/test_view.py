@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import contextlib
 import json
 import logging
@@ -19,7 +18,6 @@ import time
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from http.client import HTTPConnection, RemoteDisconnected
 from itertools import islice
 from pathlib import Path
@@ -28,7 +26,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from boards import DESIGN, Script, Wire, gone, scene
+from boards import DESIGN, Script, Wire, frame, gone, identity, scene, sheet
 from boards import until as wait_until
 from pages import colours_of_cells, opened, paused, served, shown, start, until
 from patience import HANG_S, Patience
@@ -36,18 +34,13 @@ from playwright.sync_api import Browser, expect, sync_playwright
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from ohmskin.bench._view import measured_page
-from ohmskin.bench.harness import table
 from ohmskin.circuits import Reason
 from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import Frame, Skin
 from ohmskin.emulator import Board, Hand, PtyPort, Scene, running
 from ohmskin.errors import InputError, MissingExtra
 from ohmskin.view import LiveSource, RecordedSource
-from ohmskin.view._frame_message import pack_frame
-from ohmskin.view._recorded import extremes
-from ohmskin.view._source import TimeAxis
-from ohmskin.wire import BoardFile, DescriptionPiece, Flag, FramePacket, Identity, encode, write_description
+from ohmskin.wire import BoardFile, Flag
 
 WIDE = {**DESIGN, "array": {"rows": 6, "columns": 8, "row_lead": 70.0}}
 SHORTED = {"at_s": 0.0, "kind": "shorted-cell", "place": [0, 7]}
@@ -143,27 +136,6 @@ def test_values_pixels_and_contacts_equal_the_frame(browser: Browser) -> None:
         assert not any(colour[3] for colour in marks[47]), "nothing far away"
 
 
-def test_contacts_that_have_run_into_another_are_named_beside_it(browser: Browser) -> None:
-    with live() as board, opened(browser, board.url) as page:
-        since = board.hand.press(bump())
-        until(page, "since => ohmskin.frame.deviceTime_s > since + 1", since)
-        frame = board.frame_of(paused(page))
-        (contact,) = frame.contacts
-        three = replace(frame, _contacts=lambda: (replace(contact, id=7, joined=(3, 2**31)), replace(contact, id=9)))
-        read = """async (text) => {
-            const bytes = Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
-            const read = (await import('./frame-message.js')).readFrame(bytes.buffer);
-            const {showContacts} = await import('./panels.js');
-            showContacts(read.contacts);  // read at once below: the page draws its own frame again when it likes
-            const names = [...document.querySelectorAll("#contacts tbody td:first-child")].map((one) => one.innerText);
-            return [names, read.contacts.map((contact) => [contact.id, contact.joined])];
-        }"""
-        message = base64.b64encode(pack_frame(three, number=0, time_s=0.0, cell_area_mm2=25.0)).decode()
-        names, contacts = page.evaluate(read, message)
-        assert contacts == [[7, [3, 2**31]], [9, []]]
-        assert names == ["7+3+2147483648", "9"]
-
-
 def test_the_cell_under_the_pointer_is_told_in_full(browser: Browser) -> None:
     with live(event=[SHORTED]) as board, opened(browser, board.url) as page:
         board.hand.press(bump())
@@ -194,26 +166,6 @@ def test_the_cell_under_the_pointer_is_told_in_full(browser: Browser) -> None:
         x, y = page.evaluate("ohmskin.map.corner(2 * 8 + 3).map((at) => (at + 4) / ohmskin.map.ratio)")
         page.hover("#map", position={"x": x, "y": y})
         expect(page.locator("#cell-place")).to_have_text("2, 3")
-
-
-def test_clicked_cells_are_plotted_from_before_the_click(browser: Browser) -> None:
-    with live() as board, opened(browser, board.url) as page:
-        until(page, "ohmskin.history.count > 20")
-        x, y = page.evaluate("ohmskin.map.corner(2 * 8 + 3).map((at) => (at + 4) / ohmskin.map.ratio)")
-        page.click("#map", position={"x": x, "y": y})
-        expect(page.locator("#chosen button")).to_have_count(1)
-        values = paused(page)
-        last = board.frame_of(values)
-        samples = page.evaluate(SAMPLES)
-        assert len(samples) > 20
-        assert last.device_time is not None
-        begin_s = last.device_time - values["time_s"]
-        known = {round(frame.device_time or 0.0, 4): frame for frame in board.frames.values()}
-        for time_s, kpa, std in samples:
-            frame = known[round(begin_s + time_s, 4)]
-            assert [kpa, std] == [float(np.float32(a[2, 3])) for a in (frame.pressure, frame.pressure_std)]
-        page.click("#chosen button")
-        expect(page.locator("#chosen button")).to_have_count(0)
 
 
 def test_a_turned_and_mirrored_map_shows_each_cell_where_the_pointer_finds_it(browser: Browser) -> None:
@@ -264,36 +216,6 @@ def test_total_force_threshold_and_what_can_be_saved(browser: Browser) -> None:
         assert told.value.path().read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_map_fills_its_panel_and_nothing_is_cut_off(browser: Browser) -> None:
-    with live() as board, opened(browser, board.url, viewport={"width": 1440, "height": 900}) as page:
-        boxes = page.evaluate(
-            "['#cells', '.skin', '#plot'].map((one) => document.querySelector(one).getBoundingClientRect().toJSON())"
-        )
-        cells, panel, plot = boxes
-        assert cells["width"] * cells["height"] > 0.6 * panel["width"] * panel["height"]
-        assert plot["bottom"] < 900
-        assert page.evaluate("document.documentElement.scrollHeight") <= 900
-
-
-def test_the_colour_map_is_uniform_and_ordered_by_lightness(browser: Browser) -> None:
-    """In CIELAB, which the page does not use."""
-    with live() as board, opened(browser, board.url) as page:
-        colours = np.array(page.evaluate("async () => (await import('./colours.js')).COLOURS")) / 255.0
-    linear = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
-    to_xyz = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
-    xyz = linear @ np.array(to_xyz).T / [0.9505, 1.0, 1.089]
-    root = np.where(xyz > 216 / 24389, np.cbrt(xyz), (24389 / 27 * xyz + 16) / 116)
-    lightness = 116 * root[:, 1] - 16
-    lab = np.stack([lightness, 500 * (root[:, 0] - root[:, 1]), 200 * (root[:, 1] - root[:, 2])], axis=1)
-    assert lightness[0] < 20
-    assert lightness[-1] > 88
-    assert (np.diff(lightness[::4]) > 0).all()
-    steps = np.linalg.norm(lab[8:] - lab[:-8], axis=1)
-    assert steps.max() < 2.6 * steps.min()
-    chroma = np.hypot(lab[:, 1], lab[:, 2])
-    assert chroma.min() > 20, "no colour of the map is like the grey of a cell that is not valid"
-
-
 def test_tare_undo_and_a_refusal(browser: Browser) -> None:
     with live() as board, opened(browser, board.url) as page:
         expect(page.locator("#tare-state")).to_contain_text("data sheet")
@@ -342,47 +264,11 @@ def test_a_board_without_a_circuit_shows_counts(browser: Browser) -> None:
         board.join()
 
 
-def test_light_dark_and_a_phone(browser: Browser) -> None:
-    ground = "getComputedStyle(document.body).backgroundColor"
-    with live() as board:
-        seen = {}
-        for scheme in ("light", "dark"):
-            with opened(browser, board.url, color_scheme=scheme, viewport={"width": 360, "height": 740}) as page:
-                seen[scheme] = page.evaluate(ground)
-                assert page.evaluate("document.documentElement.scrollWidth") <= 360
-                assert page.evaluate("ohmskin.map.cells.getBoundingClientRect().right") <= 360
-                page.emulate_media(color_scheme="dark" if scheme == "light" else "light")
-                until(page, f"before => {ground} !== before", seen[scheme])
-                for wish in ("light", "dark", "system"):
-                    page.click("#theme")
-                    expect(page.locator("#theme")).to_have_text(f"Theme: {wish}")
-                    assert wish == "system" or page.evaluate(ground) == seen.setdefault(wish, page.evaluate(ground))
-    luminance = {name: sum(map(int, re.findall(r"\d+", colour)[:3])) for name, colour in seen.items()}
-    assert luminance["dark"] < 150
-    assert luminance["light"] > 600
-
-
 def board_says(numbers: range, *, boot_id: int = 1, last: bool = False) -> list[bytes]:
     """The packets of a 3 x 2 board: who it is, then some frames."""
-    what = scene().skin
-    text = write_description(what.design.model_dump(), what.cell.model_dump())
-    head = [
-        encode(Identity(0, 0, 3, 2, 12, True, 1000, len(text), "A1", "test", boot_id)),
-        encode(DescriptionPiece(0, 0, 0, len(text), text, boot_id)),
-    ]
-    frames = [
-        encode(
-            FramePacket.of(
-                np.full((3, 2), 2000 + k),
-                sequence=k,
-                time_us=10_000 * k,
-                boot_id=boot_id,
-                flags=Flag.LAST if last and k == numbers[-1] else Flag.NONE,
-            )
-        )
-        for k in numbers
-    ]
-    return head + frames
+    flags = {numbers[-1]: Flag.LAST} if last else {}
+    frames = [frame(k, boot_id=boot_id, level=2000 + k, us=10_000 * k, flags=flags.get(k, Flag.NONE)) for k in numbers]
+    return [identity(boot_id), sheet(boot_id), *frames]
 
 
 def test_a_board_that_goes_away_comes_back_and_ends(browser: Browser) -> None:
@@ -466,29 +352,6 @@ def test_the_slider_shows_the_frame_asked_for(browser: Browser, recording: Path)
         ]
         np.testing.assert_array_equal(np.float32(samples)[:, 1:], np.float32(expected)[:, 1:])
         np.testing.assert_allclose(np.array(samples)[:, 0], times, atol=1e-9)
-
-
-def test_time_follows_the_board_and_over_a_reboot_the_host() -> None:
-    packets = board_says(range(3)) + board_says(range(2), boot_id=2, last=True)[2:]
-    with Skin(Script(*packets), delivery="lossless") as skin:
-        axis = TimeAxis()
-        taken = [(axis.of(frame), frame) for frame in skin]
-    times = [time_s for time_s, _ in taken]
-    assert times[:3] == pytest.approx([0.0, 0.01, 0.02])
-    assert taken[3][1].rebooted
-    assert times[3] - times[2] == pytest.approx(taken[3][1].monotonic_time - taken[2][1].monotonic_time, abs=1e-6)
-    assert times[4] - times[3] == pytest.approx(0.01)
-
-
-def test_traces_keep_every_peak_and_gap() -> None:
-    values = np.zeros(10_000)
-    values[[17, 5000, 9998]] = 9.0, -3.0, 4.0
-    values[7000] = np.nan
-    kept = extremes(values, 300)
-    assert len(kept) <= 302
-    assert {0, 17, 5000, 7000, 9998, 9999} <= set(kept.tolist())
-    assert (np.diff(kept) > 0).all()
-    assert extremes(np.ones(5), 300).tolist() == [0, 1, 2, 3, 4]
 
 
 # What browsers send, without a browser.
@@ -576,91 +439,6 @@ def test_elsewhere_everything_needs_the_token(browser: Browser) -> None:
             join(here, origin="http://evil.example")
     with still(host="0.0.0.0") as (another, _):
         assert urlsplit(another).path.strip("/") != token
-
-
-def raw_status(url: str, request: bytes) -> int:
-    """The HTTP status of any bytes."""
-    parts = urlsplit(url)
-    with socket.create_connection((parts.hostname, parts.port or 0), timeout=60) as stranger:
-        stranger.sendall(request)
-        answer = stranger.makefile("rb").readline()
-    return int(answer.split()[1])
-
-
-@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
-def test_requests_that_contradict_themselves_are_bad_requests(host: str) -> None:
-    with still(host=host) as (shown, _):
-        url = f"http://127.0.0.1:{urlsplit(shown).port}{urlsplit(shown).path}"
-        name, path = f"Host: {urlsplit(url).netloc}\r\n".encode(), urlsplit(url).path.encode()
-        upgrade = (
-            b"Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
-            b"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
-        )
-        origin = b"Origin: http://" + urlsplit(url).netloc.encode() + b"\r\n"
-        assert raw_status(url, b"GET %s HTTP/1.1\r\n%s\r\n" % (path, name)) == 200
-        assert raw_status(url, b"GET %sframes HTTP/1.1\r\n%s%s%s\r\n" % (path, name, upgrade, origin)) == 101
-        for request in (
-            b"GET %sframes HTTP/1.1\r\n%s%s%s\r\n" % (path, name, upgrade, 2 * origin),
-            b"GET %sframes HTTP/1.1\r\n%s%s%s\r\n" % (path, 2 * name, upgrade, origin),
-            b"GET %sframes HTTP/1.1\r\n%s%sOrigin: http://[\r\n\r\n" % (path, name, upgrade),
-            b"GET //[/ HTTP/1.1\r\n%s\r\n" % name,
-            b"GET http://[ HTTP/1.1\r\n%s\r\n" % name,
-            b"GET %s\xc3\xa4 HTTP/1.1\r\n%s\r\n" % (path, name),
-            b"GET /\xff HTTP/1.1\r\n%s\r\n" % name,
-        ):
-            assert raw_status(url, request) == 400, request
-
-
-def test_strangers_are_few_and_in_nobodys_way() -> None:
-    """They come faster than they are closed; the page is served all the time, and those who came first are gone."""
-    with still(host="0.0.0.0") as (shown, port), contextlib.ExitStack() as crowd:
-        address = ("127.0.0.1", urlsplit(shown).port or 0)
-        url = f"http://127.0.0.1:{address[1]}{urlsplit(shown).path}"
-        before = len(os.listdir("/proc/self/fd"))
-        with join(url) as browser:
-            for number in range(4):
-                strangers = [crowd.enter_context(socket.create_connection(address, timeout=60)) for _ in range(100)]
-                for stranger in strangers[::2]:
-                    stranger.sendall(b"GET / HTTP/1.1\r\nHost: ")
-                assert status_of(url, urlsplit(url).netloc) == 200
-                assert isinstance(answer_to(browser, f'{{"do": "next", "after": {number - 1}}}'), bytes)
-                port.say(*board_says(range(number + 2, number + 3))[2:])
-                if not number:
-                    first = strangers
-            for stranger in first:
-                with suppress(ConnectionError):
-                    assert stranger.recv(100) == b""
-            served_now = len(os.listdir("/proc/self/fd")) - before - 400
-            assert served_now < 140, "of 400 that hold on, which are of this process, too"
-
-
-def test_a_stranger_who_says_nothing_is_hung_up_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ohmskin.view._server.REQUEST_S", 0.2)
-    with (
-        still() as (url, _),
-        socket.create_connection(("127.0.0.1", urlsplit(url).port or 0), timeout=60) as idle,
-        socket.create_connection(("127.0.0.1", urlsplit(url).port or 0), timeout=60) as slow,
-    ):
-        slow.sendall(b"GET / HTTP/1.1\r\nHost:")
-        for stranger in (idle, slow):
-            with suppress(ConnectionError):
-                assert stranger.recv(100) == b""
-
-
-def test_what_asyncio_says_of_strangers_does_not_reach_the_terminal(caplog: pytest.LogCaptureFixture) -> None:
-    """Where there are too many open files it has much to say, once a second."""
-    with still() as (url, _), contextlib.ExitStack() as waiting:
-        address, limits = ("127.0.0.1", urlsplit(url).port or 0), resource.getrlimit(resource.RLIMIT_NOFILE)
-        logging.getLogger("ohmskin.view").setLevel(logging.ERROR)
-        stranger = waiting.enter_context(socket.socket())
-        try:
-            resource.setrlimit(resource.RLIMIT_NOFILE, (len(os.listdir("/proc/self/fd")) - 1, limits[1]))
-            stranger.connect(address)
-            wait_until(lambda: any("accept" in record.message for record in caplog.records))
-        finally:
-            resource.setrlimit(resource.RLIMIT_NOFILE, limits)
-        assert {record.name for record in caplog.records} == {"ohmskin.view"}
-        assert status_of(url, urlsplit(url).netloc) == 200
 
 
 def test_junk_is_answered_in_one_line_and_harms_nobody() -> None:
@@ -764,10 +542,97 @@ def test_the_command_prints_the_address_and_ends_with_ctrl_c(tmp_path: Path) -> 
     assert (process.returncode, out, err) == (130, "", "")
 
 
-def test_the_bench_measures_a_page(browser: Browser) -> None:
-    with live() as board, opened(browser, board.url) as page:
-        row = measured_page(page, os.getpid(), 6, seconds=0.5)
-    assert row.drawn_hz > 0
-    assert row.board_hz > 0
-    assert all(0 < cost < 1000 for cost in (row.draw_ms, row.main_thread_ms, row.server_ms))
-    assert "6 x 6" in "".join(table([row]))
+def test_the_map_fills_its_panel_and_nothing_is_cut_off(browser: Browser) -> None:
+    with live() as board, opened(browser, board.url, viewport={"width": 1440, "height": 900}) as page:
+        boxes = page.evaluate(
+            "['#cells', '.skin', '#plot'].map((one) => document.querySelector(one).getBoundingClientRect().toJSON())"
+        )
+        cells, panel, plot = boxes
+        assert cells["width"] * cells["height"] > 0.6 * panel["width"] * panel["height"]
+        assert plot["bottom"] < 900
+        assert page.evaluate("document.documentElement.scrollHeight") <= 900
+
+
+def raw_status(url: str, request: bytes) -> int:
+    """The HTTP status of any bytes."""
+    parts = urlsplit(url)
+    with socket.create_connection((parts.hostname, parts.port or 0), timeout=60) as stranger:
+        stranger.sendall(request)
+        answer = stranger.makefile("rb").readline()
+    return int(answer.split()[1])
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0"])
+def test_requests_that_contradict_themselves_are_bad_requests(host: str) -> None:
+    with still(host=host) as (shown, _):
+        url = f"http://127.0.0.1:{urlsplit(shown).port}{urlsplit(shown).path}"
+        name, path = f"Host: {urlsplit(url).netloc}\r\n".encode(), urlsplit(url).path.encode()
+        upgrade = (
+            b"Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+            b"Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
+        )
+        origin = b"Origin: http://" + urlsplit(url).netloc.encode() + b"\r\n"
+        assert raw_status(url, b"GET %s HTTP/1.1\r\n%s\r\n" % (path, name)) == 200
+        assert raw_status(url, b"GET %sframes HTTP/1.1\r\n%s%s%s\r\n" % (path, name, upgrade, origin)) == 101
+        for request in (
+            b"GET %sframes HTTP/1.1\r\n%s%s%s\r\n" % (path, name, upgrade, 2 * origin),
+            b"GET %sframes HTTP/1.1\r\n%s%s%s\r\n" % (path, 2 * name, upgrade, origin),
+            b"GET %sframes HTTP/1.1\r\n%s%sOrigin: http://[\r\n\r\n" % (path, name, upgrade),
+            b"GET //[/ HTTP/1.1\r\n%s\r\n" % name,
+            b"GET http://[ HTTP/1.1\r\n%s\r\n" % name,
+            b"GET %s\xc3\xa4 HTTP/1.1\r\n%s\r\n" % (path, name),
+            b"GET /\xff HTTP/1.1\r\n%s\r\n" % name,
+        ):
+            assert raw_status(url, request) == 400, request
+
+
+def test_strangers_are_few_and_in_nobodys_way() -> None:
+    """They come faster than they are closed; the page is served all the time, and those who came first are gone."""
+    with still(host="0.0.0.0") as (shown, port), contextlib.ExitStack() as crowd:
+        address = ("127.0.0.1", urlsplit(shown).port or 0)
+        url = f"http://127.0.0.1:{address[1]}{urlsplit(shown).path}"
+        before = len(os.listdir("/proc/self/fd"))
+        with join(url) as browser:
+            for number in range(4):
+                strangers = [crowd.enter_context(socket.create_connection(address, timeout=60)) for _ in range(100)]
+                for stranger in strangers[::2]:
+                    stranger.sendall(b"GET / HTTP/1.1\r\nHost: ")
+                assert status_of(url, urlsplit(url).netloc) == 200
+                assert isinstance(answer_to(browser, f'{{"do": "next", "after": {number - 1}}}'), bytes)
+                port.say(*board_says(range(number + 2, number + 3))[2:])
+                if not number:
+                    first = strangers
+            for stranger in first:
+                with suppress(ConnectionError):
+                    assert stranger.recv(100) == b""
+            served_now = len(os.listdir("/proc/self/fd")) - before - 400
+            assert served_now < 140, "of 400 that hold on, which are of this process, too"
+
+
+def test_a_stranger_who_says_nothing_is_hung_up_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ohmskin.view._server.REQUEST_S", 0.2)
+    with (
+        still() as (url, _),
+        socket.create_connection(("127.0.0.1", urlsplit(url).port or 0), timeout=60) as idle,
+        socket.create_connection(("127.0.0.1", urlsplit(url).port or 0), timeout=60) as slow,
+    ):
+        slow.sendall(b"GET / HTTP/1.1\r\nHost:")
+        for stranger in (idle, slow):
+            with suppress(ConnectionError):
+                assert stranger.recv(100) == b""
+
+
+def test_what_asyncio_says_of_strangers_does_not_reach_the_terminal(caplog: pytest.LogCaptureFixture) -> None:
+    """Where there are too many open files it has much to say, once a second."""
+    with still() as (url, _), contextlib.ExitStack() as waiting:
+        address, limits = ("127.0.0.1", urlsplit(url).port or 0), resource.getrlimit(resource.RLIMIT_NOFILE)
+        logging.getLogger("ohmskin.view").setLevel(logging.ERROR)
+        stranger = waiting.enter_context(socket.socket())
+        try:
+            resource.setrlimit(resource.RLIMIT_NOFILE, (len(os.listdir("/proc/self/fd")) - 1, limits[1]))
+            stranger.connect(address)
+            wait_until(lambda: any("accept" in record.message for record in caplog.records))
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+        assert {record.name for record in caplog.records} == {"ohmskin.view"}
+        assert status_of(url, urlsplit(url).netloc) == 200

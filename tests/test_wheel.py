@@ -114,16 +114,6 @@ def test_the_source_distribution_holds_what_a_maintainer_needs(built: Path) -> N
     assert {"Makefile", "README.md", "CHANGELOG.md", "LICENSE", "pyproject.toml"} <= packed
 
 
-def test_make_restores_the_links(built: Path, tmp_path: Path) -> None:
-    (file,) = built.glob("*.tar.gz")
-    with tarfile.open(file) as archive:
-        archive.extractall(tmp_path, filter="data")
-    (source,) = tmp_path.iterdir()
-    _run("make", "-s", "links", cwd=source)
-    for room in ROOMS:
-        assert (source / room).samefile(source / "src" / "ohmskin" / room)
-
-
 def _lowest_versions() -> list[str]:
     """One line NAME==VERSION for every requirement of the package and of its extra `report`."""
     lines = []
@@ -134,12 +124,6 @@ def _lowest_versions() -> list[str]:
     return lines
 
 
-def test_the_wheel_holds_no_tests(wheel: Path) -> None:
-    for name in map(Path, zipfile.ZipFile(wheel).namelist()):
-        assert "tests" not in name.parts
-        assert not name.name.startswith(("test_", "conftest"))
-
-
 def test_every_command_starts(clean: Path, tmp_path: Path) -> None:
     assert _run(clean / "ohmskin", "--help", cwd=tmp_path).startswith("Usage: ohmskin")
     code = "from ohmskin.cli import run; [run([command, '--help']) for command in __import__('sys').argv[1:]]"
@@ -148,6 +132,7 @@ def test_every_command_starts(clean: Path, tmp_path: Path) -> None:
         assert f"Usage: ohmskin {command} " in said
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_the_demo_runs_without_ngspice(clean: Path, tmp_path: Path) -> None:
     """All but what follows presses frame by frame or calibrates a cell, which takes a minute without Numba.
@@ -176,6 +161,7 @@ def test_pressures_come_without_extras(clean: Path, tmp_path: Path) -> None:
     assert _run(clean / "python", "-W", "error", "-c", code, scene, cwd=tmp_path) == "(4, 4) True\n"
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_the_command_line_works_with_the_lowest_versions_that_the_metadata_allows(clean: Path) -> None:
     """The last test of this file, as it puts into the environment what tests need."""

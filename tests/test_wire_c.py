@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -82,14 +81,6 @@ def test_it_receives_commands_and_nothing_else(program: Path) -> None:
         expected += f"{command.order.value} 2 {command.sequence} {size} {command.period_us}\n"
     done = subprocess.run([str(program), "receive"], input=line, capture_output=True, check=True)
     assert done.stdout.decode().splitlines() == expected.splitlines()
-
-
-def test_the_checksum_is_that_of_zlib(program: Path) -> None:
-    """The document names zlib's CRC-32 as the standard; the last four bytes of an unstuffed packet are it."""
-    from cobs import cobs
-
-    raw = cobs.decode(encoded(program, [LITERAL["START"]])[:-1])
-    assert raw[-4:] == zlib.crc32(raw[:-4]).to_bytes(4, "little")
 
 
 def test_a_small_microcontroller_can_hold_it(tmp_path: Path) -> None:

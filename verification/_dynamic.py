@@ -223,7 +223,7 @@ def phase_margin(subject: Subject, requirement: Requirement, method: str) -> Mea
     """Smallest phase margin of an amplifier on its column, degrees."""
     design = subject.design
     if not design.board.circuit.has_amplifiers:
-        raise DoesNotApply("a divider has no feedback loop")
+        raise DoesNotApply(f"'{design.readout.circuit}' has no feedback loop")
     _amplifiers_only(design, "stability")
     if not design.board.virtual_grounds:
         raise NotRun('stability is modelled for an amplifier on each line, not for readout.columns = "multiplexed"')

@@ -15,7 +15,7 @@ import numpy as np
 from ..circuits import adc_codes
 from ..common import plots
 from ..driver import Skin
-from ..emulator import BoardSettings, Contact, PtyPort, Rectangle, Scene, SkinSettings
+from ..emulator import BoardSettings, Contact, PtyPort, Rectangle, Scene, SkinSettings, running
 from ..emulator.firmware import (
     BAUD_RATES,
     ERROR_BUDGET_STEPS,
@@ -26,7 +26,6 @@ from ..emulator.firmware import (
     fastest_scan,
     line_rate,
     missing_for,
-    running_firmware,
 )
 from ..emulator.firmware import BoardSettings as FirmwareSettings
 from ..errors import InputError
@@ -95,7 +94,7 @@ def _received(subject: Subject, scene: Scene) -> list[Check]:
         truth_file = Path(folder) / "truth.npz"
         port = PtyPort()
         with (
-            running_firmware(scene, port, clock="fast", duration_s=(FRAMES + 25) / RATE_HZ, truth=truth_file),
+            running(scene, port, engine="firmware", clock="fast", duration_s=(FRAMES + 25) / RATE_HZ, truth=truth_file),
             Skin.open(port.name, cell=subject.cell, delivery="lossless", timeout=PATIENCE_S) as skin,
         ):
             frames = list(islice(skin, FRAMES))

@@ -14,9 +14,11 @@ does not apply        the design has nothing that the quantity describes (a divi
 from __future__ import annotations
 
 import math
+import traceback
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from pathlib import Path
 
 from ..circuits import Requirement
 from ._units import engineering
@@ -277,3 +279,10 @@ def not_run(name: str, reason: str) -> Finding:
 def does_not_apply(reason: str) -> Finding:
     """The finding of an experiment that says nothing about the design."""
     return Finding(checks=[], inapplicable=reason)
+
+
+def defect(error: Exception) -> str:
+    """An unforeseen error in one line, with the last place that it came through."""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    said = " ".join(f"{type(error).__name__}: {error}".split())
+    return f"stopped by a defect: {said} ({Path(last.filename).name}, line {last.lineno})"

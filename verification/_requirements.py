@@ -16,7 +16,7 @@ from ..common.config import Section, load
 from ..errors import InputError, OhmskinError
 from ._catalogue import CATALOGUE, HARDWARE, SAMPLED, SPICE, quantity_of
 from ._hardware import measured_on_board
-from ._outcome import DoesNotApply, Measurement, NotRun, Result
+from ._outcome import DoesNotApply, Measurement, NotRun, Result, defect
 from ._spice_check import measured_in_spice
 from ._subject import Subject
 from ._units import conversion
@@ -156,8 +156,8 @@ def evaluate(subject: Subject, requirement: Requirement, folder: Path) -> Result
         found |= {"reason": str(other), "inapplicable": True}
     except OhmskinError as error:
         found["reason"] = f"{type(error).__name__}: {error}"
-    except Exception:  # a defect in one quantity must not cost the report of the others
-        found["reason"] = f"stopped by a defect: {traceback.format_exc(limit=-3)}"
+    except Exception as error:  # a defect in one quantity must not cost the report of the others
+        found["reason"] = defect(error)
     if not limits and "reason" not in found:
         found["reason"] = "the requirement has no limit"
     seconds = time.perf_counter() - start
@@ -218,5 +218,5 @@ def _where_raised(error: Exception, path: Path) -> str:
         for frame in traceback.extract_tb(error.__traceback__)
         if Path(frame.filename).resolve() == path.resolve()
     ]
-    place = f"{path.name}, line {lines[-1]}" if lines else f"what {path.name} returns"
+    place = f"{path.name}, line {lines[-1]}" if lines else "function(design, cell), or the number that it returns"
     return " ".join(f"{place}: {type(error).__name__}: {error}".split())

@@ -11,7 +11,6 @@ import dataclasses
 import importlib.resources
 import json
 import time
-import traceback
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor, as_completed
 from functools import partial
@@ -36,7 +35,7 @@ from ._catalogue import HARDWARE, SAMPLED, WORST
 from ._claims import APPENDICES, STATEMENTS, Statement
 from ._hardware import twins
 from ._montecarlo import BLOCK, blocks, sample_block
-from ._outcome import Claim, Finding, Result, not_run
+from ._outcome import Claim, Finding, Result, defect, not_run
 from ._report import Report
 from ._requirements import check_requirements, default_requirements, evaluate, load_own_functions
 from ._static import TARGETS, box_of, keep_samples, presses_of
@@ -296,8 +295,8 @@ def _finding(subject: Subject, statement: Statement) -> Finding:
         return statement.experiment(subject)
     except OhmskinError as error:
         return not_run("experiment", f"{type(error).__name__}: {error}")
-    except Exception:  # a defect in one experiment must not cost the report of the others
-        return not_run("experiment", f"stopped by a defect: {traceback.format_exc(limit=-3)}")
+    except Exception as error:  # a defect in one experiment must not cost the report of the others
+        return not_run("experiment", defect(error))
 
 
 def _fingerprint(work: Work) -> str:

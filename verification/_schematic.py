@@ -171,8 +171,8 @@ def _end(drawing: _Drawing, design: Design, x: float, y: float, *, label: bool) 
         drawing.dot(x, y + 30)
         if label:
             drawing.text(x + 12, y + 74, _value(readout.reference_resistance, "ohm"), anchor="start", size=11)
-            if design.board.circuit.drives_idle_lines:
-                drawing.text(x + 12, y + 100, "a follower drives all idle lines", anchor="start", size=11)
+            if words := design.board.circuit.behind_the_load:
+                drawing.text(x + 12, y + 100, words, anchor="start", size=11)
         _converter(drawing, design, x + 60, y + 30, label=label)
         return
     drawing.line((x, y), (x, y + 60), (x + 10, y + 60), (x + 10, y + 66))

@@ -79,8 +79,8 @@ def measured_in_spice(subject: Subject, requirement: Requirement) -> Measurement
         raise NotRun(f"'{quantity}' has no netlist; expected one of {', '.join(SIMULATED)}")
     if not design.board.circuit.has_amplifiers:
         if quantity == "phase_margin":
-            raise DoesNotApply("a divider has no amplifier")
-        raise NotRun("the netlist in time is for amplifiers, and this circuit is a divider")
+            raise DoesNotApply(f"'{design.readout.circuit}' has no feedback loop")
+        raise NotRun(f"the netlist in time is for circuits with feedback, not for '{design.readout.circuit}'")
     if design.adc is not None and design.adc.acquisition_time and quantity == "settling_error":
         raise NotRun("adc.acquisition_time: the netlist has no multiplexer ahead of the converter")
     try:

@@ -212,7 +212,7 @@ def _more_boards(good: int, count: int, wanted: float) -> str:
 def output_headroom(subject: Subject, requirement: Requirement, method: str) -> Measurement:
     """Smallest distance of an output from its supply limits, V; negative: it would go beyond."""
     if not subject.design.board.circuit.has_amplifiers:
-        raise DoesNotApply("a divider has no amplifier that could saturate")
+        raise DoesNotApply(f"'{subject.design.readout.circuit}' has no amplifier that could saturate")
     if excursion_of(subject.design, "output_headroom") is None:
         raise NotRun("missing: readout.supply")
     return _headroom(subject, "output_headroom", "Outputs range", "the supply allows")

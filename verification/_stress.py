@@ -94,7 +94,7 @@ def output_current(subject: Subject, requirement: Requirement, method: str) -> M
     """Largest current that an amplifier's output delivers into the array, A."""
     board, (least, _) = subject.design.board, subject.extremes
     if not board.circuit.has_amplifiers:
-        raise DoesNotApply("a divider has no amplifier")
+        raise DoesNotApply(f"'{subject.design.readout.circuit}' has no amplifier that drives the array")
     driven, sensed = board.shape
     selected, others = _swing(subject) / least, 2.0 * _offset(subject) / least
     if board.circuit.virtual_ground:

@@ -12,10 +12,4 @@ from ._recorded import RecordedSource
 from ._server import Page, serve
 from ._source import Source
 
-__all__ = [
-    "LiveSource",
-    "Page",
-    "RecordedSource",
-    "Source",
-    "serve",
-]
+__all__ = ["LiveSource", "Page", "RecordedSource", "Source", "serve"]

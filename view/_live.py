@@ -121,11 +121,7 @@ class LiveSource(Source):
         if newest.message is None:
             frame = newest.frame
             newest.message = pack_frame(
-                frame,
-                number=newest.number,
-                time_s=newest.time_s,
-                cell_area_mm2=self.cell_area_mm2,
-                age_s=frame.age,
+                frame, number=newest.number, time_s=newest.time_s, cell_area_mm2=self.cell_area_mm2, age_s=frame.age
             )
         return newest.message
 

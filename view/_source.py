@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import threading
 from abc import ABC, abstractmethod
-from types import TracebackType
 from typing import Any, Self
 
 from ..circuits import Reason
@@ -34,9 +33,7 @@ class Source(ABC):
         self.begin()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def begin(self) -> None:

@@ -4,16 +4,42 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
+from ..common.config import Finite, Section
 from ._packets import Corrupt, FramePacket
 from ._protocol import Layout
 
 Numbers = NDArray[np.float64]
-CellOrder = Literal["row-major", "column-major"]
+Byte = Annotated[int, Field(ge=0, le=255)]
+
+
+class AnyFrame(Section):
+    """Keys of ``[frame]`` in BOARD.toml that every format has: how the numbers lie in the array."""
+
+    order: Literal["row-major", "column-major"] = "row-major"
+    flip_rows: bool = False
+    flip_columns: bool = False
+    invert: bool = False
+    """counts fall with pressure: they are turned over before anything else sees them"""
+    range: Annotated[tuple[Finite, Finite], Field(strict=False)] | None = None
+    """numbers that stand for count 0 and for the largest count; None: the numbers are the counts"""
+    invalid: Literal["mark", "drop"] = "mark"
+    """what a number that is missing, NaN or outside the range costs: the cell, or the frame"""
+
+    def cells(self, layout: Layout) -> Cells:
+        """The cells of an array."""
+        shape, largest = (layout.rows, layout.columns), 2**layout.adc_bits - 1
+        index = np.arange(shape[0] * shape[1])
+        grid = index.reshape(shape) if self.order == "row-major" else index.reshape(shape[::-1]).T
+        grid = grid[:: -1 if self.flip_rows else 1, :: -1 if self.flip_columns else 1]
+        lowest, highest = (0.0, float(largest)) if self.range is None else self.range
+        step = (highest - lowest) / largest
+        return Cells(shape, grid.ravel(), lowest, step, largest, self.invert, drops=self.invalid == "drop")
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,31 +53,11 @@ class Cells:
     """number that stands for count 0"""
     step: float
     """of the numbers from one count to the next"""
-    most: int
-    """largest count"""
+    largest: int
+    """count"""
     invert: bool
     drops: bool
     """whether a number that is no count costs the whole frame"""
-
-    @classmethod
-    def of(
-        cls,
-        layout: Layout,
-        *,
-        order: CellOrder = "row-major",
-        flip_rows: bool = False,
-        flip_columns: bool = False,
-        invert: bool = False,
-        span: tuple[float, float] | None = None,
-        drops: bool = False,
-    ) -> Self:
-        """Cells of an array; the arguments are those of ``[frame]`` in BOARD.toml."""
-        shape, most = (layout.rows, layout.columns), 2**layout.adc_bits - 1
-        index = np.arange(shape[0] * shape[1])
-        grid = index.reshape(shape) if order == "row-major" else index.reshape(shape[::-1]).T
-        grid = grid[:: -1 if flip_rows else 1, :: -1 if flip_columns else 1]
-        lowest, highest = (0.0, float(most)) if span is None else span
-        return cls(shape, grid.ravel(), lowest, (highest - lowest) / most, most, invert, drops)
 
     @property
     def count(self) -> int:
@@ -62,13 +68,12 @@ class Cells:
         """Whether each of these numbers stands for a count."""
         return bool(self._good(self._scaled(numbers)).all())
 
-    def event(self, numbers: Numbers, size: int, received_at: float) -> FramePacket | Corrupt:
+    def event(self, numbers: Numbers, size: int) -> FramePacket | Corrupt:
         """The frame of (cells,) numbers in the order sent, NaN where one is missing.
 
         Args:
             numbers: as they were sent.
             size: bytes of the frame on the line.
-            received_at: when its last byte came.
 
         """
         scaled = self._scaled(numbers[self.place])
@@ -83,18 +88,16 @@ class Cells:
             scaled = np.where(good, scaled, 0.0)
         counts = scaled.astype(np.uint16)
         if self.invert:
-            counts = np.uint16(self.most) - counts
+            counts = np.uint16(self.largest) - counts
         if absent:
             counts[list(absent)] = 0
-        return FramePacket.of(
-            counts.reshape(self.shape), sequence=None, time_us=None, absent=absent, received_at=received_at
-        )
+        return FramePacket.of(counts.reshape(self.shape), sequence=None, time_us=None, absent=absent)
 
     def numbers(self, frame: FramePacket) -> Numbers:
         """The (cells,) numbers that a board sends for ``frame``, in the order sent."""
         counts = frame.counts.ravel().astype(np.float64)
         if self.invert:
-            counts = self.most - counts
+            counts = self.largest - counts
         sent = np.empty(counts.size)
         sent[self.place] = self.lowest + self.step * counts
         return sent
@@ -105,7 +108,7 @@ class Cells:
         return scaled
 
     def _good(self, scaled: Numbers) -> NDArray[np.bool_]:
-        good: NDArray[np.bool_] = (scaled >= 0) & (scaled <= self.most)  # both False for NaN
+        good: NDArray[np.bool_] = (scaled >= 0) & (scaled <= self.largest)  # both False for NaN
         return good
 
 
@@ -163,7 +166,7 @@ class Pauses:
         return self._counted >= self.PERIODS * self._period
 
     @property
-    def clear(self) -> int | None:
+    def by_pause(self) -> int | None:
         """Place at which frames begin; None: no pause is clearly longer than the others."""
         longest = sorted(self._pause_s.items(), key=lambda item: item[1])[-2:]
         if not longest or longest[-1][1] <= 0.0 or self._period == 1:
@@ -174,7 +177,7 @@ class Pauses:
     @property
     def start(self) -> int:
         """Place at which frames begin."""
-        clear = self.clear
-        if clear is not None:
-            self.origin = clear
+        place = self.by_pause
+        if place is not None:
+            self.origin = place
         return self.origin

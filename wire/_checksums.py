@@ -22,35 +22,26 @@ class Checksum:
 
 def _crc8(data: bytes) -> int:
     """CRC-8 with the polynomial 0x07, start 0 (SMBus specification 3.1, 6.4.1.1)."""
-    table, crc = _crc8_table(), 0
-    for byte in data:
-        crc = table[crc ^ byte]
-    return crc
-
-
-@cache
-def _crc8_table() -> tuple[int, ...]:
-    def entry(crc: int) -> int:
-        for _ in range(8):
-            crc = (crc << 1 ^ 0x07 if crc & 0x80 else crc << 1) & 0xFF
-        return crc
-
-    return tuple(map(entry, range(256)))
+    table = _table(0x07, reflected=False)
+    return reduce(lambda crc, byte: table[crc ^ byte], data, 0)
 
 
 def _crc16_modbus(data: bytes) -> int:
     """CRC-16 with the polynomial 0x8005 reflected, start 0xFFFF (Modbus over serial line, V1.02, 2.5.1.2)."""
-    table, crc = _modbus_table(), 0xFFFF
-    for byte in data:
-        crc = crc >> 8 ^ table[(crc ^ byte) & 0xFF]
-    return crc
+    table = _table(0xA001, reflected=True)
+    return reduce(lambda crc, byte: crc >> 8 ^ table[(crc ^ byte) & 0xFF], data, 0xFFFF)
 
 
 @cache
-def _modbus_table() -> tuple[int, ...]:
+def _table(polynomial: int, *, reflected: bool) -> tuple[int, ...]:
+    """What each byte makes of a CRC; not reflected: of one of 8 bits."""
+
     def entry(crc: int) -> int:
         for _ in range(8):
-            crc = crc >> 1 ^ 0xA001 if crc & 1 else crc >> 1
+            if reflected:
+                crc = crc >> 1 ^ (polynomial if crc & 1 else 0)
+            else:
+                crc = (crc << 1 ^ (polynomial if crc & 0x80 else 0)) & 0xFF
         return crc
 
     return tuple(map(entry, range(256)))

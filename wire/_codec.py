@@ -6,11 +6,10 @@ The invariant: whatever bytes arrive, in whatever pieces, :meth:`PacketDecoder.f
 
 from __future__ import annotations
 
-import math
-import re
 import struct
 import zlib
 from collections.abc import Callable
+from typing import Any
 
 from cobs import cobs
 
@@ -53,16 +52,12 @@ _RATE = struct.Struct("<I")  # us between two frames
 
 _MAX_RAW = _HEADER.size + MAX_PAYLOAD + _CRC.size
 _MAX_STUFFED = _MAX_RAW + _MAX_RAW // 254 + 1
-_LEAST_STUFFED = _HEADER.size + _CRC.size + 1
-_LONG = re.compile(rb"[^\0]{%d,}" % _LEAST_STUFFED)
-_DENSE = 1024
-"""bytes by which so many delimiters are more than those of packets, at the head and end of an arrival"""
 _KNOWN_FLAGS = sum(flag.value for flag in Flag)
 _NO_FLAGS = Flag.NONE
 _FIRST_COMMAND = 0x80
 """packet types from here on go from host to board"""
-_Header = tuple[int, int, int, float]
-"""what every packet of a board keeps: sequence number, time in us, boot id, and when its last byte came"""
+_Header = dict[str, Any]
+"""what every packet of a board keeps: sequence, time_us and boot_id"""
 
 
 def encode(packet: Packet) -> bytes:
@@ -99,12 +94,11 @@ def _write(packet: Packet) -> tuple[int, bytes]:
             return packet.order.value, _RATE.pack(packet.period_us) if packet.order is Order.RATE else b""
 
 
-def decode(stuffed: bytes, received_at: float = math.nan) -> Packet | BadCommand:
+def decode(stuffed: bytes) -> Packet | BadCommand:
     """The packet in the bytes between two delimiters.
 
     Args:
         stuffed: without the delimiters.
-        received_at: time of the last byte, kept in the packet.
 
     Raises:
         ProtocolError: the bytes are no packet of this version; the message is the first rule that they break.
@@ -128,7 +122,7 @@ def decode(stuffed: bytes, received_at: float = math.nan) -> Packet | BadCommand
     if read is None:
         raise ProtocolError(f"unknown packet type 0x{kind:02x}")
     try:
-        return read((sequence, time_us, boot_id, received_at), payload)
+        return read({"sequence": sequence, "time_us": time_us, "boot_id": boot_id}, payload)
     except InputError as error:
         raise ProtocolError(str(error)) from error
 
@@ -136,8 +130,7 @@ def decode(stuffed: bytes, received_at: float = math.nan) -> Packet | BadCommand
 class PacketDecoder:
     """Bytes to native packets, for either end. Holds at most one packet of the longest kind, and never raises.
 
-    After noise the decoder is in step again at the next delimiter. Empty stretches are idle fill and are skipped. Where
-    bytes come at once that are mostly delimiters, stretches shorter than any packet are reported as one.
+    After noise the decoder is in step again at the next delimiter. Empty stretches are idle fill and are skipped.
     """
 
     def __init__(self) -> None:
@@ -145,49 +138,28 @@ class PacketDecoder:
         self._too_long = False
         """the stretch has outgrown every packet; the rest of it, up to the delimiter, is corrupt too"""
 
-    def feed(self, data: bytes, received_at: float = math.nan) -> list[Packet | BadCommand | Corrupt]:
+    def feed(self, data: bytes) -> list[Packet | BadCommand | Corrupt]:
         """The packets and corrupt stretches completed by ``data``, in order of arrival."""
         found: list[Packet | BadCommand | Corrupt] = []
-        if data.count(0) * _LEAST_STUFFED > len(data) + _DENSE:
-            return self._feed_noise(bytes(data), received_at)
         *completed, rest = bytes(data).split(b"\0")
         for piece in completed:
             if piece and not self._stretch and not self._too_long and len(piece) <= _MAX_STUFFED:
-                found.append(_decoded(piece, received_at))  # the usual case: a packet that came in one piece
+                found.append(_decoded(piece))  # the usual case: a packet that came in one piece
                 continue
             self._collect(piece, found)
-            self._finish(found, received_at)
+            self._finish(found)
         if rest:
             self._collect(rest, found)
-        return found
-
-    def _feed_noise(self, data: bytes, received_at: float) -> list[Packet | BadCommand | Corrupt]:
-        """As :meth:`feed`; what is shorter than any packet is one stretch, up to the next that is not.
-
-        Noise of many delimiters then costs no more than other noise.
-        """
-        begun, _, data = data.partition(b"\0")
-        data, _, rest = data.rpartition(b"\0")
-        found: list[Packet | BadCommand | Corrupt] = []
-        self._collect(begun, found)
-        self._finish(found, received_at)
-        place = 0
-        for long in _LONG.finditer(data):
-            found += _short(data[place : long.start()])
-            found.append(_decoded(long[0], received_at) if len(long[0]) <= _MAX_STUFFED else _too_long(long[0]))
-            place = long.end()
-        found += _short(data[place:])
-        self._collect(rest, found)
         return found
 
     def _collect(self, piece: bytes, found: list[Packet | BadCommand | Corrupt]) -> None:
         self._stretch += piece
         if len(self._stretch) > _MAX_STUFFED:
-            found.append(_too_long(self._stretch))
+            found.append(Corrupt(len(self._stretch), "no delimiter within the longest packet"))
             self._stretch.clear()
             self._too_long = True
 
-    def _finish(self, found: list[Packet | BadCommand | Corrupt], received_at: float) -> None:
+    def _finish(self, found: list[Packet | BadCommand | Corrupt]) -> None:
         stretch, too_long = bytes(self._stretch), self._too_long
         self._stretch.clear()
         self._too_long = False
@@ -196,45 +168,30 @@ class PacketDecoder:
         if too_long:
             found.append(Corrupt(len(stretch), "the end of a stretch longer than any packet"))
             return
-        found.append(_decoded(stretch, received_at))
+        found.append(_decoded(stretch))
 
 
-def _too_long(stretch: bytes | bytearray) -> Corrupt:
-    return Corrupt(len(stretch), "no delimiter within the longest packet")
-
-
-def _short(stretches: bytes) -> list[Corrupt]:
-    """Stretches that are shorter than any packet, and the delimiters between them."""
-    count = len(stretches) - stretches.count(0)
-    return [Corrupt(count, f"{count} bytes in stretches shorter than any packet")] if count else []
-
-
-def _decoded(stretch: bytes, received_at: float) -> Packet | BadCommand | Corrupt:
+def _decoded(stretch: bytes) -> Packet | BadCommand | Corrupt:
     try:
-        return decode(stretch, received_at)
+        return decode(stretch)
     except ProtocolError as error:
         return Corrupt(len(stretch), str(error))
 
 
 def _read_frame(header: _Header, payload: bytes) -> FramePacket:
-    sequence, time_us, boot_id, received_at = header
     if len(payload) < _FRAME.size:
         raise ProtocolError(f"frame with {len(payload)} bytes of payload, expected at least {_FRAME.size}")
     rows, columns, flags = _FRAME.unpack_from(payload)
     return FramePacket(
-        sequence,
-        time_us,
-        rows,
-        columns,
-        payload[_FRAME.size :],
-        Flag(flags & _KNOWN_FLAGS) if flags else _NO_FLAGS,
-        boot_id,
-        received_at=received_at,
+        rows=rows,
+        columns=columns,
+        payload=payload[_FRAME.size :],
+        flags=Flag(flags & _KNOWN_FLAGS) if flags else _NO_FLAGS,
+        **header,
     )
 
 
 def _read_piece(header: _Header, payload: bytes) -> DescriptionPiece:
-    sequence, time_us, boot_id, received_at = header
     if len(payload) <= _PIECE.size:
         raise ProtocolError(f"piece of a description with {len(payload)} bytes, expected more than {_PIECE.size}")
     offset, total = _PIECE.unpack_from(payload)
@@ -243,7 +200,7 @@ def _read_piece(header: _Header, payload: bytes) -> DescriptionPiece:
         raise ProtocolError(f"description of {total} bytes; at most {MAX_DESCRIPTION} are taken")
     if offset + len(data) > total:
         raise ProtocolError(f"description of {total} bytes with a piece that ends at {offset + len(data)}")
-    return DescriptionPiece(sequence, time_us, offset, total, data, boot_id, received_at=received_at)
+    return DescriptionPiece(offset=offset, total=total, data=data, **header)
 
 
 def _write_identity(identity: Identity) -> bytes:
@@ -262,7 +219,6 @@ def _write_identity(identity: Identity) -> bytes:
 
 
 def _read_identity(header: _Header, payload: bytes) -> Identity:
-    sequence, time_us, boot_id, received_at = header
     if len(payload) < _IDENTITY.size:
         raise ProtocolError(f"identity with {len(payload)} bytes of payload, expected at least {_IDENTITY.size}")
     rows, columns, adc_bits, streaming, period_us, description_bytes = _IDENTITY.unpack_from(payload)
@@ -275,19 +231,16 @@ def _read_identity(header: _Header, payload: bytes) -> Identity:
     except UnicodeDecodeError as error:
         raise ProtocolError(f"identity with a text that is not UTF-8: {error}") from error
     return Identity(
-        sequence,
-        time_us,
-        rows,
-        columns,
-        adc_bits,
-        streaming not in (0, _OVER),
-        period_us,
-        description_bytes,
-        serial_number,
-        firmware,
-        boot_id,
-        streaming == _OVER,
-        received_at=received_at,
+        rows=rows,
+        columns=columns,
+        adc_bits=adc_bits,
+        streaming=streaming not in (0, _OVER),
+        period_us=period_us,
+        description_bytes=description_bytes,
+        serial_number=serial_number,
+        firmware=firmware,
+        over=streaming == _OVER,
+        **header,
     )
 
 
@@ -298,7 +251,6 @@ def _write_self_test(result: SelfTest) -> bytes:
 
 
 def _read_self_test(header: _Header, payload: bytes) -> SelfTest:
-    sequence, time_us, boot_id, received_at = header
     if len(payload) < _SELF_TEST.size:
         raise ProtocolError(f"self-test with {len(payload)} bytes of payload, expected at least {_SELF_TEST.size}")
     rows, columns, references = _SELF_TEST.unpack_from(payload)
@@ -311,18 +263,14 @@ def _read_self_test(header: _Header, payload: bytes) -> SelfTest:
     except ValueError as error:
         raise ProtocolError(f"self-test with a line state that is not known: {error}") from error
     return SelfTest(
-        sequence,
-        time_us,
-        tuple(lines[:rows]),
-        tuple(lines[rows:]),
-        tuple(_REFERENCE.iter_unpack(payload[lines_end:])),
-        boot_id,
-        received_at=received_at,
+        rows=tuple(lines[:rows]),
+        columns=tuple(lines[rows:]),
+        references=tuple(_REFERENCE.iter_unpack(payload[lines_end:])),
+        **header,
     )
 
 
 def _read_reply(header: _Header, payload: bytes) -> Reply:
-    sequence, time_us, boot_id, received_at = header
     if len(payload) != _REPLY.size:
         raise ProtocolError(f"reply with {len(payload)} bytes of payload, expected {_REPLY.size}")
     order, status, command_sequence = _REPLY.unpack(payload)
@@ -330,15 +278,7 @@ def _read_reply(header: _Header, payload: bytes) -> Reply:
         found = Status(status)
     except ValueError as error:
         raise ProtocolError(f"reply with status {status}, which is not known") from error
-    return Reply(
-        sequence,
-        time_us,
-        order,
-        found,
-        command_sequence,
-        boot_id,
-        received_at=received_at,
-    )
+    return Reply(order=order, status=found, command_sequence=command_sequence, **header)
 
 
 def _read_command(kind: int, version: int, sequence: int, time_us: int, payload: bytes) -> Command | BadCommand:

@@ -46,12 +46,7 @@ def read_description(text: bytes) -> tuple[Mapping[str, Any] | None, Mapping[str
 
     """
     try:
-        tables = json.loads(
-            text.decode(),
-            parse_constant=_refuse_constant,
-            parse_float=_finite,
-            parse_int=_moderate,
-        )
+        tables = json.loads(text.decode(), parse_constant=_refuse_constant, parse_float=_finite, parse_int=_moderate)
         if not isinstance(tables, dict):
             raise ProtocolError("a description is not a JSON object")
         return _table(tables, "design"), _table(tables, "cell")

@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Annotated
 
+from numpy.typing import ArrayLike
+from pydantic import Field
+
+from ..common.config import Section
 from ..errors import InputError
+from ._cells import Byte, Cells, Numbers
 from ._packets import BadCommand, Command, Corrupt, Event, FramePacket, Order
 from ._protocol import BoardProtocol, Family, HostProtocol, Layout
+
+Sent = str | Annotated[tuple[Byte, ...], Field(strict=False)]
+"""bytes to send, as text or as a list of numbers"""
 
 
 class FixedLengthHost(HostProtocol):
@@ -126,11 +135,9 @@ class PolledBoard(BoardProtocol):
         return [Command(Order.ONE_FRAME) for byte in data if self.asks(byte)]
 
 
-def one_frame(
-    packet_counts: object, received_at: float, *, sequence: int | None = None, time_us: int | None = None
-) -> list[Event]:
+def one_frame(counts: ArrayLike, *, sequence: int | None = None, time_us: int | None = None) -> list[Event]:
     """The event of one frame."""
-    return [FramePacket.of(packet_counts, sequence=sequence, time_us=time_us, received_at=received_at)]  # type: ignore[arg-type]
+    return [FramePacket.of(counts, sequence=sequence, time_us=time_us)]
 
 
 def require(family: Family, layout: Layout, shapes: list[tuple[int, int]], adc_bits: Sequence[int]) -> None:
@@ -143,18 +150,34 @@ def require(family: Family, layout: Layout, shapes: list[tuple[int, int]], adc_b
         raise InputError(f"a board '{family.name}' with an ADC of {layout.adc_bits} bits; its format carries {known}")
 
 
+class StartTable(Section):
+    """``[start]`` of BOARD.toml: what the host does to get frames."""
+
+    send: Sent = ""
+    """bytes to send after opening"""
+    poll: Sent = ""
+    """bytes that ask for one frame"""
+    dtr: bool | None = None
+    """level of the control line DTR; None: the operating system's, which resets most boards"""
+    rts: bool | None = None
+
+    def order(self, order: Order) -> bytes:
+        """The bytes that give an order; empty where there is no such."""
+        text = self.poll if order is Order.ONE_FRAME else self.send if order is Order.START else ""
+        return text.encode() if isinstance(text, str) else bytes(text)
+
+
 class DescribedBoard(BoardProtocol):
     """Board end of a format that BOARD.toml describes: waits for the bytes that start it, or ask for each frame."""
 
-    def __init__(self, send: bytes, poll: bytes, family: Family, layout: Layout) -> None:
+    def __init__(
+        self, write: Callable[[Numbers, Layout], bytes], cells: Cells, start: StartTable, family: Family, layout: Layout
+    ) -> None:
         super().__init__(family, layout)
-        self._send, self._poll = send, poll
-        self._started = not send
+        self._write, self._cells = write, cells
+        self._send, self._poll = start.order(Order.START), start.order(Order.ONE_FRAME)
+        self._started = not self._send
         self._heard = b""
-
-    @abstractmethod
-    def write(self, frame: FramePacket) -> bytes:
-        """The bytes of one frame."""
 
     def feed(self, data: bytes) -> list[Command | BadCommand]:
         commands: list[Command | BadCommand] = []
@@ -162,11 +185,11 @@ class DescribedBoard(BoardProtocol):
             self._heard = (self._heard + bytes([byte]))[-max(len(self._send), len(self._poll), 1) :]
             if self._send and self._heard.endswith(self._send):
                 self._started = True
-                commands.append(Command(Order.START))
+                if not self._poll:  # a polled board does not stream when it is started
+                    commands.append(Command(Order.START))
             elif self._poll and self._heard.endswith(self._poll):
                 commands.append(Command(Order.ONE_FRAME))
-        # A polled board does not stream when it is started.
-        return [command for command in commands if not (self._poll and command == Command(Order.START))]
+        return commands
 
     def frame(self, frame: FramePacket) -> bytes:
-        return self.write(frame) if self._started else b""
+        return self._write(self._cells.numbers(frame), self.layout) if self._started else b""

@@ -10,19 +10,17 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Iterator
+from typing import Annotated, Literal, Self
 
 import numpy as np
+from pydantic import Field, model_validator
 
-from ._cells import Cells, Numbers, Pauses
-from ._framing import DescribedBoard, LineHost
-from ._packets import Corrupt, Event, FramePacket, Order
+from ._cells import AnyFrame, Cells, Numbers, Pauses
+from ._framing import LineHost, StartTable
+from ._packets import Corrupt, Event, Order
 from ._protocol import Family, Layout
 
-LineLayout = Literal["frame-per-line", "row-per-line", "cell-per-line"]
-"""what a line carries"""
 LONGEST_NUMBER = 40
 """characters of a number in a line"""
 LEAST_LINE = 1024
@@ -43,36 +41,85 @@ _BARE_NAN = re.compile(rb"(?<=[\[,:\s])[+-]?(nan|inf|ovf)(?=[\],\s}])", re.IGNOR
 """what C prints for numbers that JSON lacks"""
 
 
-@dataclass(frozen=True)
-class LineFormat:
-    """What a line is made of; the fields are the keys of ``[frame]``."""
+class _LinesFrame(AnyFrame):
+    """Keys of formats that send lines."""
 
-    layout: LineLayout
-    end: str | None
-    skip: int
-    numbered_rows: bool
-    newline: str
-    separator: str | None
-    prefix: str
-    suffix: str
-    labels: bool
-    json_key: str | None
-    """None: the lines are text"""
+    layout: Literal["frame-per-line", "row-per-line", "cell-per-line"] = "frame-per-line"
+    end: Annotated[str, Field(max_length=200)] | None = None
+    """unless frame-per-line: line, or beginning of the line, that ends a frame; "": an empty line; None: none does"""
+    skip: Annotated[int, Field(ge=0, le=64)] = 0
+    """numbers ahead of the cells in each line"""
+    numbered_rows: bool = False
+    """row-per-line: the first of the skipped numbers is the row's, from 0 or from 1"""
+    newline: Annotated[str, Field(pattern=r"^[ \t,;]*\r?\n$")] = "\r\n"
+    """end of a line as the emulator sends it; a host takes every usual one"""
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if self.layout == "frame-per-line" and self.end is not None:
+            raise ValueError('end has no effect on layout = "frame-per-line"; expected "row-per-line"')
+        if self.layout != "row-per-line" and self.numbered_rows:
+            raise ValueError(f'numbered_rows has no effect on layout = "{self.layout}"; expected "row-per-line"')
+        if self.numbered_rows and not self.skip:
+            raise ValueError("numbered_rows needs skip = 1 or more: the first skipped number is that of the row")
+        return self
 
     @property
     def by_frames(self) -> bool:
         """Whether a line is a whole frame."""
         return self.layout == "frame-per-line"
 
-    def cells(self, shape: tuple[int, int]) -> int:
+    def cells_in_line(self, layout: Layout) -> int:
         """Cells in a line."""
-        rows, columns = shape
-        return {"frame-per-line": rows * columns, "row-per-line": columns, "cell-per-line": 1}[self.layout]
+        return {"frame-per-line": layout.rows * layout.columns, "row-per-line": layout.columns, "cell-per-line": 1}[
+            self.layout
+        ]
+
+    def is_end(self, line: str) -> bool:
+        """Whether a line ends a frame."""
+        return self.end is not None and (line.startswith(self.end.strip()) if self.end.strip() else not line)
+
+    @property
+    def marked(self) -> bool:
+        """Whether a line shows that its beginning is not missing."""
+        return True
 
     def read(self, line: str, expected: int) -> list[float] | None:
         """The numbers of a line, NaN where one is missing; None: the line is no line of numbers."""
-        if self.json_key is not None:
-            return _in_json(line, self.json_key)
+        raise NotImplementedError
+
+    def line(self, values: list[float]) -> str:
+        """A line with these numbers, without its end."""
+        raise NotImplementedError
+
+    def write(self, numbers: Numbers, layout: Layout) -> bytes:
+        """The bytes of a frame with these numbers; those that are not read are zeros."""
+        text = ""
+        for number, row in enumerate(numbers.reshape(-1, self.cells_in_line(layout)).tolist()):
+            ahead = [0 if self.by_frames else number, *[0] * (self.skip - 1)][: self.skip]
+            whole = (int(value) if value.is_integer() else float(f"{value:.15g}") for value in row)
+            text += self.line([*ahead, *whole]) + self.newline
+        return (text + ("" if self.end is None else self.end + "\r\n")).encode()
+
+
+class TextFrame(_LinesFrame):
+    """``[frame]`` with ``format = "text"``: numbers in lines."""
+
+    format: Literal["text"]
+    separator: Annotated[str, Field(min_length=1, max_length=8, pattern=r"^[^0-9A-Za-z+\-.\r\n]+$")] | None = None
+    """between two numbers; None: any run of spaces, tabs, and , ; : |"""
+    labels: bool = False
+    """each number has its name ahead, as in ``A0:512``; the names are not read"""
+    prefix: Annotated[str, Field(max_length=200)] = ""
+    """text at the head of every line with numbers; other lines are skipped"""
+    suffix: Annotated[str, Field(max_length=200)] = ""
+    """text at the end of every line with numbers, likewise"""
+
+    @property
+    def marked(self) -> bool:
+        return bool(self.prefix)
+
+    def read(self, line: str, expected: int) -> list[float] | None:
         if not (line.startswith(self.prefix) and line[len(self.prefix) :].endswith(self.suffix)):
             return None
         text = line[len(self.prefix) : len(line) - len(self.suffix)]
@@ -87,21 +134,36 @@ class LineFormat:
         numbers = [_number(word) for word in words]
         return None if None in numbers else numbers  # type: ignore[return-value]  # None is not in it
 
-    def write(self, numbers: Numbers, ahead: list[int]) -> str:
-        """A line with these numbers."""
-        values = [*ahead, *(int(value) if value.is_integer() else float(f"{value:.15g}") for value in numbers.tolist())]
-        if self.json_key is None:
-            separator = " " if self.separator is None else self.separator
-            words = [f"c{k}:{value}" for k, value in enumerate(values)] if self.labels else map(str, values)
-            return self.prefix + separator.join(words) + self.suffix + self.newline
-        document: object = values
-        for key in reversed(self.json_key.split(".") if self.json_key else []):
-            document = {key: document}
-        return json.dumps(document, separators=(",", ":")) + self.newline
+    def line(self, values: list[float]) -> str:
+        words = [f"c{k}:{value}" for k, value in enumerate(values)] if self.labels else map(str, values)
+        return self.prefix + (" " if self.separator is None else self.separator).join(words) + self.suffix
 
-    def is_end(self, line: str) -> bool:
-        """Whether a line ends a frame."""
-        return self.end is not None and (line.startswith(self.end.strip()) if self.end.strip() else not line)
+
+class JsonFrame(_LinesFrame):
+    """``[frame]`` with ``format = "json"``: a JSON document in each line."""
+
+    format: Literal["json"]
+    key: Annotated[str, Field(max_length=200)] = ""
+    """of the list of numbers, keys of inner objects after dots; "": the document is the list"""
+
+    def read(self, line: str, expected: int) -> list[float] | None:
+        try:
+            found = json.loads(_BARE_NAN.sub(b"NaN", line.encode()))
+            for part in self._path:
+                found = found[part]
+            return list(_flat(found, MOST_LISTS)) if isinstance(found, list) else None
+        except (ValueError, KeyError, TypeError, RecursionError):
+            return None
+
+    def line(self, values: list[float]) -> str:
+        document: object = values
+        for key in reversed(self._path):
+            document = {key: document}
+        return json.dumps(document, separators=(",", ":"))
+
+    @property
+    def _path(self) -> list[str]:
+        return self.key.split(".") if self.key else []
 
 
 def _number(word: str) -> float | None:
@@ -109,16 +171,6 @@ def _number(word: str) -> float | None:
     if len(word) <= LONGEST_NUMBER and _NUMBER.fullmatch(word):
         return float(word)
     return math.nan if word.lstrip("+-").lower() in MISSING else None
-
-
-def _in_json(line: str, key: str) -> list[float] | None:
-    try:
-        found = json.loads(_BARE_NAN.sub(b"NaN", line.encode()))
-        for part in key.split(".") if key else []:
-            found = found[part]
-        return list(_flat(found, MOST_LISTS)) if isinstance(found, list) else None
-    except (ValueError, KeyError, TypeError, RecursionError):
-        return None
 
 
 def _flat(found: list[object], levels: int) -> Iterator[float]:
@@ -138,21 +190,15 @@ class TextHost(LineHost):
     """Host end of a format in lines."""
 
     def __init__(
-        self,
-        form: LineFormat,
-        cells: Callable[[Layout], Cells],
-        send: bytes,
-        poll: bytes,
-        family: Family,
-        layout: Layout,
+        self, form: TextFrame | JsonFrame, cells: Cells, start: StartTable, family: Family, layout: Layout
     ) -> None:
         super().__init__(family, layout)
-        self._form, self._cells = form, cells(layout)
-        self._send, self._poll = send, poll
-        in_line = form.cells((layout.rows, layout.columns))
-        self._expected, self._lines = form.skip + in_line, self._cells.count // in_line
+        self._form, self._cells, self._start = form, cells, start
+        in_line = form.cells_in_line(layout)
+        self._expected, self._lines = form.skip + in_line, cells.count // in_line
         """numbers in a line, and lines in a frame"""
-        self.longest = max(self._expected * (LONGEST_NUMBER // 2) + len(form.prefix + form.suffix), LEAST_LINE)
+        affixes = len(form.prefix + form.suffix) if isinstance(form, TextFrame) else 0
+        self.longest = max(self._expected * (LONGEST_NUMBER // 2) + affixes, LEAST_LINE)
         self._rows: list[list[float]] = []
         """of the frame under way"""
         self._size = 0
@@ -162,13 +208,13 @@ class TextHost(LineHost):
         if form.end is not None and not family.polled:
             self._fault = "the host joined in the middle of a frame"
         # The beginning of a first line may be missing, unless its prefix or its brackets show that it is whole.
-        self._first = not (family.polled or form.prefix or form.json_key is not None)
+        self._first = not (family.polled or form.marked)
         self._pauses = Pauses(self._lines)
         self._ahead = 0
         """bytes of lines that came before it was known where a frame begins"""
 
     def request(self, order: Order, *, period_us: int = 0) -> bytes:
-        return self._poll if order is Order.ONE_FRAME else self._send if order is Order.START else b""
+        return self._start.order(order)
 
     def broken(self) -> None:
         self._fault = self._fault or "a line that is too long"
@@ -182,7 +228,7 @@ class TextHost(LineHost):
             return [Corrupt(size, "a line with bytes that are no text")]
         if not self._form.by_frames and self._form.is_end(text):
             self._size += size
-            return self._finish(received_at)
+            return self._finish()
         if not text:
             return []
         if first and self._form.end is None:
@@ -197,7 +243,7 @@ class TextHost(LineHost):
         fault = f"a line of {len(numbers)} numbers; expected {self._expected}" if wrong else ""
         if self._form.by_frames:
             cells = np.array(numbers[self._form.skip :])
-            return [Corrupt(size, fault) if fault else self._cells.event(cells, size, received_at)]
+            return [Corrupt(size, fault) if fault else self._cells.event(cells, size)]
         events: list[Event] = []
         if self._form.end is None:
             begins = self._begins_by_number(numbers) if self._form.numbered_rows else self._begins(received_at)
@@ -211,7 +257,7 @@ class TextHost(LineHost):
         if len(self._rows) <= self._lines:  # more rows need not be kept to know that they are too many
             self._rows.append(numbers)
         if self._form.end is None and len(self._rows) == self._lines:
-            events += self._finish(received_at)
+            events += self._finish()
         return events
 
     def _begins_by_number(self, numbers: list[float]) -> bool:
@@ -229,7 +275,7 @@ class TextHost(LineHost):
         """End what came before a frame, or a frame that is not complete."""
         events: list[Event] = []
         if self._ahead:
-            reason = AMBIGUOUS if self._pauses.clear is None else "lines ahead of the first pause"
+            reason = AMBIGUOUS if self._pauses.by_pause is None else "lines ahead of the first pause"
             events.append(Corrupt(self._ahead, reason))
         if self._rows or self._fault:
             fault = self._fault or f"a frame of {len(self._rows)} lines; expected {self._lines}"
@@ -237,7 +283,7 @@ class TextHost(LineHost):
         self._rows, self._size, self._fault, self._ahead = [], 0, "", 0
         return events
 
-    def _finish(self, received_at: float) -> list[Event]:
+    def _finish(self) -> list[Event]:
         """The event of the frame under way, which is over."""
         rows, size, form = self._rows, self._size, self._form
         if not rows and not self._fault:
@@ -249,30 +295,4 @@ class TextHost(LineHost):
             self._fault = "rows whose numbers do not follow each other"
             return self._drop()
         self._rows, self._size = [], 0
-        return [self._cells.event(np.array([row[form.skip :] for row in rows]).ravel(), size, received_at)]
-
-
-class TextBoard(DescribedBoard):
-    """Board end of a format in lines."""
-
-    def __init__(
-        self,
-        form: LineFormat,
-        cells: Callable[[Layout], Cells],
-        send: bytes,
-        poll: bytes,
-        family: Family,
-        layout: Layout,
-    ) -> None:
-        super().__init__(send, poll, family, layout)
-        self._form, self._cells = form, cells(layout)
-
-    def write(self, frame: FramePacket) -> bytes:
-        numbers, form = self._cells.numbers(frame), self._form
-        if form.by_frames:
-            return form.write(numbers, [0] * form.skip).encode()
-        lines = "".join(
-            form.write(row, [number, *[0] * (form.skip - 1)][: form.skip])
-            for number, row in enumerate(numbers.reshape(-1, form.cells((self.layout.rows, self.layout.columns))))
-        )
-        return (lines + ("" if form.end is None else form.end + "\r\n")).encode()
+        return [self._cells.event(np.array([row[form.skip :] for row in rows]).ravel(), size)]

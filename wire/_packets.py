@@ -7,7 +7,6 @@ number, the board's own time) is None.
 from __future__ import annotations
 
 import enum
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -15,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..common.frozen import frozen
 from ..errors import InputError
 
 VERSION = 2
@@ -81,8 +79,7 @@ class LineState(enum.Enum):
     NOT_TESTED = 3
 
 
-@frozen
-@dataclass(slots=True, unsafe_hash=True)
+@dataclass(frozen=True, slots=True)
 class FramePacket:
     """One scan of the whole array. ``FramePacket.of(counts, ...)`` makes one from an array."""
 
@@ -99,8 +96,6 @@ class FramePacket:
     """number that changes whenever the board starts anew; None: the format has none"""
     absent: tuple[int, ...] = ()
     """cells, counted row by row, of which the board has sent no count; theirs are 0 here"""
-    received_at: float = field(default=math.nan, compare=False, kw_only=True)
-    """time at which the last byte came, on the clock of whoever called ``feed``"""
 
     def __post_init__(self) -> None:
         if self.sequence is not None and self.time_us is not None:
@@ -116,12 +111,11 @@ class FramePacket:
         cls,
         counts: ArrayLike,
         *,
-        sequence: int | None,
-        time_us: int | None,
+        sequence: int | None = None,
+        time_us: int | None = None,
         flags: Flag = Flag.NONE,
         boot_id: int | None = None,
         absent: tuple[int, ...] = (),
-        received_at: float = math.nan,
     ) -> FramePacket:
         """The packet that carries ``counts``.
 
@@ -132,7 +126,6 @@ class FramePacket:
             flags: remarks of the board.
             boot_id: of the board.
             absent: cells without a count.
-            received_at: time of the last byte.
 
         Raises:
             InputError: the counts are no such array.
@@ -145,7 +138,7 @@ class FramePacket:
             raise InputError(f"counts reach from {array.min()} to {array.max()}; expected 0 ... 65535")
         rows, columns = array.shape
         payload = array.astype("<u2").tobytes()
-        return cls(sequence, time_us, rows, columns, payload, flags, boot_id, absent, received_at=received_at)
+        return cls(sequence, time_us, rows, columns, payload, flags, boot_id, absent)
 
     @property
     def counts(self) -> NDArray[np.uint16]:
@@ -175,7 +168,6 @@ class Identity:
     boot_id: int = 0
     over: bool = False
     """no frame follows: an emulation is at its end. ``streaming`` is then False"""
-    received_at: float = field(default=math.nan, compare=False, kw_only=True)
 
     def __post_init__(self) -> None:
         _check_header(self.sequence, self.time_us, self.boot_id)
@@ -197,7 +189,6 @@ class DescriptionPiece:
     """length of the whole description in bytes"""
     data: bytes
     boot_id: int = 0
-    received_at: float = field(default=math.nan, compare=False, kw_only=True)
 
     def __post_init__(self) -> None:
         _check_header(self.sequence, self.time_us, self.boot_id)
@@ -216,7 +207,6 @@ class Description:
     cell: Mapping[str, Any] | None
     """the tables of CELL.toml; None: the board does not say"""
     boot_id: int | None = None
-    received_at: float = field(default=math.nan, compare=False, kw_only=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,7 +221,6 @@ class SelfTest:
     references: tuple[tuple[float, float], ...]
     """(nominal, measured) ohm of each reference resistor"""
     boot_id: int = 0
-    received_at: float = field(default=math.nan, compare=False, kw_only=True)
 
     def __post_init__(self) -> None:
         _check_header(self.sequence, self.time_us, self.boot_id)
@@ -250,7 +239,6 @@ class Reply:
     command_sequence: int
     """sequence number of the command"""
     boot_id: int = 0
-    received_at: float = field(default=math.nan, compare=False, kw_only=True)
 
     def __post_init__(self) -> None:
         _check_header(self.sequence, self.time_us, self.boot_id)

@@ -71,7 +71,7 @@ class HostProtocol(ABC):
 
         Args:
             data: any number of bytes, cut anywhere.
-            received_at: when they came, in s on the caller's clock; the events repeat it.
+            received_at: when they came, in s on the caller's clock, for formats that only pauses between frames divide.
 
         Returns:
             The events that the bytes complete, in order. Nothing is raised: bytes that are no packet are

@@ -16,16 +16,19 @@ Text between two frames is skipped and counted.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from cobs import cobs
+from pydantic import Field, model_validator
 
-from ._cells import Cells, Numbers, Pauses
-from ._checksums import Checksum
-from ._framing import DescribedBoard, require
-from ._packets import Corrupt, Event, FramePacket, Order
+from ._cells import AnyFrame, Byte, Cells, Numbers, Pauses
+from ._checksums import CHECKSUMS, Checksum
+from ._framing import StartTable, require
+from ._packets import Corrupt, Event, Order
 from ._protocol import Family, HostProtocol, Layout
 
 MOST_TEXT = 4096
@@ -74,52 +77,86 @@ WORDS = {
 """by name"""
 
 
-@dataclass(frozen=True)
-class WordFormat:
-    """What a frame is made of; the fields are the keys of ``[frame]``."""
+class BinaryFrame(AnyFrame):
+    """``[frame]`` with ``format = "binary"``: header, bytes before, words, bytes after, checksum, trailer."""
 
-    word: Word
-    header: bytes
-    before: int
-    after: int
-    checksum: Checksum | None
-    checksum_of: str
-    trailer: bytes
-    cobs: bool
-    ranged: bool
-    """whether the numbers are not the counts themselves"""
+    format: Literal["binary"]
+    word: Literal[tuple(WORDS)]  # type: ignore[valid-type]  # a list of names that is in one place only
+    header: Annotated[tuple[Byte, ...], Field(strict=False, max_length=64)] = ()
+    trailer: Annotated[tuple[Byte, ...], Field(strict=False, max_length=64)] = ()
+    framing: Literal["none", "cobs"] = "none"
+    before: Annotated[int, Field(ge=0, le=1024)] = 0
+    """bytes between header and words that are not read: a length, a counter, a type"""
+    after: Annotated[int, Field(ge=0, le=1024)] = 0
+    """bytes between words and checksum that are not read"""
+    checksum: Literal["none", *CHECKSUMS] = "none"  # type: ignore[valid-type]  # likewise
+    checksum_of: Literal["payload", "body", "frame"] = "payload"
+    """the words; all between header and checksum; the header, too"""
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if self.framing == "cobs" and (self.header or self.trailer):
+            raise ValueError('framing = "cobs" stands in place of header and trailer; expected none of them')
+        if self.checksum == "none" and self.checksum_of != "payload":
+            raise ValueError('checksum_of has no effect without a checksum; expected checksum = "..."')
+        if self.checksum != "none" and self.framing == "none" and not self.header:
+            raise ValueError("a checksum alone does not show where a frame begins; expected a header or framing")
+        return self
+
+    @cached_property
+    def _word(self) -> Word:
+        return WORDS[self.word]
+
+    @cached_property
+    def _check(self) -> Checksum | None:
+        return CHECKSUMS.get(self.checksum)
+
+    @cached_property
+    def mark(self) -> bytes:
+        """The header."""
+        return bytes(self.header)
+
+    @cached_property
+    def end_mark(self) -> bytes:
+        """The trailer."""
+        return bytes(self.trailer)
+
+    @property
+    def proves(self) -> bool:
+        """Whether the checksum can hardly be right by chance: one of one byte agrees with one stretch in 256."""
+        return self._check is not None and self._check.size > 1
 
     def require(self, family: Family, layout: Layout) -> None:
         """Refuse counts that do not fit into the words. Raises InputError."""
-        require(family, layout, [], range(1, 17 if self.ranged else min(self.word.bits, 16) + 1))
+        require(family, layout, [], range(1, 17 if self.range is not None else min(self._word.bits, 16) + 1))
 
     def size(self, cells: int) -> int:
         """Bytes of a frame of so many cells."""
-        return self.start + cells * self.word.dtype.itemsize + self._tail
+        return self._begin + cells * self._word.dtype.itemsize + self._tail
 
-    @property
-    def start(self) -> int:
+    @cached_property
+    def _begin(self) -> int:
         """Place of the first word."""
         return len(self.header) + self.before
 
-    @property
+    @cached_property
     def _tail(self) -> int:
         """Bytes behind the words."""
-        return self.after + (0 if self.checksum is None else self.checksum.size) + len(self.trailer)
+        return self.after + (0 if self._check is None else self._check.size) + len(self.trailer)
 
     def numbers(self, frame: bytes) -> Numbers:
         """The numbers in the bytes of a frame."""
-        words = np.frombuffer(frame[self.start : len(frame) - self._tail], dtype=self.word.dtype)
+        words = np.frombuffer(frame[self._begin : len(frame) - self._tail], dtype=self._word.dtype)
         return words.astype(np.float64)
 
     def fault(self, frame: bytes) -> str:
         """Why bytes of the right length, with the header at their head, are no frame; empty if they are one."""
-        if not frame.endswith(self.trailer):
-            return f"no {self.trailer.hex(' ').upper()} at the end of a frame"
-        if self.checksum is not None:
+        if not frame.endswith(self.end_mark):
+            return f"no {self.end_mark.hex(' ').upper()} at the end of a frame"
+        if self._check is not None:
             end = len(frame) - len(self.trailer)
-            at = end - self.checksum.size
-            if self.checksum.of(self._covered(frame[:at])) != frame[at:end]:
+            at = end - self._check.size
+            if self._check.of(self._covered(frame[:at])) != frame[at:end]:
                 return "the checksum does not match"
         return ""
 
@@ -131,35 +168,28 @@ class WordFormat:
             case "body":
                 return head[len(self.header) :]
             case _:
-                return head[self.start : len(head) - self.after]
+                return head[self._begin : len(head) - self.after]
 
-    def write(self, numbers: Numbers) -> bytes:
+    def write(self, numbers: Numbers, layout: Layout) -> bytes:
         """The bytes of a frame with these numbers; those that are not read are zeros."""
-        rounded = numbers if self.word.dtype.kind == "f" else np.rint(numbers)
-        head = self.header + bytes(self.before) + rounded.astype(self.word.dtype).tobytes() + bytes(self.after)
-        check = b"" if self.checksum is None else self.checksum.of(self._covered(head))
-        frame = head + check + self.trailer
-        return bytes(cobs.encode(frame)) + b"\0" if self.cobs else frame
-
-
-Makes = Callable[[Layout], Cells]
+        rounded = numbers if self._word.dtype.kind == "f" else np.rint(numbers)
+        head = self.mark + bytes(self.before) + rounded.astype(self._word.dtype).tobytes() + bytes(self.after)
+        check = b"" if self._check is None else self._check.of(self._covered(head))
+        frame = head + check + self.end_mark
+        return bytes(cobs.encode(frame)) + b"\0" if self.framing == "cobs" else frame
 
 
 class _WordHost(HostProtocol):
     """What the hosts of all binary formats share."""
 
-    def __init__(
-        self, form: WordFormat, cells: Makes, send: bytes, poll: bytes, family: Family, layout: Layout
-    ) -> None:
-        form.require(family, layout)
+    def __init__(self, form: BinaryFrame, cells: Cells, start: StartTable, family: Family, layout: Layout) -> None:
         super().__init__(family, layout)
-        self._form, self._cells = form, cells(layout)
-        self._send, self._poll = send, poll
-        self._size = form.size(self._cells.count)
+        self._form, self._cells, self._start = form, cells, start
+        self._size = form.size(cells.count)
         self._buffer = bytearray()
 
     def request(self, order: Order, *, period_us: int = 0) -> bytes:
-        return self._poll if order is Order.ONE_FRAME else self._send if order is Order.START else b""
+        return self._start.order(order)
 
 
 class CobsHost(_WordHost):
@@ -172,7 +202,7 @@ class CobsHost(_WordHost):
             stretch = bytes(self._buffer) + piece
             self._buffer.clear()
             if stretch:
-                events.append(self._take(stretch, received_at))
+                events.append(self._take(stretch))
         self._buffer += rest
         longest = self._size + self._size // 254 + 1
         if len(self._buffer) > max(2 * longest, MOST_TEXT):
@@ -180,7 +210,7 @@ class CobsHost(_WordHost):
             self._buffer.clear()
         return events
 
-    def _take(self, stretch: bytes, received_at: float) -> Event:
+    def _take(self, stretch: bytes) -> Event:
         try:
             frame = bytes(cobs.decode(stretch))
         except cobs.DecodeError as error:
@@ -190,22 +220,18 @@ class CobsHost(_WordHost):
         fault = self._form.fault(frame)
         if fault:
             return Corrupt(len(stretch), fault)
-        return self._cells.event(self._form.numbers(frame), len(stretch) + 1, received_at)
+        return self._cells.event(self._form.numbers(frame), len(stretch) + 1)
 
 
 class BinaryHost(_WordHost):
     """Host end of frames with a header, or with nothing but a length."""
 
-    def __init__(
-        self, form: WordFormat, cells: Makes, send: bytes, poll: bytes, family: Family, layout: Layout
-    ) -> None:
-        super().__init__(form, cells, send, poll, family, layout)
+    def __init__(self, form: BinaryFrame, cells: Cells, start: StartTable, family: Family, layout: Layout) -> None:
+        super().__init__(form, cells, start, family, layout)
         self._in_step = False
         """the bytes at the head of the buffer follow a good frame"""
         self._last: Numbers | None = None
         """numbers of the last good frame"""
-        # A checksum of one byte agrees with one stretch of noise in 256.
-        self._proves = form.checksum is not None and form.checksum.size > 1
         self._pauses = None if form.header or form.trailer or family.polled else Pauses(self._size)
         self._placed = False
 
@@ -220,7 +246,7 @@ class BinaryHost(_WordHost):
         self._buffer += data
         events: list[Event] = []
         while True:
-            event = self._next(received_at)
+            event = self._next()
             if event is None:
                 return events
             events.append(event)
@@ -235,19 +261,19 @@ class BinaryHost(_WordHost):
             return
         ahead = (self._pauses.start - head) % self._size
         if (ahead and len(self._buffer) >= ahead) or not self._placed:
-            clear = self._pauses.clear is not None
+            shown = self._pauses.by_pause is not None
             if not self._placed or ahead:
-                yield Corrupt(ahead, "bytes ahead of the first pause" if clear else AMBIGUOUS_PHASE)
+                yield Corrupt(ahead, "bytes ahead of the first pause" if shown else AMBIGUOUS_PHASE)
             del self._buffer[:ahead]
             self._placed = True
         elif ahead:
             return
         while len(self._buffer) >= self._size:
-            yield self._take(received_at)
+            yield self._take()
 
-    def _next(self, received_at: float) -> Event | None:
+    def _next(self) -> Event | None:
         """The next event in the buffer, or None when more bytes are needed."""
-        header = self._form.header
+        header = self._form.mark
         if self._in_step and header and not self._buffer.startswith(header):
             at = self._header_behind_text(0)
             if at is None:
@@ -257,20 +283,20 @@ class BinaryHost(_WordHost):
         if len(self._buffer) < self._size:
             return None
         if self._is_next():
-            return self._take(received_at)
-        return self._find_checked() if self._proves else self._find_by_headers(received_at)
+            return self._take()
+        return self._find_checked() if self._form.proves else self._find_by_headers()
 
     def _is_next(self) -> bool:
         """Whether the head of the buffer is a frame without doubt."""
         if self._fault(0):
             return False
-        if self._proves or self.family.polled:
+        if self._form.proves or self.family.polled:
             return True
         return self._in_step and not self._another_header()
 
     def _header_behind_text(self, place: int) -> int | None:
         """Where a header stands at ``place`` or behind nothing but text; -1: nowhere, None: not known yet."""
-        header, buffer = self._form.header, self._buffer
+        header, buffer = self._form.mark, self._buffer
         at = buffer.find(header, place, place + MOST_TEXT + len(header))
         text = _TEXT.match(buffer, place, place + MOST_TEXT)
         end = place if text is None else text.end()
@@ -282,8 +308,8 @@ class BinaryHost(_WordHost):
     def _fault(self, at: int) -> str:
         """Why no frame begins at a place; empty if one may."""
         frame = bytes(self._buffer[at : at + self._size])
-        if not frame.startswith(self._form.header):
-            return f"no header {self._form.header.hex(' ').upper()}"
+        if not frame.startswith(self._form.mark):
+            return f"no header {self._form.mark.hex(' ').upper()}"
         fault = self._form.fault(frame)
         if not fault and self._cells.drops and not self._cells.are_counts(self._form.numbers(frame)):
             fault = "a number that is no count"
@@ -291,22 +317,22 @@ class BinaryHost(_WordHost):
 
     def _another_header(self) -> bool:
         """Whether a header may begin within the frame at the head, its last byte included."""
-        header = self._form.header
+        header = self._form.mark
         return bool(header) and self._buffer.find(header, 1, self._size + len(header) - 1) >= 0
 
     def _find_checked(self) -> Event:
         """Skip to the next header whose frame has a right checksum."""
         reason, at = self._fault(0), 0
         while True:
-            at = self._buffer.find(self._form.header, at + 1)
+            at = self._buffer.find(self._form.mark, at + 1)
             if at < 0:
                 return self._skip(max(len(self._buffer) - len(self._form.header) + 1, 1), reason)
             if at + self._size > len(self._buffer) or not self._fault(at):
                 return self._skip(at, reason)
 
-    def _find_by_headers(self, received_at: float) -> Event | None:
+    def _find_by_headers(self) -> Event | None:
         """Find the phase in two lengths of a frame: places with a header, a frame, and another header behind it."""
-        header, buffer, size = self._form.header, self._buffer, self._size
+        header, buffer, size = self._form.mark, self._buffer, self._size
         enough = 2 * size + len(header) - 1
         if len(buffer) < enough:
             return None
@@ -330,13 +356,13 @@ class BinaryHost(_WordHost):
             best = min(places, key=self._distance)
         if best > 0:
             return self._skip(best, "bytes ahead of a header", in_step=True)
-        return self._take(received_at)
+        return self._take()
 
     def _candidates(self) -> Iterator[int]:
         """Places within the first frame's length at which a frame may begin."""
-        mark, shift = self._form.header, 0
+        mark, shift = self._form.mark, 0
         if not mark:
-            mark, shift = self._form.trailer, self._size - len(self._form.trailer)
+            mark, shift = self._form.end_mark, self._size - len(self._form.trailer)
         at = self._buffer.find(mark, shift)
         while 0 <= at - shift < self._size:
             yield at - shift
@@ -345,7 +371,7 @@ class BinaryHost(_WordHost):
     def _trailer_behind(self, at: int) -> int:
         """Where the frame after the one at ``at`` has its trailer; -1: it has none."""
         end = at + 2 * self._size
-        trailer = self._form.trailer
+        trailer = self._form.end_mark
         return end if self._buffer[end - len(trailer) : end] == trailer else -1
 
     def _distance(self, at: int) -> float:
@@ -355,27 +381,13 @@ class BinaryHost(_WordHost):
             apart = np.abs(self._form.numbers(bytes(self._buffer[at : at + self._size])) - self._last)
         return float(np.nansum(apart))
 
-    def _take(self, received_at: float) -> Event:
+    def _take(self) -> Event:
         self._last = self._form.numbers(bytes(self._buffer[: self._size]))
         self._in_step = True
         del self._buffer[: self._size]
-        return self._cells.event(self._last, self._size, received_at)
+        return self._cells.event(self._last, self._size)
 
     def _skip(self, size: int, reason: str, *, in_step: bool = False) -> Corrupt:
         self._in_step = in_step
         del self._buffer[:size]
         return Corrupt(size, reason)
-
-
-class BinaryBoard(DescribedBoard):
-    """Board end of binary frames."""
-
-    def __init__(
-        self, form: WordFormat, cells: Makes, send: bytes, poll: bytes, family: Family, layout: Layout
-    ) -> None:
-        form.require(family, layout)
-        super().__init__(send, poll, family, layout)
-        self._form, self._cells = form, cells(layout)
-
-    def write(self, frame: FramePacket) -> bytes:
-        return self._form.write(self._cells.numbers(frame))

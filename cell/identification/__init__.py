@@ -10,10 +10,13 @@
 """
 
 from ._calibrate import CalibrationResult, calibrate, estimate_recording
+from ._folds import folds
+from ._identify import fits
 from ._protocol import check_protocol, protocol_load, protocol_text
 from ._recording import Recording, check_resistances, checked_recording, read_recording
+from ._recovery_curve import recovery_branches
+from ._remarks import remarks
 from ._report import calibration_figure, calibration_record, calibration_text
-from ._straight_lines import recovery_branches
 
 __all__ = [
     "CalibrationResult",
@@ -26,8 +29,11 @@ __all__ = [
     "check_resistances",
     "checked_recording",
     "estimate_recording",
+    "fits",
+    "folds",
     "protocol_load",
     "protocol_text",
     "read_recording",
     "recovery_branches",
+    "remarks",
 ]

@@ -18,27 +18,27 @@ from ..inversions import margin as inverse_margin
 from ..materials import AsymmetricModel, M10Model, Model, resistance_on_logarithm, simulate
 from . import _choice as choice
 from . import _training as training
-from ._fitted import Fit, Parameter, not_simulated
+from ._fitted import Fit, Parameter, no_simulation
+from ._fold_errors import FoldErrors, Regimes, best_share, mixed
 from ._folds import Fold, folds, strokes
 from ._identify import contact_fit, falls, fits
-from ._judged import Judged, Regimes, best_share, mixed
 from ._recording import Recording
 from ._remarks import remarks
 
-MOST, ENOUGH, PER_STROKE = 6000, 1500, 30.0
+MOST_SAMPLES, ENOUGH_SAMPLES, SAMPLES_PER_STROKE = 6000, 1500, 30.0
 """largest number of samples for training; a longer recording is thinned. Of a recording that is longer than the second
 number, a short stroke of the load (the lower quartile) keeps the third number of samples"""
 FOLD_CELLS = 32
 """simulated cells for training before each fold; a third of the number for the final estimators"""
-TEACHES_WORSE = 0.7
+SIMPLER_TEACHES = 0.7
 """fraction of the richer kind's held-out error; a simpler kind with less error is simulated for training instead"""
-MISSES = 3.0
+MOST_DRIFT_MISSED = 3.0
 """largest drift after the recording that an inverse may miss, over its held-out error"""
-BREAKS = 0.5
+BREAKING_EXPLAINS = 0.5
 """a cell is believed to have chains that break if m10 with them has less than this fraction of the error without"""
-REMEMBERS = 0.8
+MEMORY_EXPLAINS = 0.8
 """fraction of the static curve's error on its worst fold, below which a cell whose resistance falls has a memory"""
-LIGHT = 0.05
+NEARLY_UNLOADED = 0.05
 """share of full scale, and of the samples, under which a cell counts as about at rest"""
 KINDS = 3
 """progress steps of the fit"""
@@ -119,7 +119,7 @@ def _calibrated_falling(
     simple = _calibrated_contact(
         Cell(rest_resistance_ohm=contact.rest_resistance_ohm, full_scale_kpa=full, model=contact.model), thin
     )
-    light = thin.pressure_kpa <= max(LIGHT * full, float(np.quantile(thin.pressure_kpa, LIGHT)))
+    light = thin.pressure_kpa <= max(NEARLY_UNLOADED * full, float(np.quantile(thin.pressure_kpa, NEARLY_UNLOADED)))
     unit = float(np.median(thin.resistance_ohm[light]))
     span = float(np.ptp(np.percentile(np.log(thin.resistance_ohm), [0.5, 99.5]))) / RANGE_ON_LOGARITHM
     scaled = replace(thin, resistance_ohm=unit * (1.0 + np.maximum(np.log(unit / thin.resistance_ohm) / span, -0.9)))
@@ -131,7 +131,7 @@ def _calibrated_falling(
         learned, plain = found.cell.estimators, simple.estimators
         assert learned is not None
         assert plain is not None
-        least = REMEMBERS * plain.held_out_percent["static"]
+        least = MEMORY_EXPLAINS * plain.held_out_percent["static"]
         if learned.default != "static" and learned.held_out_percent[learned.default] < least:
             return _in_ohms(found, unit, span)
     presses = float(Regimes.of(thin, full).pressing[-1]) / 2
@@ -172,7 +172,7 @@ def _calibrated(
     inverse = inverse_margin(model, full) if isinstance(model, AsymmetricModel | M10Model) else None
     teacher, breaks = _teacher(found), _breaks(found)
     whole = _normalised(thin, cell, teacher)
-    judged: dict[EstimatorName, list[Judged]] = {}
+    judged: dict[EstimatorName, list[FoldErrors]] = {}
     for fold, simulation in zip(parts, teacher.simulate_folds, strict=True):
         first = replace(whole, simulation=simulation).until(fold.start_s)
         trial = cell.replace(estimators=_learned(first, full, cells=FOLD_CELLS, breaks=breaks).replace(seen=seen))
@@ -185,13 +185,13 @@ def _calibrated(
         judged |= _judge_models(cell.replace(estimators=None), found[0].before_folds, thin, samples, parts)
     else:
         judged = _judge_on_all(cell.replace(estimators=final), thin, samples)
-    final = _mixed(final, judged, beyond_recorded=_beyond_noise(teacher, noise) < choice.EXACT)
+    final = _mixed(final, judged, beyond_recorded=_beyond_noise(teacher, noise) < choice.MODEL_EXACT)
     tried = (*LEARNED, *(name for name in judged if name == "inverse"))
-    elsewhere = choice.errors_elsewhere(cell.replace(estimators=final), found, tried, whole)
+    simulated_error = choice.errors_on_simulated_cells(cell.replace(estimators=final), found, tried, whole)
     tell("learned from all")
     evidence = choice.Evidence(
         judged=judged,
-        elsewhere=elsewhere,
+        simulated_error=simulated_error,
         presses=presses,
         strokes=strokes(thin, full),
         unexplained=_beyond_noise(found[0], noise),
@@ -234,7 +234,7 @@ def _teacher(found: tuple[Fit, ...]) -> Fit:
     """
     smooth = next(fit for fit in found if isinstance(fit.model, M10Model))
     plain = next(fit for fit in found if isinstance(fit.model, AsymmetricModel))
-    if plain.judged_error < TEACHES_WORSE * smooth.judged_error:
+    if plain.judged_error < SIMPLER_TEACHES * smooth.judged_error:
         smooth = plain
     best = min(found, key=lambda fit: fit.judged_error)
     return best if best.judged_error < 0.5 * smooth.judged_error else smooth
@@ -243,7 +243,7 @@ def _teacher(found: tuple[Fit, ...]) -> Fit:
 def _breaks(found: tuple[Fit, ...]) -> bool:
     """Whether motion breaks conductive chains, that is, whether m10 fits far worse without them."""
     errors = {fit.label: fit.error for fit in found}  # an m10 fitted with k = 0 has the label of "whole"
-    return errors.get("m10", np.inf) < BREAKS * errors.get("m10, k = 0", 0.0)
+    return errors.get("m10", np.inf) < BREAKING_EXPLAINS * errors.get("m10, k = 0", 0.0)
 
 
 def _learned(
@@ -262,10 +262,10 @@ def _learned(
 
 
 def _thinned(recording: Recording, full_scale_kpa: float) -> Recording:
-    """The recording, thinned to at most :data:`MOST` samples, and to fewer where the load is slow."""
+    """The recording, thinned to at most :data:`MOST_SAMPLES` samples, and to fewer where the load is slow."""
     samples, found = len(recording.time_s), strokes(recording, full_scale_kpa)
-    slow = found.short_s / (PER_STROKE * recording.step_s)
-    every = max(-(-samples // MOST), min(int(slow), samples // ENOUGH), 1)
+    slow = found.short_s / (SAMPLES_PER_STROKE * recording.step_s)
+    every = max(-(-samples // MOST_SAMPLES), min(int(slow), samples // ENOUGH_SAMPLES), 1)
     time_s, pressure, resistance = recording.time_s, recording.pressure_kpa, recording.resistance_ohm
     return replace(
         recording, time_s=time_s[::every], pressure_kpa=pressure[::every], resistance_ohm=resistance[::every]
@@ -290,7 +290,7 @@ def _beyond_noise(fit: Fit, noise: float) -> float:
     return float(np.sqrt(max(fit.judged_error**2 - noise**2, 0.0)))
 
 
-def _mixed(learned: Calibrated, judged: dict[EstimatorName, list[Judged]], *, beyond_recorded: bool) -> Calibrated:
+def _mixed(learned: Calibrated, judged: dict[EstimatorName, list[FoldErrors]], *, beyond_recorded: bool) -> Calibrated:
     """Mix learned maps with the static curve by weights from the folds (stacking); changes ``judged`` accordingly."""
     for name in ("play", "distilled"):
         share = best_share(judged[name], judged["static"])
@@ -309,11 +309,11 @@ def _with_errors(
     pressed = {name: 100 * max(part.pressed_rms for part in of) for name, of in judged.items()}
     pressed_drift = max(abs(float(np.mean(part.pressed))) for part in judged["static"])
     calibrated = {
-        name: training.calibrated(
+        name: training.with_calibrated_std(
             getattr(final, name),
             judged[name],
             drift=pressed_drift,
-            elsewhere=0.0 if evidence.varied else evidence.elsewhere[name],
+            simulated_error=0.0 if evidence.varied else evidence.simulated_error[name],
             most=pressed["static"] / 100,
         )
         for name in ("play", "distilled")
@@ -327,7 +327,7 @@ def _with_errors(
         fold_percent={name: tuple(evidence.percent(name)) for name in judged},
         pressed_percent=pressed,
         # An inverse follows the drift that its model explains; its errors on the folds show how well.
-        drift_percent=min(100 * pressed_drift, MISSES * pressed.get("inverse", np.inf)),
+        drift_percent=min(100 * pressed_drift, MOST_DRIFT_MISSED * pressed.get("inverse", np.inf)),
         seen=final.seen,
         static=final.static.replace(std_kpa=max(final.static.std_kpa, static_std)),
         **calibrated,
@@ -351,7 +351,7 @@ LEARNED: tuple[EstimatorName, ...] = ("static", "play", "distilled")
 FROM_MODEL: tuple[EstimatorName, ...] = ("paper", "inverse")
 
 
-def _judge(cell: Cell, name: EstimatorName, recording: Recording, samples: Regimes, fold: Fold) -> Judged:
+def _judge(cell: Cell, name: EstimatorName, recording: Recording, samples: Regimes, fold: Fold) -> FoldErrors:
     """Held-out errors of an estimator trained before the fold, run as in use: with smoothing, and sleep at rest."""
     until = int(np.searchsorted(recording.time_s, fold.end_s))
     part = slice(int(np.searchsorted(recording.time_s, fold.start_s)), until)
@@ -359,14 +359,14 @@ def _judge(cell: Cell, name: EstimatorName, recording: Recording, samples: Regim
     pressure, std = estimate_recording(estimator, recording.time_s[:until], recording.resistance_ohm[:until])
     error = (pressure - recording.pressure_kpa[:until])[part] / cell.full_scale_kpa
     stated = np.full(error.shape, np.inf) if std is None else std[part] / cell.full_scale_kpa
-    return Judged(fold, error, stated, samples.part(part))
+    return FoldErrors(fold, error, stated, samples.part(part))
 
 
 def _all_of(recording: Recording) -> Fold:
     return Fold(float(recording.time_s[0]), float(recording.time_s[-1]) + recording.step_s)
 
 
-def _judge_on_all(cell: Cell, recording: Recording, samples: Regimes) -> dict[EstimatorName, list[Judged]]:
+def _judge_on_all(cell: Cell, recording: Recording, samples: Regimes) -> dict[EstimatorName, list[FoldErrors]]:
     """Errors of all estimators on the whole recording, which they have learned."""
     every = _all_of(recording)
     judged = {name: [_judge(cell, name, recording, samples, every)] for name in LEARNED}
@@ -380,12 +380,12 @@ def _judge_models(
     recording: Recording,
     samples: Regimes,
     parts: tuple[Fold, ...],
-) -> dict[EstimatorName, list[Judged]]:
+) -> dict[EstimatorName, list[FoldErrors]]:
     """Errors of estimators that follow from the model alone; ``before_folds``: as fitted before each fold.
 
     An estimator is left out unless the fits before all folds allow it.
     """
-    judged: dict[EstimatorName, list[Judged]] = {}
+    judged: dict[EstimatorName, list[FoldErrors]] = {}
     for name in FROM_MODEL:
         pairs = []
         for fold, before in zip(parts, before_folds, strict=True):
@@ -414,7 +414,7 @@ def _calibrated_contact(cell: Cell, recording: Recording) -> Cell:
     """Calibrate a contact, which has no memory: the only estimator is a cubic in log(R0/R)."""
     r, load = recording.resistance_ohm / cell.rest_resistance_ohm - 1, recording.pressure_kpa / cell.full_scale_kpa
 
-    whole = training.NormalisedRecording(recording.time_s, r, load, cell.rest_resistance_ohm, not_simulated, 0.0)
+    whole = training.NormalisedRecording(recording.time_s, r, load, cell.rest_resistance_ohm, no_simulation, 0.0)
     samples = Regimes.of(recording, cell.full_scale_kpa)
     held_out, parts = folds(recording, cell.full_scale_kpa), []
     for fold in held_out or (_all_of(recording),):
@@ -422,7 +422,7 @@ def _calibrated_contact(cell: Cell, recording: Recording) -> Cell:
         first = training.static_curve(before, cell.full_scale_kpa, logarithmic=True)
         part = slice(*np.searchsorted(recording.time_s, (fold.start_s, fold.end_s)).tolist())
         error = np.clip(first.load(r[part]), first.limits.lowest, first.limits.highest) - load[part]
-        parts.append(Judged(fold, error, np.full(error.shape, np.inf), samples.part(part)))
+        parts.append(FoldErrors(fold, error, np.full(error.shape, np.inf), samples.part(part)))
     percent = max(100 * part.rms for part in parts)
     pressed = max(100 * part.pressed_rms for part in parts)
     curve = training.static_curve(whole, cell.full_scale_kpa, logarithmic=True)

@@ -19,21 +19,21 @@ import numpy as np
 from .._cell import Cell, EstimatorName
 from ..materials import simulate
 from ._fitted import Fit
+from ._fold_errors import FoldErrors, rms_by_press, standard_errors_better
 from ._folds import Strokes
-from ._judged import Judged, rms_by_press, standard_errors_better
 from ._training import NormalisedRecording, disturbed
 
-EXACT = 0.005
+MODEL_EXACT = 0.005
 """held-out error of a model beyond noise, over the range of r, below which its inverse is trusted under any load"""
 INVERSE_SLACK = 0.25
 """% of full scale by which such an inverse may be worse than a learned estimator on its worst fold"""
-NEARLY, INVERSE_BETTER = 0.025, 0.7
+MODEL_NEARLY_EXACT, INVERSE_BETTER = 0.025, 0.7
 """an inverse is also trusted if the model's held-out error is below the first number, and the inverse's error is below
 the second fraction of a learned estimator's error"""
-STIFF = 0.25
+LEAST_SLOPE = 0.25
 """least slope of a fast step over that at equilibrium. Below, small errors of such an inverse may add up; it must then
 be no worse than a learned estimator on simulated cells, too"""
-SURE = 1.28
+SURE_STANDARD_ERRORS = 1.28
 """standard errors by which an estimator must be better than the static curve: one-sided 90 % of a normal variable"""
 NO_WORSE = 1.1
 """largest error of a learned estimator on simulated cells, over that of the static curve"""
@@ -43,7 +43,7 @@ ALIKE = 0.25
 """coefficient of variation of the static curve's error from press to press; below, the presses are alike"""
 EXPLAINS_TOO = 2.0
 """a kind explains the recording as well as the best if its error is at most this multiple of the least error"""
-ELSEWHERE_CELLS, ELSEWHERE_STEP_S, ELSEWHERE_STEPS = 12, 0.25, 640
+SIMULATED_CELLS, SIMULATED_STEP_S, SIMULATED_STEPS = 12, 0.25, 640
 """simulated cells of each kind, their time step in seconds, and number of steps"""
 
 
@@ -51,10 +51,10 @@ ELSEWHERE_CELLS, ELSEWHERE_STEP_S, ELSEWHERE_STEPS = 12, 0.25, 640
 class Evidence:
     """The data on which the choice is based."""
 
-    judged: Mapping[EstimatorName, Sequence[Judged]]
+    judged: Mapping[EstimatorName, Sequence[FoldErrors]]
     """held-out errors of each estimator, fold by fold"""
-    elsewhere: Mapping[EstimatorName, float]
-    """error on simulated cells under random loads, normalised load, see :func:`errors_elsewhere`"""
+    simulated_error: Mapping[EstimatorName, float]
+    """error on simulated cells under random loads, normalised load, see :func:`errors_on_simulated_cells`"""
     presses: float
     """path of the recorded load, in presses to full scale"""
     strokes: Strokes
@@ -91,17 +91,17 @@ class Evidence:
 
         Without folds it is the error on what was learned, or that on simulated cells if this is larger.
         """
-        return self.worst(name) if self.held_out else max(self.worst(name), 100 * self.elsewhere.get(name, 0.0))
+        return self.worst(name) if self.held_out else max(self.worst(name), 100 * self.simulated_error.get(name, 0.0))
 
     def beats_static(self, name: EstimatorName) -> bool:
         """Whether an estimator passes both tests."""
-        if standard_errors_better(self.judged[name], self.judged["static"]) < SURE:
+        if standard_errors_better(self.judged[name], self.judged["static"]) < SURE_STANDARD_ERRORS:
             return False
-        return self.presses >= MANY_PRESSES or self.elsewhere_ratio(name) < NO_WORSE
+        return self.presses >= MANY_PRESSES or self.simulated_ratio(name) < NO_WORSE
 
-    def elsewhere_ratio(self, name: EstimatorName) -> float:
+    def simulated_ratio(self, name: EstimatorName) -> float:
         """Error on simulated cells, over that of the static curve; 0 for an estimator without such a test."""
-        return self.elsewhere.get(name, 0.0) / self.elsewhere["static"]
+        return self.simulated_error.get(name, 0.0) / self.simulated_error["static"]
 
 
 def choose(evidence: Evidence) -> tuple[EstimatorName, str]:
@@ -117,10 +117,11 @@ def choose(evidence: Evidence) -> tuple[EstimatorName, str]:
         learned.reverse()
     candidates, why = learned, ""
     inverse, rival = worst.get("inverse", np.inf), worst[learned[0]]
-    exact = evidence.unexplained < EXACT and inverse <= rival + INVERSE_SLACK
-    tame = evidence.least_slope > STIFF or evidence.elsewhere_ratio("inverse") <= evidence.elsewhere_ratio(learned[0])
-    stiff = evidence.unexplained < NEARLY and tame
-    if exact or (stiff and inverse < INVERSE_BETTER * rival):
+    exact = evidence.unexplained < MODEL_EXACT and inverse <= rival + INVERSE_SLACK
+    best_learned = evidence.simulated_ratio(learned[0])
+    stable = evidence.least_slope > LEAST_SLOPE or evidence.simulated_ratio("inverse") <= best_learned
+    nearly = evidence.unexplained < MODEL_NEARLY_EXACT and stable
+    if exact or (nearly and inverse < INVERSE_BETTER * rival):
         candidates = ["inverse", *learned]
     chosen = next((name for name in candidates if evidence.beats_static(name)), None)
     if chosen is None:
@@ -139,16 +140,16 @@ def choose(evidence: Evidence) -> tuple[EstimatorName, str]:
 def _doubts(evidence: Evidence, name: EstimatorName) -> str:
     """The test that an estimator fails, in words."""
     better = standard_errors_better(evidence.judged[name], evidence.judged["static"])
-    if better >= SURE:
-        ratio = evidence.elsewhere_ratio(name)
+    if better >= SURE_STANDARD_ERRORS:
+        ratio = evidence.simulated_ratio(name)
         return (
             f"{name} has {ratio:.2f} of its error under simulated loads that were not recorded; below {NO_WORSE} needed"
         )
     side = "better" if better > 0 else "worse"
-    return f"{name} is {side} by {abs(better):.1f} standard errors over the folds; {SURE} better needed"
+    return f"{name} is {side} by {abs(better):.1f} standard errors over the folds; {SURE_STANDARD_ERRORS} better needed"
 
 
-def errors_elsewhere(
+def errors_on_simulated_cells(
     cell: Cell, fits: Sequence[Fit], names: Sequence[EstimatorName], calibration: NormalisedRecording
 ) -> dict[EstimatorName, float]:
     """Rms errors of estimators on simulated cells under random ramps and holds, over full scale.
@@ -163,18 +164,18 @@ def errors_elsewhere(
         names: estimators of the cell; the first is the reference.
         calibration: the recording, which determines the noise and the model error of the simulations.
     """
-    load = simulate.random_loads(np.random.default_rng(0), ELSEWHERE_STEPS, ELSEWHERE_CELLS, ELSEWHERE_STEP_S)
+    load = simulate.random_loads(np.random.default_rng(0), SIMULATED_STEPS, SIMULATED_CELLS, SIMULATED_STEP_S)
     least = min(fit.error for fit in fits)
     kinds = [fit for fit in fits if fit.error <= EXPLAINS_TOO * least]
     rms = np.empty((len(kinds), len(names)))
     for row, fit in enumerate(kinds):
         rng = np.random.default_rng(1)
-        r = fit.simulate(rng, load, ELSEWHERE_STEP_S) / cell.rest_resistance_ohm - 1
-        r = disturbed(calibration, rng, load, r, ELSEWHERE_STEP_S)
+        r = fit.simulate(rng, load, SIMULATED_STEP_S) / cell.rest_resistance_ohm - 1
+        r = disturbed(calibration, rng, load, r, SIMULATED_STEP_S)
         resistance = cell.rest_resistance_ohm * (1 + r)
         for column, name in enumerate(names):
-            estimator = cell.estimator((ELSEWHERE_CELLS,), name)
-            pressure = np.array([estimator.step(ELSEWHERE_STEP_S, frame) for frame in resistance])
+            estimator = cell.estimator((SIMULATED_CELLS,), name)
+            pressure = np.array([estimator.step(SIMULATED_STEP_S, frame) for frame in resistance])
             rms[row, column] = np.sqrt(np.mean((pressure / cell.full_scale_kpa - load) ** 2))
     rms = np.maximum(rms, 1e-9)
     reference = float(rms[:, 0].max())

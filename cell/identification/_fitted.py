@@ -15,9 +15,9 @@ Simulation = Callable[[np.random.Generator, FloatArray, float], FloatArray]
 parameters, under loads (n, m)"""
 
 
-def not_simulated(rng: np.random.Generator, load: FloatArray, dt_s: float) -> FloatArray:
-    """Of a contact, whose static curve is not learned from simulations."""
-    raise AssertionError("no simulations of a contact are needed")
+def no_simulation(rng: np.random.Generator, load: FloatArray, dt_s: float) -> FloatArray:
+    """Of a contact, of which nothing is learned from simulations."""
+    raise AssertionError("a contact is not simulated")
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Fit:
     """rms residual of the resistance over its range, on the fitted data"""
     fold_errors: tuple[float, ...]
     """rms prediction error over the same range on each fold, after fitting the part before the fold"""
-    simulate: Simulation = not_simulated
+    simulate: Simulation = no_simulation
     """simulates cells like the identified one"""
     simulate_folds: tuple[Simulation, ...] = ()
     """the same for the fit before each fold"""

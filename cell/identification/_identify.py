@@ -11,6 +11,7 @@ import numpy as np
 from ...common.arrays import FloatArray
 from ...errors import InputError
 from ..materials import Model, simulate
+from ._contact_fit import fit_contact
 from ._fitted import Drift, Fit, Parameter
 from ._folds import Fold, folds
 from ._kinds import (
@@ -27,8 +28,8 @@ from ._kinds import (
 )
 from ._least_squares import Grid, correlation_length, predict, solve
 from ._recording import Recording
+from ._recovery_curve import longest_recovery, recovery_branches
 from ._remarks import clock_shift_s
-from ._straight_lines import fit_contact, longest_recovery, recovery_branches
 from ._training import cubic
 
 POINTS, POINTS_BEFORE_FOLDS = 2000, 1000

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ...common.arrays import FloatArray
 from ._fitted import Drift
 from ._recording import Recording
 
@@ -55,8 +54,8 @@ def remarks(
             "does the temperature change, or a lead loosen? Estimates drift with it; "
             "record again when R0 is steady"
         )
-    lead = resistance_lead_s(recording)
-    if lead > 0:
+    lead = clock_shift_s(recording)
+    if lead > 0:  # a lag can be a property of the cell, as many follow the pressure late; a lead cannot
         yield (
             f"the resistance changes {lead:.2g} s before the pressure does: is the load cell late, or are the clocks "
             "apart? The delay is taken for a property of the cell"
@@ -119,20 +118,13 @@ def believed(drift: Drift) -> bool:
     return large and abs(drift.share) > DRIFT_ERRORS * drift.std_error and drift.unexplained < DRIFT_LEAVES
 
 
-def resistance_lead_s(recording: Recording) -> float:
-    """Lead of the resistance before the pressure in seconds; 0: no clear lead.
-
-    A lead cannot be a property of a cell. A lag can: many cells follow the pressure late.
-    """
-    return max(clock_shift_s(recording), 0.0)
-
-
 def clock_shift_s(recording: Recording) -> float:
     """By how many seconds the resistance changes before the pressure (negative: after it); 0: not clear.
 
     This is where the cross-correlation of their changes is largest, whether loads raise the resistance or lower it.
     """
     from scipy.ndimage import gaussian_filter1d
+    from scipy.signal import correlate
 
     step = recording.step_s
     time = np.arange(recording.time_s[0], recording.time_s[-1], step)
@@ -143,19 +135,13 @@ def clock_shift_s(recording: Recording) -> float:
     width = max(1.0, LEAD_S / step / 3)
     rates = [np.gradient(gaussian_filter1d(signal, width)) for signal in (pressure, log_ohm)]
     most = min(round(LONGEST_LEAD_S / step), len(time) // 4)
-    found = np.abs(_correlation(rates[0], rates[1], most))
+    late, early = (rate - rate.mean() for rate in rates)
+    middle = len(time) - 1
+    product = correlate(late, early, method="fft")[middle - most : middle + most + 1]
+    found = np.abs(product) / max(float(np.linalg.norm(late) * np.linalg.norm(early)), 1e-300)
     lead = int(np.argmax(found)) - most
     far_enough = abs(lead) * step >= LEAD_S and abs(lead) >= LEAD_STEPS
     return lead * step if far_enough and found.max() > CLEARLY else 0.0
-
-
-def _correlation(late: FloatArray, early: FloatArray, most: int) -> FloatArray:
-    """(2 most + 1,) correlation of ``late`` with ``early`` shifted back by -most to most samples."""
-    late, early = late - late.mean(), early - early.mean()
-    size = 2 * len(late)
-    product = np.fft.irfft(np.fft.rfft(late, size) * np.conj(np.fft.rfft(early, size)), size)
-    around = np.concatenate([product[-most:], product[: most + 1]]) if most else product[:1]
-    return np.asarray(around / max(float(np.linalg.norm(late) * np.linalg.norm(early)), 1e-300))
 
 
 def clipped_share(recording: Recording, full_scale_kpa: float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -80,8 +81,8 @@ def _percents(values: tuple[float, ...], unit: float = 1.0) -> str:
 def calibration_record(calibration: CalibrationResult) -> dict[str, Any]:
     """The content of :func:`calibration_text` for programs: only numbers, texts, lists and None.
 
-    Errors of fits are fractions of the range of the resistance; errors of estimators are % of full scale. An infinite
-    standard error (of a parameter that is not identified) becomes None.
+    Errors of fits are fractions of the range of the resistance; errors of estimators are % of full scale. The standard
+    error of a parameter that is not identified may be infinite.
     """
     cell = calibration.cell
     assert cell.estimators is not None
@@ -101,15 +102,7 @@ def calibration_record(calibration: CalibrationResult) -> dict[str, Any]:
             }
             for fit in calibration.fits
         ],
-        "parameters": [
-            {
-                "name": parameter.name,
-                "value": parameter.value,
-                "std_error": parameter.std_error if np.isfinite(parameter.std_error) else None,
-                "identified": parameter.identified,
-            }
-            for parameter in calibration.fit.parameters
-        ],
+        "parameters": [asdict(parameter) for parameter in calibration.fit.parameters],
         "inverse_margin": calibration.inverse_margin,
         "folds_s": [[fold.start_s, fold.end_s] for fold in calibration.folds],
         "remarks": list(calibration.remarks),

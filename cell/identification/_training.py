@@ -18,7 +18,7 @@ from ...common.arrays import FloatArray
 from ..inversions import BEYOND, DRIFT, UNKNOWN_DRIFT, Bank, Learned, Limits, Reached, StaticCurve, Terms
 from ..materials import simulate
 from ._fitted import Simulation
-from ._judged import Judged
+from ._fold_errors import FoldErrors
 
 LAGS_S = (0.5, 2.0, 8.0, 30.0, 120.0)
 """time constants of the distilled estimator; longer lags would only remember how the recording began"""
@@ -40,7 +40,7 @@ CREEP = 0.08
 """contribution to r, over its range, of creep that is too slow for the recording and of loads before it"""
 CREEP_LENGTH = (0.08, 1.33)
 """range of the time constants of such creep, over the length of the recording"""
-TELLING = 2
+CALIBRATION_FOLDS = 2
 """number of folds, counted from the last, on which the standard deviations of learned estimators are calibrated"""
 NARROWEST, WIDEST = 0.5, 3.0
 """limits of the factor by which held-out folds change a learned standard deviation"""
@@ -217,7 +217,7 @@ def learn(
     """Ridge regression of the load, then of its absolute error, on the terms of :class:`..inversions.Learned`.
 
     ``plays`` are half widths over the range of r. The scale of the standard deviation is preliminary; see
-    :func:`calibrated`.
+    :func:`with_calibrated_std`.
     """
     widths = tuple(float(width) * calibration.spread for width in plays)
     bank = Bank(smoothing_s=SMOOTHING_S, lags_s=lags_s, plays=widths, paths_s=paths_s)
@@ -319,25 +319,27 @@ def distilled(
     )
 
 
-def calibrated(learned: Learned, judged: Sequence[Judged], *, drift: float, elsewhere: float, most: float) -> Learned:
+def with_calibrated_std(
+    learned: Learned, judged: Sequence[FoldErrors], *, drift: float, simulated_error: float, most: float
+) -> Learned:
     """``learned`` with a standard deviation calibrated on held-out folds (split conformal prediction by regime).
 
     The deviation is the learned one times a factor, but at least a floor. Factor and floor are chosen such that 95 % of
     the errors lie within two deviations, before the final multiplication by ``DRIFT``. This holds for each of the last
-    :data:`TELLING` folds, and separately at rest, under a held load, and under a changing load, so that long rests do
-    not mask errors under presses. Earlier folds are left out, since too little training data may precede them. If a
-    factor of :data:`WIDEST` is not enough, the floor rises. The floor never exceeds ``most``.
+    :data:`CALIBRATION_FOLDS` folds, and separately at rest, under a held load, and under a changing load, so that long
+    rests do not mask errors under presses. Earlier folds are left out, since too little training data may precede them.
+    If a factor of :data:`WIDEST` is not enough, the floor rises. The floor never exceeds ``most``.
 
     Args:
         learned: the estimator.
         judged: held-out errors fold by fold, with the deviations that ``learned`` states so far.
         drift: mean error of the static curve on the fold where that error is largest, normalised load. The estimator
             compensates this drift by its memory, but cannot know a drift that outlasts the recording.
-        elsewhere: rms error on simulated cells under random loads, normalised load, if the recorded presses are few or
-            all alike, and thus represent no others; else 0.
+        simulated_error: rms error on simulated cells under random loads, normalised load, if the recorded presses are
+            few or all alike, and thus represent no others; else 0.
         most: largest floor, normalised load: the rms error of the static curve.
     """
-    last = judged[-TELLING:]
+    last = judged[-CALIBRATION_FOLDS:]
     regimes = [part for fold in last for part in fold.regimes()]
     floor = max(FLOOR * max(fold.pressed_rms for fold in last), UNKNOWN_DRIFT * drift, SUREST)
     needed = [np.where(error > 2 * floor, error / (2 * np.maximum(std, 1e-9)), 0.0) for error, std in regimes]
@@ -345,5 +347,5 @@ def calibrated(learned: Learned, judged: Sequence[Judged], *, drift: float, else
     for error, std in regimes:
         if np.mean(error <= 2 * np.maximum(widen * std, floor)) < 0.95:
             floor = max(floor, float(np.quantile(error, 0.95, method="higher")) / 2)
-    floor = max(min(max(floor, elsewhere), most), SUREST)
+    floor = max(min(max(floor, simulated_error), most), SUREST)
     return learned.replace(std_factor=learned.std_factor * DRIFT * widen, std_floor=DRIFT * floor)

@@ -56,6 +56,8 @@ class ReadoutCircuit(ABC):
     """whether :mod:`.._population` can read many boards with this circuit at once; else each board is scanned alone"""
     drives_idle_lines: ClassVar[bool] = False
     """whether an amplifier drives the idle lines, so that ``drive.idle_rows`` does not count"""
+    behind_the_load: ClassVar[str] = ""
+    """what a circuit without virtual grounds has besides its load, in a few words for the schematic"""
 
     # Reading
 

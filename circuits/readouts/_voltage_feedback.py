@@ -65,6 +65,7 @@ class VoltageFeedback(VoltageDivider):
     has_amplifiers = True
     mixes_cells = False
     drives_idle_lines = True
+    behind_the_load = "a follower drives all idle lines"
 
     def read(self, board: Parts, ports: FloatArray) -> Reading:
         """Output of the follower; every (row, column) pair is a measurement of its own.

@@ -9,7 +9,7 @@
 from ._board import REFERENCE_BOARDS, BoardKind, BoardSettings, FirmwareBoard, check_scene
 from ._circuit import REFERENCE_RESISTORS_OHM, reference_outputs
 from ._engines import AVR8JS, Engine, missing_for
-from ._loop import emulate_firmware, running_firmware
+from ._loop import FirmwareInService
 from ._measure import (
     BAUD_RATES,
     ERROR_BUDGET_STEPS,
@@ -35,14 +35,13 @@ __all__ = [
     "DwellError",
     "Engine",
     "FirmwareBoard",
+    "FirmwareInService",
     "FrameRate",
     "Processor",
     "check_scene",
     "dwell_error",
-    "emulate_firmware",
     "fastest_scan",
     "line_rate",
     "missing_for",
     "reference_outputs",
-    "running_firmware",
 ]

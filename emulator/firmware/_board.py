@@ -10,7 +10,6 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -29,7 +28,7 @@ from ._processor import CLOCK_HZ, Processor
 from ._wiring import DirectWiring, ShiftedWiring, Wiring
 
 _HERE = Path(__file__).parent
-_LINK_FAULTS = (*BYTE_FAULTS, *PACKET_FAULTS, "stall")
+_LINK_FAULTS = (*BYTE_FAULTS, *PACKET_FAULTS, "stall", "split-bytes", "second-host")
 _FIRST_ROW = frozenset({0})
 _ADC_BITS = 10
 _STORED = struct.Struct("<BBBxHxxI16s")  # the settings in EEPROM, see docs/hardware.md
@@ -74,6 +73,8 @@ def check_scene(scene: Scene) -> BoardKind:
             raise InputError(f'link_fault[{number}]: "{fault.kind}"; the firmware engine has {kinds}')
     if scene.clock != ClockSettings():
         raise InputError("clock: the firmware engine has the exact clock of its processor; leave the table out")
+    if scene.line.auto_reset:
+        raise InputError("line.auto_reset: the firmware engine has no such part; leave the key out")
     design = scene.skin.design
     rows, columns = design.array.shape
     for kind in REFERENCE_BOARDS:
@@ -257,9 +258,7 @@ class FirmwareBoard:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def port_written(self, cycle: float, port: str, output: int, direction: int) -> None:

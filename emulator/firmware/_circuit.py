@@ -11,7 +11,7 @@ from .._scene import Scene
 from .._skin import ScenePhysics
 
 CELLS_PERIOD_S = 1e-3
-"""s between two looks at what presses on the skin; a frame takes one or more of them"""
+"""s between two updates of what presses on the skin; a frame takes one or more of them"""
 _SAME_RESISTANCE = 1e-6
 """relative change of all cells below which the circuit is not solved again: far below a step of the ADC"""
 _NO_DRIVE = 1e-6
@@ -42,11 +42,11 @@ class ScanCircuit:
         self._design = self._physics.design(0.0)
         surface, cells = self._physics.cells(np.array([0]))
         self.pressure_kpa: FloatArray = surface[0]
-        """(rows, columns) on the surface at the last look"""
+        """(rows, columns) on the surface at the last update"""
         self.resistance_ohm: FloatArray = cells[0]
-        """(rows, columns) of the cells at the last look"""
-        self._cells_held = False
-        self._looked_at_s = 0.0
+        """(rows, columns) of the cells at the last update"""
+        self._cells_fixed = False
+        self._updated_s = 0.0
         self._time_s = 0.0
         self._rows: frozenset[int] = frozenset()
         self._transient = Transient(self._design, self.resistance_ohm)
@@ -56,13 +56,13 @@ class ScanCircuit:
         """Other rows are pulled to ground from now on; index ``rows`` of the array is the reference resistors."""
         self._advance(time_s)
         self._rows = rows
-        if not self._cells_held and time_s - self._looked_at_s >= CELLS_PERIOD_S:
-            self._look_at_skin(time_s)
+        if not self._cells_fixed and time_s - self._updated_s >= CELLS_PERIOD_S:
+            self._update_cells(time_s)
         self._aim()
 
     def hold_cells(self, resistance: FloatArray) -> None:
         """From now on the cells have these resistances, (rows, columns) ohm, whatever the scene says."""
-        self._cells_held = True
+        self._cells_fixed = True
         self._change(self._design, self._design.resistance(resistance))
         self._aim()
 
@@ -86,8 +86,8 @@ class ScanCircuit:
         self._transient.advance(time_s - self._time_s)
         self._time_s = max(self._time_s, time_s)
 
-    def _look_at_skin(self, time_s: float) -> None:
-        self._looked_at_s = time_s
+    def _update_cells(self, time_s: float) -> None:
+        self._updated_s = time_s
         by_hand = None if self._hand is None else self._hand.take_change()
         if by_hand is not None:
             self._physics.by_hand_kpa = by_hand.ravel()
@@ -144,11 +144,7 @@ def reference_outputs(design: Design, resistance: FloatArray) -> FloatArray:
     array = design.array
     known = np.resize(REFERENCE_RESISTORS_OHM, array.columns)
     extended = design.replace(
-        array={
-            "rows": array.rows + 1,
-            "row_lead": _before(array.row_lead),
-            "row_segment": _before(array.row_segment),
-        },
+        array={"rows": array.rows + 1, "row_lead": _before(array.row_lead), "row_segment": _before(array.row_segment)},
         fault=tuple(_one_row_further(fault) for fault in design.fault),
     )
     outputs: FloatArray = scan(extended, np.vstack([known, resistance]), method="exact").volts[0]

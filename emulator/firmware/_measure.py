@@ -1,13 +1,8 @@
-"""Measurements on the firmware in the loop: settling error against dwell, and frame rates against ADC and line speed.
-
-``python -m ohmskin.emulator.firmware`` prints the figures of docs/hardware.md.
-"""
+"""Measurements on the firmware in the loop: settling error against dwell, frame rates against ADC and line speed."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -16,7 +11,7 @@ from ...common.arrays import FloatArray
 from ...wire import Flag, FramePacket, Order, PacketDecoder, Reply, Status, host_protocol
 from .._scene import Scene
 from .._skin import Sample
-from ._board import BoardKind, BoardSettings, FirmwareBoard
+from ._board import BoardSettings, FirmwareBoard
 
 PRESCALERS_LOG2 = (7, 6, 5, 4)
 """prescalers of the ADC, 2**this"""
@@ -38,8 +33,6 @@ class DwellError:
 
     dwell_us: int
     """us from selecting a row to its first conversion, as set"""
-    first_sample_us: float
-    """us from selecting a row to the sample instant of its first column, as it was"""
     measured_steps: float
     predicted_steps: float
     """by :class:`ohmskin.circuits.Settling` for the same instants"""
@@ -94,7 +87,6 @@ def dwell_error(design: Design, settings: BoardSettings) -> DwellError:
     loaded = slice(None, None, 2)
     return DwellError(
         dwell_us,
-        1e6 * max(after for after, _, column in instants if column == 0),
         float(np.abs(samples[-1].volts - settled)[loaded].max() / design.adc.step),
         float(np.abs(predicted).max() / design.adc.step),
     )
@@ -156,43 +148,6 @@ def line_rate(design: Design, baud: int) -> tuple[float, float]:
     dropped = last.sequence - first.sequence - (len(frames) - 1)
     assert dropped == 0 or any(Flag.OVERRUN in frame.flags for frame in frames)
     return (len(frames) - 1) / seconds, dropped / seconds
-
-
-def tables(kinds: Sequence[BoardKind], examples: Path) -> Iterator[str]:
-    """The figures of docs/hardware.md, line by line in Markdown tables.
-
-    Args:
-        kinds: the boards to measure.
-        examples: folder of the boards' designs.
-
-    """
-    for kind in kinds:
-        design = Design.load(examples / f"board-{kind.name}.toml")
-        yield f"### Board {kind.name}: reading error against dwell, ADC clock {16e3 / 2**kind.adc_prescaler_log2:g} kHz"
-        yield "| dwell / us | first sample / us | error, firmware / steps | error, settling model / steps |"
-        yield "|---|---|---|---|"
-        for dwell_us in (0, 20, 40, 60, 80, 100, 120, 140):
-            point = dwell_error(design, BoardSettings(dwell_us=dwell_us, period_us=100_000))
-            yield (
-                f"| {point.dwell_us} | {point.first_sample_us:.1f} | {point.measured_steps:.3f} "
-                f"| {point.predicted_steps:.3f} |"
-            )
-        yield ""
-        yield f"### Board {kind.name}: fastest scan within {ERROR_BUDGET_STEPS:g} ADC steps of settled"
-        yield "| ADC clock / kHz | shortest dwell / us | error / steps | frames/s |"
-        yield "|---|---|---|---|"
-        for prescaler in PRESCALERS_LOG2:
-            rate = fastest_scan(design, prescaler)
-            clock_khz = rate.adc_clock_hz / 1e3
-            yield f"| {clock_khz:g} | {rate.dwell_us} | {rate.error_steps:.2f} | {rate.frames_per_s:.0f} |"
-        yield ""
-        yield f"### Board {kind.name}: frame rate against line speed, dwell {kind.dwell_us} us"
-        yield "| baud | frames/s that arrive | frames/s dropped |"
-        yield "|---|---|---|"
-        for baud in BAUD_RATES:
-            arriving, dropped = line_rate(design, baud)
-            yield f"| {baud} | {arriving:.1f} | {dropped:.1f} |"
-        yield ""
 
 
 def _scene(design: Design) -> Scene:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from types import TracebackType
 from typing import Self
 
 import foxglove
@@ -46,9 +45,7 @@ class FoxgloveServer:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

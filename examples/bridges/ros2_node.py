@@ -49,11 +49,7 @@ def messages(frame: Frame, frame_id: str) -> dict[str, dict[str, Any]]:
         for contact in frame.contacts
     ]
     numbers = messages_of(frame)["/ohmskin/frame"]
-    return {
-        "pressure": image,
-        "contacts": {"header": header, "poses": poses},
-        "frame": {"data": json.dumps(numbers)},
-    }
+    return {"pressure": image, "contacts": {"header": header, "poses": poses}, "frame": {"data": json.dumps(numbers)}}
 
 
 def _stamp(host_time: float) -> dict[str, int]:

@@ -11,7 +11,7 @@ from boards import DESIGN, EXAMPLES, PRESS, scene
 from needs import need
 
 from ohmskin.emulator import Port, PtyPort, Rfc2217Port, TcpPort, running
-from ohmskin.emulator.firmware import missing_for, running_firmware
+from ohmskin.emulator.firmware import missing_for
 from ohmskin.hil.plugin import target
 
 BOARD = {"frame_rate": 100.0, "reference_resistances": [10e3, 20e3]}
@@ -42,7 +42,7 @@ def port(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
         reference_board = scene(
             skin={"design": str(EXAMPLES / "board-4x4.toml")}, board={"frame_rate": 100.0}, contact=[]
         )
-        with PtyPort() as end, running_firmware(reference_board, end):
+        with PtyPort() as end, running(reference_board, end, engine="firmware"):
             yield end.name
         return
     match request.param:

@@ -6,18 +6,14 @@ it is either read as an independent reader reads it, or refused in one :class:`I
 
 from __future__ import annotations
 
-import base64
 import contextlib
-import hashlib
 import io
 import json
 import math
 import os
 import random
 import re
-import shutil
 import struct
-import tempfile
 import tomllib
 import warnings
 import zlib
@@ -27,26 +23,20 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import jsonschema
 import numpy as np
 from pydantic import BaseModel
 
 from ohmskin.bench._reference import Indeterminate, reference_volts
-from ohmskin.calibration import Plan, Progress, calibrate_cells
 from ohmskin.cell import Cell
 from ohmskin.circuits import Design, scan
 from ohmskin.cli import run
-from ohmskin.common.config import parse
 from ohmskin.common.tables import read_cells, read_columns
 from ohmskin.common.text import one_line
-from ohmskin.driver import Calibration, ReplayPort, Skin
+from ohmskin.driver import ReplayPort, Skin
 from ohmskin.emulator import Scene
 from ohmskin.errors import InputError, LinkEnded, LinkError, OhmskinError, SolverError
-from ohmskin.verification._record import compare, load_record
-from ohmskin.wire import BOARDS, BoardFile, FramePacket, Order, board_protocol, host_protocol
+from ohmskin.wire import BoardFile, FramePacket, Order, board_protocol, host_protocol
 
-from .described import board_text, judged_stream, round_trip
-from .described import stream as described_stream
 from .mutations import mutated
 
 ACCEPTED, REFUSED = "accepted", "refused"
@@ -173,94 +163,6 @@ def _judge_scene(data: bytes, rng: random.Random, folder: Path) -> str:
         assert np.isfinite(pressure).all(), "pressure is not finite"
         assert (pressure >= 0).all(), "pressure is negative"
         assert pressure.max() <= most * (1 + 1e-9), "a cell bears more than all contacts together"
-    return ACCEPTED
-
-
-def _calibration_text(rng: random.Random) -> bytes:
-    where = Path(tempfile.mkdtemp()) / "calibration.toml"
-    grid = np.reshape([rng.uniform(0.5, 2.0) for _ in range(math.prod(SHAPE))], SHAPE)
-    Calibration(
-        rest_ohm=1e4 * grid,
-        gain=grid,
-        gain_std=0.01 * grid,
-        rest_std_kpa=0.01 * grid,
-        residual_kpa=0.0 * grid,
-        calibrated=grid > 0.6,
-        loads_kpa=(5.0, 12.0),
-        presses=24,
-        serial_number="A1",
-        design_hash="d",
-        cell_hash="c",
-        date="2026-01-02T03:04:05+00:00",
-        remarks=("one",),
-    ).save(where)
-    content = where.read_bytes()
-    shutil.rmtree(where.parent)
-    return content
-
-
-def _judge_calibration(data: bytes, rng: random.Random, folder: Path) -> str:
-    """What is accepted has the hash that it states, as the standard library works it out."""
-    path = folder / "calibration.toml"
-    if rng.random() < 0.7:
-        with contextlib.suppress(Exception):  # whatever the mutation has left of the tables
-            data = data.replace(_tables(data)["hash"].encode(), _calibration_hash(data).encode())
-    path.write_bytes(data)
-    found = _read(path, Calibration.load)
-    if found is None:
-        return REFUSED
-    tables = _tables(data)
-    assert _calibration_hash(data) == tables["hash"] == found.hash
-    assert found.gain.tolist() == tables["cells"]["gain"]
-    return ACCEPTED
-
-
-def _calibration_hash(data: bytes) -> str:
-    tables = _tables(data)
-    del tables["format"], tables["hash"]
-    for name in ("rest_ohm", "gain", "gain_std", "rest_std_kpa", "residual_kpa"):
-        tables["cells"][name] = [[float(value) for value in line] for line in tables["cells"][name]]
-    tables["loads_kpa"] = [float(load) for load in tables["loads_kpa"]]
-    return hashlib.sha256(json.dumps(tables, sort_keys=True).encode()).hexdigest()
-
-
-PROGRESS_PLAN = Plan.make(SHAPE, "each", [5.0, 12.0])
-
-
-def _progress_text(rng: random.Random) -> bytes:
-    grid = np.full(SHAPE, 1e4)
-    rest = {"time_s": 1.0, "resistance_ohm": grid.ravel().tolist(), "std_ohm": [1.0] * 12, "change": [0.0] * 12}
-    presses = [
-        {
-            "cells": [number],
-            "time_s": [10.0 * number + at for at in (5.0, 5.2, 9.0, 9.2)],
-            "load_kpa": [0.0, 5.0, 5.0, 0.0],
-            "window_s": [10.0 * number + at for at in (4.0, 8.0)],
-            "resistance_ohm": [[1e4], [rng.choice((None, 1.3e4))]],
-            "std_ohm": [1.0],
-            "frames": 10,
-            "step": number % 2,
-            "felt_kpa": 5.0,
-            "fault": "",
-        }
-        for number in range(rng.randrange(1, 4))
-    ]
-    content = {"format": 1, "setup": {}, "rest": rest | {"frames": 9}, "presses": presses, "trace": [[1.0, 2.0]]}
-    return json.dumps(content).encode()
-
-
-def _judge_progress(data: bytes, rng: random.Random, folder: Path) -> str:
-    """What is accepted can be gone on with."""
-    path = folder / "skin.toml.progress"
-    path.write_bytes(data)
-    found = _read(path, lambda path: Progress.load(path, {}, PROGRESS_PLAN))
-    if found is None:
-        return REFUSED
-    found.save(folder / "copy")
-    again = Progress.load(folder / "copy", {}, PROGRESS_PLAN)
-    assert [press.time_s.tolist() for press in again.presses] == [press.time_s.tolist() for press in found.presses]
-    with np.errstate(all="ignore"):
-        calibrate_cells(Cell.example(), found.rest, found.presses)
     return ACCEPTED
 
 
@@ -464,32 +366,49 @@ def _unstuffed(data: bytes) -> bytes | None:
     return bytes(out)
 
 
-def _family_stream(rng: random.Random) -> bytes:
-    """A few frames of any family of boards, after the number of the family."""
-    number = rng.randrange(len(BOARDS))
-    family = list(BOARDS.values())[number]
-    board, layout = board_protocol(family.name), family.layout
-    stream = bytes([number])
-    for sequence in range(3):
-        most = 2**layout.adc_bits
-        counts = [[rng.randrange(most) for _ in range(layout.columns)] for _ in range(layout.rows)]
-        stream += board.frame(FramePacket.of(np.array(counts), sequence=sequence, time_us=20_000 * sequence))
-    return stream
+def _board_text(rng: random.Random) -> bytes:
+    """A valid BOARD.toml."""
+    frame = rng.choice(
+        (
+            'format = "text"\nseparator = ","\nprefix = "d:"',
+            'format = "text"\nlayout = "row-per-line"\nend = "flag"\nrange = [-2048.0, 2047.0]\norder = "column-major"',
+            'format = "json"\nkey = "a.b"\ninvert = true\ninvalid = "drop"',
+            'format = "binary"\nword = "uint16be"\nheader = [170, 85]\nbefore = 3\nchecksum = "crc16-modbus"',
+            'format = "binary"\nword = "float32le"\nframing = "cobs"\nrange = [0.0, 1.0]\nflip_rows = true',
+        )
+    )
+    start = rng.choice(('send = "go"\ndtr = false', 'poll = "a"', "send = [1, 2, 255]"))
+    head = 'name = "mat"\nrows = 4\ncolumns = 5\nbits = 12\nbaudrate = 115200'
+    return f"[board]\n{head}\n\n[frame]\n{frame}\n\n[start]\n{start}\n".encode()
 
 
-def _judge_families(data: bytes, rng: random.Random, folder: Path) -> str:
-    """Nothing is raised, and no more frames come than bytes can hold, however the stream is cut."""
-    family = list(BOARDS.values())[(data[0] if data else 0) % len(BOARDS)]
-    host, frames, place = host_protocol(family.name), 0, 0
-    while place < len(data):
-        end = place + rng.choice((1, 64, 4096))
-        for event in host.feed(data[place:end], 0.0):
-            if isinstance(event, FramePacket):
-                frames += 1
-                assert event.counts.max() < 2**16
-        place = end
-    assert frames <= len(data)
-    return ACCEPTED if frames else REFUSED
+def _round_trip(file: BoardFile, rng: random.Random) -> None:
+    """What the described board sends, the described host reads, however the file describes it."""
+    rows, columns, bits = file.board.rows, file.board.columns, file.board.bits
+    if rows * columns > 400:
+        return
+    again = BoardFile.parse(json.loads(json.dumps(file.tables())), "again")
+    shown = [
+        np.array([rng.randrange(2**bits) for _ in range(rows * columns)]).reshape(rows, columns) for _ in range(12)
+    ]
+    for family in (file.family(), again.family()):
+        board, host = board_protocol(family), host_protocol(family)
+        board.feed(host.request(Order.START))
+        found = []
+        for number, counts in enumerate(shown):
+            data = board.frame(FramePacket.of(counts, sequence=0, time_us=0))
+            found += [e.counts for e in host.feed(data, 0.1 * number) if isinstance(e, FramePacket)]
+        if _proves(file):
+            assert found, "no frame of the described board is read"
+            assert all(any(np.array_equal(one, counts) for counts in shown) for one in found), "a frame is read wrongly"
+
+
+def _proves(file: BoardFile) -> bool:
+    """Whether frames of the format cannot be mistaken: lines that end, checksums of some bytes, COBS."""
+    frame = file.frame
+    if frame.format == "binary":
+        return frame.framing == "cobs" or frame.checksum not in ("none", "sum8", "xor8", "crc8")
+    return frame.layout == "frame-per-line" or frame.end is not None
 
 
 def _judge_board(data: bytes, rng: random.Random, folder: Path) -> str:
@@ -500,27 +419,8 @@ def _judge_board(data: bytes, rng: random.Random, folder: Path) -> str:
     if file is None:
         return REFUSED
     _agrees(_tables(data), file)
-    round_trip(path, rng)
+    _round_trip(file, rng)
     return ACCEPTED
-
-
-def _judge_described(data: bytes, rng: random.Random, folder: Path) -> str:
-    return ACCEPTED if judged_stream(data, rng) else REFUSED
-
-
-def _commands(rng: random.Random) -> bytes:
-    host = host_protocol("ohmskin")
-    return b"".join(host.request(rng.choice(list(Order)), period_us=rng.randrange(2**32)) for _ in range(5))
-
-
-def _judge_commands(data: bytes, rng: random.Random, folder: Path) -> str:
-    """The board takes each command once, whatever the line adds."""
-    whole = board_protocol("ohmskin").feed(data)
-    board, single = board_protocol("ohmskin"), []
-    for place in range(len(data)):
-        single += board.feed(data[place : place + 1])
-    assert single == whole, "commands depend on how the bytes are cut"
-    return ACCEPTED if whole else REFUSED
 
 
 # --- recordings -------------------------------------------------------------------------------------------------------
@@ -615,107 +515,12 @@ def _drive(path: Path) -> str:
     return REFUSED
 
 
-def _told(rng: random.Random) -> bytes:
-    """Metadata and events of a recording, a JSON text on each line."""
-    shape = _DESIGN["array"]["rows"], _DESIGN["array"]["columns"]
-    rest = base64.b64encode(np.full(shape, 2e4).tobytes()).decode()
-    block = {"shape": list(shape), "data": rest}
-    clock = {"steps": 0, "origin": [1.0, 5.0], "buckets": [[0.0, 0.0]], "bucket_ends": 0.5, "least": [0.0, 0.0]}
-    stream = {"begun": True, "expected": 0, "boot_id": None, "latest_us": None, "latest_monotonic": 5.0, "time_s": 0.0}
-    stream |= {"recent": [[1, 2, 3]], "numbered": True}
-    stream |= {"clock": clock | {"drift": 0.0, "anchor": [0.0, 0.0]}}
-    measured = {"time_s": None, "rest_ohm": block, "noise_steps": 0.5, "counts": None, "restarted": False}
-    cell = _cell(rng)
-    memory = parse(cell, Cell, source="cell").estimator(shape, "static").state()
-    kept = {
-        name: {"shape": list(array.shape), "data": base64.b64encode(array.tobytes()).decode()}
-        for name, array in memory.items()
-    }
-    past = {"heard": "AAEC", "stream": stream, "measurement": measured | {"estimator": kept}}
-    given = json.dumps({"design": _DESIGN, "cell": cell})
-    lines = [
-        {"format": "1", "board": "ohmskin", "given": given, "pitch": (0.004).hex(), "estimator": "static"},
-        {"event": "joined", "past": past},
-        {"event": "rest", "rest_ohm": rest, "after_s": (5.0).hex()},
-        {"event": "rest", "rest_ohm": None, "after_s": None},
-        {"event": "port gone"},
-    ]
-    return "\n".join(map(json.dumps, lines)).encode()
-
-
-def _judge_told(data: bytes, rng: random.Random, folder: Path) -> str:
-    head, *events = data.split(b"\n")
-    try:
-        metadata = {str(key): str(value) for key, value in json.loads(head).items()}
-        _mcap(metadata, [])
-    except (ValueError, AttributeError, RecursionError):
-        return REFUSED
-    path = folder / "told.mcap"
-    path.write_bytes(_mcap(metadata, [(2, event) for event in events] + [(1, data) for data in _arrivals(rng)]))
-    if _read(path, ReplayPort) is None:
-        return REFUSED
-    return _drive(path)
-
-
 _DESIGN: dict[str, Any] = {
     "array": {"rows": 2, "columns": 3, "row_lead": 70.0},
     "drive": {"voltage": -1.0},
     "readout": {"circuit": "inverting-amplifier", "reference_resistance": 20e3, "supply": [0.0, 3.3]},
     "adc": {"bits": 16, "range": [0.0, 3.3]},
 }
-
-# --- report.json ------------------------------------------------------------------------------------------------------
-
-
-def _report(rng: random.Random) -> bytes:
-    """A report of one requirement and one claim."""
-    outcome = rng.choice(("pass", "fail", "not run"))
-    check = {"name": "droop", "outcome": outcome, "measured": 0.5, "limit": 1.0, "relation": "<=", "unit": "%"}
-    requirement: dict[str, Any] = dict.fromkeys(
-        ("text", "source", "quantity", "title", "method", "unit", "where", "confidence", "reason"), "words"
-    )
-    requirement |= {"id": "D1", "min": None, "max": 2.5, "outcome": outcome, "margin": 1.5, "seconds": 0.25}
-    requirement |= {
-        "measured": rng.choice((1.0, None, "inf")),
-        "contributions": {"switch": 0.5},
-        "samples": [1.0, "nan"],
-    }
-    claim = {"id": "P1", "title": "crosstalk", "where": "III", "outcome": outcome, "seconds": 1.0}
-    claim |= {"checks": [check | {"reason": ""}]}
-    report: dict[str, Any] = dict.fromkeys(
-        ("title", "finished", "command", "target", "design_sha256", "cell_sha256", "run_sha256", "cell_source"), "words"
-    )
-    report |= {"schema_version": 1, "outcome": outcome, "exit_code": 0, "seconds": 2.0, "seed": 0, "samples": 1000}
-    report |= {"design": _DESIGN, "cell": {}, "environment": {"numpy": "2.0"}, "not_judged": ["noise"], "changes": []}
-    report |= {"requirements": [requirement], "claims": [claim], "appendices": []}
-    return json.dumps(report, indent=1).encode()
-
-
-def _judge_report(data: bytes, rng: random.Random, folder: Path) -> str:
-    """What is accepted has the shape of docs/report.schema.json, as jsonschema reads it, and keeps its values."""
-    path = folder / "report.json"
-    path.write_bytes(data)
-    record = _read(path, load_record)
-    if record is None:
-        return REFUSED
-    tables = json.loads(data.decode("utf-8-sig"))
-    jsonschema.validate(tables, json.loads((ROOT / "docs" / "report.schema.json").read_text()))
-    kept = record.model_dump(mode="python", exclude_unset=True)
-    assert _same(kept, tables), "a value was converted or dropped"
-    compare(record, record)
-    return ACCEPTED
-
-
-def _same(one: Any, other: Any) -> bool:
-    if isinstance(one, dict) and isinstance(other, dict):
-        return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
-    if isinstance(one, list) and isinstance(other, list):
-        return len(one) == len(other) and all(map(_same, one, other))
-    if isinstance(one, float) and isinstance(other, float) and math.isnan(one):
-        return math.isnan(other)
-    if isinstance(one, float) and type(other) is int:
-        return abs(other) > 2**53 or one == other  # a whole number is rounded to a float, or is infinite
-    return bool(one == other) and isinstance(one, bool) == isinstance(other, bool)
 
 
 # --- the command line -------------------------------------------------------------------------------------------------
@@ -762,18 +567,11 @@ FORMATS = {
         Format("design", _design_text, _judge_design),
         Format("cell", _cell_text, _judge_cell),
         Format("scene", _scene_text, _judge_scene),
-        Format("calibration", _calibration_text, _judge_calibration),
-        Format("progress", _progress_text, _judge_progress),
         Format("cells", _cells_text, _judge_cells),
         Format("recording", _recording_text, _judge_recording),
         Format("frames", _stream, _judge_stream, text=False),
-        Format("families", _family_stream, _judge_families, text=False),
-        Format("board", board_text, _judge_board),
-        Format("described", described_stream, _judge_described, text=False),
-        Format("commands", _commands, _judge_commands, text=False),
+        Format("board", _board_text, _judge_board),
         Format("mcap", _recorded, _judge_recorded, text=False),
-        Format("events", _told, _judge_told),
-        Format("report", _report, _judge_report),
         Format("call", _call, _judge_call),
     )
 }

@@ -52,10 +52,10 @@ class ActionsenseHost(LineHost):
             return [Corrupt(len(line) + 1, f"a byte of more than {self._half} bits")]
         counts = (values[head::2] << self._half) + values[head + 1 :: 2]
         if head == 1:
-            return one_frame(counts.reshape(_SIDE, _SIDE), received_at)
-        return self._take_row(int(values[0]), int(values[1]), counts, len(line) + 1, received_at)
+            return one_frame(counts.reshape(_SIDE, _SIDE))
+        return self._take_row(int(values[0]), int(values[1]), counts, len(line) + 1)
 
-    def _take_row(self, index: int, row: int, counts: NDArray[np.int64], size: int, received_at: float) -> list[Event]:
+    def _take_row(self, index: int, row: int, counts: NDArray[np.int64], size: int) -> list[Event]:
         events: list[Event] = []
         if row >= _SIDE:
             return [Corrupt(size, f"row {row}; the array has {_SIDE}")]
@@ -65,7 +65,7 @@ class ActionsenseHost(LineHost):
         self._index = index
         self._rows[row] = counts
         if len(self._rows) == _SIDE:
-            events += one_frame(np.array([self._rows[k] for k in range(_SIDE)]), received_at)
+            events += one_frame(np.array([self._rows[k] for k in range(_SIDE)]))
             self._rows.clear()
         return events
 

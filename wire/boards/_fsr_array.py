@@ -65,7 +65,7 @@ class FsrArrayHost(FixedLengthHost):
         counts = np.frombuffer(packet, dtype="<u2", offset=_TIMES.size)
         side = self.layout.columns
         layers = counts.reshape(side, self._layers, side).swapaxes(0, 1)
-        return one_frame(layers.reshape(self.layout.rows, side), received_at, time_us=self._time_us)
+        return one_frame(layers.reshape(self.layout.rows, side), time_us=self._time_us)
 
 
 class FsrArrayBoard(PolledBoard):

@@ -35,7 +35,7 @@ class OhmskinHost(HostProtocol):
 
     def feed(self, data: bytes, received_at: float) -> list[Event]:
         events: list[Event] = []
-        for packet in self._decoder.feed(data, received_at):
+        for packet in self._decoder.feed(data):
             match packet:
                 case FramePacket() | Identity() | SelfTest() | Reply() | Corrupt():
                     events.append(packet)
@@ -108,7 +108,7 @@ class _Assembly:
             design, cell = read_description(text)
         except ProtocolError as error:
             return Corrupt(len(text), str(error), is_description=True)
-        return Description(piece.sequence, piece.time_us, design, cell, piece.boot_id, received_at=piece.received_at)
+        return Description(piece.sequence, piece.time_us, design, cell, piece.boot_id)
 
 
 OHMSKIN = Family(

@@ -70,14 +70,14 @@ class WiresensHost(FixedLengthHost):
         (number,) = _NUMBER.unpack_from(packet, _SIZE - 6)
         readings = np.frombuffer(packet, dtype="<u2", count=READINGS, offset=_HEAD.size)
         if first == CHANGES_INDEX:
-            return self._take_changes(readings.reshape(-1, 2), received_at)
+            return self._take_changes(readings.reshape(-1, 2))
         expected, self._next = self._next, ((number + 1) % _NUMBERS, (first + READINGS) % self._cells)
         if expected != (number, first):
             # Packets are missing: the frame under way has a hole, and only a packet with cell 0 begins the next.
             self._filled = 0 if first == 0 else -1
-        return self._fill(first, readings, number, received_at)
+        return self._fill(first, readings, number)
 
-    def _fill(self, first: int, readings: NDArray[np.uint16], number: int, received_at: float) -> list[Event]:
+    def _fill(self, first: int, readings: NDArray[np.uint16], number: int) -> list[Event]:
         events: list[Event] = []
         # Packets have run on without a gap since packet 0, which began with cell 0.
         origin = number * READINGS + (first - number * READINGS) % self._cells
@@ -92,20 +92,20 @@ class WiresensHost(FixedLengthHost):
                 self._filled += size
             if self._filled == self._cells:
                 sequence = (origin + at) // self._cells % _NUMBERS
-                events += one_frame(self._image(), received_at, sequence=sequence)
+                events += one_frame(self._image(), sequence=sequence)
                 self._known[:] = True
                 self._filled = 0
             at += size
         return events
 
-    def _take_changes(self, pairs: NDArray[np.uint16], received_at: float) -> list[Event]:
+    def _take_changes(self, pairs: NDArray[np.uint16]) -> list[Event]:
         """Cells that have changed: the frame is the last one with these in it. Such frames have no number."""
         places, readings = pairs[:, 0], pairs[:, 1]
         if places.max() >= self._cells or readings.max() > 0x0FFF:
             return [Corrupt(_SIZE, "a changed cell outside the array, or a reading of more than 12 bits")]
         self._counts[places] = readings
         self._known[places] = True
-        return one_frame(self._image(), received_at) if self._known.all() else []
+        return one_frame(self._image()) if self._known.all() else []
 
     def _image(self) -> NDArray[np.uint16]:
         return self._counts.reshape(self.layout.rows, self.layout.columns).copy()

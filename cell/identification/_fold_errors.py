@@ -11,9 +11,9 @@ from ...common.arrays import FloatArray, IntArray
 from ._folds import Fold, pressing
 from ._recording import Recording
 
-REST, HELD, MOVING = range(3)
+REST, CONSTANT, CHANGING = range(3)
 """regimes of a sample: at rest, under a constant load, under a changing load"""
-LIGHT, MOVES, WITHIN_S = 0.05, 0.05, 1.0
+NEARLY_UNLOADED, CHANGES, WITHIN_S = 0.05, 0.05, 1.0
 """fractions of full scale: load below which a cell counts as at rest; and change within ``WITHIN_S`` seconds that
 counts as motion"""
 FEWEST = 20
@@ -21,7 +21,7 @@ FEWEST = 20
 BLOCKS = 12
 """number of parts of all folds together, with equal path lengths of the load in a fold; they count as independent in a
 paired comparison"""
-NEITHER = 0.002
+BOTH_EXACT = 0.002
 """fraction of full scale; parts in which both estimators err less do not enter the comparison"""
 
 
@@ -30,7 +30,7 @@ class Regimes:
     """Regime and path length of the load at each sample of a recording, (n,)."""
 
     regime: IntArray
-    """:data:`REST`, :data:`HELD` or :data:`MOVING`"""
+    """:data:`REST`, :data:`CONSTANT` or :data:`CHANGING`"""
     pressing: FloatArray
     """path of the normalised load up to the sample, which increases"""
 
@@ -39,8 +39,8 @@ class Regimes:
         """The regimes of all samples of a recording."""
         time, load = recording.time_s, recording.quiet.pressure_kpa / full_scale_kpa
         before, after = np.interp(time - WITHIN_S / 2, time, load), np.interp(time + WITHIN_S / 2, time, load)
-        regime = np.where(np.abs(load) < LIGHT, REST, HELD)
-        regime[np.abs(after - before) > MOVES] = MOVING
+        regime = np.where(np.abs(load) < NEARLY_UNLOADED, REST, CONSTANT)
+        regime[np.abs(after - before) > CHANGES] = CHANGING
         path = pressing(recording, full_scale_kpa) + 1e-9 * np.arange(len(time))
         return cls(regime, path)
 
@@ -50,7 +50,7 @@ class Regimes:
 
 
 @dataclass(frozen=True)
-class Judged:
+class FoldErrors:
     """Held-out errors of an estimator on one fold. Arrays are (n,), over full scale."""
 
     fold: Fold
@@ -78,7 +78,7 @@ class Judged:
     def regimes(self) -> Iterator[tuple[FloatArray, FloatArray]]:
         """Absolute errors and stated deviations, for each regime with enough samples; else for all samples together."""
         size = np.abs(self.error)
-        parts = [self.samples.regime == regime for regime in (REST, HELD, MOVING)]
+        parts = [self.samples.regime == regime for regime in (REST, CONSTANT, CHANGING)]
         enough = [part for part in parts if np.count_nonzero(part) >= FEWEST]
         for part in enough or [np.ones(len(size), dtype=np.bool_)]:
             yield size[part], self.std[part]
@@ -92,7 +92,7 @@ class Judged:
         return np.asarray(np.sqrt(np.divide(squares, count, out=np.full(number, np.nan), where=count > 0)))
 
 
-def mixed(judged: Sequence[Judged], reference: Sequence[Judged], share: float) -> list[Judged]:
+def mixed(judged: Sequence[FoldErrors], reference: Sequence[FoldErrors], share: float) -> list[FoldErrors]:
     """Errors of the mixture ``share`` * estimator + (1 - ``share``) * reference; stated deviations stay."""
     return [
         replace(one, error=share * one.error + (1 - share) * other.error)
@@ -100,7 +100,7 @@ def mixed(judged: Sequence[Judged], reference: Sequence[Judged], share: float) -
     ]
 
 
-def best_share(judged: Sequence[Judged], reference: Sequence[Judged]) -> float:
+def best_share(judged: Sequence[FoldErrors], reference: Sequence[FoldErrors]) -> float:
     """The weight from 0 to 1 of an estimator in a mixture with a reference that minimises held-out errors (stacking).
 
     Least squares over the folds, each with the same weight.
@@ -113,7 +113,7 @@ def best_share(judged: Sequence[Judged], reference: Sequence[Judged]) -> float:
     return float(np.clip(products / max(squares, 1e-30), 0.0, 1.0))
 
 
-def rms_by_press(judged: Sequence[Judged], press: float) -> FloatArray:
+def rms_by_press(judged: Sequence[FoldErrors], press: float) -> FloatArray:
     """(n,) rms error of one whole press after the other, over all folds; what is left at the end does not count.
 
     Presses that are all alike have equal errors, wherever in a press the first fold begins. Shorter parts would differ
@@ -131,7 +131,7 @@ def rms_by_press(judged: Sequence[Judged], press: float) -> FloatArray:
     return np.asarray(np.sqrt(np.bincount(place[whole], error[whole] ** 2)[count > 0] / count[count > 0]))
 
 
-def standard_errors_better(judged: Sequence[Judged], reference: Sequence[Judged]) -> float:
+def standard_errors_better(judged: Sequence[FoldErrors], reference: Sequence[FoldErrors]) -> float:
     """Improvement of the mean rms error over a reference, in standard errors (paired t statistic).
 
     The two are compared part by part on the same folds, so that parts that are hard for both add no scatter.
@@ -143,7 +143,7 @@ def standard_errors_better(judged: Sequence[Judged], reference: Sequence[Judged]
     number = BLOCKS // len(judged)
     found = [(one.blocks(number), other.blocks(number)) for one, other in zip(judged, reference, strict=True)]
     own, other = (np.concatenate(blocks) for blocks in zip(*found, strict=True))
-    counted = np.isfinite(own) & (np.maximum(own, other) > NEITHER)
+    counted = np.isfinite(own) & (np.maximum(own, other) > BOTH_EXACT)
     gain = (other - own)[counted]
     if gain.size < 2:
         return 0.0
