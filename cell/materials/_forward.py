@@ -179,7 +179,7 @@ class M10Forward(Forward):
 
     def _run(self, memory: Records[M10Memory], dt_s: FloatArray, pressure: FloatArray) -> FloatArray:
         r = np.empty(pressure.shape)
-        run_m10.unchecked(self._parameters, memory, dt_s, pressure / self.full_scale_kpa, r)
+        run_m10.unchecked(self._parameters, memory, dt_s, np.ascontiguousarray(pressure / self.full_scale_kpa), r)
         return r
 
     def _remembered(self, memory: Records[M10Memory]) -> FloatArray:
