@@ -129,7 +129,7 @@ def step_m10(c: M10Cell, m: M10Memory, dt_s: float, load: float) -> float:
         charges = lead > 0.0 or (lead == 0.0 and change > 0.0)
         gone, ramp = (c.rise_gone[j], c.rise_ramp[j]) if charges else (c.fall_gone[j], c.fall_ramp[j])
         m.x[j] = x + lead * gone + change * ramp
-        if lead * (after - m.x[j]) < 0.0:
+        if dt_s > 0.0 and lead * (after - m.x[j]) < 0.0:
             first_s, second_s = (c.rise_s[j], c.fall_s[j]) if charges else (c.fall_s[j], c.rise_s[j])
             m.x[j] = changed_over(x, before, after, dt_s, first_s, second_s)
     m.broken = m.broken * (1.0 - c.heals) + c.k * abs(load - m.load) * (1.0 - c.heals_ramp)
