@@ -179,7 +179,8 @@ class M10Forward(Forward):
 
     def _run(self, memory: Records[M10Memory], dt_s: FloatArray, pressure: FloatArray) -> FloatArray:
         r = np.empty(pressure.shape)
-        run_m10.unchecked(self._parameters, memory, dt_s, np.ascontiguousarray(pressure / self.full_scale_kpa), r)
+        load = np.ascontiguousarray(pressure / self.full_scale_kpa)
+        run_m10.unchecked(self._parameters, memory, dt_s, load, r)
         return r
 
     def _remembered(self, memory: Records[M10Memory]) -> FloatArray:
