@@ -33,8 +33,7 @@ inequality bounds the sum of all terms after the zeroth:
 
 Each of the two vectors is zero outside one line. Therefore their norms follow from
 (Ur^-1 G Ur^-1)_jj <= (Ur^-1)_jj (1 - p_j), where (Ur^-1)_jj is at most the resistance of the wire to the end of the
-line. By the Collatz-Wielandt bound no eigenvalue of K G exceeds b, so that |R| <= b / (1 + b). :mod:`._series` adds
-further terms; each multiplies the bound by |R| |C|.
+line. By the Collatz-Wielandt bound no eigenvalue of K G exceeds b, so that |R| <= b / (1 + b).
 """
 
 from __future__ import annotations
@@ -274,27 +273,20 @@ def closed_form(cells: FloatArray, wires: UniformWires) -> tuple[Attenuated, Flo
 
 
 @np.errstate(all="ignore")  # divisions by zero occur where a profile underflows
-def by_ladders(
-    cells: FloatArray,
-    wires: Wires,
-    *,
-    returned: FloatArray | None = None,
-    ladders: tuple[Ladders, Ladders] | None = None,
-) -> Attenuated:
+def by_ladders(cells: FloatArray, wires: Wires, *, returned: FloatArray | None = None) -> Attenuated:
     """Line attenuation with the profiles of ladders, exact up to rounding for lines of any resistance.
 
     Args:
         cells: (frames, N, M) S.
         wires: of the grid.
         returned: (frames,) known bounds on |R| |C|; the ladders may give sharper ones.
-        ladders: of the rows and of the columns, if they have been solved already.
 
     Returns:
         The result, with an infinite ``rounded`` for frames in which the drive underflows before the end of a line.
 
     """
     frames, rows, columns = cells.shape
-    row, column = ladders or wires.ladders(cells)
+    row, column = wires.ladders(cells)
     profile, beyond = (_split_frames(part, frames).transpose(1, 2, 0) for part in (row.profile, row.admittance))
     gain, above = (_split_frames(part, frames).swapaxes(0, 1)[:, ::-1] for part in (column.profile, column.admittance))
     lowest, least = profile.min(axis=(1, 2)), gain.min(axis=(1, 2))

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray
-from ._dissection import Tree, dissect
+from ._dissection import dissect
 from ._elimination import ULP, Rounded, eliminate_leading, inverted
 
 IDEAL_WIRE = 1e40  # 0 ohm, relative to the largest conductance beside it; errors are far below rounding
@@ -70,22 +70,6 @@ def transfer_conductances(conductance: FloatArray, lines: Lines) -> Rounded:
     *batch, rows, columns = conductance.shape
     transfer, relative = _ports(conductance.reshape(-1, rows, columns), lines, transfer_only=True)
     return Rounded(transfer.reshape(*batch, rows, columns), relative.reshape(batch))
-
-
-class Stream:
-    """Transfer conductances of one grid whose cells change from frame to frame.
-
-    The blocks of the nested dissection are kept. Only blocks that contain a changed cell are computed again.
-    """
-
-    def __init__(self, lines: Lines) -> None:
-        self._lines = lines
-        self._tree = Tree(*lines.row.shape)
-
-    def transfer(self, conductance: FloatArray) -> Rounded:
-        """As :func:`transfer_conductances`, for one frame (N, M) of cells in S."""
-        transfer, relative = self._tree.transfer(*_reversed_rows(conductance[None], self._lines))
-        return Rounded(transfer[0, ::-1, ::-1].copy(), relative[0])
 
 
 def _ports(conductance: FloatArray, lines: Lines, *, transfer_only: bool) -> Rounded:
