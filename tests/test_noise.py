@@ -12,7 +12,7 @@ from needs import need
 from scipy.constants import Boltzmann
 
 from ohmskin.circuits import Adc, Design, adc_codes, noise, volts_of_codes
-from ohmskin.circuits.spice import available, run_library
+from ohmskin.circuits.spice import command_available, run_command
 from ohmskin.circuits.timing._dynamics import column_conductances, column_dynamics
 from ohmskin.errors import InputError
 
@@ -115,12 +115,13 @@ def by_ngspice(design: Design, row: int, column: int) -> float:
         f".noise v({'q' if design.adc else 'o'}{column}) Vin dec 300 1 1e11",
         ".end",
     ]
-    return float(run_library("\n".join(cards))["onoise_total"][0])
+    found = run_command("\n".join(cards))
+    return float(np.sqrt(np.trapezoid(np.abs(found["onoise_spectrum"]) ** 2, np.abs(found["frequency"]))))
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_against_ngspice(name: str) -> None:
-    need(available())
+    need(command_available())
     design = board(**CASES[name], **SOURCES)
     result = noise(design, CELLS).before_adc
     for row, column in ((0, 0), (1, 1), (0, 1)):

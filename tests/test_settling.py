@@ -12,7 +12,7 @@ from needs import need
 from scipy.integrate import solve_ivp
 
 from ohmskin.circuits import Adc, Design, Settling, scan, stability
-from ohmskin.circuits.spice import available, run_library
+from ohmskin.circuits.spice import command_available, run_command
 from ohmskin.errors import InputError, SolverError
 
 CELLS = np.array([[1e4, 2e4, 5e4], [3e4, np.inf, 1.5e4]])
@@ -109,7 +109,7 @@ def transient(design: Design, period: float, frames: int) -> np.ndarray:
     stop = frames * rows * period
     cards.append(".options reltol=1e-6 abstol=1e-14 vntol=1e-9 chgtol=1e-18 trtol=1")
     cards += [f".tran {period / 100!r} {stop!r} 0 {period / 2000!r}", ".end"]
-    vectors = run_library("\n".join(cards))
+    vectors = run_command("\n".join(cards))
     instants = (np.arange((frames - 1) * rows, frames * rows) + 1) * period
     node = "q" if design.adc else "o"
     return np.column_stack([np.interp(instants, vectors["time"], vectors[f"{node}{j}"]) for j in range(columns)])
@@ -117,7 +117,7 @@ def transient(design: Design, period: float, frames: int) -> np.ndarray:
 
 @pytest.mark.parametrize("name", LAGS)
 def test_against_an_ngspice_transient(name: str) -> None:
-    need(available())
+    need(command_available())
     design = board(**LAGS[name])
     settling = Settling(design, CELLS)
     period = settling.shortest_period(0.1)
@@ -177,7 +177,7 @@ def divider_transient(design: Design, cells: np.ndarray, period: float, frames: 
         cards.append(f"Cs q 0 {adc.sampling_capacitance!r}")
     cards.append(".options reltol=1e-6 abstol=1e-14 vntol=1e-9 chgtol=1e-18 trtol=1")
     cards += [f".tran {period / 100!r} {frames * frame!r} 0 {period / 1000!r}", ".end"]
-    vectors = run_library("\n".join(cards))
+    vectors = run_command("\n".join(cards))
     ends = np.arange((frames - 1) * rows, frames * rows)[:, None] * period + period
     ends = ends - (columns - 1 - np.arange(columns)) * slot
     nodes = ["q" if acquisition else f"q{j}" if adc else f"e{j}" for j in range(columns)]
@@ -186,7 +186,7 @@ def divider_transient(design: Design, cells: np.ndarray, period: float, frames: 
 
 @pytest.mark.parametrize("name", DIVIDERS)
 def test_a_divider_against_an_ngspice_transient(name: str) -> None:
-    need(available())
+    need(command_available())
     cells = np.array([[7e3, 1e6, 2e4], [3e4, 5e4, 1e6], [1e6, 9e3, 1e5]])
     keys = dict(DIVIDERS[name])
     adc, idle = keys.pop("adc", None), keys.pop("idle_rows", "ground")

@@ -61,7 +61,7 @@ class Deck:
         return self._joined(control)
 
     def batch_text(self) -> str:
-        """Netlist for ``ngspice -b -r FILE`` and for libngspice: the analysis is a card, and only outputs are saved."""
+        """Netlist for ``ngspice -b -r FILE``: the analysis is a card, and only outputs are saved."""
         nodes = dict.fromkeys((*self.outputs, self.ground))
         saved = [f".save v({node})" for node in nodes if node != REFERENCE]
         return self._joined([*saved, f".{self.analysis}"])
