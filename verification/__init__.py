@@ -38,7 +38,6 @@ The paper's claims (:mod:`._claims`):
 :mod:`._material`        P2 to P9; :mod:`._estimates` compares estimators in them
 :mod:`._crosstalk`       P10 to P13; :mod:`._variants` has the readouts that are compared
 :mod:`._whole_skin`      P14; with :mod:`._timing`, and :mod:`._firmware` for the firmware in the loop
-:mod:`._speed`           S1 to S3: what a digit costs
 =======================  ==============================================================================
 
 The report: :mod:`._report`, :mod:`._record` (its JSON), :mod:`._outcome` (what it is made of), :mod:`._schematic` and

@@ -381,7 +381,7 @@ def steps(subject: Subject) -> Finding:
             "settling of its frame rate and its converter; R0 is the median of the first "
             "four seconds. Presses and releases take 0.1 s. The paper's estimator knows the cell's parameters to the "
             "letter; ours is what `ohmskin fit` chooses and finds in a recording of the calibration protocol with "
-            f"{100 * NOISE:g} % noise. S2 has them on a material that no model describes."
+            f"{100 * NOISE:g} % noise. `ohmskin bench --estimators` has them on a material that no model describes."
         ],
         figures=[_press_figure(found)],
     )

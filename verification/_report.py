@@ -74,8 +74,6 @@ class Report:
     """of the requirements"""
     claims: list[Claim]
     """P1 to P14, if the paper's claims were run"""
-    appendices: list[Claim]
-    """what goes beyond the paper"""
     seconds: float
     command: str = "ohmskin verify"
     """that makes this report again"""
@@ -99,12 +97,8 @@ class Report:
         return self.subject.target
 
     @property
-    def sections(self) -> list[Claim]:
-        return [*self.claims, *self.appendices]
-
-    @property
     def outcome(self) -> Outcome:
-        found = worst([*(r.outcome for r in self.results), *(claim.outcome for claim in self.sections)])
+        found = worst([*(r.outcome for r in self.results), *(claim.outcome for claim in self.claims)])
         return Outcome.FAIL if self.require_all and found is not Outcome.PASS else found
 
     @property
@@ -114,7 +108,7 @@ class Report:
 
     def count(self, outcome: str) -> int:
         """How many requirements and claims ended so."""
-        outcomes = [r.outcome for r in self.results] + [claim.outcome for claim in self.sections]
+        outcomes = [r.outcome for r in self.results] + [claim.outcome for claim in self.claims]
         return sum(found == outcome for found in outcomes)
 
     def to_mend(self, result: Result) -> str:
@@ -151,7 +145,7 @@ class Report:
             for r in self.results
             if r.outcome in (Outcome.NOT_RUN, Outcome.NOT_APPLICABLE)
         ]
-        for claim in self.sections:
+        for claim in self.claims:
             if claim.finding.inapplicable:
                 found.append((claim.id, claim.title, f"does not apply: {claim.finding.inapplicable}"))
             found += [
@@ -261,7 +255,6 @@ class Report:
             not_given=dict(self.assumptions.not_given),
             exact=list(self.assumptions.exact),
             claims=[_claim_record(claim) for claim in self.claims],
-            appendices=[_claim_record(claim) for claim in self.appendices],
             changes=self.changes,
         )
 
@@ -308,7 +301,7 @@ class Report:
             suite.add_testcase(case)
         if self.results:
             xml.add_testsuite(suite)
-        for claim in self.sections:
+        for claim in self.claims:
             suite = TestSuite(f"{claim.id} {claim.title}")
             suite.add_property("seconds", f"{claim.seconds:.3f}")
             for check in claim.finding.checks:
@@ -343,9 +336,9 @@ class Report:
         mended = [r.requirement.id for r in self.results if self.to_mend(r)]
         if mended:
             lines += ["", f"Which single part would mend {', '.join(mended)}: `{printable(self.explore_command)}`"]
-        if self.sections:
+        if self.claims:
             lines += ["", "| claim | outcome |", "|---|---|"]
-            lines += [f"| {claim.id} {claim.title} | {claim.outcome} |" for claim in self.sections]
+            lines += [f"| {claim.id} {claim.title} | {claim.outcome} |" for claim in self.claims]
         if self.changes:
             lines += ["", "| against the older report | change | was | is |", "|---|---|---|---|"]
             lines += [f"| {c.id} | {c.change} | {c.was} | {c.is_now} |" for c in self.changes if c.change != "same"]

@@ -687,7 +687,7 @@ def _report(rng: random.Random) -> bytes:
     )
     report |= {"schema_version": 1, "outcome": outcome, "exit_code": 0, "seconds": 2.0, "seed": 0, "samples": 1000}
     report |= {"design": _DESIGN, "cell": {}, "environment": {"numpy": "2.0"}, "not_judged": ["noise"], "changes": []}
-    report |= {"requirements": [requirement], "claims": [claim], "appendices": []}
+    report |= {"requirements": [requirement], "claims": [claim]}
     return json.dumps(report, indent=1).encode()
 
 
