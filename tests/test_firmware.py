@@ -37,9 +37,7 @@ from ohmskin.emulator.firmware import (
     running_firmware,
 )
 from ohmskin.errors import InputError, LinkError, MissingExtra
-from ohmskin.verification import _firmware as verification_firmware
-from ohmskin.verification._outcome import Outcome
-from ohmskin.verification._subject import Subject
+from ohmskin.verification import verify
 from ohmskin.wire import (
     Corrupt,
     Description,
@@ -346,17 +344,13 @@ def test_the_end_of_a_finite_run_is_an_end_and_no_pulled_cable(loss: float, tmp_
 @pytest.mark.slow
 def test_the_report_on_the_firmware_passes_and_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     """The experiment of `ohmskin verify --target firmware`, with few of its points."""
-    for name, few in (("FRAMES", 60), ("DWELLS_US", (60,)), ("PRESCALERS_LOG2", (7,)), ("BAUD_RATES", (115_200,))):
-        monkeypatch.setattr(verification_firmware, name, few)
-    subject = Subject(scene().skin.design, target="firmware")
-    finding = verification_firmware.firmware_in_the_loop(subject)
-    assert {check.outcome for check in finding.checks} == {Outcome.PASS}
-    ((_, arriving, dropped),) = finding.tables[1].rows
-    assert 170 < float(arriving) < 190  # 62 bytes of ten bits at 115 200 baud
-    assert float(dropped) > 100
-    other = Subject(scene(replace={"adc": {"bits": 12}}).skin.design, target="firmware")
-    (check,) = verification_firmware.firmware_in_the_loop(other).checks
-    assert check.outcome == Outcome.NOT_RUN
+    for name, few in (("FIRMWARE_FRAMES", 60), ("DWELLS_US", (60,))):
+        monkeypatch.setattr(f"ohmskin.verification._whole_skin.{name}", few)
+    (claim,) = verify(scene().skin.design, only=["P14"], target="firmware").claims
+    assert {str(check.outcome) for check in claim.finding.checks} == {"pass"}
+    (claim,) = verify(scene(replace={"adc": {"bits": 12}}).skin.design, only=["P14"], target="firmware").claims
+    (check,) = claim.finding.checks
+    assert str(check.outcome) == "not run"
     assert "converts 10 bits" in check.reason
 
 

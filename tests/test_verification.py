@@ -27,7 +27,6 @@ from ohmskin.verification._material import recovery_times
 from ohmskin.verification._outcome import Check, Finding, Measurement, Outcome, Result, not_run, worst
 from ohmskin.verification._schematic import schematic
 from ohmskin.verification._subject import Subject
-from ohmskin.verification._variants import replaced
 
 pytestmark = pytest.mark.usefixtures("quick_verification")
 
@@ -316,12 +315,12 @@ def test_recovery_times_do_not_depend_on_the_unit_of_load(monkeypatch: pytest.Mo
 
 
 def test_what_does_not_concern_the_divider_does_not_change_its_claim() -> None:
-    design = replaced(prototype(), "readout", open_loop_gain=1e3)  # of the amplifiers
+    design = prototype().replace(readout={"open_loop_gain": 1e3})  # of the amplifiers
     assert verify(design, only=["P11"]).outcome is Outcome.PASS
 
 
 def test_a_shared_sampling_capacitor_is_timed() -> None:
-    design = replaced(prototype(), "adc", acquisition_time=2e-6)
+    design = prototype().replace(adc={"acquisition_time": 2e-6})
     (result,) = verify(design, only=["D9"]).results
     assert result.measurement is not None
     assert result.measurement.value <= 1 / (4 * 4 * 2e-6)

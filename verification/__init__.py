@@ -35,9 +35,9 @@ The paper's claims (:mod:`._claims`):
 
 =======================  ==============================================================================
 :mod:`._mixture`         P1
-:mod:`._material`        P2 to P9; :mod:`._estimates` compares estimators in them
-:mod:`._crosstalk`       P10 to P13; :mod:`._variants` has the readouts that are compared
-:mod:`._whole_skin`      P14; with :mod:`._timing`, and :mod:`._firmware` for the firmware in the loop
+:mod:`._material`        P2 to P9
+:mod:`._crosstalk`       P10 to P13
+:mod:`._whole_skin`      P14
 =======================  ==============================================================================
 
 The report: :mod:`._report`, :mod:`._record` (its JSON), :mod:`._outcome` (what it is made of), :mod:`._schematic` and
