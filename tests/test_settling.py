@@ -222,12 +222,6 @@ def test_a_divider_of_one_column_charges_like_one_rc(idle_columns: str) -> None:
     assert settling.shortest_period(1e-3) == pytest.approx(tau * log(1e3), rel=1e-6)
 
 
-def test_what_has_no_capacitance_settles_at_once() -> None:
-    settling = Settling(divider(2, 2, idle_columns="float"), np.array([[7e3, np.inf], [1e6, 2e4]]))
-    np.testing.assert_allclose(settling.sampled(1e-12), settling.settled, rtol=1e-9)
-    assert settling.shortest_period(1e-6) == 0
-
-
 @pytest.mark.parametrize("capacitance", [0.0, 1e-11], ids=["an ideal sampler", "a capacitor"])
 def test_one_sampling_capacitor_serves_the_columns_in_turn(capacitance: float) -> None:
     """Against an ODE solver that runs amplifiers and capacitor through many frames, each column in its own slot."""
@@ -324,12 +318,6 @@ def test_a_capacitor_that_cannot_follow_is_named() -> None:
         Settling(design, CELLS).shortest_period(1e-3)
 
 
-def test_stiff_parts() -> None:
-    """A fast amplifier in a slow scan: nothing is left, and nothing blows up."""
-    settling = Settling(board(gain_bandwidth=1e10, column_capacitance=1e-12), CELLS)
-    np.testing.assert_allclose(settling.sampled(1.0), settling.settled, rtol=1e-9)
-
-
 @pytest.mark.parametrize("name", [n for n in LAGS if n not in {"sampler", "floating rows"}])
 def test_stability_is_that_of_the_loop_gain(name: str) -> None:
     """Crossover, margin and peak from the transfer functions themselves, on a fine grid of frequencies."""
@@ -355,12 +343,6 @@ def test_a_feedback_capacitor_calms_the_amplifier() -> None:
     calm = stability(board(column_capacitance=2e-9, feedback_capacitance=5e-11), CELLS)
     assert (restless.peaking > 1.5).all()
     assert (calm.phase_margin > restless.phase_margin + 20).all()
-
-
-def test_floating_rows_leave_less_to_drive() -> None:
-    floating, grounded = (stability(board(idle_rows=idle), CELLS).noise_gain for idle in ("float", "ground"))
-    assert (floating < grounded).all()
-    assert (floating[0] != floating[1]).any()
 
 
 def test_what_is_not_modelled_is_refused() -> None:

@@ -12,13 +12,10 @@ from ohmskin.bench._reference import reference_volts
 from ohmskin.circuits import (
     Design,
     Settling,
-    Status,
     apparent_resistance,
-    conditioning,
     effects,
     ideal_volts,
     noise,
-    recover,
     scan,
     scan_batch,
     sensitivity,
@@ -114,31 +111,6 @@ def test_every_analysis_is_that_of_the_board_turned_by_hand(seed: int) -> None:
     for effect in effects(design, cells):
         name = effect.name.replace("row", "?").replace("column", "row").replace("?", "column")
         assert effect.estimate == by_name[name], effect.name
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_cells_are_recovered(seed: int) -> None:
-    design, cells = real_design(seed, circuit="row-amplifier")
-    cells = np.clip(cells, 1e3, 1e5)
-    found = recover(design, scan(design, cells, method="exact").volts)
-    read = found.status == Status.READ
-    assert read.mean() > 0.5
-    np.testing.assert_allclose(found.resistance[read], cells[read], rtol=1e-6)
-    assert conditioning(design, cells).amplification.shape == cells.shape
-
-
-def test_conditioning_is_about_the_arrays_own_cells() -> None:
-    design, cells = real_design(3, circuit="row-amplifier", largest=4)
-    design = design.replace(readout={"offset_voltage": 0.0, "bias_current": 0.0, "reference_voltage": 0.0})
-    cells = np.clip(cells, 1e3, 1e5)
-    found, step = conditioning(design, cells), 1e-6
-    changed = cells.copy()
-    changed[0, -1] *= 1 + step
-    before, after = (apparent_resistance(design, scan(design, c, method="exact").volts) for c in (cells, changed))
-    moved = (after / before - 1).ravel() / step
-    expected = np.zeros(cells.size)
-    expected[cells.shape[1] - 1] = 1.0
-    np.testing.assert_allclose(found.inverse @ moved, expected, atol=1e-3)
 
 
 def test_contradictions_are_told_in_the_arrays_own_words() -> None:

@@ -47,6 +47,7 @@ The report: :mod:`._report`, :mod:`._record` (its JSON), :mod:`._outcome` (what 
 from ._catalogue import CATALOGUE, Quantity
 from ._explore import Remedy, Variation, best_carbon_black, carbon_black_line, explore, remedies
 from ._explore import picture as explore_picture
+from ._outcome import Outcome
 from ._record import ReportRecord, load_record, schema
 from ._report import Report
 from ._requirements import check_requirements, default_requirements, load_requirements
@@ -55,6 +56,7 @@ from ._subject import Subject
 
 __all__ = [
     "CATALOGUE",
+    "Outcome",
     "Quantity",
     "Remedy",
     "Report",

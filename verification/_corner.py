@@ -78,8 +78,6 @@ class WorstCase:
     """whether that was solved, not only estimated to first order"""
     others: Corners
     """the worst corners that were found, the worst first: their presses serve the Monte Carlo analysis"""
-    checked: float
-    """relative difference between the search's value and that of plain scans of the corner"""
 
     @property
     def cell(self) -> tuple[int, int]:
@@ -251,7 +249,6 @@ class _Search:
             final = self._polished(best, value)
             best, value, settled = final.corners, float(final.values[0]), bool(final.settled[0])
         stated = scanned(self.target, self.box, best)
-        same = stated == value
         return WorstCase(
             target=self.target,
             box=self.box,
@@ -263,7 +260,6 @@ class _Search:
             settled=settled,
             flips_solved=self.exact,
             others=known.some(order[: 8 * MOST_PRESSES]),
-            checked=0.0 if same else abs(stated - value) / max(abs(value), 1e-9),
         )
 
     def _polished(self, corner: Corners, value: float) -> _Climbed:
