@@ -18,7 +18,7 @@ scan is the fixed point of a whole frame.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cached_property, reduce
+from functools import cache, cached_property, reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -228,53 +228,52 @@ class RepeatedScan:
         return columns + goes_round
 
     @cached_property
-    def _samples(self) -> bool:
-        """Whether sampling capacitors are nodes of their own."""
-        adc = self._board.adc
-        if self._board.circuit.virtual_ground or adc is None:
-            return sampler_delay(self._board) > 0
-        return bool(adc.sampling_capacitance and (self._acquisition or adc.switch_resistance))
+    def _taps(self) -> list[tuple[int, ...]]:
+        """What the sampling capacitors are connected to in each state of the switches, as :meth:`.Circuit.of` has it.
 
-    def _read_at(self, columns: IntArray) -> IntArray:
-        """Nodes whose voltages are converted when these columns are read."""
-        alone = self._board.circuit.virtual_ground and self._one_by_one  # one amplifier, one capacitor
-        place = np.zeros_like(columns) if alone or (self._samples and self._acquisition) else columns
-        outputs = self._first_output if self._board.circuit.virtual_ground else 0
-        return (self._stored if self._samples else outputs) + place
+        Capacitors do not load amplifiers, so that one circuit with a capacitor on each output serves all columns.
+        """
+        board, adc, columns = self._board, self._board.adc, self._board.shape[1]
+        amplifiers = board.circuit.virtual_ground
+        samples = sampler_delay(board) > 0
+        if not amplifiers and adc is not None:  # without a resistance a capacitor of its own joins its column
+            samples = bool(adc.sampling_capacitance and (self._acquisition or adc.switch_resistance))
 
-    def _phases(self, network: FloatArray) -> list[Circuit]:
-        """The circuit in each state of its switches, with the grid (M, M) in S as the column ends see it."""
-        board, columns = self._board, self._board.shape[1]
-        if not self._samples:
-            known = {state.loaded.tobytes(): Circuit.of(board, network, state.loaded, ()) for state in self._states}
-            return [known[state.loaded.tobytes()] for state in self._states]
-        if not board.circuit.virtual_ground:
-            each = np.arange(columns).tolist()
-            return [
-                Circuit.of(board, network, state.loaded, [_tap(state)] if self._acquisition else each)
-                for state in self._states
-            ]
-        if self._one_by_one:
-            taps = [-1 if self._acquisition and state.connected is None else columns for state in self._states]
-            return [Circuit.of(board, network, s.loaded, [tap]) for s, tap in zip(self._states, taps, strict=True)]
-        # Capacitors do not load the amplifiers, so that one circuit with a capacitor on each output serves all states.
-        every = Circuit.of(board, network, self._states[0].loaded, range(columns, 2 * columns))
-        if not self._acquisition:
-            return [every]
-        idle = Circuit.of(board, network, self._states[0].loaded, [-1])
-        return [idle if state.connected is None else every for state in self._states]
+        def of(state: SwitchState) -> tuple[int, ...]:
+            if not samples:
+                return ()
+            if self._acquisition and state.connected is None:
+                return (-1,)
+            if amplifiers:
+                return tuple(range(columns, columns + len(state.loaded)))
+            return tuple(range(columns)) if state.connected is None else (state.connected,)
+
+        return [of(state) for state in self._states]
 
     @cached_property
     def _nodes(self) -> list[IntArray]:
         """Nodes (S,) of each phase's circuit that take part: of capacitors on all outputs the connected one."""
-        columns = self._board.shape[1]
-        one = self._acquisition or (self._board.circuit.virtual_ground and self._one_by_one)
-        chosen = np.zeros(len(self._states), dtype=np.intp)
-        if self._acquisition and self._board.virtual_grounds:
-            chosen = np.array([state.connected or 0 for state in self._states])
-        capacitors = 0 if not self._samples else 1 if one else columns
-        return [np.append(np.arange(self._stored), self._stored + each + np.arange(capacitors)) for each in chosen]
+        found = []
+        for state, taps in zip(self._states, self._taps, strict=True):
+            one = self._acquisition and len(taps) > 1 and state.connected is not None
+            capacitors = np.array([state.connected]) if one else np.arange(len(taps))
+            found.append(np.append(np.arange(self._stored), self._stored + capacitors))
+        return found
 
+    def _read_at(self, columns: IntArray) -> IntArray:
+        """Nodes whose voltages are converted when these columns are read."""
+        capacitors = len(self._nodes[0]) - self._stored
+        if capacitors:
+            return self._stored + (columns if capacitors > 1 else np.zeros_like(columns))
+        if not self._board.circuit.virtual_ground:
+            return columns
+        return self._first_output + (columns if len(self._states[0].loaded) > 1 else np.zeros_like(columns))
 
-def _tap(state: SwitchState) -> int:
-    return -1 if state.connected is None else state.connected
+    def _phases(self, network: FloatArray) -> list[Circuit]:
+        """The circuit in each state of its switches, with the grid (M, M) in S as the column ends see it."""
+
+        @cache
+        def of(loaded: tuple[int, ...], taps: tuple[int, ...]) -> Circuit:
+            return Circuit.of(self._board, network, np.array(loaded, dtype=np.intp), taps)
+
+        return [of(tuple(state.loaded.tolist()), taps) for state, taps in zip(self._states, self._taps, strict=True)]
