@@ -399,17 +399,11 @@ def _end_currents(seen: _Columns, resistance: FloatArray, drive: FloatArray, sou
 
 
 def _solve(matrix: FloatArray, values: FloatArray) -> FloatArray:
-    """As numpy's, with NaN for the boards whose matrix is singular."""
+    """As numpy's; NaN for all boards of a chunk with a singular matrix, which are then read one by one."""
     try:
         return np.asarray(np.linalg.solve(matrix, values), dtype=np.float64)
     except np.linalg.LinAlgError:
-        result = np.full(np.broadcast_shapes(matrix.shape[:-1], values.shape[:-1]) + values.shape[-1:], np.nan)
-        for board in range(len(result)):
-            try:
-                result[board] = np.linalg.solve(matrix[board], values[board])
-            except np.linalg.LinAlgError:
-                continue
-        return result
+        return np.full(np.broadcast_shapes(matrix.shape[:-1], values.shape[:-1]) + values.shape[-1:], np.nan)
 
 
 def _each(value: PerLine, count: int) -> FloatArray:

@@ -10,10 +10,9 @@ Requirements:
 :mod:`._requirements`    requirements from files, the shipped ones, and how one is judged
 :mod:`._catalogue`       the quantities that a requirement may limit
 :mod:`._static`          quantities of settled readings
-:mod:`._dynamic`         settling, stability, noise
+:mod:`._dynamic`         settling, stability, noise, the line to the host
 :mod:`._chain`           pressure errors, from load to estimate
 :mod:`._stress`          voltage, current and power of parts and cells
-:mod:`._link`            the line to the host
 :mod:`._self_test`       faults that a board can tell by itself
 :mod:`._hardware`        the same quantities, measured on a board
 :mod:`._spice_check`     the same quantities by ngspice
@@ -26,7 +25,6 @@ Which boards are looked at:
 :mod:`._targets`         quantities as functions of a board and a press, for the search
 :mod:`._corner`          the one search for the worst case of any quantity
 :mod:`._montecarlo`      the yield of random boards
-:mod:`._budget`          what each part costs alone
 :mod:`._explore`         variations, their trade-off, and what would mend a requirement
 :mod:`._assumptions`     what a verdict leaves out
 =======================  ==============================================================================

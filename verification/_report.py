@@ -9,6 +9,7 @@ import json
 import math
 import platform
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cached_property
@@ -26,11 +27,10 @@ from ..common.files import make_folder, write_together
 from ..common.text import printable
 from ..errors import MissingExtra, OhmskinError
 from ._assumptions import Assumptions, assumptions_of
-from ._budget import error_budget
 from ._catalogue import CATALOGUE
 from ._explore import may_be_mended
 from ._export import export_samples
-from ._outcome import Claim, Corner, Figure, Measurement, Outcome, Result, worst
+from ._outcome import Claim, Corner, Figure, Measurement, Outcome, Result, Table, worst
 from ._parameters import MAXIMA
 from ._record import (
     SCHEMA_VERSION,
@@ -512,6 +512,30 @@ def _scale(unit: str, largest: float) -> tuple[float, str]:
     value, _, prefixed = shown.partition(" ")
     factor = 10.0 ** round(math.log10(float(value) / largest)) if float(value) else 1.0
     return factor, prefixed
+
+
+def error_budget(results: Sequence[Result]) -> Table | None:
+    """The worst cases by kind of part of all results that have them, side by side; None if there are none."""
+    found = [(r, r.measurement) for r in results if r.method == "worst-case" and r.measurement is not None]
+    found = [(result, measured) for result, measured in found if measured.contributions]
+    if not found:
+        return None
+    kinds = dict.fromkeys(kind for _, measured in found for kind in measured.contributions)
+    rows = [
+        [kind, *(_budget_entry(measured.contributions.get(kind), measured.unit) for _, measured in found)]
+        for kind in kinds
+    ]
+    rows.append(["all together", *(engineering(measured.value, measured.unit) for _, measured in found)])
+    return Table(
+        ["part, alone", *(f"{result.requirement.id} {result.title.lower()}" for result, _ in found)],
+        rows,
+        "Error budget: the worst case with each kind of part over its tolerance and all others nominal, whatever is "
+        "pressed; and with all parts together.",
+    )
+
+
+def _budget_entry(value: float | None, unit: str) -> str:
+    return "" if value is None else engineering(value, unit)
 
 
 def environment() -> dict[str, str]:
