@@ -131,7 +131,6 @@ def crosstalk(subject: Subject) -> Finding:
             f"Crosstalk: {worst_of(subject, 'crosstalk').search}.",
         ],
         figures=[_pattern_figure(compared, title) for title in compared.patterns],
-        tables=[_pattern_table(compared)],
     )
 
 
@@ -143,27 +142,6 @@ def _pattern_figure(compared: _Readouts, title: str) -> Figure:
         f"{title.capitalize()}: change of each cell's apparent resistance against rest. Outlined cells are pressed; "
         "every other cell should read 0.",
     )
-
-
-def _pattern_table(compared: _Readouts) -> Table:
-    rows = []
-    for title, seen in compared.seen.items():
-        pressed = compared.patterns[title]
-        for name, changed in seen.items():
-            untouched = np.abs(np.where(pressed, 0.0, changed))
-            place = np.unravel_index(np.argmax(untouched), untouched.shape)
-            visible = untouched[place] > 1e-9
-            rows.append(
-                [
-                    title,
-                    name,
-                    f"{untouched[place]:.3g} %" if visible else "none",
-                    f"({place[0]}, {place[1]})" if visible else "",
-                    f"{100 * np.min(changed[pressed] / compared.true[title][pressed]):.1f} %",
-                ]
-            )
-    header = ["pressed", "readout", "worst crosstalk", "at cell", "pressed cells show, of their true change"]
-    return Table(header, rows, "Crosstalk of each readout, nominal parts.")
 
 
 def slicing(subject: Subject) -> Finding:
@@ -217,15 +195,6 @@ def slicing(subject: Subject) -> Finding:
                     maps, label="change of resistance / %", limit=truth, marked=pressed, values="{:.2f}", size=2.0
                 ),
                 "One cell pressed (outlined): change of each cell's apparent resistance.",
-            )
-        ],
-        tables=[
-            Table(
-                ["sheet", "worst untouched cell", "pressed cell, of its true change"],
-                [
-                    [name, f"{untouched[name]:.3g} %", f"{100 * float(changed[pressed].min()) / truth:.1f} %"]
-                    for name, changed in maps.items()
-                ],
             )
         ],
     )

@@ -9,7 +9,7 @@ from ..circuits import Design, adc_codes, clipped, noise, scan
 from ..common import plots
 from ..common.arrays import FloatArray
 from ..errors import InputError
-from ._outcome import Check, Figure, Finding, Table, does_not_apply
+from ._outcome import Check, Figure, Finding, does_not_apply
 from ._subject import Subject
 
 KNOWN = 0.015  # the fraction that the paper chose, and that the shipped example cell stands for
@@ -68,18 +68,6 @@ def fraction(subject: Subject) -> Finding:
                 "Left: percolation law, sensitivity (Fig. 3). Right: what the readout makes of it.",
             )
         ],
-        tables=[
-            Table(
-                ["carbon black", "R0 / ohm", "sensitivity", "σ of pressure, % of full scale", "... Rref chosen for it"],
-                [
-                    [f"{100 * f:g} %", f"{ohms:.0f}", f"{s:.3f}", _shown(own), _shown(chosen)]
-                    for f, ohms, s, own, chosen in zip(
-                        FRACTIONS, law.rest_resistance(FRACTIONS), sensitivity, eight, free, strict=True
-                    )
-                ],
-                "Eight mixtures, with the design's reference resistor and with one that grows with R0.",
-            ),
-        ],
     )
 
 
@@ -99,10 +87,6 @@ def _picture(law: Percolation, fixed: FloatArray, chosen: FloatArray, eight: Flo
         panels[1].set(title="Resolution", xlabel="carbon black / % by mass", ylabel="σ of pressure / % of full scale")
         panels[1].legend()
         return plots.svg(figure)
-
-
-def _shown(sigma: float) -> str:
-    return "saturates" if np.isnan(sigma) else f"{sigma:.4f}"
 
 
 def _resolution(subject: Subject, law: Percolation, f: float, *, choose: bool) -> float:
