@@ -30,14 +30,13 @@ from ._assumptions import Assumptions, assumptions_of
 from ._catalogue import CATALOGUE
 from ._explore import may_be_mended
 from ._export import export_samples
-from ._outcome import Claim, Corner, Figure, Measurement, Outcome, Result, Table, worst
+from ._outcome import Claim, Figure, Measurement, Outcome, Result, Table, worst
 from ._parameters import MAXIMA
 from ._record import (
     SCHEMA_VERSION,
     ChangeRecord,
     CheckRecord,
     ClaimRecord,
-    CornerRecord,
     ReportRecord,
     RequirementRecord,
     compare,
@@ -425,15 +424,7 @@ def _requirement_record(result: Result) -> RequirementRecord:
         contributions={k: v for k, v in (found.contributions if found else {}).items() if math.isfinite(v)},
         samples=[number(value) for value in (found.samples if found else ())],
         seconds=round(result.seconds, 4),
-        corner=_corner_record(found.corner) if found and found.corner else None,
-    )
-
-
-def _corner_record(corner: Corner) -> CornerRecord:
-    return CornerRecord(
-        cell=corner.cell,
-        parts={key: [number(value) for value in values] for key, values in corner.parts.items()},
-        cells_ohm=[[[number(ohms) for ohms in row] for row in frame] for frame in corner.cells_ohm],
+        corner=found.corner if found else None,
     )
 
 
