@@ -175,15 +175,15 @@ def identification(subject: Subject) -> Finding:
     model = _paper_model(subject)
     time_s = np.linspace(0.0, 3 * model.t3_s, 600)  # five minutes of the example cell, as a person would record it
     r = np.interp(time_s, *_release(subject))
-    held = np.r_[STEP_KPA * model.gain_per_kpa, r]
+    recorded = np.r_[STEP_KPA * model.gain_per_kpa, r]
     moments = np.r_[0.0, 1e-3 + time_s]
     rng = np.random.default_rng(6)
-    noises = 1 + 0.001 * rng.standard_normal((25, len(held)))
+    noises = 1 + 0.001 * rng.standard_normal((25, len(recorded)))
     truth = (model.e1_kpa, model.e2_kpa, model.e3_kpa, model.t2_s, model.t3_s)
     names = ("E1 / kPa", "E2 / kPa", "E3 / kPa", "T2 / s", "T3 / s")
-    read = [recovery_branches(moments, (1 + held) * noise - 1, STEP_KPA) for noise in noises]
+    read = [recovery_branches(moments, (1 + recorded) * noise - 1, STEP_KPA) for noise in noises]
     found: dict[str, Sequence[float]] = {
-        "without noise": recovery_branches(moments, held, STEP_KPA),
+        "without noise": recovery_branches(moments, recorded, STEP_KPA),
         "0.1 % noise on R": np.median(read, axis=0).tolist(),
     }
     off = {

@@ -168,10 +168,10 @@ def _stacks(work: Plan, frames: int) -> Iterator[tuple[int, ...]]:
 
 def _scratch(work: Plan, frames: int) -> int:
     """Size of the working memory that suffices for every level."""
-    most = leaf_scratch(work.leaf, frames * work.down * work.along)
+    largest = leaf_scratch(work.leaf, frames * work.down * work.along)
     for merge, (*stack, ports, _) in zip(work.merges, list(_stacks(work, frames))[1:], strict=True):
-        most = max(most, math.prod(stack) * merge.eliminated * (merge.eliminated + 2 * ports))
-    return most
+        largest = max(largest, math.prod(stack) * merge.eliminated * (merge.eliminated + 2 * ports))
+    return largest
 
 
 def _halves(axis: int, stack: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:

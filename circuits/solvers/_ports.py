@@ -102,10 +102,10 @@ def capped(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatArra
     column = np.concatenate([exits[None], lines.column[:0:-1]])
     parts = conductance, lines.row, column
     largest = [float(part.max(initial=0.0)) for part in parts]
-    short = IDEAL_WIRE * max(_largest_finite(part, most) for part, most in zip(parts, largest, strict=True))
+    short = IDEAL_WIRE * max(_largest_finite(part, peak) for part, peak in zip(parts, largest, strict=True))
     wire = IDEAL_WIRE * short  # an ideal line holds its potential even across a shorted cell
     limits = zip(parts, largest, (short, wire, wire), strict=True)
-    cells, row, column = (np.minimum(part, limit) if most > limit else part for part, most, limit in limits)
+    cells, row, column = (np.minimum(part, limit) if peak > limit else part for part, peak, limit in limits)
     return cells, row, column
 
 
@@ -177,8 +177,8 @@ def _ended(exits: FloatArray | None, columns: int) -> BoolArray:
     return np.zeros(columns, dtype=np.bool_) if exits is None else np.isfinite(exits)
 
 
-def _largest_finite(values: FloatArray, most: float) -> float:
-    """Largest conductance in S apart from shorts, at least :data:`LARGEST_PART`; ``most`` is the largest value."""
-    if most < _AS_GOOD_AS_SHORT:
-        return max(most, LARGEST_PART)
+def _largest_finite(values: FloatArray, largest: float) -> float:
+    """Largest conductance in S apart from shorts, at least :data:`LARGEST_PART`; ``largest`` is the largest value."""
+    if largest < _AS_GOOD_AS_SHORT:
+        return max(largest, LARGEST_PART)
     return float(np.max(values, where=values < _AS_GOOD_AS_SHORT, initial=LARGEST_PART))

@@ -85,7 +85,7 @@ class Circuit(NamedTuple):
         amplified = loaded if board.circuit.virtual_ground else loaded[:0]
         idle = np.setdiff1d(np.arange(columns), loaded)
         at_loads = loaded if not len(amplified) else idle if board.idle_columns == "load" else idle[:0]
-        held = idle if board.idle_columns == "ground" else idle[:0]
+        grounded_ends = idle if board.idle_columns == "ground" else idle[:0]
         count, size = len(amplified), columns + len(amplified) + len(taps)
         outputs, samples = np.arange(columns, columns + count), np.arange(columns + count, size)
         slack, feedback = 1.0 / board.gain[amplified], 1.0 / board.reference[amplified]
@@ -128,7 +128,7 @@ class Circuit(NamedTuple):
         if not lag:  # u = Vos - (v + Vref)/A at once
             follow[amplified, outputs], follow[amplified, amplified] = -slack, 0.0
             shift[amplified, outputs] = 1.0
-        others = np.setdiff1d(ends, held if lag else np.union1d(held, amplified))
+        others = np.setdiff1d(ends, grounded_ends if lag else np.union1d(grounded_ends, amplified))
         alone = np.setdiff1d(samples, joined)
         follow = follow[:, np.concatenate([others, outputs, alone]).astype(np.intp)]
         gather = gather[np.concatenate([others, outputs if lag else amplified, alone]).astype(np.intp)]
@@ -233,8 +233,11 @@ def column_networks(board: Board, cells: FloatArray) -> Iterator[tuple[FloatArra
             yield grounded, board.drive * network[row, rows:]
         return
     for alone, _ in one_driven(network, rows):
-        held = len(alone) - columns  # the selected row, and the reference behind pull-downs
-        yield conductance(alone[held:, held:], alone[:held, held:].sum(axis=0)), board.drive * alone[0, held:]
+        grounded_ends = len(alone) - columns  # the selected row, and the reference behind pull-downs
+        yield (
+            conductance(alone[grounded_ends:, grounded_ends:], alone[:grounded_ends, grounded_ends:].sum(axis=0)),
+            board.drive * alone[0, grounded_ends:],
+        )
 
 
 def sampler_delay(board: Board) -> float:
