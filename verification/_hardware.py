@@ -6,7 +6,6 @@ into resistances by the law of the ideal circuit, as the simulated quantities ar
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -17,8 +16,8 @@ import numpy as np
 from ..circuits import Requirement, adc_codes, apparent_resistance, clipped, scan, volts_of_codes
 from ..common.arrays import FloatArray
 from ..driver import Frame, Skin
-from ..emulator import BoardSettings, PtyPort, Scene, SkinSettings, Stop
-from ..emulator.firmware import AVR8JS, check_scene, emulate_firmware
+from ..emulator import BoardSettings, PtyPort, Scene, SkinSettings
+from ..emulator.firmware import check_scene, running_firmware
 from ..errors import LinkError, MissingExtra, ProtocolError
 from ._dynamic import reading_noise
 from ._outcome import Measurement, NotRun
@@ -215,14 +214,6 @@ def _board(subject: Subject) -> Iterator[str]:
         skin=SkinSettings(design=subject.design, cell=cell), board=BoardSettings(frame_rate=rate, noise=step / 4)
     )
     check_scene(scene)
-    AVR8JS.require()
-    stop = Stop()
-    with PtyPort() as port:
-        thread = threading.Thread(target=emulate_firmware, args=(scene, port), kwargs={"stop": stop}, daemon=True)
-        thread.start()
-        try:
-            yield port.name
-        finally:
-            stop.set()
-            thread.join()
-            stop.close()
+    port = PtyPort()
+    with running_firmware(scene, port):
+        yield port.name
