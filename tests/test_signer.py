@@ -161,4 +161,4 @@ def test_error_in_own_quantity_names_its_line(design: Design, tmp_path: Path) ->
     crash, words = verify(design, requirements=asked, folder=tmp_path).results
     assert crash.outcome == words.outcome == "not run"
     assert crash.reason == "own.py, line 2: ZeroDivisionError: division by zero"
-    assert words.reason.startswith("what own.py returns: ValueError")
+    assert words.reason.startswith("function(design, cell), or the number that it returns: ValueError")
