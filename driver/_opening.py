@@ -9,7 +9,6 @@ from __future__ import annotations
 import sys
 import threading
 import time
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -84,6 +83,7 @@ class Opening:
         queue: int,
         reconnect: float,
         serial_number: str | None = None,
+        introduction: bytes = b"",
     ) -> Opening:
         """Read the files and check the numbers; InputError."""
         timeout_s, queued = positive("timeout", timeout, "s"), count("queue", queue)
@@ -105,6 +105,7 @@ class Opening:
             accuracy,
             None if calibration is None else loaded("calibration", calibration, Calibration),
             family.tables if family.design is None else None,
+            introduction,
         )
         if settings.design is None and family.design is None and not family.has_description:
             given = [name for name in ("cell", "calibration") if getattr(settings, name) is not None]
@@ -142,9 +143,7 @@ class Link:
             reopen=reopen,
             reconnect_s=opening.reconnect_s,
         )
-        self._past = port.past if isinstance(port, ReplayPort) else None
-        if self._past is not None:
-            self.reader.resume(self._past.heard_bytes(), self._past.stream)
+        self.reader.hear_before(settings.introduction)
 
     def record(self, path: str | Path, *, overwrite: bool) -> Recording:
         """Record from the first byte on; before :meth:`introduce`. Raises InputError."""
@@ -170,7 +169,6 @@ class Link:
                     f"{self._port.name}: the inverse of the board's circuit was not set up within {limit_s:g} s; "
                     "give a longer timeout, if the board's description is right"
                 )
-            self._remember(converter)
             if self._opening.delivery != "lossless":
                 self.reader.keep_up = converter.keep_up
         except BaseException:
@@ -223,7 +221,7 @@ class Link:
                 self.mailbox,
                 self.counters,
                 newest_only=self._opening.delivery == "newest",
-                rest_changes=self._port.rest.changes if isinstance(self._port, ReplayPort) else (),
+                rest_changes=self._port.rest_changes if isinstance(self._port, ReplayPort) else (),
                 accuracy=settings.accuracy,
                 calibration=settings.calibration,
             )
@@ -234,22 +232,6 @@ class Link:
             # The design and the cell pass their own checks, but nothing can be computed from them.
             raise introduction.refused(error) from error
         return converter
-
-    def _remember(self, converter: Converter) -> None:
-        """If the port plays a recording that began in the middle, continue the conversion from its saved state."""
-        if self._past is None:
-            return
-        try:
-            remembers = converter.resume(self._past.measurement)
-        except InputError as error:
-            raise InputError(f"{self._port.name}: what was before: {error}") from error
-        if not remembers:
-            warnings.warn(
-                f"{self._port.name}: the estimator begins without memory of what was before, which another estimator "
-                "or another version of ohmskin has recorded; the first pressures may differ from the recorded ones",
-                RuntimeWarning,
-                stacklevel=2,
-            )
 
 
 def _within(limit_s: float, work: Callable[[], Converter]) -> Converter | None:

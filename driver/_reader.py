@@ -17,7 +17,6 @@ from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError
 from ..wire import Corrupt, Description, Event, Family, Flag, FramePacket, HostProtocol, Identity, Order
 from ._introduce import Introduction
 from ._mailbox import Mailbox
-from ._past import StreamPast
 from ._port import Arrival, BytePort, OrderlyClose
 from ._reconnect import attempts
 from ._statistics import Counters
@@ -39,8 +38,6 @@ LONGEST_REST_S = 1.0
 """most time that the thread rests after such bytes; it rests as long as it took to look through them"""
 POLL_S = 0.05
 """how long a taker waits for the thread to have read, before it looks for a frame"""
-MOST_HEARD = 2**20
-"""bytes kept for a recorder that joins"""
 MOST_UNPROVEN = 1000
 """frames kept until the board has proved that it is the same one"""
 _NO_FLAGS = Flag.NONE  # operations on flags take 1 us each
@@ -95,14 +92,13 @@ class Reader:
         self.keep_up: Callable[[int | None], bool] = lambda most: False
         """converts the frames that have come (:meth:`.Converter.keep_up`)"""
         self._port: BytePort | None = port
+        self._clock = port.now  # of the last port, which a recording has after its end, too
         self._family: Family = introduction.family
         self._new_protocol = protocol
         self._protocol = protocol()
         self._mailbox, self._counters = mailbox, counters
         self._lossless = lossless
         self._reopen, self._reconnect_s = reopen, reconnect_s
-        self._heard_before, self._heard_since = bytearray(), bytearray()
-        """bytes from the last frame but one to the last frame, and from the last frame on"""
         self._reading = threading.RLock()
         """held by the thread that reads from the port, writes to it, or replaces it"""
         self._stop = SignalSafeEvent()
@@ -200,8 +196,7 @@ class Reader:
 
     def now(self) -> float:
         """Present time on the port's clock."""
-        port = self._port
-        return time.monotonic() if port is None else port.now()
+        return self._clock()
 
     def send(self, order: Order, *, period_us: int = 0) -> None:
         """Send an order to the board.
@@ -221,33 +216,26 @@ class Reader:
                 self._port.write(data)
 
     @contextlib.contextmanager
-    def between_arrivals(self) -> Iterator[bytes]:
-        """Read no bytes within the block. Yields the bytes that a decoder needs in order to decode those that follow.
-
-        These are the board's identity and description, and all bytes since the last frame but one; the last of these
-        bytes may be the beginning of a packet.
-        """
+    def between_arrivals(self) -> Iterator[None]:
+        """Read no bytes within the block."""
         with self._reading:
-            yield self.introduction.as_bytes() + bytes(self._heard_before) + bytes(self._heard_since)
+            yield
 
     @property
     def away(self) -> bool:
         """Whether the port is gone at present, or the board there has yet to show that it is the one from before."""
         return self._away_since is not None
 
-    def resume(self, heard: bytes, stream: StreamPast) -> None:
-        """Continue a reader that has ``heard`` these bytes (:meth:`between_arrivals`). Call before :meth:`start`.
+    def hear_before(self, introduction: bytes) -> None:
+        """Take what the board said of itself before a recording that plays began. Call before :meth:`start`.
 
         Raises:
             ProtocolError: the board's identity or description exceeds the limits.
 
         """
-        for event in self._protocol.feed(heard, 0.0):
+        for event in self._new_protocol().feed(introduction, 0.0):
             if isinstance(event, Identity | Description):
                 self.introduction.hear(event)
-        self.introduction.has_sent_frames = True  # to the skin that the recorder joined
-        self._heard_since += heard
-        self.stream.restore(stream)
 
     def disown(self) -> None:
         """In a forked process: leave port and mailbox to the parent process, which opened them."""
@@ -401,7 +389,6 @@ class Reader:
                     if isinstance(event, FramePacket):
                         frames += 1
                 self.stream.arrive(arrival, frames)
-                self._keep(arrival.data, has_frame=frames > 0)
                 for event in events:
                     self._handle(event, arrival)
                 only_noise = not frames and (only_noise or not turn)
@@ -411,15 +398,6 @@ class Reader:
                 if only_noise and time.monotonic() > until:
                     break
         return only_noise
-
-    def _keep(self, data: bytes, *, has_frame: bool) -> None:
-        """Keep the last bytes for a recorder that joins."""
-        if has_frame:
-            self._heard_before, self._heard_since = self._heard_since, bytearray(data)
-            return
-        self._heard_since += data
-        if len(self._heard_since) > MOST_HEARD:
-            del self._heard_since[:-MOST_HEARD]
 
     def _handle(self, event: Event, arrival: Arrival) -> None:
         self._reason = ""
@@ -540,10 +518,9 @@ class Reader:
                 failure = again
                 continue
             with self._reading:
-                self._port = port
+                self._port, self._clock = port, port.now
                 self.port_name = self.introduction.port_name = port.name
                 self._protocol = self._new_protocol()
-                self._heard_before, self._heard_since = bytearray(), bytearray()
                 self._unproven.clear()
                 known = self.introduction.identity, self.introduction.description
                 self._proofs = {type(packet) for packet in known if packet is not None}

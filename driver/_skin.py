@@ -6,6 +6,7 @@ import copy
 import os
 import weakref
 from collections.abc import AsyncIterator, Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from time import monotonic
 from types import TracebackType
@@ -24,13 +25,12 @@ from ._convert import Measurement
 from ._discover import LONGEST_SEARCH_S, find_board
 from ._frame import Frame
 from ._opening import QUEUE, Delivery, Link, Opening
-from ._past import Past
 from ._port import Arrival, BytePort
 from ._port_names import has_gone, is_unpaced, refuse_missing, usb_serial_number
 from ._reader import await_free
 from ._reconnect import PortFinder
 from ._recording import Recording
-from ._replay import NOTHING_RECORDED, ReplayPort
+from ._replay import NOTHING_RECORDED, RecordedSettings, ReplayPort
 from ._statistics import LinkStatistics
 from ._stream import RawFrame
 from ._taker import AsyncFrames, ConvertedFrames, FrameCallback, FrameTaker, frames_since
@@ -255,6 +255,7 @@ class Skin:
             queue=queue,
             reconnect=reconnect,
             serial_number=serial_number,
+            introduction=recorded.introduction,
         )
         if record is not None:
             Recording.check(record, overwrite=overwrite)
@@ -519,24 +520,26 @@ class Skin:
         """The recording that the skin was opened with."""
         return self._recorder
 
+    def settings_to_join(self) -> RecordedSettings:
+        """The settings for a recording that begins now, with what the board has said of itself."""
+        return replace(self.settings, introduction=self._reader.introduction.as_bytes())
+
     def attach(self, recording: Recording) -> None:
         """Begin a recording here; :class:`Recorder` calls this.
 
-        Frames that have come already are converted first. For the frames after them the inversion of the circuit begins
-        anew while the estimator keeps its state, as in the replay.
+        Frames that have come already are converted first.
 
         Raises:
             LinkError: the skin has come to its end, or is closed.
 
         """
-        with self._reader.between_arrivals() as heard:
+        with self._reader.between_arrivals():
             if self._mailbox.end is not None:
                 raise copy.copy(self._mailbox.end)
             newest = self._mailbox.newest
             if newest is not None:
                 self._converter.measure(newest)
-            past = Past.of(heard, self._reader.stream.state(), self._converter.hand_over())
-            recording.joined(past)
+            recording.begin_after(self._counters.frames, self._converter.rest)
             if self._reader.away:
                 recording.port_gone()
             self._reader.taps.append(recording.arrived)

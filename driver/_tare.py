@@ -8,6 +8,7 @@ import zipfile
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,6 +47,15 @@ MOST_BYTES = 2**26
 LATEST_S = 4e9
 """s since the epoch, in the year 2096: no tare is later"""
 _KEYS = ("rest_resistance_ohm", "measured", "std_ohm", "frames", "lost", "serial_number", "wall_time")
+
+
+class RestChange(NamedTuple):
+    """Other rest resistances from one frame of a recording on."""
+
+    after_frame: int
+    """number of the last frame before them; 0: they hold from the beginning"""
+    rest: FloatArray | None
+    """(cells,) ohm, or counts where the circuit is not known; None: those of the data sheet"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
