@@ -10,27 +10,25 @@ from dataclasses import replace
 from pathlib import Path
 from time import monotonic
 from types import TracebackType
-from typing import NoReturn, Self
+from typing import NoReturn, Self, Unpack
 
-from ..cell import Cell
 from ..circuits import Design
 from ..common import compiled
 from ..common.checks import count, function, loaded, number, of_kind, path_text, positive
 from ..common.progress import Progress, silent
 from ..common.text import printable
-from ..errors import InputError, LinkEnded, LinkError, LinkTimeout
-from ..wire import Description, Family, Identity, Order
-from ._calibration import Calibration
+from ..errors import InputError, LinkEnded, LinkError
+from ..wire import Description, Identity, Order
 from ._convert import Measurement
 from ._discover import LONGEST_SEARCH_S, find_board
 from ._frame import Frame
-from ._opening import QUEUE, Delivery, Link, Opening
+from ._opening import Link, Opening, SkinSettings
 from ._port import Arrival, BytePort
 from ._port_names import has_gone, is_unpaced, refuse_missing, usb_serial_number
 from ._reader import await_free
 from ._reconnect import PortFinder
 from ._recording import Recording
-from ._replay import NOTHING_RECORDED, RecordedSettings, ReplayPort
+from ._replay import RecordedSettings, ReplayPort
 from ._statistics import LinkStatistics
 from ._stream import RawFrame
 from ._taker import AsyncFrames, ConvertedFrames, FrameCallback, FrameTaker, frames_since
@@ -39,8 +37,6 @@ from ._taring import Tares
 
 MAX_AGE_S = 0.5
 """default of :meth:`Skin.latest`: boards send at 10 Hz and more"""
-NATIVE = "ohmskin"
-"""the family that is meant where none is named"""
 
 
 class Skin:
@@ -55,48 +51,19 @@ class Skin:
         self,
         port: BytePort,
         *,
-        board: str | Path | Family = NATIVE,
-        design: Design | str | Path | None = None,
-        cell: Cell | str | Path | None = None,
-        estimator: str | None = None,
-        timeout: float = 3.0,
-        delivery: Delivery = "newest",
-        queue: int = QUEUE,
-        reconnect: float = 10.0,
         reopen: Callable[[], BytePort] | None = None,
-        pitch: float | tuple[float, float] | None = None,
-        accuracy: float | None = None,
         record: str | Path | None = None,
         overwrite: bool = False,
-        calibration: Calibration | str | Path | None = None,
+        **settings: Unpack[SkinSettings],
     ) -> None:
         """Wait until the board behind an open port has identified itself, and set up the conversion of its frames.
 
         Args:
             port: an open port. :meth:`close` closes it, and so does an error here.
-            board: family of the board: a name (one of ``ohmskin.wire.BOARDS``, or of an installed package), an object,
-                or the BOARD.toml that describes the board.
-            design: the readout circuit, as an object or as a DESIGN.toml file; None: the design that the board
-                describes, else the usual one of its family, else that which BOARD.toml names. Without any frames have
-                counts only: ``resistance`` and ``pressure`` are NaN, and a tare takes the counts at rest.
-            cell: the model of the skin's material, as an object or as a CELL.toml file; None: the model that the board
-                describes. Without either, pressures are NaN.
-            estimator: name for :meth:`ohmskin.cell.Cell.estimator`.
-            timeout: limit in s for each of three things: the wait for the board to identify itself; the processor time
-                to set up the inverse of its circuit (at most ten times as long on a busy machine); later the wait for
-                each frame. The compiler (extra ``fast``) may take longer, once on a machine.
-            delivery: which frames readers get, see :data:`Delivery`.
-            queue: number of frames that wait for readers, unless ``delivery`` is ``newest``.
-            reconnect: s for which the driver tries to open a lost port again.
             reopen: function that opens the port again; None: a lost port is not opened again.
-            pitch: distance of neighbouring cells in m, for contacts; for cells that are not square (x, y), along a row
-                and along a column. None: the pitch in the design's ``[sheet]``.
-            accuracy: relative uncertainty of a cell's conductance up to which the cell is valid; None: 0.5, see
-                :class:`ohmskin.circuits.ValidityRule`.
             record: MCAP file to record to, from the first byte; the recording ends with the skin.
             overwrite: replace a recording that is there already.
-            calibration: rest resistance and gain of each cell, or the file with them. A tare replaces the rest
-                resistances and keeps its gains.
+            settings: see :class:`SkinSettings`.
 
         Raises:
             LinkTimeout: the board is silent.
@@ -108,19 +75,7 @@ class Skin:
 
         """
         try:
-            opening = Opening.of(
-                board=board,
-                design=design,
-                cell=cell,
-                estimator=estimator,
-                pitch=pitch,
-                accuracy=accuracy,
-                calibration=calibration,
-                timeout=timeout,
-                delivery=delivery,
-                queue=queue,
-                reconnect=reconnect,
-            )
+            opening = Opening.of(**settings)
         except BaseException:
             port.close()
             raise
@@ -180,50 +135,29 @@ class Skin:
         cls,
         port: str | Path | None = None,
         *,
-        board: str | Path | Family = NATIVE,
         serial_number: str | None = None,
-        design: Design | str | Path | None = None,
-        cell: Cell | str | Path | None = None,
-        estimator: str | None = None,
-        timeout: float = 3.0,
         baudrate: int | None = None,
-        delivery: Delivery | None = None,
-        queue: int = QUEUE,
-        reconnect: float = 10.0,
-        pitch: float | tuple[float, float] | None = None,
-        accuracy: float | None = None,
         record: str | Path | None = None,
         overwrite: bool = False,
         speed: float | None = None,
-        calibration: Calibration | str | Path | None = None,
         progress: Progress = silent,
+        **settings: Unpack[SkinSettings],
     ) -> Skin:
-        """Open a serial device, a pty, ``socket://HOST:PORT`` or a recording; see :meth:`__init__` for the rest.
+        """Open a serial device, a pty, ``socket://HOST:PORT`` or a recording (a file that ends in ``.mcap``).
 
-        A recording (a file that ends in ``.mcap``) supplies every setting of its skin that is not given here.
+        A recording supplies every setting of its skin that is not given here.
 
         Args:
             port: name of the port; None: the port where :func:`discover` finds the board ``serial_number``.
-            board: family of the board; for a recording only where the recorded one is not known.
             serial_number: that the board must have.
-            design: this argument and all without a description are as for :meth:`__init__`.
-            cell: likewise.
-            estimator: likewise.
-            timeout: likewise.
             baudrate: of the UART, where there is one; None: that of the family.
-            delivery: likewise; None: ``newest``, and ``lossless`` for a recording and for an emulated board that runs
-                as fast as it is read (``ohmskin://SCENE.toml?clock=fast``).
-            queue: likewise.
-            reconnect: likewise.
-            pitch: likewise.
-            accuracy: likewise.
-            record: likewise.
-            overwrite: likewise.
+            record: MCAP file to record to, from the first byte; the recording ends with the skin.
+            overwrite: replace a recording that is there already.
             speed: replay speed of a recording, relative to real time; None: as fast as the file is read. A live board
                 sets its own pace.
-            calibration: as for :meth:`__init__`; None: that of the recording, else none.
             progress: called with the bytes of a recording that were looked through, and with all of them, before it
                 plays.
+            settings: board, design, cell, delivery and more, see :class:`SkinSettings`.
 
         Raises:
             LinkError: the port does not exist, may not be used, or is in use, or another board is behind it.
@@ -236,27 +170,15 @@ class Skin:
         reopen: Callable[[], BytePort]
         name = None if port is None else path_text("port", port, "the name of a port or of a recording")
         played = ReplayPort(name, speed, progress) if name is not None and name.endswith(".mcap") else None
-        if played is None and speed is not None:
-            raise InputError(f"speed is {speed}, but only a recording (a file that ends in .mcap) has one")
-        recorded = NOTHING_RECORDED if played is None else played.settings
-        waits = played is not None or (name is not None and is_unpaced(name))
-        usual: Delivery = "lossless" if waits else "newest"
         # All errors in the arguments are reported before anybody waits for a board or for the compiler.
-        asked = Opening.of(
-            board=board if played is None or board != NATIVE else recorded.family(played.name),
-            design=recorded.design if design is None else design,
-            cell=recorded.cell if cell is None else cell,
-            estimator=recorded.estimator if estimator is None else estimator,
-            pitch=recorded.pitch if pitch is None else pitch,
-            accuracy=recorded.accuracy if accuracy is None else accuracy,
-            calibration=recorded.calibration if calibration is None else calibration,
-            timeout=timeout,
-            delivery=usual if delivery is None else delivery,
-            queue=queue,
-            reconnect=reconnect,
-            serial_number=serial_number,
-            introduction=recorded.introduction,
-        )
+        if played is not None:
+            asked = Opening.of(recorded=played.settings, recording=played.name, serial_number=serial_number, **settings)
+        elif speed is not None:
+            raise InputError(f"speed is {speed}, but only a recording (a file that ends in .mcap) has one")
+        else:
+            if name is not None and is_unpaced(name) and settings.get("delivery") is None:
+                settings["delivery"] = "lossless"
+            asked = Opening.of(serial_number=serial_number, **settings)
         if record is not None:
             Recording.check(record, overwrite=overwrite)
         if played is None:
@@ -675,6 +597,3 @@ def _disown_skins() -> None:
 
 if hasattr(os, "register_at_fork"):  # POSIX
     os.register_at_fork(after_in_child=_disown_skins)
-
-
-__all__ = ["Delivery", "LinkTimeout", "Skin"]
