@@ -21,6 +21,7 @@ from ..common.compiled import is_compiling
 from ..errors import InputError, OhmskinError, ProtocolError
 from ..wire import Family, HostProtocol, Layout, board_family, host_protocol
 from ._calibration import Calibration
+from ._consumer import Source
 from ._convert import Converter
 from ._introduce import Introduction
 from ._mailbox import Mailbox
@@ -30,7 +31,6 @@ from ._reader import Reader
 from ._recording import Recording
 from ._replay import NOTHING_RECORDED, RecordedSettings, ReplayPort
 from ._statistics import Counters
-from ._taker import Source
 
 Delivery = Literal["newest", "every", "lossless"]
 """which frames a reader of the skin gets
@@ -170,7 +170,7 @@ class Opening:
 
 
 class Link:
-    """A board at an open port: the reader thread, and the objects that it shares with the takers of frames."""
+    """A board at an open port: the reader thread, and the objects that it shares with the consumers of frames."""
 
     def __init__(self, port: BytePort, opening: Opening, reopen: Callable[[], BytePort] | None) -> None:
         self._port, self._opening = port, opening
@@ -225,15 +225,12 @@ class Link:
         return converter
 
     def source(self, converter: Converter) -> Source:
-        """The source from which takers get their frames."""
+        """The source from which consumers get their frames."""
         return Source(
-            lambda: self.reader.port_name,
+            self.reader,
             self.mailbox,
             converter,
             self.counters,
-            self.reader.poll,
-            self.reader.now,
-            self.reader.nothing_came,
             newest_only=self._opening.delivery == "newest",
             eager=self._opening.delivery != "lossless",
         )

@@ -31,18 +31,18 @@ LOOK_S = 0.02
 PROOF_S = 3.0
 """after a reconnection: time for a board to prove that it is the same one"""
 MOST_READS = 64
-"""reads in one turn, so that a board that never pauses cannot block a taker"""
+"""reads in one turn, so that a board that never pauses cannot block a consumer"""
 LONGEST_TURN_S = 0.02
 """the same in s, for bytes without a frame"""
 LONGEST_REST_S = 1.0
 """most time that the thread rests after such bytes; it rests as long as it took to look through them"""
 POLL_S = 0.05
-"""how long a taker waits for the thread to have read, before it looks for a frame"""
+"""how long a consumer waits for the thread to have read, before it looks for a frame"""
 MOST_UNPROVEN = 1000
 """frames kept until the board has proved that it is the same one"""
 _NO_FLAGS = Flag.NONE  # operations on flags take 1 us each
 READ_AGAIN_S = 0.0005
-"""a taker who has read and converted for longer reads again, since newer frames may have come meanwhile"""
+"""a consumer who has read and converted for longer reads again, since newer frames may have come meanwhile"""
 CONVERTED_IN_TURN = 4
 """frames that the thread converts before it reads the port again, whose buffers hold some milliseconds"""
 JOIN_S = 2.0
@@ -65,8 +65,8 @@ def await_free(name: str) -> None:
 class Reader:
     """Reads one board in a thread of its own, from opening to closing.
 
-    Two parties read the port. The thread waits for bytes. A taker also reads the bytes that are there before it looks
-    for a frame (:meth:`poll`), since Python may keep the thread from running for some milliseconds.
+    Two parties read the port. The thread waits for bytes. A consumer also reads the bytes that are there before it
+    looks for a frame (:meth:`poll`), since Python may keep the thread from running for some milliseconds.
     """
 
     def __init__(
@@ -279,7 +279,7 @@ class Reader:
         except OhmskinError as error:
             self._mailbox.finish(self._closed() if self._is_ending else error)
         finally:
-            # stop() may have woken this thread before telling the takers.
+            # stop() may have woken this thread before telling the consumers.
             ended = LinkError(f"{self.port_name}: the reader thread has ended")
             self._mailbox.finish(self._closed() if self._is_ending else ended)
             self._release()
@@ -349,7 +349,7 @@ class Reader:
             self.send(Order.ONE_FRAME)
 
     def _convert(self, most: int | None) -> bool:
-        """Convert ``most`` of the frames that have come (None: all), and tell takers; whether frames are left."""
+        """Convert ``most`` of the frames that have come (None: all), and tell consumers; whether frames are left."""
         with self._errors_told():
             left = self.keep_up(most)
             self._mailbox.tell()

@@ -19,6 +19,7 @@ from ..common.progress import Progress, silent
 from ..common.text import printable
 from ..errors import InputError, LinkEnded, LinkError
 from ..wire import Description, Identity, Order
+from ._consumer import AsyncFrames, Consumer, ConvertedFrames, FrameCallback, frames_since
 from ._convert import Measurement
 from ._discover import LONGEST_SEARCH_S, find_board
 from ._frame import Frame
@@ -31,7 +32,6 @@ from ._recording import Recording
 from ._replay import RecordedSettings, ReplayPort
 from ._statistics import LinkStatistics
 from ._stream import RawFrame
-from ._taker import AsyncFrames, ConvertedFrames, FrameCallback, FrameTaker, frames_since
 from ._tare import KNOWN_DRIFT, SPREAD, Tare
 from ._taring import Tares
 
@@ -91,7 +91,7 @@ class Skin:
         overwrite: bool,
     ) -> None:
         """Identify the board as asked; on failure the port is closed."""
-        self._timeout, self._delivery = opening.timeout_s, opening.delivery
+        self._timeout = opening.timeout_s
         self._recorder: Recording | None = None
         self._followers: dict[Recording, Callable[[RawFrame, Measurement], None]] = {}
         """recordings in progress -> the function that gives them converted frames"""
@@ -122,9 +122,9 @@ class Skin:
         self.recorded_s = port.seconds if isinstance(port, ReplayPort) else None
         """duration of the recording in s; None: the board is live"""
         self._source = link.source(self._converter)
-        self._taker = FrameTaker(self._source, from_start=True)
+        self._consumer = Consumer(self._source, after=0)
         self._callbacks: list[FrameCallback] = []
-        self._tares = Tares(self._converter, self._taker, self.calibration)
+        self._tares = Tares(self._converter, self._consumer, self.calibration)
         if self._recorder is not None:
             self._follow_frames(self._recorder)
         _OPEN_HERE.add(self)
@@ -331,7 +331,7 @@ class Skin:
 
         """
         try:
-            return self._taker.take(self._timeout, while_away=True)
+            return self._consumer.next_frame(self._timeout, while_away=True)
         except LinkEnded:
             raise StopIteration from None
 
@@ -341,17 +341,17 @@ class Skin:
 
     def frames(self) -> Iterator[Frame]:
         """An iterator with a place of its own, from now on: frames that other readers take do not go missing here."""
-        return self._follow(FrameTaker(self._source))
+        return self._follow(Consumer(self._source))
 
-    def _follow(self, taker: FrameTaker) -> Iterator[Frame]:
+    def _follow(self, consumer: Consumer) -> Iterator[Frame]:
         try:
             while True:
                 try:
-                    yield taker.take(self._timeout, while_away=True)
+                    yield consumer.next_frame(self._timeout, while_away=True)
                 except LinkEnded:
                     return
         finally:
-            taker.leave()
+            consumer.leave()
 
     def read(self, timeout: float | None = None) -> Frame:
         """Wait up to ``timeout`` s for the next frame (None: the timeout with which the skin was opened).
@@ -365,7 +365,7 @@ class Skin:
             InputError: ``timeout`` is no number.
 
         """
-        return self._taker.take(self._timeout if timeout is None else number("timeout", timeout, "s"))
+        return self._consumer.next_frame(self._timeout if timeout is None else number("timeout", timeout, "s"))
 
     def latest(self, max_age: float = MAX_AGE_S, timeout: float = 0.0) -> Frame:
         """The newest frame, taken before or not, never older than ``max_age``. For control loops.
@@ -380,7 +380,7 @@ class Skin:
             InputError: ``max_age`` is not above 0, or ``timeout`` is no number.
 
         """
-        return self._taker.latest(positive("max_age", max_age, "s"), number("timeout", timeout, "s"))
+        return self._consumer.latest(positive("max_age", max_age, "s"), number("timeout", timeout, "s"))
 
     def frames_since(self, monotonic_time: float) -> list[Frame]:
         """All frames that came after a moment, the oldest first: for a policy at 30 Hz with a skin at 150 Hz.
@@ -540,7 +540,6 @@ class Skin:
             drift=positive("drift", drift),
             spread=positive("spread", spread),
             force=force,
-            waiting=self._delivery == "every",
         )
 
     @property

@@ -66,7 +66,7 @@ class LinkStatistics:
 
 @dataclass
 class Counters:
-    """Numbers kept by the reader thread and the takers. Every number has one writer."""
+    """Numbers kept by the reader thread and the consumers. Every number has one writer."""
 
     frames: int = 0
     lost: int | None = 0

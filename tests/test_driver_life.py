@@ -453,7 +453,7 @@ class TestReaders:
     def test_a_callback_that_waits_for_who_closes_does_not_hold_closing_up(
         self, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("ohmskin.driver._taker.CLOSE_S", 0.1)
+        monkeypatch.setattr("ohmskin.driver._consumer.CLOSE_S", 0.1)
         port, called, closed = described(), threading.Event(), threading.Event()
         with Skin(port) as skin:
             callback = skin.on_frame(lambda _: (called.set(), closed.wait(60)))  # type: ignore[arg-type, return-value]
@@ -515,30 +515,15 @@ class TestReaders:
             assert sorted(taken) == [2, 5, 5, 5]
             assert not skin._mailbox._wakers
 
-    def test_ctrl_c_during_a_tare_keeps_the_count_and_the_old_rest(self) -> None:
-        port = described(*(frame(k) for k in range(6)))
-        with Skin(port, delivery="every", timeout=60.0) as skin:
-            until(lambda: skin.stats().frames == 6)
-            assert next(skin).sequence == 0
-            take, calls = skin._taker.take, itertools.count()
-
-            def interrupted(*args: Any, **options: Any) -> Frame:
-                if next(calls) == 2:
-                    raise KeyboardInterrupt
-                port.say(frame(6 + next(numbers)))
-                return take(*args, **options)
-
-            numbers = itertools.count()
-            skin._taker.take = interrupted  # type: ignore[method-assign]
-            with pytest.raises(KeyboardInterrupt):
-                skin.tare(5)
-            skin._taker.take = take  # type: ignore[method-assign]
+    def test_a_refused_tare_takes_no_frames(self) -> None:
+        with lossless(described(*(frame(k, level=[2000, 600]) for k in range(4)))) as skin:
+            with pytest.raises(InputError, match="differ from the others"):
+                skin.tare(2)
             assert skin.tared is None
-            port.say(frame(20))
+            assert next(skin).sequence == 0
+            skin.tare(2, force=True)
             after = next(skin)
-            assert (after.sequence, after.skipped_before, after.lost_before) == (20, 7, 12)
-            port.say(*(frame(k) for k in range(21, 31)))
-            assert skin.tare(2, force=True) is skin.tared
+            assert (after.sequence, after.skipped_before) == (3, 0)
 
     @pytest.mark.parametrize("kind", ["pty", "tcp", "rfc2217", "ohmskin"])
     def test_opening_again_and_again_leaves_no_thread_and_no_descriptor(self, kind: str) -> None:
