@@ -6,9 +6,12 @@ import threading
 import weakref
 from collections import deque
 from collections.abc import Callable
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from ..common.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from ._frame import Frame
 
 
 class Later:
@@ -39,23 +42,15 @@ class Later:
         return array
 
 
-class HasDeviations(Protocol):
-    """A frame whose standard deviations are computed when they are first asked for."""
-
-    @property
-    def pressure_std(self) -> FloatArray:
-        """(rows, columns) kPa."""
-
-
 class Retained:
     """Computes the standard deviations of frames that somebody keeps after a while, so that kept frames stay small."""
 
     def __init__(self, frames: int) -> None:
         """``frames``: number of newer frames after which the deviations are computed."""
         self._frames = frames
-        self._waiting: deque[weakref.ref[HasDeviations]] = deque()
+        self._waiting: deque[weakref.ref[Frame]] = deque()
 
-    def add(self, frame: HasDeviations) -> None:
+    def add(self, frame: Frame) -> None:
         """Add the newest frame."""
         self._waiting.append(weakref.ref(frame))
         if len(self._waiting) > self._frames:

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Future, wait
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypedDict
@@ -48,7 +49,7 @@ NATIVE = "ohmskin"
 QUEUE = 256
 MOST_ABANDONED = 2
 """set-ups that took too long and go on for nobody: each takes a thread, and up to hundreds of MB"""
-LOOK_S = 0.05
+POLL_S = 0.05
 """s between checks whether the compiler is at work, and how much processor time the set-up has used"""
 PATIENCE = 10.0
 """limit on the real time of a set-up that waits for the processor, over the limit on its processor time. When a robot's
@@ -279,6 +280,10 @@ class Link:
         return converter
 
 
+_ROOM = threading.BoundedSemaphore(MOST_ABANDONED)
+"""for set-ups that were given up, and that may still be at work"""
+
+
 def _within(limit_s: float, work: Callable[[], Converter]) -> Converter | None:
     """The result of ``work``; None after ``limit_s`` of processor time, and the work then ends by itself.
 
@@ -289,52 +294,34 @@ def _within(limit_s: float, work: Callable[[], Converter]) -> Converter | None:
     Nothing ends a thread from outside. While :data:`MOST_ABANDONED` works that were given up go on, another one waits
     for one of them, within ``limit_s``.
     """
-    if not _room_within(limit_s):
+    if not _ROOM.acquire(timeout=min(limit_s, threading.TIMEOUT_MAX)):
         return None
-    results: list[Converter] = []
-    errors: list[BaseException] = []
+    _ROOM.release()
+    future: Future[Converter] = Future()
     clocks: list[int] = []
 
     def run() -> None:
         try:
             if sys.platform == "linux":
                 clocks.append(time.pthread_getcpuclockid(threading.get_ident()))
-            results.append(work())
+            future.set_result(work())
         except BaseException as error:
-            errors.append(error)
+            future.set_exception(error)
 
-    thread = threading.Thread(target=run, name="ohmskin set-up", daemon=True)
-    thread.start()
+    threading.Thread(target=run, name="ohmskin set-up", daemon=True).start()
     left_s, processor_s = limit_s, 0.0
-    while thread.is_alive() and left_s > 0:
+    while left_s > 0:
         before_s, processor_before_s = time.monotonic(), processor_s
-        thread.join(min(left_s, LOOK_S))
+        wait([future], min(left_s, POLL_S))
+        if future.done():
+            return future.result()
         elapsed_s = time.monotonic() - before_s
         processor_s = _processor_s(clocks, processor_before_s + elapsed_s)
         if not is_compiling():
             left_s -= max(processor_s - processor_before_s, elapsed_s / PATIENCE)
-    if thread.is_alive():
-        _abandoned.append(thread)
-    if errors:
-        raise errors[0]
-    return results[0] if results else None
-
-
-def _room_within(limit_s: float) -> bool:
-    """Wait until fewer than :data:`MOST_ABANDONED` threads are at work for nobody; False after ``limit_s``."""
-    until = time.monotonic() + limit_s
-    while True:
-        _abandoned[:] = [thread for thread in _abandoned if thread.is_alive()]
-        left_s = until - time.monotonic()
-        if len(_abandoned) < MOST_ABANDONED:
-            return True
-        if left_s <= 0:
-            return False
-        _abandoned[0].join(min(left_s, LOOK_S))
-
-
-_abandoned: list[threading.Thread] = []
-"""set-ups that were given up, and that may still be at work"""
+    if _ROOM.acquire(blocking=False):
+        future.add_done_callback(lambda _: _ROOM.release())
+    return None
 
 
 def _processor_s(clocks: list[int], otherwise_s: float) -> float:

@@ -26,7 +26,7 @@ ASK_AGAIN_S = 0.5
 """a board that sends nothing for this time is asked again"""
 ASK_WHO_S = 0.25
 """the same for a board that has not identified itself: a lossy line needs several answers for a whole description"""
-LOOK_S = 0.02
+SERIAL_NUMBER_S = 0.02
 """polling interval of a wait for a serial number: whether it can still come"""
 PROOF_S = 3.0
 """after a reconnection: time for a board to prove that it is the same one"""
@@ -143,7 +143,7 @@ class Reader:
     def serial_number(self, timeout_s: float) -> str:
         """Wait for the board's serial number; empty if it has none, or does not send it in time."""
         until = time.monotonic() + min(timeout_s, threading.TIMEOUT_MAX)
-        while self._family.has_description and not self.introduction.identified.wait(LOOK_S):
+        while self._family.has_description and not self.introduction.identified.wait(SERIAL_NUMBER_S):
             unread = self._lossless and self._mailbox.is_full()
             if unread or self._mailbox.end is not None or time.monotonic() >= until:
                 break

@@ -66,7 +66,7 @@ class Tare:
     """mean over the frames; where not measured, the calibration's value in proportion to the other cells, else the data
     sheet's value, else the median of the others"""
     measured: BoolArray
-    """False for a cell without a valid reading"""
+    """False for a cell without a valid reading; True for one that reads no current, where cells are open at rest"""
     std_ohm: FloatArray
     """standard deviation from frame to frame; NaN where not measured"""
     frames: int
@@ -267,7 +267,7 @@ class RestReadings:
             frames_advised = self._frames_to_cover(measured | idle)
         return Tare(
             rest_resistance_ohm=np.where(measured, mean, otherwise),
-            measured=measured,
+            measured=measured | idle,
             std_ohm=np.where(measured, std, np.nan),
             frames=len(self.resistance_ohm),
             lost=lost,
