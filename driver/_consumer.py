@@ -205,7 +205,6 @@ class Consumer:
             self._newest, self._frame = raw.index, _frame(raw, measurement, told, source)
             source.mailbox.move(self._place, raw.index)
             source.counters.ages_s.append(age_s)
-            source.converter.retained.add(self._frame)
             return self._frame
 
     def _check_fault(self) -> None:
@@ -373,7 +372,6 @@ def frames_since(source: Source, monotonic_s: float) -> list[Frame]:
     for raw, measurement in source.converter.measured_since(monotonic_s):
         if raw.monotonic_time > monotonic_s:
             frames.append(_frame(raw, measurement, told, source))
-            source.converter.retained.add(frames[-1])
         told = _Totals.of(raw, measurement.estimator_starts)
     return frames
 

@@ -25,7 +25,7 @@ from scipy import ndimage
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
 from ._bridging import bridge
-from ._later import Later
+from ._lazy import Lazy
 from ._pitch import Pitch
 from ._tare import KNOWN_DRIFT
 from ._tracks import Named, Patch, Tracks
@@ -355,7 +355,7 @@ class PressureView(NamedTuple):
     """of the frame"""
     time_s: float
     pressure_kpa: FloatArray
-    std_kpa: Later
+    std_kpa: Lazy
     unread: BoolArray
     """(rows, columns) cells without a reading in this frame"""
 

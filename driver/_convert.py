@@ -21,7 +21,7 @@ from ..wire import Layout
 from ._calibration import Calibration
 from ._column_steps import ColumnSteps
 from ._contacts import ContactsOfFrames, ContactTracker, PressureView
-from ._later import Later, Retained
+from ._lazy import Lazy
 from ._line_faults import Creep, LineFaults
 from ._mailbox import Mailbox
 from ._pitch import Pitch
@@ -39,8 +39,6 @@ skipped: boards may send faster than a computer converts"""
 KNOWN_FRAMES = 20
 """frames before new rest resistances that the estimator sees again with them: as many as a usual tare has. They tell it
 that the skin is at rest, or what lies on it"""
-SMALL_AFTER = 32
-"""newer frames after which a frame that somebody keeps has its standard deviation computed, to free its inputs"""
 KEEP_STATE_S = 60.0
 """after a longer gap the estimator restarts: the loads during the gap are unknown"""
 
@@ -81,7 +79,7 @@ class Measurement(NamedTuple):
     """ohm"""
     pressure: FloatArray
     """kPa"""
-    pressure_std: Later
+    pressure_std: Lazy
     """kPa"""
     view: PressureView
     rest_counts: FloatArray
@@ -184,8 +182,6 @@ class Converter:
         """times and readings of the last frames"""
         self._awaited = False
         """a reader converts frames, or waits for the lock to do so"""
-        self.retained = Retained(SMALL_AFTER)
-        """of the frames that readers got"""
         self.notices: deque[str] = deque()
         """warnings for the next reader who takes a frame"""
 
@@ -365,12 +361,12 @@ class Converter:
         self._present = np.where(missing, frame.counts if before is None else before, frame.counts)
         return self._read(self._present).without(missing, Reason.MISSING)
 
-    def _estimate(self, gap_s: float, reading: Reading) -> tuple[FloatArray, Later]:
+    def _estimate(self, gap_s: float, reading: Reading) -> tuple[FloatArray, Lazy]:
         """Pressures (rows, columns) in kPa and their standard deviations."""
         estimator, calibration = self._estimator, self._calibration
         if estimator is None or self._systematic is None:
             unknown = np.full(reading.valid.shape, np.nan)
-            return unknown, Later(unknown.copy)
+            return unknown, Lazy(unknown.copy)
         if not estimator.resolved:
             estimator.resolve(*reading.resolution)
         assert self._column_steps is not None, "it is made with the estimator"
@@ -379,7 +375,7 @@ class Converter:
             resistance = np.where(reading.reason == Reason.NO_CURRENT, np.inf, resistance)
         common = estimator.step(gap_s, resistance)
         systematic = self._systematic.take(reading, taken_out, rest_known=self._rest_known)
-        std = Later(partial(_std, estimator.variance_of_last_step(), systematic, common, calibration))
+        std = Lazy(partial(_std, estimator.variance_of_last_step(), systematic, common, calibration))
         return common if calibration is None else calibration.applied(common), std
 
     def _without_faulty_lines(self, time_s: float, reading: Reading) -> Reading:
