@@ -26,8 +26,6 @@ ASK_AGAIN_S = 0.5
 """a board that sends nothing for this time is asked again"""
 ASK_WHO_S = 0.25
 """the same for a board that has not identified itself: a lossy line needs several answers for a whole description"""
-SERIAL_NUMBER_S = 0.02
-"""polling interval of a wait for a serial number: whether it can still come"""
 PROOF_S = 3.0
 """after a reconnection: time for a board to prove that it is the same one"""
 MOST_READS = 64
@@ -142,11 +140,8 @@ class Reader:
 
     def serial_number(self, timeout_s: float) -> str:
         """Wait for the board's serial number; empty if it has none, or does not send it in time."""
-        until = time.monotonic() + min(timeout_s, threading.TIMEOUT_MAX)
-        while self._family.has_description and not self.introduction.identified.wait(SERIAL_NUMBER_S):
-            unread = self._lossless and self._mailbox.is_full()
-            if unread or self._mailbox.end is not None or time.monotonic() >= until:
-                break
+        if self._family.has_description and self._mailbox.end is None:
+            self.introduction.identified.wait(min(timeout_s, threading.TIMEOUT_MAX))
         return self.introduction.serial_number
 
     def nothing_came(self, what: str, timeout_s: float) -> LinkTimeout | ProtocolError:
@@ -285,6 +280,7 @@ class Reader:
             self._release()
             self._reopen = None  # its finder watches a file, the port's announcement
             self.introduced.set()
+            self.introduction.identified.set()
 
     def _live(self) -> None:
         """Serve the port, and again after each reconnection."""
