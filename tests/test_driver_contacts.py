@@ -452,16 +452,6 @@ def test_ids_do_not_depend_on_the_order_in_which_frames_are_asked() -> None:
     assert names == [[(c.id, c.x_mm) for c in contacts] for contacts in backwards]
 
 
-def test_contacts_asked_for_late_have_one_name_each() -> None:
-    """Nothing was followed before the first question; frames from before it are named after those of then."""
-    with lossless(Wire(big_scene())) as skin:
-        frames = list(islice(skin, 120))
-        latest = {c.id: (c.x_mm, c.y_mm) for c in frames[-1].contacts}
-        for frame in frames[80:]:
-            assert {c.id: pytest.approx((c.x_mm, c.y_mm), abs=1.0) for c in frame.contacts} == latest
-    assert [c.id for c in frames[-1].contacts] == [1, 2]
-
-
 @pytest.mark.parametrize("uncertain_kpa", [1.5, 3.0])
 @pytest.mark.parametrize("cell", [(7, 5), (7, 9)])
 def test_a_single_uncertain_cell_at_the_top_of_a_finger_does_not_join_it_to_its_neighbour(
@@ -492,14 +482,6 @@ def test_what_a_moving_finger_leaves_behind_is_no_contact(
         behind = np.maximum(behind * np.exp(-0.01 / lasting_s), share * press)
         frames.append(np.maximum(press, behind))
     assert {contact.id for contacts in track(frames, std_kpa=0.02) for contact in contacts} == {1}
-
-
-def test_a_press_where_another_one_has_just_been_is_found() -> None:
-    """At once where it is more than a residue may be, and a lighter one when the residue would have faded."""
-    strong, nothing = bump((16, 16), 7, 7, 12.0), np.zeros((16, 16))
-    for light, wait in ((2.5, 10), (1.0, 200)):
-        frames = [strong] * 20 + [nothing] * wait + [bump((16, 16), 7, 7, light)] * 3
-        assert [len(contacts) for contacts in track(frames)][-3:] == [1, 1, 1]
 
 
 def test_contacts_can_be_compared_and_collected() -> None:

@@ -195,15 +195,6 @@ class TestFiniteBoards:
         with pytest.raises(LinkEnded, match="come to the end of its frames, and has not described itself before"):
             Skin(Script(identity(), frame(0), identity(over=True)), timeout=30.0)
 
-    def test_a_board_that_is_switched_off_has_not_come_to_its_end(self) -> None:
-        """An emulator that is stopped may be started again."""
-        port = PtyPort()
-        with running(scene(), port, duration_s=1e6):
-            skin = Skin.open(port.name, reconnect=0.2)
-            next(skin)
-        with skin, pytest.raises(LinkError, match=r"it has not come back within 0\.2 s"):
-            list(skin)
-
     def test_a_board_in_this_process_is_not_started_again(self) -> None:
         """Its family has no packet for an end."""
         url = f"ohmskin://{EXAMPLES / 'fingers.toml'}?clock=fast&duration=1&board=fsr-array"
@@ -292,13 +283,6 @@ class TestOrderOfPackets:
         numbers = [*range(100), 3100]
         frames, stats = played(numbers, [10_000 * k for k in numbers])
         assert (frames[-1].lost_before, stats.resyncs) == (3000, 0)
-
-    def test_a_board_whose_boot_id_never_changes_is_seen_to_start_anew(self) -> None:
-        pieces = [*(frame(k) for k in range(100)), *(frame(k) for k in range(5)), identity(sequence=5, over=True)]
-        with lossless(described(*pieces)) as skin:
-            taken = list(skin)
-        assert [k for k, one in enumerate(taken) if one.rebooted] == [100]
-        assert (skin.stats().frames, skin.stats().lost, skin.stats().reboots) == (105, 0, 1)
 
 
 class TestAnotherBoard:
@@ -496,12 +480,6 @@ class TestWhatIsSaid:
         skin.close()
         assert repr(skin) == "<Skin script: 3 x 2 cells, serial number A1; over>"
 
-    def test_a_closed_skin_takes_no_orders(self) -> None:
-        skin = Skin(described(frame(0)))
-        skin.close()
-        with pytest.raises(LinkEnded, match="script: the skin is closed"):
-            skin.request(Order.STOP)
-
     def test_a_port_on_which_frames_have_come_is_not_called_silent(self) -> None:
         with Skin(described(frame(0))) as skin:
             skin.read(60.0)
@@ -527,13 +505,6 @@ class TestNumbers:
         with pytest.raises(InputError, match=message):
             Skin(port, **options)
         assert port.closed
-
-    def test_one_may_wait_for_ever(self) -> None:
-        forever = float("inf")
-        with lossless(described(frame(0), frame(1, flags=Flag.LAST)), timeout=forever, reconnect=forever) as skin:
-            assert skin.read(forever).sequence == 0
-            assert skin.latest(forever, forever).sequence == 1
-            assert list(skin) == []
 
     @pytest.mark.parametrize("age", [0.0, float("nan"), "x", None])
     def test_no_frame_can_be_so_young(self, age: Any) -> None:

@@ -340,14 +340,6 @@ class TestDamage:
             assert len(list(skin)) == 3
         assert (skin.stats().corrupt, skin.stats().resyncs) == (3, 0)
 
-    def test_a_boot_id_tells_a_reboot_that_numbers_and_times_do_not(self) -> None:
-        """The board starts anew, runs for longer than before while nobody listens, and is heard again."""
-        pieces = [frame(0), frame(1), frame(7, boot_id=2), frame(8, boot_id=2, flags=Flag.LAST)]
-        with lossless(described(*pieces)) as skin:
-            frames = list(skin)
-        assert [f.rebooted for f in frames] == [False, False, True, False]
-        assert [f.lost_before for f in frames] == [0, 0, 7, 0]
-
     @given(st.lists(st.sampled_from([*SIX_FRAMES, b"\0", b"junk\0", identity(), sheet()]), max_size=30))
     def test_every_frame_that_came_is_in_one_count(self, pieces: list[bytes]) -> None:
         def over() -> bytes:
@@ -542,15 +534,6 @@ class TestReconnection:
         assert (after.reconnected, after.rebooted, after.estimator_restarted) == (False, False, False)
         np.testing.assert_allclose(back.pressure, 0.0, atol=1e-9)
         assert skin.stats().reconnects == 1
-
-    def test_a_board_that_kept_running_is_not_a_reboot_and_what_it_sent_meanwhile_is_lost(self) -> None:
-        bench = Bench(Script(identity(), sheet(), frame(50)))
-        with Skin(described(frame(0), last=gone), delivery="lossless", reopen=bench.reopen) as skin:
-            frames = list(islice(skin, 2))
-        assert [(f.sequence, f.lost_before, f.reconnected, f.rebooted) for f in frames] == [
-            (0, 0, False, False),
-            (50, 49, True, False),
-        ]
 
     def test_frames_that_come_before_the_board_has_shown_who_it_is_are_kept(self) -> None:
         bench = Bench(Script(frame(1), identity(), frame(2), sheet(), frame(3)))
