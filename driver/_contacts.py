@@ -84,11 +84,6 @@ class Contact:
     """standard deviation of :attr:`force_n`: that of the pressures times cell area, added up as if neighbours erred
     alike, since they share their history; NaN where the estimator states none"""
 
-    @property
-    def position_m(self) -> tuple[float, float]:
-        """The position (x, y) in m."""
-        return self.x_mm / 1e3, self.y_mm / 1e3
-
 
 class ContactTracker:
     """Finds the contacts of frames and follows them from frame to frame."""

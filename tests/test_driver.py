@@ -144,15 +144,6 @@ def test_real_parts_are_taken_out_of_the_reading() -> None:
     np.testing.assert_allclose(reading.resistance, cells, rtol=2e-4)
 
 
-def test_an_open_cell_disturbs_no_other() -> None:
-    cells = np.full((3, 2), 1e4)
-    cells[1, 0] = np.inf
-    whole = design(readout={"circuit": "inverting-amplifier", "reference_resistance": 20e3})
-    reading = CountReader(whole)(adc_codes(whole, scan(whole, cells).volts))
-    np.testing.assert_array_equal(reading.valid, np.isfinite(cells))
-    np.testing.assert_allclose(reading.resistance[reading.valid], 1e4, rtol=1e-3)
-
-
 @pytest.mark.parametrize(("drive", "weak"), [(1.0, 1e7), (-1.0, np.inf)])
 def test_a_faint_cell_costs_no_other_with_a_reference_in_mid_supply(drive: float, weak: float) -> None:
     """Its code may lie on the wrong side of the reference: no current is less than none."""
@@ -298,15 +289,6 @@ def test_what_the_line_spoils_is_counted_as_lost_and_never_believed() -> None:
         np.testing.assert_array_equal(frame.counts, taken[frame.sequence].counts)
 
 
-def test_joining_a_running_board_is_no_loss() -> None:
-    board = Board(scene())
-    for _ in range(500):
-        board.tick()
-    with lossless(Wire(board)) as skin:
-        frame = next(skin)
-    assert (frame.sequence, frame.lost_before) == (500, 0)
-
-
 def sheet(sequence: int = 0, time_us: int = 0) -> bytes:
     what = scene().skin
     text = write_description(what.design.model_dump(), what.cell.model_dump())
@@ -370,11 +352,6 @@ def test_noise_is_named_within_the_timeout(noise: bytes) -> None:
     with pytest.raises((ProtocolError, LinkTimeout), match=r"no description within 0\.3 s"):
         lossless(port, timeout=0.3)
     assert port.closed
-
-
-def test_noise_that_could_be_nothing_else_is_a_protocol_error() -> None:
-    with pytest.raises(ProtocolError, match=r"\d+ bytes came, the last of them no packet \(not COBS"):
-        lossless(Script(last=lambda: b"abc\0"), timeout=1.0)
 
 
 def test_a_board_that_only_describes_itself_is_told_apart_from_noise() -> None:

@@ -198,14 +198,6 @@ def test_a_held_load_never_fades(peak: float, width: float) -> None:
     assert seen[-1][0].force_n == seen[12][0].force_n
 
 
-def test_a_load_that_grows_more_slowly_than_drift_is_found_once_drift_cannot_explain_it() -> None:
-    where = bump(5, 5, 1.0)
-    seen = track(slowly(0.03, where, 200.0), 0.05, 0.1, DRIFT_KPA)
-    first = next(k for k, contacts in enumerate(seen) if contacts)
-    assert 0.03 * 0.1 * first == pytest.approx(DRIFT_KPA + START_SHARE * FULL_KPA, abs=0.2)
-    assert all(seen[first:])
-
-
 # -- fingers beside each other --------------------------------------------------------------------------------------
 
 

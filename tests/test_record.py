@@ -24,7 +24,7 @@ from boards import Script, Wire, gone, scene, until
 
 from ohmskin.cli import run
 from ohmskin.common.config import fingerprint
-from ohmskin.driver import Calibration, Frame, Recorder, ReplayPort, Skin, to_xarray
+from ohmskin.driver import Calibration, Frame, Recorder, Skin, to_xarray
 from ohmskin.emulator import Board, PtyPort, running
 from ohmskin.errors import InputError, LinkEnded, ProtocolError
 from ohmskin.wire import DescriptionPiece, Flag, FramePacket, Identity, encode, write_description
@@ -311,13 +311,9 @@ def test_a_replay_at_a_speed_takes_its_time(tmp_path: Path) -> None:
         assert 0 <= frames[-1].age < 60  # on the recording's clock
     assert time.monotonic() - began > 0.25
     with pytest.raises(InputError, match=r"speed 0\.0; expected a positive number"):
-        ReplayPort(path, 0.0)
-
-
-@pytest.mark.parametrize("port", ["/dev/ttyNone", "ohmskin://scene.toml", None])
-def test_only_a_recording_has_a_speed(port: str | None) -> None:
+        Skin.open(path, speed=0.0)
     with pytest.raises(InputError, match=r"speed is 2\.0, but only a recording"):
-        Skin.open(port, serial_number="L-07", speed=2.0)
+        Skin.open("/dev/ttyNone", speed=2.0)
 
 
 @pytest.mark.parametrize("content", [b"", b"time,pressure\n1,2\n", b"\x89MCAP0\r\n"])
