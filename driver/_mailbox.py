@@ -6,7 +6,7 @@ import contextlib
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
 
@@ -161,23 +161,20 @@ class Mailbox:
                 place.index = index
                 self._drop_passed()
 
-    def _passed(self) -> int:
-        """Number of the last frame that all consumers have passed; 0 if there are no consumers."""
-        places = self._places
-        return places[0].index if len(places) == 1 else min((place.index for place in places), default=0)
-
     def _drop_passed(self) -> None:
-        self._drop_to(self._passed())
+        self._drop(self._places)
         if self._room_wanted and self._has_room():
             self._tell()
 
-    def _drop_to(self, index: int) -> None:
-        while self._frames and self._frames[0].index <= index:
+    def _drop(self, places: Sequence[Place]) -> None:
+        """Drop the frames that all these places have passed; none if there are no places."""
+        passed = min((place.index for place in places), default=0)
+        while self._frames and self._frames[0].index <= passed:
             self._dropped = self._frames.popleft()
 
     def _drop_unused(self) -> None:
         """Drop frames passed by all consumers that ever took a frame. The others start at the oldest frame left."""
-        self._drop_to(min((place.index for place in self._places if place.used), default=0))
+        self._drop([place for place in self._places if place.used])
 
     def is_full(self) -> bool:
         """Whether the queue has no room, even after dropping frames that nobody has asked for."""

@@ -205,24 +205,20 @@ class Link:
         """Start reading, wait until the board has identified itself, and set up the converter of its frames.
 
         Raises:
-            LinkTimeout, ProtocolError, LinkError, InputError: as :meth:`Skin.__init__`. The port is then closed.
+            LinkTimeout, ProtocolError, LinkError, InputError: as :meth:`Skin.__init__`. The reader thread goes on.
 
         """
         limit_s = self._opening.timeout_s
         self.reader.start()
-        try:
-            self.reader.await_introduction(limit_s)
-            converter = _within(limit_s, self._set_up)
-            if converter is None:
-                raise ProtocolError(
-                    f"{self._port.name}: the inverse of the board's circuit was not set up within {limit_s:g} s; "
-                    "give a longer timeout, if the board's description is right"
-                )
-            if self._opening.delivery != "lossless":
-                self.reader.keep_up = converter.keep_up
-        except BaseException:
-            self.reader.stop()
-            raise
+        self.reader.await_introduction(limit_s)
+        converter = _within(limit_s, self._set_up)
+        if converter is None:
+            raise ProtocolError(
+                f"{self._port.name}: the inverse of the board's circuit was not set up within {limit_s:g} s; "
+                "give a longer timeout, if the board's description is right"
+            )
+        if self._opening.delivery != "lossless":
+            self.reader.keep_up = converter.keep_up
         return converter
 
     def source(self, converter: Converter) -> Source:

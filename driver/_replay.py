@@ -185,15 +185,12 @@ class ReplayPort:
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until the next bytes are due."""
-        due_s = self._due_s()
-        if due_s > timeout_s:
-            if self._interrupted.wait(max(timeout_s, 0.0)):
-                self._interrupted.clear()
-            return False
-        if due_s > 0 and self._interrupted.wait(due_s):
+        with self._lock:
+            due_s = self._remaining_s()
+        if due_s > 0 and self._interrupted.wait(max(min(due_s, timeout_s), 0.0)):
             self._interrupted.clear()
             return False
-        return True
+        return due_s <= timeout_s
 
     def read(self) -> Arrival:
         """The next recorded bytes, if they are due; LinkEnded at the end, LinkError where the port was lost."""
@@ -233,10 +230,6 @@ class ReplayPort:
         if self._next is None:
             self._next = next(self._items, LinkEnded(f"{self.name}: the recording is over"))
         return self._next
-
-    def _due_s(self) -> float:
-        with self._lock:
-            return self._remaining_s()
 
     def _remaining_s(self) -> float:
         """Seconds until the next bytes; 0 or less: now."""
