@@ -99,8 +99,7 @@ class Consumer:
         while True:
             if source.newest_only or self._place.index >= source.mailbox.fault.after:
                 self._check_fault()
-            with source.mailbox.lock:
-                raw = source.mailbox.newest if source.newest_only else source.mailbox.after(self._place.index)
+            raw = source.mailbox.newest if source.newest_only else source.mailbox.after(self._place.index)
             if raw is None or raw.index <= self._place.index:
                 self._check()
                 return None

@@ -172,6 +172,8 @@ class Converter:
         tracker = ContactTracker(self.shape, pitch, full_scale_kpa, drift_kpa=drift_kpa, faults_press=faults_press)
         self.contacts = ContactsOfFrames(tracker, mailbox.capacity)
         self._converted = 0
+        self._passed = 0
+        """number of the last frame that was converted, skipped, or did not fit"""
         self._counters.untared = self._why_to_tare()
         self._last: RawFrame | None = None
         self._last_s: float | None = None
@@ -293,10 +295,11 @@ class Converter:
         """Convert the frames up to the number ``last``, at most ``most`` of them; returns whether frames are left."""
         done, until_s = 0, thread_time() + LATE_S
         while most is None or done < most:
-            frame = self._mailbox.next_unconverted(last)
-            if frame is None:
+            frame = self._mailbox.after(self._passed)
+            if frame is None or frame.index > last:
                 self._awaited = False
                 return False
+            self._passed = frame.index
             if self._newest_only and frame.index < last and thread_time() > until_s:
                 continue
             done += 1

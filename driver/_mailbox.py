@@ -43,7 +43,7 @@ class Mailbox:
     """
 
     def __init__(self, capacity: int, *, drops_oldest: bool = True) -> None:
-        """``capacity``: number of frames that wait for consumers, and of those that wait for their conversion."""
+        """``capacity``: number of frames that wait for consumers."""
         self.lock = threading.RLock()
         self.capacity = capacity
         self.newest: RawFrame | None = None
@@ -56,7 +56,6 @@ class Mailbox:
         self._closed = False
         self._room_wanted = False
         self._frames: deque[RawFrame] = deque()
-        self._unconverted: deque[RawFrame] = deque()
         self._dropped: RawFrame | None = None
         """the frame before the oldest one kept"""
         self._places: list[Place] = []
@@ -68,18 +67,9 @@ class Mailbox:
             if self._closed:
                 return
             self.newest = frame
-            for waiting in (self._frames, self._unconverted):
-                waiting.append(frame)
+            self._frames.append(frame)
             if self._drops_oldest and len(self._frames) > self.capacity:
                 self._dropped = self._frames.popleft()
-            if self._drops_oldest and len(self._unconverted) > self.capacity:
-                self._unconverted.popleft()
-
-    def next_unconverted(self, last: int) -> RawFrame | None:
-        """Remove the oldest frame that waits for its conversion, up to the number ``last``; None if there is none."""
-        with self.lock:
-            waiting = self._unconverted
-            return waiting.popleft() if waiting and waiting[0].index <= last else None
 
     def tell(self) -> None:
         """Wake all waiting threads: once for all frames that came together, since each wake-up costs time."""
@@ -111,7 +101,6 @@ class Mailbox:
         with self.lock:
             self._closed = True
             self._frames.clear()
-            self._unconverted.clear()
             self.newest = None
             self.end = error
             self._tell()
@@ -123,9 +112,10 @@ class Mailbox:
 
     def after(self, index: int) -> RawFrame | None:
         """The oldest frame beyond ``index``; None if there is none yet."""
-        if not self._frames or self._frames[-1].index <= index:
-            return None
-        return self._frames[max(index + 1 - self._frames[0].index, 0)]
+        with self.lock:
+            if not self._frames or self._frames[-1].index <= index:
+                return None
+            return self._frames[max(index + 1 - self._frames[0].index, 0)]
 
     def join(self, after: int | None) -> tuple[Place, RawFrame | None]:
         """A place for a new consumer.

@@ -22,7 +22,6 @@ from ..common.compiled import is_compiling
 from ..errors import InputError, OhmskinError, ProtocolError
 from ..wire import Family, HostProtocol, Layout, board_family, host_protocol
 from ._calibration import Calibration
-from ._consumer import Source
 from ._convert import Converter
 from ._introduce import Introduction
 from ._mailbox import Mailbox
@@ -220,17 +219,6 @@ class Link:
         if self._opening.delivery != "lossless":
             self.reader.keep_up = converter.keep_up
         return converter
-
-    def source(self, converter: Converter) -> Source:
-        """The source from which consumers get their frames."""
-        return Source(
-            self.reader,
-            self.mailbox,
-            converter,
-            self.counters,
-            newest_only=self._opening.delivery == "newest",
-            eager=self._opening.delivery != "lossless",
-        )
 
     def _host_end(self) -> HostProtocol:
         """A new host protocol, with the array's size if the board does not send it."""

@@ -19,7 +19,7 @@ from ..common.progress import Progress, silent
 from ..common.text import printable
 from ..errors import InputError, LinkEnded, LinkError
 from ..wire import Description, Identity, Order
-from ._consumer import AsyncFrames, Consumer, ConvertedFrames, FrameCallback, frames_since
+from ._consumer import AsyncFrames, Consumer, ConvertedFrames, FrameCallback, Source, frames_since
 from ._convert import Measurement
 from ._discover import LONGEST_SEARCH_S, find_board
 from ._frame import Frame
@@ -121,7 +121,14 @@ class Skin:
         """rest resistances and gains of the cells; None: all cells are as the cell model says"""
         self.recorded_s = port.seconds if isinstance(port, ReplayPort) else None
         """duration of the recording in s; None: the board is live"""
-        self._source = link.source(self._converter)
+        self._source = Source(
+            link.reader,
+            link.mailbox,
+            self._converter,
+            link.counters,
+            newest_only=opening.delivery == "newest",
+            eager=opening.delivery != "lossless",
+        )
         self._consumer = Consumer(self._source, after=0)
         self._callbacks: list[FrameCallback] = []
         self._tares = Tares(self._converter, self._consumer, self.calibration)
