@@ -373,15 +373,15 @@ class ContactsOfFrames:
         """The contacts of one frame."""
         with self._lock:
             self._asked = True
-            return self._look(view)
+            return self._contacts_of(view)
 
     def pass_by(self, view: PressureView) -> None:
         """Process a new frame, if contacts were ever asked for."""
         if self._asked:
             with self._lock:
-                self._look(view)
+                self._contacts_of(view)
 
-    def _look(self, view: PressureView) -> tuple[Contact, ...]:
+    def _contacts_of(self, view: PressureView) -> tuple[Contact, ...]:
         found = self._found.get(view.number)
         if found is not None:
             return found

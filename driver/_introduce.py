@@ -69,7 +69,7 @@ class Introduction:
             said += b"".join(board.describe(text, sequence=0, time_us=0, boot_id=described.boot_id or 0))
         return said
 
-    def hear(self, event: Identity | Description | FramePacket) -> None:
+    def add(self, event: Identity | Description | FramePacket) -> None:
         """Take a packet.
 
         Raises:

@@ -191,7 +191,7 @@ class Link:
             reopen=reopen,
             reconnect_s=opening.reconnect_s,
         )
-        self.reader.hear_before(settings.introduction)
+        self.reader.introduce_before(settings.introduction)
 
     def record(self, path: str | Path, *, overwrite: bool) -> Recording:
         """Record from the first byte on; before :meth:`introduce`. Raises InputError."""

@@ -326,16 +326,16 @@ class UrlPort(_RealTimePort):
         if isinstance(connection, socket.socket) and connection.family != socket.AF_UNIX:
             _end_when_unheard(connection)
         self._waiting = b""
-        self._taking = threading.Lock()
+        self._reading = threading.Lock()
         """held by the thread that takes bytes: a second thread would get later bytes before earlier ones"""
         self._was_ready = False
         """whether the board has signalled that it is ready. Many serial cables have no wire for this signal"""
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until bytes have come or the port is gone; False after 0.1 s, or at once without a ``timeout_s``."""
-        with self._taking:
+        with self._reading:
             if not self._waiting and timeout_s > 0:
-                self._waiting = self._take(1)
+                self._waiting = self._read_device(1)
             return bool(self._waiting)
 
     def read(self) -> Arrival:
@@ -343,16 +343,16 @@ class UrlPort(_RealTimePort):
 
         While another thread waits there is nothing to take, since that thread takes the next byte.
         """
-        if not self._taking.acquire(blocking=False):
+        if not self._reading.acquire(blocking=False):
             return self._arrived(b"")
         try:
             self._was_ready = self._was_ready or self._is_ready()
             first, self._waiting = self._waiting, b""
-            return self._arrived(first + self._take(None))
+            return self._arrived(first + self._read_device(None))
         finally:
-            self._taking.release()
+            self._reading.release()
 
-    def _take(self, size: int | None) -> bytes:
+    def _read_device(self, size: int | None) -> bytes:
         """Wait for so many bytes, for at most 0.1 s; None: take the bytes that are there."""
         try:
             if size is None:

@@ -100,7 +100,7 @@ class Reader:
         self._reading = threading.RLock()
         """held by the thread that reads from the port, writes to it, or replaces it"""
         self._stop = SignalSafeEvent()
-        self._heard = False
+        self._has_frames = False
         """a frame has come since the board was last asked"""
         self._proof_until = inf
         """until when the board must prove that it is the one from before; infinite when no proof is due"""
@@ -175,11 +175,11 @@ class Reader:
         Errors of the port are left to the thread, and so are bytes of a flood.
         """
         began_s = self.now()
-        self._take_turn()
+        self._read_and_convert()
         if self.now() - began_s > READ_AGAIN_S:
-            self._take_turn()
+            self._read_and_convert()
 
-    def _take_turn(self) -> None:
+    def _read_and_convert(self) -> None:
         if self._reading.acquire(timeout=POLL_S):
             try:
                 self._read()
@@ -221,7 +221,7 @@ class Reader:
         """Whether the port is gone at present, or the board there has yet to show that it is the one from before."""
         return self._away_since is not None
 
-    def hear_before(self, introduction: bytes) -> None:
+    def introduce_before(self, introduction: bytes) -> None:
         """Take what the board said of itself before a recording that plays began. Call before :meth:`start`.
 
         Raises:
@@ -230,7 +230,7 @@ class Reader:
         """
         for event in self._new_protocol().feed(introduction, 0.0):
             if isinstance(event, Identity | Description):
-                self.introduction.hear(event)
+                self.introduction.add(event)
 
     def disown(self) -> None:
         """In a forked process: leave port and mailbox to the parent process, which opened them."""
@@ -322,8 +322,8 @@ class Reader:
             if now > self._proof_until:
                 raise LinkError(f"{port.name}: the board there does not show that it is the one from before")
             known = self.introduced.is_set() and self._proof_until == inf
-            if self._heard and known:
-                ask_at, self._heard = now + ASK_AGAIN_S, False
+            if self._has_frames and known:
+                ask_at, self._has_frames = now + ASK_AGAIN_S, False
             elif now >= ask_at:
                 self._ask()
                 ask_at = now + (ASK_AGAIN_S if known else ASK_WHO_S)
@@ -399,12 +399,12 @@ class Reader:
         self._reason = ""
         match event:
             case FramePacket():
-                self._heard = True
-                self._hear(event, arrival)
+                self._has_frames = True
+                self._receive(event, arrival)
                 if self._family.polled:
                     self.send(Order.ONE_FRAME)
             case Identity() | Description():
-                self._get_to_know(event)
+                self._identify(event)
             case Corrupt():
                 self._reason = event.reason
                 if event.is_description:
@@ -412,7 +412,7 @@ class Reader:
                 self._counters.corrupt += 1
                 self._counters.why_corrupt = event.reason
 
-    def _hear(self, packet: FramePacket, arrival: Arrival) -> None:
+    def _receive(self, packet: FramePacket, arrival: Arrival) -> None:
         if not self.introduction.complete:
             self._learn(packet)
             if not self.introduction.complete:
@@ -425,11 +425,11 @@ class Reader:
                 return
             # A board that sends no identity is identified by its port alone.
             self._prove()
-        self._take(packet, arrival)
+        self._add_frame(packet, arrival)
 
-    def _take(self, packet: FramePacket, arrival: Arrival) -> None:
+    def _add_frame(self, packet: FramePacket, arrival: Arrival) -> None:
         try:
-            frame = self.stream.take(packet, arrival)
+            frame = self.stream.add(packet, arrival)
         except ProtocolError as error:
             self._mailbox.report(error)
             return
@@ -446,7 +446,7 @@ class Reader:
         assert self._port is not None
         self._port.interrupt()
 
-    def _get_to_know(self, event: Identity | Description) -> None:
+    def _identify(self, event: Identity | Description) -> None:
         """Take the board's identity or description; after a reconnection, compare it with the earlier one.
 
         Raises:
@@ -473,10 +473,10 @@ class Reader:
             self.stream.announce(event.sequence, event.boot_id)
 
     def _learn(self, event: Identity | Description | FramePacket) -> None:
-        """Pass a packet to the introduction; errors as for :meth:`_get_to_know`."""
+        """Pass a packet to the introduction; errors as for :meth:`_identify`."""
         known = self.introduction.complete
         try:
-            self.introduction.hear(event)
+            self.introduction.add(event)
         except (ProtocolError, InputError) as error:
             # Readers of an open skin go on after ProtocolError and InputError; this error is final, hence LinkError.
             final = LinkError(str(error)) if known else error
@@ -495,7 +495,7 @@ class Reader:
         self._mailbox.set_away(None)
         unproven, self._unproven = self._unproven, deque(maxlen=MOST_UNPROVEN)
         for packet, arrival in unproven:
-            self._take(packet, arrival)
+            self._add_frame(packet, arrival)
 
     def _connect_again(self, error: LinkError) -> None:
         """Open the port again; LinkError if it has not come back in time."""

@@ -113,7 +113,7 @@ class FrameStream:
             self._expected, self._boot_id = sequence, boot_id
 
     def arrive(self, arrival: Arrival, frames: int) -> None:
-        """Take the number of frames that arrived together, before :meth:`take` takes them one by one."""
+        """Take the number of frames that arrived together, before :meth:`add` numbers them one by one."""
         if self._latest_us is None:  # otherwise the frames have the board's own time
             self._arrivals.arrive(arrival.received_at, frames)
 
@@ -135,7 +135,7 @@ class FrameStream:
             self.counters.lost = (self.counters.lost or 0) + missing
             self._expected = sequence
 
-    def take(self, packet: FramePacket, arrival: Arrival) -> RawFrame | None:
+    def add(self, packet: FramePacket, arrival: Arrival) -> RawFrame | None:
         """The next frame; None if the packet came before.
 
         Raises:
@@ -243,7 +243,7 @@ class FrameStream:
             found: relation to the frame before.
 
         Raises:
-            ProtocolError: as for :meth:`take`.
+            ProtocolError: as for :meth:`add`.
 
         """
         if packet.sequence is None:
