@@ -83,7 +83,7 @@ class RecordedSettings:
         numbers = {"pitch": _distinct(self.pitch), "accuracy": () if self.accuracy is None else (self.accuracy,)}
         known = {
             "estimator": self.estimator,
-            "calibration": None if self.calibration is None else self.calibration.as_json(),
+            "calibration": None if self.calibration is None else self.calibration.as_toml(),
             "board_file": None if self.board_file is None else json.dumps(self.board_file),
             "introduction": base64.b64encode(self.introduction).decode(),
         }
@@ -112,9 +112,7 @@ class RecordedSettings:
             estimator=metadata.get("estimator"),
             pitch=Pitch(pitch[0], pitch[-1]) if pitch else None,
             accuracy=accuracy[0] if accuracy else None,
-            calibration=None
-            if calibration is None
-            else Calibration.from_json(calibration, source=f"{path}: calibration"),
+            calibration=None if calibration is None else Calibration.from_toml(calibration, f"{path}: calibration"),
             board_file=_board_tables(metadata, path),
             introduction=_introduction(metadata, path),
         )
