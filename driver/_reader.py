@@ -17,7 +17,7 @@ from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError
 from ..wire import Corrupt, Description, Event, Family, Flag, FramePacket, HostProtocol, Identity, Order
 from ._introduce import Introduction
 from ._mailbox import Mailbox
-from ._port import Arrival, BytePort, OrderlyClose
+from ._port import Arrival, BytePort
 from ._reconnect import attempts
 from ._statistics import Counters
 from ._stream import FrameStream
@@ -522,44 +522,16 @@ class Reader:
                 self._proofs = {type(packet) for packet in known if packet is not None}
                 self._proof_until = time.monotonic() + PROOF_S
             return
-        if self._is_end(error, failure):
-            raise LinkEnded(
-                f"{self.port_name}: the other end has closed the connection in good order, and nobody listens there "
-                f"since ({self._reconnect_s:g} s)"
-            )
         # "A board was found and refused" is more informative than "the port is not there".
         found = failure if str(error) == str(self._away_because) else error
         because = "" if found is None else f" ({found})"
         raise LinkError(f"{self._away_because}; it has not come back within {self._reconnect_s:g} s{because}")
-
-    def _is_end(self, last: LinkError, failure: LinkError | None) -> bool:
-        """Whether the stream of a board that has not come back has ended regularly.
-
-        Families with a packet for the end of the stream have sent that packet. For the others, over TCP and RFC 2217,
-        the end is a connection closed in good order at an address where nobody listens any more. A bridge from TCP to
-        a serial port closes the connection in the same way when its serial cable is pulled, but keeps listening.
-
-        Args:
-            last: why the port was given up the last time.
-            failure: why the last attempt to open the port failed; None: no attempt failed.
-
-        """
-        refused = failure is not None and _has_cause(failure, ConnectionRefusedError)
-        orderly = isinstance(last, OrderlyClose) and last is self._away_because
-        return orderly and refused and not self._family.has_description
 
     def _release(self) -> None:
         with self._reading:
             if self._port is not None:
                 self._port.close()
                 self._port = None
-
-
-def _has_cause(error: BaseException | None, kind: type[BaseException]) -> bool:
-    """Whether ``error`` was caused by such an error. pyserial raises its own errors while handling others."""
-    while error is not None and not isinstance(error, kind):
-        error = error.__cause__ or error.__context__
-    return error is not None
 
 
 _READERS: weakref.WeakSet[Reader] = weakref.WeakSet()
