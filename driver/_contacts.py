@@ -18,7 +18,6 @@ import copy
 import math
 import threading
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -343,8 +342,9 @@ def _together(excess: FloatArray, std_kpa: FloatArray) -> BoolArray:
     return loaded
 
 
-class PressureView(NamedTuple):
-    """Input of the tracker for one frame."""
+@dataclass(slots=True, eq=False)
+class PressureView:
+    """Input of the tracker for one frame, and its answer."""
 
     number: int
     """of the frame"""
@@ -353,6 +353,8 @@ class PressureView(NamedTuple):
     std_kpa: Lazy
     unread: BoolArray
     """(rows, columns) cells without a reading in this frame"""
+    contacts: tuple[Contact, ...] | None = None
+    """None: not computed yet"""
 
 
 class ContactsOfFrames:
@@ -361,13 +363,11 @@ class ContactsOfFrames:
     Ids and hysteresis depend on earlier frames. From the first request on, every frame is therefore processed.
     """
 
-    def __init__(self, tracker: ContactTracker, kept: int) -> None:
-        """``kept``: number of frames whose contacts are remembered."""
-        self._tracker, self._kept = tracker, kept
+    def __init__(self, tracker: ContactTracker) -> None:
+        self._tracker = tracker
         self._lock = threading.Lock()
         self._asked = False
         self._newest = 0
-        self._found: dict[int, tuple[Contact, ...]] = {}
 
     def of(self, view: PressureView) -> tuple[Contact, ...]:
         """The contacts of one frame."""
@@ -382,16 +382,12 @@ class ContactsOfFrames:
                 self._contacts_of(view)
 
     def _contacts_of(self, view: PressureView) -> tuple[Contact, ...]:
-        found = self._found.get(view.number)
-        if found is not None:
-            return found
+        if view.contacts is not None:
+            return view.contacts
         # A frame from before the first request gets its ids from the present contacts, which do not change.
         is_next = view.number > self._newest
         tracker = self._tracker if is_next else copy.deepcopy(self._tracker)
-        found = tracker.update(view.time_s, view.pressure_kpa, view.std_kpa(), view.unread)
         if is_next:
             self._newest = view.number
-        self._found[view.number] = found
-        if len(self._found) > self._kept:
-            del self._found[next(iter(self._found))]
-        return found
+        view.contacts = tracker.update(view.time_s, view.pressure_kpa, view.std_kpa(), view.unread)
+        return view.contacts

@@ -170,7 +170,7 @@ class Converter:
         drift_kpa = 0.0 if self._systematic is None else self._systematic.kpa_of_rest(KNOWN_DRIFT)
         faults_press = self._estimator is None or self._estimator.side > 0
         tracker = ContactTracker(self.shape, pitch, full_scale_kpa, drift_kpa=drift_kpa, faults_press=faults_press)
-        self.contacts = ContactsOfFrames(tracker, mailbox.capacity)
+        self.contacts = ContactsOfFrames(tracker)
         self._converted = 0
         self._passed = 0
         """number of the last frame that was converted, skipped, or did not fit"""

@@ -415,8 +415,10 @@ def test_a_skin_tells_the_pitch_of_oblong_cells_and_has_no_single_one() -> None:
 
 
 def test_ids_do_not_depend_on_the_order_in_which_frames_are_asked() -> None:
-    with lossless(Wire(big_scene())) as skin:
-        one_by_one = [frame.contacts for frame in islice(skin, 150)]
+    with lossless(Wire(big_scene()), queue=4) as skin:
+        kept = [(frame, frame.contacts) for frame in islice(skin, 150)]
+    assert all(frame.contacts is contacts for frame, contacts in kept), "however late"
+    one_by_one = [contacts for _, contacts in kept]
     with lossless(Wire(big_scene())) as skin:
         _ = next(skin).contacts  # from now on contacts are followed
         frames = list(islice(skin, 149))
