@@ -3,7 +3,7 @@
 ``scan(Design.load("design.toml"), resistance)`` reads one frame.
 """
 
-from ._adc import adc_codes, adc_error, clipped, conversion_changes, conversion_limits, volts_of_codes
+from ._adc import adc_codes, adc_error, clipped, volts_of_codes
 from ._amplifier_model import AmplifierModel
 from ._batch import BatchResult, scan_batch
 from ._board import Board
@@ -78,8 +78,6 @@ __all__ = [
     "apparent_resistance",
     "clipped",
     "conditioning",
-    "conversion_changes",
-    "conversion_limits",
     "effects",
     "ideal_volts",
     "interpolates",

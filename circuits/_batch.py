@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
-from ..errors import InputError
+from ..errors import InputError, SolverError
 from ._board import Board
 from ._design import Design
 from ._exact import read_exactly
 from ._ideal import apparent_resistance
-from ._scan import Demand, relative_bound, scan
+from ._scan import Demand, relative_bound
 from .solvers import attenuate
 
 _TOGETHER = 1 << 13  # cells solved in one go: enough to outweigh the calls, few enough for the processor's cache
@@ -71,11 +71,11 @@ def scan_batch(
             saturated[pending] = reading.saturated
             for frame, known, off in zip(pending, volts[pending], error, strict=True):
                 bound[frame] = relative_bound(off, known)
-        if tolerance is not None:
-            for frame in pending[bound[pending] > tolerance]:  # one by one, by the Neumann series
-                one = scan(design, cells[frame], tolerance=tolerance)
-                volts[frame], saturated[frame] = board.turn(one.volts), board.turn(one.saturated)
-                bound[frame], methods[frame] = one.error_bound, one.method
+        if tolerance is not None and len(coarse := pending[bound[pending] > tolerance]):
+            raise SolverError(
+                f"frame {coarse[0]}: no method certifies a tolerance of {tolerance:g} here; method 'exact' certifies "
+                f"{bound[coarse[0]]:.1e} of the largest output"
+            )
     volts = board.turn(volts)
     return BatchResult(
         volts=volts,

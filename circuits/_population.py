@@ -332,24 +332,19 @@ def _outputs(design: Design, boards: Boards, seen: _Columns) -> FloatArray:
     board = design.board
     if board.circuit.drives_idle_lines:
         return _followed(boards, seen)
-    alone = (
-        None if board.idle_columns == "load" or board.virtual_grounds else _one_by_one(boards, seen, board.idle_columns)
-    )
+    # The Thevenin equivalent at each column's end, and the output as a function of its current.
+    resistance, source, output, slope = reference, np.zeros_like(reference), level, reference
     if board.circuit.virtual_ground:
         inverse = 1.0 / (1.0 + boards.open_loop_gain[..., None])
         share = 1.0 / (1.0 + 1.0 / boards.open_loop_gain[..., None])
         offset, lift = boards.offset_voltage[..., None], reference * boards.bias_current[..., None]
-        source = share * offset - inverse * (level + lift)
-        if alone is None:
-            current = _end_currents(seen, lead + inverse * reference, drive, source)
-        else:
-            current = (drive * alone.current - source * alone.admittance) / (
-                1.0 + inverse * reference * alone.admittance
-            )
-        return share * (level + offset + lift) - share * reference * current
-    if alone is None:
-        return level + reference * _end_currents(seen, lead + reference, drive, np.zeros_like(reference))
-    volts: FloatArray = level + drive * alone.current / (alone.admittance + 1.0 / reference)
+        resistance, source = inverse * reference, share * offset - inverse * (level + lift)
+        output, slope = share * (level + offset + lift), -share * reference
+    if board.idle_columns == "load" or board.virtual_grounds:
+        return output + slope * _end_currents(seen, lead + resistance, drive, source)
+    alone = _one_by_one(boards, seen, board.idle_columns)
+    current = (drive * alone.current - source * alone.admittance) / (1.0 + resistance * alone.admittance)
+    volts: FloatArray = output + slope * current
     return volts
 
 
@@ -399,17 +394,11 @@ def _end_currents(seen: _Columns, resistance: FloatArray, drive: FloatArray, sou
 
 
 def _solve(matrix: FloatArray, values: FloatArray) -> FloatArray:
-    """As numpy's, with NaN for the boards whose matrix is singular."""
+    """As numpy's; NaN for all boards of a chunk with a singular matrix, which are then read one by one."""
     try:
         return np.asarray(np.linalg.solve(matrix, values), dtype=np.float64)
     except np.linalg.LinAlgError:
-        result = np.full(np.broadcast_shapes(matrix.shape[:-1], values.shape[:-1]) + values.shape[-1:], np.nan)
-        for board in range(len(result)):
-            try:
-                result[board] = np.linalg.solve(matrix[board], values[board])
-            except np.linalg.LinAlgError:
-                continue
-        return result
+        return np.full(np.broadcast_shapes(matrix.shape[:-1], values.shape[:-1]) + values.shape[-1:], np.nan)
 
 
 def _each(value: PerLine, count: int) -> FloatArray:

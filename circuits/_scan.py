@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import inf
@@ -18,7 +17,7 @@ from ._board import Board
 from ._design import Design
 from ._exact import read_exactly
 from ._ideal import apparent_resistance
-from .solvers import Attenuated, attenuate, terms
+from .solvers import attenuate
 
 _SMALL = 64  # cells up to which the exact method costs less than two tries: 85 us against 45 us at 8 x 8
 
@@ -35,7 +34,7 @@ class ScanResult:
     saturated: BoolArray
     """outputs at a supply limit"""
     method: str
-    """the method that gave ``volts``: one of :data:`METHODS`, or "series" (:mod:`.solvers._series`)"""
+    """the method that gave ``volts``: one of :data:`METHODS`"""
     error_bound: float
     """certified bound on the error of ``volts``, relative to the largest \\|volt\\|"""
     seconds: float
@@ -139,13 +138,10 @@ def _cheapest(board: Board, cells: FloatArray, demand: Demand | None, method: st
     exact = _Answer(volts, reading.saturated, float(error.max()), relative_bound(error, volts), "exact")
     if demand is None or demand.relative == inf or demand.is_met(exact.worst, exact.bound):
         return exact
-    better = _by_series(board, cells, demand)
-    if better is None:
-        raise SolverError(
-            f"no method certifies a tolerance of {demand.relative:g} here; method 'exact' certifies "
-            f"{exact.bound:.1e} of the largest output"
-        )
-    return better
+    raise SolverError(
+        f"no method certifies a tolerance of {demand.relative:g} here; method 'exact' certifies "
+        f"{exact.bound:.1e} of the largest output"
+    )
 
 
 def _by_attenuation(board: Board, cells: FloatArray) -> _Answer | None:
@@ -153,37 +149,13 @@ def _by_attenuation(board: Board, cells: FloatArray) -> _Answer | None:
     if board.linear is None:
         return None
     known = attenuate(board.cell_conductance(cells), board.linear.wires)
-    return None if known is None else _within_supply(board, known, "attenuation")
-
-
-def _by_series(board: Board, cells: FloatArray, demand: Demand) -> _Answer | None:
-    """As many terms of the Neumann series as the demand needs; None if no number of terms meets the demand."""
-    return next((answer for answer in series_answers(board, cells) if demand.is_met(answer.worst, answer.bound)), None)
-
-
-def series_answers(board: Board, cells: FloatArray) -> Iterator[_Answer]:
-    """Results of increasing accuracy with 1, 2, 3, ... terms; none if an output may reach a supply limit."""
-    if board.linear is None:
-        return
-    last = inf
-    for number, known in enumerate(terms(board.cell_conductance(cells), board.linear.wires)):
-        answer = _within_supply(board, known, "series" if number else "attenuation")
-        if answer is None:
-            return
-        if number and not answer.worst < 0.7 * last:  # only rounding is left, or the lines are too heavy
-            return
-        last = answer.worst
-        yield answer
-
-
-def _within_supply(board: Board, known: Attenuated, method: str) -> _Answer | None:
-    """The outputs for certified transfer conductances; None if an output may reach a supply limit."""
-    assert board.linear is not None
+    if known is None:
+        return None
     volts, *limits = board.linear.read(known)
     worst, sure = map(float, limits)
     if not board.linear.within_supply(volts, worst):
         return None
-    return _Answer(volts, np.zeros(volts.shape, dtype=np.bool_), worst, _share(worst, sure), method)
+    return _Answer(volts, np.zeros(volts.shape, dtype=np.bool_), worst, _share(worst, sure), "attenuation")
 
 
 def relative_bound(error: FloatArray, volts: FloatArray) -> float:

@@ -13,7 +13,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import AfterValidator, Field, PlainValidator, model_validator
 from scipy.constants import zero_Celsius
 
-from ..common.config import MOST, Finite, NotNegative, Positive, Section
+from ..common.config import LEAST, MOST, Finite, NotNegative, Positive, Section
 from ._spread import Spreadable
 
 LEAST_DRIVE_V, MOST_V, LEAST_REFERENCE_OHM = 1e-6, 1e4, 1e-6
@@ -48,7 +48,7 @@ def in_kelvin(value: float) -> float:
 Kelvin = Annotated[float, Field(le=MOST, allow_inf_nan=False), AfterValidator(in_kelvin)]
 Volts = Annotated[float, Field(ge=-MOST_V, le=MOST_V, allow_inf_nan=False)]
 PerLine = float | tuple[float, ...]
-Ohms = Annotated[PerLine, _per_line("a number of ohm >= 0", lambda x: 0 <= x <= MOST)]
+Ohms = Annotated[PerLine, _per_line("a number of ohm >= 0", lambda x: x == 0 or LEAST <= x <= MOST)]
 PositiveOhms = Annotated[
     PerLine,
     _per_line(f"a number of ohm > 0, at least {LEAST_REFERENCE_OHM:g}", lambda x: LEAST_REFERENCE_OHM <= x <= MOST),

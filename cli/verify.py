@@ -34,9 +34,6 @@ EXPORTS = (".parquet", ".nc", ".csv")
 )
 @click.option("--paper", is_flag=True, help="Run the paper's claims P1 to P14 on the design, too.")
 @click.option(
-    "--speed", is_flag=True, help="Measure what a digit costs, of solvers (S1), estimators (S2), live path (S3)."
-)
-@click.option(
     "-o", "--output", default="ohmskin-report", show_default=True, metavar="DIR", help="Where the report goes."
 )
 @click.option(
@@ -68,7 +65,6 @@ def command(
     cell_file: str | None,
     requirement_files: tuple[str, ...],
     paper: bool,
-    speed: bool,
     output: str,
     target: str,
     board: str,
@@ -116,7 +112,6 @@ def command(
             cell=cell,
             requirements=[*own, *requirements] or None,
             paper=True if paper else None,
-            speed=speed,
             only=only,
             title=None if design_file is None else design_file,
             target=target,
@@ -156,7 +151,7 @@ def _say(report: Report) -> None:
         click.echo(printable(f"{r.requirement.id:>5}  {r.outcome:<14} {r.title}: {r.found} (required {r.limit})"))
         if r.outcome != "pass" and r.measurement is not None and r.why:
             click.echo(printable(f"       {'':14} {r.why}"))
-    for claim in report.sections:
+    for claim in report.claims:
         click.echo(f"{claim.id:>5}  {claim.outcome:<14} {claim.title}")
         for check in claim.finding.checks:
             if check.outcome != "pass":

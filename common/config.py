@@ -90,7 +90,11 @@ def load(path: str | Path, model: type[S]) -> S:
 
 def read_toml(path: str | Path) -> dict[str, Any]:
     """The tables of a TOML file; InputError when there is no such file, it is too large, or it is not TOML."""
-    text = read_text(path)
+    return parse_toml(read_text(path), path)
+
+
+def parse_toml(text: str, path: str | Path) -> dict[str, Any]:
+    """The tables of a TOML text, which ``path`` names in messages; InputError when it is not TOML."""
     if not text.strip():
         raise InputError(f"{path}: the file is empty; expected TOML tables")
     try:

@@ -11,7 +11,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 
 from .. import __version__
-from ..circuits.spice import available, command_available
+from ..circuits.spice import command_available
 from ..common import compiled
 from ..common.extras import PACKAGE, install_command
 from ._finding import Finding, State
@@ -85,14 +85,11 @@ def _machine_code() -> Finding:
 
 
 def _spice() -> Iterator[Finding]:
-    for subject, reason, mend in (
-        ("libngspice", available(), f"{install_command('spice')} && sudo apt install libngspice0"),
-        ("ngspice", command_available(), "sudo apt install ngspice"),
-    ):
-        if reason is None:
-            yield Finding(State.OK, subject, "can be used")
-        else:
-            yield Finding(State.OPTIONAL, subject, f"{reason}; the check against ngspice says 'not run'", mend)
+    if (reason := command_available()) is None:
+        yield Finding(State.OK, "ngspice", "can be used")
+    else:
+        said = f"{reason}; the check against ngspice says 'not run'"
+        yield Finding(State.OPTIONAL, "ngspice", said, "sudo apt install ngspice")
 
 
 def _program(subject: str, names: Sequence[str], purpose: str, mend: str) -> Finding:

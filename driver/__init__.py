@@ -13,12 +13,13 @@ from ._contacts import Contact, ContactTracker
 from ._discover import FoundBoard, discover
 from ._frame import Frame
 from ._messages import MESSAGE_SCHEMAS, messages_of
+from ._opening import Delivery, SkinSettings
 from ._port import BAUDRATE, Arrival, BytePort, SerialPort, SocketPort, open_port
 from ._reading import CountReader, Reading
 from ._recorder import Recorder
 from ._recording import Recording
 from ._replay import ReplayPort
-from ._skin import Delivery, Skin
+from ._skin import Skin
 from ._statistics import LinkStatistics
 from ._tare import Tare
 
@@ -43,6 +44,7 @@ __all__ = [
     "ReplayPort",
     "SerialPort",
     "Skin",
+    "SkinSettings",
     "SocketPort",
     "Tare",
     "discover",

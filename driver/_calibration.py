@@ -7,7 +7,6 @@ standard deviations, and the board on which they were measured. :mod:`ohmskin.ca
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +19,7 @@ from pydantic import Field, model_validator
 from ..cell import Cell
 from ..circuits import Design
 from ..common.arrays import BoolArray, FloatArray
-from ..common.config import NotNegative, Positive, Section, fingerprint, parse, read_toml
+from ..common.config import NotNegative, Positive, Section, fingerprint, parse, parse_toml, read_toml
 from ..common.tables import write_text
 from ..common.text import count_of, printable, shortened
 from ..errors import InputError
@@ -159,13 +158,17 @@ class Calibration:
         if self.cell_hash != fingerprint(cell):
             raise InputError("a calibration made with other data of the cell; calibrate again with these")
 
-    def save(self, path: str | Path) -> None:
-        """Write a TOML file, whole or not at all; InputError if that fails."""
+    def as_toml(self) -> str:
+        """The content of a calibration file."""
         values = self._values()
         cells = values.pop("cells")
         lines = [f"{name} = {_matrix(array)}\n" for name, array in cells.items()]
         head = tomli_w.dumps({"format": FORMAT, "hash": self.hash, **values})
-        write_text(path, f"{HEAD}{head}\n[cells]\n{''.join(lines)}")
+        return f"{HEAD}{head}\n[cells]\n{''.join(lines)}"
+
+    def save(self, path: str | Path) -> None:
+        """Write a TOML file, whole or not at all; InputError if that fails."""
+        write_text(path, self.as_toml())
 
     @classmethod
     def load(cls, path: str | Path) -> Calibration:
@@ -177,20 +180,10 @@ class Calibration:
         """
         return cls._read(read_toml(path), str(path))
 
-    def as_json(self) -> str:
-        """The values as JSON text, for a recording."""
-        return json.dumps({"format": FORMAT, "hash": self.hash, **self._values()})
-
     @classmethod
-    def from_json(cls, text: str, *, source: str) -> Calibration:
-        """Read a text of :meth:`as_json`; ``source`` is for messages. Raises InputError."""
-        try:
-            values = json.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise InputError(f"{source}: is no calibration: {error}") from error
-        if not isinstance(values, dict):
-            raise InputError(f"{source}: is no calibration: expected a JSON object")
-        return cls._read(values, source)
+    def from_toml(cls, text: str, source: str) -> Calibration:
+        """Read a text of :meth:`as_toml`; ``source`` is for messages. Raises InputError."""
+        return cls._read(parse_toml(text, source), source)
 
     @classmethod
     def _read(cls, tables: Mapping[str, Any], source: str) -> Calibration:

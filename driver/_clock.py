@@ -11,8 +11,6 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from ._past import ClockPast
-
 BUCKET_S = 0.5
 """s; only the least delayed frame of each such interval is kept"""
 WINDOW_BUCKETS = 120
@@ -49,25 +47,6 @@ class ClockMap:
         at the fast clock, which runs as fast as its host reads.
         """
         return 1e6 * self._drift if abs(self._drift) < LARGEST_DRIFT else math.nan
-
-    def state(self) -> ClockPast:
-        """Complete state, for :meth:`restore`."""
-        return ClockPast(
-            steps=self.steps,
-            origin=self._origin,
-            buckets=tuple(self._buckets),
-            bucket_ends=self._bucket_ends,
-            least=self._least,
-            drift=self._drift,
-            anchor=self._anchor,
-        )
-
-    def restore(self, past: ClockPast) -> None:
-        """Continue from a saved :meth:`state`."""
-        self.steps, self._origin = past.steps, past.origin
-        self._buckets = deque(past.buckets, maxlen=WINDOW_BUCKETS)
-        self._bucket_ends, self._least = past.bucket_ends, past.least
-        self._drift, self._anchor = past.drift, past.anchor
 
     def add(self, device_s: float, received_s: float) -> float:
         """Take one frame.

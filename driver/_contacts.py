@@ -18,14 +18,13 @@ import copy
 import math
 import threading
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
 from ._bridging import bridge
-from ._later import Later
+from ._lazy import Lazy
 from ._pitch import Pitch
 from ._tare import KNOWN_DRIFT
 from ._tracks import Named, Patch, Tracks
@@ -83,11 +82,6 @@ class Contact:
     force_std_n: float = math.nan
     """standard deviation of :attr:`force_n`: that of the pressures times cell area, added up as if neighbours erred
     alike, since they share their history; NaN where the estimator states none"""
-
-    @property
-    def position_m(self) -> tuple[float, float]:
-        """The position (x, y) in m."""
-        return self.x_mm / 1e3, self.y_mm / 1e3
 
 
 class ContactTracker:
@@ -348,16 +342,19 @@ def _together(excess: FloatArray, std_kpa: FloatArray) -> BoolArray:
     return loaded
 
 
-class PressureView(NamedTuple):
-    """Input of the tracker for one frame."""
+@dataclass(slots=True, eq=False)
+class PressureView:
+    """Input of the tracker for one frame, and its answer."""
 
     number: int
     """of the frame"""
     time_s: float
     pressure_kpa: FloatArray
-    std_kpa: Later
+    std_kpa: Lazy
     unread: BoolArray
     """(rows, columns) cells without a reading in this frame"""
+    contacts: tuple[Contact, ...] | None = None
+    """None: not computed yet"""
 
 
 class ContactsOfFrames:
@@ -366,37 +363,31 @@ class ContactsOfFrames:
     Ids and hysteresis depend on earlier frames. From the first request on, every frame is therefore processed.
     """
 
-    def __init__(self, tracker: ContactTracker, kept: int) -> None:
-        """``kept``: number of frames whose contacts are remembered."""
-        self._tracker, self._kept = tracker, kept
+    def __init__(self, tracker: ContactTracker) -> None:
+        self._tracker = tracker
         self._lock = threading.Lock()
         self._asked = False
         self._newest = 0
-        self._found: dict[int, tuple[Contact, ...]] = {}
 
     def of(self, view: PressureView) -> tuple[Contact, ...]:
         """The contacts of one frame."""
         with self._lock:
             self._asked = True
-            return self._look(view)
+            return self._contacts_of(view)
 
     def pass_by(self, view: PressureView) -> None:
         """Process a new frame, if contacts were ever asked for."""
         if self._asked:
             with self._lock:
-                self._look(view)
+                self._contacts_of(view)
 
-    def _look(self, view: PressureView) -> tuple[Contact, ...]:
-        found = self._found.get(view.number)
-        if found is not None:
-            return found
+    def _contacts_of(self, view: PressureView) -> tuple[Contact, ...]:
+        if view.contacts is not None:
+            return view.contacts
         # A frame from before the first request gets its ids from the present contacts, which do not change.
         is_next = view.number > self._newest
         tracker = self._tracker if is_next else copy.deepcopy(self._tracker)
-        found = tracker.update(view.time_s, view.pressure_kpa, view.std_kpa(), view.unread)
         if is_next:
             self._newest = view.number
-        self._found[view.number] = found
-        if len(self._found) > self._kept:
-            del self._found[next(iter(self._found))]
-        return found
+        view.contacts = tracker.update(view.time_s, view.pressure_kpa, view.std_kpa(), view.unread)
+        return view.contacts

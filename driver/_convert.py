@@ -21,10 +21,9 @@ from ..wire import Layout
 from ._calibration import Calibration
 from ._column_steps import ColumnSteps
 from ._contacts import ContactsOfFrames, ContactTracker, PressureView
-from ._later import Later, Retained
+from ._lazy import Lazy
 from ._line_faults import Creep, LineFaults
 from ._mailbox import Mailbox
-from ._past import Block, MeasurementPast
 from ._pitch import Pitch
 from ._plain import PlainReader
 from ._reading import CountReader, Reading
@@ -32,7 +31,7 @@ from ._statistics import Counters
 from ._stream import RawFrame
 from ._systematic import SystematicError
 from ._tare import DRIFT as TARE_DRIFT
-from ._tare import KNOWN_DRIFT, far_from_sheet
+from ._tare import KNOWN_DRIFT, RestChange, far_from_sheet
 
 LATE_S = 0.01
 """s of processor time that a reader of the newest frame spends on those before it. Those that are left then are
@@ -40,8 +39,6 @@ skipped: boards may send faster than a computer converts"""
 KNOWN_FRAMES = 20
 """frames before new rest resistances that the estimator sees again with them: as many as a usual tare has. They tell it
 that the skin is at rest, or what lies on it"""
-SMALL_AFTER = 32
-"""newer frames after which a frame that somebody keeps has its standard deviation computed, to free its inputs"""
 KEEP_STATE_S = 60.0
 """after a longer gap the estimator restarts: the loads during the gap are unknown"""
 
@@ -82,7 +79,7 @@ class Measurement(NamedTuple):
     """ohm"""
     pressure: FloatArray
     """kPa"""
-    pressure_std: Later
+    pressure_std: Lazy
     """kPa"""
     view: PressureView
     rest_counts: FloatArray
@@ -116,7 +113,7 @@ class Converter:
         counters: Counters,
         *,
         newest_only: bool,
-        rest_changes: Sequence[tuple[float, FloatArray | None]] = (),
+        rest_changes: Sequence[RestChange] = (),
         accuracy: float | None = None,
         calibration: Calibration | None = None,
     ) -> None:
@@ -124,8 +121,7 @@ class Converter:
 
         ``design`` is the array alone where the circuit is not known. Frames then have counts, and a tare takes those.
         With ``newest_only`` readers get the newest frame, and spend :data:`LATE_S` on those before it at most.
-        ``rest_changes`` come from a recording: times on the time scale of the estimator, and the (cells,) rest
-        resistances for the frames after them.
+        ``rest_changes`` come from a recording.
         ``accuracy`` is the relative uncertainty up to which cells are valid, see :class:`CountReader`.
         ``calibration`` gives each cell its gain, and its rest resistance as long as no tare replaces that.
 
@@ -159,15 +155,13 @@ class Converter:
         self._rest_ohm: FloatArray | None = None  # counts where the circuit is not known
         self._no_rest = np.zeros(self.shape)
         self._no_rest.setflags(write=False)
-        for _, ohm in rest_changes:
+        for ohm in (change.rest for change in rest_changes):
             if ohm is not None and ohm.size != math.prod(self.shape):
                 raise InputError("a tare of {} cells; this skin has {} x {}".format(ohm.size, *self.shape))
         self._rest_changes = deque(rest_changes)
-        self.on_rest: list[Callable[[FloatArray | None, float | None], None]] = []
-        """called with new rest resistances and the estimator's time of the last frame before them: for recorders. The
-        time of arrival would not do, since frames that come together share one."""
-        self._starts = self._starts_told = 0
-        """starts of the estimator without memory, and their number up to the last frame"""
+        self.on_rest: list[Callable[[FloatArray | None, int], None]] = []
+        """called with new rest resistances and the number of the last frame before them: for recorders"""
+        self._starts = 0
         self._creep: Creep | None = None
         self._line_faults: LineFaults | None = None
         self._column_steps: ColumnSteps | None = None
@@ -176,20 +170,20 @@ class Converter:
         drift_kpa = 0.0 if self._systematic is None else self._systematic.kpa_of_rest(KNOWN_DRIFT)
         faults_press = self._estimator is None or self._estimator.side > 0
         tracker = ContactTracker(self.shape, pitch, full_scale_kpa, drift_kpa=drift_kpa, faults_press=faults_press)
-        self.contacts = ContactsOfFrames(tracker, mailbox.capacity)
+        self.contacts = ContactsOfFrames(tracker)
         self._converted = 0
+        self._passed = 0
+        """number of the last frame that was converted, skipped, or did not fit"""
         self._counters.untared = self._why_to_tare()
         self._last: RawFrame | None = None
         self._last_s: float | None = None
-        """of the last frame, on the estimator's time scale; may be a frame from before the recording that is played"""
+        """of the last frame, on the estimator's time scale"""
         self._measured: dict[int, Measured] = {}
         """number of a frame -> the frame and its measurement, of the last frames in order"""
         self._recent: deque[tuple[float, Reading]] = deque(maxlen=KNOWN_FRAMES)
         """times and readings of the last frames"""
         self._awaited = False
         """a reader converts frames, or waits for the lock to do so"""
-        self.retained = Retained(SMALL_AFTER)
-        """of the frames that readers got"""
         self.notices: deque[str] = deque()
         """warnings for the next reader who takes a frame"""
 
@@ -203,6 +197,11 @@ class Converter:
         """Number of frames before the newest converted one that were not converted."""
         with self._lock:
             return self.last_index - self._converted
+
+    @property
+    def rest(self) -> FloatArray | None:
+        """(rows, columns) rest resistances in use, or counts; None: those of the data sheet or the calibration."""
+        return self._rest_ohm
 
     @property
     def starts(self) -> int:
@@ -244,84 +243,11 @@ class Converter:
             if self._judged is None:
                 self._counters.untared = self._why_to_tare()
             for tell in tuple(self.on_rest):
-                tell(rest_ohm, None if self._last is None else self._last.time_s)
+                tell(rest_ohm, self.last_index)
 
     def disown(self) -> None:
         """In a forked process: replace the lock, whoever held it."""
         self._lock = threading.RLock()
-
-    def hand_over(self) -> MeasurementPast:
-        """The memory of the frames so far, for a recording that begins with the next frame.
-
-        State that cannot be written down is dropped here, too, so that a replay continues from the same state: the
-        inversion of the circuit begins anew, and a jump of the last 0.1 s is no longer taken back as a spark.
-        """
-        with self._lock:
-            noise_steps, counts = self._read.memory()
-            estimator, faults = (
-                None if part is None else {name: Block.of(array) for name, array in part.state().items()}
-                for part in (self._estimator, self._line_faults)
-            )
-            past = MeasurementPast(
-                time_s=self._last_s,
-                rest_ohm=None if self._rest_ohm is None else Block.of(self._rest_ohm),
-                noise_steps=noise_steps,
-                counts=None if counts is None else Block.of(counts.astype(np.float64)),
-                rest_spread=None if self._systematic is None else self._systematic.rest_spread,
-                estimator=estimator,
-                line_faults=faults,
-                restarted=self._starts > self._starts_told,
-            )
-            self._go_on(past)
-            return past
-
-    def resume(self, past: MeasurementPast) -> bool:
-        """Continue with the result of :meth:`hand_over`.
-
-        Returns:
-            False if the estimator begins without memory, because the state is of another estimator, of another kind of
-            cell, or of another version of this package, whose estimators remember other quantities.
-
-        Raises:
-            InputError: the state is of an array of another shape, or damaged.
-
-        """
-        with self._lock:
-            remembers = self._go_on(past)
-            self._starts = int(past.restarted or not remembers)
-            return remembers
-
-    def _go_on(self, past: MeasurementPast) -> bool:
-        """Take the state over; False if the estimator could not."""
-        shape = self.shape
-        rest_ohm = None if past.rest_ohm is None else past.rest_ohm.array()
-        counts = None if past.counts is None else past.counts.array()
-        for name, array in (("rest_ohm", rest_ohm), ("counts", counts)):
-            if array is not None and array.shape != shape:
-                raise InputError(f"{name} of {array.shape}; expected those of {shape[0]} x {shape[1]} cells")
-        if rest_ohm is not None and not self._may_be_rest(rest_ohm):
-            raise InputError("rest_ohm: expected positive resistances")
-        if counts is not None and not ((counts >= 0) & (counts < 2**16)).all():
-            raise InputError("counts: expected those of 16 bits")
-        self._last_s, self._rest_ohm = past.time_s, rest_ohm
-        self._recent.clear()
-        self._read = self._new_reader()
-        self._present = None if counts is None else counts.astype(np.uint16)
-        self._read.remember(past.noise_steps, self._present)
-        remembers = True
-        if self.cell is not None:
-            self._estimator, state = self._fresh_estimator(), past.estimator_state()
-            self._begin_beside(self._estimator)
-            if self._line_faults is not None and past.line_faults is not None:
-                self._line_faults.restore({name: block.array() for name, block in past.line_faults.items()})
-            try:
-                self._estimator.restore(state)
-            except InputError:
-                remembers = False
-        if self._systematic is not None:
-            self._systematic.forget()
-            self._systematic.rest_spread = past.rest_spread
-        return remembers
 
     def measure(self, frame: RawFrame) -> Measurement | None:
         """The measurement of ``frame``; frames before it that wait for their conversion are converted first.
@@ -369,10 +295,11 @@ class Converter:
         """Convert the frames up to the number ``last``, at most ``most`` of them; returns whether frames are left."""
         done, until_s = 0, thread_time() + LATE_S
         while most is None or done < most:
-            frame = self._mailbox.next_unconverted(last)
-            if frame is None:
+            frame = self._mailbox.after(self._passed)
+            if frame is None or frame.index > last:
                 self._awaited = False
                 return False
+            self._passed = frame.index
             if self._newest_only and frame.index < last and thread_time() > until_s:
                 continue
             done += 1
@@ -390,11 +317,10 @@ class Converter:
 
     def _convert(self, frame: RawFrame) -> Measurement:
         due = None
-        while self._rest_changes and frame.time_s > self._rest_changes[0][0]:
+        while self._rest_changes and frame.index > self._rest_changes[0].after_frame:
             due = self._rest_changes.popleft()
         if due is not None:  # of several between two frames the last one counts
-            rest = due[1]
-            self.use_rest(None if rest is None else rest.reshape(self.shape))
+            self.use_rest(None if due.rest is None else due.rest.reshape(self.shape))
         gap_s = 0.0 if self._last_s is None else round(frame.time_s - self._last_s, CLOCK_DIGITS)
         self._last, self._last_s = frame, frame.time_s if self._last_s is None else self._last_s + gap_s
         reading = self._read_present(frame)
@@ -417,7 +343,6 @@ class Converter:
         unread = (reading.reason != int(Reason.VALID)) & (reading.reason != int(Reason.UNCERTAIN))
         view = PressureView(frame.index, frame.time_s, pressure, std, unread)
         self.contacts.pass_by(view)
-        self._starts_told = self._starts
         return Measurement(
             reading.valid,
             reading.reason,
@@ -439,16 +364,12 @@ class Converter:
         self._present = np.where(missing, frame.counts if before is None else before, frame.counts)
         return self._read(self._present).without(missing, Reason.MISSING)
 
-    def _may_be_rest(self, rest: FloatArray) -> bool:
-        """Whether these may be rest resistances, or counts at rest."""
-        return bool((np.isfinite(rest) & (rest >= 0 if self.design is None else rest > 0)).all())
-
-    def _estimate(self, gap_s: float, reading: Reading) -> tuple[FloatArray, Later]:
+    def _estimate(self, gap_s: float, reading: Reading) -> tuple[FloatArray, Lazy]:
         """Pressures (rows, columns) in kPa and their standard deviations."""
         estimator, calibration = self._estimator, self._calibration
         if estimator is None or self._systematic is None:
             unknown = np.full(reading.valid.shape, np.nan)
-            return unknown, Later(unknown.copy)
+            return unknown, Lazy(unknown.copy)
         if not estimator.resolved:
             estimator.resolve(*reading.resolution)
         assert self._column_steps is not None, "it is made with the estimator"
@@ -457,7 +378,7 @@ class Converter:
             resistance = np.where(reading.reason == Reason.NO_CURRENT, np.inf, resistance)
         common = estimator.step(gap_s, resistance)
         systematic = self._systematic.take(reading, taken_out, rest_known=self._rest_known)
-        std = Later(partial(_std, estimator.variance_of_last_step(), systematic, common, calibration))
+        std = Lazy(partial(_std, estimator.variance_of_last_step(), systematic, common, calibration))
         return common if calibration is None else calibration.applied(common), std
 
     def _without_faulty_lines(self, time_s: float, reading: Reading) -> Reading:

@@ -128,18 +128,9 @@ def _ask(name: str, family: Family, timeout_s: float) -> FoundBoard | None:
             port.wait(min(ask_at, deadline) - now)
             arrival = port.read()
             for event in protocol.feed(arrival.data, arrival.received_at):
-                match event:
-                    case Identity():
-                        return FoundBoard(
-                            name,
-                            event.serial_number,
-                            event.firmware,
-                            event.rows,
-                            event.columns,
-                            usb_serial_number(name),
-                        )
-                    case FramePacket() if not family.has_description:
-                        return FoundBoard(name, "", "", event.rows, event.columns, usb_serial_number(name))
+                if isinstance(event, Identity) or (isinstance(event, FramePacket) and not family.has_description):
+                    said = (event.serial_number, event.firmware) if isinstance(event, Identity) else ("", "")
+                    return FoundBoard(name, *said, event.rows, event.columns, usb_serial_number(name))
     except OhmskinError:
         return None
     finally:

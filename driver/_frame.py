@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..common.arrays import AnyArray, BoolArray, FloatArray
 from ._contacts import Contact
-from ._later import Later
+from ._lazy import Lazy
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
@@ -54,7 +54,7 @@ class Frame:
     """kPa, estimated from this frame and earlier ones; where not valid the last estimate, NaN before the first"""
     rest_counts: FloatArray = field(repr=False)
     """counts at rest by a tare, where the board's circuit is not known; else, and without a tare, 0"""
-    _std: Later = field(repr=False)
+    _std: Lazy = field(repr=False)
     _contacts: Callable[[], tuple[Contact, ...]] = field(repr=False)
     _now: Callable[[], float] = field(repr=False)
 
@@ -118,5 +118,5 @@ def _restored(values: dict[str, Any], clock_ahead_s: float) -> Frame:
     """A frame from a pickle; ``clock_ahead_s`` is its clock minus the monotonic clock."""
     std, contacts = values.pop("pressure_std"), values.pop("contacts")
     return Frame(
-        **values, _std=Later(lambda: std), _contacts=lambda: contacts, _now=lambda: time.monotonic() + clock_ahead_s
+        **values, _std=Lazy(lambda: std), _contacts=lambda: contacts, _now=lambda: time.monotonic() + clock_ahead_s
     )

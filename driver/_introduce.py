@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
@@ -20,10 +19,6 @@ MOST_CELLS = 256 * 256
 MOST_CONTINUOUS_CELLS = 32 * 32
 """limit for a continuous sheet, which is divided into finer pieces for computing"""
 MOST_FINE_PIECES = 512 * 512
-LARGEST, SMALLEST = 1e30, 1e-30
-"""limits of the magnitudes of all finite quantities that are not 0; products of several must not overflow"""
-MOST_ITEMS = 100_000
-LONGEST_TEXT = 1000
 
 
 class Introduction:
@@ -69,7 +64,7 @@ class Introduction:
             said += b"".join(board.describe(text, sequence=0, time_us=0, boot_id=described.boot_id or 0))
         return said
 
-    def hear(self, event: Identity | Description | FramePacket) -> None:
+    def add(self, event: Identity | Description | FramePacket) -> None:
         """Take a packet.
 
         Raises:
@@ -89,8 +84,6 @@ class Introduction:
             self.identity = event
             self.identified.set()
             return
-        if self.description is None:
-            check_limits(event, self.port_name)
         self.description = event
 
     def _check_given(self, rows: int, columns: int, adc_bits: int | None = None) -> None:
@@ -158,43 +151,6 @@ class Introduction:
     def refused(self, error: Exception) -> ProtocolError:
         """The error for a description that cannot be used."""
         return ProtocolError(f"{self.port_name}: the board describes itself wrongly: {error}")
-
-
-def check_limits(description: Description, name: str) -> None:
-    """Refuse a description whose values no board has.
-
-    Raises:
-        ProtocolError: a number, text or list is too large.
-
-    """
-    items = 0
-    queue: list[tuple[str, Any]] = [("design", description.design), ("cell", description.cell)]
-    while queue:
-        where, value = queue.pop()
-        items += 1
-        fault = _fault(value) if items <= MOST_ITEMS else f"has more than {MOST_ITEMS} entries"
-        if fault:
-            raise ProtocolError(f"{name}: the board describes itself wrongly: {where} {fault}")
-        match value:
-            case Mapping():
-                queue += [(f"{where}.{key}"[:200], item) for key, item in value.items()]
-            case list() | tuple():
-                queue += [(f"{where}[{k}]", item) for k, item in enumerate(value[: MOST_ITEMS + 1])]
-
-
-def _fault(value: Any) -> str:
-    match value:
-        case bool():
-            return ""
-        case int() if abs(value) >= 2**63:
-            return "is an integer of more than 63 bits"
-        case float() if math.isnan(value):
-            return "is no number"
-        case int() | float() if value != 0 and not math.isinf(value) and not SMALLEST <= abs(value) <= LARGEST:
-            return f"is {value:g}; expected 0, infinite, or a magnitude of {SMALLEST:g} ... {LARGEST:g}"
-        case str() if len(value) > LONGEST_TEXT:
-            return f"is a text of {len(value)} characters; expected at most {LONGEST_TEXT}"
-    return ""
 
 
 def _check_size(design: Design, name: str) -> None:

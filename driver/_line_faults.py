@@ -28,7 +28,6 @@ import numpy as np
 from ..cell import Cell
 from ..common.arrays import BoolArray, FloatArray
 from ..common.compiled import Rows, loop
-from ..errors import InputError
 from ._reading import Reading
 
 EVERY_S = 0.08
@@ -248,34 +247,6 @@ class LineFaults:
         """Message that names the faulty lines."""
         lines = ", ".join(fault.line for fault in self._faults)
         return f"{lines}: read what no load makes of them; look for cracked or bridged lines, or tare() anew"
-
-    def state(self) -> dict[str, FloatArray]:
-        """Arrays by name for :meth:`restore`. Suspects are dropped, and the next change does not count as sudden."""
-        self._looks.clear()
-        self._suspects.clear()
-        self._at = None
-        faults = [np.stack([fault.cells, fault.before, fault.limits[0]]) for fault in self._faults]
-        return {
-            "least": self._least,
-            "faults": np.array(faults).reshape(-1, 3, *self._least.shape),
-            "sizes": np.array([fault.size for fault in self._faults]),
-        }
-
-    def restore(self, state: dict[str, FloatArray]) -> None:
-        """Continue from a :meth:`state`; InputError if it does not fit."""
-        shape, sizes = self._least.shape, state.get("sizes", np.zeros(0))
-        if (
-            state.keys() != {"least", "faults", "sizes"}
-            or state["least"].shape != shape
-            or state["faults"].shape != (*sizes.shape, 3, *shape)
-        ):
-            raise InputError(f"faulty lines of another array; expected those of {shape[0]} x {shape[1]} cells")
-        self._least = state["least"]
-        self._faults = [
-            _Change(cells > 0.0, before, float(size), (low, self._creep.most))
-            for (cells, before, low), size in zip(state["faults"], sizes, strict=True)
-        ]
-        self._gather()
 
     def _gather(self) -> None:
         self.cells = np.any([fault.cells for fault in self._faults], axis=0) if self._faults else None

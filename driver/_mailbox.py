@@ -6,7 +6,7 @@ import contextlib
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
 
@@ -16,7 +16,7 @@ from ._stream import RawFrame
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A frame that could not be taken. Every taker is told of it once."""
+    """A frame that could not be taken. Every consumer is told of it once."""
 
     number: int
     """from 1"""
@@ -27,23 +27,23 @@ class Fault:
 
 @dataclass(slots=True, eq=False)
 class Place:
-    """Position of one taker in the stream."""
+    """Position of one consumer in the stream."""
 
     index: int
-    """number of the last frame that the taker has passed"""
+    """number of the last frame that the consumer has passed"""
     used: bool = False
-    """the taker has asked for a frame: if nothing may be dropped, the reader thread waits only for such takers"""
+    """the consumer has asked for a frame: if nothing may be dropped, the reader thread waits only for such consumers"""
 
 
 class Mailbox:
-    """The newest frames. Each taker keeps its own place, so that takers do not disturb each other.
+    """The newest frames. Each consumer keeps its own place, so that consumers do not disturb each other.
 
     All attributes are written with ``lock`` held. Those who wait do so without it, each on a queue of its own: signals
     may interrupt Python's conditions halfway (:mod:`ohmskin.common.events`).
     """
 
     def __init__(self, capacity: int, *, drops_oldest: bool = True) -> None:
-        """``capacity``: number of frames that wait for takers, and of those that wait for their conversion."""
+        """``capacity``: number of frames that wait for consumers."""
         self.lock = threading.RLock()
         self.capacity = capacity
         self.newest: RawFrame | None = None
@@ -56,7 +56,6 @@ class Mailbox:
         self._closed = False
         self._room_wanted = False
         self._frames: deque[RawFrame] = deque()
-        self._unconverted: deque[RawFrame] = deque()
         self._dropped: RawFrame | None = None
         """the frame before the oldest one kept"""
         self._places: list[Place] = []
@@ -68,18 +67,9 @@ class Mailbox:
             if self._closed:
                 return
             self.newest = frame
-            for waiting in (self._frames, self._unconverted):
-                waiting.append(frame)
+            self._frames.append(frame)
             if self._drops_oldest and len(self._frames) > self.capacity:
                 self._dropped = self._frames.popleft()
-            if self._drops_oldest and len(self._unconverted) > self.capacity:
-                self._unconverted.popleft()
-
-    def next_unconverted(self, last: int) -> RawFrame | None:
-        """Remove the oldest frame that waits for its conversion, up to the number ``last``; None if there is none."""
-        with self.lock:
-            waiting = self._unconverted
-            return waiting.popleft() if waiting and waiting[0].index <= last else None
 
     def tell(self) -> None:
         """Wake all waiting threads: once for all frames that came together, since each wake-up costs time."""
@@ -87,7 +77,7 @@ class Mailbox:
             self._tell()
 
     def report(self, error: OhmskinError, after: int | None = None) -> None:
-        """Report a fault, after which frames go on, to every taker; ``after``: the last frame before (None: newest)."""
+        """Report a fault, after which frames go on; ``after``: the last frame before (None: the newest)."""
         with self.lock:
             if after is None:
                 after = 0 if self.newest is None else self.newest.index
@@ -95,23 +85,22 @@ class Mailbox:
             self._tell()
 
     def set_away(self, reason: str | None) -> None:
-        """Tell takers that the port is lost and may come back, or is back (None)."""
+        """Tell consumers that the port is lost and may come back, or is back (None)."""
         with self.lock:
             self.away = reason
             self._tell()
 
     def finish(self, error: OhmskinError) -> None:
-        """Tell takers that no frame will come any more. The first reason counts."""
+        """Tell consumers that no frame will come any more. The first reason counts."""
         with self.lock:
             self.end = self.end or error
             self._tell()
 
     def close(self, error: OhmskinError) -> None:
-        """Drop the queue, and tell takers that they get no more frames."""
+        """Drop the queue, and tell consumers that they get no more frames."""
         with self.lock:
             self._closed = True
             self._frames.clear()
-            self._unconverted.clear()
             self.newest = None
             self.end = error
             self._tell()
@@ -123,60 +112,59 @@ class Mailbox:
 
     def after(self, index: int) -> RawFrame | None:
         """The oldest frame beyond ``index``; None if there is none yet."""
-        if not self._frames or self._frames[-1].index <= index:
-            return None
-        return self._frames[max(index + 1 - self._frames[0].index, 0)]
+        with self.lock:
+            if not self._frames or self._frames[-1].index <= index:
+                return None
+            return self._frames[max(index + 1 - self._frames[0].index, 0)]
 
-    def join(self, *, from_start: bool) -> tuple[Place, RawFrame | None]:
-        """A place for a new taker.
+    def join(self, after: int | None) -> tuple[Place, RawFrame | None]:
+        """A place for a new consumer.
 
         Args:
-            from_start: True: from the first frame of the stream; False: from now on, with the frames that are kept if
+            after: number of the frame after which it begins; None: from now on, with the frames that are kept if
                 nothing may be dropped.
 
         Returns:
-            The place, and the last frame before it; None if there is none.
+            The place, and the last frame before it; None if there is none, or a number was given.
 
         """
         with self.lock:
             before = None
-            if not from_start:
+            if after is None:
                 before = self.newest if self._drops_oldest else self._dropped
-            place = Place(0 if before is None else before.index)
+                after = 0 if before is None else before.index
+            place = Place(after)
             self._places.append(place)
             return place, before
 
     def leave(self, place: Place) -> None:
-        """Forget a taker."""
+        """Forget a consumer."""
         with self.lock:
             if place in self._places:
                 self._places.remove(place)
             self._drop_passed()
 
     def move(self, place: Place, index: int) -> None:
-        """Record that a taker has passed frame ``index``. Frames that all takers have passed are dropped."""
+        """Record that a consumer has passed frame ``index``. Frames that all consumers have passed are dropped."""
         with self.lock:
             if index > place.index:
                 place.index = index
                 self._drop_passed()
 
-    def _passed(self) -> int:
-        """Number of the last frame that all takers have passed; 0 if there are no takers."""
-        places = self._places
-        return places[0].index if len(places) == 1 else min((place.index for place in places), default=0)
-
     def _drop_passed(self) -> None:
-        self._drop_to(self._passed())
+        self._drop(self._places)
         if self._room_wanted and self._has_room():
             self._tell()
 
-    def _drop_to(self, index: int) -> None:
-        while self._frames and self._frames[0].index <= index:
+    def _drop(self, places: Sequence[Place]) -> None:
+        """Drop the frames that all these places have passed; none if there are no places."""
+        passed = min((place.index for place in places), default=0)
+        while self._frames and self._frames[0].index <= passed:
             self._dropped = self._frames.popleft()
 
     def _drop_unused(self) -> None:
-        """Drop frames passed by all takers that ever took a frame. The others start at the oldest frame left."""
-        self._drop_to(min((place.index for place in self._places if place.used), default=0))
+        """Drop frames passed by all consumers that ever took a frame. The others start at the oldest frame left."""
+        self._drop([place for place in self._places if place.used])
 
     def is_full(self) -> bool:
         """Whether the queue has no room, even after dropping frames that nobody has asked for."""

@@ -22,19 +22,16 @@ COUNTS_TOPIC = "/ohmskin/counts"
 
 _NUMBER = {"type": "number"}
 _TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
-_CONTACT = {
-    "type": "object",
-    "properties": {
-        "id": {"type": "integer"},
-        "joined": {"type": "array", "items": {"type": "integer"}},
-        "x_mm": _NUMBER,
-        "y_mm": _NUMBER,
-        "area_mm2": _NUMBER,
-        "force_n": _NUMBER,
-        "force_std_n": {"type": ["number", "null"]},
-        "peak_kpa": _NUMBER,
-        "interpolated_n": _NUMBER,
-    },
+_CONTACT_FIELDS = {
+    "id": {"type": "integer"},
+    "joined": {"type": "array", "items": {"type": "integer"}},
+    "x_mm": _NUMBER,
+    "y_mm": _NUMBER,
+    "area_mm2": _NUMBER,
+    "force_n": _NUMBER,
+    "force_std_n": {"type": ["number", "null"]},
+    "peak_kpa": _NUMBER,
+    "interpolated_n": _NUMBER,
 }
 _IMAGE_SCHEMA = {
     "title": "foxglove.RawImage",
@@ -49,38 +46,24 @@ _IMAGE_SCHEMA = {
         "data": {"type": "string", "contentEncoding": "base64"},
     },
 }
-_PLAIN_FIELDS = (
-    "sequence",
-    "device_time",
-    "host_time",
-    "lost_before",
-    "skipped_before",
-    "overrun",
-    "reconnected",
-    "rebooted",
-)
-_FRAME_SCHEMA = {
-    "title": "ohmskin.Frame",
-    "type": "object",
-    "properties": {
-        "sequence": {"type": ["integer", "null"]},
-        "device_time": {"type": ["number", "null"]},
-        "host_time": _NUMBER,
-        "lost_before": {"type": ["integer", "null"]},
-        "skipped_before": {"type": "integer"},
-        "overrun": {"type": "boolean"},
-        "reconnected": {"type": "boolean"},
-        "rebooted": {"type": "boolean"},
-        "valid_cells": {"type": "integer"},
-        "largest_kpa": {"type": ["number", "null"]},
-        "contacts": {"type": "array", "items": _CONTACT},
-    },
+_FRAME_FIELDS = {
+    "sequence": {"type": ["integer", "null"]},
+    "device_time": {"type": ["number", "null"]},
+    "host_time": _NUMBER,
+    "lost_before": {"type": ["integer", "null"]},
+    "skipped_before": {"type": "integer"},
+    "overrun": {"type": "boolean"},
+    "reconnected": {"type": "boolean"},
+    "rebooted": {"type": "boolean"},
+    "valid_cells": {"type": "integer"},
+    "largest_kpa": {"type": ["number", "null"]},
+    "contacts": {"type": "array", "items": {"type": "object", "properties": _CONTACT_FIELDS}},
 }
 
 MESSAGE_SCHEMAS: Mapping[str, Mapping[str, Any]] = {
     PRESSURE_TOPIC: _IMAGE_SCHEMA,
     COUNTS_TOPIC: _IMAGE_SCHEMA,
-    FRAME_TOPIC: _FRAME_SCHEMA,
+    FRAME_TOPIC: {"title": "ohmskin.Frame", "type": "object", "properties": _FRAME_FIELDS},
 }
 """topic -> JSON schema, named by its title"""
 
@@ -109,21 +92,14 @@ def _image(frame: Frame, values: FloatArray) -> dict[str, Any]:
 
 def _numbers(frame: Frame) -> dict[str, Any]:
     pressed = frame.pressure[frame.valid]
-    values: dict[str, Any] = {name: getattr(frame, name) for name in _PLAIN_FIELDS}
-    values["valid_cells"] = int(frame.valid.sum())
-    values["largest_kpa"] = float(pressed.max()) if pressed.size and np.isfinite(pressed).all() else None
-    values["contacts"] = [
-        {
-            "id": contact.id,
-            "joined": list(contact.joined),
-            "x_mm": contact.x_mm,
-            "y_mm": contact.y_mm,
-            "area_mm2": contact.area_mm2,
-            "force_n": contact.force_n,
-            "force_std_n": None if math.isnan(contact.force_std_n) else contact.force_std_n,
-            "peak_kpa": contact.peak_kpa,
-            "interpolated_n": contact.interpolated_n,
-        }
-        for contact in frame.contacts
-    ]
-    return values
+    derived = {
+        "valid_cells": int(frame.valid.sum()),
+        "largest_kpa": float(pressed.max()) if pressed.size and np.isfinite(pressed).all() else None,
+        "contacts": [{name: _json(getattr(contact, name)) for name in _CONTACT_FIELDS} for contact in frame.contacts],
+    }
+    return {name: derived[name] if name in derived else getattr(frame, name) for name in _FRAME_FIELDS}
+
+
+def _json(value: Any) -> Any:
+    """A value as JSON has it, which knows no NaN."""
+    return list(value) if isinstance(value, tuple) else None if math.isnan(value) else value

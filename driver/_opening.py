@@ -9,11 +9,11 @@ from __future__ import annotations
 import sys
 import threading
 import time
-import warnings
 from collections.abc import Callable
+from concurrent.futures import Future, wait
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypedDict
 
 from ..cell import ESTIMATORS, Cell
 from ..circuits import Design, Sheet, ValidityRule
@@ -29,9 +29,8 @@ from ._pitch import Pitch
 from ._port import BytePort
 from ._reader import Reader
 from ._recording import Recording
-from ._replay import RecordedSettings, ReplayPort
+from ._replay import NOTHING_RECORDED, RecordedSettings, ReplayPort
 from ._statistics import Counters
-from ._taker import Source
 
 Delivery = Literal["newest", "every", "lossless"]
 """which frames a reader of the skin gets
@@ -44,19 +43,58 @@ Delivery = Literal["newest", "every", "lossless"]
     Every frame, in order. The port is not read while ``queue`` frames wait. For recordings and for emulated boards
     that wait for their host; a real board then has to drop frames itself.
 """
+NATIVE = "ohmskin"
+"""the family that is meant where none is named"""
 QUEUE = 256
 MOST_ABANDONED = 2
 """set-ups that took too long and go on for nobody: each takes a thread, and up to hundreds of MB"""
-LOOK_S = 0.05
+POLL_S = 0.05
 """s between checks whether the compiler is at work, and how much processor time the set-up has used"""
 PATIENCE = 10.0
 """limit on the real time of a set-up that waits for the processor, over the limit on its processor time. When a robot's
 computer boots, dozens of programs start at once"""
 
 
+class SkinSettings(TypedDict, total=False):
+    """Settings of a skin, for :class:`.Skin` and :meth:`.Skin.open`; each has a default."""
+
+    board: str | Path | Family
+    """family of the board: a name (one of ``ohmskin.wire.BOARDS``, or of an installed package), an object, or the
+    BOARD.toml that describes the board; for a recording only where the recorded one is not known"""
+    design: Design | str | Path | None
+    """the readout circuit, as an object or as a DESIGN.toml file; None: the design that the board describes, else the
+    usual one of its family, else that which BOARD.toml names. Without any frames have counts only: ``resistance`` and
+    ``pressure`` are NaN, and a tare takes the counts at rest"""
+    cell: Cell | str | Path | None
+    """the model of the skin's material, as an object or as a CELL.toml file; None: the model that the board describes.
+    Without either, pressures are NaN"""
+    estimator: str | None
+    """name for :meth:`ohmskin.cell.Cell.estimator`"""
+    timeout: float
+    """limit in s (3) for each of three things: the wait for the board to identify itself; the processor time to set up
+    the inverse of its circuit (at most ten times as long on a busy machine); later the wait for each frame. The
+    compiler may take longer, once on a machine"""
+    delivery: Delivery | None
+    """which frames readers get, see :data:`Delivery`; None: ``newest``, and ``lossless`` for a recording and for an
+    emulated board that runs as fast as it is read (``ohmskin://SCENE.toml?clock=fast``)"""
+    queue: int
+    """number of frames that wait for readers (256), unless ``delivery`` is ``newest``"""
+    reconnect: float
+    """s for which the driver tries to open a lost port again (10)"""
+    pitch: float | tuple[float, float] | None
+    """distance of neighbouring cells in m, for contacts; for cells that are not square (x, y), along a row and along a
+    column. None: the pitch in the design's ``[sheet]``"""
+    accuracy: float | None
+    """relative uncertainty of a cell's conductance up to which the cell is valid; None: 0.5, see
+    :class:`ohmskin.circuits.ValidityRule`"""
+    calibration: Calibration | str | Path | None
+    """rest resistance and gain of each cell, or the file with them. A tare replaces the rest resistances and keeps its
+    gains"""
+
+
 @dataclass(frozen=True)
 class Opening:
-    """Settings of a skin, as the parameters of :meth:`Skin.__init__` describe them."""
+    """Settings of a skin, checked; see :class:`SkinSettings`."""
 
     family: Family
     settings: RecordedSettings
@@ -72,20 +110,25 @@ class Opening:
     def of(
         cls,
         *,
-        board: str | Path | Family,
-        design: Design | str | Path | None,
-        cell: Cell | str | Path | None,
-        estimator: str | None,
-        pitch: float | tuple[float, float] | None,
-        accuracy: float | None,
-        calibration: Calibration | str | Path | None,
-        timeout: float,
-        delivery: Delivery,
-        queue: int,
-        reconnect: float,
+        recorded: RecordedSettings = NOTHING_RECORDED,
+        recording: str = "",
         serial_number: str | None = None,
+        board: str | Path | Family = NATIVE,
+        design: Design | str | Path | None = None,
+        cell: Cell | str | Path | None = None,
+        estimator: str | None = None,
+        pitch: float | tuple[float, float] | None = None,
+        accuracy: float | None = None,
+        calibration: Calibration | str | Path | None = None,
+        timeout: float = 3.0,
+        delivery: Delivery | None = None,
+        queue: int = QUEUE,
+        reconnect: float = 10.0,
     ) -> Opening:
-        """Read the files and check the numbers; InputError."""
+        """Read the files and check the numbers of :class:`SkinSettings`; InputError.
+
+        The settings of the ``recording`` that is played (its name; empty: a live board) hold where none are given.
+        """
         timeout_s, queued = positive("timeout", timeout, "s"), count("queue", queue)
         reconnect_s = number("reconnect", reconnect, "s")
         if not reconnect_s >= 0:
@@ -93,18 +136,22 @@ class Opening:
         if estimator is not None and estimator not in ESTIMATORS:
             raise InputError(f"no estimator '{estimator}'; expected one of {', '.join(ESTIMATORS)}")
         ValidityRule.of(accuracy)
-        family = board_family(board)
+        family = recorded.family(recording) if recording and board == NATIVE else board_family(board)
+        design = recorded.design if design is None else design
         design = family.files.get("design") if design is None else design
+        cell = recorded.cell if cell is None else cell
         cell = family.files.get("cell") if cell is None else cell
+        calibration = recorded.calibration if calibration is None else calibration
         settings = RecordedSettings(
             family.name,
             None if design is None else loaded("design", design, Design),
             None if cell is None else loaded("cell", cell, Cell),
-            estimator,
-            None if pitch is None else Pitch.of(pitch),
-            accuracy,
+            recorded.estimator if estimator is None else estimator,
+            recorded.pitch if pitch is None else Pitch.of(pitch),
+            recorded.accuracy if accuracy is None else accuracy,
             None if calibration is None else loaded("calibration", calibration, Calibration),
             family.tables if family.design is None else None,
+            recorded.introduction,
         )
         if settings.design is None and family.design is None and not family.has_description:
             given = [name for name in ("cell", "calibration") if getattr(settings, name) is not None]
@@ -113,6 +160,8 @@ class Opening:
                     f"a {given[0]} for board '{family.name}', whose circuit is not known; expected a design, too "
                     "(--design DESIGN.toml, or design = in BOARD.toml)"
                 )
+        if delivery is None:
+            delivery = "lossless" if recording else "newest"
         if delivery not in ("newest", "every", "lossless"):
             raise InputError(f"delivery '{delivery}'; expected newest, every or lossless")
         if serial_number is not None:
@@ -121,7 +170,7 @@ class Opening:
 
 
 class Link:
-    """A board at an open port: the reader thread, and the objects that it shares with the takers of frames."""
+    """A board at an open port: the reader thread, and the objects that it shares with the consumers of frames."""
 
     def __init__(self, port: BytePort, opening: Opening, reopen: Callable[[], BytePort] | None) -> None:
         self._port, self._opening = port, opening
@@ -142,9 +191,7 @@ class Link:
             reopen=reopen,
             reconnect_s=opening.reconnect_s,
         )
-        self._past = port.past if isinstance(port, ReplayPort) else None
-        if self._past is not None:
-            self.reader.resume(self._past.heard_bytes(), self._past.stream)
+        self.reader.introduce_before(settings.introduction)
 
     def record(self, path: str | Path, *, overwrite: bool) -> Recording:
         """Record from the first byte on; before :meth:`introduce`. Raises InputError."""
@@ -157,40 +204,21 @@ class Link:
         """Start reading, wait until the board has identified itself, and set up the converter of its frames.
 
         Raises:
-            LinkTimeout, ProtocolError, LinkError, InputError: as :meth:`Skin.__init__`. The port is then closed.
+            LinkTimeout, ProtocolError, LinkError, InputError: as :meth:`Skin.__init__`. The reader thread goes on.
 
         """
         limit_s = self._opening.timeout_s
         self.reader.start()
-        try:
-            self.reader.await_introduction(limit_s)
-            converter = _within(limit_s, self._set_up)
-            if converter is None:
-                raise ProtocolError(
-                    f"{self._port.name}: the inverse of the board's circuit was not set up within {limit_s:g} s; "
-                    "give a longer timeout, if the board's description is right"
-                )
-            self._remember(converter)
-            if self._opening.delivery != "lossless":
-                self.reader.keep_up = converter.keep_up
-        except BaseException:
-            self.reader.stop()
-            raise
+        self.reader.await_introduction(limit_s)
+        converter = _within(limit_s, self._set_up)
+        if converter is None:
+            raise ProtocolError(
+                f"{self._port.name}: the inverse of the board's circuit was not set up within {limit_s:g} s; "
+                "give a longer timeout, if the board's description is right"
+            )
+        if self._opening.delivery != "lossless":
+            self.reader.keep_up = converter.keep_up
         return converter
-
-    def source(self, converter: Converter) -> Source:
-        """The source from which takers get their frames."""
-        return Source(
-            lambda: self.reader.port_name,
-            self.mailbox,
-            converter,
-            self.counters,
-            self.reader.poll,
-            self.reader.now,
-            self.reader.nothing_came,
-            newest_only=self._opening.delivery == "newest",
-            eager=self._opening.delivery != "lossless",
-        )
 
     def _host_end(self) -> HostProtocol:
         """A new host protocol, with the array's size if the board does not send it."""
@@ -223,7 +251,7 @@ class Link:
                 self.mailbox,
                 self.counters,
                 newest_only=self._opening.delivery == "newest",
-                rest_changes=self._port.rest.changes if isinstance(self._port, ReplayPort) else (),
+                rest_changes=self._port.rest_changes if isinstance(self._port, ReplayPort) else (),
                 accuracy=settings.accuracy,
                 calibration=settings.calibration,
             )
@@ -235,21 +263,9 @@ class Link:
             raise introduction.refused(error) from error
         return converter
 
-    def _remember(self, converter: Converter) -> None:
-        """If the port plays a recording that began in the middle, continue the conversion from its saved state."""
-        if self._past is None:
-            return
-        try:
-            remembers = converter.resume(self._past.measurement)
-        except InputError as error:
-            raise InputError(f"{self._port.name}: what was before: {error}") from error
-        if not remembers:
-            warnings.warn(
-                f"{self._port.name}: the estimator begins without memory of what was before, which another estimator "
-                "or another version of ohmskin has recorded; the first pressures may differ from the recorded ones",
-                RuntimeWarning,
-                stacklevel=2,
-            )
+
+_ROOM = threading.BoundedSemaphore(MOST_ABANDONED)
+"""for set-ups that were given up, and that may still be at work"""
 
 
 def _within(limit_s: float, work: Callable[[], Converter]) -> Converter | None:
@@ -262,52 +278,34 @@ def _within(limit_s: float, work: Callable[[], Converter]) -> Converter | None:
     Nothing ends a thread from outside. While :data:`MOST_ABANDONED` works that were given up go on, another one waits
     for one of them, within ``limit_s``.
     """
-    if not _room_within(limit_s):
+    if not _ROOM.acquire(timeout=min(limit_s, threading.TIMEOUT_MAX)):
         return None
-    results: list[Converter] = []
-    errors: list[BaseException] = []
+    _ROOM.release()
+    future: Future[Converter] = Future()
     clocks: list[int] = []
 
     def run() -> None:
         try:
             if sys.platform == "linux":
                 clocks.append(time.pthread_getcpuclockid(threading.get_ident()))
-            results.append(work())
+            future.set_result(work())
         except BaseException as error:
-            errors.append(error)
+            future.set_exception(error)
 
-    thread = threading.Thread(target=run, name="ohmskin set-up", daemon=True)
-    thread.start()
+    threading.Thread(target=run, name="ohmskin set-up", daemon=True).start()
     left_s, processor_s = limit_s, 0.0
-    while thread.is_alive() and left_s > 0:
+    while left_s > 0:
         before_s, processor_before_s = time.monotonic(), processor_s
-        thread.join(min(left_s, LOOK_S))
+        wait([future], min(left_s, POLL_S))
+        if future.done():
+            return future.result()
         elapsed_s = time.monotonic() - before_s
         processor_s = _processor_s(clocks, processor_before_s + elapsed_s)
         if not is_compiling():
             left_s -= max(processor_s - processor_before_s, elapsed_s / PATIENCE)
-    if thread.is_alive():
-        _abandoned.append(thread)
-    if errors:
-        raise errors[0]
-    return results[0] if results else None
-
-
-def _room_within(limit_s: float) -> bool:
-    """Wait until fewer than :data:`MOST_ABANDONED` threads are at work for nobody; False after ``limit_s``."""
-    until = time.monotonic() + limit_s
-    while True:
-        _abandoned[:] = [thread for thread in _abandoned if thread.is_alive()]
-        left_s = until - time.monotonic()
-        if len(_abandoned) < MOST_ABANDONED:
-            return True
-        if left_s <= 0:
-            return False
-        _abandoned[0].join(min(left_s, LOOK_S))
-
-
-_abandoned: list[threading.Thread] = []
-"""set-ups that were given up, and that may still be at work"""
+    if _ROOM.acquire(blocking=False):
+        future.add_done_callback(lambda _: _ROOM.release())
+    return None
 
 
 def _processor_s(clocks: list[int], otherwise_s: float) -> float:

@@ -21,13 +21,11 @@ class PlainReader:
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self._shape = shape
-        self._counts: NDArray[np.uint16] | None = None
 
     def __call__(self, counts: NDArray[np.uint16]) -> Reading:
         """The reading of one frame (rows, columns). Raises ProtocolError if the frame has another shape."""
         if counts.shape != self._shape:
             raise ProtocolError("a frame of {} x {} cells; this board has {} x {}".format(*counts.shape, *self._shape))
-        self._counts = counts
         return Reading(
             resistance=np.full(counts.shape, np.nan),
             valid=np.ones(counts.shape, dtype=np.bool_),
@@ -37,14 +35,6 @@ class PlainReader:
             _found=None,
             _covered_steps=1.0,
         )
-
-    def memory(self) -> tuple[float, NDArray[np.uint16] | None]:
-        """For :meth:`remember`: noise in ADC steps, and the last counts."""
-        return 0.0, self._counts
-
-    def remember(self, noise_steps: float, counts: NDArray[np.uint16] | None) -> None:
-        """Continue where another reader stopped."""
-        self._counts = counts
 
 
 def tare_of_counts(taken: Sequence[Frame], *, lost: int | None, serial_number: str) -> Tare:

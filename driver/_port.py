@@ -44,16 +44,6 @@ _NOT_NOW = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR)
 _HUNG_UP = (errno.EPIPE, errno.ECONNRESET, errno.EIO, errno.ENXIO, errno.ENODEV)
 
 
-class OrderlyClose(LinkError):
-    """The other end has closed the connection in good order: it has sent everything that it wanted to send.
-
-    TCP signals this by FIN, RFC 2217 by the control line DSR (data set ready), which goes off before. A broken
-    connection ends differently, by a reset (RST) or by silence. The signals are not certain, however. When a program is
-    killed, the operating system usually closes its TCP connections in good order, too; and DSR also goes off when a
-    cable behind an access server is pulled.
-    """
-
-
 class Arrival(NamedTuple):
     """Bytes, and the time at which the host took them from the operating system."""
 
@@ -199,7 +189,7 @@ class DescriptorPort(_RealTimePort):
             if not data and self._readable.select(0):
                 data = os.read(self._descriptor, _CHUNK)
                 if not data:
-                    raise self._hung_up() if self._failure is None else self._gone(self._failure)
+                    raise self._gone("the other end hung up" if self._failure is None else self._failure)
         except OSError as error:
             if isinstance(error, LinkError):
                 raise
@@ -208,10 +198,6 @@ class DescriptorPort(_RealTimePort):
             self._failure = error
             raise self._gone(error) from error
         return self._arrived(data, more=len(data) >= _SHORT)
-
-    def _hung_up(self) -> LinkError:
-        """The error for a port that reads nothing because the other end is closed."""
-        return self._gone("the other end hung up")
 
     def write(self, data: bytes) -> None:
         """Send all of ``data``; LinkError when that fails."""
@@ -308,10 +294,6 @@ class SocketPort(DescriptorPort):
     def _gone(self, error: Exception | str) -> LinkError:
         return over(self.name) if self._is_over else super()._gone(error)
 
-    def _hung_up(self) -> LinkError:
-        error = super()._hung_up()
-        return error if isinstance(error, LinkEnded) else OrderlyClose(str(error))
-
     def _release(self) -> None:
         self._socket.close()
 
@@ -326,16 +308,14 @@ class UrlPort(_RealTimePort):
         if isinstance(connection, socket.socket) and connection.family != socket.AF_UNIX:
             _end_when_unheard(connection)
         self._waiting = b""
-        self._taking = threading.Lock()
+        self._reading = threading.Lock()
         """held by the thread that takes bytes: a second thread would get later bytes before earlier ones"""
-        self._was_ready = False
-        """whether the board has signalled that it is ready. Many serial cables have no wire for this signal"""
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until bytes have come or the port is gone; False after 0.1 s, or at once without a ``timeout_s``."""
-        with self._taking:
+        with self._reading:
             if not self._waiting and timeout_s > 0:
-                self._waiting = self._take(1)
+                self._waiting = self._read_device(1)
             return bool(self._waiting)
 
     def read(self) -> Arrival:
@@ -343,16 +323,15 @@ class UrlPort(_RealTimePort):
 
         While another thread waits there is nothing to take, since that thread takes the next byte.
         """
-        if not self._taking.acquire(blocking=False):
+        if not self._reading.acquire(blocking=False):
             return self._arrived(b"")
         try:
-            self._was_ready = self._was_ready or self._is_ready()
             first, self._waiting = self._waiting, b""
-            return self._arrived(first + self._take(None))
+            return self._arrived(first + self._read_device(None))
         finally:
-            self._taking.release()
+            self._reading.release()
 
-    def _take(self, size: int | None) -> bytes:
+    def _read_device(self, size: int | None) -> bytes:
         """Wait for so many bytes, for at most 0.1 s; None: take the bytes that are there."""
         try:
             if size is None:
@@ -365,17 +344,7 @@ class UrlPort(_RealTimePort):
             return b""
         except (serial.SerialException, OSError, TypeError, AttributeError) as error:
             # If another thread closes the port, pyserial raises TypeError or AttributeError.
-            gone = self._gone(error)
-            if self._was_ready and not self._is_ready() and not isinstance(gone, LinkEnded):
-                gone = OrderlyClose(str(gone))
-            raise gone from error
-
-    def _is_ready(self) -> bool:
-        """Whether the board's last signal was that it is ready (control line DSR of RFC 2217)."""
-        try:
-            return self.name.startswith("rfc2217://") and bool(self._device.dsr)  # type: ignore[attr-defined]  # the stubs lack it
-        except (serial.SerialException, OSError, TypeError, AttributeError):  # never told, or closed meanwhile
-            return False
+            raise self._gone(error) from error
 
     def write(self, data: bytes) -> None:
         """Send all of ``data``; LinkError when that fails."""

@@ -48,20 +48,6 @@ def is_numbered_terminal(name: str) -> bool:
     return name.startswith("/dev/pts/")
 
 
-def is_linked_terminal(name: str) -> bool:
-    """Whether ``name`` is a link to a pseudo-terminal: the port of an emulated board."""
-    return os.path.islink(name) and os.path.realpath(name).startswith("/dev/pts/")
-
-
-def linked_terminals(directory: Path) -> list[str]:
-    """This user's links to pseudo-terminals in a directory; others may have links there, too."""
-    try:
-        own = [str(path) for path in sorted(directory.iterdir()) if path.lstat().st_uid == os.getuid()]
-    except OSError:
-        return []
-    return [name for name in own if is_linked_terminal(name)]
-
-
 def refuse_missing(name: str) -> None:
     """Raise the LinkError of :func:`._port.open_port` if a check of ``name`` suffices, without opening anything.
 

@@ -17,8 +17,7 @@ from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError
 from ..wire import Corrupt, Description, Event, Family, Flag, FramePacket, HostProtocol, Identity, Order
 from ._introduce import Introduction
 from ._mailbox import Mailbox
-from ._past import StreamPast
-from ._port import Arrival, BytePort, OrderlyClose
+from ._port import Arrival, BytePort
 from ._reconnect import attempts
 from ._statistics import Counters
 from ._stream import FrameStream
@@ -27,25 +26,21 @@ ASK_AGAIN_S = 0.5
 """a board that sends nothing for this time is asked again"""
 ASK_WHO_S = 0.25
 """the same for a board that has not identified itself: a lossy line needs several answers for a whole description"""
-LOOK_S = 0.02
-"""polling interval of a wait for a serial number: whether it can still come"""
 PROOF_S = 3.0
 """after a reconnection: time for a board to prove that it is the same one"""
 MOST_READS = 64
-"""reads in one turn, so that a board that never pauses cannot block a taker"""
+"""reads in one turn, so that a board that never pauses cannot block a consumer"""
 LONGEST_TURN_S = 0.02
 """the same in s, for bytes without a frame"""
 LONGEST_REST_S = 1.0
 """most time that the thread rests after such bytes; it rests as long as it took to look through them"""
 POLL_S = 0.05
-"""how long a taker waits for the thread to have read, before it looks for a frame"""
-MOST_HEARD = 2**20
-"""bytes kept for a recorder that joins"""
+"""how long a consumer waits for the thread to have read, before it looks for a frame"""
 MOST_UNPROVEN = 1000
 """frames kept until the board has proved that it is the same one"""
 _NO_FLAGS = Flag.NONE  # operations on flags take 1 us each
 READ_AGAIN_S = 0.0005
-"""a taker who has read and converted for longer reads again, since newer frames may have come meanwhile"""
+"""a consumer who has read and converted for longer reads again, since newer frames may have come meanwhile"""
 CONVERTED_IN_TURN = 4
 """frames that the thread converts before it reads the port again, whose buffers hold some milliseconds"""
 JOIN_S = 2.0
@@ -68,8 +63,8 @@ def await_free(name: str) -> None:
 class Reader:
     """Reads one board in a thread of its own, from opening to closing.
 
-    Two parties read the port. The thread waits for bytes. A taker also reads the bytes that are there before it looks
-    for a frame (:meth:`poll`), since Python may keep the thread from running for some milliseconds.
+    Two parties read the port. The thread waits for bytes. A consumer also reads the bytes that are there before it
+    looks for a frame (:meth:`poll`), since Python may keep the thread from running for some milliseconds.
     """
 
     def __init__(
@@ -95,18 +90,17 @@ class Reader:
         self.keep_up: Callable[[int | None], bool] = lambda most: False
         """converts the frames that have come (:meth:`.Converter.keep_up`)"""
         self._port: BytePort | None = port
+        self._clock = port.now  # of the last port, which a recording has after its end, too
         self._family: Family = introduction.family
         self._new_protocol = protocol
         self._protocol = protocol()
         self._mailbox, self._counters = mailbox, counters
         self._lossless = lossless
         self._reopen, self._reconnect_s = reopen, reconnect_s
-        self._heard_before, self._heard_since = bytearray(), bytearray()
-        """bytes from the last frame but one to the last frame, and from the last frame on"""
         self._reading = threading.RLock()
         """held by the thread that reads from the port, writes to it, or replaces it"""
         self._stop = SignalSafeEvent()
-        self._heard = False
+        self._has_frames = False
         """a frame has come since the board was last asked"""
         self._proof_until = inf
         """until when the board must prove that it is the one from before; infinite when no proof is due"""
@@ -146,11 +140,8 @@ class Reader:
 
     def serial_number(self, timeout_s: float) -> str:
         """Wait for the board's serial number; empty if it has none, or does not send it in time."""
-        until = time.monotonic() + min(timeout_s, threading.TIMEOUT_MAX)
-        while self._family.has_description and not self.introduction.identified.wait(LOOK_S):
-            unread = self._lossless and self._mailbox.is_full()
-            if unread or self._mailbox.end is not None or time.monotonic() >= until:
-                break
+        if self._family.has_description and self._mailbox.end is None:
+            self.introduction.identified.wait(min(timeout_s, threading.TIMEOUT_MAX))
         return self.introduction.serial_number
 
     def nothing_came(self, what: str, timeout_s: float) -> LinkTimeout | ProtocolError:
@@ -184,11 +175,11 @@ class Reader:
         Errors of the port are left to the thread, and so are bytes of a flood.
         """
         began_s = self.now()
-        self._take_turn()
+        self._read_and_convert()
         if self.now() - began_s > READ_AGAIN_S:
-            self._take_turn()
+            self._read_and_convert()
 
-    def _take_turn(self) -> None:
+    def _read_and_convert(self) -> None:
         if self._reading.acquire(timeout=POLL_S):
             try:
                 self._read()
@@ -200,8 +191,7 @@ class Reader:
 
     def now(self) -> float:
         """Present time on the port's clock."""
-        port = self._port
-        return time.monotonic() if port is None else port.now()
+        return self._clock()
 
     def send(self, order: Order, *, period_us: int = 0) -> None:
         """Send an order to the board.
@@ -221,33 +211,26 @@ class Reader:
                 self._port.write(data)
 
     @contextlib.contextmanager
-    def between_arrivals(self) -> Iterator[bytes]:
-        """Read no bytes within the block. Yields the bytes that a decoder needs in order to decode those that follow.
-
-        These are the board's identity and description, and all bytes since the last frame but one; the last of these
-        bytes may be the beginning of a packet.
-        """
+    def between_arrivals(self) -> Iterator[None]:
+        """Read no bytes within the block."""
         with self._reading:
-            yield self.introduction.as_bytes() + bytes(self._heard_before) + bytes(self._heard_since)
+            yield
 
     @property
     def away(self) -> bool:
         """Whether the port is gone at present, or the board there has yet to show that it is the one from before."""
         return self._away_since is not None
 
-    def resume(self, heard: bytes, stream: StreamPast) -> None:
-        """Continue a reader that has ``heard`` these bytes (:meth:`between_arrivals`). Call before :meth:`start`.
+    def introduce_before(self, introduction: bytes) -> None:
+        """Take what the board said of itself before a recording that plays began. Call before :meth:`start`.
 
         Raises:
             ProtocolError: the board's identity or description exceeds the limits.
 
         """
-        for event in self._protocol.feed(heard, 0.0):
+        for event in self._new_protocol().feed(introduction, 0.0):
             if isinstance(event, Identity | Description):
-                self.introduction.hear(event)
-        self.introduction.has_sent_frames = True  # to the skin that the recorder joined
-        self._heard_since += heard
-        self.stream.restore(stream)
+                self.introduction.add(event)
 
     def disown(self) -> None:
         """In a forked process: leave port and mailbox to the parent process, which opened them."""
@@ -291,12 +274,13 @@ class Reader:
         except OhmskinError as error:
             self._mailbox.finish(self._closed() if self._is_ending else error)
         finally:
-            # stop() may have woken this thread before telling the takers.
+            # stop() may have woken this thread before telling the consumers.
             ended = LinkError(f"{self.port_name}: the reader thread has ended")
             self._mailbox.finish(self._closed() if self._is_ending else ended)
             self._release()
             self._reopen = None  # its finder watches a file, the port's announcement
             self.introduced.set()
+            self.introduction.identified.set()
 
     def _live(self) -> None:
         """Serve the port, and again after each reconnection."""
@@ -338,8 +322,8 @@ class Reader:
             if now > self._proof_until:
                 raise LinkError(f"{port.name}: the board there does not show that it is the one from before")
             known = self.introduced.is_set() and self._proof_until == inf
-            if self._heard and known:
-                ask_at, self._heard = now + ASK_AGAIN_S, False
+            if self._has_frames and known:
+                ask_at, self._has_frames = now + ASK_AGAIN_S, False
             elif now >= ask_at:
                 self._ask()
                 ask_at = now + (ASK_AGAIN_S if known else ASK_WHO_S)
@@ -361,7 +345,7 @@ class Reader:
             self.send(Order.ONE_FRAME)
 
     def _convert(self, most: int | None) -> bool:
-        """Convert ``most`` of the frames that have come (None: all), and tell takers; whether frames are left."""
+        """Convert ``most`` of the frames that have come (None: all), and tell consumers; whether frames are left."""
         with self._errors_told():
             left = self.keep_up(most)
             self._mailbox.tell()
@@ -401,7 +385,6 @@ class Reader:
                     if isinstance(event, FramePacket):
                         frames += 1
                 self.stream.arrive(arrival, frames)
-                self._keep(arrival.data, has_frame=frames > 0)
                 for event in events:
                     self._handle(event, arrival)
                 only_noise = not frames and (only_noise or not turn)
@@ -412,25 +395,16 @@ class Reader:
                     break
         return only_noise
 
-    def _keep(self, data: bytes, *, has_frame: bool) -> None:
-        """Keep the last bytes for a recorder that joins."""
-        if has_frame:
-            self._heard_before, self._heard_since = self._heard_since, bytearray(data)
-            return
-        self._heard_since += data
-        if len(self._heard_since) > MOST_HEARD:
-            del self._heard_since[:-MOST_HEARD]
-
     def _handle(self, event: Event, arrival: Arrival) -> None:
         self._reason = ""
         match event:
             case FramePacket():
-                self._heard = True
-                self._hear(event, arrival)
+                self._has_frames = True
+                self._receive(event, arrival)
                 if self._family.polled:
                     self.send(Order.ONE_FRAME)
             case Identity() | Description():
-                self._get_to_know(event)
+                self._identify(event)
             case Corrupt():
                 self._reason = event.reason
                 if event.is_description:
@@ -438,7 +412,7 @@ class Reader:
                 self._counters.corrupt += 1
                 self._counters.why_corrupt = event.reason
 
-    def _hear(self, packet: FramePacket, arrival: Arrival) -> None:
+    def _receive(self, packet: FramePacket, arrival: Arrival) -> None:
         if not self.introduction.complete:
             self._learn(packet)
             if not self.introduction.complete:
@@ -451,11 +425,11 @@ class Reader:
                 return
             # A board that sends no identity is identified by its port alone.
             self._prove()
-        self._take(packet, arrival)
+        self._add_frame(packet, arrival)
 
-    def _take(self, packet: FramePacket, arrival: Arrival) -> None:
+    def _add_frame(self, packet: FramePacket, arrival: Arrival) -> None:
         try:
-            frame = self.stream.take(packet, arrival)
+            frame = self.stream.add(packet, arrival)
         except ProtocolError as error:
             self._mailbox.report(error)
             return
@@ -472,7 +446,7 @@ class Reader:
         assert self._port is not None
         self._port.interrupt()
 
-    def _get_to_know(self, event: Identity | Description) -> None:
+    def _identify(self, event: Identity | Description) -> None:
         """Take the board's identity or description; after a reconnection, compare it with the earlier one.
 
         Raises:
@@ -499,10 +473,10 @@ class Reader:
             self.stream.announce(event.sequence, event.boot_id)
 
     def _learn(self, event: Identity | Description | FramePacket) -> None:
-        """Pass a packet to the introduction; errors as for :meth:`_get_to_know`."""
+        """Pass a packet to the introduction; errors as for :meth:`_identify`."""
         known = self.introduction.complete
         try:
-            self.introduction.hear(event)
+            self.introduction.add(event)
         except (ProtocolError, InputError) as error:
             # Readers of an open skin go on after ProtocolError and InputError; this error is final, hence LinkError.
             final = LinkError(str(error)) if known else error
@@ -521,7 +495,7 @@ class Reader:
         self._mailbox.set_away(None)
         unproven, self._unproven = self._unproven, deque(maxlen=MOST_UNPROVEN)
         for packet, arrival in unproven:
-            self._take(packet, arrival)
+            self._add_frame(packet, arrival)
 
     def _connect_again(self, error: LinkError) -> None:
         """Open the port again; LinkError if it has not come back in time."""
@@ -540,53 +514,24 @@ class Reader:
                 failure = again
                 continue
             with self._reading:
-                self._port = port
+                self._port, self._clock = port, port.now
                 self.port_name = self.introduction.port_name = port.name
                 self._protocol = self._new_protocol()
-                self._heard_before, self._heard_since = bytearray(), bytearray()
                 self._unproven.clear()
                 known = self.introduction.identity, self.introduction.description
                 self._proofs = {type(packet) for packet in known if packet is not None}
                 self._proof_until = time.monotonic() + PROOF_S
             return
-        if self._is_end(error, failure):
-            raise LinkEnded(
-                f"{self.port_name}: the other end has closed the connection in good order, and nobody listens there "
-                f"since ({self._reconnect_s:g} s)"
-            )
         # "A board was found and refused" is more informative than "the port is not there".
         found = failure if str(error) == str(self._away_because) else error
         because = "" if found is None else f" ({found})"
         raise LinkError(f"{self._away_because}; it has not come back within {self._reconnect_s:g} s{because}")
-
-    def _is_end(self, last: LinkError, failure: LinkError | None) -> bool:
-        """Whether the stream of a board that has not come back has ended regularly.
-
-        Families with a packet for the end of the stream have sent that packet. For the others, over TCP and RFC 2217,
-        the end is a connection closed in good order at an address where nobody listens any more. A bridge from TCP to
-        a serial port closes the connection in the same way when its serial cable is pulled, but keeps listening.
-
-        Args:
-            last: why the port was given up the last time.
-            failure: why the last attempt to open the port failed; None: no attempt failed.
-
-        """
-        refused = failure is not None and _has_cause(failure, ConnectionRefusedError)
-        orderly = isinstance(last, OrderlyClose) and last is self._away_because
-        return orderly and refused and not self._family.has_description
 
     def _release(self) -> None:
         with self._reading:
             if self._port is not None:
                 self._port.close()
                 self._port = None
-
-
-def _has_cause(error: BaseException | None, kind: type[BaseException]) -> bool:
-    """Whether ``error`` was caused by such an error. pyserial raises its own errors while handling others."""
-    while error is not None and not isinstance(error, kind):
-        error = error.__cause__ or error.__context__
-    return error is not None
 
 
 _READERS: weakref.WeakSet[Reader] = weakref.WeakSet()

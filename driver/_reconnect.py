@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 from ..common.rendezvous import AnnouncedPort, announced
 from ..errors import LinkError
@@ -12,9 +11,7 @@ from ._port import BytePort, open_port, over
 from ._port_names import (
     EMULATED_HERE,
     emulated_ports,
-    is_linked_terminal,
     is_numbered_terminal,
-    linked_terminals,
     ports_with,
     serial_ports,
     usb_serial_number,
@@ -44,7 +41,6 @@ class PortFinder:
         self._usb_serial = usb_serial_number(name)
         self.board_is_numbered: Callable[[], bool] = lambda: False
         """whether the board sends a serial number of its own"""
-        self._directory = Path(name).parent if is_linked_terminal(name) else None
         self._is_emulated = announced(name) is not None
         self._always_there = self._present()
         """ports that have been there whenever this finder looked"""
@@ -99,8 +95,7 @@ class PortFinder:
         return [name for name in names if name and not _is_of_others(name)]
 
     def _present(self) -> set[str]:
-        linked = [] if self._directory is None else linked_terminals(self._directory)
-        return {*serial_ports(), *linked, *(emulated_ports() if self._is_emulated else [])}
+        return {*serial_ports(), *(emulated_ports() if self._is_emulated else [])}
 
     def _open(self, name: str) -> BytePort:
         emulated = announced(name)

@@ -7,12 +7,11 @@ from types import TracebackType
 from typing import Self
 
 from ..common.checks import of_kind
-from ..errors import InputError
 from ._recording import Recording
 from ._skin import Skin
 
 
-class Recorder:
+class Recorder(Recording):
     """Records an open skin, from now until :meth:`close`; readers of the skin go on undisturbed.
 
     ::
@@ -20,9 +19,8 @@ class Recorder:
         with Recorder(skin, "press.mcap"):
             ...
 
-    The recording begins with a checkpoint of the skin (:class:`._past.Past`): the board's description, the rest
-    resistances in use, the state of clock and estimator. The replay therefore gives the frames that the skin gives from
-    here on, bit for bit if every frame is taken. Ids of contacts count from the join.
+    The recording begins with the board's description and the rest resistances in use. The replay begins with the next
+    whole frame; its estimator has no memory of the frames before.
     """
 
     def __init__(self, skin: Skin, path: str | Path, *, overwrite: bool = False) -> None:
@@ -40,29 +38,13 @@ class Recorder:
 
         """
         self._skin = of_kind("skin", skin, Skin, "an open Skin")
-        self._recording = Recording(path, skin.settings.as_metadata(), overwrite=overwrite)
+        super().__init__(path, skin.settings_to_join().as_metadata(), overwrite=overwrite)
         try:
-            skin.attach(self._recording)
-            self._recording.keep()
+            skin.attach(self)
+            self.keep()
         except BaseException:
-            skin.detach(self._recording)
-            self._recording.discard()
+            self.discard()
             raise
-
-    @property
-    def path(self) -> Path:
-        """Path of the file."""
-        return self._recording.path
-
-    @property
-    def frames(self) -> int:
-        """Decoded frames written so far."""
-        return self._recording.frames
-
-    @property
-    def error(self) -> InputError | None:
-        """Why the recording ended before it was closed, such as a full disk."""
-        return self._recording.error
 
     def close(self) -> None:
         """End the recording; the skin stays open. A second call does nothing.
@@ -71,8 +53,8 @@ class Recorder:
             InputError: the file could not be written to the end. The part written before can be read.
 
         """
-        self._skin.detach(self._recording)
-        self._recording.close()
+        self._skin.detach(self)
+        super().close()
 
     def __enter__(self) -> Self:
         return self

@@ -25,7 +25,6 @@ from ..common.files import Output, check_writable, claim, forget, is_claimed, on
 from ..errors import InputError, MissingExtra
 from ._frame import Frame
 from ._messages import MESSAGE_SCHEMAS, messages_of
-from ._past import Past
 from ._port import Arrival
 
 if TYPE_CHECKING:
@@ -71,6 +70,7 @@ class Recording:
         """why the recording ended before it was closed"""
         self.frames = 0
         """decoded frames written"""
+        self._earlier_frames = 0
         self._output = Output(self.path)
         with self._output.errors():
             self._output.open()
@@ -134,12 +134,11 @@ class Recording:
             self.close()
         self._output.discard()
 
-    def joined(self, past: Past) -> None:
-        """Write the checkpoint of an open skin, before its next bytes."""
-        self._event({"event": "joined", "past": past.tables()})
-        with self._lock:
-            if self._writer is not None:
-                self._guarded(self._writer.flush)
+    def begin_after(self, frames: int, rest: FloatArray | None) -> None:
+        """Begin in the middle of a stream: after so many frames, with these rest resistances (rows, columns)."""
+        self._earlier_frames = frames
+        if rest is not None:
+            self.rest_changed(rest, frames)
 
     def arrived(self, arrival: Arrival) -> None:
         """Write bytes of the board."""
@@ -150,10 +149,10 @@ class Recording:
         """Write that the port was lost: the bytes after this came over another connection."""
         self._event({"event": "port gone"})
 
-    def rest_changed(self, rest_ohm: FloatArray | None, after_s: float | None) -> None:
-        """Note new rest resistances (rows, columns), for frames later than ``after_s`` on the estimator's time."""
-        rest = None if rest_ohm is None else base64.b64encode(rest_ohm.astype("<f8").tobytes()).decode()
-        self._event({"event": "rest", "rest_ohm": rest, "after_s": None if after_s is None else after_s.hex()})
+    def rest_changed(self, rest: FloatArray | None, after_frame: int) -> None:
+        """Note new rest resistances (rows, columns), for the frames after the one with this number."""
+        values = None if rest is None else base64.b64encode(rest.astype("<f8").tobytes()).decode()
+        self._event({"event": "rest", "rest_ohm": values, "after_frame": max(after_frame - self._earlier_frames, 0)})
 
     def frame(self, frame: Frame) -> None:
         """Queue a decoded frame for writing, for viewers. Does not wait: dropped if the disk is far behind."""

@@ -6,6 +6,7 @@ import base64
 import io
 import json
 import math
+import operator
 import os
 import threading
 import time
@@ -19,7 +20,6 @@ import numpy as np
 
 from ..cell import Cell
 from ..circuits import Design
-from ..common.arrays import FloatArray
 from ..common.checks import number
 from ..common.config import LEAST, MOST, parse
 from ..common.events import SignalSafeEvent
@@ -30,18 +30,18 @@ from ..common.text import shortened, shown
 from ..errors import InputError, LinkEnded, LinkError, MissingExtra, OhmskinError, ProtocolError
 from ..wire import BoardFile, Family, board_family, read_description, write_description
 from ._calibration import Calibration
-from ._past import Past
 from ._pitch import Pitch
 from ._port import Arrival
 from ._recording import BYTES_TOPIC, EVENTS_TOPIC, FORMAT, METADATA, STAMP
+from ._tare import RestChange
 
 if TYPE_CHECKING:
     from mcap.records import Chunk
 
 MOST_S = 1e12
 """30,000 years: no time of arrival is later"""
-LARGEST = 160 * 2**20
-"""bytes of a record, and of the content of a chunk: the checkpoint of a skin of 256 x 256 cells takes 130 MB"""
+LARGEST = 32 * 2**20
+"""bytes of a record, and of the content of a chunk"""
 LONGEST_ARRIVAL = 16 * 2**20
 """bytes that come at once, after a host was kept from reading for seconds"""
 MOST_RECORDS, BYTES_PER_RECORD = 10_000, 4
@@ -71,6 +71,8 @@ class RecordedSettings:
     calibration: Calibration | None = None
     board_file: Mapping[str, Any] | None = None
     """tables of the BOARD.toml; None: the family is known by its name"""
+    introduction: bytes = b""
+    """packets in which the board has identified and described itself before the recording began"""
 
     def as_metadata(self) -> dict[str, str]:
         """Texts for the metadata of the file."""
@@ -81,8 +83,9 @@ class RecordedSettings:
         numbers = {"pitch": _distinct(self.pitch), "accuracy": () if self.accuracy is None else (self.accuracy,)}
         known = {
             "estimator": self.estimator,
-            "calibration": None if self.calibration is None else self.calibration.as_json(),
+            "calibration": None if self.calibration is None else self.calibration.as_toml(),
             "board_file": None if self.board_file is None else json.dumps(self.board_file),
+            "introduction": base64.b64encode(self.introduction).decode(),
         }
         known |= {name: " ".join(float(value).hex() for value in values) for name, values in numbers.items()}
         return {"board": self.board, "given": tables} | {key: value for key, value in known.items() if value}
@@ -109,10 +112,9 @@ class RecordedSettings:
             estimator=metadata.get("estimator"),
             pitch=Pitch(pitch[0], pitch[-1]) if pitch else None,
             accuracy=accuracy[0] if accuracy else None,
-            calibration=None
-            if calibration is None
-            else Calibration.from_json(calibration, source=f"{path}: calibration"),
+            calibration=None if calibration is None else Calibration.from_toml(calibration, f"{path}: calibration"),
             board_file=_board_tables(metadata, path),
+            introduction=_introduction(metadata, path),
         )
 
     def family(self, path: str) -> Family:
@@ -146,14 +148,6 @@ def _board_tables(metadata: Mapping[str, str], path: Path) -> Mapping[str, Any] 
     return tables
 
 
-class RestSchedule:
-    """Rest resistances and the times from which they hold, in order."""
-
-    def __init__(self) -> None:
-        self.changes: list[tuple[float, FloatArray | None]] = []
-        """time of the estimator after which they hold, and (cells,) ohm; None: those of the data sheet"""
-
-
 class ReplayPort:
     """Plays a recording: at ``speed`` times real time, or without ``speed`` as fast as it is read.
 
@@ -176,9 +170,8 @@ class ReplayPort:
             raise InputError(f"speed {speed}; expected a positive number")
         self.path = Path(path)
         self.name = str(path)
-        self.settings, self.past, self.rest, self.arrivals, self.seconds = _survey(self.path, progress)
-        """settings of the skin; its checkpoint when the recorder joined, None: recorded from its opening; its tares;
-        number of arrivals; duration in s"""
+        self.settings, self.rest_changes, self.arrivals, self.seconds = _survey(self.path, progress)
+        """settings of the skin; its tares; number of arrivals; duration in s"""
         self._speed = speed
         self._items = _items(self.path)
         self._next: Arrival | LinkError | None = None
@@ -190,15 +183,12 @@ class ReplayPort:
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until the next bytes are due."""
-        due_s = self._due_s()
-        if due_s > timeout_s:
-            if self._interrupted.wait(max(timeout_s, 0.0)):
-                self._interrupted.clear()
-            return False
-        if due_s > 0 and self._interrupted.wait(due_s):
+        with self._lock:
+            due_s = self._remaining_s()
+        if due_s > 0 and self._interrupted.wait(max(min(due_s, timeout_s), 0.0)):
             self._interrupted.clear()
             return False
-        return True
+        return due_s <= timeout_s
 
     def read(self) -> Arrival:
         """The next recorded bytes, if they are due; LinkEnded at the end, LinkError where the port was lost."""
@@ -239,10 +229,6 @@ class ReplayPort:
             self._next = next(self._items, LinkEnded(f"{self.name}: the recording is over"))
         return self._next
 
-    def _due_s(self) -> float:
-        with self._lock:
-            return self._remaining_s()
-
     def _remaining_s(self) -> float:
         """Seconds until the next bytes; 0 or less: now."""
         item = self._peek()
@@ -274,8 +260,17 @@ def _hexadecimals(metadata: Mapping[str, str], name: str, path: Path, *, most: i
     return values
 
 
-def _survey(path: Path, progress: Progress) -> tuple[RecordedSettings, Past | None, RestSchedule, int, float]:
-    settings, past, rest = None, None, RestSchedule()
+def _introduction(metadata: Mapping[str, str], path: Path) -> bytes:
+    """Packets in which the board has introduced itself; InputError if they are no base64."""
+    try:
+        return base64.b64decode(metadata.get("introduction", ""), validate=True)
+    except ValueError as error:
+        raise InputError(f"{path}: introduction: is no base64: {error}") from error
+
+
+def _survey(path: Path, progress: Progress) -> tuple[RecordedSettings, list[RestChange], int, float]:
+    settings: RecordedSettings | None = None
+    rest_changes: list[RestChange] = []
     given: dict[str, str] | None = None
     arrivals, first, last = 0, None, 0.0
     for topic, data in _records(path, progress):
@@ -290,15 +285,11 @@ def _survey(path: Path, progress: Progress) -> tuple[RecordedSettings, Past | No
             first = last if first is None else first
         elif topic == EVENTS_TOPIC:
             event = _event(data, path)
-            if event["event"] == "joined":
-                if past is not None:
-                    raise InputError(f"{path}: a second event 'joined'; expected one, at the beginning")
-                past = Past.parse(event.get("past"), f"{path}: what was before")
             if event["event"] == "rest":
-                rest.changes.append(_rest_change(event, path))
+                rest_changes.append(_rest_change(event, path))
     if settings is None:
         raise InputError(f"{path}: is no recording of ohmskin; expected the metadata '{METADATA}'")
-    return settings, past, rest, arrivals, 0.0 if first is None else last - first
+    return settings, rest_changes, arrivals, 0.0 if first is None else last - first
 
 
 def _items(path: Path) -> Iterator[Arrival | LinkError]:
@@ -334,18 +325,18 @@ def _event(data: bytes, path: Path) -> dict[str, Any]:
     return event
 
 
-def _rest_change(event: Mapping[str, Any], path: Path) -> tuple[float, FloatArray | None]:
-    """Rest resistances, and the time after which they hold; InputError."""
+def _rest_change(event: Mapping[str, Any], path: Path) -> RestChange:
+    """Rest resistances, and the frame after which they hold; InputError."""
     try:
-        after = -math.inf if event["after_s"] is None else float.fromhex(event["after_s"])
-        if event["rest_ohm"] is None:
-            return after, None
-        ohm = np.frombuffer(base64.b64decode(event["rest_ohm"], validate=True), dtype="<f8").astype(np.float64)
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        after, values = operator.index(event["after_frame"]), event["rest_ohm"]
+        if values is None:
+            return RestChange(after, None)
+        ohm = np.frombuffer(base64.b64decode(values, validate=True), dtype="<f8").astype(np.float64)
+    except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: an event 'rest' that cannot be read: {shortened(str(error))}") from error
-    if math.isnan(after) or not ((ohm >= LEAST) & (ohm <= MOST) | (ohm == 0)).all():  # counts at rest may be 0
-        raise InputError(f"{path}: an event 'rest': expected a time and positive resistances")
-    return after, ohm
+    if not ((ohm >= LEAST) & (ohm <= MOST) | (ohm == 0)).all():  # counts at rest may be 0
+        raise InputError(f"{path}: an event 'rest': expected positive resistances")
+    return RestChange(after, ohm)
 
 
 class _Allowance:

@@ -6,41 +6,37 @@ import copy
 import os
 import weakref
 from collections.abc import AsyncIterator, Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from time import monotonic
 from types import TracebackType
-from typing import NoReturn, Self
+from typing import NoReturn, Self, Unpack
 
-from ..cell import Cell
 from ..circuits import Design
 from ..common import compiled
 from ..common.checks import count, function, loaded, number, of_kind, path_text, positive
 from ..common.progress import Progress, silent
 from ..common.text import printable
-from ..errors import InputError, LinkEnded, LinkError, LinkTimeout
-from ..wire import Description, Family, Identity, Order
-from ._calibration import Calibration
+from ..errors import InputError, LinkEnded, LinkError
+from ..wire import Description, Identity, Order
+from ._consumer import AsyncFrames, Consumer, ConvertedFrames, FrameCallback, Source, frames_since
 from ._convert import Measurement
 from ._discover import LONGEST_SEARCH_S, find_board
 from ._frame import Frame
-from ._opening import QUEUE, Delivery, Link, Opening
-from ._past import Past
+from ._opening import Link, Opening, SkinSettings
 from ._port import Arrival, BytePort
 from ._port_names import has_gone, is_unpaced, refuse_missing, usb_serial_number
 from ._reader import await_free
 from ._reconnect import PortFinder
 from ._recording import Recording
-from ._replay import NOTHING_RECORDED, ReplayPort
+from ._replay import RecordedSettings, ReplayPort
 from ._statistics import LinkStatistics
 from ._stream import RawFrame
-from ._taker import AsyncFrames, ConvertedFrames, FrameCallback, FrameTaker, frames_since
 from ._tare import KNOWN_DRIFT, SPREAD, Tare
 from ._taring import Tares
 
 MAX_AGE_S = 0.5
 """default of :meth:`Skin.latest`: boards send at 10 Hz and more"""
-NATIVE = "ohmskin"
-"""the family that is meant where none is named"""
 
 
 class Skin:
@@ -55,48 +51,19 @@ class Skin:
         self,
         port: BytePort,
         *,
-        board: str | Path | Family = NATIVE,
-        design: Design | str | Path | None = None,
-        cell: Cell | str | Path | None = None,
-        estimator: str | None = None,
-        timeout: float = 3.0,
-        delivery: Delivery = "newest",
-        queue: int = QUEUE,
-        reconnect: float = 10.0,
         reopen: Callable[[], BytePort] | None = None,
-        pitch: float | tuple[float, float] | None = None,
-        accuracy: float | None = None,
         record: str | Path | None = None,
         overwrite: bool = False,
-        calibration: Calibration | str | Path | None = None,
+        **settings: Unpack[SkinSettings],
     ) -> None:
         """Wait until the board behind an open port has identified itself, and set up the conversion of its frames.
 
         Args:
             port: an open port. :meth:`close` closes it, and so does an error here.
-            board: family of the board: a name (one of ``ohmskin.wire.BOARDS``, or of an installed package), an object,
-                or the BOARD.toml that describes the board.
-            design: the readout circuit, as an object or as a DESIGN.toml file; None: the design that the board
-                describes, else the usual one of its family, else that which BOARD.toml names. Without any frames have
-                counts only: ``resistance`` and ``pressure`` are NaN, and a tare takes the counts at rest.
-            cell: the model of the skin's material, as an object or as a CELL.toml file; None: the model that the board
-                describes. Without either, pressures are NaN.
-            estimator: name for :meth:`ohmskin.cell.Cell.estimator`.
-            timeout: limit in s for each of three things: the wait for the board to identify itself; the processor time
-                to set up the inverse of its circuit (at most ten times as long on a busy machine); later the wait for
-                each frame. The compiler may take longer, once on a machine.
-            delivery: which frames readers get, see :data:`Delivery`.
-            queue: number of frames that wait for readers, unless ``delivery`` is ``newest``.
-            reconnect: s for which the driver tries to open a lost port again.
             reopen: function that opens the port again; None: a lost port is not opened again.
-            pitch: distance of neighbouring cells in m, for contacts; for cells that are not square (x, y), along a row
-                and along a column. None: the pitch in the design's ``[sheet]``.
-            accuracy: relative uncertainty of a cell's conductance up to which the cell is valid; None: 0.5, see
-                :class:`ohmskin.circuits.ValidityRule`.
             record: MCAP file to record to, from the first byte; the recording ends with the skin.
             overwrite: replace a recording that is there already.
-            calibration: rest resistance and gain of each cell, or the file with them. A tare replaces the rest
-                resistances and keeps its gains.
+            settings: see :class:`SkinSettings`.
 
         Raises:
             LinkTimeout: the board is silent.
@@ -108,19 +75,7 @@ class Skin:
 
         """
         try:
-            opening = Opening.of(
-                board=board,
-                design=design,
-                cell=cell,
-                estimator=estimator,
-                pitch=pitch,
-                accuracy=accuracy,
-                calibration=calibration,
-                timeout=timeout,
-                delivery=delivery,
-                queue=queue,
-                reconnect=reconnect,
-            )
+            opening = Opening.of(**settings)
         except BaseException:
             port.close()
             raise
@@ -136,7 +91,7 @@ class Skin:
         overwrite: bool,
     ) -> None:
         """Identify the board as asked; on failure the port is closed."""
-        self._timeout, self._delivery = opening.timeout_s, opening.delivery
+        self._timeout = opening.timeout_s
         self._recorder: Recording | None = None
         self._followers: dict[Recording, Callable[[RawFrame, Measurement], None]] = {}
         """recordings in progress -> the function that gives them converted frames"""
@@ -166,10 +121,17 @@ class Skin:
         """rest resistances and gains of the cells; None: all cells are as the cell model says"""
         self.recorded_s = port.seconds if isinstance(port, ReplayPort) else None
         """duration of the recording in s; None: the board is live"""
-        self._source = link.source(self._converter)
-        self._taker = FrameTaker(self._source, from_start=True)
+        self._source = Source(
+            link.reader,
+            link.mailbox,
+            self._converter,
+            link.counters,
+            newest_only=opening.delivery == "newest",
+            eager=opening.delivery != "lossless",
+        )
+        self._consumer = Consumer(self._source, after=0)
         self._callbacks: list[FrameCallback] = []
-        self._tares = Tares(self._converter, self._taker, self.calibration)
+        self._tares = Tares(self._converter, self._consumer, self.calibration)
         if self._recorder is not None:
             self._follow_frames(self._recorder)
         _OPEN_HERE.add(self)
@@ -180,50 +142,29 @@ class Skin:
         cls,
         port: str | Path | None = None,
         *,
-        board: str | Path | Family = NATIVE,
         serial_number: str | None = None,
-        design: Design | str | Path | None = None,
-        cell: Cell | str | Path | None = None,
-        estimator: str | None = None,
-        timeout: float = 3.0,
         baudrate: int | None = None,
-        delivery: Delivery | None = None,
-        queue: int = QUEUE,
-        reconnect: float = 10.0,
-        pitch: float | tuple[float, float] | None = None,
-        accuracy: float | None = None,
         record: str | Path | None = None,
         overwrite: bool = False,
         speed: float | None = None,
-        calibration: Calibration | str | Path | None = None,
         progress: Progress = silent,
+        **settings: Unpack[SkinSettings],
     ) -> Skin:
-        """Open a serial device, a pty, ``socket://HOST:PORT`` or a recording; see :meth:`__init__` for the rest.
+        """Open a serial device, a pty, ``socket://HOST:PORT`` or a recording (a file that ends in ``.mcap``).
 
-        A recording (a file that ends in ``.mcap``) supplies every setting of its skin that is not given here.
+        A recording supplies every setting of its skin that is not given here.
 
         Args:
             port: name of the port; None: the port where :func:`discover` finds the board ``serial_number``.
-            board: family of the board; for a recording only where the recorded one is not known.
             serial_number: that the board must have.
-            design: this argument and all without a description are as for :meth:`__init__`.
-            cell: likewise.
-            estimator: likewise.
-            timeout: likewise.
             baudrate: of the UART, where there is one; None: that of the family.
-            delivery: likewise; None: ``newest``, and ``lossless`` for a recording and for an emulated board that runs
-                as fast as it is read (``ohmskin://SCENE.toml?clock=fast``).
-            queue: likewise.
-            reconnect: likewise.
-            pitch: likewise.
-            accuracy: likewise.
-            record: likewise.
-            overwrite: likewise.
+            record: MCAP file to record to, from the first byte; the recording ends with the skin.
+            overwrite: replace a recording that is there already.
             speed: replay speed of a recording, relative to real time; None: as fast as the file is read. A live board
                 sets its own pace.
-            calibration: as for :meth:`__init__`; None: that of the recording, else none.
             progress: called with the bytes of a recording that were looked through, and with all of them, before it
                 plays.
+            settings: board, design, cell, delivery and more, see :class:`SkinSettings`.
 
         Raises:
             LinkError: the port does not exist, may not be used, or is in use, or another board is behind it.
@@ -236,26 +177,15 @@ class Skin:
         reopen: Callable[[], BytePort]
         name = None if port is None else path_text("port", port, "the name of a port or of a recording")
         played = ReplayPort(name, speed, progress) if name is not None and name.endswith(".mcap") else None
-        if played is None and speed is not None:
-            raise InputError(f"speed is {speed}, but only a recording (a file that ends in .mcap) has one")
-        recorded = NOTHING_RECORDED if played is None else played.settings
-        waits = played is not None or (name is not None and is_unpaced(name))
-        usual: Delivery = "lossless" if waits else "newest"
         # All errors in the arguments are reported before anybody waits for a board or for the compiler.
-        asked = Opening.of(
-            board=board if played is None or board != NATIVE else recorded.family(played.name),
-            design=recorded.design if design is None else design,
-            cell=recorded.cell if cell is None else cell,
-            estimator=recorded.estimator if estimator is None else estimator,
-            pitch=recorded.pitch if pitch is None else pitch,
-            accuracy=recorded.accuracy if accuracy is None else accuracy,
-            calibration=recorded.calibration if calibration is None else calibration,
-            timeout=timeout,
-            delivery=usual if delivery is None else delivery,
-            queue=queue,
-            reconnect=reconnect,
-            serial_number=serial_number,
-        )
+        if played is not None:
+            asked = Opening.of(recorded=played.settings, recording=played.name, serial_number=serial_number, **settings)
+        elif speed is not None:
+            raise InputError(f"speed is {speed}, but only a recording (a file that ends in .mcap) has one")
+        else:
+            if name is not None and is_unpaced(name) and settings.get("delivery") is None:
+                settings["delivery"] = "lossless"
+            asked = Opening.of(serial_number=serial_number, **settings)
         if record is not None:
             Recording.check(record, overwrite=overwrite)
         if played is None:
@@ -408,7 +338,7 @@ class Skin:
 
         """
         try:
-            return self._taker.take(self._timeout, while_away=True)
+            return self._consumer.next_frame(self._timeout, while_away=True)
         except LinkEnded:
             raise StopIteration from None
 
@@ -418,17 +348,17 @@ class Skin:
 
     def frames(self) -> Iterator[Frame]:
         """An iterator with a place of its own, from now on: frames that other readers take do not go missing here."""
-        return self._follow(FrameTaker(self._source))
+        return self._follow(Consumer(self._source))
 
-    def _follow(self, taker: FrameTaker) -> Iterator[Frame]:
+    def _follow(self, consumer: Consumer) -> Iterator[Frame]:
         try:
             while True:
                 try:
-                    yield taker.take(self._timeout, while_away=True)
+                    yield consumer.next_frame(self._timeout, while_away=True)
                 except LinkEnded:
                     return
         finally:
-            taker.leave()
+            consumer.leave()
 
     def read(self, timeout: float | None = None) -> Frame:
         """Wait up to ``timeout`` s for the next frame (None: the timeout with which the skin was opened).
@@ -442,7 +372,7 @@ class Skin:
             InputError: ``timeout`` is no number.
 
         """
-        return self._taker.take(self._timeout if timeout is None else number("timeout", timeout, "s"))
+        return self._consumer.next_frame(self._timeout if timeout is None else number("timeout", timeout, "s"))
 
     def latest(self, max_age: float = MAX_AGE_S, timeout: float = 0.0) -> Frame:
         """The newest frame, taken before or not, never older than ``max_age``. For control loops.
@@ -457,7 +387,7 @@ class Skin:
             InputError: ``max_age`` is not above 0, or ``timeout`` is no number.
 
         """
-        return self._taker.latest(positive("max_age", max_age, "s"), number("timeout", timeout, "s"))
+        return self._consumer.latest(positive("max_age", max_age, "s"), number("timeout", timeout, "s"))
 
     def frames_since(self, monotonic_time: float) -> list[Frame]:
         """All frames that came after a moment, the oldest first: for a policy at 30 Hz with a skin at 150 Hz.
@@ -519,24 +449,26 @@ class Skin:
         """The recording that the skin was opened with."""
         return self._recorder
 
+    def settings_to_join(self) -> RecordedSettings:
+        """The settings for a recording that begins now, with what the board has said of itself."""
+        return replace(self.settings, introduction=self._reader.introduction.as_bytes())
+
     def attach(self, recording: Recording) -> None:
         """Begin a recording here; :class:`Recorder` calls this.
 
-        Frames that have come already are converted first. For the frames after them the inversion of the circuit begins
-        anew while the estimator keeps its state, as in the replay.
+        Frames that have come already are converted first.
 
         Raises:
             LinkError: the skin has come to its end, or is closed.
 
         """
-        with self._reader.between_arrivals() as heard:
+        with self._reader.between_arrivals():
             if self._mailbox.end is not None:
                 raise copy.copy(self._mailbox.end)
             newest = self._mailbox.newest
             if newest is not None:
                 self._converter.measure(newest)
-            past = Past.of(heard, self._reader.stream.state(), self._converter.hand_over())
-            recording.joined(past)
+            recording.begin_after(self._counters.frames, self._converter.rest)
             if self._reader.away:
                 recording.port_gone()
             self._reader.taps.append(recording.arrived)
@@ -615,7 +547,6 @@ class Skin:
             drift=positive("drift", drift),
             spread=positive("spread", spread),
             force=force,
-            waiting=self._delivery == "every",
         )
 
     @property
@@ -672,6 +603,3 @@ def _disown_skins() -> None:
 
 if hasattr(os, "register_at_fork"):  # POSIX
     os.register_at_fork(after_in_child=_disown_skins)
-
-
-__all__ = ["Delivery", "LinkTimeout", "Skin"]

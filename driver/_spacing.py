@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections import deque
 from statistics import median
 
-from ._past import ArrivalsPast
-
 KEPT = 64
 """arrivals over which the usual interval is computed"""
 
@@ -24,14 +22,6 @@ class ArrivalTimes:
         self._received_s = 0.0
         self._step_s = 0.0
         self._left = 0
-
-    def state(self) -> ArrivalsPast:
-        """Complete state between arrivals, for :meth:`restore`."""
-        return ArrivalsPast(last=self._last_s, intervals=tuple(self._intervals_s))
-
-    def restore(self, past: ArrivalsPast) -> None:
-        """Continue from a saved :meth:`state`."""
-        self._last_s, self._intervals_s = past.last, deque(past.intervals, maxlen=KEPT)
 
     @property
     def usual_s(self) -> float:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,7 +67,7 @@ class LinkStatistics:
 
 @dataclass
 class Counters:
-    """Numbers kept by the reader thread and the takers. Every number has one writer."""
+    """Numbers kept by the reader thread and the consumers. Every number has one writer."""
 
     frames: int = 0
     lost: int | None = 0
@@ -98,26 +99,20 @@ class Counters:
         """The numbers as they are now; ``skipped`` frames were not converted."""
         times = list(self.times_s)
         elapsed = times[-1] - times[0] if len(times) > 1 else 0.0
+        stated = {item.name for item in fields(LinkStatistics)}
+        counts: dict[str, Any] = {item.name: getattr(self, item.name) for item in fields(self) if item.name in stated}
         return LinkStatistics(
-            frames=self.frames,
-            lost=self.lost,
-            overruns=self.overruns,
-            corrupt=self.corrupt,
-            why_corrupt=self.why_corrupt,
-            resyncs=self.resyncs,
-            reconnects=self.reconnects,
-            reboots=self.reboots,
-            duplicates=self.duplicates,
-            late=self.late,
-            skipped=skipped,
-            unsolved=self.unsolved,
-            not_valid=_not_valid(self.reasons),
-            remark=self.remark or self.faulty or self.untared,
-            rate_hz=(len(times) - 1) / elapsed if elapsed > 0 else float("nan"),
-            age_s=_percentiles(self.ages_s),
-            jitter_s=_percentiles(self.delays_s),
-            drift_ppm=drift_ppm,
-            clock_steps=self.clock_steps + clock_steps,
+            **counts
+            | {
+                "skipped": skipped,
+                "not_valid": _not_valid(self.reasons),
+                "remark": self.remark or self.faulty or self.untared,
+                "rate_hz": (len(times) - 1) / elapsed if elapsed > 0 else float("nan"),
+                "age_s": _percentiles(self.ages_s),
+                "jitter_s": _percentiles(self.delays_s),
+                "drift_ppm": drift_ppm,
+                "clock_steps": self.clock_steps + clock_steps,
+            }
         )
 
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from ..errors import ProtocolError
 from ..wire import Flag, FramePacket
 from ._clock import ClockMap
-from ._past import StreamPast
 from ._port import Arrival
 from ._spacing import ArrivalTimes
 from ._statistics import Counters
@@ -114,35 +113,9 @@ class FrameStream:
             self._expected, self._boot_id = sequence, boot_id
 
     def arrive(self, arrival: Arrival, frames: int) -> None:
-        """Take the number of frames that arrived together, before :meth:`take` takes them one by one."""
+        """Take the number of frames that arrived together, before :meth:`add` numbers them one by one."""
         if self._latest_us is None:  # otherwise the frames have the board's own time
             self._arrivals.arrive(arrival.received_at, frames)
-
-    def state(self) -> StreamPast:
-        """Complete state without the totals, for :meth:`restore`."""
-        return StreamPast(
-            begun=self._begun,
-            expected=self._expected,
-            boot_id=self._boot_id,
-            latest_us=self._latest_us,
-            latest_monotonic=self._latest_monotonic,
-            time_s=self._time_s,
-            usual_us=self._usual_us,
-            recent=tuple(self._recent),
-            numbered=self.counters.lost is not None,
-            clock=self.clock.state(),
-            arrivals=self._arrivals.state(),
-        )
-
-    def restore(self, past: StreamPast) -> None:
-        """Continue from a saved :meth:`state`, with totals that count from here."""
-        self._begun, self._expected, self._boot_id = past.begun, past.expected, past.boot_id
-        self._latest_us, self._latest_monotonic = past.latest_us, past.latest_monotonic
-        self._time_s, self._usual_us = past.time_s, past.usual_us
-        self._recent = OrderedDict.fromkeys(past.recent)
-        self.counters.lost = 0 if past.numbered else None
-        self.clock.restore(past.clock)
-        self._arrivals.restore(past.arrivals)
 
     def end(self, sequence: int, boot_id: int | None, time_us: int) -> None:
         """Count the frames that the line lost before ``sequence``, the number that would have come next.
@@ -162,7 +135,7 @@ class FrameStream:
             self.counters.lost = (self.counters.lost or 0) + missing
             self._expected = sequence
 
-    def take(self, packet: FramePacket, arrival: Arrival) -> RawFrame | None:
+    def add(self, packet: FramePacket, arrival: Arrival) -> RawFrame | None:
         """The next frame; None if the packet came before.
 
         Raises:
@@ -270,7 +243,7 @@ class FrameStream:
             found: relation to the frame before.
 
         Raises:
-            ProtocolError: as for :meth:`take`.
+            ProtocolError: as for :meth:`add`.
 
         """
         if packet.sequence is None:

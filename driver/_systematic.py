@@ -77,10 +77,6 @@ class SystematicError:
         self._frames = 0
         self._steps: _Steps | None = None
 
-    def forget(self) -> None:
-        """Drop the memory of the last frames; the spread stays."""
-        self._before, self._frames, self._steps = None, 0, None
-
     def kpa_of_rest(self, relative: float) -> float:
         """The pressure that an unloaded cell shows when its rest resistance is off by ``relative``."""
         return relative * self._kpa_of_rest

@@ -8,6 +8,7 @@ import zipfile
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -48,6 +49,15 @@ LATEST_S = 4e9
 _KEYS = ("rest_resistance_ohm", "measured", "std_ohm", "frames", "lost", "serial_number", "wall_time")
 
 
+class RestChange(NamedTuple):
+    """Other rest resistances from one frame of a recording on."""
+
+    after_frame: int
+    """number of the last frame before them; 0: they hold from the beginning"""
+    rest: FloatArray | None
+    """(cells,) ohm, or counts where the circuit is not known; None: those of the data sheet"""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Tare:
     """Rest resistances of a skin's cells. Arrays are (rows, columns)."""
@@ -56,7 +66,7 @@ class Tare:
     """mean over the frames; where not measured, the calibration's value in proportion to the other cells, else the data
     sheet's value, else the median of the others"""
     measured: BoolArray
-    """False for a cell without a valid reading"""
+    """False for a cell without a valid reading; True for one that reads no current, where cells are open at rest"""
     std_ohm: FloatArray
     """standard deviation from frame to frame; NaN where not measured"""
     frames: int
@@ -257,7 +267,7 @@ class RestReadings:
             frames_advised = self._frames_to_cover(measured | idle)
         return Tare(
             rest_resistance_ohm=np.where(measured, mean, otherwise),
-            measured=measured,
+            measured=measured | idle,
             std_ohm=np.where(measured, std, np.nan),
             frames=len(self.resistance_ohm),
             lost=lost,

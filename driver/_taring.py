@@ -2,36 +2,35 @@
 
 from __future__ import annotations
 
-import contextlib
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from ..circuits import Reason
 from ..errors import InputError
 from ._calibration import Calibration
+from ._consumer import Consumer
 from ._convert import Converter
 from ._frame import Frame
 from ._plain import tare_of_counts
-from ._taker import FrameTaker
 from ._tare import EarlierRest, RestReadings, Tare
 
 
 class Tares:
     """The tares that a skin has used since it was opened; the last one is in use. Safe for threads."""
 
-    def __init__(self, converter: Converter, taker: FrameTaker, calibration: Calibration | None) -> None:
+    def __init__(self, converter: Converter, consumer: Consumer, calibration: Calibration | None) -> None:
         """Begin without a tare.
 
         Args:
             converter: uses the rest resistances.
-            taker: the place in the stream from which frames are taken.
+            consumer: the place of the skin's own reader in the stream.
             calibration: rest resistances from before any tare.
 
         """
-        self._converter, self._taker, self._calibration = converter, taker, calibration
+        self._converter, self._consumer, self._calibration = converter, consumer, calibration
         self._used: list[Tare | None] = [None]
         self._lock = threading.Lock()
 
@@ -50,7 +49,6 @@ class Tares:
         drift: float,
         spread: float,
         force: bool,
-        waiting: bool,
     ) -> Tare:
         """Make a tare of the next frames, and use it; arguments and errors as for :meth:`.Skin.tare`.
 
@@ -62,10 +60,10 @@ class Tares:
             drift: relative change since the tare or calibration in use that is no sign of a load.
             spread: relative deviation of a cell from the others that is no sign of a load.
             force: use the tare in spite of signs of a load.
-            waiting: whether a queue holds frames, which are older than this call.
 
         """
-        with self._lock, self._next_frames(frames, timeout_s, waiting=waiting) as taken:
+        with self._lock:
+            taken, numbers = self._next_frames(frames, timeout_s)
             tare = self._made_of(taken, serial_number(), drift=drift, spread=spread)
             if tare.remarks and tare.frames_advised and not force:
                 raise InputError(
@@ -81,7 +79,7 @@ class Tares:
                     f"Take everything off it{unlike}, or tare(force=True)"
                 )
             self._used.append(tare)
-            self._apply()
+            self._apply(numbers)
         if tare.frames_advised and not tare.remarks:
             warnings.warn(f"{board}: a tare with {tare.covers}", RuntimeWarning, stacklevel=3)
         return tare
@@ -114,26 +112,23 @@ class Tares:
         """In a forked process: replace the lock, since a tare that another thread was taking does not end here."""
         self._lock = threading.Lock()
 
-    def _apply(self) -> None:
+    def _apply(self, tared: Sequence[int] = ()) -> None:
         tare = self.in_use
         self._converter.use_rest(None if tare is None else tare.rest)
-        self._taker.forget()
+        self._consumer.forget(tared)
 
-    @contextlib.contextmanager
-    def _next_frames(self, frames: int, timeout_s: float, *, waiting: bool) -> Iterator[list[Frame]]:
-        """The next frames. The frame after them reports what was lost and skipped meanwhile."""
-        if waiting:
-            self._taker.pass_to_newest()
+    def _next_frames(self, frames: int, timeout_s: float) -> tuple[list[Frame], list[int]]:
+        """The next frames and their numbers; other readers get them, too."""
+        consumer = self._consumer.for_tare()
         taken: list[Frame] = []
-        used = False
+        numbers: list[int] = []
         try:
-            with self._taker.aside():
-                while len(taken) < frames:
-                    taken.append(self._taker.take(timeout_s))
-            yield taken
-            used = True
+            while len(taken) < frames:
+                taken.append(consumer.next_frame(timeout_s))
+                numbers.append(consumer.index)
         finally:
-            self._taker.tell_again(taken, used=used)
+            consumer.leave()
+        return taken, numbers
 
     def _made_of(self, taken: list[Frame], serial_number: str, *, drift: float, spread: float) -> Tare:
         # Losses before the first of these frames, perhaps long ago, do not belong to the tare.

@@ -36,7 +36,7 @@ def deep_chunks(path: Path, count: int = 50, *, said: int = DEEP, compression: s
 def many_tares(path: Path, count: int = 300_000, frames: tuple[int, ...] = ()) -> None:
     """A board that is tared between two frames, over and over."""
     rest = base64.b64encode(np.full(6, 1e4).tobytes()).decode()
-    event = {"event": "rest", "rest_ohm": rest, "after_s": (0.0).hex()}
+    event = {"event": "rest", "rest_ohm": rest, "after_frame": 1}
     seen = [("/ohmskin/bytes", struct.pack("<dd", number, number) + frame(number)) for number in frames]
     write(path, [*seen, *[("/ohmskin/events", json.dumps(event).encode())] * count])
 

@@ -18,7 +18,7 @@ from ohmskin.driver import CountReader
 BOARDS, FRAMES = 60, 6
 CLOSE = 1e-10
 
-pytestmark = pytest.mark.skipif(compiled.why_not() is not None, reason="the extra 'fast' is not in use")
+pytestmark = pytest.mark.skipif(compiled.why_not() is not None, reason="kernels are switched off")
 
 
 @pytest.mark.parametrize("family", ["inverting events", "row events", "row extremes"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,6 @@ from ohmskin.circuits import AmplifierModel, Design, Requirement, scan, spice, s
 from ohmskin.cli import run
 from ohmskin.errors import InputError, SolverError
 from ohmskin.verification import Report, verify
-from ohmskin.verification._outcome import Result
 
 GAIN, GBW, SECOND_POLE = 2e5, 1e6, 1.5e6
 INPUT_OHM, INPUT_FARAD, OUTPUT_OHM = 10e6, 8e-12, 300.0
@@ -123,17 +123,6 @@ def test_pins_go_where_the_design_says(folder: Path) -> None:
     assert "Vhigh rail_high 0 DC 5.0" in text
 
 
-def test_a_model_in_the_dialect_of_pspice_runs(folder: Path) -> None:
-    need(spice.command_available())
-    limited = "G1 0 P VALUE={LIMIT(IF(V(INP,INN)>0, A0*V(INP,INN), A0*V(INP,INN)), -1e6, 1e6)}"
-    text = MODEL.replace("G1 0 P INP INN {A0}", limited)
-    (folder / "opa.lib").write_bytes(text.encode("latin-1"))
-    found = spice.dynamic_reading(_design(folder), CELLS, 0)
-    (folder / "opa.lib").write_bytes(MODEL.encode("latin-1"))
-    plain = spice.dynamic_reading(_design(folder), CELLS, 0)
-    assert found.phase_margin == pytest.approx(plain.phase_margin, abs=0.05)
-
-
 HOSTILE = [
     (".control\nshell touch hacked\n.endc", "line 2: '.control' is not part of a model"),
     (".CONTROL\nshell touch hacked\n.ENDC", "line 2: '.CONTROL' is not part of a model"),
@@ -219,7 +208,7 @@ def test_a_model_that_ngspice_does_not_take_is_named(folder: Path) -> None:
         spice.dynamic_reading(_design(folder), CELLS, 0)
 
 
-def _found(report: Report) -> dict[str, Result]:
+def _found(report: Report) -> dict[str, Any]:
     return {result.requirement.id: result for result in report.results}
 
 
@@ -240,18 +229,6 @@ def test_requirements_are_judged_by_the_model(folder: Path) -> None:
     assert {"settled reading", "phase margin", "noise before the converter"} < set(beside)
 
 
-def test_a_board_that_the_model_finds_unstable_fails(folder: Path) -> None:
-    """The one-pole analysis cannot know: a second pole below the crossover, and a resistor behind the output."""
-    need(spice.command_available())
-    slow = MODEL.replace(f"{1 / (2 * np.pi * SECOND_POLE)!r}", f"{1 / (2 * np.pi * 2e4)!r}")
-    (folder / "opa.lib").write_bytes(slow.encode("latin-1"))
-    found = _found(verify(_design(folder), only=["D10", "D19", "D21"]))
-    assert {id: str(result.outcome) for id, result in found.items()} == {"D10": "pass", "D19": "pass", "D21": "fail"}
-    agreement = found["D19"].measurement
-    assert agreement is not None
-    assert "phase margin" in [row[0] for row in agreement.tables[1].rows]
-
-
 def test_spice_has_nothing_to_say_of_a_divider(folder: Path) -> None:
     asked = [Requirement(id="R1", quantity="phase_margin", min=45.0, method="spice")]
     (result,) = verify(_design(folder).with_circuit("voltage-divider"), requirements=asked).results
@@ -259,16 +236,6 @@ def test_spice_has_nothing_to_say_of_a_divider(folder: Path) -> None:
     (result,) = verify(_design(folder).with_circuit("voltage-feedback"), requirements=asked).results
     assert str(result.outcome) == "not run"
     assert "dynamics are modelled for amplifiers" in result.reason
-
-
-def test_the_report_depends_on_the_model(folder: Path) -> None:
-    first = verify(_design(folder), only=["D11"])
-    (folder / "opa.lib").write_bytes(MODEL.replace("10000000.0", "20000000.0").encode("latin-1"))
-    second = verify(_design(folder), only=["D11"])
-    assert first.design_sha256 != second.design_sha256
-    assert first.fingerprint != second.fingerprint
-    assert [s.value for s in first.settings() if s.key == "amplifier_model"] == ["twopole of opa.lib"]
-    assert "amplifier_model" not in first.design.model_dump()["readout"]  # boards do not send it
 
 
 PUBLISHED = """* one pole of 1 MHz, gain 1e5, as makers write it
@@ -289,8 +256,6 @@ RQ VCC VEE 1Meg
 .ENDS* next part
 \x1a"""
 """A DOS end of file, text behind .ENDS, a slash in the name, and a resistor without noise."""
-NO_TRANSIENT = "BX X 0 V={TIME>0 ? (V(X)>2.5 ? 0 : 5) : 1}\nRX X 0 1k"
-"""No state after t = 0, which only a transient analysis minds."""
 NEVER_ENDING = "BX X 0 V={SIN(6.28e12*TIME)}\nRX X Y 1k\nCX Y 0 1p"
 
 
@@ -312,7 +277,7 @@ def _published(tmp_path: Path, *, warm: str = "", more: str = "") -> Design:
     )
 
 
-def _judged(design: Design) -> dict[str, Result]:
+def _judged(design: Design) -> dict[str, Any]:
     limits = {"phase_margin": {"min": 45.0}, "settling_error": {"max": 1.0}, "noise": {"max": 1e-3}}
     asked = [Requirement.model_validate({"id": q, "quantity": q, "method": "spice"} | k) for q, k in limits.items()]
     return _found(verify(design, requirements=asked))
@@ -325,21 +290,6 @@ def test_a_published_model_is_taken_as_it_is(tmp_path: Path) -> None:
     noise = found["noise"].measurement
     assert noise is not None
     assert noise.value == pytest.approx(24.91e-6, rel=1e-3)
-
-
-def test_a_model_settles_over_its_own_time(tmp_path: Path) -> None:
-    """The design says 100 MHz and the model has 1 MHz; the row period of 10 ms is enough for both."""
-    need(spice.command_available())
-    result = _judged(_published(tmp_path).replace(readout={"gain_bandwidth": 100e6}))["settling_error"]
-    assert result.measurement is not None
-    assert result.measurement.value < 0.01
-
-
-def test_analyses_that_succeed_are_kept_when_one_fails(tmp_path: Path) -> None:
-    need(spice.command_available())
-    found = _judged(_published(tmp_path, more=NO_TRANSIENT))
-    assert str(found["phase_margin"].outcome) == str(found["noise"].outcome) == "pass"
-    assert "Timestep too small" in found["settling_error"].reason
 
 
 def test_parameters_that_the_simulator_drops_decide_nothing(tmp_path: Path) -> None:

@@ -1,8 +1,8 @@
-"""Line attenuation and its series: one-sided, certified on anything, tight on ordinary arrays."""
+"""Line attenuation: certified on anything, tight on ordinary arrays."""
 
 from __future__ import annotations
 
-from itertools import islice, product
+from itertools import product
 
 import numpy as np
 import pytest
@@ -10,9 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from ohmskin.circuits.solvers._attenuation import Wires, attenuate, by_ladders
-from ohmskin.circuits.solvers._ports import Lines, transfer_conductances
-from ohmskin.circuits.solvers._series import terms
+from ohmskin.circuits.solvers import Lines, Wires, attenuate, exact_transfer
 
 EXACT = 1e-11  # relative error of the exact method, tests/test_ports.py
 
@@ -42,91 +40,29 @@ CELLS = st.one_of(st.just(0.0), st.floats(-12.0, 0.0).map(lambda decade: 10**dec
 def test_the_certificate_holds_on_anything(cells: np.ndarray, row: float, column: float, lead: float) -> None:
     lines = Lines(np.full(cells.shape, 1 / row), np.full(cells.shape, 1 / column), np.full(cells.shape[1], 1 / lead))
     lines.row[:, 0] = 1 / lead
-    exact = transfer_conductances(cells, lines)[0]
-    for known in islice(terms(cells, Wires.of(lines)), 4):
-        missing = exact - known.transfer
-        assert (missing >= -(EXACT + known.rounded) * exact).all()  # but for rounding, one-sided
-        assert (missing <= known.error + EXACT * exact).all()
-    known = attenuate(cells, Wires.of(lines))  # perhaps in closed form, which is not
+    exact = exact_transfer(cells, lines)[0]
+    known = attenuate(cells, Wires.of(lines))
     if known is not None:
         assert (np.abs(exact - known.transfer) <= known.error + EXACT * exact).all()
 
 
-@pytest.mark.parametrize(("size", "segment"), [*product([4, 8, 16, 32, 64], [0.1, 1.0, 10.0]), (128, 1.0), (128, 10.0)])
+@pytest.mark.parametrize(("size", "segment"), [*product([4, 16, 64], [0.1, 10.0]), (128, 1.0)])
 def test_the_certificate_is_tight_on_ordinary_arrays(size: int, segment: float) -> None:
     lines = uniform((size, size), segment, segment)
-    for seed in range(3):
+    for seed in range(2):
         cells = ordinary(size, seed)
         known = attenuate(cells, Wires.of(lines))
         assert known is not None
-        error = np.abs(transfer_conductances(cells, lines)[0] - known.transfer).max()
+        error = np.abs(exact_transfer(cells, lines)[0] - known.transfer).max()
         assert error <= known.error.max() <= 30 * error
 
 
 @pytest.mark.parametrize(("size", "segment", "published"), [(32, 0.1, 5e-7), (64, 1.0, 7e-4), (128, 1.0, 6e-3)])
 def test_full_scale_errors_are_of_the_expected_size(size: int, segment: float, published: float) -> None:
     lines, cells = uniform((size, size), segment, segment), ordinary(size)
-    known, exact = attenuate(cells, Wires.of(lines)), transfer_conductances(cells, lines)[0]
+    known, exact = attenuate(cells, Wires.of(lines)), exact_transfer(cells, lines)[0]
     assert known is not None
     assert published / 3 < (exact - known.transfer).max() / exact.max() < 3 * published
-
-
-@pytest.mark.parametrize("segment", [0.1, 3.0, 30.0])
-def test_each_term_brings_the_error_and_its_bound_down(segment: float) -> None:
-    lines, cells = uniform((12, 17), segment, 2 * segment), 10 ** -np.random.default_rng(1).uniform(4, 6, (12, 17))
-    exact = transfer_conductances(cells, lines)[0]
-    bounds = []
-    for known in islice(terms(cells, Wires.of(lines)), 9):
-        bounds.append(known.error.max() / exact.max())
-        error = (exact - known.transfer).max() / exact.max()
-        assert error <= bounds[-1]
-        if error > 1e-13:
-            assert bounds[-1] < 10 * error
-    assert bounds[1] < 0.1 * bounds[0]
-    assert bounds[-1] < 1e-12
-
-
-@settings(deadline=None, max_examples=100)
-@given(
-    hnp.arrays(np.float64, hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=8), elements=CELLS),
-    st.floats(1e-3, 1e3),
-    st.floats(-8.0, -1.0),
-    st.floats(1.0, 2.0),
-)
-@example(np.array([[0.0, 1.0], [1e-10, 1e-2]]), 1.0, -8.0, 1.0)  # a bound on 1e-36 S, of squares of 1e-47
-def test_the_closed_form_is_what_ladders_give_within_what_it_says(
-    cells: np.ndarray, lead: float, weight: float, unequal: float
-) -> None:
-    """Lines from next to nothing up to a tenth of the cells in parallel, equal or up to twice each other."""
-    segment = 10**weight / max(cells.max() * cells.size, 1e-6)  # 1e-6 S: else open cells get lines too heavy
-    lines = uniform(cells.shape, segment, lead * segment)
-    assert lines.exit is not None
-    lines.row[:, 1:] *= np.linspace(1.0, unequal, len(cells))[:, None]
-    lines.exit[:] *= np.linspace(unequal, 1.0, len(lines.exit))
-    wires = Wires.of(lines)
-    assert wires is not None
-    assert wires.uniform is not None
-    known, ladders = attenuate(cells, wires), by_ladders(cells[None], wires)
-    assert known is not None
-    off = np.abs(known.transfer - ladders.transfer[0])
-    assert (off <= (known.rounded + ladders.rounded[0]) * known.transfer).all()
-    exact = transfer_conductances(cells, lines)[0]
-    assert (np.abs(exact - known.transfer) <= known.error + EXACT * exact).all()
-
-
-def test_heavy_lines_and_such_as_differ_much_are_left_to_ladders() -> None:
-    cells = ordinary(6)
-    equal, heavy = uniform((6, 6), 0.5, 2.0), uniform((6, 6), 1e4, 2.0)
-    unequal, different, faulty = (Lines(equal.row.copy(), equal.column.copy(), equal.exit) for _ in range(3))
-    unequal.row[3] /= 2.0
-    different.row[3] /= 20.0
-    faulty.column[2, 4] /= 20.0
-    for lines, same in ((equal, False), (unequal, False), (heavy, True), (different, True), (faulty, True)):
-        wires = Wires.of(lines)
-        assert wires is not None
-        known = attenuate(cells, wires)
-        assert known is not None
-        assert np.array_equal(known.transfer, by_ladders(cells[None], wires).transfer[0]) == same
 
 
 @pytest.mark.parametrize(("line", "cell"), [(1e37, 1e-43), (1e36, 3e-46), (1e30, 1e-41), (1e8, 1e-41)])
@@ -135,7 +71,7 @@ def test_the_certificate_holds_for_cells_that_single_precision_cannot_hold(line:
     lines = Lines(np.full((4, 5), 1.0 / line), ideal, ideal[0])  # no current comes back from columns: losses are all
     known = attenuate(cells, Wires.of(lines))
     assert known is not None
-    exact = transfer_conductances(cells, lines)[0]
+    exact = exact_transfer(cells, lines)[0]
     assert (np.abs(exact - known.transfer) <= known.error + EXACT * exact).all()
 
 
@@ -152,7 +88,6 @@ def test_what_ladders_cannot_express_is_refused() -> None:
     cells, lines = ordinary(4), uniform((4, 4), 1.0, 1.0)
     shorted = np.where(np.eye(4) > 0, np.inf, cells)
     assert attenuate(shorted, Wires.of(lines)) is None
-    assert list(terms(shorted, Wires.of(lines))) == []
     broken = Lines(lines.row.copy(), lines.column, lines.exit)
     broken.row[1, 2] = 0.0
     assert Wires.of(broken) is None
@@ -162,7 +97,6 @@ def test_what_ladders_cannot_express_is_refused() -> None:
 def test_where_nothing_is_left_of_the_drive_nothing_is_said() -> None:
     lines, cells = uniform((60, 60), 1e6, 1e6), np.full((60, 60), 1.0)
     assert attenuate(cells, Wires.of(lines)) is None
-    assert list(terms(cells, Wires.of(lines))) == []
 
 
 def test_one_frame_without_a_bound_spoils_no_other() -> None:

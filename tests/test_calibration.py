@@ -222,7 +222,7 @@ def test_a_file_reads_back_bit_for_bit(tmp_path: Path) -> None:
     assert two.hash == one.hash
     for name in ("rest_ohm", "gain", "gain_std", "rest_std_kpa", "residual_kpa", "calibrated"):
         np.testing.assert_array_equal(getattr(two, name), getattr(one, name))
-    assert Calibration.from_json(one.as_json(), source="recording").hash == one.hash
+    assert Calibration.from_toml(one.as_toml(), "recording").hash == one.hash
 
 
 def test_an_edited_file_is_refused_in_one_line(tmp_path: Path) -> None:

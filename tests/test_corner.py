@@ -8,53 +8,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 from designs import amplifier
-from scipy.stats import binom
 
 from ohmskin.circuits import Array, Design, Requirement
 from ohmskin.errors import MissingExtra
 from ohmskin.verification import prototype, verify
-from ohmskin.verification._export import export_samples
-from ohmskin.verification._montecarlo import proportion_bounds
-from ohmskin.verification._parameters import Factors
 
 
-def test_matching_keeps_the_lines_of_a_package_together() -> None:
-    spread = {"nominal": 1e3, "tolerance": 0.05, "matching": 0.001, "package": 2}
-    factors = Factors.of(amplifier(2, 4).replace(readout={"reference_resistance": spread}))
-    drawn = factors.sample(np.random.default_rng(1), 500)
-    values = factors.values("readout.reference_resistance", drawn) / 1e3 - 1
-    assert np.abs(values).max() <= 0.05
-    assert np.abs(values[:, 0] - values[:, 1]).max() <= 0.002
-    assert np.abs(values[:, 1] - values[:, 2]).max() > 0.02
-
-
-def test_temperature_moves_all_parts_together() -> None:
-    lead = {"nominal": 50.0, "temperature_coefficient": 0.004}
-    design = amplifier(2, 2).replace(array={"row_lead": lead}, operation={"temperature_range": (278.15, 338.15)})
-    factors = Factors.of(design)
-    assert [factor.name for factor in factors.factors] == ["temperature"]
-    cold, hot = (factors.values("array.row_lead", np.array([[x]])).ravel() for x in (-1.0, 1.0))
-    assert cold == pytest.approx(50 * (1 - 0.004 * 20))
-    assert hot == pytest.approx(50 * (1 + 0.004 * 40))
-
-
-@pytest.mark.parametrize(("distribution", "deviation"), [("uniform", 3**-0.5), ("normal", 0.33), ("two-point", 1.0)])
-def test_distributions_have_their_width(distribution: str, deviation: float) -> None:
-    spread = {"nominal": 0.0, "deviation": 1.0, "distribution": distribution}
-    factors = Factors.of(amplifier(2, 2).replace(readout={"offset_voltage": spread}))
-    values = factors.values("readout.offset_voltage", factors.sample(np.random.default_rng(2), 4000))
-    assert np.abs(values).max() <= 1.0
-    assert values.std() == pytest.approx(deviation, rel=0.03)
-
-
-@pytest.mark.parametrize(("kept", "count"), [(0, 10), (7, 10), (10, 10), (995, 1000)])
-def test_bounds_of_a_yield_are_those_of_clopper_and_pearson(kept: int, count: int) -> None:
-    low, high = proportion_bounds(kept, count)
-    if kept:
-        assert binom.sf(kept - 1, count, low) == pytest.approx(0.025)
-    if kept < count:
-        assert binom.cdf(kept, count, high) == pytest.approx(0.025)
-    assert low <= kept / count <= high
+@pytest.mark.parametrize(("distribution", "mean"), [("uniform", 0.5), ("normal", 0.26), ("two-point", 1.0)])
+def test_distributions_have_their_width(distribution: str, mean: float) -> None:
+    """Of an offset that alone makes the error of one cell: the mean magnitude over the largest one."""
+    offset = {"nominal": 0.0, "deviation": 1e-4, "distribution": distribution}
+    cells = {"rest_resistance": 1e4, "full_scale_resistance": 2e4}
+    design = amplifier(1, 1).replace(readout={"offset_voltage": offset}, cells=cells)
+    (sampled, worst) = verify(
+        design,
+        requirements=[*SAMPLED, Requirement(id="W", quantity="reading_error", max=4.0)],
+        samples=2000,
+    ).results
+    assert sampled.measurement is not None
+    assert worst.measurement is not None
+    values = np.array(sampled.measurement.samples) / worst.measurement.value
+    assert values.max() <= 1.0 + 1e-12
+    assert values.mean() == pytest.approx(mean, rel=0.05)
 
 
 SAMPLED = [Requirement(id="Y", quantity="reading_error", max=4.0, method="monte-carlo")]
@@ -103,11 +78,11 @@ def test_a_board_without_a_reading_is_a_failed_board() -> None:
 
 def test_samples_are_exported(tmp_path: Path) -> None:
     report = verify(prototype(), requirements=SAMPLED, samples=100)
-    export_samples(report.results, tmp_path / "boards.csv")
+    report.export(tmp_path / "boards.csv")
     assert (tmp_path / "boards.csv").read_text().startswith("board,Y\n0.0,")
     for kind in ("parquet", "nc"):
         try:
-            export_samples(report.results, tmp_path / f"boards.{kind}")
+            report.export(tmp_path / f"boards.{kind}")
         except MissingExtra:
             pytest.skip("the extra 'data' is not installed")
     pandas, xarray = pytest.importorskip("pandas"), pytest.importorskip("xarray")

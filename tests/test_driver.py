@@ -10,7 +10,7 @@ from itertools import islice
 import numpy as np
 import pytest
 from boards import DESIGN, Script, Wire, gone, lossless, scene
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ohmskin.cell import Cell
@@ -18,7 +18,6 @@ from ohmskin.circuits import Design, adc_codes, apparent_resistance, ideal_volts
 from ohmskin.common.config import parse
 from ohmskin.driver import CountReader, Frame, Reading
 from ohmskin.emulator import Board, Line, Sample
-from ohmskin.emulator._scene import LineSettings
 from ohmskin.errors import InputError, LinkError, LinkTimeout, ProtocolError
 from ohmskin.wire import (
     BOARDS,
@@ -29,7 +28,6 @@ from ohmskin.wire import (
     HostProtocol,
     Order,
     encode,
-    host_protocol,
     write_description,
 )
 
@@ -146,22 +144,11 @@ def test_real_parts_are_taken_out_of_the_reading() -> None:
     np.testing.assert_allclose(reading.resistance, cells, rtol=2e-4)
 
 
-def test_an_open_cell_disturbs_no_other() -> None:
-    cells = np.full((3, 2), 1e4)
-    cells[1, 0] = np.inf
-    whole = design(readout={"circuit": "inverting-amplifier", "reference_resistance": 20e3})
-    reading = CountReader(whole)(adc_codes(whole, scan(whole, cells).volts))
-    np.testing.assert_array_equal(reading.valid, np.isfinite(cells))
-    np.testing.assert_allclose(reading.resistance[reading.valid], 1e4, rtol=1e-3)
-
-
-@pytest.mark.parametrize("drive", [1.0, -1.0])
-@pytest.mark.parametrize("lead", [1.0, 25.0])
-@pytest.mark.parametrize("weak", [np.inf, 1e7])
-def test_a_faint_cell_costs_no_other_with_a_reference_in_mid_supply(drive: float, lead: float, weak: float) -> None:
+@pytest.mark.parametrize(("drive", "weak"), [(1.0, 1e7), (-1.0, np.inf)])
+def test_a_faint_cell_costs_no_other_with_a_reference_in_mid_supply(drive: float, weak: float) -> None:
     """Its code may lie on the wrong side of the reference: no current is less than none."""
     board = design(
-        array={"rows": 4, "columns": 4, "row_lead": lead, "column_lead": lead},
+        array={"rows": 4, "columns": 4, "row_lead": 25.0, "column_lead": 25.0},
         drive={"voltage": drive},
         readout={
             "circuit": "inverting-amplifier",
@@ -245,21 +232,9 @@ def test_a_skin_without_a_valid_cell_says_once_why_and_what_would_help() -> None
     assert frames[-1].valid.any()
 
 
-def test_one_valid_cell_among_the_first_frames_silences_the_remark() -> None:
-    narrow = design(adc={"bits": 12, "range": [0.0, 3.3]})
-    silent, heard = np.full((3, 2), 4095), np.full((3, 2), 2000)
-    counts = [heard if n in (30, 31) else silent for n in range(120)]  # the second frame confirms the first
-    sent = [encode(FramePacket.of(each, sequence=n, time_us=1000 * n)) for n, each in enumerate(counts)]
-    with lossless(Script(*sent), design=narrow, cell=Cell.example()) as skin:
-        frames = list(islice(skin, 120))
-        assert skin.stats().remark is None
-    assert sum(bool(frame.valid.any()) for frame in frames) == 1
-
-
-@pytest.mark.parametrize("unit", [1e-3, 0.1, 10.0])
-def test_a_data_sheet_in_another_unit_is_told_once_and_by_what_factor(unit: float) -> None:
+def test_a_data_sheet_in_another_unit_is_told_once_and_by_what_factor() -> None:
     """After 50 frames; and a tare, which measures the rest resistances, ends it."""
-    cell = Cell.example()
+    cell, unit = Cell.example(), 1e-3
     sent = [encode(FramePacket.of(np.full((3, 2), 2000), sequence=n, time_us=1000 * n)) for n in range(120)]
     with lossless(Script(*sent), design=design(), cell=cell) as skin:
         rest_ohm = float(next(skin).resistance[0, 0])
@@ -293,56 +268,17 @@ def test_an_invalid_cell_keeps_its_last_pressure() -> None:
         assert frames[k].valid.sum() == 5
 
 
-def test_a_tare_makes_the_present_reading_zero_pressure() -> None:
-    forgetful = design(array={"rows": 3, "columns": 2})  # of the switches' 70 ohm
-    with lossless(Wire(Board(scene(contact=[]))), design=forgetful) as skin:
-        before = next(skin)
-        rest = skin.tare(5).rest_resistance_ohm
-        after = next(skin)
-    assert (before.pressure > 0.1).all()
-    np.testing.assert_allclose(rest, before.resistance)
-    np.testing.assert_allclose(after.pressure, 0.0, atol=1e-9)
-    assert after.sequence == 6
-    assert after.lost_before == 0
-
-
-def test_a_tare_leaves_cells_without_a_reading_at_the_data_sheet() -> None:
-    counts = np.full((3, 2), 2000)
-    counts[0, 0] = 0
-    pieces = [encode(FramePacket.of(counts, sequence=k, time_us=k)) for k in range(3)]
-    with lossless(Script(sheet(), *pieces)) as skin:
-        rest = skin.tare(2, force=True).rest_resistance_ohm
-        assert rest[0, 0] == skin.cell.rest_resistance_ohm
-        assert rest[0, 1] == next(skin).resistance[0, 1]
-        with pytest.raises(InputError, match="frames is 0; expected a whole number"):
-            skin.tare(0)
-
-
 def total_lost(frames: list[Frame]) -> int:
     return sum(frame.lost_before or 0 for frame in frames)
-
-
-def test_what_the_line_loses_is_counted() -> None:
-    port = Wire(Board(scene()), frames=2000)
-    frames: list[Frame] = []
-    with lossless(port) as skin:
-        port.line = Line(LineSettings(packet_loss=0.2), seed=5)
-        with pytest.raises(LinkError, match="gone"):
-            frames.extend(skin)
-    assert 250 < 2000 - len(frames) < 550
-    assert total_lost(frames) + len(frames) == frames[-1].sequence + 1
-    assert skin.stats().corrupt == 0
-    for before, after in itertools.pairwise(frames):
-        assert after.sequence - before.sequence == after.lost_before + 1
 
 
 def test_what_the_line_spoils_is_counted_as_lost_and_never_believed() -> None:
     taken: dict[int, Sample] = {}
     board = Board(scene(), record=lambda sample: taken.__setitem__(sample.sequence, sample))
-    port = Wire(board, frames=3000)
+    port = Wire(board, frames=1000)
     frames: list[Frame] = []
     with lossless(port) as skin:
-        port.line = Line(LineSettings(bit_errors=1e-4), seed=5)
+        port.line = Line(scene(line={"bit_errors": 3e-4}).line, seed=5)
         with pytest.raises(LinkError, match="gone"):
             frames.extend(skin)
     assert skin.stats().corrupt > 50
@@ -351,15 +287,6 @@ def test_what_the_line_spoils_is_counted_as_lost_and_never_believed() -> None:
     assert total_lost(frames) > 50
     for frame in frames:
         np.testing.assert_array_equal(frame.counts, taken[frame.sequence].counts)
-
-
-def test_joining_a_running_board_is_no_loss() -> None:
-    board = Board(scene())
-    for _ in range(500):
-        board.tick()
-    with lossless(Wire(board)) as skin:
-        frame = next(skin)
-    assert (frame.sequence, frame.lost_before) == (500, 0)
 
 
 def sheet(sequence: int = 0, time_us: int = 0) -> bytes:
@@ -387,17 +314,6 @@ def test_frames_lost_before_the_first_are_counted_from_the_description() -> None
     assert lost(frame(4, 80_000)) == [4]
 
 
-def test_a_board_that_starts_anew_is_followed() -> None:
-    """As when opening the port resets it: numbers and time from 0; the skin itself has not started anew."""
-    pieces = sheet(900, 9_000_000), frame(900, 9_000_000, level=2000), frame(2, 40_000, level=1500), frame(3, 60_000)
-    with lossless(Script(*pieces)) as skin:
-        frames = list(islice(skin, 3))
-    assert [(f.sequence, f.lost_before) for f in frames] == [(900, 0), (2, 2), (3, 0)]
-    assert [f.rebooted for f in frames] == [False, True, False]
-    assert [f.estimator_restarted for f in frames] == [True, False, False]
-    assert skin.stats().reboots == 1
-
-
 @pytest.mark.parametrize(
     ("pieces", "message"),
     [
@@ -421,13 +337,6 @@ def test_a_description_that_is_no_design_is_a_protocol_error() -> None:
         lossless(Script(wrong))
 
 
-def test_design_and_cell_given_need_no_description() -> None:
-    what = scene().skin
-    with lossless(Script(frame(7, 1), frame(9, 2)), design=what.design, cell=what.cell) as skin:
-        assert skin.description is None
-        assert [f.lost_before for f in islice(skin, 2)] == [0, 1]
-
-
 def test_a_design_given_goes_before_the_description() -> None:
     ideal = design(array={"rows": 3, "columns": 2})
     other = design(array={"rows": 3, "columns": 2}, readout=DESIGN["readout"] | {"reference_resistance": 10e3})
@@ -437,32 +346,7 @@ def test_a_design_given_goes_before_the_description() -> None:
         np.testing.assert_allclose(next(skin).resistance, 2 * theirs)
 
 
-def test_silence_is_a_timeout() -> None:
-    port = Script()
-    with pytest.raises(LinkTimeout, match=re.escape("script: no description within 0.2 s: the port is silent")):
-        lossless(port, timeout=0.2)
-    assert port.closed
-
-
-def test_a_silent_board_is_asked_again() -> None:
-    identify, describe = (host_protocol("ohmskin").request(order)[1:4] for order in (Order.IDENTIFY, Order.DESCRIBE))
-    asked: list[bytes] = []
-
-    def answer_the_third_time(data: bytes) -> None:
-        asked.append(data)
-        if sum(identify in said for said in asked) == 3:
-            port.write = asked.append  # type: ignore[method-assign]
-            before = len(asked)
-            assert sum(identify in said or describe in said for said in asked) == before
-            port.say(sheet())
-
-    port = Script()
-    port.write = answer_the_third_time  # type: ignore[method-assign]
-    lossless(port, timeout=60.0).close()
-    assert sum(identify in said for said in asked) >= 3
-
-
-@pytest.mark.parametrize("noise", [b"\xa5" * 999, b"hello, world\r\n", bytes([1, 0, 7, 9]) * 50, bytes(999)])
+@pytest.mark.parametrize("noise", [b"hello, world\r\n", bytes([1, 0, 7, 9]) * 50])
 def test_noise_is_named_within_the_timeout(noise: bytes) -> None:
     port = Script(last=lambda: noise)
     with pytest.raises((ProtocolError, LinkTimeout), match=r"no description within 0\.3 s"):
@@ -470,16 +354,10 @@ def test_noise_is_named_within_the_timeout(noise: bytes) -> None:
     assert port.closed
 
 
-def test_noise_that_could_be_nothing_else_is_a_protocol_error() -> None:
-    with pytest.raises(ProtocolError, match=r"\d+ bytes came, the last of them no packet \(not COBS"):
-        lossless(Script(last=lambda: b"abc\0"), timeout=1.0)
-
-
 def test_a_board_that_only_describes_itself_is_told_apart_from_noise() -> None:
-    with lossless(Script(sheet(), last=sheet)) as skin:
-        skin._timeout = 0.3
-        with pytest.raises(LinkTimeout, match=r"no frame within 0\.3 s: the board is there, but sends none"):
-            next(skin)
+    said = r"no frame within 1 s: the board is there, but sends none"
+    with lossless(Script(sheet(), last=sheet), timeout=1.0) as skin, pytest.raises(LinkTimeout, match=said):
+        next(skin)
 
 
 class TextLines(HostProtocol):
@@ -517,6 +395,7 @@ def test_another_family_of_boards_needs_another_protocol_only() -> None:
     assert (first.sequence, second.lost_before) == (None, None)
 
 
+@settings(max_examples=30)
 @given(st.lists(st.binary(max_size=200), max_size=8))
 def test_whatever_arrives_ends_in_a_frame_or_a_link_or_protocol_error(pieces: list[bytes]) -> None:
     with lossless(Script(sheet(), *pieces, b"\0" + frame(0, 0), last=gone)) as skin:

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 
 import numpy as np
 import pytest
+from boards import Flow
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from ohmskin.driver import Arrival
-from ohmskin.driver._clock import STEP_S, ClockMap, lower_hull
+from ohmskin.driver import Skin
+from ohmskin.driver._clock import STEP_S, ClockMap
 from ohmskin.driver._spacing import ArrivalTimes
-from ohmskin.driver._statistics import Counters
-from ohmskin.driver._stream import FrameStream
-from ohmskin.wire import BOARDS, FramePacket, board_protocol, host_protocol
+from ohmskin.wire import BOARDS, FramePacket, board_protocol
 
 
 def delays(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -43,7 +41,7 @@ def test_no_frame_is_said_to_have_come_later_than_it_did(
         assert clock.add(device_s, received_s) <= received_s + 1e-9 * max(1.0, received_s)
 
 
-@pytest.mark.parametrize("pace", [1.05, 2.0, 50.0])
+@pytest.mark.parametrize("pace", [1.05, 50.0])
 def test_a_time_that_no_clock_keeps_has_no_drift(pace: float) -> None:
     """As at the emulator's fast clock. Frames are taken for delayed by no more than what counts as a step."""
     clock, delays = ClockMap(), []
@@ -54,7 +52,7 @@ def test_a_time_that_no_clock_keeps_has_no_drift(pace: float) -> None:
     assert max(delays) < STEP_S + 0.01
 
 
-@pytest.mark.parametrize(("pace", "pause_s"), [(4.0, 4.0), (0.6, 0.0), (1.5, 6.0)])
+@pytest.mark.parametrize(("pace", "pause_s"), [(4.0, 4.0), (0.6, 0.0)])
 def test_a_time_that_no_clock_keeps_is_never_set(pace: float, pause_s: float) -> None:
     """Neither a host that pauses for seconds, nor one that is slower than the board's time, sets a fast clock."""
     clock = ClockMap()
@@ -63,7 +61,7 @@ def test_a_time_that_no_clock_keeps_is_never_set(pace: float, pause_s: float) ->
     assert clock.steps == 0
 
 
-@pytest.mark.parametrize("drift_ppm", [-300.0, -20.0, 0.0, 80.0, 5000.0])
+@pytest.mark.parametrize("drift_ppm", [-300.0, 0.0, 5000.0])
 def test_offset_and_drift_are_found_below_the_delays(drift_ppm: float) -> None:
     rng = np.random.default_rng(5)
     device_s = np.arange(0, 90, 0.01)
@@ -89,7 +87,7 @@ def test_the_line_is_the_best_of_all_lines_below_the_arrivals() -> None:
     assert clock.drift_ppm == pytest.approx(1e6 * best.x[1], rel=1e-6, abs=1e-6)
 
 
-@pytest.mark.parametrize("pause_s", [0.5, 0.06, 0.04])
+@pytest.mark.parametrize("pause_s", [0.5, 0.04])
 def test_a_clock_that_pauses_is_followed_after_three_seconds(pause_s: float) -> None:
     """An emulated board on a machine that was too slow for half a second. Pauses below 50 ms could be delays."""
     device_s = np.arange(0, 20, 0.01)
@@ -104,34 +102,14 @@ def test_a_clock_that_pauses_is_followed_after_three_seconds(pause_s: float) -> 
         assert late[device_s > 14.5].max() < STEP_S / 10
 
 
-@pytest.mark.parametrize("drift_ppm", [-300.0, 300.0])
-def test_a_drift_that_changes_is_followed_within_a_minute(drift_ppm: float) -> None:
+def test_a_drift_that_changes_is_followed_within_a_minute() -> None:
+    drift_ppm = 300.0
     device_s = np.arange(0, 260, 0.05)
     received_s = device_s + 1e-6 * drift_ppm * np.abs(device_s - 180)
     clock = ClockMap()
     late = received_s - mapped(clock, device_s, received_s)
     assert late[device_s > 241].max() < 1e-5
     assert clock.drift_ppm == pytest.approx(drift_ppm, rel=1e-3)
-
-
-def test_a_board_that_runs_faster_than_time_has_frames_that_are_new() -> None:
-    """An emulated board at the fast clock: what counts is when frames came."""
-    device_s = np.arange(0, 1000, 0.02)
-    received_s = device_s / 100
-    assert (received_s - mapped(ClockMap(), device_s, received_s)).max() < 0.02
-
-
-@given(st.lists(st.tuples(st.floats(0.01, 10), st.floats(-10, 10)), min_size=1, max_size=60))
-def test_the_hull_is_convex_and_below_all_points(steps: list[tuple[float, float]]) -> None:
-    xs = np.cumsum([step for step, _ in steps]).tolist()
-    points = [(x, y) for x, (_, y) in zip(xs, steps, strict=True)]
-    hull = lower_hull(points)
-    assert (hull[0], hull[-1]) == (points[0], points[-1])
-    assert set(hull) <= set(points)
-    below = np.interp(xs, [x for x, _ in hull], [y for _, y in hull])
-    assert (below <= np.array([y for _, y in points]) + 1e-9).all()
-    slopes = [(y1 - y0) / (x1 - x0) for (x0, y0), (x1, y1) in itertools.pairwise(hull)]
-    assert all(after > before - 1e-9 for before, after in itertools.pairwise(slopes))
 
 
 def spread(arrivals: list[tuple[float, int]]) -> np.ndarray:
@@ -174,18 +152,15 @@ def test_a_host_that_reads_now_and_then_finds_the_board_s_frame_rate() -> None:
 
 
 def test_a_family_without_a_clock_has_times_between_its_frames() -> None:
-    """Ten frames in each read, 0.1 s apart: the estimator is told of 10 ms, not of microseconds and jumps."""
+    """Ten frames in each read, 0.1 s apart."""
     board = BOARDS["m1616"]
-    protocol = board_protocol(board)
     shape = (board.layout.rows, board.layout.columns)
-    packet = protocol.frame(FramePacket.of(np.full(shape, 100), sequence=None, time_us=None))
-    stream, host = FrameStream("memory", Counters()), host_protocol(board)
-    frames = []
-    for turn in range(1, 20):
-        arrival = Arrival(10 * packet, 0.1 * turn, 1e9 + 0.1 * turn)
-        events = [event for event in host.feed(arrival.data, arrival.received_at) if isinstance(event, FramePacket)]
-        stream.arrive(arrival, len(events))
-        frames += [stream.take(event, arrival) for event in events]
-    times = np.array([frame.time_s for frame in frames if frame is not None])
-    np.testing.assert_allclose(np.diff(times)[20:], 0.01, rtol=0.2)
-    assert stream.counters.snapshot(skipped=0, drift_ppm=0.0, clock_steps=0).rate_hz == pytest.approx(100.0, rel=0.15)
+    packet = board_protocol(board).frame(FramePacket.of(np.full(shape, 100), sequence=None, time_us=None))
+    port = Flow(b"", lambda _: 10 * packet, 0.1, at_once=10**6)
+    with Skin(port, board=board, delivery="every", timeout=60.0) as skin:
+        frames = []
+        for _ in range(20):
+            port.work(0.1 + 1e-12)
+            frames += [skin.read() for _ in range(10)]
+        assert skin.stats().rate_hz == pytest.approx(100.0, rel=0.15)
+    np.testing.assert_allclose(np.diff([one.monotonic_time for one in frames])[20:], 0.01, rtol=0.2)

@@ -9,7 +9,7 @@ import traceback
 import pytest
 from boards import MemoryPort, Script, described, frame, identity
 
-from ohmskin.driver import Skin
+from ohmskin.driver import CountReader, Skin
 from ohmskin.errors import LinkError, OhmskinError, ProtocolError
 from ohmskin.wire import DescriptionPiece, encode
 
@@ -36,7 +36,7 @@ class Flood(MemoryPort):
 
 @pytest.mark.parametrize(("family", "noise"), [("ohmskin", b"\0x"), ("fsr-array", b"a"), ("snowboard", b"\n")])
 def test_a_flood_of_noise_ends_with_the_timeout(family: str, noise: bytes) -> None:
-    """Some formats take a second to look through what comes in a second: takers and set-up get their share."""
+    """Some formats take a second to look through what comes in a second: readers and set-up get their share."""
     port = Flood(noise)
     with (
         pytest.raises(ProtocolError, match=f"expected a board of family '{family}'"),
@@ -48,9 +48,9 @@ def test_a_flood_of_noise_ends_with_the_timeout(family: str, noise: bytes) -> No
 
 def test_set_ups_that_take_too_long_leave_few_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     over = threading.Event()
-    monkeypatch.setattr("ohmskin.driver._convert.CountReader.__call__", lambda *_: over.wait(60.0))
+    monkeypatch.setattr(CountReader, "__call__", lambda *_: over.wait(60.0))
     try:
-        for _ in range(14):
+        for _ in range(4):
             with pytest.raises(ProtocolError, match=r"was not set up within 0\.02 s"):
                 Skin(described(frame(0)), timeout=0.02)
         assert len([thread for thread in threading.enumerate() if thread.name == "ohmskin set-up"]) <= 2
@@ -65,7 +65,6 @@ def test_set_ups_that_take_too_long_leave_few_threads(monkeypatch: pytest.Monkey
     ("text", "said"),
     [
         (b'{"design": ', "a description is not JSON: Expecting value"),
-        (b"[1, 2]", "a description is not a JSON object"),
         (b'{"design": 1}', "a description whose 'design' is no object"),
         (b"\xff" * 40, "a description is not JSON: 'utf-8' codec can't decode"),
     ],
@@ -81,7 +80,6 @@ def test_a_description_that_cannot_be_read_is_named_though_frames_come(text: byt
     [
         DESIGN | {ESCAPES: 1},
         DESIGN | {"drive": {"voltage": ESCAPES}},
-        DESIGN | {"readout": {"circuit": ESCAPES}},
         DESIGN | {"array": {ESCAPES: {ESCAPES: 1e200}}},
         DESIGN | {"drive": {"idle_rows": ESCAPES * 500}},
     ],

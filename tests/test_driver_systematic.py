@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from itertools import islice
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from boards import DESIGN, Wire, lossless, scene
 from ohmskin.cell import Cell
 from ohmskin.cell.estimation import RECENT
 from ohmskin.circuits import Design
-from ohmskin.driver import CountReader, Frame, Recorder, Skin
+from ohmskin.driver import CountReader, Frame
 from ohmskin.driver._systematic import SystematicError
 from ohmskin.emulator import Board
 
@@ -195,18 +194,6 @@ def test_the_slope_by_rest_resistance_is_that_of_the_static_curve(kind: str) -> 
     found = SystematicError(cell).kpa_of_rest(0.01)
     # 20 kPa per unit of r. A contact adds full scale / 500 ohm to the conductance of rest, 1/10 kohm.
     assert found == pytest.approx(0.01 * (20.0 if kind != "contact" else FULL_KPA * 500.0 / 1e4), rel=0.05)
-
-
-def test_a_replay_from_the_middle_knows_the_spread(tmp_path: Path) -> None:
-    path = tmp_path / "middle.mcap"
-    with Skin(Wire(board(rest_percent=3.0)), delivery="lossless", queue=4) as skin:
-        list(islice(skin, 40))
-        with Recorder(skin, path):
-            live = {frame.sequence: frame for frame in islice(skin, 60)}
-    with Skin.open(str(path)) as skin:
-        again = list(islice(skin, 50))
-    for frame in again:
-        np.testing.assert_array_equal(frame.pressure_std, live[frame.sequence].pressure_std)
 
 
 def test_the_driver_says_why_hardly_a_cell_is_valid() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import json
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ohmskin.bench import _taps as bench
-from ohmskin.bench._driver import design
 from ohmskin.cell import Cell, ContactModel
 from ohmskin.cli import run
 from ohmskin.common.arrays import FloatArray
@@ -92,17 +90,15 @@ def test_sparks_of_cells_that_are_no_neighbours_make_no_contact(
     assert not any(contacts_of(ohm, dt_s=1.0 / rate_hz))
 
 
-@pytest.mark.parametrize("factor", [1.15, 1.6, 3.0])
-@pytest.mark.parametrize("where", ["row", "column", "two rows", "all", "end of a row", "part of a column", "impulse"])
+@pytest.mark.parametrize("factor", [1.15, 3.0])
+@pytest.mark.parametrize("where", ["row", "column", "all", "end of a row", "impulse"])
 def test_faults_with_the_shape_of_the_wiring_make_no_contact(where: str, factor: float) -> None:
     """Bad lines and connectors, a crack that cuts the end of a line, and three readings disturbed in one frame."""
     places: dict[str, tuple[slice, slice]] = {
         "row": (slice(3, 4), slice(None)),
         "column": (slice(None), slice(0, 1)),
-        "two rows": (slice(2, 4), slice(None)),
         "all": (slice(None), slice(None)),
         "end of a row": (slice(5, 6), slice(6, None)),
-        "part of a column": (slice(0, 4), slice(5, 6)),
         "impulse": (slice(4, 5), slice(2, 5)),
     }
     frames = 1 if where == "impulse" else 8
@@ -150,28 +146,6 @@ def test_lines_of_electrodes_that_touch_which_conduct_more_at_once_make_no_conta
     assert not any(contacts_of(ohm, FALLING))
 
 
-def test_a_crosstalk_below_the_least_share_does_not_make_a_spark_a_tap() -> None:
-    """Leads that the design does not mention carry a little of a spark to its row and column."""
-    ohm = at_rest(QUIET + 30)
-    spark, share = 0.3, 0.04
-    ohm[QUIET : QUIET + 5, 3, :] *= 1.0 + share * spark
-    ohm[QUIET : QUIET + 5, :, 4] *= 1.0 + share * spark
-    ohm[QUIET : QUIET + 5, 3, 4] *= 1.0 + spark
-    assert not any(contacts_of(ohm))
-
-
-def test_a_spark_leaves_a_cell_of_an_array_as_it_leaves_one_without_neighbours() -> None:
-    """Neighbours at rest change no pressure, and tell next to nothing of how it trembles."""
-    ohm = at_rest(QUIET + 60)
-    ohm *= 1.0 + 1e-3 * np.random.default_rng(3).standard_normal(ohm.shape)
-    ohm[QUIET : QUIET + 6, 2, 2] *= 2.5
-    ohm[QUIET + 30 : QUIET + 33, 6, 1] *= 1.4
-    array, alone = EXAMPLE.estimator(SHAPE), EXAMPLE.estimator((64,))
-    for frame in ohm:
-        np.testing.assert_array_equal(array.step(DT_S, frame).ravel(), alone.step(DT_S, frame.ravel()))
-        np.testing.assert_allclose(array.std_kpa.ravel(), alone.std_kpa, rtol=4e-4)
-
-
 def test_a_tap_leaves_rest_behind_and_its_deviation_is_honest() -> None:
     """Errors within three deviations nearly always: those of taps on a whole array were stated as half of the jump."""
     taps = [bench.Tap(0.4 + 0.4 * k, 0.05, 1.0 + k, 6.0 - k, 0.7, 10.0) for k in range(5)]
@@ -185,30 +159,6 @@ def test_a_tap_leaves_rest_behind_and_its_deviation_is_honest() -> None:
     assert np.mean(error[pressed] < 2 * std[pressed]) > 0.9
     assert np.median(std[pressed]) < 0.1 * np.median(truth[pressed])
     assert np.abs(found[-10:, 0]).max() < 0.5
-
-
-def test_the_bench_finds_taps_and_counts_false_alarms() -> None:
-    """On one board; and what is not there is not found."""
-    board = design(8, "inverting-amplifier", "ground", 12)
-    random = np.random.default_rng(0)
-    taps = bench.random_taps(8, SHAPE, random)
-    seconds = bench.REST_S + bench.EVERY_S * 9
-    seen = list(bench.contacts_of(board, bench.resistances(taps, SHAPE, 100.0, seconds), 1.0, 100.0, random))
-    pitch_mm = 1e3 * bench._pitch_m(board)
-    first_s, beside = bench.match(taps, seen, pitch_mm, 0.01)
-    assert max(first - tap.start_s for tap, first in zip(taps, first_s, strict=True)) <= 0.02
-    assert beside == 0
-    force_share, off_cells = bench.accuracy(taps, seen, SHAPE, pitch_mm)
-    assert 0.9 < force_share < 1.05
-    assert off_cells < 0.1
-    elsewhere = [bench.Tap(tap.start_s, tap.duration_s, 7.0 - tap.row, tap.column + 9.0, 0.6, 5.0) for tap in taps]
-    assert not np.isfinite(bench.match(elsewhere, seen, pitch_mm, 0.01)[0]).any()
-    contacts = {c.id for _, found in seen for c in found}
-    for one, other in pairwise(taps):
-        assert one.start_s + one.duration_s < other.start_s
-    false = bench.false_alarms([("cell", 0.0)], seen)
-    assert sum(false.values()) == len(contacts)
-    assert false["cell"] == len(contacts)
 
 
 def test_the_command_prints_what_was_found(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from boards import DESIGN, Script, Wire, frame, gone, identity, lossless, scene, sheet
+from boards import DESIGN, Script, Wire, frame, identity, lossless, scene, sheet, until
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ohmskin.bench._driver import design
 from ohmskin.bench._paced_port import PacedPort, frame_packets
-from ohmskin.cell import Cell, ContactModel, M10Model
+from ohmskin.cell import Cell, ContactModel
 from ohmskin.circuits import Design, adc_codes, scan
 from ohmskin.common.config import parse
 from ohmskin.driver import Skin, Tare
@@ -48,8 +48,7 @@ def at_rest(noise: float, spread: float, frames: int = 40, seed: int = 3) -> np.
     return np.asarray(cells * (1 + noise * rng.standard_normal((frames, 8, 8))))
 
 
-@pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-2])
-@pytest.mark.parametrize("spread", [0.0, 0.1, 0.2])
+@pytest.mark.parametrize(("noise", "spread"), [(0.0, 0.0), (1e-2, 0.2)])
 def test_an_unloaded_skin_is_tared(noise: float, spread: float) -> None:
     readings = at_rest(noise, spread)
     tare = tare_of(readings)
@@ -58,16 +57,9 @@ def test_an_unloaded_skin_is_tared(noise: float, spread: float) -> None:
     np.testing.assert_allclose(tare.std_ohm, readings.std(axis=0, ddof=1), atol=1e-9)
 
 
-@pytest.mark.parametrize(("noise", "frames"), [(0.02, 40), (0.05, 8)])
-def test_noise_seldom_looks_like_a_load(noise: float, frames: int) -> None:
-    """Nor in few frames, which tell the noise of a single cell badly."""
-    assert sum(bool(tare_of(at_rest(noise, 0.1, frames, seed=seed)).remarks) for seed in range(50)) <= 1
-
-
-@pytest.mark.parametrize("valid", [1.0, 0.3])
-def test_noise_that_hides_a_load_asks_for_more_frames(valid: float) -> None:
+def test_noise_that_hides_a_load_asks_for_more_frames() -> None:
     """As many as are enough, also where only some readings are valid."""
-    advised, frames = [], round(3 / valid)
+    valid, advised, frames = 0.3, [], 10
     for seed in range(10):
         random, readings = np.random.default_rng(seed), at_rest(0.2, 0.1, frames=1500, seed=seed)
         readings[random.random(readings.shape) > valid] = np.nan
@@ -80,18 +72,9 @@ def test_noise_that_hides_a_load_asks_for_more_frames(valid: float) -> None:
     assert min(advised) >= 2 * frames
 
 
-def test_a_press_beyond_the_noise_asks_for_no_more_frames() -> None:
-    readings = at_rest(0.2, 0.0, frames=20)
-    readings[:, 2, 5] *= 2.0
-    tare = tare_of(readings)
-    assert len(tare.remarks) == 1
-    assert tare.frames_advised == 0
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_cells_that_scatter_widely_are_tared_with_the_spread_that_is_named(seed: int) -> None:
+def test_cells_that_scatter_widely_are_tared_with_the_spread_that_is_named() -> None:
     """12 x 20 cells whose logarithms scatter by 0.15: some are beyond 30 %, and a press is beyond all of them."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     cells = REST * np.exp(rng.normal(0.0, 0.15, (12, 20)))
     readings = taken(cells * (1 + 1e-3 * rng.standard_normal((20, 12, 20))))
     tare = partial(readings.tare, CELL, lost=0, serial_number="A1", wall_time=1.0)
@@ -115,6 +98,7 @@ def test_a_skin_whose_cells_scatter_widely_names_the_spread() -> None:
         assert skin.tare(10, spread=named).remarks == ()
 
 
+@pytest.mark.slow
 def test_a_divider_in_noise_says_how_many_frames_tell() -> None:
     """16 x 12 cells in 10 mV: one reading of thirty is valid, and known to a fifth or so."""
     board = design(16, "voltage-divider", "ground", 12).replace(array={"columns": 12})
@@ -149,25 +133,6 @@ def test_cells_that_noise_hides_ask_for_more_frames(valid: float) -> None:
     assert tare_of(at_rest(1e-3, 0.05), noisy=np.ones((8, 8), dtype=np.bool_)).frames_advised == 0
 
 
-def test_a_tare_that_leaves_noisy_cells_out_says_so() -> None:
-    """16 x 12 cells of a divider in 14 mV: of readings whose noise is known, one of fifty is valid."""
-    board = design(16, "voltage-divider", "ground", 12).replace(
-        array={"columns": 12}, readout={"reference_resistance": 4.7e3}
-    )
-    rng = np.random.default_rng(1)
-    volts = scan(board, np.full((16, 12), 1.8 * REST)).volts
-    codes = adc_codes(board, volts + 0.014 * rng.standard_normal((40, 16, 12)))
-    port = PacedPort(frame_packets(codes, 100.0), 1e-3, board)
-    port.work(60.0)
-    said = r"a tare with \d+ of 192 cells measured, noise hides the others; tare\(\d+\) covers nearly all"
-    with Skin(port, design=board, cell=CELL, delivery="lossless", timeout=60.0) as skin:
-        for _ in range(12):
-            skin.read(60.0)
-        with pytest.warns(RuntimeWarning, match=said):
-            tare = skin.tare()
-    assert 0 < tare.measured.sum() < 192
-
-
 def test_one_pressed_cell_is_noticed() -> None:
     readings = at_rest(1e-3, 0.1)
     readings[:, 2, 5] *= 1.6
@@ -181,7 +146,7 @@ def test_a_press_on_the_whole_skin_is_noticed_by_the_data_sheet() -> None:
     assert tare_of(2.5 * at_rest(1e-3, 0.1), cell=None).remarks == ()
 
 
-@pytest.mark.parametrize(("change", "noticed"), [(0.1, True), (0.03, True), (0.01, False)])
+@pytest.mark.parametrize(("change", "noticed"), [(0.03, True), (0.01, False)])
 def test_a_load_that_comes_or_goes_is_noticed(change: float, noticed: bool) -> None:
     """Where the halves of the tare differ by more than 1 %."""
     readings = at_rest(1e-3, 0.1)
@@ -227,26 +192,7 @@ def test_a_tare_prints_as_one_line_without_its_arrays() -> None:
     assert repr(loaded) == "<Tare of 2 x 3 cells over 5 frames: 0 of 6 cells measured; 2023-11-14 22:13 UTC; 2 remarks>"
 
 
-@pytest.mark.parametrize("wall_time", [np.nan, np.inf, -1.0, 1e300])
-def test_a_tare_of_no_time_is_refused(wall_time: float, tmp_path: Path) -> None:
-    path = tmp_path / "tare.npz"
-    replace(tare_of(at_rest(0.0, 0.0)), wall_time=wall_time).save(path)
-    with pytest.raises(InputError, match="its time must be s since the epoch"):
-        Tare.load(path)
-
-
-def test_a_tare_in_a_file_can_be_used_by_its_name(tmp_path: Path) -> None:
-    with lossless(Wire(Board(scene(contact=[]))), design=unknown_lead()) as skin:
-        skin.tare(5).save(tmp_path / "tare.npz")
-    for name in (tmp_path / "tare.npz", str(tmp_path / "tare.npz")):
-        with lossless(Wire(Board(scene(contact=[]))), design=unknown_lead()) as skin:
-            skin.use_tare(name)
-            np.testing.assert_allclose(next(skin).pressure, 0.0, atol=1e-9)
-            assert skin.tared is not None
-            assert skin.tared.serial_number == skin.serial_number
-
-
-@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 broken", b"time_s,pressure_kpa\n0,1\n", None])
+@pytest.mark.parametrize("content", [b"PK\x03\x04 broken", b"time_s,pressure_kpa\n0,1\n", None])
 def test_what_is_no_tare_is_one_line(content: bytes | None, tmp_path: Path) -> None:
     path = tmp_path / "tare.npz"
     if content is not None:
@@ -364,41 +310,6 @@ def test_touching_electrodes_under_a_load_are_not_tared(spread: float) -> None:
     assert re.match(r"1 cell conducts as under a load, most cell \(4, 4\) as under 1[0-4] kPa", remark)
 
 
-def test_touching_electrodes_are_compared_with_an_earlier_tare() -> None:
-    rest = at_rest(1e-3, 0.3)
-    earlier = EarlierRest("then", rest[0], np.ones((8, 8), dtype=bool))
-
-    def remarks(readings: np.ndarray) -> tuple[str, ...]:
-        return taken(readings).tare(TOUCHING, lost=0, serial_number="", wall_time=0.0, earlier=earlier).remarks
-
-    assert remarks(rest) == ()
-    assert remarks(1.6 * rest) == (), "the skin was loaded then"
-    assert remarks(under_load(rest, 0.02)) == (), "the cover was put on more tightly"
-    *_, remark = remarks(under_load(rest, 0.15))
-    assert remark.startswith("64 cells of 64 changed by more than 10 % since then")
-
-
-def test_a_load_that_lowers_the_resistance_counts_since_an_earlier_tare() -> None:
-    falling = Cell(
-        rest_resistance_ohm=REST,
-        full_scale_kpa=40.0,
-        model=M10Model(a=-0.6, alpha1=0.05, rise1_s=0.1, fall1_s=5.0, alpha2=0.05, fall2_s=50.0),
-    )
-    earlier = EarlierRest("then", at_rest(0.0, 0.1)[0], np.ones((8, 8), dtype=bool))
-    for factor, signs in ((0.8, 1), (1.25, 0)):
-        readings = factor * at_rest(1e-3, 0.1)
-        tare = taken(readings).tare(falling, lost=0, serial_number="", wall_time=0.0, earlier=earlier)
-        assert len(tare.remarks) == signs
-
-
-@pytest.mark.parametrize("name", ["drift", "spread"])
-@pytest.mark.parametrize("value", [0.0, -0.1, float("nan")])
-def test_a_limit_that_cannot_be_is_refused(name: str, value: float) -> None:
-    limit: dict[str, Any] = {name: value}
-    with lossless(even_load()) as skin, pytest.raises(InputError, match=rf"{name} is .*; expected"):
-        skin.tare(2, **limit)
-
-
 def test_a_tare_of_another_shape_is_refused() -> None:
     tare = tare_of(at_rest(0.0, 0.0))
     shapes = "a tare of 8 x 8 cells; this skin has 3 x 2"
@@ -415,12 +326,6 @@ def test_a_tare_of_another_board_is_refused_also_where_the_board_describes_itsel
         with pytest.raises(InputError, match="a tare of board A1; this is board B2"):
             skin.use_tare(tare_of(np.full((5, 3, 2), REST)))
         later.join()
-
-
-def test_a_tare_is_used_where_the_board_never_says_who_it_is() -> None:
-    with lossless(Script(sheet(), frame(0), last=gone)) as skin:
-        skin.use_tare(tare_of(np.full((5, 3, 2), REST)))
-        assert skin.tared is not None
 
 
 def conversation(numbers: list[int]) -> list[bytes]:
@@ -446,12 +351,16 @@ def test_frames_lost_during_a_tare_count() -> None:
 def test_a_tare_takes_frames_of_now_and_not_those_that_wait() -> None:
     port = Script(*conversation(list(range(20))))
     with Skin(port, delivery="every") as skin:
-        while skin.stats().frames < 20:
-            pass
-        port.say(*conversation(list(range(20, 30)))[2:])
-        skin.tare(3)
-        port.say(*conversation(list(range(30, 40)))[2:])
-        assert next(skin).skipped_before >= 17
+        until(lambda: skin.stats().frames == 20)
+        coming = threading.Timer(0.1, port.say, conversation(list(range(20, 30)))[2:])
+        coming.start()
+        tare = skin.tare(3)
+        coming.join()
+        assert tare.frames == 3
+        port.say(*conversation([30])[2:])
+        until(lambda: skin.stats().frames == 31)
+        after = next(skin)
+        assert after.skipped_before == (after.sequence or 0) - 3
 
 
 def test_after_a_tare_no_old_estimate_is_handed_out() -> None:
@@ -483,7 +392,7 @@ def pressed_after(frames: int) -> list[float]:
 def test_a_press_soon_after_a_tare_is_right_from_its_first_frame() -> None:
     """The frames of the tare have told the estimator that the skin is at rest."""
     later = pressed_after(30)
-    for frames in (0, 1, 2, 3):
+    for frames in (0, 3):
         np.testing.assert_allclose(pressed_after(frames), later, rtol=0.02)
 
 
@@ -510,6 +419,7 @@ def test_cells_that_read_no_current_at_rest_are_tared_if_loads_lower_their_resis
         if loads_lower:
             tare = skin.tare(20)
             assert tare.remarks == ()
+            assert tare.covers == "16 of 16 cells measured"
             np.testing.assert_array_equal(tare.rest_resistance_ohm, np.full((4, 4), 1e8))
         else:
             with pytest.raises(InputError, match="no cell has a valid reading"):

@@ -1,4 +1,4 @@
-"""Estimates of single effects against what the solver finds when the part is put in."""
+"""Effects of single parts against the first order of two scans, the converter and the supply by hand."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def named(design: Design, cells: np.ndarray = CELLS) -> dict[str, Any]:
 
 @pytest.mark.parametrize("circuit", ["inverting-amplifier", "voltage-divider", "voltage-feedback"])
 @pytest.mark.parametrize(("table", "key", "value"), SMALL)
-def test_estimates_are_right_to_first_order(circuit: str, table: str, key: str, value: Any) -> None:
+def test_an_effect_is_the_change_of_the_signal(circuit: str, table: str, key: str, value: Any) -> None:
     bare = amplifier(5, 6, open_loop_gain=1e12 if circuit == "voltage-feedback" else np.inf).with_circuit(circuit)
     if circuit == "voltage-divider" and table == "readout":
         assert key not in named(bare)
@@ -44,17 +44,6 @@ def test_estimates_are_right_to_first_order(circuit: str, table: str, key: str, 
     assert found.modelled
     largest = np.abs(after / before - 1).max()
     assert found.estimate == pytest.approx(largest, rel=0.02, abs=1e-12)
-
-
-@pytest.mark.parametrize("circuit", ["inverting-amplifier", "row-amplifier", "voltage-feedback"])
-@pytest.mark.parametrize("drive", [-1.0, 1.0])
-@pytest.mark.parametrize("level", [0.0, 1.65])
-def test_a_finite_gain_is_asked_for_the_reference_voltage_too(circuit: str, drive: float, level: float) -> None:
-    bare = amplifier(5, 6, reference_voltage=level, open_loop_gain=1e12 if circuit == "voltage-feedback" else np.inf)
-    bare = bare.with_circuit(circuit).replace(drive={"voltage": drive})
-    real = put_in(bare, "readout", "open_loop_gain", 1e7)
-    before, after = (scan(each, CELLS).volts - level for each in (bare, real))
-    assert named(real)["open_loop_gain"].estimate == pytest.approx(np.abs(after / before - 1).max(), rel=0.02)
 
 
 def test_what_is_not_named_is_listed_with_an_ordinary_part() -> None:
@@ -88,9 +77,3 @@ def test_open_and_shorted_cells_do_not_count() -> None:
         for effect in effects(design, cells):
             assert effect.estimate is None or np.isfinite(effect.estimate)
     assert all(not effect.estimate for effect in effects(amplifier(2, 2), np.full((2, 2), np.inf)))
-
-
-def test_large_dividers_have_no_simple_law() -> None:
-    found = named(divider(40, 40), np.full((40, 40), 1e4))
-    assert found["row_lead"].estimate is None
-    assert named(amplifier(40, 40), np.full((40, 40), 1e4))["row_lead"].estimate == pytest.approx(10 * 40 / 1e4)

@@ -5,18 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ohmskin.circuits.solvers import FrameTransfer, Lines, Wires, attenuate, exact_transfer, port_conductances
-from ohmskin.circuits.solvers._attenuation import by_ladders
+from ohmskin.circuits.solvers import FrameTransfer, Lines, Wires, exact_transfer, port_conductances
 from ohmskin.common import compiled
 from ohmskin.common.arrays import FloatArray
 
 CLOSE = 1e-11
-CLOSE_IN_SINGLE = 1e-6
-"""of transfer conductances by the closed form, which works out losses of light lines in single precision"""
 SHAPES = ((1, 1), (1, 9), (9, 1), (8, 3), (3, 8), (5, 5), (12, 10))
 LINES = ("ordinary", "no segments", "ideal rows", "ideal exits", "a broken row", "a broken column")
 
-pytestmark = pytest.mark.skipif(compiled.why_not() is not None, reason="the extra 'fast' is not in use")
+pytestmark = pytest.mark.skipif(compiled.why_not() is not None, reason="kernels are switched off")
 
 
 def lines_of(kind: str, shape: tuple[int, int], draw: np.random.Generator) -> Lines:
@@ -68,9 +65,11 @@ def test_attenuation_of_one_frame_is_that_of_ladders(kind: str, shape: tuple[int
             assert known is None
             continue
         assert known is not None
-        expected = by_ladders(cells[None], wires)
-        np.testing.assert_allclose(known.transfer, expected.transfer[0], rtol=CLOSE)
-        np.testing.assert_allclose(known.error, expected.error[0], rtol=CLOSE)
+        with compiled.switched_off():
+            expected = FrameTransfer(lines).attenuated(cells)
+        assert expected is not None
+        np.testing.assert_allclose(known.transfer, expected.transfer, rtol=CLOSE)
+        np.testing.assert_allclose(known.error, expected.error, rtol=CLOSE)
         exact, rounding = exact_transfer(cells, lines)
         assert (np.abs(exact - known.transfer) <= known.error + rounding).all()
 
@@ -95,33 +94,3 @@ def test_array_operations_do_the_same_without_machine_code() -> None:
     assert by_arrays is not None
     np.testing.assert_allclose(by_loop.transfer, by_arrays.transfer, rtol=CLOSE)
     np.testing.assert_allclose(by_loop.error, by_arrays.error, rtol=CLOSE)
-
-
-@pytest.mark.parametrize(
-    ("kind", "ohms"), [("ordinary", 1e7), ("no segments", 1e3), ("uniform", 1e7), ("uniform", 20.0)]
-)
-def test_large_grids_are_attenuated_as_many_frames_are(kind: str, ohms: float) -> None:
-    """By ladders, but array operations take the closed form where lines are uniform and light."""
-    shape, draw = (24, 30), np.random.default_rng(3)
-    lines = lines_of(kind, shape, draw)
-    if kind == "uniform":
-        lines = Lines(np.full(shape, 5.0), np.full(shape, 5.0), np.full(30, 5.0))
-    models, cells, wires = FrameTransfer(lines), draw.uniform(0.5, 1.0, shape) / ohms, Wires.of(lines)
-    with compiled.switched_off():
-        by_arrays = FrameTransfer(lines)
-    assert wires is not None
-    assert not models.is_compiled
-    exact, rounding = exact_transfer(cells, lines)
-    np.testing.assert_allclose(models.exact(cells), exact, rtol=CLOSE)
-    ladders, many = by_ladders(cells[None], wires), attenuate(cells, wires)
-    assert many is not None
-    for each, transfer, error in (
-        (models, ladders.transfer[0], ladders.error[0]),
-        (by_arrays, many.transfer, many.error),
-    ):
-        known = each.attenuated(cells)
-        assert known is not None
-        np.testing.assert_allclose(known.transfer, transfer, rtol=CLOSE)
-        np.testing.assert_allclose(known.error, error, rtol=CLOSE)
-        assert (np.abs(exact - known.transfer) <= known.error + rounding).all()
-    np.testing.assert_allclose(many.transfer, ladders.transfer[0], rtol=CLOSE_IN_SINGLE)

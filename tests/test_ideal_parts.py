@@ -53,12 +53,6 @@ def test_supply_limits_the_infinite() -> None:
         assert result.saturated.tolist() == [[True, False], [False, False]]
 
 
-def test_an_offset_reads_as_itself_in_open_columns() -> None:
-    volts = read(amplifier(2, 2, offset_voltage=1e-3), [[0, inf], [inf, inf]])
-    np.testing.assert_allclose(volts[:, 1], 1e-3, rtol=1e-12)
-    assert np.isinf(volts[0, 0])
-
-
 def test_nothing_leaks_over_an_ideal_line() -> None:
     design = amplifier(3, 3, segment=1.0).model_copy()
     array = design.array.replace(row_lead=0.0, column_lead=5.0, row_segment=0.0)
@@ -96,8 +90,3 @@ def test_a_reference_voltage_costs_no_digits(vref: float, lead: float, parts: di
 def test_contradictions_are_refused_by_name(design: Design, cells: Any, who: str) -> None:
     with pytest.raises(SolverError, match=f"the {who} are joined by parts of 0 ohm"):
         read(design, cells)
-
-
-def test_joined_rows_that_float_are_no_contradiction() -> None:
-    volts = read(divider(2, 1, idle_rows="float"), [[0], [0]])
-    np.testing.assert_allclose(volts, 1.0, rtol=1e-12)

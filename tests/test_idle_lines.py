@@ -13,14 +13,9 @@ from parts_at_random import real_design
 from ohmskin.circuits import (
     Design,
     Settling,
-    adc_codes,
     apparent_resistance,
-    recover,
     scan,
-    sensitivity,
-    volts_of_codes,
 )
-from ohmskin.circuits.recovery import live_recovery
 from ohmskin.circuits.spice import command_available, command_scan
 from ohmskin.errors import InputError
 
@@ -120,30 +115,6 @@ def test_ngspice_reads_the_same(circuit: str, seed: int) -> None:
     np.testing.assert_allclose(command_scan(design, cells), scan(design, cells).volts, rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.parametrize("circuit", ["inverting-amplifier", "voltage-divider", "row-amplifier"])
-@pytest.mark.parametrize("seed", range(6))
-def test_derivatives_are_those_of_the_reading(circuit: str, seed: int) -> None:
-    design, cells = real_design(seed, circuit=circuit, largest=3, idle_lines=True)
-    found, h = sensitivity(design, cells), 1e-5
-
-    def slope(above: Design, below: Design, step: float) -> Floats:
-        change: Floats = (scan(above, cells).volts - scan(below, cells).volts) / step
-        return change
-
-    for key, derivative in (("row_lead", found.row_lead), ("column_lead", found.column_lead)):
-        value = np.broadcast_to(getattr(design.array, key), derivative.shape[-1])
-        above, below = (design.replace(array={key: tuple(value * (1 + sign * h))}) for sign in (1, -1))
-        np.testing.assert_allclose(slope(above, below, 2 * h), (derivative * value).sum(axis=-1), rtol=1e-4, atol=1e-9)
-    scale = np.broadcast_to(design.readout.reference_resistance, found.reference_resistance.shape[-1])
-    one = design.readout.columns == "multiplexed"
-    above, below = (
-        design.replace(readout={"reference_resistance": float(each[0]) if one else tuple(each)})
-        for each in (scale * (1 + h), scale * (1 - h))
-    )
-    expected = (found.reference_resistance * scale).sum(axis=-1)
-    np.testing.assert_allclose(slope(above, below, 2 * h), expected, rtol=1e-4, atol=1e-9)
-
-
 @pytest.mark.parametrize("rows", ["ground", "pull"])
 def test_a_grounded_column_charges_from_the_reference_with_one_time_constant(rows: str) -> None:
     """Idle columns are at the reference, so that the column that is read is the only node with a charge."""
@@ -167,24 +138,6 @@ def test_a_grounded_column_charges_from_the_reference_with_one_time_constant(row
     seconds = farad / (1 / load + 1 / source_ohm)
     expected = one * -np.expm1(-period / 3 / seconds)
     np.testing.assert_allclose(Settling(design, cells).sampled(period), expected, rtol=1e-6)
-
-
-@pytest.mark.parametrize("rows", ["ground", "pull", "float"])
-@pytest.mark.parametrize("columns", ["parallel", "float", "ground", "load"])
-@pytest.mark.parametrize("circuit", ["inverting-amplifier", "row-amplifier", "voltage-divider"])
-def test_cells_are_recovered_from_one_frame_and_from_a_stream(circuit: str, columns: str, rows: str) -> None:
-    cells = 10 ** np.random.default_rng(7).uniform(3.0, 4.5, (3, 4))
-    idle = {} if columns == "parallel" else {"columns": "multiplexed", "idle_columns": columns}
-    drive = {"voltage": -1.0, "idle_rows": rows} | ({"idle_row_resistance": 1e4} if rows == "pull" else {})
-    design = board(circuit, 3, 4, drive=drive, readout={"reference_resistance": 1e3, **idle})
-    design = design.replace(adc={"bits": 14, "range": [-1.2, 1.2]})
-    volts = scan(design, cells).volts
-    np.testing.assert_allclose(recover(design, volts).resistance, cells, rtol=1e-8)
-    live, read = live_recovery(design), volts_of_codes(design, adc_codes(design, volts))
-    for _ in range(4):
-        found = live(read)
-    assert found.valid.all()
-    assert (np.abs(found.resistance / cells - 1) <= found.uncertainty).all()
 
 
 @pytest.mark.parametrize(

@@ -175,7 +175,7 @@ def test_a_frame_is_checked_for_other_solutions_at_a_bounded_cost(monkeypatch: p
         assert 0 < most <= limit
 
 
-@pytest.mark.skipif(compiled.why_not() is not None, reason="the extra 'fast' is not in use")
+@pytest.mark.skipif(compiled.why_not() is not None, reason="kernels are switched off")
 def test_the_loop_encloses_the_solutions_that_array_operations_enclose() -> None:
     """Laws at random, some of which have other solutions; some cells have no reading, or one of hardly a current."""
     random, code, others = np.random.default_rng(1), enclose.machine_code(), 0

@@ -5,15 +5,17 @@ from __future__ import annotations
 import subprocess
 from math import isfinite
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from designs import amplifier, divider
 from needs import need
+from parts_at_random import real_design
 from variety import any_design
 
 from ohmskin.bench._reference import reference_volts
-from ohmskin.circuits import CIRCUITS, Design
+from ohmskin.circuits import CIRCUITS, Design, scan
 from ohmskin.circuits.spice import command_available, frame_deck, netlist, run_control
 from ohmskin.cli import run
 from ohmskin.errors import InputError, SolverError
@@ -26,7 +28,7 @@ def read_by_ngspice(design: Design, cells: np.ndarray) -> np.ndarray:
     return np.array([[step[f"volts_{j}"] for j in range(columns)] for step in frame])
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", range(20))
 def test_ngspice_reads_what_the_circuit_says(seed: int) -> None:
     design, cells = any_design(seed)
     expected = reference_volts(design, cells)
@@ -41,7 +43,30 @@ def test_ngspice_reads_arrays_of_one_line(circuit: str, shape: tuple[int, int]) 
     np.testing.assert_allclose(read_by_ngspice(design, cells), reference_volts(design, cells), rtol=1e-7)
 
 
-@pytest.mark.parametrize("seed", range(200))
+@pytest.mark.parametrize("circuit", CIRCUITS)
+@pytest.mark.parametrize("seed", range(4))
+def test_ngspice_reads_unequal_parts_faults_and_limits(circuit: str, seed: int) -> None:
+    limits: dict[str, Any] = {"reference_voltage": 0.0, "supply": (-0.05, 0.2)} if seed == 3 else {"faults": seed}
+    design, cells = real_design(seed, circuit=circuit, **limits)
+    np.testing.assert_allclose(read_by_ngspice(design, cells), scan(design, cells).volts, rtol=1e-6, atol=1e-9)
+
+
+def test_feedback_without_leads() -> None:
+    cells = 10 ** np.random.default_rng(3).uniform(3, 5, (3, 4))
+    design = amplifier(3, 4, open_loop_gain=1e5).with_circuit("voltage-feedback")
+    np.testing.assert_allclose(read_by_ngspice(design, cells), scan(design, cells).volts, rtol=1e-7)
+    cells[1, 1] = 0.0
+    with pytest.raises(SolverError, match=r"voltage-feedback circuit cannot express; give array\.column_lead"):
+        netlist(design, cells, 1)
+
+
+def test_the_text_names_the_faults() -> None:
+    fault = {"kind": "bridged-columns", "place": [1, 0], "resistance": 12.5}
+    design = Design.model_validate(amplifier(2, 2, lead=3.0, segment=1.0).model_dump() | {"fault": [fault]})
+    assert "Rfault_0 col_1_0 col_1_1 12.5" in netlist(design, np.full((2, 2), 1e3), 0).splitlines()
+
+
+@pytest.mark.parametrize("seed", range(60))
 def test_every_part_has_a_resistance(seed: int) -> None:
     """ngspice takes 1 mohm for 0 and cannot read inf, so neither may be written; nor may a part bridge itself."""
     design, cells = any_design(seed)

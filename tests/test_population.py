@@ -105,17 +105,6 @@ def test_open_and_shorted_cells_are_read_too(fault: float) -> None:
     assert found.volts[4] == pytest.approx(alone.volts, rel=1e-9)
 
 
-def test_one_board_reads_many_frames_and_many_boards_one_frame() -> None:
-    design = DESIGNS["leads"]
-    random = np.random.default_rng(4)
-    cells = 10 ** random.uniform(3.0, 4.5, (COUNT, *design.array.shape))
-    frames = scan_population(design, Boards.of(design), cells).volts
-    assert frames[3] == pytest.approx(scan(design, cells[3], method="exact").volts)
-    boards = _boards(design, 5)
-    one = scan_population(design, boards, cells[:1]).volts
-    assert one[2] == pytest.approx(scan(boards.design(design, 2), cells[0], method="exact").volts)
-
-
 def test_saturated_boards_are_flagged_even_when_they_are_not_solved_again() -> None:
     design = DESIGNS["saturating"]
     cells = np.full((COUNT, 3, 3), 10e3)
@@ -125,15 +114,6 @@ def test_saturated_boards_are_flagged_even_when_they_are_not_solved_again() -> N
     exact = scan_population(design, boards, cells)
     assert (quick.saturated.any(axis=(1, 2)) == exact.saturated.any(axis=(1, 2))).all()
     assert np.abs(quick.volts).max() <= 0.4
-
-
-def test_a_chunk_does_not_change_its_boards(monkeypatch: pytest.MonkeyPatch) -> None:
-    design = DESIGNS["segments"]
-    cells = np.full((1, *design.array.shape), 5e3)
-    boards = _boards(design, 7)
-    together = scan_population(design, boards, cells).volts
-    monkeypatch.setattr("ohmskin.circuits._population._TOGETHER", 1)
-    assert scan_population(design, boards, cells).volts == pytest.approx(together, rel=1e-13)
 
 
 def test_shapes_that_do_not_fit_are_refused() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Callable
@@ -16,7 +15,7 @@ import pytest
 from boards import EXAMPLES, scene
 
 from ohmskin.common.rendezvous import Announcement, announced, announced_ports
-from ohmskin.driver import Skin, discover
+from ohmskin.driver import Frame, Skin, discover
 from ohmskin.emulator import Port, PtyPort, Rfc2217Port, Scene, TcpPort, running
 from ohmskin.errors import LinkEnded, LinkError
 
@@ -51,14 +50,11 @@ FOREIGN = (
     "/dev/pts/ptmx",
 )
 """names that stand in notes for no port of this machine: of the port {tty}, the TCP port {number}, a file"""
-CLOSED_IN_GOOD_ORDER = (
-    r"the other end has closed the connection in good order, and nobody listens there since \(0\.5 s\)"
-)
 
 
 @pytest.fixture(autouse=True)
 def _no_real_ports(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ohmskin.driver._discover.serial_ports", list)
+    monkeypatch.setattr("serial.tools.list_ports.comports", list)
 
 
 def files() -> list[Path]:
@@ -168,27 +164,19 @@ class TestOtherMachines:
             with pytest.raises(LinkEnded, match="the emulated board has come to the end of its time"):
                 skin.read()
 
-    def test_the_regular_end_over_rfc_2217_is_an_end(self, elsewhere: Callable[[], None]) -> None:
-        """DSR, which goes off, says that the connection was closed in good order."""
-        port = Rfc2217Port.at(":0")
-        elsewhere()
-        with silent_board(port), host_of(port, reconnect=0.5) as skin:
-            assert len(list(skin)) == 50
-            with pytest.raises(LinkEnded, match=CLOSED_IN_GOOD_ORDER):
-                skin.read()
-
-    @pytest.mark.parametrize("urgent", [b"", b"!"])
-    def test_behind_a_forwarder_the_end_is_known_by_nobody_listening(
-        self, elsewhere: Callable[[], None], monkeypatch: pytest.MonkeyPatch, urgent: bytes
+    @pytest.mark.parametrize("link", ["tcp", "rfc2217"])
+    def test_where_nothing_says_that_it_was_the_end_the_board_has_gone(
+        self, elsewhere: Callable[[], None], monkeypatch: pytest.MonkeyPatch, link: str
     ) -> None:
-        """Forwarders such as SSH drop urgent data. Other programs' urgent data say nothing of an end."""
-        monkeypatch.setattr(TcpPort, "_say_over", lambda _, host: host.send(urgent, socket.MSG_OOB))
-        port = TcpPort.at(":0")
+        """Behind forwarders such as SSH, which drop urgent data, and over RFC 2217."""
+        monkeypatch.setattr(TcpPort, "_say_over", lambda *_: None)
+        port, taken = LINKS[link](), list[Frame]()
         elsewhere()
-        with silent_board(port), host_of(port, reconnect=0.5) as skin:
-            assert len(list(skin)) == 50
-            with pytest.raises(LinkEnded, match=CLOSED_IN_GOOD_ORDER):
-                skin.read()
+        with silent_board(port), host_of(port, reconnect=0.2) as skin:
+            with pytest.raises(LinkError, match=r"it has not come back within 0\.2 s") as caught:
+                taken.extend(skin)
+            assert not isinstance(caught.value, LinkEnded)
+        assert len(taken) == 50
 
     def test_a_program_that_is_killed_is_gone(self, tmp_path: Path) -> None:
         words = ["emulate", str(FINGERS), "--board", "fsr-array", "--tcp", ":0"]
@@ -229,6 +217,11 @@ class TestBoards:
             with Skin.open(serial_number="L-07") as one, Skin.open(serial_number="R-02") as other:
                 assert (one.read(30.0).sequence is None, other.read(30.0).sequence is None) == (False, False)
                 assert discover() == []  # both are in use
+            there = "no board with serial number middle at a port that is free; boards present: L-07 at .*, R-02 at "
+            with pytest.raises(LinkError, match=there):
+                Skin.open(serial_number="middle")
+            with pytest.raises(LinkError, match="board L-07 is there; expected R-02"):
+                Skin.open(str(tmp_path / "arm"), serial_number="R-02")
         assert files() == []
         assert discover() == []
 

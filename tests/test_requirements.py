@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import json
-import signal
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
-import numpy as np
 import pytest
-from designs import amplifier
 from verified import AMPLIFIED, complete, outcomes_of
 
-from ohmskin.cell import Cell, ContactModel
-from ohmskin.circuits import Adc, Array, Design, Requirement, apparent_resistance, scan
+from ohmskin.cell import Cell
+from ohmskin.circuits import Adc, Array, Design, Requirement
 from ohmskin.cli import run
 from ohmskin.common.config import parse, read_toml
 from ohmskin.errors import InputError
-from ohmskin.verification import default_requirements, load_requirements, verify
-from ohmskin.verification._outcome import Outcome
+from ohmskin.verification import Outcome, default_requirements, load_requirements, verify
 
 pytestmark = pytest.mark.usefixtures("quick_verification")
 
@@ -34,27 +28,6 @@ def _design(tmp_path: Path, text: str) -> Design:
 def _asked(*quantities: str, **keys: object) -> list[Requirement]:
     limits = {"max": 1e9} | keys
     return [Requirement.model_validate({"id": f"R-{name}", "quantity": name} | limits) for name in quantities]
-
-
-def test_one_amplifier_of_the_other_sign_counts_over_floating_rows() -> None:
-    """All offsets of one sign shift all columns alike; one that differs drives currents through the floating rows."""
-    design = amplifier(8, 8, offset_voltage=4.5e-3, open_loop_gain=1e5).replace(drive={"idle_rows": "float"})
-    rest = np.full((8, 8), 10e3)
-    pressed = np.full((8, 8), 17.75e3)
-    pressed[:, 0] = 10e3
-    turned = design.replace(readout={"offset_voltage": (-4.5e-3, *[4.5e-3] * 7)})
-    ohms = [
-        apparent_resistance(design, scan(board, cells).volts) for board in (design, turned) for cells in (rest, pressed)
-    ]
-    alike, one_turned = (100 * np.abs(after / before - 1)[:, 0].max() for before, after in (ohms[:2], ohms[2:]))
-    assert one_turned > 5 * alike
-    report = verify(design, requirements=_asked("crosstalk", "reading_error", max=2.0))
-    crosstalk, error = (result.measurement for result in report.results)
-    assert crosstalk is not None
-    assert crosstalk.value >= one_turned
-    assert error is not None
-    assert error.value >= 100 * np.abs(ohms[2] / rest - 1).max()
-    assert report.outcome is Outcome.FAIL
 
 
 def test_cells_within_their_tolerance_must_not_saturate_an_output(tmp_path: Path) -> None:
@@ -75,14 +48,6 @@ def test_a_board_for_other_cells_is_judged_with_those(tmp_path: Path) -> None:
     wanted = _asked("output_headroom", max=None, min=0.0) + _asked("reading_error", max=10.0)
     assert verify(design, requirements=wanted).outcome is Outcome.FAIL
     assert verify(design, cell=large, requirements=wanted).outcome is Outcome.PASS
-
-
-def test_a_converter_range_that_the_presses_leave_fails(tmp_path: Path) -> None:
-    """[1.2, 3.3] V: pressed readings fall to 1.13 V."""
-    design = _design(tmp_path, complete(AMPLIFIED, adc="bits = 12\nrange = [1.2, 3.3]"))
-    wanted = [*_asked("adc_headroom", max=None, min=0.0), *_asked("lost_readings", "reading_error", max=10.0)]
-    report = verify(design, requirements=wanted)
-    assert outcomes_of(report) == {"adc_headroom": "fail", "lost_readings": "fail", "reading_error": "fail"}
 
 
 def test_too_few_boards_are_not_a_failure_and_how_many_would_do_is_said(
@@ -108,18 +73,6 @@ def test_a_yield_that_is_missed_fails_whatever_the_number_of_boards(tmp_path: Pa
     (result,) = verify(design, requirements=asked, samples=200).results
     assert str(result.outcome) == "fail"
     assert "boards keep the limit: yield" in result.why
-
-
-def test_leads_that_scatter_cost_the_pressure_something(tmp_path: Path) -> None:
-    """The host knows nominal leads only."""
-    text = complete(AMPLIFIED.replace("row_lead = 70.0", "row_lead = { nominal = 300.0, tolerance = TOL }"))
-    errors = []
-    for tolerance in ("0.0", "0.5"):
-        design = _design(tmp_path, text.replace("TOL", tolerance))
-        (result,) = verify(design, requirements=_asked("pressure_peak_error")).results
-        assert result.measurement is not None
-        errors.append(result.measurement.value)
-    assert errors[1] > 1.2 * errors[0]
 
 
 def test_a_board_that_senses_rows_is_judged_as_the_same_board_turned_by_hand(tmp_path: Path) -> None:
@@ -168,25 +121,6 @@ def test_a_divider_whose_cells_cannot_be_told_apart_says_so(tmp_path: Path) -> N
     assert "not valid, all cells" in result.why
 
 
-@pytest.mark.parametrize("exponent", [0.7, 1.0])
-def test_the_pressure_of_a_contact_is_resolved_along_its_own_curve(tmp_path: Path, exponent: float) -> None:
-    """At full scale p, R = 1/(1/R0 + p^n/Rf): dR/dp = -n R^2/(Rf p)."""
-    design = _design(tmp_path, complete(AMPLIFIED.replace("20000.0", "5000.0")))
-    cell = Cell(
-        rest_resistance_ohm=20e3,
-        full_scale_kpa=40.0,
-        model=ContactModel(exponent=exponent, full_scale_resistance_ohm=5e3),
-    )
-    report = verify(design, cell=cell, requirements=_asked("noise", "pressure_resolution"))
-    noise, resolution = (r.measurement for r in report.results)
-    assert noise is not None
-    assert resolution is not None
-    pressed = 4e3
-    kpa_per_ohm = 5e3 * 40.0 / (exponent * pressed**2)
-    ohm_per_volt = pressed**2 / 5000.0  # V = Rref/R
-    assert resolution.value == pytest.approx(noise.value * ohm_per_volt * kpa_per_ohm, rel=0.1)
-
-
 def test_what_the_design_does_not_name_is_not_run_and_named(tmp_path: Path) -> None:
     text = "\n".join(
         line
@@ -209,35 +143,12 @@ def test_what_the_design_does_not_name_is_not_run_and_named(tmp_path: Path) -> N
     assert verify(design, require_all=True).exit_code == 1
 
 
-def test_an_ideal_board_still_gets_a_number_where_one_exists() -> None:
-    report = verify(amplifier(3, 3), requirements=_asked("crosstalk", "reading_error"))
-    assert {result.outcome for result in report.results} == {Outcome.PASS}
-
-
 @pytest.fixture(scope="module")
 def sound() -> dict[str, float]:
     """Errors of the pressure of the complete design, by quantity."""
     design = parse(tomllib.loads(complete(AMPLIFIED)), Design, source="complete")
     report = verify(design, requirements=_asked("pressure_rmse", "pressure_peak_error"))
     return {r.requirement.quantity: r.measurement.value for r in report.results if r.measurement}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("worse", "quantity"),
-    [
-        ({"readout": {"voltage_noise": 4e-5}}, "pressure_rmse"),
-        ({"readout": {"offset_voltage": 40e-3}}, "pressure_peak_error"),
-        ({"operation": {"frame_rate": 90e3}}, "pressure_rmse"),
-    ],
-)
-def test_the_pressure_suffers_from_noise_offsets_and_haste(
-    worse: dict[str, dict[str, object]], quantity: str, sound: dict[str, float]
-) -> None:
-    design = parse(tomllib.loads(complete(AMPLIFIED)), Design, source="complete").replace(**worse)
-    found = verify(design, requirements=_asked(quantity)).results[0].measurement
-    assert found is not None
-    assert found.value > 1.2 * sound[quantity]
 
 
 def test_the_skin_is_untouched_while_it_is_tared(sound: dict[str, float]) -> None:
@@ -352,43 +263,10 @@ def test_a_designs_code_is_loaded_from_its_folder_only_if_it_is_selected(
 
 
 def test_an_id_of_a_requirement_is_not_taken_for_a_shipped_one() -> None:
-    asked = (Requirement(id="S1", quantity="cell_voltage", max=10.0), Requirement(id="P2", quantity="latency", max=9.0))
-    report = verify(requirements=asked, only=["S1", "P2"])
-    assert [result.requirement.id for result in report.results] == ["S1", "P2"]
-    assert not report.sections
-
-
-DROPS_ERRORS = """
-import ctypes, time
-class Destroyed:
-    def __del__(self):
-        wait()
-def wait():
-    print("waiting", flush=True)
-    time.sleep(1.0)
-def destructor(design, cell):
-    Destroyed()
-    time.sleep(600.0)
-def callback(design, cell):
-    ctypes.CFUNCTYPE(None)(wait)()
-    time.sleep(600.0)
-"""
-
-
-@pytest.mark.parametrize("where", ["destructor", "callback"])
-def test_a_signal_ends_the_run_even_where_python_drops_exceptions(where: str, tmp_path: Path) -> None:
-    (tmp_path / "own.py").write_text(DROPS_ERRORS)
-    (tmp_path / "design.toml").write_text(
-        f'{AMPLIFIED}[[requirement]]\nid = "A"\nquantity = "own.py:{where}"\nmax = 1.0\n'
-    )
-    command = [sys.executable, "-m", "ohmskin", "verify", "design.toml"]
-    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        assert process.stdout is not None
-        while process.stdout.readline() != b"waiting\n":
-            pass
-        process.send_signal(signal.SIGTERM)
-        _, said = process.communicate()
-    assert (process.returncode, said) == (128 + signal.SIGTERM, b"ohmskin: terminated\n")
+    asked = (Requirement(id="P3", quantity="cell_voltage", max=10.0), Requirement(id="P2", quantity="latency", max=9.0))
+    report = verify(requirements=asked, only=["P3", "P2"])
+    assert [result.requirement.id for result in report.results] == ["P3", "P2"]
+    assert not report.claims
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from ohmskin.circuits import ideal_volts, scan
-from ohmskin.circuits._grid import exact_ports
 from ohmskin.errors import InputError
 
 ORDINARY = st.floats(1e2, 1e7)
@@ -88,57 +87,6 @@ def test_published_distributed_line_errors(size: int, first: float, last: float)
     assert round(errors[-1], 3) == last
 
 
-def _nodal(conductance: np.ndarray, row: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, int]:
-    """Laplacian of the whole grid with the N + M port nodes first."""
-    n, m = conductance.shape
-    node = {("source", i): i for i in range(n)} | {("column", n - 1, j): n + j for j in range(m)}
-    branches = []
-    for i in range(n):
-        for j in range(m):
-            left = ("source", i) if j == 0 else ("row", i, j - 1)
-            branches.append((left, ("row", i, j), row[i, j]))
-            branches.append((("row", i, j), ("column", i, j), conductance[i, j]))
-            if i:
-                branches.append((("column", i - 1, j), ("column", i, j), column[i, j]))
-    laplacian = np.zeros((2 * n * m + n, 2 * n * m + n))
-    for a, b, g in branches:
-        p, q = (node.setdefault(x, len(node)) for x in (a, b))
-        laplacian[[p, q], [p, q]] += g
-        laplacian[[p, q], [q, p]] -= g
-    return laplacian, n + m
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (1, 6), (6, 1), (2, 2), (5, 3), (13, 18), (20, 17)])
-@pytest.mark.parametrize("segment", [1e-3, 1.0, 300.0])
-def test_ports_are_the_schur_complement_of_the_nodal_matrix(shape: tuple[int, int], segment: float) -> None:
-    rng = np.random.default_rng(7)
-    cells = 10 ** rng.uniform(3, 5, shape)
-    ports = exact_ports(amplifier(*shape, lead=2 * segment, segment=segment).board, cells).value
-    row, column = np.full(shape, 1 / segment), np.full(shape, 1 / segment)
-    row[:, 0] /= 2
-    laplacian, count = _nodal(1 / cells, row, column)
-    inner = np.linalg.solve(laplacian[count:, count:], laplacian[count:, :count])
-    expected = laplacian[:count, count:] @ inner - laplacian[:count, :count]
-    np.fill_diagonal(expected, 0.0)
-    np.testing.assert_allclose(ports, expected, rtol=1e-9, atol=1e-13 * expected.max())
-    assert np.array_equal(ports.diagonal(), np.zeros(count))
-    np.testing.assert_allclose(ports, ports.T, rtol=1e-12)
-
-
-@settings(deadline=None)
-@given(
-    hnp.arrays(np.float64, hnp.array_shapes(min_dims=2, max_dims=2, max_side=7), elements=ORDINARY),
-    st.sampled_from([0.0, 1e-6, 0.5, 100.0, 1e6]),
-    st.floats(1e-3, 1e3),
-)
-def test_scaling_all_resistances_scales_all_readings(cells: np.ndarray, ohms: float, k: float) -> None:
-    base = scan(amplifier(*cells.shape, lead=ohms, segment=ohms), cells).volts
-    scaled = scan(
-        amplifier(*cells.shape, lead=k * ohms, segment=k * ohms, reference_resistance=k * 1e3), k * cells
-    ).volts
-    np.testing.assert_allclose(scaled, base, rtol=1e-11)
-
-
 @settings(deadline=None)
 @given(hnp.arrays(np.float64, hnp.array_shapes(min_dims=2, max_dims=2, max_side=7), elements=ORDINARY))
 def test_reading_the_grid_from_its_other_side(cells: np.ndarray) -> None:
@@ -147,35 +95,6 @@ def test_reading_the_grid_from_its_other_side(cells: np.ndarray) -> None:
     # Turned over, the sources sit at the ends where the amplifiers were.
     turned = scan(amplifier(*cells.shape[::-1], lead=30.0, segment=2.0), cells[::-1, ::-1].T).volts
     np.testing.assert_allclose(turned.T[::-1, ::-1], base, rtol=1e-11)
-
-
-@settings(deadline=None)
-@given(
-    hnp.arrays(np.float64, (5, 4), elements=ORDINARY),
-    st.integers(0, 4),
-    st.integers(0, 3),
-    st.sampled_from([0.0, 20.0]),
-)
-def test_pressing_a_cell_lowers_its_own_reading(cells: np.ndarray, row: int, column: int, segment: float) -> None:
-    design = amplifier(5, 4, lead=10.0, segment=segment)
-    pressed = cells.copy()
-    pressed[row, column] *= 1.5
-    assert scan(design, pressed).volts[row, column] < scan(design, cells).volts[row, column]
-
-
-def test_open_rows_and_columns_read_open_and_leave_the_others_alone() -> None:
-    rng = np.random.default_rng(3)
-    cells = 10 ** rng.uniform(3, 5, (5, 6))
-    base = scan(amplifier(5, 6, lead=5.0), cells).volts
-    with_gap = np.insert(cells, 2, np.inf, axis=0)
-    read = scan(amplifier(6, 6, lead=5.0), with_gap)
-    assert np.isinf(read.resistance[2]).all()
-    np.testing.assert_allclose(np.delete(read.volts, 2, axis=0), base, rtol=1e-12)
-    with_gap = np.insert(cells, 3, np.inf, axis=1)
-    for segment in (0.0, 3.0):
-        read = scan(amplifier(5, 7, lead=5.0, segment=segment), with_gap)
-        assert np.isinf(read.resistance[:, 3]).all()
-        assert np.isfinite(np.delete(read.resistance, 3, axis=1)).all()
 
 
 def test_finite_gain_offset_and_bias_follow_the_first_order_law() -> None:
@@ -213,14 +132,6 @@ def test_a_short_reads_infinite_on_ideal_parts_and_saturates_real_ones() -> None
     real = scan(amplifier(3, 3, open_loop_gain=1e5, supply=(-5.0, 5.0)), cells)
     assert real.saturated[1, 1]
     assert real.volts[1, 1] == 5.0
-
-
-@pytest.mark.parametrize("idle_rows", ["float", "ground"])
-@pytest.mark.parametrize("idle_columns", ["float", "load"])
-def test_a_single_cell_divider_is_a_divider(idle_rows: str, idle_columns: str) -> None:
-    result = scan(divider(1, 1, idle_rows=idle_rows, idle_columns=idle_columns), [[3e3]])
-    assert result.volts[0, 0] == pytest.approx(0.25, rel=1e-14)
-    assert result.resistance[0, 0] == pytest.approx(3e3, rel=1e-14)
 
 
 def test_divider_with_shorts_and_open_lines_has_no_stray_numbers() -> None:

@@ -10,7 +10,7 @@ from designs import amplifier, divider
 from parts_at_random import real_design
 
 from ohmskin.bench._reference import reference_volts
-from ohmskin.circuits import CIRCUITS, Design, Fault, Sensitivity, _sensitivity, scan, sensitivity
+from ohmskin.circuits import CIRCUITS, Design, Fault, Sensitivity, scan, sensitivity
 from ohmskin.errors import InputError
 
 Change = Callable[[float], tuple[Design, np.ndarray]]
@@ -172,22 +172,3 @@ def test_what_has_no_sensitivities_is_refused() -> None:
         sensitivity(sheet, np.ones((2, 2)))
     with pytest.raises(InputError, match="at most 4096 cells, the design has 4225"):
         sensitivity(amplifier(65, 65), np.ones((65, 65)))
-
-
-@pytest.mark.parametrize("circuit", ["inverting-amplifier", "voltage-divider"])
-@pytest.mark.parametrize("segment", [0.0, 2.0])
-def test_small_grids_are_solved_as_large_ones_are(
-    circuit: str, segment: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """By dense equations as by sparse ones, ideal wires and open cells included."""
-    for seed in range(5):
-        design, cells = real_design(seed, circuit=circuit)
-        design = design.replace(array={"row_segment": segment})
-        cells[0, 0] = np.inf
-        monkeypatch.setattr(_sensitivity, "FEW_NODES", 150)
-        dense = sensitivity(design, cells)
-        monkeypatch.setattr(_sensitivity, "FEW_NODES", 0)
-        sparse = sensitivity(design, cells)
-        for name in ("cell_conductance", "row_lead", "row_segment", "column_lead", "column_segment"):
-            found, expected = getattr(dense, name), getattr(sparse, name)
-            np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-10 * np.abs(expected).max(initial=0.0))

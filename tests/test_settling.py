@@ -12,7 +12,7 @@ from needs import need
 from scipy.integrate import solve_ivp
 
 from ohmskin.circuits import Adc, Design, Settling, scan, stability
-from ohmskin.circuits.spice import available, run_library
+from ohmskin.circuits.spice import command_available, run_command
 from ohmskin.errors import InputError, SolverError
 
 CELLS = np.array([[1e4, 2e4, 5e4], [3e4, np.inf, 1.5e4]])
@@ -62,7 +62,7 @@ def test_one_row_never_changes() -> None:
 def test_without_lags_every_sample_is_settled(gain: float) -> None:
     design = board({}, gain_bandwidth=inf, open_loop_gain=gain, column_capacitance=1e-10 if gain == inf else 0.0)
     settling = Settling(design, CELLS)
-    assert (settling.sampled(1e-12) == scan(design, CELLS, method="exact").volts).all()
+    np.testing.assert_allclose(settling.sampled(1e-12), scan(design, CELLS, method="exact").volts, rtol=1e-12)
     assert settling.shortest_period(1e-6) == 0
 
 
@@ -109,7 +109,7 @@ def transient(design: Design, period: float, frames: int) -> np.ndarray:
     stop = frames * rows * period
     cards.append(".options reltol=1e-6 abstol=1e-14 vntol=1e-9 chgtol=1e-18 trtol=1")
     cards += [f".tran {period / 100!r} {stop!r} 0 {period / 2000!r}", ".end"]
-    vectors = run_library("\n".join(cards))
+    vectors = run_command("\n".join(cards))
     instants = (np.arange((frames - 1) * rows, frames * rows) + 1) * period
     node = "q" if design.adc else "o"
     return np.column_stack([np.interp(instants, vectors["time"], vectors[f"{node}{j}"]) for j in range(columns)])
@@ -117,7 +117,7 @@ def transient(design: Design, period: float, frames: int) -> np.ndarray:
 
 @pytest.mark.parametrize("name", LAGS)
 def test_against_an_ngspice_transient(name: str) -> None:
-    need(available())
+    need(command_available())
     design = board(**LAGS[name])
     settling = Settling(design, CELLS)
     period = settling.shortest_period(0.1)
@@ -177,7 +177,7 @@ def divider_transient(design: Design, cells: np.ndarray, period: float, frames: 
         cards.append(f"Cs q 0 {adc.sampling_capacitance!r}")
     cards.append(".options reltol=1e-6 abstol=1e-14 vntol=1e-9 chgtol=1e-18 trtol=1")
     cards += [f".tran {period / 100!r} {frames * frame!r} 0 {period / 1000!r}", ".end"]
-    vectors = run_library("\n".join(cards))
+    vectors = run_command("\n".join(cards))
     ends = np.arange((frames - 1) * rows, frames * rows)[:, None] * period + period
     ends = ends - (columns - 1 - np.arange(columns)) * slot
     nodes = ["q" if acquisition else f"q{j}" if adc else f"e{j}" for j in range(columns)]
@@ -186,7 +186,7 @@ def divider_transient(design: Design, cells: np.ndarray, period: float, frames: 
 
 @pytest.mark.parametrize("name", DIVIDERS)
 def test_a_divider_against_an_ngspice_transient(name: str) -> None:
-    need(available())
+    need(command_available())
     cells = np.array([[7e3, 1e6, 2e4], [3e4, 5e4, 1e6], [1e6, 9e3, 1e5]])
     keys = dict(DIVIDERS[name])
     adc, idle = keys.pop("adc", None), keys.pop("idle_rows", "ground")
@@ -222,27 +222,26 @@ def test_a_divider_of_one_column_charges_like_one_rc(idle_columns: str) -> None:
     assert settling.shortest_period(1e-3) == pytest.approx(tau * log(1e3), rel=1e-6)
 
 
-def test_what_has_no_capacitance_settles_at_once() -> None:
-    settling = Settling(divider(2, 2, idle_columns="float"), np.array([[7e3, np.inf], [1e6, 2e4]]))
-    np.testing.assert_allclose(settling.sampled(1e-12), settling.settled, rtol=1e-9)
-    assert settling.shortest_period(1e-6) == 0
-
-
 @pytest.mark.parametrize("capacitance", [0.0, 1e-11], ids=["an ideal sampler", "a capacitor"])
 def test_one_sampling_capacitor_serves_the_columns_in_turn(capacitance: float) -> None:
     """Against an ODE solver that runs amplifiers and capacitor through many frames, each column in its own slot."""
     slot, period = 2e-7, 2e-6
     design = board({"sampling_capacitance": capacitance, "switch_resistance": 1e4, "acquisition_time": slot})
     settling, tau = Settling(design, CELLS), 1e4 * capacitance
-    dynamics = settling._scan.dynamics[0]
     rows, columns = CELLS.shape
+    # v' = -w (u + v/A), with Y u + (u - v)/Rref = 0: the crosspoints of rows behind leads eliminated (Schur), 1/A = 0.
+    leads = np.eye(columns) / 70.0
+    cells = np.nan_to_num(1.0 / CELLS)
+    inner = leads + np.diag(cells.sum(axis=0)) - cells.T @ np.diag(1.0 / (1.0 / 70.0 + cells.sum(axis=1))) @ cells
+    seen = leads - leads @ np.linalg.solve(inner, leads)
+    matrix = -2 * pi * 1e6 / 2e4 * np.linalg.inv(seen + np.eye(columns) / 2e4)
     state, samples = np.r_[settling.settled[-1], 0.0], np.zeros(CELLS.shape)
     for step in range(6 * rows):
         goal = settling.settled[step % rows]
 
         def rate(_: float, state: np.ndarray, chosen: int | None, goal: np.ndarray = goal) -> np.ndarray:
             charging = 0.0 if chosen is None or not tau else (state[chosen] - state[-1]) / tau
-            return np.r_[dynamics.matrix @ (state[:-1] - goal), charging]
+            return np.r_[matrix @ (state[:-1] - goal), charging]
 
         for chosen, duration in [(None, period - columns * slot), *((j, slot) for j in range(columns))]:
             run = solve_ivp(rate, (0, duration), state, args=(chosen,), rtol=1e-10, atol=1e-12)
@@ -293,10 +292,11 @@ def test_a_ringing_amplifier_keeps_its_error_at_every_longer_period(seed: int) -
             gain_bandwidth=float(10 ** rng.uniform(5, 8)),
             column_capacitance=float(10 ** rng.uniform(-10, -7)),
         )
-        margin = float(stability(design, cells).phase_margin.min())
+        stable = stability(design, cells)
+        margin = float(stable.phase_margin.min())
     settling, error = Settling(design, cells), float(10 ** rng.uniform(-4, -0.5))
     period = settling.shortest_period(error)
-    ringing = np.abs(np.linalg.eigvals(settling._scan.dynamics[0].matrix)).max()
+    ringing = 2 * pi * stable.crossover.max()
     longer = period + np.linspace(0.0, min(2.0 * period, 60.0 / ringing), 400)
     assert max(map(settling.error, longer)) <= error * (1 + 1e-9)
     assert settling.error(0.9999 * period) > error
@@ -316,12 +316,6 @@ def test_a_capacitor_that_cannot_follow_is_named() -> None:
     assert Settling(design, CELLS).shortest_period(0.2) > 2e-7
     with pytest.raises(SolverError, match="acquisition_time"):
         Settling(design, CELLS).shortest_period(1e-3)
-
-
-def test_stiff_parts() -> None:
-    """A fast amplifier in a slow scan: nothing is left, and nothing blows up."""
-    settling = Settling(board(gain_bandwidth=1e10, column_capacitance=1e-12), CELLS)
-    np.testing.assert_allclose(settling.sampled(1.0), settling.settled, rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", [n for n in LAGS if n not in {"sampler", "floating rows"}])
@@ -349,12 +343,6 @@ def test_a_feedback_capacitor_calms_the_amplifier() -> None:
     calm = stability(board(column_capacitance=2e-9, feedback_capacitance=5e-11), CELLS)
     assert (restless.peaking > 1.5).all()
     assert (calm.phase_margin > restless.phase_margin + 20).all()
-
-
-def test_floating_rows_leave_less_to_drive() -> None:
-    floating, grounded = (stability(board(idle_rows=idle), CELLS).noise_gain for idle in ("float", "ground"))
-    assert (floating < grounded).all()
-    assert (floating[0] != floating[1]).any()
 
 
 def test_what_is_not_modelled_is_refused() -> None:

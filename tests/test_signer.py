@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from threading import get_ident
 from typing import Any
 
 import numpy as np
 import pytest
 
 from ohmskin.circuits import Design, Requirement, apparent_resistance, scan
-from ohmskin.verification import Report, Subject, _run, best_carbon_black, verify
-from ohmskin.verification._explore import _judged
-from ohmskin.verification._requirements import evaluate
+from ohmskin.verification import Report, verify
 
 WRITTEN = """
 [array]
@@ -97,52 +94,12 @@ def test_named_corner_solved_alone_gives_stated_crosstalk(design: Design) -> Non
     assert record.measured == pytest.approx(100 * expected, rel=1e-9)
 
 
-def test_corner_says_which_package_and_what_a_negative_part_is(design: Design) -> None:
-    where = _verified(design, quantity="reading_error", max=5.0, unit="%").record().requirements[0].where
-    assert "drive.voltage high (−597 mV)" in where or "drive.voltage low (−603 mV)" in where
-
-
 def test_pressure_is_not_judged_without_noise_and_speed(design: Design) -> None:
     for quantity in ("pressure_rmse", "pressure_peak_error"):
         result = _verified(design, quantity=quantity, max=5.0, unit="%").results[0]
         assert result.outcome == "not run"
         for key in ("voltage_noise", "gain_bandwidth", "column_capacitance", "temperature"):
             assert f"readout.{key}" in result.reason
-
-
-def test_error_in_own_quantity_names_its_line(design: Design, tmp_path: Path) -> None:
-    (tmp_path / "own.py").write_text(
-        "def crash(design, cell):\n    return 1 / 0\n\ndef words(design, cell):\n    return 'a'\n"
-    )
-    crash, words = (
-        evaluate(Subject(design, None), Requirement(id="R", quantity=f"own.py:{name}", max=1.0), tmp_path)
-        for name in ("crash", "words")
-    )
-    assert crash.outcome == words.outcome == "not run"
-    assert crash.reason == "own.py, line 2: ZeroDivisionError: division by zero"
-    assert words.reason.startswith("what own.py returns: ValueError")
-
-
-def test_what_a_board_measures_is_measured_by_the_process_that_owns_its_port(
-    design: Design, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked = (
-        Requirement(id="sim", quantity="noise", max=1.0, unit="V"),
-        Requirement(id="board", quantity="noise", max=1.0, unit="V", method="hardware"),
-    )
-    work = _run.Work(Subject(design, None, "/dev/board"), asked, Path())
-    tasks = [_run.Task(f"requirement-{k}", "", "requirement", k) for k in range(2)]
-    seen: dict[str, list[str]] = {"here": [], "apart": []}
-
-    def noted(function: Any, items: Any, *, jobs: int, done: Any) -> list[Any]:
-        seen["here" if jobs == 1 else "apart"] += [item.key for item in items]
-        for item in items:
-            done((item, get_ident()))
-        return []
-
-    monkeypatch.setattr(_run, "in_processes", noted)
-    _run._run_all(work, tasks, _run._Store(None, ""), 2, None, lambda *_: None)
-    assert seen == {"here": ["requirement-1"], "apart": ["requirement-0"]}
 
 
 def test_failed_requirement_says_the_command_to_type(design: Design) -> None:
@@ -161,23 +118,6 @@ def test_many_requirements_with_one_reason_take_one_line(design: Design) -> None
     ((what, why),) = report.left_out_by_reason
     assert what == "R0, R1, R2, R3, R4"
     assert "readout.gain_bandwidth" in why
-
-
-def test_best_carbon_black_is_finer_than_its_neighbours(design: Design) -> None:
-    noisy = design.replace(
-        readout={"voltage_noise": 16e-9, "temperature": 300.0, "gain_bandwidth": 3e6, "column_capacitance": 1e-10}
-    )
-    subject = Subject(noisy, None)
-    best = best_carbon_black(subject)
-    assert best is not None
-    assert np.isfinite(best.figures[:3]).all()
-    fraction = best.changes["carbon black"]
-    for factor in (0.8, 1.25):
-        other = _judged(subject, {"carbon black": factor * fraction})
-        beyond = not np.isfinite(other.figures[:3]).all()
-        assert beyond or other.resolution_kpa >= best.resolution_kpa
-    pressed_conducts = noisy.replace(cells={"rest_resistance": 24e3, "full_scale_resistance": 15e3})
-    assert best_carbon_black(Subject(pressed_conducts, None)) is None
 
 
 def test_what_is_left_out_follows_from_the_design(design: Design) -> None:
@@ -211,3 +151,14 @@ def test_page_one_says_what_is_left_out(design: Design) -> None:
     assert "readout.gain_bandwidth" in front
     assert 'id="assumed"' in page
     assert "slewing" in report.markdown()
+
+
+def test_error_in_own_quantity_names_its_line(design: Design, tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(
+        "def crash(design, cell):\n    return 1 / 0\n\ndef words(design, cell):\n    return 'a'\n"
+    )
+    asked = [Requirement(id=name, quantity=f"own.py:{name}", max=1.0) for name in ("crash", "words")]
+    crash, words = verify(design, requirements=asked, folder=tmp_path).results
+    assert crash.outcome == words.outcome == "not run"
+    assert crash.reason == "own.py, line 2: ZeroDivisionError: division by zero"
+    assert words.reason.startswith("function(design, cell), or the number that it returns: ValueError")

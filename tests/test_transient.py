@@ -1,4 +1,4 @@
-"""Transient response event by event, against the settling of a scan, and its two ways of computing it."""
+"""Transient response event by event, against the settling of a scan."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from ohmskin.circuits import Design, Settling, Transient, scan
-from ohmskin.circuits.timing import _transient
 from ohmskin.errors import InputError
 
 BOARD = Design.load(Path(__file__).parents[1] / "examples" / "board-4x4.toml")
@@ -24,13 +23,8 @@ VARIANTS = {
 
 
 @pytest.mark.parametrize("design", VARIANTS.values(), ids=VARIANTS.keys())
-@pytest.mark.parametrize("modal", [True, False], ids=["modal", "exponential"])
 @pytest.mark.parametrize("period", [50e-6, 90e-6])
-def test_a_row_selected_from_rest_reads_as_settling_predicts(
-    design: Design, modal: bool, period: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if not modal:
-        monkeypatch.setattr(_transient, "_WORST_CONDITION", 0.0)
+def test_a_row_selected_from_rest_reads_as_settling_predicts(design: Design, period: float) -> None:
     predicted = Settling(design, CELLS).sampled_from_rest(period)
     settled = scan(design, CELLS).volts
     assert design.adc is not None

@@ -11,23 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from designs import divider
 from verified import AMPLIFIED, complete, ids_of
 
-from ohmskin.cell import Cell
 from ohmskin.circuits import Design, Requirement, spice
 from ohmskin.cli import run
 from ohmskin.common.extras import install_command
-from ohmskin.emulator import PtyPort, Scene, Stop, emulate
-from ohmskin.emulator._scene import BoardSettings, SkinSettings
+from ohmskin.emulator import BoardSettings, PtyPort, Scene, SkinSettings, Stop, emulate
 from ohmskin.errors import InputError, MissingExtra
-from ohmskin.verification import CATALOGUE, ReportRecord, load_record, prototype, schema, verify
-from ohmskin.verification._claims import APPENDICES, STATEMENTS
-from ohmskin.verification._material import recovery_times
-from ohmskin.verification._outcome import Check, Finding, Measurement, Outcome, Result, not_run, worst
-from ohmskin.verification._schematic import schematic
-from ohmskin.verification._subject import Subject
-from ohmskin.verification._variants import replaced
+from ohmskin.verification import CATALOGUE, Outcome, ReportRecord, load_record, prototype, schema, verify
 
 pytestmark = pytest.mark.usefixtures("quick_verification")
 
@@ -35,53 +26,30 @@ ROOT = Path(__file__).parent.parent
 
 
 @pytest.mark.parametrize(
-    ("measured", "at_least", "outcome"),
+    ("value", "limits", "outcome"),
     [
-        (0.5, False, "pass"),
-        (1.0, False, "pass"),
-        (1.5, False, "fail"),
-        (0.5, True, "fail"),
-        (1.5, True, "pass"),
-        (math.nan, False, "fail"),
-        (math.nan, True, "fail"),
-        (math.inf, True, "fail"),
-        (-math.inf, False, "fail"),
-        (None, False, "not run"),
+        ("0.5", {"max": 1.0}, "pass"),
+        ("1.0", {"max": 1.0}, "pass"),
+        ("1.5", {"max": 1.0}, "fail"),
+        ("0.5", {"min": 1.0}, "fail"),
+        ("1.5", {"min": 1.0}, "pass"),
+        ("float('nan')", {"max": 1.0}, "fail"),
+        ("float('inf')", {"min": 1.0}, "fail"),
+        ("0.0", {}, "not run"),
+        ("1 / 0", {"max": 1.0}, "not run"),
     ],
 )
-def test_a_check_passes_only_on_a_finite_number_within_its_limit(
-    measured: float | None, at_least: bool, outcome: str
+def test_a_requirement_passes_only_with_a_finite_number_within_its_limit(
+    value: str, limits: dict[str, float], outcome: str, tmp_path: Path
 ) -> None:
-    assert Check("x", measured, 1.0, at_least=at_least).outcome == outcome
-    limits: dict[str, Any] = {"min": 1.0} if at_least else {"max": 1.0}
-    asked = Requirement(id="R", quantity="crosstalk", **limits)
-    found = None if measured is None else Measurement(measured, "%")
-    assert Result(asked, "x", "nominal", "%", found).outcome == outcome
-
-
-def test_a_check_that_cannot_fail_is_refused() -> None:
-    with pytest.raises(ValueError, match="could not fail"):
-        Check("x", 1.0, math.inf)
-
-
-def test_a_requirement_without_a_limit_never_passes() -> None:
-    asked = Requirement(id="R", quantity="crosstalk")
-    assert Result(asked, "x", "nominal", "%", Measurement(0.0, "%")).outcome is Outcome.NOT_RUN
-
-
-def test_nothing_checked_is_not_a_pass() -> None:
-    assert Finding(checks=[]).outcome is Outcome.NOT_RUN
-    assert worst([Outcome.PASS, Outcome.NOT_RUN]) is Outcome.NOT_RUN
-    assert worst([Outcome.PASS, Outcome.NOT_RUN, Outcome.FAIL]) is Outcome.FAIL
-    assert worst([Outcome.PASS, Outcome.NOT_APPLICABLE]) is Outcome.PASS
-    assert worst([Outcome.NOT_APPLICABLE]) is Outcome.NOT_APPLICABLE
-    assert worst([]) is Outcome.NOT_RUN
-    assert not_run("x", "why").outcome is Outcome.NOT_RUN
-
-
-def test_every_claim_of_the_paper_has_a_row() -> None:
-    assert [statement.id for statement in STATEMENTS] == [f"P{k}" for k in range(1, 15)]
-    assert [statement.id for statement in APPENDICES] == ["S1", "S2", "S3"]
+    (tmp_path / "own.py").write_text(f"def f(design, cell):\n    return {value}\n")
+    asked = [
+        Requirement.model_validate({"id": "R", "quantity": "own.py:f"} | limits),
+        Requirement(id="S", quantity="cell_voltage", max=1e9),
+    ]
+    report = verify(requirements=asked, folder=tmp_path)
+    assert [str(result.outcome) for result in report.results] == [outcome, "pass"]  # one costs the other nothing
+    assert str(report.outcome) == outcome
 
 
 @pytest.fixture(scope="session")
@@ -107,13 +75,7 @@ def test_the_prototype_keeps_every_requirement(record: dict[str, Any]) -> None:
         for check in claim["checks"]:
             assert (check["measured"] is None) == (check["outcome"] == "not run")
             assert check["reason"] or check["outcome"] != "not run"
-        assert claim["outcome"] == "pass" or spice.available(), claim
-
-
-def test_no_claim_is_judged_by_the_speed_of_this_machine(record: dict[str, Any]) -> None:
-    names = [check["name"] for check in record["claims"][-1]["checks"]]
-    assert "counts that differ from what the board sent" in names
-    assert not any("real time" in name or "speed" in name for name in names)
+        assert claim["outcome"] == "pass" or spice.command_available(), claim
 
 
 def test_every_number_comes_with_its_place_and_its_certainty(record: dict[str, Any]) -> None:
@@ -242,7 +204,7 @@ def test_a_divider_does_not_pass(tmp_path: Path) -> None:
     }
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 3), (2, 1)])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 3)])
 def test_the_smallest_arrays_are_verified_too(shape: tuple[int, int]) -> None:
     design = prototype()
     report = verify(design.replace(array={"rows": shape[0], "columns": shape[1]}), samples=400)
@@ -259,7 +221,7 @@ def test_without_ngspice_its_check_is_not_run_and_the_rest_is(monkeypatch: pytes
     def missing(*_: object) -> None:
         raise MissingExtra("no ngspice here")
 
-    monkeypatch.setattr(spice, "spice_scan", missing)
+    monkeypatch.setattr(spice, "command_scan", missing)
     report = verify(only=["P13"])
     (claim,) = report.claims
     assert claim.outcome is Outcome.NOT_RUN
@@ -279,50 +241,8 @@ def test_without_the_extra_the_numbers_are_written_all_the_same(
     assert install_command("report") in capsys.readouterr().err
 
 
-def test_a_defect_in_one_experiment_costs_only_that_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(_: object) -> Finding:
-        raise ZeroDivisionError("boom")
-
-    statements = tuple(s._replace(experiment=broken if s.id == "P12" else s.experiment) for s in STATEMENTS)
-    monkeypatch.setattr("ohmskin.verification._run.STATEMENTS", statements)
-    other, claim = verify(divider(2, 2), only=["P11", "P12"]).claims
-    assert other.outcome is Outcome.PASS
-    assert claim.outcome is Outcome.NOT_RUN
-    assert "boom" in claim.finding.checks[0].reason
-
-
-def test_a_defect_in_one_quantity_costs_only_that_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(*_: object) -> Measurement:
-        raise ZeroDivisionError("boom")
-
-    monkeypatch.setattr("ohmskin.verification._catalogue.CATALOGUE", CATALOGUE)
-    quantity = CATALOGUE["resolution"]
-    monkeypatch.setitem(CATALOGUE, "resolution", type(quantity)("resolution", "Resolution", "ohm", broken))
-    asked = [
-        Requirement(id="R1", quantity="resolution", max=1e9),
-        Requirement(id="R2", quantity="cell_voltage", max=1e9),
-    ]
-    one, other = verify(prototype(), requirements=asked).results
-    assert one.outcome is Outcome.NOT_RUN
-    assert "boom" in one.reason
-    assert other.outcome is Outcome.PASS
-
-
-def test_recovery_times_do_not_depend_on_the_unit_of_load(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ohmskin.verification._material.side_by_side", lambda *_: {})  # that would calibrate
-    one, other = (
-        recovery_times(Subject(prototype(), Cell.example().replace(full_scale_kpa=full))) for full in (15.5, 62.0)
-    )
-    assert [check.measured for check in one.checks] == pytest.approx([check.measured for check in other.checks])
-
-
-def test_what_does_not_concern_the_divider_does_not_change_its_claim() -> None:
-    design = replaced(prototype(), "readout", open_loop_gain=1e3)  # of the amplifiers
-    assert verify(design, only=["P11"]).outcome is Outcome.PASS
-
-
 def test_a_shared_sampling_capacitor_is_timed() -> None:
-    design = replaced(prototype(), "adc", acquisition_time=2e-6)
+    design = prototype().replace(adc={"acquisition_time": 2e-6})
     (result,) = verify(design, only=["D9"]).results
     assert result.measurement is not None
     assert result.measurement.value <= 1 / (4 * 4 * 2e-6)
@@ -390,36 +310,6 @@ def test_names_of_files_cannot_command_a_terminal_or_a_page(
         assert "<b>&.toml" not in text or text.startswith("{")
 
 
-@pytest.mark.parametrize("circuit", ["inverting-amplifier", "voltage-divider", "voltage-feedback"])
-@pytest.mark.parametrize("shape", [(1, 1), (4, 6)])
-def test_the_schematic_shows_the_values(circuit: str, shape: tuple[int, int]) -> None:
-    design = prototype().replace(array={"rows": shape[0], "columns": shape[1]}).with_circuit(circuit)
-    drawn = schematic(design)
-    ET.fromstring(drawn)
-    assert "20 kΩ" in drawn
-    assert "12 bit" in drawn
-
-
-@pytest.mark.parametrize("circuit", ["inverting-amplifier", "voltage-divider"])
-def test_the_schematic_shows_idle_lines(circuit: str) -> None:
-    drive = {"idle_rows": "pull", "idle_row_resistance": 4700.0}
-    readout = {"columns": "multiplexed", "idle_columns": "ground"}
-    drawn = schematic(prototype().with_circuit(circuit).replace(drive=drive, readout=readout))
-    ET.fromstring(drawn)
-    assert "4.7 kΩ" in drawn
-    assert "behind a switch" in drawn
-    assert "idle columns at the reference" in drawn
-
-
-def test_the_schematic_of_sensed_rows_has_the_leads_where_they_are() -> None:
-    design = prototype().replace(array={"rows": 3, "columns": 5, "row_lead": 12.0, "column_lead": 35.0})
-    drawn = schematic(design.with_circuit("row-amplifier"))
-    assert "column 4" in drawn
-    assert "R2,4" in drawn  # the crosspoint next to driver and amplifier
-    driven, sensed = drawn.index("lead 35 Ω"), drawn.index("lead 12 Ω")
-    assert driven < sensed  # driven lines are drawn first
-
-
 def test_only_names_what_there_is() -> None:
     with pytest.raises(InputError, match="no such requirement; expected one of D1"):
         verify(only=["D1000"])
@@ -443,3 +333,29 @@ def test_the_design_of_the_report_reads_back(record: dict[str, Any]) -> None:
         return float(value) if value in ("inf", "-inf") else value
 
     assert Design.model_validate(plain(record["design"])) == prototype()
+
+
+@pytest.mark.parametrize(
+    ("circuit", "changes", "words"),
+    [
+        ("voltage-feedback", {"array": {"rows": 1, "columns": 1}}, ["20 kΩ", "12 bit"]),
+        (
+            "inverting-amplifier",
+            {
+                "drive": {"idle_rows": "pull", "idle_row_resistance": 4700.0},
+                "readout": {"columns": "multiplexed", "idle_columns": "ground"},
+            },
+            ["4.7 kΩ", "behind a switch", "idle columns at the reference"],
+        ),
+        (
+            "row-amplifier",  # R2,4 is next to driver and amplifier, and driven lines are drawn first
+            {"array": {"rows": 3, "columns": 5, "row_lead": 12.0, "column_lead": 35.0}},
+            ["column 4", "R2,4", "lead 35 Ω", "lead 12 Ω"],
+        ),
+    ],
+)
+def test_the_schematic_shows_values_and_idle_lines(circuit: str, changes: dict[str, Any], words: list[str]) -> None:
+    page = verify(prototype().with_circuit(circuit).replace(**changes), only=["D11"]).html()
+    start = page.index('aria-label="schematic')
+    drawn = page[start : page.index("</svg>", start)]
+    assert [word for word in words if word not in drawn] == []

@@ -32,7 +32,7 @@ def complete(readout: str, adc: str = "bits = 12\nrange = [0.0, 3.3]", operation
 
 def ids_of(report: Report) -> list[str]:
     """Of its requirements and claims."""
-    return [result.requirement.id for result in report.results] + [claim.id for claim in report.sections]
+    return [result.requirement.id for result in report.results] + [claim.id for claim in report.claims]
 
 
 def outcomes_of(report: Report) -> dict[str, str]:

@@ -10,10 +10,9 @@ Requirements:
 :mod:`._requirements`    requirements from files, the shipped ones, and how one is judged
 :mod:`._catalogue`       the quantities that a requirement may limit
 :mod:`._static`          quantities of settled readings
-:mod:`._dynamic`         settling, stability, noise
+:mod:`._dynamic`         settling, stability, noise, the line to the host
 :mod:`._chain`           pressure errors, from load to estimate
 :mod:`._stress`          voltage, current and power of parts and cells
-:mod:`._link`            the line to the host
 :mod:`._self_test`       faults that a board can tell by itself
 :mod:`._hardware`        the same quantities, measured on a board
 :mod:`._spice_check`     the same quantities by ngspice
@@ -26,7 +25,6 @@ Which boards are looked at:
 :mod:`._targets`         quantities as functions of a board and a press, for the search
 :mod:`._corner`          the one search for the worst case of any quantity
 :mod:`._montecarlo`      the yield of random boards
-:mod:`._budget`          what each part costs alone
 :mod:`._explore`         variations, their trade-off, and what would mend a requirement
 :mod:`._assumptions`     what a verdict leaves out
 =======================  ==============================================================================
@@ -35,10 +33,9 @@ The paper's claims (:mod:`._claims`):
 
 =======================  ==============================================================================
 :mod:`._mixture`         P1
-:mod:`._material`        P2 to P9; :mod:`._estimates` compares estimators in them
-:mod:`._crosstalk`       P10 to P13; :mod:`._variants` has the readouts that are compared
-:mod:`._whole_skin`      P14; with :mod:`._timing`, and :mod:`._firmware` for the firmware in the loop
-:mod:`._speed`           S1 to S3: what a digit costs
+:mod:`._material`        P2 to P9
+:mod:`._crosstalk`       P10 to P13
+:mod:`._whole_skin`      P14
 =======================  ==============================================================================
 
 The report: :mod:`._report`, :mod:`._record` (its JSON), :mod:`._outcome` (what it is made of), :mod:`._schematic` and
@@ -48,6 +45,7 @@ The report: :mod:`._report`, :mod:`._record` (its JSON), :mod:`._outcome` (what 
 from ._catalogue import CATALOGUE, Quantity
 from ._explore import Remedy, Variation, best_carbon_black, carbon_black_line, explore, remedies
 from ._explore import picture as explore_picture
+from ._outcome import Outcome
 from ._record import ReportRecord, load_record, schema
 from ._report import Report
 from ._requirements import check_requirements, default_requirements, load_requirements
@@ -56,6 +54,7 @@ from ._subject import Subject
 
 __all__ = [
     "CATALOGUE",
+    "Outcome",
     "Quantity",
     "Remedy",
     "Report",

@@ -11,7 +11,6 @@ from ..circuits import Requirement
 from ..errors import InputError
 from . import _chain as chain
 from . import _dynamic as dynamic
-from . import _link as link
 from . import _self_test as self_test
 from . import _static as static
 from . import _stress as stress
@@ -77,8 +76,8 @@ CATALOGUE: dict[str, Quantity] = {
         Quantity("lost_readings", "Readings lost to a limit", "%", chain.lost_readings),
         Quantity("valid_cells", "Cells that the driver can tell", "%", chain.valid_cells, (NOMINAL,)),
         Quantity("spice_agreement", "Agreement with ngspice", "%", spice_agreement, (NOMINAL,)),
-        Quantity("latency", "Latency", "s", link.latency),
-        Quantity("lost_frames", "Frames lost on the line", "%", link.lost_frames),
+        Quantity("latency", "Latency", "s", dynamic.latency),
+        Quantity("lost_frames", "Frames lost on the line", "%", dynamic.lost_frames),
     )
 }
 

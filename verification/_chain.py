@@ -132,8 +132,8 @@ def simulate(subject: Subject, name: str, factors: FloatArray) -> Run:
     declared = rate_of(subject)
     tare = design.operation.readings_per_calibration
     work = MOST_WORK if design.board.virtual_grounds else MOST_WORK_COUPLED
-    most = max((work / (shape[0] * shape[1]) - tare) / SECONDS, SLOWEST_HZ)
-    rate = min(declared, FASTEST_HZ, most)
+    rate_limit = max((work / (shape[0] * shape[1]) - tare) / SECONDS, SLOWEST_HZ)
+    rate = min(declared, FASTEST_HZ, rate_limit)
     time_s = np.arange(0.0, SECONDS, 1.0 / rate)
     random = np.random.default_rng(np.random.SeedSequence([subject.seed, 1 << 21]))
     full = subject.full_scale_kpa

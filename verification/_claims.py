@@ -1,4 +1,4 @@
-"""The paper's claims P1 to P14, what goes beyond them, and the experiment that answers each."""
+"""The paper's claims P1 to P14, and the experiment that answers each."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import NamedTuple
 from . import _crosstalk as crosstalk
 from . import _material as material
 from . import _mixture as mixture
-from . import _speed as speed
 from . import _whole_skin as skin
 from ._outcome import Finding
 from ._subject import Subject
@@ -126,29 +125,5 @@ STATEMENTS = (
         "I, VIII",
         "Several contacts at once, their places and their pressures, in real time.",
         skin.whole_skin,
-    ),
-)
-
-APPENDICES = (
-    Statement(
-        "S1",
-        "Solvers: speed against error",
-        "beyond the paper",
-        "A reading comes with a certified bound on its error, and the cheapest method that keeps a tolerance is taken.",
-        speed.solvers,
-    ),
-    Statement(
-        "S2",
-        "Estimators: speed against error",
-        "beyond the paper",
-        "Pressure is estimated in real time on materials that no model describes.",
-        speed.estimators,
-    ),
-    Statement(
-        "S3",
-        "The live path: speed against error",
-        "beyond the paper",
-        "A board's bytes become kPa at the board's rate, and the newest frame is handed out.",
-        speed.live_path,
     ),
 )

@@ -78,8 +78,6 @@ class WorstCase:
     """whether that was solved, not only estimated to first order"""
     others: Corners
     """the worst corners that were found, the worst first: their presses serve the Monte Carlo analysis"""
-    checked: float
-    """relative difference between the search's value and that of plain scans of the corner"""
 
     @property
     def cell(self) -> tuple[int, int]:
@@ -113,13 +111,13 @@ class WorstCase:
         shape = self.box.design.array.shape
         found = [(np.zeros(shape, dtype=np.bool_), self.cell), (np.ones(shape, dtype=np.bool_), self.cell)]
         seen = {pattern.tobytes() for pattern, _ in found}
-        most = len(found) + min(MOST_PRESSES, max(2, CELLS_OF_PRESSES // self.box.cells))
+        count_limit = len(found) + min(MOST_PRESSES, max(2, CELLS_OF_PRESSES // self.box.cells))
         for number in range(len(self.others)):
             corner = self.others.some(slice(number, number + 1))
             cell = int(corner.row[0]), int(corner.column[0])
             pattern = _pattern(self.target, self.box, corner)
             key = pattern.tobytes() if self.target.judged(pattern, cell).sum() > 1 else pattern.tobytes() + bytes(cell)
-            if key not in seen and len(found) < most:
+            if key not in seen and len(found) < count_limit:
                 seen.add(key)
                 found.append((pattern, cell))
         return found
@@ -251,7 +249,6 @@ class _Search:
             final = self._polished(best, value)
             best, value, settled = final.corners, float(final.values[0]), bool(final.settled[0])
         stated = scanned(self.target, self.box, best)
-        same = stated == value
         return WorstCase(
             target=self.target,
             box=self.box,
@@ -263,7 +260,6 @@ class _Search:
             settled=settled,
             flips_solved=self.exact,
             others=known.some(order[: 8 * MOST_PRESSES]),
-            checked=0.0 if same else abs(stated - value) / max(abs(value), 1e-9),
         )
 
     def _polished(self, corner: Corners, value: float) -> _Climbed:
@@ -338,8 +334,8 @@ class _Search:
         """The best of each corner with its 1, 2, 4, ... most promising flips; coordinates (C, D) and values (C,)."""
         helpful = (gains > _LEAST_GAIN * np.abs(values)[:, None]).sum(axis=1)
         order = np.argsort(-gains, axis=1, kind="stable")
-        most = int(helpful.max(initial=0))
-        counts = [0, *(1 << k for k in range(most.bit_length())), most]
+        count_limit = int(helpful.max(initial=0))
+        counts = [0, *(1 << k for k in range(count_limit.bit_length())), count_limit]
         rank = np.empty_like(order)
         np.put_along_axis(rank, order, np.arange(order.shape[1])[None].repeat(len(order), axis=0), axis=1)
         flips = rank[:, None] < np.minimum(np.array(counts)[None, :], helpful[:, None])[..., None]

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..circuits import Array, Design, ideal_volts, scan, spice
-from ..common import plots
+from ..circuits import Array, Design, adc_codes, apparent_resistance, ideal_volts, scan, spice, volts_of_codes
 from ..common.arrays import BoolArray, FloatArray
 from ..emulator import spread
 from ..errors import MissingExtra
@@ -15,14 +14,6 @@ from ._maps import heat_maps
 from ._outcome import Check, Figure, Finding, Table, does_not_apply
 from ._static import worst_of
 from ._subject import Subject
-from ._variants import (
-    amplifiers,
-    change,
-    converted,
-    grounded_divider,
-    open_divider,
-    replaced,
-)
 
 OPEN_DIVIDER = "divider, idle lines open"
 SMALL_SIGNAL = 1e-3  # V: below it, ngspice is compared with this instead of with the reading, which may be 0
@@ -34,9 +25,8 @@ def grid_resistance(subject: Subject) -> Finding:
     shapes = [(2, 2), (4, 4), (8, 8), array.shape]
     worst, rows = 0.0, []
     for n, m in dict.fromkeys(shapes):
-        design = open_divider(subject.design)
-        design = design.replace(array=Array(rows=n, columns=m))
-        design = replaced(design, "readout", reference_resistance=subject.rest)
+        design = _ideal(subject.design, "voltage-divider", "float")
+        design = design.replace(array=Array(rows=n, columns=m), readout={"reference_resistance": subject.rest})
         cells = np.full((n, m), subject.rest)
         read = scan(design, cells, method="exact").resistance
         exact = subject.rest * (n + m - 1) / (n * m)
@@ -55,13 +45,13 @@ def grid_resistance(subject: Subject) -> Finding:
 
 
 def equation_10(subject: Subject) -> Finding:
-    """P12: Vout = -Vin Rref / Rij, and how far real parts depart from it."""
+    """P12: Vout = -Vin Rref / Rij."""
     if not subject.design.board.virtual_grounds:
         return does_not_apply(
             "equation (10) is that of an amplifier on each line, not of "
             f"{subject.design.readout.circuit} with {subject.design.readout.columns} columns"
         )
-    circuit = amplifiers(subject.design)
+    circuit = _amplifiers(subject.design)
     rng = np.random.default_rng(12)
     worst = 0.0
     for _ in range(20):
@@ -74,36 +64,7 @@ def equation_10(subject: Subject) -> Finding:
             Check("ideal parts give -Vin Rref/Rij whatever the neighbours: worst relative deviation", worst, 1e-12)
         ],
         text=["Twenty random arrays over four decades of resistance, read with ideal parts, against equation (10)."],
-        figures=[_sweep(subject)],
     )
-
-
-def _sweep(subject: Subject) -> Figure:
-    """One cell over its range, the others at rest, through the design."""
-    design, index = subject.design, (0, subject.design.array.columns - 1)
-    factors = np.geomspace(0.5, 20, 60)
-    exact, real, code = [], [], []
-    for factor in factors:
-        cells = np.full(design.array.shape, subject.rest)
-        cells[index] *= factor
-        volts = scan(design, cells, method="exact").volts
-        exact.append(ideal_volts(design, cells)[index])
-        real.append(volts[index])
-        code.append(converted(design, volts)[index])
-    with plots.drawing(1, 2) as (figure, (panels,)):
-        ohms = factors * subject.rest / 1e3
-        panels[0].semilogx(ohms, exact, color=plots.INK, lw=3, alpha=0.25, label="equation (10)")
-        panels[0].semilogx(ohms, real, label="as designed")
-        panels[0].set(title="Output of one column", xlabel="cell resistance / kΩ", ylabel="output / V")
-        panels[0].legend()
-        panels[1].axhline(0, color=plots.INK, lw=0.8)
-        for values, label in ((real, "at the amplifier"), (code, "after the ADC")):
-            departure = (np.array(values) - exact) / (np.array(exact) - design.readout.reference_voltage)
-            panels[1].semilogx(ohms, 100 * departure, label=label)
-        panels[1].set(title="Departure from equation (10)", xlabel="cell resistance / kΩ", ylabel="% of the signal")
-        panels[1].legend()
-        caption = f"Cell {index} swept, all others at {subject.rest:.0f} ohm. Left: output. Right: what is left."
-        return Figure(plots.svg(figure), caption)
 
 
 @dataclass(frozen=True)
@@ -126,9 +87,9 @@ def _compared(subject: Subject) -> _Readouts:
     design = subject.design
     patterns = _patterns(design.array.shape)
     readouts = {
-        OPEN_DIVIDER: open_divider(design),
-        "divider, idle rows grounded": grounded_divider(design),
-        "amplifier, ideal parts": amplifiers(design),
+        OPEN_DIVIDER: _ideal(design, "voltage-divider", "float"),
+        "divider, idle rows grounded": _ideal(design, "voltage-divider", "ground"),
+        "amplifier, ideal parts": _amplifiers(design),
         "as designed": design,
     }
     at_rest = np.full(design.array.shape, subject.rest)
@@ -136,7 +97,7 @@ def _compared(subject: Subject) -> _Readouts:
     for title, pressed in patterns.items():
         cells = np.where(pressed, subject.pressed, subject.rest)
         true[title] = np.where(pressed, 100 * (subject.pressed / subject.rest - 1), 0.0)
-        seen[title] = {name: change(readout, at_rest, cells) for name, readout in readouts.items()}
+        seen[title] = {name: _change(readout, at_rest, cells) for name, readout in readouts.items()}
     return _Readouts(patterns, true, seen)
 
 
@@ -170,7 +131,6 @@ def crosstalk(subject: Subject) -> Finding:
             f"Crosstalk: {worst_of(subject, 'crosstalk').search}.",
         ],
         figures=[_pattern_figure(compared, title) for title in compared.patterns],
-        tables=[_pattern_table(compared)],
     )
 
 
@@ -184,32 +144,11 @@ def _pattern_figure(compared: _Readouts, title: str) -> Figure:
     )
 
 
-def _pattern_table(compared: _Readouts) -> Table:
-    rows = []
-    for title, seen in compared.seen.items():
-        pressed = compared.patterns[title]
-        for name, changed in seen.items():
-            untouched = np.abs(np.where(pressed, 0.0, changed))
-            place = np.unravel_index(np.argmax(untouched), untouched.shape)
-            visible = untouched[place] > 1e-9
-            rows.append(
-                [
-                    title,
-                    name,
-                    f"{untouched[place]:.3g} %" if visible else "none",
-                    f"({place[0]}, {place[1]})" if visible else "",
-                    f"{100 * np.min(changed[pressed] / compared.true[title][pressed]):.1f} %",
-                ]
-            )
-    header = ["pressed", "readout", "worst crosstalk", "at cell", "pressed cells show, of their true change"]
-    return Table(header, rows, "Crosstalk of each readout, nominal parts.")
-
-
 def slicing(subject: Subject) -> Finding:
     """P10: a sliced sheet isolates the cells; a continuous one still works, but they couple."""
     array = subject.design.array
-    sliced = amplifiers(subject.design)
-    uncut = replaced(sliced, "array", sheet="continuous")
+    sliced = _amplifiers(subject.design)
+    uncut = sliced.replace(array={"sheet": "continuous"})
     pressed = next(iter(_patterns(array.shape).values()))
     sheet = subject.design.sheet
     felt = 100 * spread(pressed.astype(np.float64), sheet.thickness / 2 / sheet.pitch)
@@ -220,10 +159,10 @@ def slicing(subject: Subject) -> Finding:
     at_rest = np.full(array.shape, subject.rest)
     truth = 100 * (subject.pressed / subject.rest - 1)
     maps = {
-        "sliced": change(sliced, at_rest, np.where(pressed, subject.pressed, subject.rest)),
-        "uncut, electrically": change(uncut, at_rest, np.where(pressed, subject.pressed, subject.rest)),
+        "sliced": _change(sliced, at_rest, np.where(pressed, subject.pressed, subject.rest)),
+        "uncut, electrically": _change(uncut, at_rest, np.where(pressed, subject.pressed, subject.rest)),
         "uncut, mechanically": 100 * (cells / at_rest - 1),
-        "uncut, both": change(uncut, at_rest, cells),
+        "uncut, both": _change(uncut, at_rest, cells),
     }
     untouched = {name: float(np.abs(np.where(pressed, 0.0, changed)).max()) for name, changed in maps.items()}
     checks = [
@@ -258,22 +197,13 @@ def slicing(subject: Subject) -> Finding:
                 "One cell pressed (outlined): change of each cell's apparent resistance.",
             )
         ],
-        tables=[
-            Table(
-                ["sheet", "worst untouched cell", "pressed cell, of its true change"],
-                [
-                    [name, f"{untouched[name]:.3g} %", f"{100 * float(changed[pressed].min()) / truth:.1f} %"]
-                    for name, changed in maps.items()
-                ],
-            )
-        ],
     )
 
 
 def _against_ngspice(design: Design, frames: list[FloatArray], volts: list[FloatArray]) -> Check:
     name = "against ngspice, worst relative difference of a reading"
     try:
-        judged = [spice.spice_scan(design, cells) for cells in frames]
+        judged = [spice.command_scan(design, cells) for cells in frames]
     except MissingExtra as error:
         return Check(name, None, 1e-6, reason=str(error))
     zero = design.readout.reference_voltage
@@ -298,3 +228,45 @@ def _patterns(shape: tuple[int, int]) -> dict[str, BoolArray]:
     if rows * columns > 1:
         patterns["all but one"] = ~one
     return patterns
+
+
+def _ideal(design: Design, circuit: str, idle_rows: str) -> Design:
+    """The same array, drive voltage and reference resistors with perfect wires, parts and converter.
+
+    A circuit that senses the other lines takes the mean of the reference resistors.
+    """
+    readout = design.readout
+    reference = readout.reference_resistance
+    if circuit != readout.circuit:
+        reference = float(np.mean(reference))
+    return Design.model_validate(
+        {
+            "array": {"rows": design.array.rows, "columns": design.array.columns},
+            "sheet": design.sheet,
+            "drive": {"voltage": design.drive.voltage, "idle_rows": idle_rows},
+            "readout": {
+                "circuit": circuit,
+                "reference_resistance": reference,
+                "reference_voltage": readout.reference_voltage,
+            },
+        }
+    )
+
+
+def _amplifiers(design: Design) -> Design:
+    """The paper's circuit with ideal parts: grounded idle lines, an inverting amplifier on each sensed line."""
+    own = design.board.circuit
+    return _ideal(design, own.name if own.virtual_ground else "inverting-amplifier", "ground")
+
+
+def _apparent(design: Design, cells: FloatArray) -> FloatArray:
+    """What equation (10) makes of the design's readings, ADC included."""
+    volts = scan(design, cells, method="exact").volts
+    return apparent_resistance(
+        design, volts if design.adc is None else volts_of_codes(design, adc_codes(design, volts))
+    )
+
+
+def _change(design: Design, before: FloatArray, after: FloatArray) -> FloatArray:
+    """Change of the apparent resistances in % of those before."""
+    return 100 * (_apparent(design, after) / _apparent(design, before) - 1)

@@ -29,8 +29,7 @@ from ..common import plots
 from ..common.arrays import BoolArray, FloatArray
 from ..common.progress import Progress, silent
 from ..errors import InputError, SolverError
-from ._dynamic import largest_settling_error, pressure_resolution
-from ._link import lost_frames
+from ._dynamic import largest_settling_error, lost_frames, pressure_resolution
 from ._outcome import DoesNotApply, Measurement, NotRun, Outcome
 from ._requirements import evaluate
 from ._static import TARGETS, adc_headroom, output_headroom, worst_of
@@ -77,7 +76,7 @@ QUICK = (
     *(("adc.switch_resistance", DOWN), ("adc.sampling_capacitance", DOWN), ("adc.acquisition_time", DOWN)),
 )
 SMALL = (("readout.reference_resistance", DOWN), ("drive.voltage", DOWN))
-WAYS: dict[str, tuple[tuple[str, str], ...]] = {
+MENDED_BY: dict[str, tuple[tuple[str, str], ...]] = {
     **dict.fromkeys(TARGETS, READINGS),
     "resolution": FINE,
     "adc_range_used": FINE[:2],
@@ -296,13 +295,12 @@ def remedies(
 ) -> Iterator[Remedy]:
     """For each requirement that nominal parts or the worst case do not keep: the parts that would mend it alone.
 
-    Requirements without :data:`WAYS`, on the yield, and on a real board have none. Each remedy is yielded as soon as it
-    is found.
+    Requirements without parts in :data:`MENDED_BY`, on the yield, and on a real board have none. Each remedy is
+    yielded as soon as it is found.
     """
     mendable = [requirement for requirement in requirements if may_be_mended(requirement)]
     for number, requirement in enumerate(mendable):
         progress(number, len(mendable), f"{requirement.id} {requirement.quantity}")
-        ways = WAYS[requirement.quantity]
         if (missed := _judge(subject, requirement)) is None or missed.kept:
             continue
         if requirement.quantity in TARGETS:
@@ -311,7 +309,7 @@ def remedies(
                 if there is not None and (there.kept or there.value < missed.value / 2):
                     values = missed.value, there.value, missed.unit
                     yield Remedy(requirement.id, name, 0.0, *values, kept=there.kept)
-        for key, direction in ways:
+        for key, direction in MENDED_BY[requirement.quantity]:
             remedy = _remedy(subject, requirement, key, direction, missed)
             if remedy is not None:
                 yield remedy
@@ -354,7 +352,7 @@ def wirings(subject: Subject) -> dict[str, Design]:
 
 def may_be_mended(requirement: Requirement) -> bool:
     """Whether :func:`remedies` looks for parts that keep the requirement."""
-    return requirement.quantity in WAYS and requirement.method in (None, "worst-case", "nominal")
+    return requirement.quantity in MENDED_BY and requirement.method in (None, "worst-case", "nominal")
 
 
 def picture(variations: list[Variation]) -> str:

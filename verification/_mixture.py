@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from ..cell import Percolation
@@ -11,10 +9,8 @@ from ..circuits import Design, adc_codes, clipped, noise, scan
 from ..common import plots
 from ..common.arrays import FloatArray
 from ..errors import InputError
-from ._estimates import STEP_KPA, errors, pressed, respond, side_by_side
-from ._outcome import Check, Figure, Finding, Table, does_not_apply
+from ._outcome import Check, Figure, Finding, does_not_apply
 from ._subject import Subject
-from ._variants import replaced
 
 KNOWN = 0.015  # the fraction that the paper chose, and that the shipped example cell stands for
 FRACTIONS = np.array([0.0112, 0.0125, 0.015, 0.02, 0.025, 0.03, 0.04, 0.05])
@@ -35,7 +31,6 @@ def fraction(subject: Subject) -> Finding:
         raise InputError("every mixture drives an output of this design into its supply at some load")
     best = float(FRACTIONS[np.nanargmin(eight)])
     sensitivity = law.sensitivities(FRACTIONS)
-    pressures = errors(_estimated(subject, law), subject, "carbon black")
     return Finding(
         checks=[
             Check(
@@ -73,24 +68,6 @@ def fraction(subject: Subject) -> Finding:
                 "Left: percolation law, sensitivity (Fig. 3). Right: what the readout makes of it.",
             )
         ],
-        tables=[
-            Table(
-                ["carbon black", "R0 / ohm", "sensitivity", "σ of pressure, % of full scale", "... Rref chosen for it"],
-                [
-                    [f"{100 * f:g} %", f"{ohms:.0f}", f"{s:.3f}", _shown(own), _shown(chosen)]
-                    for f, ohms, s, own, chosen in zip(
-                        FRACTIONS, law.rest_resistance(FRACTIONS), sensitivity, eight, free, strict=True
-                    )
-                ],
-                "Eight mixtures, with the design's reference resistor and with one that grows with R0.",
-            ),
-            replace(
-                pressures,
-                caption=f"RMSE of the pressure of a {STEP_KPA} kPa press, in % of full scale, read with the noise "
-                "of the design. Every mixture has the memory of the example cell, scaled to its own sensitivity; "
-                "those that saturate at rest are left out.",
-            ),
-        ],
     )
 
 
@@ -112,25 +89,6 @@ def _picture(law: Percolation, fixed: FloatArray, chosen: FloatArray, eight: Flo
         return plots.svg(figure)
 
 
-def _estimated(subject: Subject, law: Percolation) -> dict[str, tuple[FloatArray, dict[str, FloatArray]]]:
-    """kPa applied and kPa by estimator, of the mixtures that do not saturate the readout at rest."""
-    time_s, pressure = pressed([(2, STEP_KPA, 15.0)], 60.0)
-    ohms = respond(subject.cell, time_s, pressure)
-    unit = np.random.default_rng(1).standard_normal(len(ohms))
-    found = {}
-    for f, sensitivity in zip(FRACTIONS, law.sensitivities(FRACTIONS), strict=True):
-        rest = float(law.rest_resistance(f))
-        scatter = _scatter(subject.design, rest, rest * float(sensitivity)) / 100
-        if not np.isnan(scatter):  # on the example cell: as much of its change as on this one's
-            read = ohms + subject.rest * law.sensitivity * scatter * unit
-            found[f"{100 * f:g} %"] = pressure, side_by_side(subject, time_s, read)
-    return found
-
-
-def _shown(sigma: float) -> str:
-    return "saturates" if np.isnan(sigma) else f"{sigma:.4f}"
-
-
 def _resolution(subject: Subject, law: Percolation, f: float, *, choose: bool) -> float:
     """Standard deviation of one reading in % of full scale pressure, at the worst load; NaN where a reading saturates.
 
@@ -141,7 +99,7 @@ def _resolution(subject: Subject, law: Percolation, f: float, *, choose: bool) -
     if choose:
         reference = np.asarray(design.readout.reference_resistance) * (ohms[0] / subject.rest)
         value = tuple(reference.tolist()) if reference.ndim else float(reference)
-        design = replaced(design, "readout", reference_resistance=value)
+        design = design.replace(readout={"reference_resistance": value})
     slope = np.gradient(ohms, LOADS)
     scatter = [_scatter(design, r, d) if np.isfinite(r) else np.nan for r, d in zip(ohms, slope, strict=True)]
     return float(np.max(scatter))  # NaN if any is

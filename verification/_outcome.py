@@ -21,6 +21,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from ..circuits import Requirement
+from ._record import CornerRecord
 from ._units import engineering
 
 _LARGEST_SHARE = 1000
@@ -167,20 +168,8 @@ class Measurement:
     out a part of a model; and what would decide"""
     figures: Sequence[Figure] = ()
     tables: Sequence[Table] = ()
-    corner: Corner | None = None
+    corner: CornerRecord | None = None
     """worst case: what to solve to find the value again"""
-
-
-@dataclass(frozen=True)
-class Corner:
-    """One corner of the tolerances, ready for ``scan``."""
-
-    cell: tuple[int, int]
-    """the cell that is judged"""
-    parts: Mapping[str, Sequence[float]]
-    """SI values, one per line, of every kind of part that has a spread; by section and key of the design"""
-    cells_ohm: Sequence[Sequence[Sequence[float]]]
-    """(frames, rows, columns)"""
 
 
 @dataclass(frozen=True)

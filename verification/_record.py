@@ -13,7 +13,7 @@ from ..common.config import describe
 from ..common.files import read_text
 from ..errors import InputError
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 OutcomeName = Literal["pass", "fail", "not run", "does not apply"]
 Number = float | Literal["inf", "-inf", "nan"] | None
@@ -117,7 +117,6 @@ class ReportRecord(_Record):
     not_given: dict[str, str] = Field(default={}, description="keys of the design that are not given: what is taken")
     exact: list[str] = Field(default=[], description="keys of parts that are given without a tolerance")
     claims: list[ClaimRecord]
-    appendices: list[ClaimRecord]
     changes: list[ChangeRecord]
 
 
@@ -180,7 +179,7 @@ def compare(new: ReportRecord, old: ReportRecord) -> list[ChangeRecord]:
 
 def _by_id(report: ReportRecord) -> dict[str, RequirementRecord | ClaimRecord]:
     requirements = {item.id: item for item in report.requirements}
-    claims = {item.id: item for item in [*report.claims, *report.appendices]}
+    claims = {item.id: item for item in report.claims}
     return {**requirements, **claims}
 
 

@@ -9,6 +9,7 @@ import json
 import math
 import platform
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cached_property
@@ -26,18 +27,16 @@ from ..common.files import make_folder, write_together
 from ..common.text import printable
 from ..errors import MissingExtra, OhmskinError
 from ._assumptions import Assumptions, assumptions_of
-from ._budget import error_budget
 from ._catalogue import CATALOGUE
 from ._explore import may_be_mended
 from ._export import export_samples
-from ._outcome import Claim, Corner, Figure, Measurement, Outcome, Result, worst
+from ._outcome import Claim, Figure, Measurement, Outcome, Result, Table, worst
 from ._parameters import MAXIMA
 from ._record import (
     SCHEMA_VERSION,
     ChangeRecord,
     CheckRecord,
     ClaimRecord,
-    CornerRecord,
     ReportRecord,
     RequirementRecord,
     compare,
@@ -74,8 +73,6 @@ class Report:
     """of the requirements"""
     claims: list[Claim]
     """P1 to P14, if the paper's claims were run"""
-    appendices: list[Claim]
-    """what goes beyond the paper"""
     seconds: float
     command: str = "ohmskin verify"
     """that makes this report again"""
@@ -99,12 +96,8 @@ class Report:
         return self.subject.target
 
     @property
-    def sections(self) -> list[Claim]:
-        return [*self.claims, *self.appendices]
-
-    @property
     def outcome(self) -> Outcome:
-        found = worst([*(r.outcome for r in self.results), *(claim.outcome for claim in self.sections)])
+        found = worst([*(r.outcome for r in self.results), *(claim.outcome for claim in self.claims)])
         return Outcome.FAIL if self.require_all and found is not Outcome.PASS else found
 
     @property
@@ -114,7 +107,7 @@ class Report:
 
     def count(self, outcome: str) -> int:
         """How many requirements and claims ended so."""
-        outcomes = [r.outcome for r in self.results] + [claim.outcome for claim in self.sections]
+        outcomes = [r.outcome for r in self.results] + [claim.outcome for claim in self.claims]
         return sum(found == outcome for found in outcomes)
 
     def to_mend(self, result: Result) -> str:
@@ -151,7 +144,7 @@ class Report:
             for r in self.results
             if r.outcome in (Outcome.NOT_RUN, Outcome.NOT_APPLICABLE)
         ]
-        for claim in self.sections:
+        for claim in self.claims:
             if claim.finding.inapplicable:
                 found.append((claim.id, claim.title, f"does not apply: {claim.finding.inapplicable}"))
             found += [
@@ -261,7 +254,6 @@ class Report:
             not_given=dict(self.assumptions.not_given),
             exact=list(self.assumptions.exact),
             claims=[_claim_record(claim) for claim in self.claims],
-            appendices=[_claim_record(claim) for claim in self.appendices],
             changes=self.changes,
         )
 
@@ -308,7 +300,7 @@ class Report:
             suite.add_testcase(case)
         if self.results:
             xml.add_testsuite(suite)
-        for claim in self.sections:
+        for claim in self.claims:
             suite = TestSuite(f"{claim.id} {claim.title}")
             suite.add_property("seconds", f"{claim.seconds:.3f}")
             for check in claim.finding.checks:
@@ -343,9 +335,9 @@ class Report:
         mended = [r.requirement.id for r in self.results if self.to_mend(r)]
         if mended:
             lines += ["", f"Which single part would mend {', '.join(mended)}: `{printable(self.explore_command)}`"]
-        if self.sections:
+        if self.claims:
             lines += ["", "| claim | outcome |", "|---|---|"]
-            lines += [f"| {claim.id} {claim.title} | {claim.outcome} |" for claim in self.sections]
+            lines += [f"| {claim.id} {claim.title} | {claim.outcome} |" for claim in self.claims]
         if self.changes:
             lines += ["", "| against the older report | change | was | is |", "|---|---|---|---|"]
             lines += [f"| {c.id} | {c.change} | {c.was} | {c.is_now} |" for c in self.changes if c.change != "same"]
@@ -432,15 +424,7 @@ def _requirement_record(result: Result) -> RequirementRecord:
         contributions={k: v for k, v in (found.contributions if found else {}).items() if math.isfinite(v)},
         samples=[number(value) for value in (found.samples if found else ())],
         seconds=round(result.seconds, 4),
-        corner=_corner_record(found.corner) if found and found.corner else None,
-    )
-
-
-def _corner_record(corner: Corner) -> CornerRecord:
-    return CornerRecord(
-        cell=corner.cell,
-        parts={key: [number(value) for value in values] for key, values in corner.parts.items()},
-        cells_ohm=[[[number(ohms) for ohms in row] for row in frame] for frame in corner.cells_ohm],
+        corner=found.corner if found else None,
     )
 
 
@@ -519,6 +503,30 @@ def _scale(unit: str, largest: float) -> tuple[float, str]:
     value, _, prefixed = shown.partition(" ")
     factor = 10.0 ** round(math.log10(float(value) / largest)) if float(value) else 1.0
     return factor, prefixed
+
+
+def error_budget(results: Sequence[Result]) -> Table | None:
+    """The worst cases by kind of part of all results that have them, side by side; None if there are none."""
+    found = [(r, r.measurement) for r in results if r.method == "worst-case" and r.measurement is not None]
+    found = [(result, measured) for result, measured in found if measured.contributions]
+    if not found:
+        return None
+    kinds = dict.fromkeys(kind for _, measured in found for kind in measured.contributions)
+    rows = [
+        [kind, *(_budget_entry(measured.contributions.get(kind), measured.unit) for _, measured in found)]
+        for kind in kinds
+    ]
+    rows.append(["all together", *(engineering(measured.value, measured.unit) for _, measured in found)])
+    return Table(
+        ["part, alone", *(f"{result.requirement.id} {result.title.lower()}" for result, _ in found)],
+        rows,
+        "Error budget: the worst case with each kind of part over its tolerance and all others nominal, whatever is "
+        "pressed; and with all parts together.",
+    )
+
+
+def _budget_entry(value: float | None, unit: str) -> str:
+    return "" if value is None else engineering(value, unit)
 
 
 def environment() -> dict[str, str]:

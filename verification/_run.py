@@ -32,7 +32,7 @@ from ..common.workers import in_processes
 from ..driver import Skin
 from ..errors import InputError, OhmskinError
 from ._catalogue import HARDWARE, SAMPLED, WORST
-from ._claims import APPENDICES, STATEMENTS, Statement
+from ._claims import STATEMENTS, Statement
 from ._hardware import twins
 from ._montecarlo import BLOCK, blocks, sample_block
 from ._outcome import Claim, Finding, Result, defect, not_run
@@ -85,7 +85,6 @@ def verify(
     cell: Cell | None = None,
     requirements: Sequence[Requirement] | None = None,
     paper: bool | None = None,
-    speed: bool = False,
     only: Iterable[str] = (),
     title: str | None = None,
     target: str = "emulated",
@@ -110,8 +109,6 @@ def verify(
         cell: what the skin is made of; None: the design's [cells], else the shipped example cell.
         requirements: None takes those of the design, else :func:`default_requirements`.
         paper: whether the paper's claims P1 to P14 are run too; None: for the prototype and its own requirements.
-        speed: whether S1, S2 and S3 are run: what a digit costs, of solvers, estimators and the live path. They take a
-            minute.
         only: ids of requirements and claims, or several in one text, separated by commas; empty: all.
         title: what the report calls the design.
         target: the board that is measured: "emulated", "firmware", or a serial port.
@@ -146,7 +143,7 @@ def verify(
     check_requirements(wanted)
     wanted = twins(subject, wanted)
     with_paper = design is None and requirements is None if paper is None else paper
-    statements = [*(STATEMENTS if with_paper else ()), *(APPENDICES if speed else ())]
+    statements = list(STATEMENTS if with_paper else ())
     wanted, statements = _chosen(wanted, statements, tuple(only))
     if own := load_own_functions(wanted, here):
         announce(f"the design's own code is run: {', '.join(own)}")
@@ -156,14 +153,11 @@ def verify(
         _subjects.pop(memory.fingerprint, None)
     results = _compute(work, statements, memory, jobs, executor, progress)
     name = title or ("the paper's 4 × 4 prototype" if design is None else "readout design")
-    claims = [found for found in results if isinstance(found, Claim)]
-    known = {statement.id for statement in STATEMENTS}
     report = Report(
         title=name,
         subject=subject,
         results=[found for found in results if isinstance(found, Result)],
-        claims=[claim for claim in claims if claim.id in known],
-        appendices=[claim for claim in claims if claim.id not in known],
+        claims=[found for found in results if isinstance(found, Claim)],
         seconds=time.perf_counter() - start,
         command=command,
         fingerprint=memory.fingerprint,
@@ -179,13 +173,13 @@ def _chosen(
 ) -> tuple[tuple[Requirement, ...], list[Statement]]:
     if not only:
         return requirements, statements
-    every = {statement.id: statement for statement in [*STATEMENTS, *APPENDICES]}
+    every = {statement.id: statement for statement in STATEMENTS}
     known = {requirement.id for requirement in requirements}
     there = known | every.keys()
     chosen = {id for given in only for id in ([given] if given in there else given.split(","))}
     for id in sorted(chosen - there):
         raise InputError(f"--only {id}: no such requirement; expected one of {', '.join([*sorted(known), *every])}")
-    # An id that a requirement has taken means a statement only where that was asked for as well (--paper, --speed).
+    # An id that a requirement has taken means a statement only where that was asked for as well (--paper).
     wanted = [s for s in every.values() if s.id in chosen and (s.id not in known or s in statements)]
     return tuple(r for r in requirements if r.id in chosen), wanted
 
@@ -203,7 +197,7 @@ def _compute(
     # The presses of the boards come from the worst-case search here, whose own requirement then costs nothing more, and
     # which the worst board may have to correct.
     last = [number for number, r in enumerate(work.requirements) if r.quantity in sampled and r.method in _SEARCHED]
-    names = [statement.id for statement in [*STATEMENTS, *APPENDICES]]
+    names = [statement.id for statement in STATEMENTS]
     tasks = [
         Task(f"requirement-{number}", f"{r.id} {r.quantity}", "requirement", number)
         for number, r in enumerate(work.requirements)
@@ -260,7 +254,7 @@ def _on_board(work: Work, task: Task) -> bool:
         return False
     if task.kind == "requirement":
         return work.requirements[task.number].method == HARDWARE
-    return task.kind == "claim" and [*STATEMENTS, *APPENDICES][task.number].id in ON_TARGET
+    return task.kind == "claim" and STATEMENTS[task.number].id in ON_TARGET
 
 
 _subjects: dict[str, Subject] = {}
@@ -280,7 +274,7 @@ def _do(work: Work, task: Task) -> tuple[Task, Any]:
         }
     if task.kind == "requirement":
         return task, evaluate(subject, work.requirements[task.number], work.folder)
-    return task, _claim(subject, [*STATEMENTS, *APPENDICES][task.number])
+    return task, _claim(subject, STATEMENTS[task.number])
 
 
 def _claim(subject: Subject, statement: Statement) -> Claim:

@@ -56,10 +56,10 @@ def fault_coverage(subject: Subject, requirement: Requirement, method: str) -> M
     if design.fault:
         raise NotRun("the design has faults of its own; a self-test is judged on a sound one")
     try:
-        least, most = sound_interval(subject)
+        lowest_sound, highest_sound = sound_interval(subject)
     except InputError as error:
         raise NotRun(f"no interval of a sound board: {error}") from error
-    lowest, highest = _limited(design, least), _limited(design, most)
+    lowest, highest = _limited(design, lowest_sound), _limited(design, highest_sound)
     counts: dict[str, Counter[bool]] = {}
     missed: list[str] = []
     cells = np.full(design.array.shape, subject.rest)

@@ -13,8 +13,9 @@ from ..errors import InputError
 from ._corner import WorstCase, improved, worst_case
 from ._maps import value_map
 from ._montecarlo import CONFIDENCE, blocks, boards_needed, proportion_bounds, sample_block, worst_board
-from ._outcome import Corner, DoesNotApply, Figure, Measurement, NotRun
+from ._outcome import DoesNotApply, Figure, Measurement, NotRun
 from ._parameters import Factors
+from ._record import CornerRecord, number
 from ._subject import Subject
 from ._targets import Box, Crosstalk, Excursion, GainError, Press, ReadingError, Target
 from ._units import engineering
@@ -140,12 +141,12 @@ def _where(found: WorstCase) -> str:
     return f"cell {found.cell}; {found.pressed_cells}{parts}"
 
 
-def _corner_of(found: WorstCase) -> Corner:
+def _corner_of(found: WorstCase) -> CornerRecord:
     parts = found.box.factors.varied(found.factors)
-    return Corner(
+    return CornerRecord(
         cell=found.cell,
-        parts={key: values.tolist() for key, values in parts.items()},
-        cells_ohm=[frame.tolist() for frame in found.frames],
+        parts={key: [number(value) for value in values.tolist()] for key, values in parts.items()},
+        cells_ohm=[[[number(ohms) for ohms in row] for row in frame.tolist()] for frame in found.frames],
     )
 
 

@@ -113,13 +113,13 @@ def output_current(subject: Subject, requirement: Requirement, method: str) -> M
 def leakage_error(subject: Subject, requirement: Requirement, method: str) -> Measurement:
     """Largest change of a reading by the leakage of the switches of all idle driven lines, % of that reading."""
     design = subject.design
-    leakage, (least, most) = design.drive.idle_leakage, subject.extremes
+    leakage, (least, largest) = design.drive.idle_leakage, subject.extremes
     if not leakage:
         raise NotRun("missing: drive.idle_leakage")
     board = design.board
     idle, kind = board.shape[0] - 1, board.line_kinds[0]
     drive = subject.factors.centre["drive.voltage"][0]
-    signal = (2 * abs(drive) - _drive(subject)) / most  # A of the selected cell at its largest resistance
+    signal = (2 * abs(drive) - _drive(subject)) / largest  # A of the selected cell at its largest resistance
     if board.floating:
         stray, where = idle * leakage, f"all idle {kind}s leak into the column that is read"
     else:
@@ -130,6 +130,6 @@ def leakage_error(subject: Subject, requirement: Requirement, method: str) -> Me
     return Measurement(
         100 * stray / signal if signal > 0 else np.inf,
         "%",
-        where=f"a cell of {engineering(most, 'ohm')}; {where}",
+        where=f"a cell of {engineering(largest, 'ohm')}; {where}",
         confidence="upper bound: all leakages of one sign, the other cells at their least resistance",
     )

@@ -10,23 +10,31 @@ from pathlib import Path
 
 import numpy as np
 
-from ..circuits import adc_codes
+from ..circuits import Requirement, adc_codes
 from ..common import plots
 from ..common.arrays import BoolArray, FloatArray
 from ..driver import Frame, Skin
-from ..emulator import BoardSettings, Contact, PtyPort, Rectangle, Scene, SkinSettings, running
+from ..emulator import BoardSettings, Contact, EngineName, PtyPort, Rectangle, Scene, SkinSettings, running
+from ..emulator.firmware import (
+    ERROR_BUDGET_STEPS,
+    check_scene,
+    dwell_error,
+    missing_for,
+)
+from ..emulator.firmware import BoardSettings as FirmwareSettings
 from ..errors import InputError
-from ._chain import runs
-from ._firmware import firmware_in_the_loop
+from ._chain import contacts, runs
+from ._dynamic import fastest_scan
 from ._maps import heat_maps
-from ._outcome import Check, Figure, Finding, NotRun
+from ._outcome import Check, Figure, Finding, NotRun, Table, not_run
 from ._subject import Subject
-from ._timing import timing
 
 RATE_HZ = 50.0
 SECONDS = 26.0
 PATIENCE_S = 60.0
 """for one frame: a slow machine is no failure"""
+FIRMWARE_FRAMES = 200
+DWELLS_US = (20, 40, 80, 160)
 TOUCHED = 0.1  # of full scale: above it a cell counts as touched
 
 
@@ -43,6 +51,16 @@ class _Received:
     misplaced: float
     """share of cells wrongly shown as touched or untouched"""
 
+    def checks(self, count: int, unlike: str) -> list[Check]:
+        """What holds for ``count`` frames of every emulated board."""
+        lost = sum(frame.lost_before or 0 for frame in self.frames)
+        return [
+            Check("cells wrongly shown as touched or untouched", 100 * self.misplaced, 1.0, "%"),
+            Check(unlike, float(self.unlike), 0.0),
+            Check("frames lost", float(lost), 0.0),
+            Check("frames received", float(len(self.frames)), float(count), at_least=True),
+        ]
+
 
 def whole_skin(subject: Subject) -> Finding:
     """P14: several contacts at once, their places and pressures, in real time."""
@@ -50,7 +68,7 @@ def whole_skin(subject: Subject) -> Finding:
         case "emulated":
             return _emulated(subject)
         case "firmware":
-            return firmware_in_the_loop(subject)
+            return _firmware(subject)
         case _:
             return _hardware(subject)
 
@@ -62,19 +80,15 @@ def _emulated(subject: Subject) -> Finding:
     histories = runs(operated)
     rmse, peak = (100 * max(found) for found in zip(*((h.rmse()[0], h.peak()[0]) for h in histories), strict=True))
     lost = 100 * max(float(history.lost.mean()) for history in histories)
-    received = _receive(operated)
-    frames = received.frames
-    speed = timing(operated, RATE_HZ)
+    scene = _scene(operated, contacts(operated.design.array.shape, operated.full_scale_kpa), noise=0.5)
+    received = _receive(scene, operated, engine="model", count=round(SECONDS * RATE_HZ))
     return Finding(
         checks=[
             Check("pressure RMSE, worst cell while touched", rmse, 2 * limit, "% of full scale"),
             Check("pressure, peak error of any cell", peak, 4 * limit, "% of full scale"),
             Check("readings lost to a limit", lost, 0.0, "%"),
-            Check("cells wrongly shown as touched or untouched", 100 * received.misplaced, 1.0, "%"),
-            Check("counts that differ from what the board sent", float(received.unlike), 0.0),
-            Check("frames lost", float(sum(frame.lost_before or 0 for frame in frames)), 0.0),
-            Check("frames received", float(len(frames)), SECONDS * RATE_HZ, at_least=True),
-            *speed.checks,
+            *received.checks(round(SECONDS * RATE_HZ), "counts that differ from what the board sent"),
+            *_fast_enough(operated),
         ],
         text=[
             "Pressures: boards at the worst corner of their tolerances and drawn at random, with the design's noise, "
@@ -84,38 +98,100 @@ def _emulated(subject: Subject) -> Finding:
             "port, learns the design from the board, and estimates the pressure of every cell. A cell counts as "
             f"touched above {100 * TOUCHED:g} % of full scale; frames within 0.3 s of a change are left out of that "
             "comparison. Time is the board's: this machine's speed decides nothing.",
-            *speed.text,
         ],
         figures=[
             _traces(received, subject.full_scale_kpa),
             _snapshot(received, subject.full_scale_kpa),
-            *speed.figures,
         ],
-        tables=speed.tables,
     )
 
 
-def _receive(subject: Subject) -> _Received:
-    scene = _scene(subject)
+def _fast_enough(subject: Subject) -> list[Check]:
+    """The fastest scan that settles to a quarter of an ADC step; nothing where the design does not say enough."""
+    try:
+        found = fastest_scan(subject, Requirement(id="P14", quantity="fastest_scan", min=RATE_HZ), "worst-case")
+    except NotRun:
+        return []
+    return [Check("fastest scan settled to 1/4 ADC step", found.value, RATE_HZ, "frames/s", at_least=True)]
+
+
+def _receive(scene: Scene, subject: Subject, *, engine: EngineName, count: int) -> _Received:
+    """Frames of an emulated board on a pseudo-terminal, beside the truth that it writes."""
     full = subject.full_scale_kpa
     with tempfile.TemporaryDirectory() as folder:
         truth_file = Path(folder) / "truth.npz"
         port = PtyPort()
         # The board lives a little longer than what the host takes, so that it never waits for a last frame.
         with (
-            running(scene, port, clock="fast", duration_s=SECONDS + 1.0, truth=truth_file),
-            Skin.open(port.name, delivery="lossless", timeout=PATIENCE_S) as skin,
+            running(scene, port, engine=engine, clock="fast", duration_s=(count + 50) / RATE_HZ, truth=truth_file),
+            Skin.open(port.name, cell=subject.cell, delivery="lossless", timeout=PATIENCE_S) as skin,
         ):
-            frames = list(islice(skin, round(SECONDS * RATE_HZ)))
+            frames = list(islice(skin, count))
         with np.load(truth_file) as file:
             truth = {name: file[name] for name in file.files}
-    frames = [frame for frame in frames if (frame.sequence or 0) < len(truth["sequence"])]
-    applied = truth["pressure_kpa"][[frame.sequence for frame in frames]]
+    place = {number: k for k, number in enumerate(truth["sequence"].tolist())}
+    frames = [frame for frame in frames if frame.sequence in place]
+    known = [place[frame.sequence] for frame in frames if frame.sequence is not None]
+    applied = truth["pressure_kpa"][known]
     estimate = np.array([frame.pressure for frame in frames])
-    sent = adc_codes(subject.design, truth["volts"])
-    unlike = sum(int((frame.counts != sent[frame.sequence]).sum()) for frame in frames)
+    sent = adc_codes(subject.design, truth["volts"][known])
+    unlike = sum(int((frame.counts != codes).sum()) for frame, codes in zip(frames, sent, strict=True))
     wrong = np.isnan(estimate) | ((estimate > TOUCHED * full) != (applied > TOUCHED * full))
     return _Received(scene, frames, applied, unlike, float(wrong[_settled(applied, full)].mean()))
+
+
+def _firmware(subject: Subject) -> Finding:
+    """P14 on the reference board's own program, on an emulated processor in the modelled circuit.
+
+    Besides frames and pressures it has the reading error of too short a dwell, as the program makes it.
+    """
+    reason = missing_for()
+    if reason is not None:
+        return not_run("board firmware", reason)
+    try:
+        scene = _scene(subject, _brief_contacts(subject.design.array.shape, subject.full_scale_kpa), noise=0.0)
+        usual = check_scene(scene).dwell_us
+    except (InputError, ValueError) as error:
+        return not_run("board firmware", f"no firmware for this design: {str(error).splitlines()[-1]}")
+    curve = [dwell_error(subject.design, FirmwareSettings(dwell_us=dwell)) for dwell in sorted({*DWELLS_US, usual})]
+    own = next(point for point in curve if point.dwell_us == usual)
+    apart = max(abs(point.measured_steps - point.predicted_steps) for point in curve) / curve[0].predicted_steps
+    received = _receive(scene, subject, engine="firmware", count=FIRMWARE_FRAMES)
+    estimate, full = np.array([frame.pressure for frame in received.frames]), subject.full_scale_kpa
+    rmse = 100 * np.sqrt(np.mean((estimate - received.applied) ** 2, axis=0)).max() / full
+    limit = subject.design.requirements.pressure_rmse_percent
+    return Finding(
+        checks=[
+            *received.checks(FIRMWARE_FRAMES, "counts that differ from what was converted"),
+            Check("pressure RMSE, worst cell", float(rmse), 2 * limit, "% of full scale"),
+            Check(f"reading off from settled, dwell {usual} us", own.measured_steps, ERROR_BUDGET_STEPS, "ADC steps"),
+            Check("firmware against settling model, of the largest error", 100 * apart, 5.0, "%"),
+        ],
+        text=[
+            "The program of the reference board runs on an emulated ATmega328P and sends over a pseudo-terminal. The "
+            "modelled circuit answers each conversion with the voltage at its sample instant, settling after the row "
+            "switch included.",
+        ],
+        figures=[_traces(received, full)],
+        tables=[
+            Table(
+                ["dwell", "largest error of the firmware", "of the settling model"],
+                [
+                    [f"{p.dwell_us} us", f"{p.measured_steps:.3g} steps", f"{p.predicted_steps:.3g} steps"]
+                    for p in curve
+                ],
+                "Rows of 10 kohm between rows without cells, so that every output jumps at every step.",
+            )
+        ],
+    )
+
+
+def _brief_contacts(shape: tuple[int, int], full: float) -> list[Contact]:
+    """Two contacts within four seconds, since an emulated processor takes its time."""
+    step = [(0.0, 0.0), (0.5, 0.0), (0.6, full), (2.0, full), (2.1, 0.0)]
+    ramp = [(0.0, 0.0), (1.0, 0.0), (2.0, 0.8 * full), (4.0, 0.8 * full)]
+    beside = Rectangle(center=(shape[0] - 1.0, shape[1] - 1.5), size_cells=(1.0, 2.0))
+    return [Contact(cells=[(0, 0)], load_kpa=step), Contact(rectangle=beside, load_kpa=ramp)]
 
 
 def _hardware(subject: Subject) -> Finding:
@@ -140,26 +216,12 @@ def _hardware(subject: Subject) -> Finding:
     )
 
 
-def _scene(subject: Subject) -> Scene:
-    """Three contacts that overlap in time, on whatever array the design has."""
+def _scene(subject: Subject, pressing: list[Contact], noise: float) -> Scene:
+    """A skin of the subject's cells under some contacts, read with ``noise`` in ADC steps."""
     if subject.design.adc is None:
         raise InputError("the design has no [adc] section; a board sends counts")
-    rows, columns = subject.design.array.shape
-    full = subject.full_scale_kpa
-
-    def load(start: float, end: float, level: float) -> list[tuple[float, float]]:
-        return [(start, 0.0), (start + 0.1, level * full), (end, level * full), (end + 0.1, 0.0)]
-
-    contacts = [
-        Contact(cells=[(0, 0)], load_kpa=load(2.0, 14.0, 1.0)),
-        Contact(cells=[(rows - 1, columns // 2)], load_kpa=[*load(5.0, 9.0, 0.6), *load(12.0, 20.0, 0.9)]),
-        Contact(
-            rectangle=Rectangle(center=(rows / 2, columns - 1.0), size_cells=(2.0, 1.0)),
-            load_kpa=[(8.0, 0.0), (16.0, 0.8 * full), (24.0, 0.8 * full), (24.1, 0.0)],
-        ),
-    ]
-    board = BoardSettings(frame_rate=RATE_HZ, noise=subject.design.adc.step / 2)
-    return Scene(skin=SkinSettings(design=subject.design, cell=subject.cell), board=board, contact=contacts)
+    board = BoardSettings(frame_rate=RATE_HZ, noise=noise * subject.design.adc.step)
+    return Scene(skin=SkinSettings(design=subject.design, cell=subject.cell), board=board, contact=pressing)
 
 
 def _settled(applied: FloatArray, full: float) -> BoolArray:

@@ -88,27 +88,27 @@ def terminated_groups(board: Parts, ports: FloatArray, steps: TerminatedColumns)
     one by one.
     """
     rows, columns = board.shape
-    held = rows + board.pulled  # the ports ahead of the columns
+    fixed_ports = rows + board.pulled  # the ports ahead of the columns
     ends = steps.ends
     for some_rows in np.split(steps.rows, len(steps.rows)) if board.floating else [steps.rows]:
         for some in np.split(steps.columns, len(steps.columns)) if steps.one_by_one else [steps.columns]:
             if not len(some):
                 continue
             read = np.isin(np.arange(columns), some) if steps.one_by_one else np.ones(columns, dtype=np.bool_)
-            tie = np.zeros(held + columns)
+            tie = np.zeros(fixed_ports + columns)
             tie[some_rows if board.floating else slice(rows)] = np.inf
-            tie[rows:held] = np.inf
-            tie[held:] = siemens(np.where(read, ends.resistance, board.idle_resistance) + board.column_lead)
+            tie[rows:fixed_ports] = np.inf
+            tie[fixed_ports:] = siemens(np.where(read, ends.resistance, board.idle_resistance) + board.column_lead)
             ties = TiedPorts.of(ports, tie)
-            behind = np.zeros((len(some_rows), held + columns))
-            behind[:, held:] = np.where(read, ends.source, 0.0)
+            behind = np.zeros((len(some_rows), fixed_ports + columns))
+            behind[:, fixed_ports:] = np.where(read, ends.source, 0.0)
             behind[np.arange(len(some_rows)), some_rows] = board.drive
             forward = ties.potentials(behind)
-            unit = np.zeros((len(some), held + columns))
-            unit[np.arange(len(some)), held + some] = ends.slope[some]
+            unit = np.zeros((len(some), fixed_ports + columns))
+            unit[np.arange(len(some)), fixed_ports + some] = ends.slope[some]
             adjoint = ties.potentials(unit)
-            current = ties.currents(forward, behind)[:, None, held:]
-            adjoint_current = ties.currents(adjoint, unit)[None, :, held:]
+            current = ties.currents(forward, behind)[:, None, fixed_ports:]
+            adjoint_current = ties.currents(adjoint, unit)[None, :, fixed_ports:]
             yield SensitivityGroup(
                 rows=some_rows,
                 columns=some,

@@ -97,12 +97,12 @@ def column_currents(board: Parts, terminated: Rounded, source: FloatArray) -> Cu
     applied = np.array([board.drive, 0.0][: 1 + board.pulled])[:, None]
     for row, (alone, step) in enumerate(one_driven(network, rows)):
         worst = np.maximum(worst, step)
-        held, between = alone[..., : len(applied), len(applied) :], alone[..., len(applied) :, len(applied) :]
-        driven = held * (applied - source)
+        to_fixed, between = alone[..., : len(applied), len(applied) :], alone[..., len(applied) :, len(applied) :]
+        driven = to_fixed * (applied - source)
         currents[..., row, :] = driven.sum(axis=-2) + (between * difference).sum(axis=-1)
         sizes[..., row, :] = np.abs(driven).sum(axis=-2) + (between * np.abs(difference)).sum(axis=-1)
         cancelled[..., row, :] = (between * before).sum(axis=-1)
-        cancelled[..., row, :] += (held * (np.abs(applied) + np.abs(source))).sum(axis=-2)
+        cancelled[..., row, :] += (to_fixed * (np.abs(applied) + np.abs(source))).sum(axis=-2)
     return Currents(currents, sizes, cancelled, relative + worst)
 
 

@@ -121,8 +121,8 @@ class InvertingAmplifier(ReadoutCircuit):
         the largest signal by the square of IDEAL_WIRE are such leaks, and become 0.
         """
         signal = volts - board.level
-        most = 1e3 * LARGEST_PART * np.prod(board.shape) * abs(board.drive) * board.reference
-        finite = np.abs(signal) <= most
+        largest = 1e3 * LARGEST_PART * np.prod(board.shape) * abs(board.drive) * board.reference
+        finite = np.abs(signal) <= largest
         least = IDEAL_WIRE**-2 * np.max(np.abs(signal), axis=(-2, -1), keepdims=True, where=finite, initial=0.0)
         leaked = np.abs(signal) < least
         return np.where(finite, np.where(leaked, board.level, volts), np.copysign(np.inf, signal))
@@ -332,8 +332,8 @@ def _read_saturated(board: Parts, ports: FloatArray, unlimited: Reading) -> Read
             wanted = (volts[steps] > high).astype(np.int8) - (volts[steps] < low).astype(np.int8)
             # An output stays at its limit while the amplifier's input still drives it outwards.
             input_volts = board.offset - (ends.source + ends.resistance * currents)
-            held = ((pattern > 0) & (input_volts >= at_high)) | ((pattern < 0) & (input_volts <= at_low))
-            wanted = np.where(pattern == 0, wanted, np.where(held, pattern, 0)).astype(np.int8)
+            stays = ((pattern > 0) & (input_volts >= at_high)) | ((pattern < 0) & (input_volts <= at_low))
+            wanted = np.where(pattern == 0, wanted, np.where(stays, pattern, 0)).astype(np.int8)
             if attempt >= _MURTY_AFTER:
                 first = np.argmax(wanted != pattern, axis=1)[:, None] == np.arange(columns)
                 wanted = np.where(first, wanted, pattern).astype(np.int8)

@@ -8,7 +8,6 @@
 :mod:`._banded`           banded Cholesky factorisation, for small grids
 :mod:`._ladders`          ladder networks (single lines with their cells) by continued fractions
 :mod:`._attenuation`      the first term of a Neumann series in closed form, with a certificate
-:mod:`._series`           further terms of that series
 :mod:`._sequence`         sequences of frames, by interpolation of the error of attenuation, with a certificate
 :mod:`._exact`            transfer conductances by the fastest exact method
 :mod:`._frame_transfer`   attenuation and exact ports of one grid frame by frame, also as machine code
@@ -22,7 +21,6 @@ from ._frame_transfer import AttenuatedFrame, FrameTransfer
 from ._network import Element, Network, reduce
 from ._ports import IDEAL_WIRE, LARGEST_PART, Lines, has_ideal_lines, port_conductances
 from ._sequence import SequenceTransfer, sequence_transfer
-from ._series import terms
 from ._siemens import siemens
 
 __all__ = [
@@ -49,5 +47,4 @@ __all__ = [
     "sequence_transfer",
     "series_conductance",
     "siemens",
-    "terms",
 ]

@@ -33,8 +33,7 @@ inequality bounds the sum of all terms after the zeroth:
 
 Each of the two vectors is zero outside one line. Therefore their norms follow from
 (Ur^-1 G Ur^-1)_jj <= (Ur^-1)_jj (1 - p_j), where (Ur^-1)_jj is at most the resistance of the wire to the end of the
-line. By the Collatz-Wielandt bound no eigenvalue of K G exceeds b, so that |R| <= b / (1 + b). :mod:`._series` adds
-further terms; each multiplies the bound by |R| |C|.
+line. By the Collatz-Wielandt bound no eigenvalue of K G exceeds b, so that |R| <= b / (1 + b).
 """
 
 from __future__ import annotations
@@ -245,10 +244,10 @@ def closed_form(cells: FloatArray, wires: UniformWires) -> tuple[Attenuated, Flo
     middle = 2.0 / (2.0 + far + near)  # within 0.56 (b - a) of both limits while b < 1/4
     np.subtract(far, near, out=near)
     np.multiply(near, end, out=total)
-    steepest, width, most, off = np.maximum.reduce(sums, axis=-1).astype(np.float64)
+    steepest, width, largest_loss, off = np.maximum.reduce(sums, axis=-1).astype(np.float64)
     # Rounding for n places: D is off by (n + 4) ulp, a and b by (4 n + 12) ulp; half of the latter passes to 1 - p.
     ulp = _SINGLE_ULP * (4.0 * max(rows, columns) + 24.0)
-    off = (0.6 * off + ulp * most) / (1.0 - most)
+    off = (0.6 * off + ulp * largest_loss) / (1.0 - largest_loss)
     relative = off * (2.0 + off) + 8.0 * ULP
     returned = (steepest * (1.0 + ulp) / (1.0 + steepest)) ** 2
     row *= middle[..., :rows, None]  # 1 - p
@@ -259,13 +258,16 @@ def closed_form(cells: FloatArray, wires: UniformWires) -> tuple[Attenuated, Flo
     squares = sums[0]
     np.einsum("...ij,...ij->...i", row, column, out=squares[..., :rows])
     np.subtract(row, column, out=row)  # G h p
-    # The bound needs (G h)^2 (1 - p). Since h <= 1 and p >= 1 - most, this is at most G (1 - p) G h p / (1 - most).
+    # The bound needs (G h)^2 (1 - p). Since h <= 1 and p >= 1 - largest_loss, this is at most
+    # G (1 - p) G h p / (1 - largest_loss).
     np.einsum("...ij,...ij->...j", lost, row, out=squares[..., rows:])
     lost += column
     squares += _TINY * max(rows, columns)  # covers terms that underflow in single precision
     norms = np.multiply(squares, wires.reach, dtype=np.float64)
     np.sqrt(norms, out=norms)
-    certain = (1.0 + relative) ** 2 * (1.0 + ulp) * (1.0 + width) * (1.0 - most) ** -0.5 * geometric_sum(returned)
+    certain = (
+        (1.0 + relative) ** 2 * (1.0 + ulp) * (1.0 + width) * (1.0 - largest_loss) ** -0.5 * geometric_sum(returned)
+    )
     norms[..., :rows] *= np.asarray(certain)[..., None]
     return (
         Attenuated(cells - lost, norms[..., :rows], norms[..., rows:], np.asarray(relative)[..., None, None]),
@@ -274,42 +276,35 @@ def closed_form(cells: FloatArray, wires: UniformWires) -> tuple[Attenuated, Flo
 
 
 @np.errstate(all="ignore")  # divisions by zero occur where a profile underflows
-def by_ladders(
-    cells: FloatArray,
-    wires: Wires,
-    *,
-    returned: FloatArray | None = None,
-    ladders: tuple[Ladders, Ladders] | None = None,
-) -> Attenuated:
+def by_ladders(cells: FloatArray, wires: Wires, *, returned: FloatArray | None = None) -> Attenuated:
     """Line attenuation with the profiles of ladders, exact up to rounding for lines of any resistance.
 
     Args:
         cells: (frames, N, M) S.
         wires: of the grid.
         returned: (frames,) known bounds on |R| |C|; the ladders may give sharper ones.
-        ladders: of the rows and of the columns, if they have been solved already.
 
     Returns:
         The result, with an infinite ``rounded`` for frames in which the drive underflows before the end of a line.
 
     """
     frames, rows, columns = cells.shape
-    row, column = ladders or wires.ladders(cells)
+    row, column = wires.ladders(cells)
     profile, beyond = (_split_frames(part, frames).transpose(1, 2, 0) for part in (row.profile, row.admittance))
     gain, above = (_split_frames(part, frames).swapaxes(0, 1)[:, ::-1] for part in (column.profile, column.admittance))
     lowest, least = profile.min(axis=(1, 2)), gain.min(axis=(1, 2))
     relative = profile_rounding(columns, lowest) + profile_rounding(rows, least) + 4.0 * ULP
     into, out = cells * profile, cells * gain
     transfer = into * gain
-    most = 1.0 + relative[:, None, None]
+    upper_factor = 1.0 + relative[:, None, None]
     reach = wires.to_amplifier / (1.0 + wires.to_amplifier * above)  # an upper bound on (Uc^-1)_jj
-    row_square = np.einsum("...ij,...ij,...ij->...i", into, into * most - transfer, reach)
+    row_square = np.einsum("...ij,...ij,...ij->...i", into, into * upper_factor - transfer, reach)
     reach = wires.to_driver / (1.0 + wires.to_driver * beyond)
-    column_square = np.einsum("...ij,...ij,...ij->...j", out, out * most - transfer, reach)
+    column_square = np.einsum("...ij,...ij,...ij->...j", out, out * upper_factor - transfer, reach)
     seen: FloatArray = (1.0 + relative - lowest) * (1.0 + relative - least)
     returned = seen if returned is None else np.fmin(seen, returned)
     certain = SLACK * (1.0 + relative) ** 2 * geometric_sum(returned)
-    return Attenuated(transfer, certain[:, None] * np.sqrt(row_square), np.sqrt(column_square), most - 1.0)
+    return Attenuated(transfer, certain[:, None] * np.sqrt(row_square), np.sqrt(column_square), upper_factor - 1.0)
 
 
 def _split_frames(part: FloatArray, frames: int) -> FloatArray:

@@ -30,12 +30,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...common.arrays import BoolArray, FloatArray
+from ...common.arrays import FloatArray
 from ._dissection_leaves import far_rims, fill_leaves, leaf_scratch, reduce_leaves
 from ._dissection_plan import Merge, Plan, plan
 from ._elimination import inverted
 
-_MOSTLY_CHANGED = 0.6  # share of changed blocks above which merging the whole level is faster
 _CACHE_SIZE = 1 << 24  # numbers that each thread keeps in memory between calls (128 MB)
 
 
@@ -169,10 +168,10 @@ def _stacks(work: Plan, frames: int) -> Iterator[tuple[int, ...]]:
 
 def _scratch(work: Plan, frames: int) -> int:
     """Size of the working memory that suffices for every level."""
-    most = leaf_scratch(work.leaf, frames * work.down * work.along)
+    largest = leaf_scratch(work.leaf, frames * work.down * work.along)
     for merge, (*stack, ports, _) in zip(work.merges, list(_stacks(work, frames))[1:], strict=True):
-        most = max(most, math.prod(stack) * merge.eliminated * (merge.eliminated + 2 * ports))
-    return most
+        largest = max(largest, math.prod(stack) * merge.eliminated * (merge.eliminated + 2 * ports))
+    return largest
 
 
 def _halves(axis: int, stack: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -229,86 +228,3 @@ def _without_padding(work: Plan, root: FloatArray, shape: tuple[int, ...], trans
     if not work.merges:
         root = root[..., width:, :width]
     return root[..., :rows, width - columns :]
-
-
-class Tree:
-    """Nested dissection of a grid whose cells change from frame to frame.
-
-    The blocks of all levels are kept. For a new frame only the leaves with changed cells and the blocks above them are
-    computed again.
-    """
-
-    def __init__(self, rows: int, columns: int) -> None:
-        self._grid = rows, columns
-        self._plan = work = plan(rows, columns)
-        shapes = list(_stacks(work, 1))
-        if work.merges:
-            shapes[-1] = (1, 1, 1, *work.merges[-1].whole[:2])
-        self._stacks = [np.empty(shape) for shape in shapes]
-        self._relative = [np.zeros(shape[:3]) for shape in shapes]
-        self._given = np.full((3 * work.leaf.rows * work.leaf.columns, 1, work.down, work.along), np.nan)
-        self._scratch = np.empty(_scratch(work, 1))
-        self._joins = _joins(work, self._stacks, self._scratch)
-        self._partial_joins: dict[tuple[int, int], tuple[FloatArray, FloatArray, _Join, FloatArray]] = {}
-        self._buffers = [np.empty(max(stack.size for stack in self._stacks)) for _ in range(3)]
-
-    def transfer(self, cells: FloatArray, row: FloatArray, column: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """As :func:`dissect` with ``transfer_only``, for a frame (1, N, M) of cells in S."""
-        given = np.zeros(self._given.shape)
-        fill_leaves(self._plan, (cells, row[None], column[None]), given)
-        stale = (given != self._given).any(axis=0)
-        self._given.fill(np.nan)  # if an exception interrupts us, the next call computes everything
-        if stale.any():
-            self._reduce(given, stale)
-        for level, merge in enumerate(self._plan.merges):
-            first, second = _halves(merge.axis, stale)
-            stale = first | second
-            if stale.any():
-                self._merge(level, stale)
-        self._given = given
-        network, relative = self._stacks[-1][:, 0, 0], self._relative[-1][:, 0, 0]
-        return _without_padding(self._plan, network, self._grid, transfer_only=True), relative
-
-    def _reduce(self, given: FloatArray, stale: BoolArray) -> None:
-        """Eliminate the changed leaves again, or all leaves where most have changed."""
-        stack = self._stacks[0]
-        everything = bool(stale.mean() > _MOSTLY_CHANGED)
-        if everything:
-            stale = np.ones_like(stale)
-        count = int(stale.sum())
-        fresh = stack.reshape(-1, *stack.shape[-2:]) if everything else self._buffer(0, (count, *stack.shape[-2:]))
-        rims = far_rims(self._plan, *self._grid, stale)
-        self._relative[0][stale] = reduce_leaves(self._plan.leaf, given[:, stale], rims, fresh, self._scratch)
-        if not everything:
-            stack[stale] = fresh
-
-    def _merge(self, level: int, stale: BoolArray) -> None:
-        """Merge the pairs with a changed half again, or all pairs where most have changed."""
-        if stale.mean() > _MOSTLY_CHANGED:
-            first, second = _halves(self._plan.merges[level].axis, self._relative[level])
-            self._relative[level + 1] = self._joins[level].run() + np.maximum(first, second)
-            return
-        merge, below, above = self._plan.merges[level], self._stacks[level], self._stacks[level + 1]
-        count, blocks = int(stale.sum()), below.reshape(-1, *below.shape[-2:])
-        one_at, other_at = (
-            places[stale] for places in _halves(merge.axis, np.arange(len(blocks)).reshape(below.shape[:3]))
-        )
-        one, other, join, fresh = self._partial_join(level, count)
-        np.take(blocks, one_at, axis=0, out=one, mode="clip")
-        np.take(blocks, other_at, axis=0, out=other, mode="clip")
-        own = join.run()
-        above[stale] = fresh
-        relative = self._relative[level].ravel()
-        self._relative[level + 1][stale] = own + np.maximum(relative[one_at], relative[other_at])
-
-    def _partial_join(self, level: int, count: int) -> tuple[FloatArray, FloatArray, _Join, FloatArray]:
-        """Buffers for ``count`` pairs: first halves, second halves, their prepared merge, and the merged pairs."""
-        if (level, count) not in self._partial_joins:
-            half, whole = ((count, *self._stacks[k].shape[-2:]) for k in (level, level + 1))
-            one, other, fresh = self._buffer(0, half), self._buffer(1, half), self._buffer(2, whole)
-            join = _Join(self._plan.merges[level], one, other, fresh, self._scratch)
-            self._partial_joins[level, count] = one, other, join, fresh
-        return self._partial_joins[level, count]
-
-    def _buffer(self, number: int, shape: tuple[int, ...]) -> FloatArray:
-        return self._buffers[number][: math.prod(shape)].reshape(shape)

@@ -64,16 +64,16 @@ def leaf(block: Block) -> Leaf:
     ends += [(("row", i, j), ("row", i, j + 1)) for i, j in np.ndindex(shape)]
     ends += [(("column", j, i), ("column", j, i + 1)) for i, j in np.ndindex(shape)]
     number = {frozenset(pair): k for k, pair in enumerate(ends)}
-    around: dict[Label, set[Label]] = {}
+    neighbours_of: dict[Label, set[Label]] = {}
     for a, b in ends:
-        around.setdefault(a, set()).add(b)
-        around.setdefault(b, set()).add(a)
+        neighbours_of.setdefault(a, set()).add(b)
+        neighbours_of.setdefault(b, set()).add(a)
     ports = block.ports()
-    inner = sorted(set(around) - set(ports))
+    inner = sorted(set(neighbours_of) - set(ports))
     steps, operations = [], 0
     while inner:
-        nodes = _independent(inner, around)
-        arms = [sorted(around[node]) for node in nodes]
+        nodes = _independent(inner, neighbours_of)
+        arms = [sorted(neighbours_of[node]) for node in nodes]
         pairs = [
             (p * len(nodes) + k, q * len(nodes) + k, frozenset((arms[k][p], arms[k][q])))
             for p, q in zip(*np.triu_indices(len(arms[0]), 1), strict=True)
@@ -94,26 +94,28 @@ def leaf(block: Block) -> Leaf:
         operations += len(arms[0]) + 3
         for node in nodes:
             inner.remove(node)
-            neighbours = around.pop(node)
+            neighbours = neighbours_of.pop(node)
             for arm in neighbours:
-                around[arm].remove(node)
-                around[arm].update(neighbours - {arm})
+                neighbours_of[arm].remove(node)
+                neighbours_of[arm].update(neighbours - {arm})
     result = _index_array([number.get(frozenset((a, b)), len(number)) for a in ports for b in ports])
-    most = max(len(result), *(max(len(step.first_arm), step.arms.size) for step in steps), 1)
-    return Leaf(len(number), tuple(steps), result, most, ULP * operations)
+    widest = max(len(result), *(max(len(step.first_arm), step.arms.size) for step in steps), 1)
+    return Leaf(len(number), tuple(steps), result, widest, ULP * operations)
 
 
 def _index_array(numbers: list[int] | list[list[int]]) -> IntArray:
     return np.array(numbers, dtype=np.intp)
 
 
-def _independent(inner: list[Label], around: dict[Label, set[Label]]) -> list[Label]:
+def _independent(inner: list[Label], neighbours_of: dict[Label, set[Label]]) -> list[Label]:
     """Nodes of minimum degree that can be eliminated together: no two are neighbours or share two neighbours."""
-    fewest = min(len(around[node]) for node in inner)
+    fewest = min(len(neighbours_of[node]) for node in inner)
     chosen: list[Label] = []
     for node in inner:
-        apart = all(node not in around[other] and len(around[node] & around[other]) < 2 for other in chosen)
-        if len(around[node]) == fewest and apart:
+        apart = all(
+            node not in neighbours_of[other] and len(neighbours_of[node] & neighbours_of[other]) < 2 for other in chosen
+        )
+        if len(neighbours_of[node]) == fewest and apart:
             chosen.append(node)
     return chosen
 

@@ -252,18 +252,18 @@ def _attenuate(
     relative = ULP * columns * (4.0 - 5.0 * np.log(lowest)) + ULP * rows * (4.0 - 5.0 * np.log(least)) + 4.0 * ULP
     returned = (1.0 + relative - lowest) * (1.0 + relative - least)
     certain = SLACK * (1.0 + relative) ** 2 / max(1.0 - returned, 1e-60)
-    most = 1.0 + relative
+    upper_factor = 1.0 + relative
     row_square, column_square = np.zeros(rows), np.zeros(columns)
     for i in range(rows):
         for j in range(columns):
             into, out = cells[i, j] * profile[i, j], cells[i, j] * gain[i, j]
             transfer[i, j] = into * gain[i, j]
             lift = to_amplifier[i, j] / (1.0 + to_amplifier[i, j] * above[i, j])
-            row_square[i] += into * (into * most - transfer[i, j]) * lift
+            row_square[i] += into * (into * upper_factor - transfer[i, j]) * lift
             lift = to_driver[i, j] / (1.0 + to_driver[i, j] * beyond[i, j])
-            column_square[j] += out * (out * most - transfer[i, j]) * lift
+            column_square[j] += out * (out * upper_factor - transfer[i, j]) * lift
     for i in range(rows):
         bound = certain * np.sqrt(row_square[i])
         for j in range(columns):
-            error[i, j] = bound * np.sqrt(column_square[j]) + (most - 1.0) * transfer[i, j]
+            error[i, j] = bound * np.sqrt(column_square[j]) + (upper_factor - 1.0) * transfer[i, j]
     return True

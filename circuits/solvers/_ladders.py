@@ -4,13 +4,12 @@ A line of the grid is a ladder: wire resistance in series, cells as shunts to gr
 continued fraction (Cauer form) Y_k = g_k + 1 / (r_k+1 + 1 / Y_k+1), evaluated from the far end. All terms are
 nonnegative, so no digits cancel.
 
-Line attenuation (:mod:`._attenuation`) uses ladders where the lines are too heavy for its closed form. The further
-terms of the Neumann series (:mod:`._series`) use the impedance matrices of ladders.
+Line attenuation (:mod:`._attenuation`) uses ladders where the lines are too heavy for its closed form.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,18 +17,13 @@ from ...common.arrays import FloatArray
 from ._elimination import ULP
 
 
-@dataclass(frozen=True)
-class Ladders:
+class Ladders(NamedTuple):
     """Many ladders of equal length, solved together.
 
     Places count from the driven end of a row, or from the amplifier's end of a column. Arrays are (places, lines), so
     that one step along all lines is one contiguous slice.
     """
 
-    series: FloatArray
-    """ohm of the wire between each place and the place before it"""
-    shunt: FloatArray
-    """S of the cell at each place, from the line to ground"""
     admittance: FloatArray
     """S to ground of the cell at each place and of everything behind it"""
     profile: FloatArray
@@ -40,8 +34,8 @@ class Ladders:
         """Solve ladders.
 
         Args:
-            series: (places, lines) ohm.
-            shunt: (places, lines) S.
+            series: (places, lines) ohm of the wire between each place and the place before it.
+            shunt: (places, lines) S of the cell at each place, from the line to ground.
 
         """
         admittance, drop = np.empty_like(shunt), np.empty_like(shunt)
@@ -53,7 +47,7 @@ class Ladders:
             np.add(drops[place], 1.0, out=drops[place])
             np.divide(sums[place], drops[place], out=rest)
         np.divide(1.0, drop, out=drop)
-        return cls(series, shunt, admittance, np.multiply.accumulate(drop, axis=0, out=drop))
+        return cls(admittance, np.multiply.accumulate(drop, axis=0, out=drop))
 
 
 def profile_rounding(places: int, smallest: FloatArray) -> FloatArray:

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray
-from ._dissection import Tree, dissect
+from ._dissection import dissect
 from ._elimination import ULP, Rounded, eliminate_leading, inverted
 
 IDEAL_WIRE = 1e40  # 0 ohm, relative to the largest conductance beside it; errors are far below rounding
@@ -72,22 +72,6 @@ def transfer_conductances(conductance: FloatArray, lines: Lines) -> Rounded:
     return Rounded(transfer.reshape(*batch, rows, columns), relative.reshape(batch))
 
 
-class Stream:
-    """Transfer conductances of one grid whose cells change from frame to frame.
-
-    The blocks of the nested dissection are kept. Only blocks that contain a changed cell are computed again.
-    """
-
-    def __init__(self, lines: Lines) -> None:
-        self._lines = lines
-        self._tree = Tree(*lines.row.shape)
-
-    def transfer(self, conductance: FloatArray) -> Rounded:
-        """As :func:`transfer_conductances`, for one frame (N, M) of cells in S."""
-        transfer, relative = self._tree.transfer(*_reversed_rows(conductance[None], self._lines))
-        return Rounded(transfer[0, ::-1, ::-1].copy(), relative[0])
-
-
 def _ports(conductance: FloatArray, lines: Lines, *, transfer_only: bool) -> Rounded:
     """Port conductances (frames, N + M, N + M) in S, or if ``transfer_only`` their (frames, N, M) transfer block."""
     if has_ideal_lines(lines):
@@ -118,10 +102,10 @@ def capped(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatArra
     column = np.concatenate([exits[None], lines.column[:0:-1]])
     parts = conductance, lines.row, column
     largest = [float(part.max(initial=0.0)) for part in parts]
-    short = IDEAL_WIRE * max(_largest_finite(part, most) for part, most in zip(parts, largest, strict=True))
+    short = IDEAL_WIRE * max(_largest_finite(part, peak) for part, peak in zip(parts, largest, strict=True))
     wire = IDEAL_WIRE * short  # an ideal line holds its potential even across a shorted cell
     limits = zip(parts, largest, (short, wire, wire), strict=True)
-    cells, row, column = (np.minimum(part, limit) if most > limit else part for part, most, limit in limits)
+    cells, row, column = (np.minimum(part, limit) if peak > limit else part for part, peak, limit in limits)
     return cells, row, column
 
 
@@ -193,8 +177,8 @@ def _ended(exits: FloatArray | None, columns: int) -> BoolArray:
     return np.zeros(columns, dtype=np.bool_) if exits is None else np.isfinite(exits)
 
 
-def _largest_finite(values: FloatArray, most: float) -> float:
-    """Largest conductance in S apart from shorts, at least :data:`LARGEST_PART`; ``most`` is the largest value."""
-    if most < _AS_GOOD_AS_SHORT:
-        return max(most, LARGEST_PART)
+def _largest_finite(values: FloatArray, largest: float) -> float:
+    """Largest conductance in S apart from shorts, at least :data:`LARGEST_PART`; ``largest`` is the largest value."""
+    if largest < _AS_GOOD_AS_SHORT:
+        return max(largest, LARGEST_PART)
     return float(np.max(values, where=values < _AS_GOOD_AS_SHORT, initial=LARGEST_PART))

@@ -251,6 +251,6 @@ class _Limits:
         returned = row_loss * column_loss / (row_kept * column_kept)
         inside &= returned < 1.0
         endless = 1.0 / np.where(inside, 1.0 - returned, 1.0)
-        most = column_sum * pair_loss / (row_kept * column_kept) ** 2 * endless
-        error = most * _RADII / ((_RADII - 1.0) ** 2 * (_RADII + 1.0))
+        bound = column_sum * pair_loss / (row_kept * column_kept) ** 2 * endless
+        error = bound * _RADII / ((_RADII - 1.0) ** 2 * (_RADII + 1.0))
         return float(np.min(error, where=inside, initial=np.inf))

@@ -61,7 +61,7 @@ class Deck:
         return self._joined(control)
 
     def batch_text(self) -> str:
-        """Netlist for ``ngspice -b -r FILE`` and for libngspice: the analysis is a card, and only outputs are saved."""
+        """Netlist for ``ngspice -b -r FILE``: the analysis is a card, and only outputs are saved."""
         nodes = dict.fromkeys((*self.outputs, self.ground))
         saved = [f".save v({node})" for node in nodes if node != REFERENCE]
         return self._joined([*saved, f".{self.analysis}"])
@@ -301,20 +301,20 @@ class DeckWriter(CardWriter):
 
         No current flows in such an island, so a tie of 1 ohm changes no reading.
         """
-        held = DisjointSet([REFERENCE])
+        tied = DisjointSet([REFERENCE])
         for node in self.name.values():
-            held.add(node)
+            tied.add(node)
         for _, a, b, ohm in self._resistors():
             if ohm < inf:
-                held.merge(self.name[a], self.name[b])
+                tied.merge(self.name[a], self.name[b])
         if self.feedback or not self.one_by_one or self.board.idle_columns != "float":
             for j in range(self.columns):
-                held.merge(self.name[self.circuit.column_end(j)], REFERENCE)
+                tied.merge(self.name[self.circuit.column_end(j)], REFERENCE)
         driven_one_by_one = self.row is None and self.floating
         if not driven_one_by_one:
             for driver in self.drivers:
-                held.merge(driver, REFERENCE)
-        for number, island in enumerate(held.subsets()):
+                tied.merge(driver, REFERENCE)
+        for number, island in enumerate(tied.subsets()):
             if REFERENCE in island:
                 continue
             node = min(island)

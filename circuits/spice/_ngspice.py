@@ -1,23 +1,12 @@
-"""ngspice as an independent judge: through PySpice and libngspice, or as a command of its own.
-
-This is the only module that imports PySpice (GPL, extra ``spice``), and only when it is used. PySpice 1.5 is from
-2021 and needs some care, all of it kept here.
-"""
+"""The command ngspice as an independent judge of the circuits."""
 
 from __future__ import annotations
 
-import ctypes
-import ctypes.util
-import logging
-import os
 import re
 import shutil
 import signal
 import subprocess
 import tempfile
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...common.arrays import FloatArray
-from ...common.extras import install_command
 from ...errors import MissingExtra, SolverError
 from .._design import Design
 from ..readouts import REFERENCE
@@ -42,82 +30,33 @@ Vectors = dict[str, NDArray[Any]]
 """By ngspice's name of node or vector: float64, or complex128 after an AC analysis."""
 
 
-def available() -> str | None:
-    """Why :func:`spice_scan` cannot run here, or None if it can."""
-    try:
-        _library()
-    except MissingExtra as error:
-        return str(error)
-    return None
-
-
 def command_available() -> str | None:
-    """Why :func:`command_scan` cannot run here, or None if it can."""
+    """Why ngspice cannot run here, or None if it can."""
     if shutil.which("ngspice"):
         return None
     return "the command 'ngspice' is not installed (Debian, Ubuntu: apt install ngspice)"
 
 
-def spice_scan(design: Design, resistance: ArrayLike) -> FloatArray:
-    """The column outputs of one frame in V, (rows, columns): one operating point per row, by libngspice.
+def command_scan(design: Design, resistance: ArrayLike) -> FloatArray:
+    """The outputs of one frame in V, (rows, columns): one ``.dc`` sweep, or a few extreme circuits row by row.
 
     Raises:
         InputError: cells that do not fit the design.
-        MissingExtra: PySpice or libngspice is not installed.
+        MissingExtra: the command is not installed.
         SolverError: contradictory ideal parts, or no convergence.
     """
-    cells = design.resistance(resistance)
-    decks = [step_deck(design, cells, row) for row in range(design.array.rows)]
-    return np.vstack([_volts(deck, run_library(deck.batch_text()))[0] for deck in decks])
-
-
-def command_scan(design: Design, resistance: ArrayLike) -> FloatArray:
-    """As :func:`spice_scan`, by one process of the ngspice command and one sweep: its fastest way.
-
-    Raises:
-        InputError, SolverError: as :func:`spice_scan`; a few extreme circuits have no sweep, see
-            :func:`ohmskin.circuits.spice._netlist.frame_deck`.
-        MissingExtra: the command is not installed.
-    """
-    deck = frame_deck(design, resistance)
+    if reason := command_available():
+        raise MissingExtra(reason)
+    try:
+        deck = frame_deck(design, resistance)
+    except SolverError:  # ideal parts that only the netlist of a single row can express
+        decks = [step_deck(design, resistance, row) for row in range(design.array.rows)]
+        return np.vstack([_volts(deck, run_command(deck.batch_text()))[0] for deck in decks])
     return design.board.turn(_volts(deck, run_command(deck.batch_text())).reshape(design.board.shape))
 
 
-def run_library(text: str) -> Vectors:
-    """Run the analysis in a netlist by libngspice and return the vectors it saved.
-
-    There is one libngspice per process, so this is not for several threads at once.
-
-    Raises:
-        MissingExtra: PySpice or libngspice is not installed.
-        SolverError: ngspice gave no result; the message holds what it said.
-    """
-    ngspice = _library()
-    with _quiet():
-        try:
-            ngspice.load_circuit(text)
-            with suppress(NameError):
-                # PySpice raises (heirs of NameError) at any note, even that another start of Newton's method
-                # succeeded; whether there is a result shows below.
-                ngspice.run()
-            said, name = ngspice.stderr, ngspice.last_plot
-            failed = name == "const" or "abort" in said  # "const" holds pi and the like, and is always there
-            plot = {} if failed else ngspice.plot(None, name)
-        except NameError as error:
-            raise SolverError(f"ngspice refused the netlist: {_gist(ngspice.stdout)}") from error
-        finally:
-            # Without both, every circuit and every result stay in memory for good.
-            with suppress(NameError):
-                ngspice.destroy()
-                ngspice.remove_circuit()
-    vectors = {_canonical(name): vector._data for name, vector in plot.items()}
-    if not any(len(vector) for vector in vectors.values()):
-        raise SolverError(f"ngspice gave no result: {_gist(said)}")
-    return vectors
-
-
 def run_command(text: str) -> Vectors:
-    """As :func:`run_library`, by a process of the ngspice command.
+    """Run the analysis in a netlist by ``ngspice -b`` and return the vectors that it saved.
 
     Raises:
         MissingExtra: the command is not installed.
@@ -243,37 +182,3 @@ def _gist(said: str) -> str:
     spoken = (line.strip() for line in said.splitlines() if not re.match(r"\s*(error: )?meas", line, re.IGNORECASE))
     lines = [line for line in spoken if re.search(_COMPLAINT, line, flags=re.IGNORECASE)]
     return "; ".join(list(dict.fromkeys(lines))[:3]) or said.strip()[-200:] or "it said nothing"
-
-
-def _library() -> Any:
-    """PySpice's handle of libngspice (one per process). Raises MissingExtra."""
-    path = os.environ.get("NGSPICE_LIBRARY_PATH") or ctypes.util.find_library("ngspice")
-    if path is None:
-        raise MissingExtra("libngspice is not installed (Debian, Ubuntu: apt install libngspice0)")
-    try:
-        ctypes.CDLL(path)  # PySpice does not survive a first attempt that fails
-        with _quiet():
-            from PySpice.Spice.NgSpice.Shared import NgSpiceShared  # here, because it is optional
-
-            NgSpiceShared.LIBRARY_PATH = path  # its own guess needs the library's development link
-            return NgSpiceShared.new_instance()
-    except ImportError as error:
-        raise MissingExtra(f"PySpice is not installed: {install_command('spice')}") from error
-    except OSError as error:
-        raise MissingExtra(f"libngspice cannot be loaded from {path}: {error}") from error
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep PySpice's own noise away: it logs every note of ngspice as an error, complains of each ngspice newer
-    than itself, and imports what Python has since deprecated.
-    """
-    logger = logging.getLogger("PySpice")
-    level = logger.level
-    logger.setLevel(logging.CRITICAL + 1)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)
-            yield
-    finally:
-        logger.setLevel(level)

@@ -1,6 +1,6 @@
 """Noise of the readings from a Lyapunov equation: amplifiers, resistors and quantisation, per cell.
 
-The column amplifiers are a linear system (:mod:`._dynamics`) driven by white noise. The covariance P of the state then
+The column amplifiers are a linear system (:mod:`._circuit`) driven by white noise. The covariance P of the state then
 solves the continuous Lyapunov equation ``A P + P A' + B W B' = 0``, where A is the state matrix, B the input matrix and
 W the intensity of the noise (Astrom, "Introduction to Stochastic Control Theory", 1970). This method needs neither an
 integral over frequency nor an assumed noise bandwidth.
@@ -14,20 +14,21 @@ Densities are one-sided, in V/sqrt(Hz) and A/sqrt(Hz), as in data sheets. Low-fr
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.constants import Boltzmann
 from scipy.linalg import solve_continuous_lyapunov
 
-from ...common.arrays import FloatArray
+from ...common.arrays import FloatArray, IntArray
 from ...errors import InputError
 from .._board import Board
 from .._design import Design
-from ._dynamics import Dynamics, column_conductances, column_dynamics, require_amplifiers
-from ._shared_amplifier import SharedAmplifier
-from ._switched import column_networks
+from ._circuit import Circuit, column_networks, require_amplifiers, sampler_delay
+
+_ORIGINS = ("amplifier voltage", "amplifier current", "grid", "reference resistor")
+_LEAST_INTENSITY = 1e-16
+"""S, of the grid: less is the conductance of nodes that nothing is connected to"""
 
 
 @dataclass(frozen=True)
@@ -99,8 +100,7 @@ def noise(design: Design, resistance: ArrayLike) -> Noise:
 
     """
     board = design.board
-    shared = board.circuit.virtual_ground and board.multiplexed
-    if board.circuit.has_amplifiers and not shared:
+    if board.circuit.has_amplifiers and not board.circuit.virtual_ground:
         require_amplifiers(board)
     cells = board.turn(design.resistance(resistance))
     part, adc = design.readout, design.adc
@@ -108,7 +108,7 @@ def noise(design: Design, resistance: ArrayLike) -> Noise:
     thermal_energy = Boltzmann * part.temperature  # k T, in J
     if board.circuit.has_amplifiers:
         if part.voltage_noise or part.current_noise or thermal_energy:
-            parts |= (_shared_noise if shared else _amplified_noise)(board, cells, thermal_energy)
+            parts |= _amplifier_noise(board, cells, thermal_energy)
     elif thermal_energy and not (adc and adc.sampling_capacitance):
         raise InputError(
             "noise of the resistors has no bandwidth limit and so no finite size; give adc.sampling_capacitance"
@@ -120,109 +120,63 @@ def noise(design: Design, resistance: ArrayLike) -> Noise:
     return Noise({name: board.turn(part) for name, part in parts.items()}, design.array.shape)
 
 
-def _amplified_noise(board: Board, cells: FloatArray, thermal_energy: float) -> dict[str, FloatArray]:
-    """Standard deviations (N, M) in V by origin: amplifiers, grid and reference resistors."""
-    part, one = board.readout, np.eye(board.shape[1])
-    rows = []
-    for conductance in column_conductances(board, cells):
-        # The intensity of white noise is its two-sided density, half the one-sided density.
-        voltage = {"amplifier voltage": part.voltage_noise**2 / 2 * one}
-        current = {
-            "amplifier current": part.current_noise**2 / 2 * one,
-            "grid": 2 * thermal_energy * conductance,
-            "reference resistor": 2 * thermal_energy / board.reference * one,
-        }
-        rows.append(_variances(board, column_dynamics(board, conductance), voltage, current))
-    parts = {}
-    for name in dict.fromkeys(name for row in rows for name in row):
-        variance = [row.get(name, np.zeros(board.shape[1])) for row in rows]
-        parts[name] = np.sqrt(np.broadcast_to(variance, board.shape))
-    return parts
+def _amplifier_noise(board: Board, cells: FloatArray, thermal_energy: float) -> dict[str, FloatArray]:
+    """Standard deviations (N, M) in V by origin: amplifiers, grid and resistors.
 
-
-def _shared_noise(board: Board, cells: FloatArray, thermal_energy: float) -> dict[str, FloatArray]:
-    """As :func:`_amplified_noise`, for one amplifier behind a switch that has long been at the column it reads.
-
-    Raises:
-        InputError: nothing limits the bandwidth.
-
+    One amplifier behind a switch has long been at the column that it reads.
     """
-    part, columns = board.readout, board.shape[1]
-    if part.gain_bandwidth == inf:
-        raise InputError(
-            "noise of one amplifier behind a switch has no bandwidth limit and so no finite size; "
-            "give readout.gain_bandwidth"
-        )
+    columns = board.shape[1]
+    every = np.arange(columns)
+    readings = every[:, None] if board.multiplexed else every[None]
     parts: dict[str, FloatArray] = {}
-    known: dict[tuple[int, int], dict[str, float]] = {}
+    known: dict[int, dict[str, FloatArray]] = {}
     networks = [network for network, _ in column_networks(board, cells)]  # all alive: their identities differ
-    for (row, column), network in np.ndenumerate(np.repeat(np.arange(len(networks))[:, None], columns, axis=1)):
-        seen = networks[network]
-        if (id(seen), column) not in known:
-            known[id(seen), column] = _shared_variances(board, seen, column, thermal_energy)
-        for name, variance in known[id(seen), column].items():
-            parts.setdefault(name, np.zeros(board.shape))[row, column] = np.sqrt(variance)
+    for row, network in enumerate(networks):
+        if id(network) not in known:
+            known[id(network)] = {}
+            for loaded in readings:
+                for name, variance in _variances(board, network, loaded, thermal_energy).items():
+                    known[id(network)].setdefault(name, np.zeros(columns))[loaded] = variance
+        for name, variance in known[id(network)].items():
+            parts.setdefault(name, np.zeros(board.shape))[row] = np.sqrt(variance)
     return parts
 
 
-def _shared_variances(board: Board, network: FloatArray, column: int, thermal_energy: float) -> dict[str, float]:
-    """Variances in V^2 of the reading of one column, by the name of the noise."""
-    part, count = board.readout, board.shape[1]
-    circuit = SharedAmplifier.of(board, network, column, sampling=True)
-    intensities = {name: np.zeros((count + 2, count + 2)) for name in ("amplifier voltage", "amplifier current")}
-    intensities |= {name: np.zeros((count + 2, count + 2)) for name in ("grid", "reference resistor")}
-    # The intensity of white noise is its two-sided density, half the one-sided density.
-    intensities["amplifier voltage"][count, count] = part.voltage_noise**2 / 2
-    intensities["amplifier current"][column, column] = part.current_noise**2 / 2
-    intensities["grid"][:count, :count] = 2 * thermal_energy * network
-    ends = np.arange(count) if board.idle_columns == "load" else [column]
-    intensities["reference resistor"][ends, ends] = 2 * thermal_energy / board.reference[column]
-    output, found = circuit.back[-1], {}
-    for name, intensity in intensities.items():
-        if intensity.any():
-            covariance = solve_continuous_lyapunov(circuit.matrix, -circuit.entry @ intensity @ circuit.entry.T)
-            found[name] = max(float(output @ covariance @ output), 0.0)
-    return found
-
-
-def _variances(
-    board: Board, dynamics: Dynamics, voltage: dict[str, FloatArray], current: dict[str, FloatArray]
-) -> dict[str, FloatArray]:
-    """Variances (M,) in V^2 of the sampled outputs, by the name of the noise.
+def _variances(board: Board, network: FloatArray, loaded: IntArray, thermal_energy: float) -> dict[str, FloatArray]:
+    """Variances in V^2 of the readings of the columns ``loaded`` (A,) at amplifiers, by the name of the noise.
 
     Args:
-        board: its converter's sampling capacitor filters the noise.
-        dynamics: of the column amplifiers.
-        voltage: intensities (M, M) of white noise voltages at the non-inverting inputs, by name.
-        current: intensities (M, M) of white noise currents into the inverting inputs, by name.
+        board: its amplifiers, resistors and sampling capacitors.
+        network: (M, M) S, the grid as the column ends see it.
+        loaded: columns at an amplifier.
+        thermal_energy: k T in J.
 
     Raises:
         InputError: nothing limits the bandwidth of a noise.
 
     """
-    adc = board.adc
-    sampling = adc.switch_resistance * adc.sampling_capacitance if adc else 0.0
-    matrix, output = dynamics.matrix, dynamics.output
-    states, columns = len(matrix), len(output)
-    if sampling:  # the sampling capacitor adds one state y per column: y' = (v - y)/tau
-        matrix = np.block([[matrix, np.zeros((states, columns))], [output, -np.eye(columns)]])
-        matrix[states:] /= sampling
-        output = np.hstack([np.zeros_like(output), np.eye(columns)])
-    result: dict[str, FloatArray] = {}
-    for intensities, into, through in (
-        (voltage, dynamics.voltage, dynamics.feedthrough),
-        (current, dynamics.current, dynamics.current_feedthrough),
-    ):
-        entry = np.vstack([into, through / sampling]) if sampling else into
-        for name, intensity in intensities.items():
-            if not intensity.any():
-                continue
-            if not sampling and through.any():
-                raise InputError(
-                    f"noise of the {name} has no bandwidth limit and so no finite size; give readout.gain_bandwidth, "
-                    "or adc.switch_resistance with adc.sampling_capacitance"
-                )
-            covariance = solve_continuous_lyapunov(matrix, -entry @ intensity @ entry.T)
-            variance = np.einsum("js,st,jt->j", output, covariance, output)
-            result[name] = np.maximum(variance, 0.0)
-    return result
+    part, columns, count = board.readout, len(network), len(loaded)
+    outputs = np.arange(columns, columns + count)
+    samples = count if sampler_delay(board) else 0
+    circuit = Circuit.of(board, network, loaded, outputs[:samples].tolist())
+    read = len(circuit.rest) - count + np.arange(count)  # the capacitors, or the outputs
+    at_loads = np.arange(columns) if board.idle_columns == "load" else loaded
+    # The intensity of white noise is its two-sided density, half the one-sided density.
+    intensities = {name: np.zeros(circuit.entry.shape[1] * np.array([1, 1])) for name in _ORIGINS}
+    intensities["amplifier voltage"][outputs, outputs] = part.voltage_noise**2 / 2
+    intensities["amplifier current"][loaded, loaded] = part.current_noise**2 / 2
+    intensities["grid"][:columns, :columns] = 2 * thermal_energy * network
+    intensities["reference resistor"][at_loads, at_loads] = 2 * thermal_energy / board.reference[at_loads]
+    found = {}
+    for name, intensity in intensities.items():
+        if not (np.abs(intensity) > _LEAST_INTENSITY * thermal_energy).any():
+            continue
+        if (circuit.feedthrough[read] @ intensity).any():
+            raise InputError(
+                f"noise of the {name} has no bandwidth limit and so no finite size; give readout.gain_bandwidth, "
+                "or adc.switch_resistance with adc.sampling_capacitance"
+            )
+        covariance = solve_continuous_lyapunov(circuit.matrix, -circuit.entry @ intensity @ circuit.entry.T)
+        output = circuit.back[read]
+        found[name] = np.maximum(np.einsum("js,st,jt->j", output, covariance, output), 0.0)
+    return found

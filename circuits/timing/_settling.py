@@ -1,10 +1,7 @@
 """Settling after a row switch: the error at the sample instant, the shortest row period, and amplifier stability.
 
-After a row switch the readings approach their new values: amplifiers by :mod:`._amplified`, one amplifier behind a
-switch by :mod:`._shared_amplifier`, dividers by :mod:`._divider`. All three circuits are linear, so that propagators
-over the phases of a step are exact.
-
-Slewing and saturation are not linear. Slewing is not modelled; saturated frames are refused.
+After a row switch the readings approach their new values (:mod:`._repeated_scan`). Slewing and saturation are not
+linear. Slewing is not modelled; saturated frames are refused.
 """
 
 from __future__ import annotations
@@ -21,11 +18,8 @@ from ...common.arrays import FloatArray
 from ...errors import InputError, SolverError
 from .._design import Design
 from .._scan import scan
-from ._amplified import AmplifierScan
-from ._divider import DividerScan
-from ._dynamics import column_conductances, require_amplifiers
-from ._modes import Deviations, RepeatedScan
-from ._shared_amplifier import SharedAmplifierScan
+from ._circuit import column_networks, require_amplifiers
+from ._repeated_scan import Deviations, RepeatedScan
 
 
 class Settling:
@@ -47,8 +41,7 @@ class Settling:
 
         """
         self._board = board = design.board
-        shared = board.circuit.virtual_ground and board.multiplexed
-        if board.circuit.has_amplifiers and not shared:
+        if board.circuit.has_amplifiers and not board.circuit.virtual_ground:
             require_amplifiers(board)
         result = scan(design, resistance, method="exact")
         if result.saturated.any():
@@ -63,9 +56,7 @@ class Settling:
         self.signal = float(np.abs(self.settled - board.level).max())
         """V, the largest difference of a settled reading from the reference"""
         self._settled = board.turn(result.volts)
-        one_each = AmplifierScan if board.circuit.has_amplifiers else DividerScan
-        scan_of = SharedAmplifierScan if shared else one_each
-        self._scan: RepeatedScan = scan_of(board, board.turn(design.resistance(resistance)), self._settled)
+        self._scan = RepeatedScan(board, board.turn(design.resistance(resistance)))
 
     def sampled(self, period: float) -> FloatArray:
         """Readings in V (rows, columns) if each row is selected for ``period`` s.
@@ -206,7 +197,8 @@ def stability(design: Design, resistance: ArrayLike) -> Stability:
     require_amplifiers(board)
     if np.isinf(part.gain_bandwidth):
         raise InputError("readout.gain_bandwidth is infinite: an amplifier without a pole has no phase margin")
-    seen = np.einsum("...jj->...j", column_conductances(board, board.turn(design.resistance(resistance))))
+    networks = column_networks(board, board.turn(design.resistance(resistance)))
+    seen = np.array([np.diagonal(network) for network, _ in networks])
     rref, slack, speed = board.reference, 1 / board.gain, 2 * pi * part.gain_bandwidth
     slowed = part.column_capacitance + part.feedback_capacitance > 0
     gain = 1 + rref * seen

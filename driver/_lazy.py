@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import threading
-import weakref
-from collections import deque
 from collections.abc import Callable
-from typing import Protocol
 
 from ..common.arrays import FloatArray
 
 
-class Later:
+class Lazy:
     """An array that is computed on first use.
 
     The computation must depend only on immutable values, so that the time of the call makes no difference.
@@ -37,28 +34,3 @@ class Later:
                     self._array = array
                     self._compute = None  # its inputs are several times as large as the array
         return array
-
-
-class HasDeviations(Protocol):
-    """A frame whose standard deviations are computed when they are first asked for."""
-
-    @property
-    def pressure_std(self) -> FloatArray:
-        """(rows, columns) kPa."""
-
-
-class Retained:
-    """Computes the standard deviations of frames that somebody keeps after a while, so that kept frames stay small."""
-
-    def __init__(self, frames: int) -> None:
-        """``frames``: number of newer frames after which the deviations are computed."""
-        self._frames = frames
-        self._waiting: deque[weakref.ref[HasDeviations]] = deque()
-
-    def add(self, frame: HasDeviations) -> None:
-        """Add the newest frame."""
-        self._waiting.append(weakref.ref(frame))
-        if len(self._waiting) > self._frames:
-            kept = self._waiting.popleft()()
-            if kept is not None:
-                _ = kept.pressure_std

@@ -1,23 +1,25 @@
-"""``FrameTaker``: one reader's place in the stream of frames. Iteration, callbacks and asyncio all use one."""
+"""``Consumer``: one reader's place in the stream of frames. Iteration, callbacks and asyncio all use one."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import copy
+import math
 import threading
 import time
 import warnings
 import weakref
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 from ..common.checks import function
-from ..errors import LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
+from ..errors import LinkEnded, LinkError, LinkTimeout, ProtocolError
 from ._convert import Converter, Measurement
 from ._frame import Frame
 from ._mailbox import Mailbox
+from ._reader import Reader
 from ._statistics import Counters
 from ._stream import RawFrame
 
@@ -27,49 +29,42 @@ CLOSE_S = 2.0
 
 @dataclass(frozen=True)
 class Source:
-    """The source from which takers get their frames."""
+    """What consumers get their frames from."""
 
-    name: Callable[[], str]
-    """the port's present name, for messages"""
+    reader: Reader
     mailbox: Mailbox
     converter: Converter
     counters: Counters
-    poll: Callable[[], None]
-    """reads the bytes that are on the port at once, without waiting for the reader thread's turn"""
-    now: Callable[[], float]
-    """s, on the clock of the frames' monotonic times"""
-    nothing_came: Callable[[str, float], OhmskinError]
-    """error for a wait that timed out; arguments: what was awaited, and for how many s"""
     newest_only: bool
-    """True: a taker gets the newest frame; False: every frame that is still queued"""
+    """True: a consumer gets the newest frame; False: every frame that is still queued"""
     eager: bool
-    """True: frames are converted as they come; False: when they are taken"""
+    """True: frames are converted as they come; False: when they are asked for"""
 
 
-class FrameTaker:
-    """Takes frames, and counts for its reader the frames lost and skipped between them."""
+class Consumer:
+    """One place in the stream of frames. Counts for its reader the frames lost and skipped between those it got."""
 
-    def __init__(self, source: Source, *, from_start: bool = False) -> None:
-        """Begin with the first frame of the stream if ``from_start``, else as :meth:`Mailbox.join` says."""
+    def __init__(self, source: Source, *, after: int | None = None) -> None:
+        """Begin after the frame with this number; None: as :meth:`Mailbox.join` says."""
         self._source = source
         mailbox = source.mailbox
         with mailbox.lock:
-            self._place, last = mailbox.join(from_start=from_start)
-            self._faults = 0 if from_start else mailbox.fault.number
+            self._place, last = mailbox.join(after)
+            self._faults = mailbox.fault.number if after is None else 0
         self._lock = threading.Lock()
         self._told = _Totals() if last is None else _Totals.of(last, source.converter.starts)
         self._newest = self._place.index
-        """number of the last frame delivered; before the first delivery, of the frame at which this taker began"""
+        """number of the last frame delivered; before the first delivery, of the frame at which this consumer began"""
         self._frame: Frame | None = None
         """the frame delivered last, original or repeated"""
         weakref.finalize(self, mailbox.leave, self._place)
 
     @property
     def index(self) -> int:
-        """Number of the last frame taken or passed."""
+        """Number of the last frame delivered or passed."""
         return self._place.index
 
-    def take(self, timeout_s: float, *, while_away: bool = False) -> Frame:
+    def next_frame(self, timeout_s: float, *, while_away: bool = False) -> Frame:
         """Wait for the next frame.
 
         Args:
@@ -83,146 +78,98 @@ class FrameTaker:
             ProtocolError: the bytes break the format, or the counts do not fit the design.
 
         """
-        told = self._told
-        try:
-            frame = self.try_take()
-            return self._await(time.monotonic() + timeout_s, timeout_s, while_away) if frame is None else frame
-        except KeyboardInterrupt:
-            # The caller does not get the frame in hand; the next frame counts it as skipped.
-            self._told = told
-            raise
-
-    def _await(self, deadline: float, timeout_s: float, while_away: bool) -> Frame:
+        deadline: float | None = None
         while True:
-            frame = self.try_take()
+            frame = self.frame_if_there()
             if frame is not None:
                 return frame
+            if deadline is None:
+                deadline = time.monotonic() + timeout_s
             left = deadline - time.monotonic()
-            away = self._source.mailbox.away
-            if left <= 0 and not (away and while_away):
-                raise self._source.nothing_came("frame", timeout_s)
-            self._wait(left if left > 0 else 1.0)
+            if left <= 0 and not (while_away and self._source.mailbox.away):
+                raise self._source.reader.nothing_came("frame", timeout_s)
+            self._wait(left if left > 0 else 1.0, self._place.index)
+
+    def frame_if_there(self) -> Frame | None:
+        """The next frame if it has arrived already; raises as :meth:`next_frame`."""
+        source = self._source
+        self._place.used = True
+        if source.newest_only or not source.mailbox.has_after(self._place.index):
+            source.reader.poll()
+        while True:
+            if source.newest_only or self._place.index >= source.mailbox.fault.after:
+                self._check_fault()
+            raw = source.mailbox.newest if source.newest_only else source.mailbox.after(self._place.index)
+            if raw is None or raw.index <= self._place.index:
+                self._check()
+                return None
+            frame = self._claim(raw)
+            if frame is not None:
+                return frame
 
     def latest(self, max_age_s: float, timeout_s: float) -> Frame:
-        """The newest frame, taken before or not, if it is at most ``max_age_s`` old; waits for such a frame if needed.
+        """The newest frame, delivered before or not, if it is at most ``max_age_s`` old; waits for one if needed.
 
         Raises:
             LinkTimeout: the newest frame is older, and no younger one came within ``timeout_s``.
-            LinkEnded, LinkError, ProtocolError: as for :meth:`take`, if there is no frame that young.
+            LinkEnded, LinkError, ProtocolError: as for :meth:`next_frame`, if there is no frame that young.
 
         """
-        told = self._told
-        try:
-            return self._await_young(max_age_s, timeout_s)
-        except KeyboardInterrupt:
-            self._told = told  # as in take()
-            raise
-
-    def _await_young(self, max_age_s: float, timeout_s: float) -> Frame:
         deadline = time.monotonic() + timeout_s
         source = self._source
         self._place.used = True
         while True:
-            source.poll()
+            source.reader.poll()
             newest = source.mailbox.newest
-            if newest is not None and source.now() - newest.monotonic_time <= max_age_s:
-                frame = self._repeat(newest) or self._claim(newest)
-                if frame is not None and frame.age <= max_age_s:
-                    if not frame.repeated:
-                        source.counters.ages_s.append(frame.age)
+            if newest is not None and self._age_s(newest) <= max_age_s:
+                frame = self._repeat(newest) or self._claim(newest, max_age_s)
+                if frame is not None:
                     return frame
-                if frame is not None and not frame.repeated:
-                    # Too old by the end of its conversion: the reader never sees this frame.
-                    self.tell_again([frame], used=False)
-                if frame is None and newest.index > self._newest:
-                    continue  # another taker has had a newer frame converted
+                if newest.index > self._newest and self._age_s(newest) <= max_age_s:
+                    continue  # another consumer has had a newer frame converted
             self._check()
             left = deadline - time.monotonic()
             if left <= 0:
+                away = source.mailbox.away
                 raise LinkTimeout(
-                    f"{source.name()}: no frame younger than {max_age_s:g} s: {self._why_none(newest, max_age_s)}"
-                    + _because(source.mailbox.away)
+                    f"{source.reader.port_name}: no frame younger than {max_age_s:g} s: "
+                    + self._why_none(newest, max_age_s)
+                    + ("" if away is None else f" ({away}; trying to open the port again)")
                 )
-            self._wait(left, since=newest)
+            self._wait(left, self._place.index if newest is None else newest.index)
+
+    def _age_s(self, raw: RawFrame) -> float:
+        return self._source.reader.now() - raw.monotonic_time
 
     def _why_none(self, newest: RawFrame | None, max_age_s: float) -> str:
         if newest is None:
             return "none came"
-        age_s = self._source.now() - newest.monotonic_time
-        if age_s <= max_age_s and newest.index <= self._newest:
+        if self._age_s(newest) <= max_age_s and newest.index <= self._newest:
             return "none came since the tare"
-        return f"the newest frame is {age_s:.3g} s old"
+        return f"the newest frame is {self._age_s(newest):.3g} s old"
 
-    def try_take(self) -> Frame | None:
-        """The next frame if it has arrived already; raises as :meth:`take`."""
-        source = self._source
-        self._place.used = True
-        if source.newest_only or not source.mailbox.has_after(self._place.index):
-            source.poll()
-        while True:
-            if source.newest_only or self._place.index >= source.mailbox.fault.after:
-                self._check_fault()
-            with source.mailbox.lock:
-                frame = source.mailbox.newest if source.newest_only else source.mailbox.after(self._place.index)
-            if frame is None or frame.index <= self._place.index:
-                self._check()
-                return None
-            taken = self._claim(frame)
-            if taken is not None:
-                source.counters.ages_s.append(taken.age)
-                return taken
+    def for_tare(self) -> Consumer:
+        """A consumer of the next frames: where none is dropped, of those after the last one delivered here."""
+        return Consumer(self._source, after=None if self._source.eager else self.index)
 
-    @contextlib.contextmanager
-    def aside(self) -> Iterator[None]:
-        """Frames taken within the block do not turn this taker into one for which the mailbox keeps frames."""
-        used = self._place.used
-        try:
-            yield
-        finally:
-            self._place.used = used
+    def forget(self, tared: Sequence[int] = ()) -> None:
+        """Deliver neither the last frame again, nor frames that were converted before this call, nor those of a tare.
 
-    def pass_to_newest(self) -> None:
-        """Pass the frames that have arrived; they count as skipped."""
-        with self._lock, self._source.mailbox.lock:
-            newest = self._source.mailbox.newest
-            if newest is not None:
-                self._source.mailbox.move(self._place, newest.index)
-
-    def tell_again(self, frames: Sequence[Frame], *, used: bool) -> None:
-        """Report the events of these frames again with the next frame, for frames that the reader never saw (a tare).
-
-        Args:
-            frames: as this taker delivered them.
-            used: the frames served the reader nevertheless; False: the next frame also counts them as skipped.
-
+        The reader has made use of the ``tared`` frames (their numbers): the next frame does not count them as skipped.
         """
-        with self._lock:
-            told = self._told
-            self._told = _Totals(
-                index=told.index - sum(frame.skipped_before for frame in frames) - (0 if used else len(frames)),
-                lost=None if told.lost is None else told.lost - sum(frame.lost_before or 0 for frame in frames),
-                overruns=told.overruns - any(frame.overrun for frame in frames),
-                reconnects=told.reconnects - any(frame.reconnected for frame in frames),
-                reboots=told.reboots - any(frame.rebooted for frame in frames),
-                estimator_starts=told.estimator_starts - any(frame.estimator_restarted for frame in frames),
-            )
-            self._frame = None
-
-    def forget(self) -> None:
-        """Deliver neither the last frame again, nor one that was converted before this call as soon as it came."""
         source = self._source
         with self._lock:
+            self._told = replace(self._told, index=self._told.index + sum(k > self._newest for k in tared))
             self._frame = None
-            if source.eager:
-                self._newest = max(self._newest, source.converter.last_index)
-                source.mailbox.move(self._place, self._newest)
+            self._newest = max(self._newest, source.converter.last_index if source.eager else 0, *tared)
+            source.mailbox.move(self._place, self._newest)
 
     def leave(self) -> None:
-        """Give up the place: the mailbox keeps no more frames for this taker."""
+        """Give up the place: the mailbox keeps no more frames for this consumer."""
         self._source.mailbox.leave(self._place)
 
     def _repeat(self, newest: RawFrame) -> Frame | None:
-        """The last frame taken, if it is still the newest."""
+        """The last frame delivered, if it is still the newest."""
         with self._lock:
             frame = self._frame
             if frame is None or self._newest != newest.index:
@@ -231,8 +178,14 @@ class FrameTaker:
                 frame = self._frame = frame.again()
             return frame
 
-    def _claim(self, raw: RawFrame) -> Frame | None:
-        """Convert a frame and make it the last one taken; None if this taker, or all others, have passed the frame."""
+    def _claim(self, raw: RawFrame, max_age_s: float = math.inf) -> Frame | None:
+        """Convert a frame and make it the last one delivered.
+
+        Returns:
+            None if this consumer, or all others, have passed the frame, or it is older than ``max_age_s`` by the end of
+            its conversion.
+
+        """
         source = self._source
         measurement = source.converter.measure(raw)
         notices = source.converter.notices
@@ -240,23 +193,21 @@ class FrameTaker:
             with contextlib.suppress(IndexError):  # another reader was quicker
                 warnings.warn(notices.popleft(), RuntimeWarning, stacklevel=2)
         with self._lock:
+            age_s = self._age_s(raw)
+            if age_s > max_age_s:
+                return None
             if measurement is None or raw.index <= self._newest:
                 # This also covers an interrupt between the two steps below: the frame must not be offered for ever.
                 source.mailbox.move(self._place, raw.index)
                 return None
-            frame = self._deliver(raw, measurement)
-            self._newest, self._frame = raw.index, frame
+            told, self._told = self._told, _Totals.of(raw, measurement.estimator_starts)
+            self._newest, self._frame = raw.index, _frame(raw, measurement, told, source)
             source.mailbox.move(self._place, raw.index)
-        return frame
-
-    def _deliver(self, raw: RawFrame, measurement: Measurement) -> Frame:
-        told, self._told = self._told, _Totals.of(raw, measurement.estimator_starts)
-        frame = _frame(raw, measurement, told, self._source)
-        self._source.converter.retained.add(frame)
-        return frame
+            source.counters.ages_s.append(age_s)
+            return self._frame
 
     def _check_fault(self) -> None:
-        """Raise the newest fault unless this taker has raised it already."""
+        """Raise the newest fault unless this consumer has raised it already."""
         fault = self._source.mailbox.fault
         if fault.number > self._faults:
             self._faults = fault.number
@@ -269,18 +220,12 @@ class FrameTaker:
         if end is not None:
             raise copy.copy(end)
 
-    def _wait(self, timeout_s: float, since: RawFrame | None = None) -> None:
-        """Wait for a new frame, fault, or end of the stream."""
+    def _wait(self, timeout_s: float, seen: int) -> None:
+        """Wait for a frame after the number ``seen``, for a fault, or for the end of the stream."""
         mailbox = self._source.mailbox
 
         def new() -> bool:
-            newest = mailbox.newest
-            seen = self._place.index if since is None else since.index
-            return (
-                (newest is not None and newest.index > seen)
-                or mailbox.end is not None
-                or mailbox.fault.number > self._faults
-            )
+            return mailbox.has_after(seen) or mailbox.end is not None or mailbox.fault.number > self._faults
 
         mailbox.wait_for(new, min(timeout_s, threading.TIMEOUT_MAX))
 
@@ -292,7 +237,7 @@ class AsyncFrames:
         """``keep``: object protected from garbage collection while frames are taken, since the port closes with it."""
         self._source, self._keep = source, keep
         self._timeout_s = timeout_s
-        self._taker = FrameTaker(source)
+        self._consumer = Consumer(source)
         self._event = asyncio.Event()
         loop, event = asyncio.get_running_loop(), self._event
 
@@ -313,7 +258,7 @@ class AsyncFrames:
         while True:
             self._event.clear()
             try:
-                frame = self._taker.try_take()
+                frame = self._consumer.frame_if_there()
             except LinkEnded:
                 raise StopAsyncIteration from None
             if frame is not None:
@@ -321,7 +266,7 @@ class AsyncFrames:
             left = deadline - time.monotonic()
             away = self._source.mailbox.away
             if left <= 0 and not away:
-                raise self._source.nothing_came("frame", self._timeout_s)
+                raise self._source.reader.nothing_came("frame", self._timeout_s)
             # Not asyncio.wait_for(): up to Python 3.11 it loses a cancellation that arrives together with a frame.
             timer = asyncio.get_running_loop().call_later(left if left > 0 else 1.0, self._event.set)
             try:
@@ -349,10 +294,12 @@ class FrameCallback:
         if on_end is not None:
             function("on_end", on_end)
         self._keep = keep
-        self._taker = FrameTaker(source)
+        self._consumer = Consumer(source)
         self._callback, self._on_end = callback, on_end
         self._closed = False
-        self._thread = _CallbackThread(target=self._run, name=f"ohmskin callback {source.name()}", daemon=True)
+        self._thread = _CallbackThread(
+            target=self._run, name=f"ohmskin callback {source.reader.port_name}", daemon=True
+        )
         self._thread.start()
 
     @property
@@ -377,7 +324,7 @@ class FrameCallback:
         try:
             while not self._closed:
                 try:
-                    frame = self._taker.take(0.1)
+                    frame = self._consumer.next_frame(0.1)
                 except (LinkTimeout, ProtocolError):
                     continue
                 except LinkError as error:
@@ -387,7 +334,7 @@ class FrameCallback:
                 if not self._closed:
                     self._call(frame)
         finally:
-            self._taker.leave()
+            self._consumer.leave()
             self._keep = None
 
     def _call(self, frame: Frame) -> None:
@@ -419,12 +366,11 @@ class ConvertedFrames:
 def frames_since(source: Source, monotonic_s: float) -> list[Frame]:
     """The frames that came after this time, in order, as :meth:`.Skin.frames_since`."""
     if source.eager:
-        source.poll()
+        source.reader.poll()
     frames, told = [], _Totals()
     for raw, measurement in source.converter.measured_since(monotonic_s):
         if raw.monotonic_time > monotonic_s:
             frames.append(_frame(raw, measurement, told, source))
-            source.converter.retained.add(frames[-1])
         told = _Totals.of(raw, measurement.estimator_starts)
     return frames
 
@@ -475,9 +421,5 @@ def _frame(raw: RawFrame, measurement: Measurement, before: _Totals, source: Sou
         measurement.rest_counts,
         measurement.pressure_std,
         partial(contacts.of, view),
-        source.now,
+        source.reader.now,
     )
-
-
-def _because(away: str | None) -> str:
-    return "" if away is None else f" ({away}; trying to open the port again)"
