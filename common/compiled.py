@@ -84,7 +84,6 @@ Codes = Annotated[CodeArray, "uint32[::1]"]
 FixedRow = Annotated[FloatArray, "Array(float64, 1, 'C', readonly=True)"]
 FixedRows = Annotated[FloatArray, "Array(float64, 2, 'C', readonly=True)"]
 FixedFlags = Annotated[BoolArray, "Array(boolean, 1, 'C', readonly=True)"]
-FixedCodes = Annotated[CodeArray, "Array(uint32, 1, 'C', readonly=True)"]
 
 
 class Record:

@@ -10,8 +10,6 @@ from ._estimator import Estimator
 from ._held import longest_s
 from ._inversion import (
     DOUBT,
-    DOUBTED_LOAD,
-    LIGHT_LOAD,
     LOADS,
     UNKNOWN,
     USUAL,
@@ -24,9 +22,7 @@ from ._smoothing import HIDDEN, SIGMAS, doubt_of
 
 __all__ = [
     "DOUBT",
-    "DOUBTED_LOAD",
     "HIDDEN",
-    "LIGHT_LOAD",
     "LOADS",
     "RECENT",
     "SIGMAS",

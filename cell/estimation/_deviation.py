@@ -18,7 +18,7 @@ from ...common.arrays import BoolArray, FloatArray, IntArray
 from ...common.compiled import Places, Record, Records, Row, loop, record
 from .._state import CellState
 from ._conditions import Conditions
-from ._inversion import DOUBT, DOUBTED_LOAD, LIGHT_LOAD, USUAL, Inversion
+from ._inversion import DOUBT, USUAL, Inversion
 from ._smoothing import HIDDEN, SIGMAS
 from ._sparks import doubted_jump
 from ._tremor import doubted_rise
@@ -32,6 +32,13 @@ error of a model, which only a comparison with a recording can"""
 NO_LOAD_SIGMAS = 2.0
 """standard deviations of the noise at which a load and no load are equally likely"""
 
+LIGHT_LOAD = 0.02
+"""fraction of full scale: larger loads of a released cell are not attributed to the memory's error, unless the cell has
+been classified as at rest"""
+DOUBTED_LOAD = 0.2
+"""fraction of full scale: larger loads are not attributed to noise or to the memory's error while their rise is
+unconfirmed"""
+
 
 class Limits(Record):
     """Parameters of :func:`show_each`."""
@@ -41,9 +48,9 @@ class Limits(Record):
     """pressure beyond which it is limited where its variance exceeds ``doubt_kpa2``"""
     doubt_kpa2: float
     light_kpa: float
-    """:data:`._inversion.LIGHT_LOAD` in kPa"""
+    """:data:`LIGHT_LOAD` in kPa"""
     doubted_kpa2: float
-    """square of :data:`._inversion.DOUBTED_LOAD` in kPa"""
+    """square of :data:`DOUBTED_LOAD` in kPa"""
     rise_kpa: float
     """:attr:`._inversion.Inversion.steepness_kpa`: of a fast rise, and of a fast fall"""
     fall_kpa: float

@@ -27,12 +27,6 @@ UNKNOWN = 0.6
 cover all such loads"""
 MEMORIES = 30.0
 """multiple of the fast response to full scale that r may reach, since presses in quick succession add up"""
-LIGHT_LOAD = 0.02
-"""fraction of full scale: larger loads of a released cell are not attributed to the memory's error, unless the cell has
-been classified as at rest"""
-DOUBTED_LOAD = 0.2
-"""fraction of full scale: larger loads are not attributed to noise or to the memory's error while their rise is
-unconfirmed"""
 
 
 class Inversion(ABC):
