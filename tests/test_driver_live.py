@@ -567,7 +567,7 @@ class TestReconnection:
             frames.append(next(skin))
         assert [f.estimator_restarted for f in frames] == [True, False, True]
         fresh = WHAT.cell.estimator((3, 2)).step(1.0, frames[2].resistance)
-        np.testing.assert_array_equal(frames[2].pressure, fresh)
+        np.testing.assert_allclose(frames[2].pressure, fresh, rtol=1e-9)  # the skin has told the ADC steps
 
     def test_a_usb_board_is_known_by_its_number_and_found_under_another_name(
         self, monkeypatch: pytest.MonkeyPatch
