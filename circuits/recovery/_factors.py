@@ -56,6 +56,8 @@ class Factors:
         self._beyond, self._coupling = np.zeros(shape), np.zeros(shape[1])
         self._row_sums, self._column_sums = np.ones(shape[0]), np.ones(shape[1])
         self._astray, self._begun = True, False
+        self.renewed = False
+        """whether the last frame has made the factors anew"""
         self._move = move.machine_code(unchecked=True) or move.function
 
     def __call__(
@@ -78,16 +80,22 @@ class Factors:
             grown: by how much more (N, M) than their sums changes of the cells count, where bridges mix lines.
 
         """
-        cells = self._rho * by_law
-        if self._any_added:
-            cells += self._added
+        cells, self.renewed = self.estimate(by_law), False
         if self._base is not None and not self._astray:
             self._coupling = np.maximum(self._coupling, self._coupling_at(np.maximum(cells, 0.0)))
             allowed = uncertainty(cells)
             matters = allowed <= limit
             if not ((self.moved(grown * np.abs(cells - self._base), matters) > _FRESH * allowed) & matters).any():
                 return cells, True
+        self.renewed = True
         return self._renewed(cells, by_law, uncertainty, error, counted, limit, grown)
+
+    def estimate(self, by_law: FloatArray) -> FloatArray:
+        """Cells in S by the present factors."""
+        cells: FloatArray = self._rho * by_law
+        if self._any_added:
+            cells += self._added
+        return cells
 
     def moved(self, change: FloatArray, matters: BoolArray) -> FloatArray:
         """Relative change of the factors, to first order, by a ``change`` in S of the cells; 0 at first."""

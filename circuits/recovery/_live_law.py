@@ -130,18 +130,27 @@ class LawLive:
         errors = LawErrors(self._law, self._steps, ports, volts, noise, unknown, self._kernels)
         self._count_impossible(ports, errors, unknowns)
         cells, settled, limit = ports.cells, True, self._rule.limit
-        uncertainty = errors.relative(cells)
-        if self._factors is not None:
-            counted = self._every[0] if self._present is None else self._present
-            if unknown is not None:
-                counted = counted & ~unknown
-            cells, settled = self._factors(cells, errors.relative, errors.linear, counted, limit, errors.apart)
-            uncertainty = errors.relative(cells)
-            moved = self._factors.moved(np.minimum(uncertainty, 1.0) * np.abs(cells), uncertainty <= limit)
-            uncertainty = uncertainty + moved
-        enclosed = None
-        if unknowns is not None or errors.opens:
+        opened, enclosed = unknowns is not None or errors.opens, None
+        if self._factors is None:
+            enclosed = self._enclosure(ports, errors, cells, unknowns, volts) if opened else None
+            return self._reading(errors, cells, errors.relative(cells), enclosed, unknowns, settled=True)
+        # What others leave open is found first: factors need be no better than that.
+        by_others: FloatArray | float = 0.0
+        if opened:
+            estimate = np.maximum(self._factors.estimate(cells), OPEN)
+            enclosed = self._enclosure(ports, errors, estimate, unknowns, volts)
+            by_others = enclosed.change
+        counted = self._every[0] if self._present is None else self._present
+        if unknown is not None:
+            counted = counted & ~unknown
+        cells, settled = self._factors(
+            cells, lambda found: errors.relative(found) + by_others, errors.linear, counted, limit, errors.apart
+        )
+        if enclosed is not None and self._factors.renewed:
             enclosed = self._enclosure(ports, errors, cells, unknowns, volts)
+        uncertainty = errors.relative(cells)
+        moved = self._factors.moved(np.minimum(uncertainty, 1.0) * np.abs(cells), uncertainty <= limit)
+        uncertainty = uncertainty + moved
         return self._reading(errors, cells, uncertainty, enclosed, unknowns, settled=settled)
 
     def _law_of_model(self, conductance: FloatArray) -> FloatArray:
