@@ -144,7 +144,12 @@ class LawLive:
         if unknown is not None:
             counted = counted & ~unknown
         cells, settled = self._factors(
-            cells, lambda found: errors.relative(found) + by_others, errors.linear, counted, limit, errors.apart
+            cells,
+            lambda found: errors.relative(found) + by_others,
+            errors.linear + by_others,
+            counted,
+            limit,
+            errors.apart,
         )
         if enclosed is not None and self._factors.renewed:
             enclosed = self._enclosure(ports, errors, cells, unknowns, volts)
