@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,6 @@ import pytest
 
 from ohmskin.bench import _live_streams
 from ohmskin.circuits import Design, Reason, adc_codes, scan
-from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import CountReader
 
 KINDS = {
@@ -23,8 +21,6 @@ KINDS = {
     "floating rows": ("row-amplifier", "float", "float"),
     "grounded": ("inverting-amplifier", "ground", "float"),
 }
-FLOATING = ("open divider", "floating loaded", "floating", "floating rows")
-BY_COLUMN = ("divider", "loaded", "feedback", "grounded")
 
 
 def board(kind: str, rows: int, columns: int, bits: int = 12, *, fault: Any = (), **array: Any) -> Design:
@@ -44,15 +40,6 @@ def board(kind: str, rows: int, columns: int, bits: int = 12, *, fault: Any = ()
     )
 
 
-FAULTS = (
-    {"kind": "shorted-cell", "place": [1, 1], "resistance": 2e3},
-    {"kind": "open-cell", "place": [2, 1], "resistance": 2e4},
-)
-
-
-UNEQUAL = {"row_lead": [0.0, 5.0, 80.0, 5.0, 1.0], "column_segment": 0.0}
-
-
 @pytest.mark.parametrize("shape", [(1, 6), (4, 1)])
 def test_a_cell_without_a_contact_that_is_alone_on_its_line_does_not_end_the_reader(shape: tuple[int, int]) -> None:
     """Floating lines that nothing is connected to have no potential."""
@@ -69,36 +56,6 @@ def test_no_step_waits_for_ever() -> None:
     for counts in found.counts:
         last = read(counts)
     assert last.valid.all()
-
-
-def finger_on(shape: tuple[int, int], seed: int = 4) -> FloatArray:
-    """Ohm of cells that differ, with a patch at a tenth of that."""
-    cells = 1e4 * 10 ** np.random.default_rng(seed).uniform(-0.3, 0.3, shape)
-    cells[2:5, 3:6] *= 0.1
-    return cells
-
-
-TIES = {"none": (), "loop": ((2, 3), (5, 6)), "column": ((2, 3), (5, 3)), "row": ((2, 3), (2, 5), (2, 7))}
-"""crosspoints of 30 ohm, which put others in parallel: a reading hardly tells (2, 6) from (5, 3) beside a loop"""
-
-
-def counted(monkeypatch: pytest.MonkeyPatch, *methods: tuple[type, str]) -> Counter[str]:
-    """Counts calls of methods, by name, but for those that return False: instalments that could not be paid."""
-    done: Counter[str] = Counter()
-
-    def count(where: type, name: str) -> None:
-        real = getattr(where, name)
-
-        def counting(*given: Any) -> Any:
-            result = real(*given)
-            done[name] += result is not False
-            return result
-
-        monkeypatch.setattr(where, name, counting)
-
-    for where, name in methods:
-        count(where, name)
-    return done
 
 
 @pytest.mark.parametrize(("seed", "noise_steps"), [(24, 12.4), (13, 40.0), (0, 12.4)])
@@ -206,7 +163,6 @@ def test_equal_cells_that_round_alike_are_nearly_as_certain_as_stated(
     assert max(used) < 1.6
 
 
-SHORT = {"kind": "shorted-cell", "place": [1, 1], "resistance": 0.0}
 BROKEN_ROW = {"kind": "broken-row", "place": [1, 2]}
 BROKEN_COLUMN = {"kind": "broken-column", "place": [1, 2]}
 

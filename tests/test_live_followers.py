@@ -23,16 +23,6 @@ def board(rows: int, columns: int, lead: float) -> Design:
     )
 
 
-def demanded(conductance: float, *, lead: float, per_siemens: float) -> float:
-    """S of each reading alone for cells that are all alike: Y with the current to idle lines taken out."""
-    rows = columns = 4
-    others = (columns - 1) * conductance
-    attenuation = 1.0 + lead * (others + conductance)
-    behind = lead / (1.0 + lead * others)
-    idle = rows * conductance / (1.0 + conductance * behind)
-    return conductance / attenuation / (1.0 + per_siemens * idle)
-
-
 def test_a_press_to_a_few_ohm_beside_segments_leaves_no_wrong_cell() -> None:
     """Valid cells of 2 ohm were read as some hundred: the wire lessened what the column's other cells take."""
     shape, design = (5, 6), board(5, 6, 50.0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
 
 from ohmskin.circuits import Design, adc_codes, scan
 from ohmskin.common.arrays import FloatArray
@@ -33,32 +32,6 @@ def read_after_rest(design: Design, rest: FloatArray, pressed: FloatArray) -> li
     """A reader's frames at rest and after all cells have changed at once."""
     read = CountReader(design)
     return [read(adc_codes(design, scan(design, cells).volts)) for cells in [rest] * 3 + [pressed] * 8]
-
-
-def another(design: Design, cells: FloatArray, guess: FloatArray) -> FloatArray:
-    """Cells near a guess that give the same readings as others, by least squares."""
-    step = design.adc.step if design.adc is not None else 1.0
-    volts = scan(design, cells).volts
-
-    def apart(log: FloatArray) -> FloatArray:
-        return (scan(design, np.exp(log).reshape(cells.shape)).volts - volts).ravel() / step
-
-    found = least_squares(apart, np.log(guess).ravel(), x_scale="jac", ftol=1e-14, xtol=1e-14, gtol=1e-14)
-    assert np.abs(found.fun).max() < 0.5, "within half a step"
-    other: FloatArray = np.exp(found.x).reshape(cells.shape)
-    return other
-
-
-def nodal(design: Design, cells: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Potentials (N, N) of the rows and (N, M) of the columns over the drive while one row is driven, ideal lines."""
-    lead, load = np.array(design.array.row_lead), 1.0 / np.array(design.readout.reference_resistance)
-    rows, columns = cells.shape
-    matrix = np.zeros((rows + columns, rows + columns))
-    matrix[:rows, rows:] = -1.0 / cells
-    matrix[rows:, :rows] = -1.0 / cells.T
-    np.fill_diagonal(matrix, np.append(1.0 / lead + (1.0 / cells).sum(axis=1), load + (1.0 / cells).sum(axis=0)))
-    driven = np.linalg.solve(matrix, np.vstack([np.diag(1.0 / lead), np.zeros((columns, rows))])).T
-    return driven[:, :rows], driven[:, rows:]
 
 
 @pytest.mark.parametrize("seed", [2, 3, 5, 10, 14, 17, 23, 28])
