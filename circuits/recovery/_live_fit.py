@@ -37,6 +37,7 @@ from ._live_reading import (
     Errors,
     LiveReading,
     ValidityRule,
+    undetermined,
 )
 from ._node_blocks import NodeBlocks, beyond_linear
 from ._quick_model import QuickModel
@@ -358,10 +359,4 @@ class FitLive:
         if short is not None:
             reason[short] = SATURATED
         reason[self._gone] = HIDDEN
-        turn, nothing = self._turn, np.full(self._shape, inf)
-        return LiveReading(
-            turn(np.full(self._shape, np.nan)),
-            turn(np.zeros(self._shape, dtype=np.bool_)),
-            turn(reason),
-            lambda: turn(nothing),
-        )
+        return undetermined(self._turn(reason))

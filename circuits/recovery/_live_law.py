@@ -35,6 +35,7 @@ from ._live_reading import (
     UNSETTLED,
     LiveReading,
     ValidityRule,
+    undetermined,
 )
 from ._quick_model import QuickModel
 
@@ -260,13 +261,11 @@ class LawLive:
 
     def _nothing(self, unknowns: Unknowns | None) -> LiveReading:
         """A frame that determines no cell."""
-        turn, nothing = self._turn, np.full(self._shape, inf)
         reason: NDArray[np.int8] = np.full(self._shape, DISTURBED, dtype=np.int8)
         if unknowns is not None:
             reason[unknowns.limited], reason[unknowns.faint] = SATURATED, NO_CURRENT
         reason[self._gone] = HIDDEN
-        nowhere = np.zeros(self._shape, dtype=np.bool_)
-        return LiveReading(turn(np.full(self._shape, np.nan)), turn(nowhere), turn(reason), lambda: turn(nothing))
+        return undetermined(self._turn(reason))
 
 
 def _with_resistance(fault: Fault) -> Fault:

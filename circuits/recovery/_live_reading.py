@@ -148,6 +148,12 @@ class LiveReading:
         return self._errors()
 
 
+def undetermined(reason: NDArray[np.int8]) -> LiveReading:
+    """The reading of a frame that determines no cell, for these reasons (rows, columns)."""
+    unknown = np.full(reason.shape, np.inf)
+    return LiveReading(np.full(reason.shape, np.nan), np.zeros(reason.shape, dtype=np.bool_), reason, lambda: unknown)
+
+
 class LiveRecovery(Protocol):
     """Live recovery of one board, called with one frame after the other."""
 
