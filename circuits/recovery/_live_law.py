@@ -25,6 +25,7 @@ from ._enclosure import Enclosed, Enclosure, Unknowns
 from ._factors import EVALUATIONS, OPEN, Factors
 from ._law import Law, Ports
 from ._law_errors import Kernels, LawErrors, Steps
+from ._law_kernels import LEAST
 from ._lines import LineResistance
 from ._live_reading import (
     DISTURBED,
@@ -103,6 +104,8 @@ class LawLive:
         self._factors = None
         if not exact:
             self._factors = Factors(board.shape, self._law_of_model, self._enclosure.coupling, evaluations)
+        beside_end = np.abs(to_end - to_end.mean(axis=0)).max(axis=0)
+        self._beside_law = beside_end / np.maximum(self._law.behind, beside_end + LEAST)  # share that segments change
         self._impossible = 0
         self._every = np.ones(board.shape, dtype=np.bool_), np.zeros(board.shape, dtype=np.int8)
         for shared in self._every:
@@ -172,7 +175,7 @@ class LawLive:
 
     def _count_impossible(self, ports: Ports, errors: LawErrors, unknowns: Unknowns | None) -> None:
         """Raise SolverError for readings that no cells give, frame after frame."""
-        impossible = unknowns is None and bool((ports.left < -_BEYOND * errors.of_left).any())
+        impossible = unknowns is None and bool((ports.left < -_BEYOND * errors.of_left - self._beside_law).any())
         self._impossible = self._impossible + 1 if impossible else 0
         if self._impossible > _OFTEN:
             raise SolverError("no cell resistances give these readings; check that the design is that of the board")
