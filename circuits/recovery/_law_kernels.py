@@ -252,10 +252,9 @@ def relative_to(
     for i in range(rows):
         for j in range(columns):
             uncertainty[i, j] = math.inf
-            if column_open[j] + row_open[i] < OPEN_SCALE:
+            if cells[i, j] > 0.0 and column_open[j] + row_open[i] < OPEN_SCALE:
                 beyond = math.expm1(min(linear[i, j] - own[i, j], LARGEST))
-                more = by_law[i, j] / (cells[i, j] if cells[i, j] > 0.0 else TINY)
-                uncertainty[i, j] = (own[i, j] + beyond) * max(more, 1.0)
+                uncertainty[i, j] = (own[i, j] + beyond) * max(by_law[i, j] / cells[i, j], 1.0)
 
 
 @loop
