@@ -21,6 +21,7 @@ from ._spread import Spread
 from .readouts import CIRCUITS as _CIRCUITS
 from .recovery import (
     Conditioning,
+    Errors,
     LiveReading,
     LiveRecovery,
     Reason,
@@ -52,6 +53,7 @@ __all__ = [
     "Design",
     "Drive",
     "Effect",
+    "Errors",
     "Fault",
     "LiveReading",
     "LiveRecovery",

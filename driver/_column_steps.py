@@ -54,7 +54,7 @@ class ColumnSteps:
         apart = np.abs(rest_ohm / np.median(rest_ohm, axis=0) - 1.0)
         alike = np.count_nonzero(apart < ALIKE, axis=0) >= MOST * len(rest_ohm)
         self._roundings = np.where(alike & rest_known, ROUNDINGS, 0.0)
-        self._scale_each = scale_each.machine_code()
+        self._scale_each = scale_each.machine_code() or scale_each.function
         self._idle = 0 if self._roundings.any() else NEVER  # frames until the steps are looked at
 
     def without(self, reading: Reading) -> tuple[FloatArray, FloatArray | None]:
@@ -74,22 +74,14 @@ class ColumnSteps:
             self._idle = FINE_FOR
             return resistance, None
         limits = np.exp(self._roundings * shared)
-        if self._scale_each is not None:
-            scaled, scale = np.array(resistance), np.ones(limits.size)
-            self._scale_each(scaled, self._per_ohm, self._side, limits, scale)
-            return scaled, np.abs(np.log(scale)) * EVENLY
-        ratio = resistance * self._per_ohm
-        ordered = np.sort(ratio if self._side > 0.0 else -ratio, axis=0)  # NaN comes last
-        known = np.count_nonzero(np.isfinite(ordered), axis=0)
-        speaking = np.abs(ordered[known // SPEAKS * (known > 0), np.arange(known.size)])
-        scale = np.minimum(np.maximum(speaking, 1.0 / limits), limits)
-        scale[known == 0] = 1.0
-        return resistance / scale, np.abs(np.log(scale)) * EVENLY
+        scaled, scale = np.array(resistance), np.ones(limits.size)
+        self._scale_each(scaled, self._per_ohm, self._side, limits, scale)
+        return scaled, np.abs(np.log(scale)) * EVENLY
 
 
 @loop
 def scale_each(resistance: Rows, per_ohm: Rows, side: float, limits: Row, scales: Row) -> None:
-    """As :meth:`ColumnSteps.without`, column by column.
+    """Divide the resistances of each column by the scale that brings its representative cell nearest to rest.
 
     Args:
         resistance: (N, M) ohm, changed.

@@ -6,6 +6,7 @@ import math
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from time import thread_time
 from typing import NamedTuple
@@ -376,7 +377,11 @@ class Converter:
         resistance, taken_out = self._column_steps.without(reading)
         if self.cell is not None and self.cell.open_at_rest and not reading.all_valid:
             resistance = np.where(reading.reason == Reason.NO_CURRENT, np.inf, resistance)
-        common = estimator.step(gap_s, resistance)
+        if reading.bounded:  # an interval is more than a gap
+            with np.errstate(divide="ignore"):
+                common = estimator.step_readings(gap_s, replace(reading.readings, conductance=1.0 / resistance))
+        else:
+            common = estimator.step(gap_s, resistance)
         systematic = self._systematic.take(reading, taken_out, rest_known=self._rest_known)
         std = Lazy(partial(_std, estimator.variance_of_last_step(), systematic, common, calibration))
         return common if calibration is None else calibration.applied(common), std

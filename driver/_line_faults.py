@@ -210,7 +210,7 @@ class LineFaults:
         self._least: FloatArray = np.full(rest_ohm.shape, math.nan)  # least readings of the cells
         self._suspects: list[tuple[float, _Change]] = []
         self._faults: list[_Change] = []
-        self._all_sound = all_sound.machine_code()
+        self._all_sound = all_sound.machine_code() or all_sound.function
         self.cells: BoolArray | None = None
         """cells of faulty lines; None: no line is faulty"""
 
@@ -257,7 +257,7 @@ class LineFaults:
         if len(faulty) < len(self._faults):
             self._looks.clear()  # a line that recovers changes as suddenly
         going_on = []
-        noise, steps = _std_of(reading)
+        noise, steps = reading.noise_std, reading.steps_std
         std = np.hypot(noise, steps)
         for began_s, suspect in self._suspects:
             if suspect.no_load(log, std):
@@ -280,34 +280,34 @@ class LineFaults:
         """Find lines that have changed recently, and keep the least readings of the cells."""
         earlier, before, _ = self._looks
         margin = BELOW_REST if self._rest_known else max(BELOW_REST, SPREADS * (rest_spread or 0.0))
-        if self._all_sound is not None and self.cells is None and not self._suspects:
+        if self.cells is None and not self._suspects:
             least = np.empty(log.shape)
             if self._all_sound(log, before, self._least, margin, least):
                 self._least = least
                 return
         change = log - before
-        taken = None if self.cells is None else self.cells.copy()
+        taken = np.zeros(log.shape, dtype=np.bool_) if self.cells is None else self.cells.copy()
         for _, suspect in self._suspects:
-            taken = suspect.cells.copy() if taken is None else taken | suspect.cells
-        if taken is not None:
-            change[taken] = np.nan
-        if _may_have_changed(change, log, margin):
-            lowest = np.fmin(self._least, 0.0) - margin
-            taken = np.zeros(log.shape, dtype=bool) if taken is None else taken
-            for cells in self._candidates(change, log, before, lowest):
-                size = _median(change[cells])
-                if not (abs(_median(change[~cells & ~taken])) < ASIDE * abs(size)):
+            taken |= suspect.cells
+        change[taken] = np.nan
+        lowest = np.fmin(self._least, 0.0) - margin
+        for cells in self._candidates(change, log, before, lowest):
+            size = _median(change[cells])
+            if not (abs(_median(change[~cells & ~taken])) < ASIDE * abs(size)):
+                continue
+            suspect, std = (
+                _Change(cells, before, size, (lowest, self._creep.most)),
+                np.hypot(reading.noise_std, reading.steps_std),
+            )
+            if size > 0.0 and not suspect.no_load(log, std):
+                still = abs(_median((before - earlier)[cells])) < RESTED * size
+                rested = _median((before - self._least)[cells]) < RESTED * size
+                if not (still and rested and _agree(change[cells], size, std[cells])):
                     continue
-                suspect, std = _Change(cells, before, size, (lowest, self._creep.most)), np.hypot(*_std_of(reading))
-                if size > 0.0 and not suspect.no_load(log, std):
-                    still = abs(_median((before - earlier)[cells])) < RESTED * size
-                    rested = _median((before - self._least)[cells]) < RESTED * size
-                    if not (still and rested and _agree(change[cells], size, std[cells])):
-                        continue
-                    suspect.conductance = float(np.nansum(np.exp(-log[cells])))
-                self._suspects.append((time_s, suspect))
-                taken |= cells
-        self._least = np.fmin(self._least, before if taken is None else np.where(taken, math.nan, before))
+                suspect.conductance = float(np.nansum(np.exp(-log[cells])))
+            self._suspects.append((time_s, suspect))
+            taken |= cells
+        self._least = np.fmin(self._least, np.where(taken, math.nan, before))
 
     @staticmethod
     def _candidates(change: FloatArray, log: FloatArray, before: FloatArray, lowest: FloatArray) -> list[BoolArray]:
@@ -323,26 +323,12 @@ class LineFaults:
         return candidates
 
 
-def _may_have_changed(change: FloatArray, log: FloatArray, margin: float) -> bool:
-    """Whether a line may have moved as one: a quick test, since most frames are of boards without a fault.
-
-    If a line has, either the cells at its end have risen, or cells are below rest by more than the ``margin``.
-    """
-    still: BoolArray = change <= LEAST_CHANGE  # False where nothing is known
-    rows, columns = still[:, -LEAST_CELLS:], still[:LEAST_CELLS]  # as many as must have moved together
-    for axis, ends in ((1, rows), (0, columns)):
-        held = np.logical_or.reduce(ends, axis=axis)
-        if np.count_nonzero(held) < held.size:
-            return True
-    return bool(np.fmin.reduce(log, axis=None) < -margin)
-
-
 @loop
 def all_sound(log: Rows, before: Rows, least: Rows, margin: float, lowered: Rows) -> bool:
-    """Whether no line can have changed (:func:`_may_have_changed`), for cells that read as ``before`` until then.
+    """Whether no line can have moved as one since ``before``: a quick test, since most frames are of sound boards.
 
-    If so, ``lowered`` becomes the least reading of each cell so far, given the ``least`` until now. Arrays are
-    (rows, columns).
+    If a line has, either the cells at its end have risen, or cells are below rest by more than the ``margin``. Else
+    ``lowered`` becomes the least reading of each cell so far, given the ``least`` until now. Arrays are (N, M).
     """
     rows, columns = log.shape
     for i in range(rows):
@@ -395,12 +381,6 @@ def _squares(series: FloatArray) -> float:
 def _sound(fault: _Change, log: FloatArray) -> bool:
     """Whether a line reads again as before the fault."""
     return abs(_median((log - fault.before)[fault.cells])) < ASIDE * abs(fault.size)  # False if nothing is known
-
-
-def _std_of(reading: Reading) -> tuple[FloatArray, FloatArray]:
-    """Relative standard deviations of the resistances by noise and by ADC steps."""
-    by_steps, by_noise = reading.std_shares
-    return reading.uncertainty * by_noise, reading.uncertainty * by_steps
 
 
 def _ends(moved: BoolArray, unknown: BoolArray) -> list[BoolArray]:

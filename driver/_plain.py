@@ -33,7 +33,6 @@ class PlainReader:
             solved=True,
             all_valid=True,
             _found=None,
-            _covered_steps=1.0,
         )
 
 

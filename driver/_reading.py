@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..circuits import Design, LiveReading, Reason, adc_error, live_recovery, noise, volts_of_codes
+from ..circuits import Design, Errors, LiveReading, Reason, adc_error, live_recovery, noise, volts_of_codes
 from ..common.arrays import BoolArray, FloatArray
 from ..common.compiled import Rows, loop
+from ..common.readings import Readings
 from ..errors import InputError, ProtocolError, SolverError
 from ._scatter import Scatter
 
@@ -42,10 +43,8 @@ class Reading:
     """False if no cell resistances give such readings: then no cell is valid"""
     all_valid: bool
     _found: LiveReading | None
-    _covered_steps: float
-    """ADC steps: random errors of all readings with this standard deviation give the uncertainty as theirs"""
-    _alike: float = 1.0
-    """standard deviation by systematic quantisation errors over that by independent ones"""
+    _step: float = 1.0
+    """V, of the converter"""
     _noise_steps: float = 0.0
     """standard deviation of the readings' noise in ADC steps"""
     _most_noise: float = 0.0
@@ -64,65 +63,51 @@ class Reading:
         )
 
     @property
-    def steps_share(self) -> float:
-        """Share of :attr:`uncertainty` by systematic quantisation error, which averaging over time does not reduce.
-
-        Noise of half a step or more randomises the quantisation error (dither): the mean error falls with
-        exp(-2 (pi noise/step)^2) (Widrow and Kollar, Quantization Noise, 2008).
-        """
-        return math.sqrt(3.0) * self.steps_std_share
-
-    @property
-    def steps_std_share(self) -> float:
-        """Standard deviation by systematic quantisation errors over :attr:`uncertainty`."""
-        return self.std_shares[0]
-
-    @property
-    def std_shares(self) -> tuple[float, float]:
-        """Standard deviations over :attr:`uncertainty`: by systematic quantisation errors, and by all random errors."""
-        noise, systematic, covered = self._noise_steps, self._systematic, self._covered_steps
-        by_steps = self._alike * _STEP_STD * systematic / covered
-        return by_steps, math.sqrt(noise * noise + (1.0 - systematic) / 12.0) / covered
-
-    @property
     def _systematic(self) -> float:
-        """Fraction of the quantisation error that noise does not randomise."""
+        """Fraction of the quantisation error that noise does not randomise, so that averaging does not reduce it.
+
+        Noise of half a step or more does (dither): the mean error falls with exp(-2 (pi noise/step)^2) (Widrow and
+        Kollar, Quantization Noise, 2008).
+        """
         return math.exp(-2.0 * (math.pi * self._noise_steps) ** 2)
 
     @property
+    def _noise(self) -> float:
+        """V, standard deviation of a reading by its noise and by the quantisation errors that are random."""
+        return self._step * math.hypot(self._noise_steps, math.sqrt(1.0 - self._systematic) * _STEP_STD)
+
+    @property
+    def steps_std(self) -> FloatArray:
+        """Relative standard deviation of a conductance by quantisation errors that averaging does not reduce."""
+        own, _, every, alike = self._errors
+        others = alike * np.sqrt(np.maximum(every**2 - own**2, 0.0))
+        return self._systematic * _STEP_STD * self._step * np.hypot(own, others)
+
+    @property
+    def noise_std(self) -> FloatArray:
+        """Relative standard deviation of a conductance by noise, and by the quantisation errors that are random."""
+        return self._noise * self._errors.all
+
+    @property
     def others_noise_std(self) -> FloatArray:
-        """Relative standard deviation of a cell's conductance by the noise of the other cells' readings.
+        """By how much the noise of the other cells' readings enlarges :attr:`noise_std`.
 
-        The value is 0 for cells of which nothing is known. An estimator measures the noise that a cell has at rest. In
-        a column of a divider under a hard press, the share of the current in each cell follows from all readings
-        together, and their noise then counts many times as much. The noise here includes quantisation errors that are
-        random, see :attr:`steps_share`.
+        An estimator measures the noise that a cell has at rest. In a column of a divider under a hard press, the share
+        of the current in each cell follows from all readings together, and their noise then counts many times as much.
         """
+        return self._noise * (self._errors.all - self._errors.own)
+
+    @property
+    def _errors(self) -> Errors:
+        """Relative changes of the conductances by errors of the readings; 0 where nothing is known."""
+        none = np.zeros(self.resistance.shape)
         if self._found is None:
-            return np.zeros(self.resistance.shape)
-        uncertainty = self._found.uncertainty
-        if self.all_valid:
-            others: FloatArray = uncertainty - self._found.own
-        else:
-            others = np.zeros(self.resistance.shape)
-            np.subtract(uncertainty, self._found.own, out=others, where=np.isfinite(uncertainty))
-        others *= self.noise_share
-        return others
-
-    @property
-    def noise_share(self) -> float:
-        """Standard deviation by noise and by random quantisation errors over :attr:`uncertainty`."""
-        return self.std_shares[1]
-
-    @property
-    def uncertainties(self) -> tuple[FloatArray, FloatArray]:
-        """:attr:`uncertainty` and :attr:`own_uncertainty`."""
-        return (self.uncertainty, self.own_uncertainty) if self._found is None else self._found.uncertainties
-
-    @property
-    def own_uncertainty(self) -> FloatArray:
-        """The part of :attr:`uncertainty` from the cell's own reading."""
-        return np.full(self.resistance.shape, np.inf) if self._found is None else self._found.own
+            return Errors(none, none, none)
+        own, column, every, alike = self._found.errors
+        if np.isfinite(every).all():
+            return self._found.errors
+        own, column, every = (np.where(np.isfinite(every), part, 0.0) for part in (own, column, every))
+        return Errors(own, column, every, alike)
 
     @property
     def for_estimation(self) -> FloatArray:
@@ -131,18 +116,41 @@ class Reading:
             return self.resistance
         uncertainty = self._found.uncertainty
         noisy = (self.reason == Reason.UNCERTAIN) & (uncertainty <= self._most_noise)
-        noisy &= np.minimum(uncertainty, 1.0) * self.steps_share <= _MOST_STEPS
+        noisy &= math.sqrt(3.0) * self.steps_std <= _MOST_STEPS
         return np.where(noisy, self._found.resistance, self.resistance)
 
     @property
-    def step_std(self) -> FloatArray:
-        """Relative standard deviation of a cell's conductance by the ADC steps of its own reading alone.
+    def bounded(self) -> bool:
+        """Whether bounds are known on cells that have no value."""
+        return self._found is not None and self._found.bounds is not None
 
-        Computed on demand.
-        """
+    @property
+    def readings(self) -> Readings:
+        """Conductances with what is known of their errors. Computed on demand."""
+        shape = self.resistance.shape
+        none, unbounded = np.zeros(shape), np.full(shape, np.inf)
         if self._found is None:
-            return np.full(self.resistance.shape, np.nan)
-        return _STEP_STD / self._covered_steps * self._found.own
+            return Readings(np.full(shape, np.nan), none, none, none, none, unbounded)
+        with np.errstate(divide="ignore"):
+            conductance = 1.0 / self.for_estimation
+        known = np.isfinite(conductance)
+        size = np.where(known, conductance, 0.0)
+        _, column, every, _ = self._errors
+        column = size * column if self._scales_columns else none
+        least, greatest = (none, unbounded) if self._found.bounds is None else self._found.bounds
+        return Readings(
+            conductance=np.where(known, conductance, np.nan),
+            noise_variance=np.maximum((size * every) ** 2 - column**2, 0.0) * self._noise**2,
+            column_std=column * self._noise,
+            half_step=math.sqrt(3.0) * size * self.steps_std,
+            least=np.where(known, 0.0, least),
+            greatest=np.where(known, np.inf, greatest),
+        )
+
+    @property
+    def step_std(self) -> FloatArray:
+        """Relative standard deviation of a cell's conductance by the ADC steps of its own reading alone."""
+        return _STEP_STD * self._step * self._errors.own
 
     @property
     def all_steps_std(self) -> FloatArray:
@@ -150,9 +158,7 @@ class Reading:
 
         In a column of a divider a step of one reading changes the conductances of all its cells.
         """
-        if self._found is None:
-            return np.full(self.resistance.shape, np.nan)
-        return _STEP_STD / self._covered_steps * self._found.by_readings
+        return _STEP_STD * self._step * self._errors.all
 
     @property
     def column_steps(self) -> FloatArray | None:
@@ -160,16 +166,12 @@ class Reading:
 
         None if errors of other readings do not scale columns, or if noise randomises the rounding.
         """
-        share = self.steps_share
-        if not self._scales_columns or self._found is None or share < _LEAST_STEPS:
+        if not self._scales_columns or self._found is None or self._systematic < _LEAST_STEPS:
             return None
-        # A reading counts x through its column's sum, and that of the cell itself its own part beside:
-        # by_readings^2 = (own + x)^2 + (rows - 1) x^2. The uncertainty may count equal roundings in full already.
-        own, rows = self._found.own, len(self._found.own)
-        all_others = rows * np.maximum(self._found.by_readings**2 - own**2, 0.0)
-        least: FloatArray = np.fmin.reduce(np.sqrt(own**2 + all_others) - own, axis=0) / rows
-        at_once = share / self._alike * (rows - 1)
-        return np.where(np.isfinite(least), at_once * least, 0.0)
+        # The other readings enter by their sum: all at once they make the root of their number of independent errors.
+        rows = len(self.resistance)
+        least: FloatArray = np.minimum.reduce(np.abs(self._errors.column), axis=0) * (rows - 1) / math.sqrt(rows)
+        return 0.5 * self._step * self._systematic * least
 
     @property
     def resolution(self) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
@@ -360,8 +362,11 @@ class CountReader:
             doubtful = self._beside_limit(counts) & ~limited
             self._in_doubt = bool(doubtful.any())
             limited |= doubtful
-        # A cell with hardly any current may be open. It is no short, which would disturb many others.
+        # At the end towards less current a cell conducts no more than its reading says. It is no short, which would
+        # disturb many others.
+        lowest, highest = self._within_limits(guard)
         faint = limited & (np.abs(volts - self._level) < 1.5 * self._step)
+        faint |= (counts < lowest) if self._rising else (counts >= highest)
         faint |= self._without_current(counts, guard)
         limited &= ~faint
         self._limited = limited if limited.any() else None
@@ -403,8 +408,7 @@ class CountReader:
         except SolverError:
             nothing = np.full(counts.shape, np.nan)
             reason = np.full(counts.shape, Reason.UNSOLVED, dtype=np.int8)
-            return Reading(nothing, counts < 0, reason, solved=False, all_valid=False, _found=None, _covered_steps=1.0)
-        covered = self._step / 2 + LiveReading.sigmas * noise if found.covered is None else found.covered
+            return Reading(nothing, counts < 0, reason, solved=False, all_valid=False, _found=None)
         valid, reason = found.valid, found.reason
         every = faint is None and found.every
         if faint is not None:
@@ -417,8 +421,7 @@ class CountReader:
             True,  # solved; by position, since keywords take half as long again
             every,
             found,
-            covered / self._step,
-            found.alike,
+            self._step,
             noise / self._step,
             self._most_noise,
             self._recover.scales_columns,

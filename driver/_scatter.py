@@ -12,7 +12,7 @@ sums:
 * from some sum in between, while a press accelerates.
 
 The weights of the quietest sum are the eigenvector to the smallest eigenvalue of the changes' second moments, relative
-to the second moments of noise (:func:`_quietest_of_two`). The scatter of this sum over the readings is the noise. Each
+to the second moments of noise (:func:`_changes_of`). The scatter of this sum over the readings is the noise. Each
 reading is clipped in relation to the median, so that motion of other patterns hardly counts as long as it moves less
 than half of the readings. Noise that seems to have grown must also show in the quietest sum of three changes
 (:func:`_quietest`), from which two patterns of motion vanish. Noise that begins is thus known in its third frame, even
@@ -101,8 +101,8 @@ class Scatter:
         """
         self._step = step
         self._assumed = ASSUMED * step if assumed else 0.0
-        self._cut_sum = _cut_sum.machine_code(unchecked=True) or cut_sum
-        self._changes_of = _changes_of.machine_code(unchecked=True)
+        self._cut_sum = _cut_sum.machine_code(unchecked=True) or _cut_sum.function
+        self._changes_of = _changes_of.machine_code(unchecked=True) or _changes_of.function
         self._quietest = np.zeros((0, 0))
         """V, the quietest sum found last by the compiled loop; overwritten in each frame"""
         self.before: FloatArray | None = None
@@ -166,7 +166,7 @@ class Scatter:
             return
         moving = max(self._free, 1)
         cut = self._largest = None
-        if self._changes_of is None or self._change is None:
+        if self._change is None:
             change = volts - before
         else:
             if self._quietest.shape != volts.shape:
@@ -229,14 +229,11 @@ class Scatter:
         mean = self._by_mean(change, self._seen, moving) if cut is None else cut[0] / (moving * MEAN_CHANGE)
         if mean <= ROUNDED * self._seen:  # motion only adds to the mean
             return mean
-        if self._change is None:
+        if self._change is None or cut is None:
             return 0.0
         if moving < FEW:
             return self._shown_by_few(change, mean)
-        if cut is None:
-            shown = self._by_quietest(_quietest_of_two(change, self._change), QUIET_OF_TWO, moving)
-        else:
-            shown = self._by_quietest(self._quietest, QUIET_OF_TWO, moving, cut[1])
+        shown = self._by_quietest(self._quietest, QUIET_OF_TWO, moving, cut[1])
         if shown > ABOVE * self._seen and self._older is not None:
             of_three = _quietest(np.concatenate((change, self._change, self._older)).reshape(3, -1))[None]
             shown = min(shown, self._by_quietest(of_three, QUIET_OF_THREE, moving))
@@ -315,14 +312,9 @@ class Scatter:
         return max(self._step, MOST_CHANGE * expected)
 
 
-def cut_sum(change: FloatArray, most: float) -> float:
-    """Sum of the absolute values (N, M), each clipped at ``most``."""
-    return float(np.add.reduce(np.minimum(np.abs(change), most), axis=None))
-
-
 @loop
 def _cut_sum(change: Rows, most: float) -> float:
-    """As :func:`cut_sum`."""
+    """Sum of the absolute values (N, M), each clipped at ``most``."""
     rows, columns = change.shape
     total = 0.0
     for i in range(rows):
@@ -331,42 +323,19 @@ def _cut_sum(change: Rows, most: float) -> float:
     return total
 
 
-def _quietest_of_two(change: FloatArray, before: FloatArray) -> FloatArray:
-    """The weighted sum of two successive changes that varies least over the readings, relative to noise.
-
-    The second difference and the change over two frames are independent under noise, with variances of 6 and 2 sigma^2.
-    In these two coordinates, scaled to the same variance, the weights are the minor axis of the readings' ellipse of
-    inertia.
-
-    Args:
-        change: V, the newer one.
-        before: V, the older one.
-
-    Returns:
-        V, shaped like both, scaled to the variance 2 sigma^2 of one change by noise.
-
-    """
-    new, old = change.ravel(), before.ravel()
-    newer, mixed, older = float(new.dot(new)), float(new.dot(old)), float(old.dot(old))
-    second = (newer - 2.0 * mixed + older) / 3.0
-    across = newer + 2.0 * mixed + older
-    angle = 0.5 * math.atan2(2.0 * (newer - older) / _ROOT_3, second - across)
-    sine, cosine = math.sin(angle) / _ROOT_3, math.cos(angle)
-    quietest: FloatArray = change * (cosine - sine)
-    quietest += before * (cosine + sine)
-    return quietest
-
-
 @loop
 def _changes_of(
     volts: Rows, last: Rows, before: Rows, most: float, change: Rows, quietest: Rows
 ) -> tuple[float, float, float]:
-    """Write the change (N, M) of the readings, and its quietest sum with the change ``before``.
+    """Write the change (N, M) of the readings, and the quietest sum of it and the change ``before``.
 
-    The same as :func:`_quietest_of_two` and :func:`cut_sum`, which are array operations.
+    That sum varies least over the readings, relative to noise. The second difference and the change over two frames are
+    independent under noise, with variances of 6 and 2 sigma^2. In these two coordinates, scaled to the same variance,
+    the weights are the minor axis of the readings' ellipse of inertia. The sum is scaled to the variance 2 sigma^2 of
+    one change by noise.
 
     Returns:
-        The clipped sums of both, and the largest change.
+        The sums of both, clipped at ``most``, and the largest change.
     """
     rows, columns = volts.shape
     newer = mixed = older = cut = largest = 0.0
@@ -391,7 +360,7 @@ def _changes_of(
 
 
 def _quietest(changes: FloatArray) -> FloatArray:
-    """As :func:`_quietest_of_two`, for three changes (3, n) in V; returns (n,) V."""
+    """The quietest sum of three changes (3, n) in V, as :func:`_changes_of` has it of two; returns (n,) V."""
     white = _WHITENED.dot(changes)
     least: FloatArray = dsyev(white.dot(white.T))[1][:, 0]  # eigh() of NumPy takes three times as long
     quietest: FloatArray = (_ROOT_2 * least).dot(white)

@@ -36,6 +36,8 @@ CAUTION = 1.17
 (normal distribution; its asymptotic efficiency is 37 %)"""
 HALF_STEP = math.sqrt(3.0)
 """half an ADC step over the standard deviation of the rounding error, which is uniform"""
+MOST = 0.95
+"""largest relative error of a conductance by half a step that counts"""
 EXPLAINED = 0.95
 """share of cells within half an ADC step of the data sheet from which on the spread counts as zero"""
 STEP = 5e-4
@@ -69,7 +71,7 @@ class SystematicError:
         if self._tabulated:
             for row, slope in enumerate((by_reading, by_rest)):
                 self._slopes_squared[row] = np.interp(self._pressure, pressure[order], slope[order]) ** 2
-        self._of_valid_cells = _of_valid_cells.machine_code(unchecked=True)
+        self._add = add_variances.machine_code(unchecked=True) or add_variances.function
         self.rest_spread: float | None = None
         """relative standard deviation of the cells' rest resistances about the data sheet: the least value seen,
         enlarged by the sampling error of so few cells"""
@@ -107,27 +109,9 @@ class SystematicError:
         return partial(self._std, self._steps, spread)
 
     def _std(self, steps: _Steps, spread: float, pressure_kpa: FloatArray, variance_kpa2: FloatArray) -> FloatArray:
-        if steps.earlier is None and steps.taken_out is None and self._of_valid_cells is not None:
-            by_steps, by_noise = steps.reading.std_shares
-            uncertainty, own = map(_whole, steps.reading.uncertainties)
-            pressure, slopes = np.ascontiguousarray(pressure_kpa), self._slopes_squared
-            self._of_valid_cells(
-                uncertainty, own, by_steps, by_noise, pressure, self._pressure, slopes, spread * spread, variance_kpa2
-            )
-            return variance_kpa2
-        variance_kpa2 += self._variance(steps, spread, pressure_kpa)
-        return np.sqrt(variance_kpa2, out=variance_kpa2)
-
-    def _variance(self, steps: _Steps, spread: float, pressure_kpa: FloatArray) -> FloatArray:
-        """(rows, columns) kPa^2 by array operations."""
-        place = self._pressure.searchsorted(pressure_kpa)  # NaN is beyond the end
-        by_reading, by_rest = self._slopes_squared.take(place, axis=1, mode="clip")
-        variance: FloatArray = steps.relative_variance()
-        variance *= by_reading
-        if spread:
-            by_rest *= spread * spread
-            variance += by_rest
-        return variance
+        relative, pressure = _whole(steps.relative_variance()), np.ascontiguousarray(pressure_kpa)
+        self._add(relative, pressure, self._pressure, self._slopes_squared, spread * spread, variance_kpa2)
+        return variance_kpa2
 
     def _look(self, reading: Reading) -> None:
         """Measure the spread of the cells every few frames, and keep the least value, since loads only add to it."""
@@ -135,9 +119,8 @@ class SystematicError:
         if self.rest_spread == 0.0:
             return
         if self._frames == 1 or self._frames % LOOK_EVERY == LOOK_AT:
-            share = reading.steps_std_share * HALF_STEP
-            # A share of zero means that noise randomises all steps; the uncertainty may then be infinite.
-            self._measure(reading.resistance, share * reading.uncertainty if share else np.zeros(reading.valid.shape))
+            half_steps = np.minimum(HALF_STEP * reading.steps_std, MOST)
+            self._measure(reading.resistance, -np.log1p(-half_steps))
 
     def _measure(self, resistance_ohm: FloatArray, half_steps: FloatArray) -> None:
         """Measure the spread of resistances whose relative errors by half an ADC step are ``half_steps``."""
@@ -191,44 +174,29 @@ class _Steps(NamedTuple):
 
         For a cell that is not valid now, the variance when it last was. The caller may change the array.
         """
-        uncertainty, others = self.reading.uncertainty, self.reading.others_noise_std
-        if self.earlier is None:
-            variance = self._sum(uncertainty, others)
-        else:
-            variance = self.earlier.copy()
-            variance[self.valid] = self._sum(uncertainty[self.valid], others[self.valid])
+        variance: FloatArray = self.reading.steps_std**2 + self.reading.others_noise_std**2
+        if self.earlier is not None:
+            variance = np.where(self.valid, variance, self.earlier)
         if self.taken_out is not None:
             variance += self.taken_out * self.taken_out
         return variance
 
-    def _sum(self, uncertainty: FloatArray, others: FloatArray) -> FloatArray:
-        """Relative variance by ADC steps, and by noise of standard deviation ``others``."""
-        variance = uncertainty * self.reading.steps_std_share
-        variance *= variance
-        variance += others * others
-        return variance
-
 
 @loop
-def _of_valid_cells(
-    uncertainty: Rows,
-    own: Rows,
-    by_steps: float,
-    by_noise: float,
+def add_variances(
+    relative_variance: Rows,
     pressure: FixedRows,
     table: Row,
     slopes_squared: Rows,
     rest_variance: float,
     variance: Rows,
 ) -> None:
-    """As :meth:`SystematicError._std`, for a frame whose cells (N, M) are all valid.
-
-    The standard deviations overwrite the estimator's ``variance``.
+    """Turn the estimator's ``variance`` (N, M) in kPa^2 into the standard deviation with systematic errors.
 
     The place in the ``table`` of evenly spaced pressures is first computed from the spacing, then corrected by
     comparison with the table.
     """
-    rows, columns = uncertainty.shape
+    rows, columns = relative_variance.shape
     last = table.size - 1
     per_kpa = last / table[last]
     for i in range(rows):
@@ -240,9 +208,7 @@ def _of_valid_cells(
                     place -= 1
                 while table[place] < kpa:
                     place += 1
-            steps = uncertainty[i, j] * by_steps
-            others = (uncertainty[i, j] - own[i, j]) * by_noise
-            found = (steps * steps + others * others) * slopes_squared[0, place]
+            found = relative_variance[i, j] * slopes_squared[0, place]
             variance[i, j] = math.sqrt(variance[i, j] + (found + slopes_squared[1, place] * rest_variance))
 
 

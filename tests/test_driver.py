@@ -82,8 +82,7 @@ def test_counts_become_the_ohms_that_gave_them(ohms: float) -> None:
     step = ohms**2 * plain.adc.step / 20e3
     assert reading.valid.all()
     np.testing.assert_allclose(reading.resistance, cells, atol=0.5 * step / (1 - 0.5 * step / ohms) * (1 + 1e-9))
-    # Half a step, and the quarter of one that the model may be wrong by; of the conductance that was read.
-    own = 1.25 * step / ohms / 12**0.5 * reading.resistance / ohms
+    own = step / ohms / 12**0.5 * reading.resistance / ohms  # of the conductance that was read
     np.testing.assert_allclose(reading.step_std, own, rtol=0.05)
 
 
@@ -418,5 +417,5 @@ def test_a_short_beside_an_open_cell_does_not_void_the_skin() -> None:
         counts = adc_codes(design, scan(design, true).volts)
         counts[6, 6] = count
         reading = read(counts)
-        assert reading.valid.sum() > 48
+        assert reading.valid.sum() == 48  # all but the row and the column of the short, and the open cell
         np.testing.assert_allclose(reading.resistance[reading.valid], 10e3, rtol=0.02)

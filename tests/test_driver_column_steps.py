@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from needs import need
 
 from ohmskin.bench._driver import design
 from ohmskin.cell import Cell
 from ohmskin.circuits import Design, adc_codes, scan
 from ohmskin.common.arrays import FloatArray
-from ohmskin.common.compiled import why_not
 from ohmskin.driver import CountReader, Reading
 from ohmskin.driver._column_steps import ColumnSteps
 from ohmskin.driver._systematic import SystematicError
@@ -104,22 +102,3 @@ def test_noise_of_a_step_leaves_nothing_to_take_out(board: Design) -> None:
     rest, pressed = read(board, equal(), equal() * (1.0 + FINGER), noise_v=board.adc.step)
     assert ColumnSteps(equal(), 1.0, rest_known=True).without(pressed)[1] is None
     assert rest.column_steps is None
-
-
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_machine_code_takes_out_what_array_operations_do(
-    board: Design, side: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    need("needs numba" if why_not() is not None else None)
-    rest, pressed = read(board, equal(), equal() * (1.0 + side * 0.4 * FINGER))
-    pressed.resistance = np.where((ROW + COLUMN) % 7, pressed.resistance, np.nan)
-    pressed.resistance[:, 3] = np.nan
-    pressed.all_valid = True  # its own resistances are taken
-    both = []
-    for compiled in (True, False):
-        steps = ColumnSteps(rest.resistance, side, rest_known=True)
-        if not compiled:
-            monkeypatch.setattr(steps, "_scale_each", None)
-        both.append(steps.without(pressed))
-    np.testing.assert_array_equal(both[0][0], both[1][0])
-    np.testing.assert_array_equal(both[0][1], both[1][1])

@@ -12,7 +12,6 @@ from ohmskin.cell import Cell
 from ohmskin.circuits import Design, Reason, adc_codes, recover, scan, scan_batch
 from ohmskin.common.arrays import BoolArray, FloatArray
 from ohmskin.driver import CountReader, Recorder, Skin
-from ohmskin.driver import _line_faults as line_faults
 from ohmskin.driver._line_faults import EVERY_S, Creep, LineFaults
 
 REST_OHM, BEGIN, SHAPE = 18e3, 6, (8, 8)
@@ -197,21 +196,3 @@ def test_frames_say_so_and_a_recording_of_the_rest_does(tmp_path: Path) -> None:
     for frame, again in zip(frames[200:], played, strict=False):
         assert np.array_equal(frame.valid, again.valid)
         assert np.array_equal(frame.pressure, again.pressure)
-
-
-def test_machine_code_passes_the_frames_that_array_operations_pass() -> None:
-    by_loop, passed = line_faults.all_sound.machine_code() or line_faults.all_sound.function, 0
-    random, draws = np.random.default_rng(0), 300
-    for _ in range(draws):
-        shape, margin = tuple(random.integers(1, 9, 2)), line_faults.BELOW_REST
-        before, least = random.normal(0.0, 0.1, (2, *shape))
-        log = before + random.choice([0.0, 0.02, 0.05, -0.05], shape, p=random.dirichlet([2.0, 1.0, 1.0, 0.3]))
-        for values in (log, before, least):
-            values[random.random(shape) < random.choice([0.0, 0.1])] = np.nan
-        lowered = np.empty(shape)
-        passes = by_loop(log, before, least, margin, lowered)
-        assert passes is not line_faults._may_have_changed(log - before, log, margin)
-        if passes:
-            np.testing.assert_array_equal(lowered, np.fmin(least, before))
-        passed += passes
-    assert draws // 5 < passed < draws - draws // 5

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -11,13 +10,6 @@ import pytest
 
 from ohmskin.bench import _live_hunt, _live_streams
 from ohmskin.circuits import Design, Reason, adc_codes, live_recovery, scan
-from ohmskin.circuits._exact import read_exactly
-from ohmskin.circuits.recovery import _amplified, _quick_model
-from ohmskin.circuits.recovery._coupled_board import CoupledBoard
-from ohmskin.circuits.recovery._frame_budget import USUAL_EFFORT
-from ohmskin.circuits.recovery._linearised import Linearised
-from ohmskin.circuits.recovery._lines import LineResistance
-from ohmskin.circuits.solvers import FrameTransfer
 from ohmskin.driver import CountReader, Reading
 from ohmskin.errors import InputError
 
@@ -127,34 +119,6 @@ def test_unknown_cells_disturb_no_valid_one(seed: int) -> None:
         assert (reading.reason[frame < 300] != Reason.VALID).all()
 
 
-@pytest.mark.parametrize("size", [8, 24])
-def test_a_frame_has_a_bounded_number_of_evaluations(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever changes: each frame is new at random, and some cells are at their limits."""
-    counted: Counter[str] = Counter()
-
-    def count(name: str) -> None:
-        real = getattr(FrameTransfer, name)
-
-        def counting(*given: Any) -> Any:
-            counted[name] += 1
-            return real(*given)
-
-        monkeypatch.setattr(FrameTransfer, name, counting)
-
-    count("attenuated")
-    count("exact")
-    design, evaluated = board("inverting-amplifier", size, size, 12), 0
-    read, rng = CountReader(design), np.random.default_rng(0)
-    for number in range(10):
-        evaluated += counted["attenuated"]
-        counted.clear()
-        read(adc_codes(design, scan(design, 10 ** rng.uniform(1.5, 5, (size, size))).volts))
-        if number:
-            assert counted["attenuated"] <= _amplified.EVALUATIONS
-            assert counted["exact"] <= (_amplified.EVALUATIONS if size == 8 else 1)  # by price
-    assert evaluated  # or nothing was counted
-
-
 def test_what_a_frame_did_not_settle_the_next_ones_do() -> None:
     design = board("inverting-amplifier", 8, 8, 12, row_lead=100.0, column_lead=100.0)
     read, rng = CountReader(design), np.random.default_rng(1)
@@ -241,35 +205,6 @@ def test_the_hunt_notices_a_wrong_cell(monkeypatch: pytest.MonkeyPatch) -> None:
     assert tally.count("wrong cell") >= 3
 
 
-@pytest.mark.parametrize(("circuit", "idle_rows"), [("voltage-divider", "ground"), ("voltage-feedback", "ground")])
-def test_a_frame_of_a_coupled_board_has_a_bounded_number_of_evaluations(
-    circuit: str, idle_rows: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    design = board(circuit, 6, 6, 12, idle_rows=idle_rows)
-    counted: dict[str, int] = {}
-
-    def count(where: type, name: str) -> None:
-        real = getattr(where, name)
-
-        def counting(*given: Any) -> Any:
-            counted[name] = counted.get(name, 0) + 1
-            return real(*given)
-
-        monkeypatch.setattr(where, name, counting)
-
-    count(CoupledBoard, "at")
-    count(Linearised, "renew")
-    count(Linearised, "_first")
-    read = CountReader(design)
-    for number, frame in enumerate(pressed((6, 6), np.random.default_rng(0), 12, 500.0)):
-        counted.clear()
-        read(adc_codes(design, scan(design, frame).volts))
-        if number:
-            assert counted.get("at", 0) <= USUAL_EFFORT.evaluations
-            assert counted.get("renew", 0) <= USUAL_EFFORT.instalments
-            assert "_first" not in counted
-
-
 @pytest.mark.parametrize("sigma_steps", [0.5, 3.0])
 def test_the_noise_of_the_readings_is_in_the_uncertainty(sigma_steps: float) -> None:
     """Measured from frame to frame, while two fingers press: 3 standard deviations, hence 0.3 % of cells beyond."""
@@ -330,53 +265,3 @@ def test_a_known_short_beside_a_cell_makes_the_cell_less_certain() -> None:
         total = 1 / 18e3 + 1 / 2e3
         own_step = 0.5 * design.adc.step / 1e3 / total  # type: ignore[union-attr]
         assert reading.uncertainty[1, 1] > 9 * own_step
-
-
-@pytest.mark.parametrize("family", [name for name, kind in _live_streams.FAMILIES.items() if not kind.eventful])
-def test_the_quick_model_gives_the_exact_outputs(family: str) -> None:
-    """On the hunt's boards, with ideal lines and with resistive segments."""
-    rng, quick = np.random.default_rng(0), 0
-    for _ in range(40):
-        design = _live_streams.draw_design(rng, _live_streams.FAMILIES[family])
-        board = design.replace(readout={"supply": (-np.inf, np.inf)}).board
-        model = _quick_model.QuickModel(board, LineResistance(board))
-        cells = 10 ** rng.uniform(0, 6, board.shape)
-        exact = read_exactly(board, cells)[0].volts
-        assert design.adc is not None
-        step = design.adc.step
-        # Inverting amplifiers may stand far above any converter's range.
-        assert (np.abs(model(cells) - exact) <= 1e-4 * step + 1e-7 * np.abs(exact)).all()
-        quick += model.is_quick
-    assert 5 <= quick < 40
-
-
-@pytest.mark.parametrize(
-    ("circuit", "idle_rows"),
-    [("voltage-divider", "ground"), ("voltage-divider", "float"), ("voltage-feedback", "ground")],
-)
-def test_a_usual_frame_of_a_coupled_board_needs_one_or_two_evaluations(
-    circuit: str, idle_rows: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With noise of half a step, on a skin that a finger slowly presses: derivatives are renewed now and then."""
-    evaluations, renewals = [0], [0]
-    for where, name, counted in ((CoupledBoard, "at", evaluations), (Linearised, "renew", renewals)):
-        real = getattr(where, name)
-
-        def counting(self: Any, at: Any, real: Any = real, counted: list[int] = counted) -> Any:
-            counted[0] += 1
-            return real(self, at)
-
-        monkeypatch.setattr(where, name, counting)
-    design, rng = board(circuit, 5, 6, 12, idle_rows=idle_rows), np.random.default_rng(3)
-    read, cells = CountReader(design), 1e4 * 10 ** rng.uniform(-0.1, 0.1, (5, 6))
-    assert design.adc is not None
-    for number in range(60):
-        if number == 1:
-            evaluations[0] = renewals[0] = 0
-        cells[2, 3] *= 0.99
-        volts = scan(design, cells).volts + rng.normal(scale=0.5 * design.adc.step, size=cells.shape)
-        reading = read(adc_codes(design, volts))
-        error = relative_error(reading.resistance, cells)[reading.valid]
-        assert (error <= 5.0 / 3.0 * reading.uncertainty[reading.valid]).all()
-    assert 30 <= evaluations[0] <= 2 * 59
-    assert renewals[0] < 40  # one renewal takes six instalments

@@ -2,20 +2,10 @@
 
 from __future__ import annotations
 
-from math import inf
-from typing import Any
-
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
 
-from ohmskin.bench import _live_streams
 from ohmskin.circuits import Design, adc_codes, scan
-from ohmskin.circuits.recovery._column_scales import ColumnScales
-from ohmskin.circuits.recovery._coupled_board import CoupledBoard
-from ohmskin.circuits.recovery._frame_account import Account
-from ohmskin.circuits.recovery._frame_budget import FIRST_EFFORT, Budget
-from ohmskin.circuits.recovery._linearised import Linearised
 from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import CountReader, Reading
 
@@ -44,83 +34,6 @@ def read_after_rest(design: Design, rest: FloatArray, pressed: FloatArray) -> li
     return [read(adc_codes(design, scan(design, cells).volts)) for cells in [rest] * 3 + [pressed] * 8]
 
 
-def disturbed(design: Design, cells: FloatArray) -> FloatArray:
-    """Relative change of the cells to other sets that give the readings of these within an ADC step."""
-    assert design.adc is not None
-    parts = CoupledBoard(design.board)
-    known = parts.at(-np.log(cells).ravel())
-    frame = parts.frame(known.volts.reshape(parts.shape), np.abs(known.volts).reshape(parts.shape), 0.0, None)
-    linear = Linearised(parts)
-    budget = Budget(FIRST_EFFORT, Account(inf))
-    assert linear.begin(known, budget)
-    found = ColumnScales(parts, linear.prices).disturb(frame, known, linear.base, 0.5 * design.adc.step, budget)
-    return np.zeros(parts.shape) if found is None else found.reshape(parts.shape)
-
-
-def another(design: Design, cells: FloatArray, guess: FloatArray) -> FloatArray:
-    """Cells near a guess that give the same readings as others, by least squares."""
-    step = design.adc.step if design.adc is not None else 1.0
-    volts = scan(design, cells).volts
-
-    def apart(log: FloatArray) -> FloatArray:
-        return (scan(design, np.exp(log).reshape(cells.shape)).volts - volts).ravel() / step
-
-    found = least_squares(apart, np.log(guess).ravel(), x_scale="jac", ftol=1e-14, xtol=1e-14, gtol=1e-14)
-    assert np.abs(found.fun).max() < 0.5, "within half a step"
-    other: FloatArray = np.exp(found.x).reshape(cells.shape)
-    return other
-
-
-def nodal(design: Design, cells: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Potentials (N, N) of the rows and (N, M) of the columns over the drive while one row is driven, ideal lines."""
-    lead, load = np.array(design.array.row_lead), 1.0 / np.array(design.readout.reference_resistance)
-    rows, columns = cells.shape
-    matrix = np.zeros((rows + columns, rows + columns))
-    matrix[:rows, rows:] = -1.0 / cells
-    matrix[rows:, :rows] = -1.0 / cells.T
-    np.fill_diagonal(matrix, np.append(1.0 / lead + (1.0 / cells).sum(axis=1), load + (1.0 / cells).sum(axis=0)))
-    driven = np.linalg.solve(matrix, np.vstack([np.diag(1.0 / lead), np.zeros((columns, rows))])).T
-    return driven[:, :rows], driven[:, rows:]
-
-
-def test_readings_tell_how_far_all_lines_lie_below_the_drive() -> None:
-    """The rows by reciprocity, the columns by superposition."""
-    design = board([3.0, 300.0, 40.0], 5)
-    cells = 10 ** np.random.default_rng(1).uniform(1.0, 4.1, (3, 5))
-    of_rows, of_columns = nodal(design, cells)
-    parts = CoupledBoard(design.board)
-    known = parts.at(-np.log(cells).ravel())
-    frame = parts.frame(known.volts.reshape(parts.shape), np.abs(known.volts).reshape(parts.shape), 0.0, None)
-    told = ColumnScales(parts, Linearised(parts).prices)._told(frame, known, 0.0)
-    np.testing.assert_allclose(told.row_deficit, 1.0 - of_rows.sum(axis=0), rtol=1e-9)
-    np.testing.assert_allclose(told.read, 1.0 - of_columns.sum(axis=0), rtol=1e-9)
-    np.testing.assert_allclose(told.share, of_columns, rtol=1e-9)
-
-
-@pytest.mark.parametrize("pair", [1, 2])
-def test_the_enclosure_holds_another_set_of_cells_with_the_same_readings(pair: int) -> None:
-    """One or two columns of good conductors, and a row that hangs on them or hardly takes part."""
-    design = board([0.0, 300.0, 0.0], 5)
-    cells = 10 ** np.random.default_rng(1).uniform(3.6, 4.1, (3, 5))
-    cells[:, 2] = 1.1, 1.0, 1.3
-    if pair == 2:
-        cells[:, 4] = 2.0, 1.5, 1.1
-    guess = cells.copy()
-    guess[1] *= 20.0
-    guess[:, 2] *= 2.0
-    other = another(design, cells, guess)
-    assert (other[1] / cells[1]).min() > 5.0
-    for here, there in ((cells, other), (other, cells)):
-        change = disturbed(design, here)
-        assert (np.abs(here / there - 1.0) <= change).all()
-
-
-def test_columns_above_all_rows_have_one_scale() -> None:
-    design = board([20.0] * 5, 5, bits=16)
-    cells = 10 ** np.random.default_rng(4).uniform(2.7, 4.0, (5, 5))
-    assert not disturbed(design, cells).any()
-
-
 @pytest.mark.parametrize("seed", [2, 3, 5, 10, 14, 17, 23, 28])
 def test_a_column_of_shorts_beside_a_row_with_a_lead_leaves_no_wrong_cell(seed: int) -> None:
     """Boards at random, each of which once had valid cells that were wrong, most of them by a factor of two."""
@@ -147,22 +60,3 @@ def test_a_hard_press_on_light_leads_has_one_scale() -> None:
     readings = read_after_rest(design, rest, pressed)
     assert readings[-1].valid.all()
     assert known_well(readings[-1], pressed)
-
-
-@pytest.mark.parametrize("number", [170000016, 170000092])
-def test_scales_are_bounded_only_where_a_cell_is_known_otherwise(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Frames without a valid cell took 10 to 13 usual ones, most of them for such bounds."""
-    found = _live_streams.stream("loaded twofold", number)
-    assert found is not None
-    asked, disturb = [0], ColumnScales.disturb
-
-    def counting(*given: Any) -> FloatArray | None:
-        asked[0] += 1
-        return disturb(*given)
-
-    monkeypatch.setattr(ColumnScales, "disturb", counting)
-    read = CountReader(found.design)
-    for counts in found.counts:
-        before, any_valid = asked[0], read(counts).valid.any()
-        assert any_valid == (asked[0] > before)
-    assert asked[0]

@@ -7,17 +7,23 @@ import pytest
 
 from ohmskin.circuits import Design, adc_codes, scan
 from ohmskin.driver import CountReader
-from ohmskin.driver._scatter import Scatter, _left_open
 
 STEP = 1e-3
 
 
 def measured(readings: np.ndarray) -> list[float]:
     """Standard deviations in ADC steps after each frame of (frames, rows, columns) V."""
-    scatter, seen = Scatter(STEP, assumed=True), []
+    _, rows, columns = readings.shape
+    board = {
+        "array": {"rows": rows, "columns": columns},
+        "drive": {"voltage": -1.0},
+        "readout": {"circuit": "inverting-amplifier", "reference_resistance": 1e3},
+        "adc": {"bits": 16, "range": [0.0, 65536 * STEP]},
+    }
+    read, seen = CountReader(Design.model_validate(board)), []
     for volts in readings:
-        scatter.update(STEP * np.round(volts / STEP), 0)
-        seen.append(scatter.std / STEP)
+        read(np.clip(np.round(volts / STEP) + 20000, 1, 65000).astype(np.int64))
+        seen.append(read.noise_volts / STEP)
     return seen
 
 
@@ -48,12 +54,6 @@ def test_a_press_that_moves_all_readings_is_no_noise() -> None:
     assert max(measured(volts)) < 1.5
 
 
-def test_one_jump_of_all_readings_is_no_noise_either() -> None:
-    rng = np.random.default_rng(4)
-    volts = np.repeat([0.0, 1.0], 20)[:, None, None] + rng.normal(scale=STEP, size=(40, 8, 8))
-    assert max(measured(volts)) < 1.6
-
-
 @pytest.mark.parametrize("steps", [0.6, 3.0, 20.0])
 @pytest.mark.parametrize("cells", [(1, 1), (1, 2), (2, 2), (3, 5)])
 def test_few_readings_rarely_show_less_noise_than_there_is(cells: tuple[int, int], steps: float) -> None:
@@ -69,8 +69,6 @@ def test_many_readings_leave_little_open() -> None:
     rng = np.random.default_rng(8)
     seen = measured(rng.normal(scale=3.0 * STEP, size=(200, 8, 8)))
     assert np.median(seen[20:]) / 3.0 < 1.25
-    assert _left_open(20 * 64) < 0.04
-    assert _left_open(1) > 10
 
 
 def test_noise_that_begins_on_few_cells_is_known_in_its_third_frame() -> None:
@@ -79,14 +77,6 @@ def test_noise_that_begins_on_few_cells_is_known_in_its_third_frame() -> None:
         seen = measured(STEP * scale * np.random.default_rng(seed).normal(size=(23, 5, 3)))
         missed += seen[-1] < 12.0
     assert missed < 10
-
-
-def test_a_reading_back_from_its_limit_says_little_of_the_noise() -> None:
-    """Two readings, of which one stays at a limit: a change of two steps may come with a noise of twenty."""
-    scatter = Scatter(STEP, assumed=True)
-    for first, silent in ((0, 2), (0, 2), (0, 2), (4, 2), (26, 1)):
-        scatter.update(STEP * np.array([[first], [1023.0]]), silent)
-    assert scatter.std > 10.0 * STEP
 
 
 def pressing(shape: tuple[int, int], frames: int, peak: float) -> np.ndarray:
@@ -132,13 +122,6 @@ def test_a_jump_of_all_cells_there_and_back_is_forgotten_at_once() -> None:
         assert max(measured(volts)[26:]) < 8.0
 
 
-def test_noise_that_was_seen_for_long_is_not_forgotten_in_a_few_quiet_frames() -> None:
-    rng = np.random.default_rng(9)
-    scale = np.repeat([10.0, 0.5], [40, 10])[:, None, None]
-    seen = measured(scale * STEP * rng.normal(size=(50, 8, 8)))
-    assert seen[45] > 6.0
-
-
 def test_a_noise_that_quiet_frames_contradict_is_gone_after_twenty_of_them() -> None:
     """Nobody can tell motion of many patterns from noise; once all is at rest, readings show that there is none."""
     rng = np.random.default_rng(11)
@@ -164,15 +147,6 @@ def test_noise_on_a_few_readings_of_which_most_come_and_go_at_a_limit_is_not_mul
     for _ in range(40):
         read(adc_codes(design, volts + rng.normal(scale=20.0 * step, size=(4, 1))))
     assert 10.0 < read.noise_volts / step < 80.0
-
-
-def test_noise_is_known_where_most_readings_stand_at_their_limits() -> None:
-    scatter, rng = Scatter(STEP, assumed=True), np.random.default_rng(10)
-    for frame in range(23):
-        volts = np.full((6, 6), 3.0)
-        volts[:2] = STEP * np.round((0.5 if frame < 20 else 20.0) * rng.normal(size=(2, 6)))
-        scatter.update(volts, 24)
-    assert scatter.std > 12.0 * STEP
 
 
 def divider(bits: int, reference_ohm: float, idle_rows: str) -> Design:
@@ -238,11 +212,3 @@ def test_readings_that_stand_still_become_valid_again_after_noise() -> None:
     assert not noisy.valid.all()
     assert quiet[-1].valid.all()
     assert quiet[-1].uncertainty.max() < 0.3 * noisy.uncertainty.min()
-
-
-def test_what_comes_and_goes_within_a_frame_is_no_noise_of_a_coupled_board() -> None:
-    """A spark moves the readings of most cells by hundreds of steps, there and back."""
-    rng = np.random.default_rng(4)
-    volts = rng.normal(scale=0.5 * STEP, size=(40, 8, 8))
-    volts[20, :, :6] += 300.0 * STEP * rng.uniform(0.3, 1.0, (8, 6))
-    assert max(measured(volts)[10:]) < 1.5

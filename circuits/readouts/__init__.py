@@ -6,7 +6,7 @@
 :mod:`._row_amplifier`             the same with rows sensed and columns driven
 :mod:`._voltage_divider`           load resistors (the paper's figure 13)
 :mod:`._voltage_feedback`          a load, and a follower that drives all idle lines
-:mod:`._pulled_rows`               test for shorts that read like ordinary cells behind a follower
+:mod:`._port_law`                  what a reading says of its own conductance and of its column, for :mod:`..recovery`
 :mod:`._ends`                      columns that end in a Thevenin equivalent
 :mod:`._linear`                    outputs as a linear function of transfer conductances
 :mod:`._adjoint`                   forward and adjoint port potentials, for the derivatives of readings
@@ -22,6 +22,7 @@ from ._circuit import Reading, ReadoutCircuit
 from ._ends import one_driven, sum_of_others, terminate
 from ._inverting_amplifier import InvertingAmplifier
 from ._linear import LinearReadout, output_rounding
+from ._port_law import PortLaw
 from ._quick import PortFields, QuickFields, QuickNetwork
 from ._row_amplifier import RowAmplifier
 from ._voltage_divider import VoltageDivider
@@ -41,6 +42,7 @@ __all__ = [
     "CardWriter",
     "LinearReadout",
     "PortFields",
+    "PortLaw",
     "QuickFields",
     "QuickNetwork",
     "Reading",

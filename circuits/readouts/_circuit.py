@@ -8,7 +8,7 @@ the table in ``readouts/__init__.py``. docs/design.md lists all other code that 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from ._adjoint import SensitivityGroup
 from ._cards import CardWriter
 from ._ends import Ends
 from ._linear import LinearReadout
+from ._port_law import PortLaw
 from ._quick import QuickFields, QuickNetwork, terminated_fields, terminated_outputs
 from ._rounding import energy_bound
 
@@ -84,7 +85,7 @@ class ReadoutCircuit(ABC):
 
         """
         ends = self.ends(board)
-        if board.pulled or ends is None or not (ends.resistance + board.column_lead).all():
+        if ends is None or not (ends.resistance + board.column_lead).all():
             return None
         return terminated_outputs(board, network, ends)
 
@@ -94,34 +95,9 @@ class ReadoutCircuit(ABC):
         Arguments, and None, as for :meth:`quick_outputs`.
         """
         ends = self.ends(board)
-        if board.pulled or ends is None or not (ends.resistance + board.column_lead).all():
-            return None
-        return terminated_fields(board, network, ends)
-
-    def column_slopes(
-        self, board: Parts, driven: FloatArray, total: FloatArray
-    ) -> tuple[FloatArray, FloatArray] | None:
-        """Derivatives of readings that depend only on their own conductance and on the sum of their column.
-
-        Idle rows are at ground. No conductance joins two row terminals or two columns.
-
-        Args:
-            board: parts of the readout.
-            driven: (N, M) S between row terminals and columns.
-            total: (M,) S, the sums of ``driven`` over the rows.
-
-        Returns:
-            V/S (N, M) of each reading by its own conductance at a constant sum, and by the sum at a constant own
-            conductance; None for circuits whose readings depend on more.
-
-        """
-        ends = self.ends(board)
         if ends is None or not (ends.resistance + board.column_lead).all():
             return None
-        into_end = 1.0 / (ends.resistance + board.column_lead)
-        per_siemens = ends.slope * into_end / (total + into_end)
-        column = (board.drive * driven + into_end * ends.source) / (total + into_end)
-        return np.broadcast_to(board.drive * per_siemens, driven.shape), -per_siemens * column
+        return terminated_fields(board, network, ends)
 
     @abstractmethod
     def end_resistance(self, board: Parts) -> FloatArray:
@@ -137,6 +113,20 @@ class ReadoutCircuit(ABC):
         None for other circuits.
         """
         return None
+
+    def port_law(self, board: Parts, wire: FloatArray) -> PortLaw | None:
+        """What a reading says of its own conductance and of its column, without supply limits: :mod:`._port_law`.
+
+        Args:
+            board: parts of the readout.
+            wire: (M,) ohm along each column up to its end.
+
+        Returns:
+            None where all cells take part in every reading, as in dividers with floating rows.
+
+        """
+        ends = self.ends(board)
+        return None if ends is None else PortLaw.of_ends(ends, wire, board.drive, floating=board.floating)
 
     def linear(self, board: Parts) -> LinearReadout | None:
         """The outputs as a linear function of transfer conductances; None where they are not linear."""
@@ -189,24 +179,6 @@ class ReadoutCircuit(ABC):
         """``volts`` (..., N, M) with their limits for ideal parts, which the solvers replaced by large conductances."""
         return volts
 
-    def imitated_by_shorts(
-        self, board: Parts, row_lead: FloatArray, signal: FloatArray, least: float, may_look: Callable[[], bool]
-    ) -> BoolArray | None:
-        """Ambiguous readings: cells of which some are shorted could give the same readings as ordinary cells.
-
-        Args:
-            board: parts of the readout.
-            row_lead: (N, M) ohm between each row's driver and the crosspoint.
-            signal: (N, M) V above the reference.
-            least: V; smaller signals count as zero.
-            may_look: called before each further round of the search; False ends the search.
-
-        Returns:
-            (N, M) cells whose recovered values could be wrong because of such shorts; None if none were found.
-
-        """
-        return None
-
     # One cell alone, with ideal parts
 
     @abstractmethod
@@ -223,20 +195,6 @@ class ReadoutCircuit(ABC):
 
         Signals below a few ulp of the reference voltage are rounding, and count as none.
         """
-
-    def column_conductance(self, board: Parts, signal: FloatArray, least: float) -> FloatArray | None:
-        """S (N, M) between grounded row terminals and columns, from all readings of a column together.
-
-        Args:
-            board: parts of the readout.
-            signal: (N, M) V above the reference.
-            least: V, smallest difference of readings that counts.
-
-        Returns:
-            None for circuits whose readings depend on more, or on a single cell each.
-
-        """
-        return None
 
     @abstractmethod
     def conductance_slope(self, board: Parts, signal: FloatArray) -> FloatArray:

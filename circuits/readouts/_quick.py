@@ -32,6 +32,8 @@ class QuickNetwork(NamedTuple):
     """(M, M) S between columns, zero on the diagonal"""
     between: FloatArray | None
     """(N, N) S between row terminals, zero on the diagonal; None if all are zero"""
+    to_reference: FloatArray | None = None
+    """(N + M,) S from row terminals and columns to the reference, by way of pull-downs; None if all are zero"""
     compiled: bool = False
     """whether machine code inverts the columns' nodal matrix"""
 
@@ -90,6 +92,42 @@ def open_column_outputs(board: Parts, network: QuickNetwork) -> FloatArray:
         inside, source = np.diagonal(impedance), board.drive * (driven @ impedance)
     volts: FloatArray = board.level + source * load / (load + board.column_lead + inside)
     return volts
+
+
+def _alone(board: Parts, network: QuickNetwork) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """One column of a board with pull-downs at a time, all other columns open.
+
+    Returns:
+        Impedances (N + M, N + M) in ohm of the grid; (N, M) V/V of each column while its row is at 1 V; and (N, M) S of
+        the column with its load, for a source in series.
+
+    """
+    rows = len(network.driven)
+    impedance = np.asarray(np.linalg.inv(_floating(network, np.zeros(len(board.reference)))), dtype=np.float64)
+    own = np.diagonal(impedance)
+    gain = impedance[:rows, rows:] / own[:rows, None]
+    inside = own[rows:] - gain * impedance[:rows, rows:]
+    return impedance, gain, 1.0 / (board.reference + board.column_lead + inside)
+
+
+def pulled_column_outputs(board: Parts, network: QuickNetwork) -> FloatArray:
+    """V (N, M) of a divider whose rows have pull-downs and whose idle columns are open."""
+    _, gain, conductance = _alone(board, network)
+    volts: FloatArray = board.level + board.drive * board.reference * gain * conductance
+    return volts
+
+
+def pulled_column_fields(board: Parts, network: QuickNetwork) -> QuickFields:
+    """Fields of the readings of :func:`pulled_column_outputs`."""
+    impedance, gain, conductance = _alone(board, network)
+    rows = len(network.driven)
+    of_rows, of_columns = impedance[:rows], impedance[rows:]
+    current = board.drive * gain * conductance  # A into the load
+    into_row = (board.drive + impedance[:rows, rows:] * current) / np.diagonal(impedance)[:rows, None]
+    unit = board.reference * conductance
+    return QuickFields(
+        PortFields(of_rows, of_columns, into_row, -current), PortFields(of_rows, of_columns, -unit * gain, unit)
+    )
 
 
 class PortFields(NamedTuple):
@@ -283,5 +321,7 @@ def _floating(network: QuickNetwork, to_ground: FloatArray) -> FloatArray:
     if between is not None:
         matrix[:rows, :rows] = -between
         total[:rows] += between.sum(axis=1)
+    if network.to_reference is not None:
+        total += network.to_reference
     matrix.flat[:: len(matrix) + 1] += total
     return matrix

@@ -20,11 +20,14 @@ from ._cards import CardWriter
 from ._circuit import Reading, ReadoutCircuit, rounding_floor
 from ._ends import Ends, column_currents, currents_one_by_one, terminate
 from ._inverting_amplifier import drive_over_signal
+from ._port_law import PortLaw
 from ._quick import (
     QuickFields,
     QuickNetwork,
     open_column_fields,
     open_column_outputs,
+    pulled_column_fields,
+    pulled_column_outputs,
     terminated_fields,
     terminated_outputs,
 )
@@ -67,26 +70,24 @@ class VoltageDivider(ReadoutCircuit):
         )
 
     def quick_outputs(self, board: Parts, network: QuickNetwork) -> FloatArray | None:
-        if board.pulled or board.idle_columns == "ground":
+        if board.idle_columns == "ground":
             return None
         if self.columns_one_by_one(board):
-            return open_column_outputs(board, network)
+            return pulled_column_outputs(board, network) if board.pulled else open_column_outputs(board, network)
         return board.level + terminated_outputs(board, network, _loads(board))
 
     def quick_fields(self, board: Parts, network: QuickNetwork) -> QuickFields | None:
-        if board.pulled or board.idle_columns == "ground":
+        if board.idle_columns == "ground":
             return None
         if self.columns_one_by_one(board):
-            return open_column_fields(board, network)
+            return pulled_column_fields(board, network) if board.pulled else open_column_fields(board, network)
         return terminated_fields(board, network, _loads(board))
 
-    def column_slopes(
-        self, board: Parts, driven: FloatArray, total: FloatArray
-    ) -> tuple[FloatArray, FloatArray] | None:
-        behind = board.reference + board.column_lead
-        by_own = board.drive * board.reference / (1.0 + total * behind)
-        by_sum = by_own * driven * behind / (1.0 + total * behind)
-        return np.broadcast_to(by_own, driven.shape), -by_sum
+    def port_law(self, board: Parts, wire: FloatArray) -> PortLaw | None:
+        if board.floating:
+            return None
+        loads = _loads(board)._replace(output=np.full(board.shape[1], board.level))
+        return PortLaw.of_ends(loads, wire, board.drive, floating=False)
 
     def end_resistance(self, board: Parts) -> FloatArray:
         return np.minimum(board.reference, board.idle_resistance)
@@ -105,15 +106,6 @@ class VoltageDivider(ReadoutCircuit):
         ratio = signal / board.drive
         conductance: FloatArray = np.where(ratio > rounding_floor(board), ratio, 0.0) / board.reference
         return conductance / (1.0 - np.minimum(ratio, _FULL_RATIO))
-
-    def column_conductance(self, board: Parts, signal: FloatArray, least: float) -> FloatArray | None:
-        # With D the own conductance and T the column's sum, a reading is drive D Rref / (1 + T (Rref + lead)). The sum
-        # of the column's readings therefore determines T.
-        ratio = signal / board.drive
-        ratio = np.where(ratio > rounding_floor(board), ratio, 0.0)
-        left = 1.0 - ratio.sum(axis=0) * (board.reference + board.column_lead) / board.reference
-        conductance: FloatArray = ratio / board.reference / np.maximum(left, least / abs(board.drive))
-        return conductance
 
     def conductance_slope(self, board: Parts, signal: FloatArray) -> FloatArray:
         steepness = 1.0 / (board.drive * board.reference)

@@ -6,7 +6,7 @@ reads the follower's output.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from math import inf
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ from ._adjoint import SensitivityGroup, TiedPorts
 from ._cards import CardWriter
 from ._circuit import Contradiction, Reading
 from ._ends import sum_of_others, terminate
-from ._pulled_rows import imitated
+from ._port_law import PortLaw
 from ._quick import QuickFields, QuickNetwork, behind_leads
 from ._rounding import conductance_into_rows
 from ._voltage_divider import VoltageDivider
@@ -99,29 +99,15 @@ class VoltageFeedback(VoltageDivider):
     def quick_fields(self, board: Parts, network: QuickNetwork) -> QuickFields | None:
         return None  # each reading has fields of its own: :meth:`sensitivity_groups`
 
-    def column_slopes(
-        self, board: Parts, driven: FloatArray, total: FloatArray
-    ) -> tuple[FloatArray, FloatArray] | None:
-        behind_lead = 1.0 / (1.0 + board.column_lead * total)
-        into_end = driven * behind_lead
-        balance = _Balance.between(board, into_end, total * behind_lead - into_end, 0.0)
-        column = balance.column(board)
-        per_siemens = board.loop_share * behind_lead / balance.slope
-        from_row, from_idle = board.drive - column, board.follower_lift - board.inverse_gain * column
-        # The idle lines take part of the current ahead of the column lead; this part grows with the column's sum.
-        by_lead = per_siemens * board.column_lead * into_end * (from_row - from_idle)
-        by_sum = per_siemens * behind_lead * from_idle - by_lead
-        return per_siemens * (from_row - from_idle), by_sum
-
-    def column_conductance(self, board: Parts, signal: FloatArray, least: float) -> FloatArray | None:
-        return None  # a reading depends on its own cell alone, apart from the follower's error
-
-    def imitated_by_shorts(
-        self, board: Parts, row_lead: FloatArray, signal: FloatArray, least: float, may_look: Callable[[], bool]
-    ) -> BoolArray | None:
-        """Cells of rows that may conduct so well that the follower shifts the row's potential: :mod:`._pulled_rows`."""
-        lead = row_lead.max(axis=1)
-        return imitated(board, lead, signal, least, lambda: self.apparent_conductance(board, signal), may_look)
+    def port_law(self, board: Parts, wire: FloatArray) -> PortLaw | None:
+        """Potentials against the follower's output, at which the idle lines stand."""
+        per_volt, ones = 1.0 / board.loop_share, np.ones(board.shape[1])
+        column = np.array([-board.level - board.offset, per_volt])  # of the column's end, against the reference
+        current = column / board.reference
+        current[0] += board.bias
+        lifted = np.array([-board.offset, per_volt - 1.0])  # of the column's end above the follower
+        drive = np.array([(board.drive + board.level) * ones, -ones])
+        return PortLaw(current, lifted + wire * current, drive)
 
     def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:
         """Bound by the energies of two fields: 1 V at the sensed column alone, and the scan step itself.

@@ -14,53 +14,32 @@ One frame, with certified bounds:
 :mod:`._recovered`            the result: resistances, status, uncertainties
 ============================  =====================================================================================
 
-A stream, in bounded time per frame (:mod:`._frame_account`), begins with :func:`live_recovery` in :mod:`._live`, and
-gives a :mod:`._live_reading` for each frame: conductances, uncertainties, reasons. For amplifiers that hold their
-lines, where each reading depends on little but its own cell:
+A stream, in bounded time per frame, begins with :func:`live_recovery` in :mod:`._live`, and gives a
+:mod:`._live_reading` for each frame: resistances, uncertainties, reasons. Boards whose circuit states what a reading
+says of its own conductance and of its column (:meth:`..readouts.ReadoutCircuit.port_law`):
 
 ============================  =====================================================================================
-:mod:`._amplified`            the stages of a frame, also by :mod:`._amplified_loops`; :mod:`._amplified_prices`
-:mod:`._amplified_board`      lines, amplifiers and converter; first-order bounds
-:mod:`._amplified_base`       cells by line attenuation, relinearised about a base
-:mod:`._amplified_leads`      by Kirchhoff's laws beside heavy leads (:mod:`._heavy_leads`)
-:mod:`._amplified_errors`     errors of cells by quantisation and noise
-:mod:`._amplified_limits`     cells that others at limits would disturb, also by :mod:`._amplified_short_loops`
-:mod:`._joined_columns`       currents between columns that shorts on one row join
+:mod:`._live_law`             the stages of a frame
+:mod:`._law`                  cells by Kirchhoff's laws of columns and rows, in closed form
+:mod:`._law_errors`           their errors by quantisation and noise
+:mod:`._factors`              everything beyond these laws, as one factor for each cell
+:mod:`._enclosure`            cells beside others whose readings do not determine them
 ============================  =====================================================================================
 
-For circuits in which every cell moves every reading:
-
-============================  =====================================================================================
-:mod:`._coupled`              the stages of a frame; :mod:`._coupled_prices`
-:mod:`._coupled_board`        the board and its circuit model
-:mod:`._readings_at_limits`   readings that a fit leaves out
-:mod:`._broken_lines`         effect of lines that broke meanwhile on the readings
-:mod:`._closed_start`         start of the fit, by closed formulas
-:mod:`._gauss_newton`         steps of the fit, within the :mod:`._frame_budget`
-:mod:`._linearised`           the derivatives that are kept from frame to frame
-:mod:`._column_blocks`        steps by derivatives within a column; by loops: :mod:`._coupled_loops`
-:mod:`._node_blocks`          steps on boards with floating rows
-:mod:`._normal_matrix`        steps by all derivatives
-:mod:`._derivatives`          all derivatives, a few at a time; :mod:`._port_derivatives`: products with them
-:mod:`._quick_model`          readings of given cells, to a part of an ADC step; :mod:`._sheet_model`: of a sheet
-:mod:`._lines`                the shared wire of a line's cells
-:mod:`._fit_uncertainty`      errors of cells by quantisation and noise
-:mod:`._column_scales`        errors by columns of dividers whose readings do not fix their scale
-:mod:`._follower_solutions`   errors by other cells with the same readings of a follower (:mod:`._follower_law`)
-:mod:`._below_range`          errors by cells whose readings lie below the converter's range
-:mod:`._lost_rows`            errors by rows of followers with readings at a limit
-:mod:`._possible_shorts`      cells that may be shorts, and cells that such shorts would disturb
-============================  =====================================================================================
+Dividers with floating rows, where all cells take part in every reading: :mod:`._live_fit`, with :mod:`._node_blocks`
+and :mod:`._port_derivatives` on large arrays and :mod:`._sheet_model` for a continuous sheet. The model of both is
+:mod:`._quick_model`, with the shared wire of a line's cells by :mod:`._lines`.
 """
 
 from ._conditioning import Conditioning, conditioning
 from ._live import live_recovery
-from ._live_reading import LiveReading, LiveRecovery, Reason, ValidityRule
+from ._live_reading import Errors, LiveReading, LiveRecovery, Reason, ValidityRule
 from ._recover import Recoverer, recover
 from ._recovered import Recovery, Status
 
 __all__ = [
     "Conditioning",
+    "Errors",
     "LiveReading",
     "LiveRecovery",
     "Reason",

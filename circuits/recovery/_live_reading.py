@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import ClassVar, Protocol
+from functools import cached_property
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,46 +83,37 @@ class ValidityRule:
         accepted: BoolArray = uncertainty <= self.limit
         return accepted
 
-    def least_reading(self, own: FloatArray, others: FloatArray) -> FloatArray:
-        """The least reading of a valid cell, if its uncertainty is ``own / reading + others``.
 
-        Arguments and result broadcast; inf if no reading is large enough.
-        """
-        room = np.maximum(self.limit - others, 0.0)
-        with np.errstate(divide="ignore"):
-            return np.where(room > 0.0, own / room, np.inf)
+class Errors(NamedTuple):
+    """Relative changes of one frame's conductances by errors of the readings. Arrays are (rows, columns), 1/V."""
+
+    own: FloatArray
+    """per volt of the cell's own reading, at a constant sum of its column"""
+    column: FloatArray
+    """per volt of independent errors of all readings of a column, whose cells they scale by one number; signed"""
+    all: FloatArray
+    """per volt of independent errors of all readings of the board"""
+    alike: float = 1.0
+    """by how much rounding of equal readings, which errs alike, exceeds independent errors in the sum of a column"""
 
 
 class LiveReading:
     """The cells in one frame. Arrays are (rows, columns)."""
-
-    sigmas: ClassVar[float] = SIGMAS
-    """standard deviations of the noise in :attr:`uncertainty` and in :attr:`own`, added to half an ADC step"""
 
     def __init__(
         self,
         resistance: FloatArray,
         valid: BoolArray,
         reason: NDArray[np.int8],
-        uncertainties: Callable[[], tuple[FloatArray, FloatArray]],
-        covered: float | None = None,
-        alike: float = 1.0,
-        by_readings: Callable[[], FloatArray] | None = None,
+        uncertainty: Callable[[], FloatArray],
+        errors: Callable[[], Errors] | None = None,
         *,
         every: bool | None = None,
+        bounds: tuple[FloatArray, FloatArray] | None = None,
     ) -> None:
-        """Keep the values, and the functions that compute uncertainties on demand.
+        """Keep the values, and the functions that compute :attr:`uncertainty` and :attr:`errors` on demand.
 
-        ``by_readings`` computes :attr:`by_readings`; None: other readings do not count, as behind virtual grounds.
-        ``every`` says whether every cell is valid, if that is known beforehand.
-        """
-        self._every = every
-        self._by_readings = by_readings
-        self.alike = alike
-        """standard deviation by ADC steps, which may err alike in many readings, over that by independent errors"""
-        self.covered = covered
-        """V: random errors of all readings with this standard deviation have :attr:`uncertainty` and :attr:`own` as
-        theirs; None: half an ADC step and :data:`SIGMAS` standard deviations of the noise
+        ``errors`` is None where no cell is known. ``every`` says whether every cell is valid, if that is known.
         """
         self.resistance = resistance
         """ohm; inf for open cells, NaN where nothing is known"""
@@ -129,43 +121,37 @@ class LiveReading:
         """cells whose ``resistance`` satisfies the :class:`ValidityRule`"""
         self.reason = reason
         """a :class:`Reason` each"""
-        self._uncertainties = uncertainties
-        self._known: tuple[FloatArray, FloatArray] | None = None
+        self.bounds = bounds
+        """S, lower and upper bounds on cells whose readings state no more; None: there are none"""
+        self._every, self._uncertainty, self._errors = every, uncertainty, errors
 
     @property
     def every(self) -> bool:
         """Whether every cell is valid."""
         return bool(np.count_nonzero(self.valid) == self.valid.size) if self._every is None else self._every
 
-    @property
-    def uncertainties(self) -> tuple[FloatArray, FloatArray]:
-        """:attr:`uncertainty` and :attr:`own`."""
-        if self._known is None:
-            self._known = self._uncertainties()
-        return self._known
-
-    @property
+    @cached_property
     def uncertainty(self) -> FloatArray:
         """Relative half-width of the interval of the conductance; inf where nothing is known.
 
         The interval covers half an ADC step and :data:`SIGMAS` standard deviations of the noise of every reading, the
         error of the computation, and the influence of cells whose conductance is unknown.
         """
-        return self.uncertainties[0]
+        return self._uncertainty()
 
-    @property
-    def own(self) -> FloatArray:
-        """The part of :attr:`uncertainty` from the cell's own reading, which no other reading can reduce."""
-        return self.uncertainties[1]
+    @cached_property
+    def errors(self) -> Errors:
+        """What errors of the readings change; infinite where no cell is known."""
+        if self._errors is None:
+            unknown = np.full(self.resistance.shape, np.inf)
+            return Errors(unknown, np.zeros(unknown.shape), unknown)
+        return self._errors()
 
-    @property
-    def by_readings(self) -> FloatArray:
-        """Relative change of the conductance by random errors of all readings, :attr:`covered` each; at least ``own``.
 
-        In a column of a divider all readings together determine the drive that is left for each cell. When the code of
-        another cell of the column changes, the conductance changes as well.
-        """
-        return self.own if self._by_readings is None else self._by_readings()
+def undetermined(reason: NDArray[np.int8]) -> LiveReading:
+    """The reading of a frame that determines no cell, for these reasons (rows, columns)."""
+    unknown = np.full(reason.shape, np.inf)
+    return LiveReading(np.full(reason.shape, np.nan), np.zeros(reason.shape, dtype=np.bool_), reason, lambda: unknown)
 
 
 class LiveRecovery(Protocol):

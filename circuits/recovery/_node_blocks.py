@@ -25,7 +25,6 @@ import numpy as np
 
 from ...common.arrays import FloatArray
 from .._board import Board, broken_off
-from ._column_blocks import beyond_linear
 from ._port_derivatives import PortDerivatives
 from ._quick_model import QuickModel
 
@@ -36,6 +35,21 @@ _HARDLY_KNOWN = 0.3  # standard deviation of a logarithm above which the linear 
 _PER_TIE = 0.5  # missing part of a standard deviation per measure of ties: 0.1 to 0.45 on boards tried
 _LEAST_REST = 1e-6  # least conductance of the rest of a crosspoint's lines over its own, so that a quotient is defined
 _MARGIN = 1.15  # standard deviations by structure are 0.90 to 1.05 of the exact ones on boards tried
+
+_KNOWN = 0.2  # standard deviation of a logarithm up to which the linear law suffices
+_DEVIATIONS = 1.5  # assumed error of a hardly known cell, in standard deviations, where its effect is computed
+
+
+def beyond_linear(std: FloatArray) -> FloatArray:
+    """Variance of a conductance, known within ``std`` of its logarithm, in excess of the linear law; relative to it.
+
+    An error of a logarithm multiplies the conductance by an exponential, not by a linear factor. A hardly known cell
+    may therefore add more to the current of its lines than the derivatives say. Errors of better known cells have both
+    signs, and their second order averages out.
+    """
+    std = np.minimum(np.maximum(_DEVIATIONS * (std - _KNOWN), 1e-3), 4.0)
+    more: FloatArray = (np.expm1(std) / std) ** 2 - 1.0
+    return more
 
 
 class _Lines(NamedTuple):

@@ -14,7 +14,6 @@ The circuit computes the readings from either network (:meth:`.ReadoutCircuit.qu
 from __future__ import annotations
 
 from collections.abc import Iterator
-from copy import copy
 from dataclasses import replace
 from enum import Enum, auto
 
@@ -32,7 +31,6 @@ from ._port_derivatives import AnyLines, Branches, IdealLines, PortDerivatives
 _AT_ONCE = 4096  # derivatives that are computed together, if those of one row are fewer
 _SOME_OHM = 1e4
 _LIGHT = 0.25  # largest loss in the lines for which sweeps are accurate to a percent
-_BREAK_OHM = 1e9  # of a broken wire: far above cells, and such that a dense system keeps ten digits beside it
 
 
 class _Way(Enum):
@@ -59,71 +57,11 @@ class QuickModel:
         self.has_network = board.plain
         """whether plain nodal analysis of the network's ports gives the outputs"""
         if self.has_network:
-            self.has_network = self._quick(np.full(board.shape, 1.0 / _SOME_OHM)) is not None
+            # Not with the faults: an open cell alone on its line leaves it no potential.
+            sound = replace(board, series_ohms=np.zeros(board.shape))
+            self.has_network = self._quick(sound.cell_conductance(np.full(board.shape, _SOME_OHM))) is not None
         self.is_quick = self.is_quick and self.has_network
         self._compiled = self.is_quick and QuickNetwork.load_loops(board.shape[1])
-        some = np.full(board.shape, _SOME_OHM)
-        varies = self.has_network and not self.is_quick and lines.can_solve(board.cell_conductance(some))
-        self.usual_price = self.price(some)
-        """price of the readings of usual cells"""
-        self.fixed_price = None if varies else self.usual_price
-        """price of the readings of any cells; None: it depends on the cells"""
-
-    def broken(self, row_ohms: FloatArray, column_ohms: FloatArray, column_lead: FloatArray) -> QuickModel:
-        """The model of the same board with other wires, as :class:`.Parts` has them; inf is a break.
-
-        If lines break only at their driver or end, a grid with ideal lines stays one.
-        """
-        other = copy(self)
-        other._board = replace(
-            self._board,
-            row_ohms=np.minimum(row_ohms, _BREAK_OHM),
-            column_ohms=np.minimum(column_ohms, _BREAK_OHM),
-            column_lead=np.minimum(column_lead, _BREAK_OHM),
-        )
-        other._lead = np.ascontiguousarray(other._board.row_ohms[:, 0])
-        other.is_quick = self.is_quick and has_ideal_lines(other._board.lines)
-        if not other.is_quick:
-            other._lines, other.fixed_price = LineResistance(other._board), None
-        return other
-
-    def price(self, cells: FloatArray) -> float:
-        """Price of the readings of ``cells`` (N, M) in ohm, see :mod:`._frame_account`."""
-        size = cells.size
-        if not self.has_network:
-            return self.exact_price(size)
-        if self.is_quick:
-            return 45.0 + 0.13 * size if self._board.floating else 20.0 + 0.06 * size
-        if self._lines.can_solve(self._board.cell_conductance(cells)):
-            return 45.0 + 0.5 * size + 0.01 * size**2
-        return self._dissection_price(size)
-
-    def most_price(self, size: int) -> float:
-        """Largest price of the readings of any ``size`` cells, also after a line has broken."""
-        return self._dissection_price(size) if self.has_network else self.exact_price(size)
-
-    def exact_price(self, size: int) -> float:
-        """Price of an exact solution with ``size`` cells."""
-        if self._board.floating:
-            return 600.0 + 11.0 * size
-        return 350.0 + 0.3 * size + (0.0 if has_ideal_lines(self._board.lines) else self._dissection_price(size))
-
-    def sparse_price(self, size: int) -> float:
-        """Price of a sparse factorisation with ``size`` cells, the dearest way of :meth:`branches`."""
-        return 800.0 + 8.0 * size
-
-    def branch_price(self, cells: FloatArray) -> float:
-        """Price of :meth:`branches`."""
-        size, way = cells.size, self._way(self._board.cell_conductance(cells))
-        if way is _Way.SPARSE:
-            return self.sparse_price(size)
-        if way is _Way.SWEPT:
-            return 160.0 + 0.12 * size * float(np.sqrt(size))
-        return 15.0 if way is _Way.IDEAL else 15.0 + 0.5 * size + 0.01 * size**2
-
-    @staticmethod
-    def _dissection_price(size: int) -> float:
-        return 280.0 + 1.1 * size
 
     def __call__(self, cells: FloatArray) -> FloatArray:
         """V (N, M) for ``cells`` (N, M) in ohm, in line coordinates.
@@ -180,6 +118,8 @@ class QuickModel:
         sparse factorisation elsewhere.
         """
         conductance = self._board.cell_conductance(cells)
+        if self._board.pulled:
+            return AnyLines(self._drops_with_pulls(conductance, cells))
         match self._way(conductance):
             case _Way.IDEAL:
                 return IdealLines(conductance, self._lead)
@@ -190,24 +130,48 @@ class QuickModel:
             case _Way.SPARSE:
                 return AnyLines(basis_drops(self._board, cells))
 
+    def _drops_with_pulls(self, conductance: FloatArray, cells: FloatArray) -> FloatArray:
+        """Voltages (N + M, N, M) across the cells per volt at each port but the reference, which is at 0 V."""
+        rows = len(conductance)
+        if self.is_quick:
+            every = IdealLines(conductance, self._lead).across(np.eye(rows + conductance.shape[1]))[..., 1:]
+        else:
+            every = basis_drops(self._board, cells)
+        return np.delete(every, rows, axis=0)
+
+    def _small(self, conductance: FloatArray) -> bool:
+        """Whether one dense system of the lines' equations gives the network; it has no pull-downs."""
+        return not self._board.pulled and self._lines.can_solve(conductance)
+
     def _way(self, conductance: FloatArray) -> _Way:
         """The method of :meth:`branches` at cells (N, M) in S."""
         if self.is_quick:
             return _Way.IDEAL
-        if self.has_network and self._lines.can_solve(conductance):
+        if self.has_network and self._small(conductance):
             return _Way.DENSE
-        light = self.has_network and self._lines.finite and self._lines.loss(conductance) <= _LIGHT
+        light = (
+            self.has_network
+            and not self._board.pulled
+            and self._lines.finite
+            and self._lines.loss(conductance) <= _LIGHT
+        )
         return _Way.SWEPT if light else _Way.SPARSE
 
     def _network(self, conductance: FloatArray) -> QuickNetwork:
-        if self.is_quick:
-            return QuickNetwork.of_ideal_lines(conductance, self._lead, compiled=self._compiled)
         rows = len(conductance)
-        if self._lines.can_solve(conductance):
-            ports = self._lines.ports(conductance)
+        if self.is_quick:
+            network = QuickNetwork.of_ideal_lines(conductance, self._lead, compiled=self._compiled)
         else:
-            ports = port_conductances(conductance, self._board.lines).value
-        return QuickNetwork(ports[:rows, rows:], ports[rows:, rows:], ports[:rows, :rows])
+            if self._small(conductance):
+                ports = self._lines.ports(conductance)
+            else:
+                ports = port_conductances(conductance, self._board.lines).value
+            network = QuickNetwork(ports[:rows, rows:], ports[rows:, rows:], ports[:rows, :rows])
+        if not self._board.pulled:
+            return network
+        driven, across = network.driven, network.across  # the first of their columns is the reference
+        held = np.concatenate([driven[:, 0], across[1:, 0]])
+        return QuickNetwork(driven[:, 1:], across[1:, 1:], network.between, held)
 
     def _products(self, fields: QuickFields, cells: FloatArray) -> Iterator[FloatArray]:
         branches = self.branches(cells)

@@ -10,14 +10,12 @@
 :mod:`._attenuation`      the first term of a Neumann series in closed form, with a certificate
 :mod:`._sequence`         sequences of frames, by interpolation of the error of attenuation, with a certificate
 :mod:`._exact`            transfer conductances by the fastest exact method
-:mod:`._frame_transfer`   attenuation and exact ports of one grid frame by frame, also as machine code
 ========================  ==============================================================================================
 """
 
 from ._attenuation import Attenuated, Wires, attenuate
 from ._elimination import ULP, Rounded, eliminate_leading, inverted
 from ._exact import entrywise, exact_transfer, series_conductance
-from ._frame_transfer import AttenuatedFrame, FrameTransfer
 from ._network import Element, Network, reduce
 from ._ports import IDEAL_WIRE, LARGEST_PART, Lines, has_ideal_lines, port_conductances
 from ._sequence import SequenceTransfer, sequence_transfer
@@ -28,9 +26,7 @@ __all__ = [
     "LARGEST_PART",
     "ULP",
     "Attenuated",
-    "AttenuatedFrame",
     "Element",
-    "FrameTransfer",
     "Lines",
     "Network",
     "Rounded",

@@ -1,0 +1,177 @@
+"""Factors between the cells and what the laws of columns and rows make of their readings in the full model.
+
+G = rho law(y), with rho = G / law(F(G)) for the full model F of a board: segments, bridges, faults, sheets, currents
+that return by way of idle rows. To first order rho depends on the sums of a cell's row and column. Its error after a
+change of the cells is estimated from these sums. When the estimate exceeds a share of the uncertainty, rho is made
+anew, by a fixed-point iteration with the acceleration of Anderson (1965) of depth two and a fixed number of evaluations
+of F in a frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import inf
+
+import numpy as np
+
+from ...common.arrays import BoolArray, FloatArray
+from ...errors import SolverError
+from ._law_kernels import move
+
+EVALUATIONS, FIRST_EVALUATIONS = 4, 30
+"""of the full model in one frame, and in the first one of all"""
+OPEN = 1e-14
+"""S, of an open cell in the model"""
+_FRESH = 0.2  # share of an uncertainty that a factor may be off by
+_ROUGHLY = 0.5  # share of the law's error that a cell may be off by which is not valid and only loads others
+_LEAST_FACTOR, _MOST_FACTOR = 0.2, 5.0  # beyond, a difference takes the place of the factor
+_STRIDE = 1.0  # of the logarithm of a cell that is not valid, half of which a step takes
+_EXPONENTS = -40.0, 7.0  # range of the logarithms of conductances
+_REGULAR = 1e-12
+_TINY = np.finfo(np.float64).tiny
+
+
+class Factors:
+    """The factors of one board's cells. Arrays are (N, M) in line coordinates."""
+
+    def __init__(
+        self,
+        shape: tuple[int, int],
+        law: Callable[[FloatArray], FloatArray],
+        coupling: Callable[[FloatArray], FloatArray],
+        evaluations: int,
+    ) -> None:
+        """Begin with factors of 1.
+
+        Args:
+            shape: of the board.
+            law: law(F(G)) in S of cells G in S.
+            coupling: (M,) factors by which columns may differ at cells in S, though they do not where cells are equal.
+            evaluations: of ``law`` in a frame.
+
+        """
+        self._law, self._coupling_at, self._evaluations = law, coupling, evaluations
+        self._rho, self._added, self._any_added = np.ones(shape), np.zeros(shape), False
+        self._base: FloatArray | None = None
+        self._beyond, self._coupling = np.zeros(shape), np.zeros(shape[1])
+        self._row_sums, self._column_sums = np.ones(shape[0]), np.ones(shape[1])
+        self._astray, self._begun = True, False
+        self.renewed = False
+        """whether the last frame has made the factors anew"""
+        self._move = move.machine_code(unchecked=True) or move.function
+
+    def __call__(
+        self,
+        by_law: FloatArray,
+        uncertainty: Callable[[FloatArray], FloatArray],
+        error: FloatArray,
+        counted: BoolArray,
+        limit: float,
+        grown: FloatArray | float,
+    ) -> tuple[FloatArray, bool]:
+        """Cells in S, and whether they have settled.
+
+        Args:
+            by_law: S, law(y) of the frame's readings y.
+            uncertainty: relative, of such cells.
+            error: relative, of ``by_law``.
+            counted: cells that have readings.
+            limit: uncertainty up to which cells matter.
+            grown: by how much more (N, M) than their sums changes of the cells count, where bridges mix lines.
+
+        """
+        cells, self.renewed = self.estimate(by_law), False
+        if self._base is not None and not self._astray:
+            self._coupling = np.maximum(self._coupling, self._coupling_at(np.maximum(cells, 0.0)))
+            allowed = uncertainty(cells)
+            matters = allowed <= limit
+            if not ((self.moved(grown * np.abs(cells - self._base), matters) > _FRESH * allowed) & matters).any():
+                return cells, True
+        self.renewed = True
+        return self._renewed(cells, by_law, uncertainty, error, counted, limit, grown)
+
+    def estimate(self, by_law: FloatArray) -> FloatArray:
+        """Cells in S by the present factors."""
+        cells: FloatArray = self._rho * by_law
+        if self._any_added:
+            cells += self._added
+        return cells
+
+    def moved(self, change: FloatArray, matters: BoolArray) -> FloatArray:
+        """Relative change of the factors, to first order, by a ``change`` in S of the cells; 0 at first."""
+        if self._base is None:
+            return np.zeros(change.shape)
+        off = np.empty(change.shape)
+        sums = self._row_sums, self._column_sums
+        self._move(change, self._base, self._beyond, self._coupling, *sums, matters, np.empty(change.shape[1]), off)
+        return off
+
+    def _renewed(
+        self,
+        cells: FloatArray,
+        by_law: FloatArray,
+        uncertainty: Callable[[FloatArray], FloatArray],
+        error: FloatArray,
+        counted: BoolArray,
+        limit: float,
+        grown: FloatArray | float,
+    ) -> tuple[FloatArray, bool]:
+        before: list[tuple[FloatArray, FloatArray]] = []
+        evaluations = self._evaluations if self._begun else FIRST_EVALUATIONS
+        self._begun = True
+        for _ in range(evaluations):
+            cells = np.maximum(cells, OPEN)
+            try:
+                again = self._law(cells)
+            except (SolverError, np.linalg.LinAlgError):
+                self._base, self._astray = None, True
+                return cells, False
+            new = self._correct(cells, again, by_law)
+            allowed = uncertainty(new)
+            matters = counted & (allowed <= limit)
+            change = np.abs(np.maximum(new, OPEN) - cells)  # a negative reading is that of an open cell
+            off = self.moved(change * counted * grown, matters)
+            loads = change > _ROUGHLY * np.minimum(error, 1.0) * np.maximum(np.abs(by_law), cells)
+            if not (counted & np.where(matters, off > _FRESH * allowed, loads)).any():
+                self._astray = not matters.any()
+                return new, True
+            log = np.log(cells)
+            step = np.log(np.maximum(new, 1e-3 * cells)) - log
+            further = np.where(matters, accelerated(log, step, before, matters), 0.5 * np.clip(step, -_STRIDE, _STRIDE))
+            before.append((log, step))
+            cells = np.where(counted, np.exp(np.clip(log + further, *_EXPONENTS)), new)
+        self._astray = True
+        return cells, False
+
+    def _correct(self, cells: FloatArray, again: FloatArray, by_law: FloatArray) -> FloatArray:
+        """Make the factors at ``cells``, of which the law makes ``again`` in the model; the corrected cells."""
+        ratio = cells / np.where(again > 0.0, again, inf)
+        usual = (ratio > _LEAST_FACTOR) & (ratio < _MOST_FACTOR) & (by_law > 0.0)
+        self._rho, self._added = np.where(usual, ratio, 1.0), np.where(usual, 0.0, cells - again)
+        self._any_added = not usual.all()
+        self._base, self._beyond = cells, np.abs(self._rho - 1.0)
+        self._row_sums, self._column_sums = cells.sum(axis=1), cells.sum(axis=0)
+        self._coupling = self._coupling_at(cells)
+        corrected: FloatArray = self._rho * by_law + self._added
+        return corrected
+
+
+def accelerated(
+    place: FloatArray, step: FloatArray, before: list[tuple[FloatArray, FloatArray]], counted: BoolArray
+) -> FloatArray:
+    """The step of a fixed-point iteration at a ``place``, by the places and steps ``before``."""
+    recent = before[-2:]
+    if not recent:
+        return step
+    changes = [step - old for _, old in recent]
+    weighted = np.array([np.where(counted, change, 0.0).ravel() for change in changes])
+    square = weighted @ weighted.T
+    square.flat[:: len(square) + 1] += _REGULAR * np.trace(square) + _TINY
+    try:
+        shares = np.clip(np.linalg.solve(square, weighted @ step.ravel()), -10.0, 10.0)
+    except np.linalg.LinAlgError:
+        return step
+    better = step.copy()
+    for share, (old, _), change in zip(shares, recent, changes, strict=True):
+        better -= share * (place - old + change)
+    return better

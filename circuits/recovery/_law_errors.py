@@ -1,0 +1,131 @@
+"""Errors of one frame's cells by ADC steps and noise, by the derivatives of the laws (:mod:`._law`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import hypot, inf, nan, sqrt
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from ...common.arrays import BoolArray, FloatArray
+from .._adc import adc_error
+from .._board import Board
+from ._law import Law, Ports
+from ._law_kernels import errors_of, relative_to
+from ._live_reading import SIGMAS, Errors
+
+_ALIKE = 2.0  # measured where cells at rest are alike; 1.8 in a pressed column of equal cells
+_BY_STEPS, _BY_NOISE = 4.5, 3.5  # standard deviations of other readings' steps and noise that are covered
+_FOLLOWS = 0.15  # share of a row's drive that a follower's own error may reach
+_WITHIN = 3.0  # errors of a reading, from the upper end of what it can be, within which it tells nothing
+
+
+class Steps(NamedTuple):
+    """Errors of the converter in V."""
+
+    half: float
+    """largest error of a reading"""
+    random: float
+    """the part that differs from reading to reading"""
+    shared: float
+    """the part by offset and gain, which all readings share"""
+    alike: bool
+    """whether equal readings of a column add up, as in dividers"""
+
+    @classmethod
+    def of(cls, board: Board) -> Self:
+        """The errors of a board with a converter."""
+        adc, half = board.adc, adc_error(board)
+        assert adc is not None
+        random = (0.5 + abs(adc.inl_steps)) * adc.step
+        return cls(half, random, half - random, not board.circuit.has_amplifiers)
+
+
+class Kernels(NamedTuple):
+    """Machine code of :mod:`._law_kernels`."""
+
+    errors_of: Callable[..., bool]
+    relative_to: Callable[..., None]
+
+    @classmethod
+    def load(cls) -> Self:
+        """Compile, or load what was compiled."""
+        return cls(
+            errors_of.machine_code(unchecked=True) or errors_of.function,
+            relative_to.machine_code(unchecked=True) or relative_to.function,
+        )
+
+
+class LawErrors:
+    """Errors of one frame's cells. Arrays broadcast to (N, M) unless stated."""
+
+    def __init__(
+        self,
+        law: Law,
+        steps: Steps,
+        ports: Ports,
+        volts: FloatArray,
+        noise: float,
+        unknown: BoolArray | None,
+        kernels: Kernels,
+    ) -> None:
+        """Errors of the conductances behind a frame's readings.
+
+        Args:
+            law: of the board.
+            steps: errors of its converter.
+            ports: the conductances.
+            volts: (N, M) V, the readings.
+            noise: V, standard deviation of each.
+            unknown: (N, M) readings that state bounds only.
+            kernels: machine code.
+
+        """
+        self._cells, self._steps, self._kernels = ports.cells, steps, kernels
+        by_steps, by_noise = steps.random * _BY_STEPS / sqrt(3.0), _BY_NOISE * noise
+        random = hypot(by_steps, by_noise)
+        self.error = steps.half + SIGMAS * noise
+        """V, of a reading"""
+        shape = rows, columns = volts.shape
+        self.of_driven, own_per_volt, beside, self.own, self.linear, self._std = np.empty((6, *shape))
+        self.of_left, self.column_open = np.empty((2, columns))
+        self.of_sums, self.row_open = np.empty((2, rows))
+        middle = np.full(columns, nan)
+        if steps.alike and 3.0 * rows > _BY_STEPS**2 and noise <= steps.half:
+            middle = np.sort(volts, axis=0)[rows // 2]
+        self.opens: bool = kernels.errors_of(
+            *(volts, middle, *law.law, law.lead, law.present, law.nowhere if unknown is None else unknown),
+            *(ports.apart, ports.share, ports.drive, ports.left, ports.total, ports.driven, ports.row_left),
+            *(self.error, random, by_steps, by_noise, steps.random, steps.shared),
+            *(law.has_potential, law.has_leads, steps.alike, law.one_by_one),
+            *(self.of_driven, own_per_volt, beside, self.own, self.linear, self._std),
+            *(self.of_left, self.column_open, self.of_sums, self.row_open, np.empty((3, columns))),
+        )
+        apart = law.apart(ports)
+        self.apart: FloatArray | float = 1.0 if apart is None else apart
+        """factor by which errors grow where bridges mix two lines"""
+        if apart is not None:
+            self.own, self.linear, self._std = self.own * apart, self.linear * apart, self._std * apart
+            own_per_volt, beside = own_per_volt * apart, beside * apart
+        self._of_own, self._of_column = own_per_volt, beside
+        self.at_end: BoolArray | None = None
+        """readings within their error of a short's; None: there are none"""
+        if law.follows:
+            at_end = law.at_end(ports, _WITHIN * self.error)
+            lost = law.may_follow(ports, volts, _FOLLOWS) | at_end
+            if lost.any():
+                self.at_end = at_end if at_end.any() else None
+                self.opens, self.linear = True, np.where(lost, inf, self.linear)
+
+    def relative(self, cells: FloatArray) -> FloatArray:
+        """Relative uncertainty (N, M) of ``cells`` in S, which the laws gave before they were corrected."""
+        uncertainty = np.empty(cells.shape)
+        of_law = self._cells, self.own, self.linear, self.column_open, self.row_open
+        self._kernels.relative_to(cells, *of_law, uncertainty)
+        return uncertainty
+
+    def per_volt(self, turn: Callable[[FloatArray], FloatArray], grown: FloatArray) -> Errors:
+        """The errors in the coordinates of the array, ``grown`` by faults beside or before the cells."""
+        own, column, every = (turn(each * grown) for each in (np.abs(self._of_own), self._of_column, self._std))
+        return Errors(own, column, every, _ALIKE if self._steps.alike else 1.0)

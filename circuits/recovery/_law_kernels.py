@@ -1,0 +1,300 @@
+"""Kernels of the laws of columns and rows (:mod:`._law`), of their errors (:mod:`._law_errors`) and of factors.
+
+Each works on one frame of N x M cells. The equations stand in the modules that call the kernels.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ...common.compiled import FlagRows, Row, Rows, loop
+
+LEAST = 1e-12
+"""share of a voltage that counts as none"""
+OPEN_SCALE, OPEN_ROW = 0.7, 0.3
+"""error of what is left of a column's drive or of a row's, relative to it, from which on its scale is open"""
+LARGEST = 50.0
+"""logarithm that is as good as infinite"""
+TINY = 2.3e-308
+
+
+@loop
+def columns_of(
+    volts: Rows,
+    current: Rows,
+    potential: Rows,
+    driving: Rows,
+    present: FlagRows,
+    unknown: FlagRows,
+    shorts: Rows,
+    most: Row,
+    least_left: Row,
+    apart: Rows,
+    share: Rows,
+    drive: Rows,
+    left: Row,
+    total: Row,
+    driven: Rows,
+) -> None:
+    """Port conductances behind ``volts`` (N, M): the law of columns of :mod:`._law`.
+
+    The column's potential counts for no unknown cell, nor does such a cell conduct more than a short does.
+
+    Args:
+        volts: readings.
+        current: (2, M) A and A/V, ``PortLaw.current``; likewise ``potential`` and ``driving``.
+        present: cells that take part.
+        unknown: cells whose readings state bounds only.
+        shorts: S, D of complete shorts; 0 at other cells.
+        most: (N,) S, D of a short behind each row.
+        least_left: (M,) least share of a drive left at a column.
+        apart: and all further arguments: the fields of ``Ports``, written.
+    """
+    rows, columns = volts.shape
+    for j in range(columns):
+        left[j] = 1.0
+        total[j] = 0.0
+    for i in range(rows):
+        for j in range(columns):
+            w = driving[0, j] + driving[1, j] * volts[i, j]
+            own, shared = 0.0, 0.0
+            if present[i, j]:
+                own = (current[0, j] + current[1, j] * volts[i, j]) / w
+                if unknown[i, j]:
+                    own = min(max(own, 0.0), most[i])
+                else:
+                    shared = (potential[0, j] + potential[1, j] * volts[i, j]) / w
+            own += shorts[i, j]
+            drive[i, j], apart[i, j], share[i, j] = w, own, shared
+            left[j] -= shared
+            total[j] += own
+    for j in range(columns):
+        total[j] /= max(left[j], least_left[j])
+    for i in range(rows):
+        for j in range(columns):
+            driven[i, j] = apart[i, j] + share[i, j] * total[j]
+
+
+@loop
+def rows_of(
+    driven: Rows, lead: Row, segments: Rows, beside_end: Rows, least_row_left: Row, row_left: Row, cells: Rows
+) -> None:
+    """Cells (N, M) in S behind their rows: the law of rows of :mod:`._law`.
+
+    Args:
+        driven: S, port conductances.
+        lead: (N,) ohm, mean from a row's driver to its cells.
+        segments: ohm, of each row up to the first cell, and from cell to cell.
+        beside_end: ohm, wire from a cell to its column's end in excess of the mean, which the potential counts.
+        least_row_left: (N,) least share of a drive left at a row.
+        row_left: (N,) written.
+        cells: written.
+    """
+    rows, columns = driven.shape
+    for i in range(rows):
+        of_row = 0.0
+        for j in range(columns):
+            of_row += driven[i, j]
+        row_left[i] = 1.0 - lead[i] * of_row
+        foot, beyond = 1.0, of_row  # share of the drive at a cell, and sum of D from there to the row's end
+        for j in range(columns):
+            foot -= segments[i, j] * beyond
+            beyond -= driven[i, j]
+            cells[i, j] = driven[i, j] / max(foot - driven[i, j] * beside_end[i, j], least_row_left[i])
+
+
+@loop
+def errors_of(
+    volts: Rows,
+    middle: Row,
+    current: Rows,
+    potential: Rows,
+    driving: Rows,
+    lead: Row,
+    present: FlagRows,
+    unknown: FlagRows,
+    apart: Rows,
+    share: Rows,
+    drive: Rows,
+    left: Row,
+    total: Row,
+    driven: Rows,
+    row_left: Row,
+    error: float,
+    random: float,
+    by_steps: float,
+    by_noise: float,
+    rounding: float,
+    shifted: float,
+    mixes: bool,
+    has_leads: bool,
+    alike: bool,
+    one_by_one: bool,
+    of_driven: Rows,
+    per_volt: Rows,
+    beside: Rows,
+    own: Rows,
+    linear: Rows,
+    std: Rows,
+    of_left: Row,
+    column_open: Row,
+    of_sums: Row,
+    row_open: Row,
+    sums: Rows,
+) -> bool:
+    """Errors of the cells by the derivatives of the laws; True: those of a column or a row may change other cells.
+
+    Args:
+        volts: readings; all arguments up to ``row_left`` as above.
+        middle: (M,) V, median reading of each column, with which others may be rounded alike; NaN: none is.
+        error: V, of a reading.
+        random: V, what differs from reading to reading.
+        by_steps: V, the part of it by ADC steps; ``by_noise`` by noise.
+        rounding: V, largest error by rounding.
+        shifted: V, error that all readings share.
+        mixes: whether columns leave the potential of idle lines.
+        has_leads: whether rows have leads.
+        alike: whether equal readings of a column add up, as in dividers.
+        one_by_one: whether idle columns carry no load.
+        of_driven: and all further arguments: the fields of ``LawErrors``, written.
+        sums: (3, M) changed.
+    """
+    rows, columns = volts.shape
+    below = 0.0
+    if mixes and alike and not one_by_one:
+        for i in range(rows):
+            of_row = 0.0
+            for j in range(columns):
+                of_row += apart[i, j]
+            below = max(below, lead[i] * of_row)
+    opens = False
+    for j in range(columns):
+        i1, c1, w1 = current[1, j], potential[1, j], driving[1, j]
+        squares, slopes, shares, all_shares, equal = 0.0, 0.0, 0.0, 0.0, 0
+        for i in range(rows):
+            slope = 0.0
+            if present[i, j]:
+                slope = abs((i1 + total[j] * c1 - w1 * driven[i, j]) / drive[i, j])
+            of_driven[i, j] = error * slope
+            slope = 0.0 if unknown[i, j] else slope
+            squares += slope * slope
+            slopes += slope
+            of_share = abs((c1 - w1 * share[i, j]) / drive[i, j])
+            shares += of_share * of_share
+            all_shares += of_share
+            if volts[i, j] == middle[j]:
+                equal += 1
+        counted = by_steps * by_steps  # squared error of a reading that counts in its column, by rounding
+        if equal:
+            together = (3.0 * equal * equal + 3.0 * counted / (rounding * rounding) * (rows - equal)) / rows
+            counted = max(counted, together * rounding * rounding / 3.0)
+        counted += by_noise * by_noise
+        sums[0, j], sums[1, j], sums[2, j] = squares, slopes, counted
+        of_left[j] = 0.0
+        if mixes:
+            of_left[j] = math.sqrt(shares * counted) + all_shares * shifted
+            if alike and not one_by_one and left[j] - of_left[j] < below:
+                of_left[j] = math.inf
+        column_open[j] = of_left[j] / max(left[j], LEAST)
+        if math.isinf(of_left[j]) or (has_leads and column_open[j] > OPEN_SCALE):
+            opens = True
+    for i in range(rows):
+        moved, shifts, height = 0.0, 0.0, LEAST
+        for j in range(columns):
+            slope = 0.0 if unknown[i, j] else of_driven[i, j] / error
+            by_column = share[i, j] / max(left[j], LEAST) if mixes else 0.0
+            moved += slope * slope * (1.0 + 2.0 * abs(by_column)) + by_column * by_column * sums[0, j]
+            shifts += slope * abs(1.0 + by_column)
+            height = max(height, share[i, j])
+        by_row = lead[i] / max(row_left[i], LEAST)
+        of_sums[i] = math.sqrt(moved) * random
+        row_open[i] = of_sums[i] * by_row
+        known = 1.0
+        if has_leads and alike:  # a row stands between the drive and the highest of its columns
+            height = min(height, 1.0)
+            known = min((1.0 - height) / height / max(row_open[i], LEAST), 1.0)
+            row_open[i] *= known
+            of_sums[i] *= known
+        if row_open[i] > OPEN_ROW:
+            opens = True
+        for j in range(columns):
+            slope = 0.0 if unknown[i, j] else of_driven[i, j] / error
+            by_column = share[i, j] / max(left[j], LEAST) if mixes else 0.0
+            weight = 1.0 / max(abs(driven[i, j]), TINY) + by_row  # relative change of a cell per change of its own D
+            per_volt[i, j] = slope * weight
+            by_own = abs(per_volt[i, j] * (1.0 + by_column))
+            own[i, j] = error * by_own
+            beside[i, j] = by_column * weight
+            squared = slope * slope * random * random
+            others = max(beside[i, j] * beside[i, j] * (sums[0, j] * sums[2, j] - squared), 0.0)
+            here = slope * slope * (1.0 + 2.0 * abs(by_column)) + by_column * by_column * sums[0, j]
+            in_row = by_row * known * random
+            others += in_row * in_row * max(moved - here, 0.0)
+            by_shift = (abs(beside[i, j]) * sums[1, j] + by_row * known * shifts) * shifted
+            of_own = by_own * random
+            both = math.sqrt(of_own * of_own + others)
+            std[i, j] = both / random
+            # Two bounds: what the cell's own reading may be off, and what all readings are off together.
+            linear[i, j] = min(own[i, j] + math.sqrt(others), max(own[i, j], both)) + by_shift
+            beside[i, j] *= math.sqrt(sums[0, j])
+    return opens
+
+
+@loop
+def relative_to(
+    cells: Rows, by_law: Rows, own: Rows, linear: Rows, column_open: Row, row_open: Row, uncertainty: Rows
+) -> None:
+    """Write the relative uncertainty (N, M) of ``cells`` in S, which the laws gave before they were corrected.
+
+    Errors of other readings are errors of a factor, and count as an exponential.
+    """
+    rows, columns = cells.shape
+    for i in range(rows):
+        for j in range(columns):
+            uncertainty[i, j] = math.inf
+            if cells[i, j] > 0.0 and column_open[j] + row_open[i] < OPEN_SCALE:
+                beyond = math.expm1(min(linear[i, j] - own[i, j], LARGEST))
+                uncertainty[i, j] = (own[i, j] + beyond) * max(by_law[i, j] / cells[i, j], 1.0)
+
+
+@loop
+def move(
+    change: Rows,
+    base: Rows,
+    beyond: Rows,
+    coupling: Row,
+    row_sums: Row,
+    column_sums: Row,
+    matters: FlagRows,
+    in_columns: Row,
+    off: Rows,
+) -> None:
+    """Write the relative change of the factors, to first order, by a ``change`` in S of the cells.
+
+    Args:
+        change: S (N, M).
+        base: S, cells at which the factors were made.
+        beyond: factors less 1 there.
+        coupling: (M,) factors by which columns may differ though they do not where cells are equal.
+        row_sums: (N,) S of the base; ``column_sums`` (M,) likewise.
+        matters: cells that count.
+        in_columns: (M,) changed.
+        off: written.
+    """
+    rows, columns = change.shape
+    for j in range(columns):
+        most, moved = coupling[j], 0.0
+        for i in range(rows):
+            moved += change[i, j]
+            if matters[i, j]:
+                most = max(most, beyond[i, j])
+        in_columns[j] = most * moved / column_sums[j]
+    for i in range(rows):
+        most, moved = 0.0, 0.0
+        for j in range(columns):
+            moved += change[i, j]
+            if matters[i, j]:
+                most = max(most, beyond[i, j])
+        by_row = most * moved / row_sums[i]
+        for j in range(columns):
+            off[i, j] = by_row + in_columns[j] + min(change[i, j] / base[i, j], 1.0) * beyond[i, j]

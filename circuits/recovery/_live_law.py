@@ -1,0 +1,276 @@
+"""Live recovery of boards whose idle lines are driven, or whose amplifiers hold all columns: the stages of a frame.
+
+=======================  ============================================================================
+:mod:`._law`             port conductances and cells by Kirchhoff's laws of columns and rows
+:mod:`._law_errors`      their errors by ADC steps and noise
+:mod:`._factors`         everything beyond these laws, as one factor for each cell
+:mod:`._enclosure`       cells beside others whose readings do not determine them
+=======================  ============================================================================
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...common.arrays import BoolArray, FloatArray
+from ...errors import SolverError
+from .._board import Board, broken_off, cell_alone
+from .._exact import read_exactly
+from .._sections import Fault
+from ._enclosure import Enclosed, Enclosure, Unknowns
+from ._factors import EVALUATIONS, OPEN, Factors
+from ._law import Law, Ports
+from ._law_errors import Kernels, LawErrors, Steps
+from ._law_kernels import LEAST
+from ._lines import LineResistance
+from ._live_reading import (
+    DISTURBED,
+    HIDDEN,
+    NO_CURRENT,
+    SATURATED,
+    UNCERTAIN,
+    UNSETTLED,
+    LiveReading,
+    ValidityRule,
+    undetermined,
+)
+from ._quick_model import QuickModel
+
+_SHEET_EVALUATIONS = 1  # of a continuous sheet in a frame, a hundred times as dear as that of a sliced one
+_COMPLETE_SHORT = 1e-5  # ohm that stands for a short of 0 ohm
+_MOST_WIRE = 2.0  # resistance of a cell's lines over its own from which on it reads like a short
+_OFTEN = 3  # frames with readings that no cells give, after which the design is taken for wrong
+_BEYOND = 3.0  # errors by which such readings exceed what cells can give
+
+
+class LawLive:
+    """Live recovery of boards whose circuits state a :class:`..readouts.PortLaw`."""
+
+    def __init__(self, board: Board, rule: ValidityRule) -> None:
+        """For a board with a converter."""
+        whole = replace(board, supply=(-inf, inf), faults=tuple(map(_with_resistance, board.faults)))
+        self._board = sliced = replace(whole, continuous=False)
+        self._sheet = whole if board.continuous else None
+        self._rule, self._turn, self._shape = rule, board.turn, board.shape
+        self.scales_columns = not (board.circuit.has_amplifiers or board.turned)
+        lines = LineResistance(sliced)
+        to_driver, to_end, column_lead = (
+            np.where(np.isfinite(ohms), ohms, 0.0) for ohms in (lines.to_driver, lines.to_end, board.column_lead)
+        )
+        wire = column_lead + to_end.mean(axis=0)
+        law = board.circuit.port_law(sliced, wire)
+        assert law is not None
+        hidden = broken_off(board) | np.isinf(board.series_ohms)
+        self._gone, self._hidden = hidden.copy(), hidden
+        self._shorted = np.zeros(board.shape, dtype=np.bool_)
+        self._shunt = np.zeros(board.shape)  # S
+        for fault, with_resistance in zip(board.shorts, sliced.shorts, strict=True):
+            self._shorted[fault.place] |= fault.ohms == 0
+            self._shunt[fault.place] += 1.0 / with_resistance.ohms
+        self._gone |= self._shorted
+        self._any_hidden = bool(hidden.any())
+        self._present = None if not self._gone.any() else np.ascontiguousarray(~self._gone)
+        self._faulty = bool(self._shunt.any() or board.series_ohms.any())
+        lost = hidden.any() or (board.floating and self._shorted.any())
+        self._tells = not ((board.circuit.mixes_cells or board.floating) and lost)
+        self._steps, self._kernels = Steps.of(board), Kernels.load()
+        one_by_one = board.circuit.columns_one_by_one(board)
+        lead = to_driver.mean(axis=1)
+        segments = np.where(np.isfinite(board.row_ohms), board.row_ohms, 0.0)
+        for ohms in (lead, segments):  # a complete short leaves a row no drive
+            ohms[self._shorted.any(axis=1)] = 0.0
+        shorts = np.where(self._shorted, 1.0 / (to_driver + _COMPLETE_SHORT), 0.0)
+        bridges = tuple(fault for fault in sliced.faults if fault.bridge)
+        self._law = Law(
+            *(law, lead, segments, wire, to_end - to_end.mean(axis=0)),
+            *(hidden, shorts, bridges, self._steps.half),
+            one_by_one=one_by_one,
+            floating=board.floating,
+            virtual_ground=board.circuit.virtual_ground,
+        )
+        self._enclosure = Enclosure(board, self._law, to_driver, to_end)
+        self._wires = np.abs(to_driver - lead[:, None]) + np.abs(to_end - to_end.mean(axis=0))
+        self._whole_wires = to_driver + to_end + column_lead
+        self._any_wire = bool(self._wires.any())
+        self._model = QuickModel(sliced, lines)
+        self._beside_short = self._shorted.any(axis=1, keepdims=True) & np.ones_like(self._shorted)
+        self._beside_short |= self._shorted.any(axis=0)
+        exact = board.plain and not (board.floating or self._law.has_leads or board.column_ohms.any())
+        evaluations = _SHEET_EVALUATIONS if board.continuous else EVALUATIONS
+        self._factors = None
+        if not exact:
+            self._factors = Factors(board.shape, self._law_of_model, self._enclosure.coupling, evaluations)
+        beside_end = np.abs(to_end - to_end.mean(axis=0)).max(axis=0)
+        self._beside_law = beside_end / np.maximum(self._law.behind, beside_end + LEAST)  # share that segments change
+        self._impossible = 0
+        self._every = np.ones(board.shape, dtype=np.bool_), np.zeros(board.shape, dtype=np.int8)
+        for shared in self._every:
+            shared.flags.writeable = False
+
+    @np.errstate(all="ignore")
+    def __call__(
+        self,
+        volts: FloatArray,
+        limited: BoolArray | None = None,
+        noise: float = 0.0,
+        *,
+        faint: BoolArray | None = None,
+    ) -> LiveReading:
+        """As :class:`.LiveRecovery`."""
+        turn = self._turn
+        unknowns = None
+        if limited is not None or faint is not None:
+            limited, faint = (None if cells is None else turn(cells) & ~self._gone for cells in (limited, faint))
+            unknowns = Unknowns.of(self._shape, limited, faint)
+        if not self._tells:
+            return self._nothing(unknowns)
+        volts = np.array(turn(volts), order="C")
+        unknown = None if unknowns is None else np.ascontiguousarray(unknowns.any)
+        ports = self._law(volts, unknown)
+        errors = LawErrors(self._law, self._steps, ports, volts, noise, unknown, self._kernels)
+        self._count_impossible(ports, errors, unknowns)
+        cells, settled, limit = ports.cells, True, self._rule.limit
+        opened, enclosed = unknowns is not None or errors.opens, None
+        if self._factors is None:
+            enclosed = self._enclosure(ports, errors, cells, unknowns, volts) if opened else None
+            return self._reading(errors, cells, errors.relative(cells), enclosed, unknowns, settled=True)
+        # What others leave open is found first: factors need be no better than that.
+        by_others: FloatArray | float = 0.0
+        if opened:
+            estimate = np.maximum(self._factors.estimate(cells), OPEN)
+            enclosed = self._enclosure(ports, errors, estimate, unknowns, volts)
+            by_others = enclosed.change
+        counted = self._every[0] if self._present is None else self._present
+        if unknown is not None:
+            counted = counted & ~unknown
+        cells, settled = self._factors(
+            cells,
+            lambda found: errors.relative(found) + by_others,
+            errors.linear + by_others,
+            counted,
+            limit,
+            errors.apart,
+        )
+        if enclosed is not None and self._factors.renewed:
+            enclosed = self._enclosure(ports, errors, cells, unknowns, volts)
+        uncertainty = errors.relative(cells)
+        moved = self._factors.moved(np.minimum(uncertainty, 1.0) * np.abs(cells), uncertainty <= limit)
+        uncertainty = uncertainty + moved
+        return self._reading(errors, cells, uncertainty, enclosed, unknowns, settled=settled)
+
+    def _law_of_model(self, conductance: FloatArray) -> FloatArray:
+        """What the laws make of the readings of cells (N, M) in S in the full model, in S."""
+        own = conductance
+        if self._faulty:
+            own = np.maximum(cell_alone(self._board, conductance, self._shunt), OPEN)
+        if self._any_hidden:  # cells behind a break tie other lines to each other, whatever they are
+            own = np.where(self._hidden, np.median(own[~self._hidden]), own)
+        cells = 1.0 / own
+        volts = self._model(cells) if self._sheet is None else read_exactly(self._sheet, cells)[0].volts
+        return self._law(np.array(volts, order="C")).cells
+
+    def _count_impossible(self, ports: Ports, errors: LawErrors, unknowns: Unknowns | None) -> None:
+        """Raise SolverError for readings that no cells give, frame after frame."""
+        impossible = unknowns is None and bool((ports.left < -_BEYOND * errors.of_left - self._beside_law).any())
+        self._impossible = self._impossible + 1 if impossible else 0
+        if self._impossible > _OFTEN:
+            raise SolverError("no cell resistances give these readings; check that the design is that of the board")
+
+    def _reading(
+        self,
+        errors: LawErrors,
+        conductance: FloatArray,
+        uncertainty: FloatArray,
+        enclosed: Enclosed | None,
+        unknowns: Unknowns | None,
+        *,
+        settled: bool,
+    ) -> LiveReading:
+        """Values, uncertainties, validity, and reasons."""
+        turn, own, cells, grown = self._turn, errors.own, conductance, np.array(1.0)
+        by_others = None if enclosed is None else enclosed.change
+        if self._faulty:
+            cells = cell_alone(self._board, np.maximum(conductance, 0.0), self._shunt)
+            grown = np.where(cells > 0.0, conductance / cells * (1.0 + self._board.series_ohms * cells) ** 2, inf)
+            grown = np.maximum(grown, 1.0)
+            uncertainty, own = uncertainty * grown, own * grown
+            by_others = None if by_others is None else np.where(by_others > 0.0, by_others * grown, 0.0)
+        total = uncertainty if by_others is None else uncertainty + by_others
+        valid = self._rule.accepts(total)
+        short = cells * self._wires > _MOST_WIRE if self._any_wire else None
+        if errors.at_end is not None:
+            short = errors.at_end if short is None else short | errors.at_end
+        resistance = 1.0 / np.maximum(cells, 0.0)
+        usual = settled and unknowns is None and self._present is None and (short is None or not short.any())
+        every = usual and np.count_nonzero(valid) == valid.size
+        if every:
+            valid, reason = self._every
+        else:
+            reason = self._reasons(cells, own, total, by_others, unknowns, short, valid, settled=settled)
+            total = np.where(valid | (reason == UNCERTAIN), total, inf)
+        bounds = None if enclosed is None else (turn(enclosed.least), turn(enclosed.greatest))
+        return LiveReading(
+            turn(resistance),
+            turn(valid),
+            turn(reason),
+            lambda: turn(total),
+            lambda: errors.per_volt(turn, grown),
+            every=every or None,
+            bounds=bounds,
+        )
+
+    def _reasons(
+        self,
+        cells: FloatArray,
+        own: FloatArray,
+        total: FloatArray,
+        by_others: FloatArray | None,
+        unknowns: Unknowns | None,
+        short: BoolArray | None,
+        valid: BoolArray,
+        *,
+        settled: bool,
+    ) -> NDArray[np.int8]:
+        """Why cells are not valid, 0 for valid ones; takes cells for which a reason is found out of ``valid``."""
+        reason: NDArray[np.int8] = np.full(self._shape, UNCERTAIN, dtype=np.int8)
+        if by_others is not None:
+            reason[by_others > 0.5 * total] = DISTURBED
+        # A cell far below its wires reads like a short, whatever its own error is.
+        like_short = (cells * self._whole_wires > _MOST_WIRE) & ~valid
+        none = ((own >= 1.0) | ~(cells > 0.0)) & ~like_short
+        beside = False if short is None else bool(short.any())  # a short keeps others from settling
+        unsettled = None if settled else ~none
+        if short is not None:
+            none &= ~short
+        for where, why in (
+            (unsettled, DISTURBED if beside else UNSETTLED),
+            (short, SATURATED),
+            (none, NO_CURRENT),
+            (like_short, SATURATED),
+        ):
+            if where is not None:
+                reason[where], valid[where] = why, False
+        if unknowns is not None:
+            reason[unknowns.limited], reason[unknowns.faint] = SATURATED, NO_CURRENT
+            valid[unknowns.any] = False
+        reason[self._beside_short], valid[self._beside_short] = DISTURBED, False
+        reason[self._gone], valid[self._gone] = HIDDEN, False
+        reason[valid] = 0
+        return reason
+
+    def _nothing(self, unknowns: Unknowns | None) -> LiveReading:
+        """A frame that determines no cell."""
+        reason: NDArray[np.int8] = np.full(self._shape, DISTURBED, dtype=np.int8)
+        if unknowns is not None:
+            reason[unknowns.limited], reason[unknowns.faint] = SATURATED, NO_CURRENT
+        reason[self._gone] = HIDDEN
+        return undetermined(self._turn(reason))
+
+
+def _with_resistance(fault: Fault) -> Fault:
+    """The fault, with a resistance far below that of any wire where it has none."""
+    return fault.replace(resistance=_COMPLETE_SHORT) if fault.kind == "shorted-cell" and fault.ohms == 0 else fault

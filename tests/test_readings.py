@@ -1,0 +1,104 @@
+"""What a reader hands to an estimator: conductances, and errors that are those of the readings."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ohmskin.circuits import Design, adc_codes, scan
+from ohmskin.driver import CountReader
+
+BOARDS = {
+    "amplifiers": ("inverting-amplifier", "ground", "float"),
+    "floating amplifiers": ("inverting-amplifier", "float", "float"),
+    "divider": ("voltage-divider", "ground", "float"),
+    "loaded divider": ("voltage-divider", "ground", "load"),
+    "floating divider": ("voltage-divider", "float", "float"),
+    "follower": ("voltage-feedback", "ground", "float"),
+}
+
+
+def board(name: str, bits: int = 12, **readout: Any) -> Design:
+    circuit, idle_rows, idle_columns = BOARDS[name]
+    amplified = circuit.endswith("amplifier")
+    return Design.model_validate(
+        {
+            "array": {"rows": 6, "columns": 5, "row_lead": 5.0, "column_lead": 5.0},
+            "drive": {"voltage": -1.0 if amplified else 3.3, "idle_rows": idle_rows},
+            "readout": {
+                "circuit": circuit,
+                "idle_columns": idle_columns,
+                "reference_resistance": 2e3 if amplified else 5e3,
+            }
+            | readout,
+            "adc": {"bits": bits, "range": [0.0, 3.3]},
+        }
+    )
+
+
+@pytest.mark.parametrize("name", ["amplifiers", "divider", "loaded divider", "follower"])
+def test_variances_and_what_a_column_shares_are_those_of_repeated_readings(name: str) -> None:
+    design, draw = board(name, 16), np.random.default_rng(3)
+    assert design.adc is not None
+    cells = 6e3 * 10 ** draw.uniform(-0.3, 0.3, (6, 5))
+    volts, read, found = scan(design, cells).volts, CountReader(design), []
+    for _ in range(300):
+        noisy = volts + draw.normal(scale=4.0 * design.adc.step, size=volts.shape)
+        found.append(read(adc_codes(design, noisy)).readings)
+    seen = np.array([each.conductance for each in found[100:]])
+    told = found[-1]
+    # The reader states the largest noise that would show as little as this one has.
+    surely = (4.0 * design.adc.step / read.noise_volts) ** 2
+    expected = (told.noise_variance + told.column_std**2) * surely
+    assert 0.7 < np.mean(np.var(seen, axis=0) / expected) < 1.2
+    assert (np.abs(seen.mean(axis=0) * cells - 1.0) < 0.01).all()
+    deviation = seen - seen.mean(axis=0)
+    together = np.mean(deviation[:, 0] * deviation[:, 3], axis=0) / (
+        told.column_std[0] * told.column_std[3] * surely + 1e-30
+    )
+    if name in ("divider", "loaded divider"):
+        assert together.mean() == pytest.approx(1.0, abs=0.5)
+
+
+@pytest.mark.parametrize("name", list(BOARDS))
+def test_steps_without_noise_are_within_what_is_stated(name: str) -> None:
+    design, draw = board(name, 10), np.random.default_rng(5)
+    for _ in range(5):
+        cells = 6e3 * 10 ** draw.uniform(-0.3, 0.3, (6, 5))
+        read = CountReader(design)
+        for _ in range(4):
+            reading = read(adc_codes(design, scan(design, cells).volts))
+        told, known = reading.readings, reading.valid
+        assert known.any()
+        off = np.abs(told.conductance - 1.0 / cells)[known]
+        assert np.mean(off <= 1.01 * told.half_step[known] + 4.0 * np.sqrt(told.noise_variance[known])) > 0.9
+
+
+@pytest.mark.parametrize("name", ["amplifiers", "follower", "divider"])
+@pytest.mark.parametrize("odd", [1e-2, np.inf])
+def test_a_reading_at_a_limit_is_an_interval(name: str, odd: float) -> None:
+    design = board(name, **({} if name == "divider" else {"supply": (-0.2, 3.3)}))
+    cells = np.full((6, 5), 6e3)
+    cells[2, 3] = odd
+    read = CountReader(design)
+    for _ in range(4):
+        reading = read(adc_codes(design, scan(design, cells).volts))
+    told = reading.readings
+    assert not reading.valid[2, 3]
+    assert told.least[2, 3] <= 1.0 / odd <= told.greatest[2, 3]
+    assert np.isnan(told.conductance[2, 3]) or told.conductance[2, 3] == pytest.approx(1.0 / odd, rel=1.0)
+    known = reading.valid
+    assert (np.abs(told.conductance[known] * cells[known] - 1.0) <= reading.uncertainty[known]).all()
+
+
+def test_what_is_not_known_has_no_value() -> None:
+    design = board("floating divider")
+    cells = np.full((6, 5), 6e3)
+    cells[2, 3] = 1e-3
+    told = CountReader(design)(adc_codes(design, scan(design, cells).volts)).readings
+    assert np.isnan(told.conductance).all()
+    assert (told.noise_variance == 0.0).all()
+    assert (told.least == 0.0).all()
+    assert np.isinf(told.greatest).all()
