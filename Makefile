@@ -7,7 +7,7 @@ SUDO   := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
 DEMO_PACKAGES := ngspice
 # Debian packages that the tests need: the SPICE library, and its command for the netlist tests; the compiler of the
 # firmware, and simavr, the second emulator of its processor; the browser for the page of `ohmskin view`.
-TEST_PACKAGES := chromium $(DEMO_PACKAGES) gcc-avr avr-libc gcc libc6-dev libsimavr-dev libelf-dev
+TEST_PACKAGES := chromium $(DEMO_PACKAGES) libngspice0 gcc-avr avr-libc gcc libc6-dev libsimavr-dev libelf-dev
 # Node.js comes from Debian only where no other one is installed.
 ifeq ($(shell command -v npm),)
 TEST_PACKAGES += nodejs npm

@@ -19,7 +19,7 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
 from ..circuits import Design
-from ..circuits.spice import command_available, command_scan
+from ..circuits.spice import command_available, run_command, spice_scan
 from ..common.arrays import FloatArray, IntArray
 from ..common.extras import install_command
 
@@ -131,7 +131,7 @@ def _by_badcrossbar(design: Design, cells: FloatArray) -> FloatArray:
 
 
 def _by_ngspice(design: Design, cells: FloatArray) -> FloatArray:
-    volts: FloatArray = command_scan(design, cells)
+    volts: FloatArray = spice_scan(design, cells, run_command)
     return volts / float(-design.drive.voltage * np.max(design.readout.reference_resistance))
 
 

@@ -11,7 +11,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 
 from .. import __version__
-from ..circuits.spice import command_available
+from ..circuits.spice import command_available, library_available
 from ..common import compiled
 from ..common.extras import PACKAGE, install_command
 from ._finding import Finding, State
@@ -85,11 +85,19 @@ def _machine_code() -> Finding:
 
 
 def _spice() -> Iterator[Finding]:
-    if (reason := command_available()) is None:
-        yield Finding(State.OK, "ngspice", "can be used")
-    else:
-        said = f"{reason}; the check against ngspice says 'not run'"
-        yield Finding(State.OPTIONAL, "ngspice", said, "sudo apt install ngspice")
+    for subject, reason, without, mend in (
+        ("ngspice", command_available(), "what needs a transient or noise says 'not run'", "sudo apt install ngspice"),
+        (
+            "libngspice",
+            library_available(),
+            "frames are checked by the command ngspice, more slowly",
+            f"{install_command('spice')} && sudo apt install libngspice0",
+        ),
+    ):
+        if reason is None:
+            yield Finding(State.OK, subject, "can be used")
+        else:
+            yield Finding(State.OPTIONAL, subject, f"{reason}; {without}", mend)
 
 
 def _program(subject: str, names: Sequence[str], purpose: str, mend: str) -> Finding:

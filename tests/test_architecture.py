@@ -110,6 +110,17 @@ def test_modules_import_the_faces_of_sub_packages() -> None:
     assert faces > 9
 
 
+def test_only_one_module_imports_pyspice() -> None:
+    """PySpice is under the GPL."""
+    users = {
+        str(file.relative_to(ROOT))
+        for folder in [*ROOMS, "examples"]
+        for file in (ROOT / folder).rglob("*.py")
+        if any(name.split(".")[0] == "PySpice" for name in _imports(file))
+    }
+    assert users == {"circuits/spice/_pyspice.py"}
+
+
 def test_only_the_table_of_circuits_knows_their_names() -> None:
     names = {circuit.name for circuit in CIRCUITS.values()}
     for file in sorted([*(ROOT / "circuits").rglob("*.py"), *(ROOT / "verification").rglob("*.py")]):

@@ -16,7 +16,7 @@ from ohmskin.circuits import (
     apparent_resistance,
     scan,
 )
-from ohmskin.circuits.spice import command_available, command_scan
+from ohmskin.circuits.spice import library_available, spice_scan
 from ohmskin.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -109,10 +109,10 @@ def test_one_amplifier_behind_a_switch(idle: str, ohm: float | None) -> None:
 @pytest.mark.parametrize("circuit", ["inverting-amplifier", "voltage-divider", "row-amplifier"])
 @pytest.mark.parametrize("seed", range(8))
 def test_ngspice_reads_the_same(circuit: str, seed: int) -> None:
-    need(command_available())
+    need(library_available())
     limits: dict[str, Any] = {"supply": (-0.05, 2.0)} if seed % 2 else {}
     design, cells = real_design(seed, circuit=circuit, faults=seed % 3, idle_lines=True, **limits)
-    np.testing.assert_allclose(command_scan(design, cells), scan(design, cells).volts, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(spice_scan(design, cells), scan(design, cells).volts, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("rows", ["ground", "pull"])

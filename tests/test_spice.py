@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,34 +14,45 @@ from variety import any_design
 
 from ohmskin.bench._reference import reference_volts
 from ohmskin.circuits import scan
-from ohmskin.circuits.spice import command_available, command_scan, run_command, run_control
+from ohmskin.circuits.spice import (
+    command_available,
+    library_available,
+    run_command,
+    run_control,
+    run_library,
+    spice_scan,
+)
+from ohmskin.common.extras import install_command
 from ohmskin.errors import MissingExtra, SolverError
+
+Runner = Callable[[str], dict[str, Any]]
 
 
 @pytest.mark.parametrize("seed", range(60))
 def test_the_sweep_agrees_with_the_reference_and_with_the_solver(seed: int) -> None:
     """Random small grids of every kind."""
-    need(command_available())
+    need(library_available() or command_available())
     design, cells = any_design(seed)
-    read = command_scan(design, cells)
+    read = spice_scan(design, cells, run_command if seed % 3 == 0 else run_library)
     np.testing.assert_allclose(read, reference_volts(design, cells), rtol=1e-7, atol=1e-11)
     np.testing.assert_allclose(scan(design, cells).volts, read, rtol=1e-6, atol=1e-11)
 
 
 def test_a_board_sized_grid() -> None:
-    need(command_available())
+    need(library_available())
     cells = 10 ** np.random.default_rng(7).uniform(4, 6, (16, 16))
     design = amplifier(16, 16, lead=25.0, segment=1.0, open_loop_gain=1e5, offset_voltage=1e-3)
-    np.testing.assert_allclose(scan(design, cells).volts, command_scan(design, cells), rtol=1e-9)
+    np.testing.assert_allclose(scan(design, cells).volts, spice_scan(design, cells), rtol=1e-9)
 
 
-def test_a_circuit_without_a_sweep_is_read_row_by_row() -> None:
-    need(command_available())
+@pytest.mark.parametrize("run", [run_library, run_command])
+def test_a_circuit_without_a_sweep_is_read_row_by_row(run: Runner) -> None:
+    need(library_available() or command_available())
     design = amplifier(2, 1, supply=(-0.5, 3.3), offset_voltage=1e-3)
-    assert command_scan(design, [[0.0], [1e3]]) == pytest.approx(3.3)
+    assert spice_scan(design, [[0.0], [1e3]], run) == pytest.approx(3.3)
 
 
-@pytest.mark.parametrize("runner", [run_command, run_control])
+@pytest.mark.parametrize("runner", [run_library, run_command, run_control])
 @pytest.mark.parametrize(
     "text",
     [
@@ -47,14 +60,34 @@ def test_a_circuit_without_a_sweep_is_read_row_by_row() -> None:
         "* no such part\nY1 a 0 1\n.op\n.end\n",
     ],
 )
-def test_failures_of_the_command_are_ours(runner: Callable[[str], object], text: str) -> None:
-    need(command_available())
+def test_failures_of_ngspice_are_ours_and_leave_no_trace(
+    runner: Runner, text: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    need(library_available() or command_available())
     with pytest.raises(SolverError, match="ngspice"):
         runner(text)
+    assert spice_scan(amplifier(1, 1), [[1e3]]) == pytest.approx(1.0)
+    assert capfd.readouterr() == ("", "")
 
 
-def test_a_missing_command_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("path", "missing"),
+    [
+        (None, "libngspice0"),
+        ("/nowhere/libngspice.so", "cannot be loaded from /nowhere/libngspice.so"),
+        ("libngspice.so.0", install_command("spice")),  # PySpice is missing
+    ],
+)
+def test_without_the_library_the_command_reads_and_without_both_what_is_missing_is_named(
+    path: str | None, missing: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    need(command_available())
+    monkeypatch.setattr("ctypes.util.find_library", lambda name: path)
+    monkeypatch.setitem(sys.modules, "PySpice.Spice.NgSpice.Shared", None)
+    assert missing in str(library_available())
+    assert spice_scan(amplifier(1, 1), [[1e3]]) == pytest.approx(1.0)
     monkeypatch.setenv("PATH", "")
-    assert "apt install ngspice" in str(command_available())
-    with pytest.raises(MissingExtra, match="ngspice"):
-        command_scan(amplifier(1, 1), [[1e3]])
+    with pytest.raises(MissingExtra) as refused:
+        spice_scan(amplifier(1, 1), [[1e3]])
+    assert missing in str(refused.value)
+    assert "apt install ngspice" in str(refused.value)

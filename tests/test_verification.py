@@ -221,7 +221,7 @@ def test_without_ngspice_its_check_is_not_run_and_the_rest_is(monkeypatch: pytes
     def missing(*_: object) -> None:
         raise MissingExtra("no ngspice here")
 
-    monkeypatch.setattr(spice, "command_scan", missing)
+    monkeypatch.setattr(spice, "spice_scan", missing)
     report = verify(only=["P13"])
     (claim,) = report.claims
     assert claim.outcome is Outcome.NOT_RUN

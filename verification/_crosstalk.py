@@ -203,7 +203,7 @@ def slicing(subject: Subject) -> Finding:
 def _against_ngspice(design: Design, frames: list[FloatArray], volts: list[FloatArray]) -> Check:
     name = "against ngspice, worst relative difference of a reading"
     try:
-        judged = [spice.command_scan(design, cells) for cells in frames]
+        judged = [spice.spice_scan(design, cells) for cells in frames]
     except MissingExtra as error:
         return Check(name, None, 1e-6, reason=str(error))
     zero = design.readout.reference_voltage

@@ -1,4 +1,4 @@
-"""The command ngspice as an independent judge of the circuits."""
+"""The command ngspice, run on a netlist."""
 
 from __future__ import annotations
 
@@ -11,13 +11,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from ...common.arrays import FloatArray
 from ...errors import MissingExtra, SolverError
-from .._design import Design
-from ..readouts import REFERENCE
-from ._netlist import Deck, frame_deck, step_deck
 
 LEAST_LIMIT_S, LIMIT_PER_CARD_S = 20, 0.05
 """of processor time for one run of the command, as a constant and by cards of the netlist; a macro-model may find no
@@ -37,24 +33,6 @@ def command_available() -> str | None:
     return "the command 'ngspice' is not installed (Debian, Ubuntu: apt install ngspice)"
 
 
-def command_scan(design: Design, resistance: ArrayLike) -> FloatArray:
-    """The outputs of one frame in V, (rows, columns): one ``.dc`` sweep, or a few extreme circuits row by row.
-
-    Raises:
-        InputError: cells that do not fit the design.
-        MissingExtra: the command is not installed.
-        SolverError: contradictory ideal parts, or no convergence.
-    """
-    if reason := command_available():
-        raise MissingExtra(reason)
-    try:
-        deck = frame_deck(design, resistance)
-    except SolverError:  # ideal parts that only the netlist of a single row can express
-        decks = [step_deck(design, resistance, row) for row in range(design.array.rows)]
-        return np.vstack([_volts(deck, run_command(deck.batch_text()))[0] for deck in decks])
-    return design.board.turn(_volts(deck, run_command(deck.batch_text())).reshape(design.board.shape))
-
-
 def run_command(text: str) -> Vectors:
     """Run the analysis in a netlist by ``ngspice -b`` and return the vectors that it saved.
 
@@ -70,7 +48,7 @@ def run_command(text: str) -> Vectors:
         # A raw file is written whatever comes of the analysis; what was said tells.
         process = subprocess.run(command, input=text, text=True, capture_output=True, check=False, cwd=folder)
         if "abort" in process.stderr or not raw.exists():
-            raise SolverError(f"ngspice gave no result: {_gist(process.stderr)}")
+            raise SolverError(f"ngspice gave no result: {gist(process.stderr)}")
         return _read_raw(raw.read_bytes())
 
 
@@ -132,9 +110,9 @@ def simulate(text: str, *, pspice: bool = False) -> Simulated:
     printed = re.findall(r"^(\w+) = (\S+)\s*$", process.stdout, flags=re.MULTILINE)
     said = process.stderr + process.stdout
     if not printed:
-        raise SolverError(f"ngspice gave no result: {_gist(said)}")
+        raise SolverError(f"ngspice gave no result: {gist(said)}")
     dropped = re.findall(r"unrecognized parameter \((\w+)\) - ignored", said)
-    complaints = _gist(said) if re.search(_COMPLAINT, said, flags=re.IGNORECASE) else ""
+    complaints = gist(said) if re.search(_COMPLAINT, said, flags=re.IGNORECASE) else ""
     return Simulated({name: float(number) for name, number in printed}, tuple(dict.fromkeys(dropped)), complaints)
 
 
@@ -146,18 +124,7 @@ def _with_control_block(text: str) -> str:
     return "\n".join([*cards, ".control", *commands, ".endc", ".end", ""])
 
 
-def _volts(deck: Deck, vectors: Vectors) -> FloatArray:
-    """The outputs of a deck against board ground, (points of the row sweep, columns)."""
-    points = len(next(iter(vectors.values())))
-    potential = {REFERENCE: np.zeros(points)} | vectors
-    volts = np.column_stack([potential[node] for node in deck.outputs]) - potential[deck.ground][:, None]
-    if not deck.one_by_one:
-        return volts
-    columns = len(deck.outputs)
-    return volts.reshape(-1, columns, columns).diagonal(axis1=1, axis2=2)
-
-
-def _canonical(name: str) -> str:
+def canonical(name: str) -> str:
     """A node by its own name, whichever way the vector of its potential is called."""
     return name[2:-1] if name.startswith("v(") else name
 
@@ -171,13 +138,13 @@ def _read_raw(content: bytes) -> Vectors:
     names = [line.split("\t")[2] for line in lines[-count:]]
     kind = np.dtype("complex128" if "complex" in fields["Flags"] else "float64")
     table = np.frombuffer(body, dtype=kind, count=count * points).reshape(points, count)
-    return {_canonical(name): column for name, column in zip(names, table.T, strict=True)}
+    return {canonical(name): column for name, column in zip(names, table.T, strict=True)}
 
 
 _COMPLAINT = "error|singular|fail|fatal|too small|no convergence|trouble|abort"
 
 
-def _gist(said: str) -> str:
+def gist(said: str) -> str:
     """What matters in ngspice's many words about a failure."""
     spoken = (line.strip() for line in said.splitlines() if not re.match(r"\s*(error: )?meas", line, re.IGNORECASE))
     lines = [line for line in spoken if re.search(_COMPLAINT, line, flags=re.IGNORECASE)]
