@@ -12,6 +12,7 @@ import click
 
 from .. import bench
 from ..bench import _driver as of_drivers
+from ..bench import _emulator as of_boards
 from ..bench import _estimators as of_cells
 from ..bench import _fingers as of_fingers
 from ..bench import _freshness as of_skins
@@ -55,6 +56,7 @@ class _ManyValues(click.Command):
     "--picture", type=click.Path(path_type=Path), metavar="OUT.svg", help="Of solvers: draw error against time."
 )
 @click.option("--estimators", is_flag=True, help="Measure the pressure estimators instead, on a material of their own.")
+@click.option("--emulator", "of_emulator", is_flag=True, help="Measure the virtual board instead, at these sizes.")
 @click.option(
     "--driver", "of_driver", is_flag=True, help="Measure the live path instead, bytes to kPa, at these sizes."
 )
@@ -81,6 +83,7 @@ def command(
     patient: bool,
     picture: Path | None,
     estimators: bool,
+    of_emulator: bool,
     of_driver: bool,
     of_contacts: bool,
     of_judges: bool,
@@ -98,6 +101,9 @@ def command(
         return
     if estimators:
         _show([("", of_cells.estimators())], as_json)
+        return
+    if of_emulator:
+        _show([(of_boards.HEAD, of_boards.emulator(sizes))], as_json)
         return
     if of_driver:
         _live_path(sizes, as_json)

@@ -96,6 +96,7 @@ def test_the_command_prints_a_table_or_json_and_draws(tmp_path: Path, capsys: py
         (["--segment", "0"], "segment is 0.0 ohm; expected 1e-30 to 1e+30"),
         (["--size", "x"], "Invalid value for '--size'"),
         (["--driver", "--size=-3"], "size is -3; expected 1 to 256"),
+        (["--emulator", "--size=0"], "size is 0; expected 1 to 256"),
         (["--driver", "--size=257"], "size is 257; expected 1 to 256"),
     ],
 )
@@ -141,6 +142,18 @@ def test_columns_are_aligned_and_other_fields_are_left_out() -> None:
         "16 x 16  second  1500.0      100       25      yes",
     ]
     assert list(table([], "what it is")) == ["what it is"]
+
+
+def test_the_emulator_is_as_near_to_the_full_physics_as_it_certifies(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("ohmskin.bench._emulator._BUDGET_S", 0.1)
+    assert run(["bench", "--emulator", "--size", "6", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [(row["size"], row["contacts"]) for row in rows] == [(6, 0), (6, 1), (6, 5)]
+    for row in rows:
+        assert row["difference_steps"] <= row["certified_steps"] + 1e-6 <= 0.25 + 1e-6
+        assert row["frames_per_second"] > 0 < row["full_frames_per_second"]
 
 
 # -- the live path -----------------------------------------------------------------------------------------------------
