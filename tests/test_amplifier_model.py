@@ -123,6 +123,16 @@ def test_pins_go_where_the_design_says(folder: Path) -> None:
     assert "Vhigh rail_high 0 DC 5.0" in text
 
 
+def test_a_model_in_the_dialect_of_pspice_runs(folder: Path) -> None:
+    need(spice.command_available())
+    limited = "G1 0 P VALUE={LIMIT(IF(V(INP,INN)>0, A0*V(INP,INN), A0*V(INP,INN)), -1e6, 1e6)}"
+    margins = []
+    for text in (MODEL, MODEL.replace("G1 0 P INP INN {A0}", limited)):
+        (folder / "opa.lib").write_bytes(text.encode("latin-1"))
+        margins.append(spice.dynamic_reading(_design(folder), CELLS, 0).phase_margin)
+    assert margins[1] == pytest.approx(margins[0], abs=0.05)
+
+
 HOSTILE = [
     (".control\nshell touch hacked\n.endc", "line 2: '.control' is not part of a model"),
     (".CONTROL\nshell touch hacked\n.ENDC", "line 2: '.CONTROL' is not part of a model"),

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 import struct
+import tracemalloc
 from itertools import islice, pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
-from boards import scene
+from boards import EXAMPLES, scene
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -319,3 +321,17 @@ def test_a_board_that_a_family_does_not_have_is_refused() -> None:
                 make(name, shape=shape)
     with pytest.raises(InputError, match="an ADC of 12 bits; its format carries at most 8"):
         board_protocol("flexitac", adc_bits=12)
+
+
+@pytest.mark.parametrize("board", [*BOARDS, *sorted((EXAMPLES / "boards").glob("*.toml"))], ids=str)
+def test_noise_without_end_takes_bounded_memory(board: str | Path) -> None:
+    host, random = host_protocol(board), np.random.default_rng(5)
+    held = []
+    tracemalloc.start()
+    try:
+        for number in range(20):
+            host.feed(random.bytes(10_000), float(number))
+            held.append(tracemalloc.get_traced_memory()[0])
+    finally:
+        tracemalloc.stop()
+    assert held[-1] - held[9] < 30_000  # of the 100,000 bytes since then

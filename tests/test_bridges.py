@@ -19,6 +19,7 @@ from boards import EXAMPLES, Wire, scene
 
 from ohmskin.driver import Frame, Skin
 from ohmskin.emulator import Board, PtyPort, running
+from ohmskin.errors import InputError
 
 
 def bridge(name: str) -> ModuleType:
@@ -78,6 +79,19 @@ def test_observations_are_as_their_features_say(board: str, form: str, history: 
         assert (np.diff(observed["skin.monotonic_time"]) >= 0).all()
     with pytest.raises(ConnectionError, match="not connected"):
         sensor.disconnect()
+
+
+def test_a_skin_of_another_shape_or_under_load_is_refused(board: str) -> None:
+    lerobot = bridge("lerobot_skin")
+    with pytest.raises(ConnectionError, match=r"a skin of \(3, 2\) cells; expected \(8, 8\)"):
+        lerobot.SkinSensor(board, shape=(8, 8)).connect()
+    port = PtyPort()
+    pressed = {"cells": [[1, 1]], "load_kpa": [[0.0, 15.0], [1.0, 15.0]]}
+    with running(scene(contact=[pressed]), port):
+        sensor = lerobot.SkinSensor(port.name, shape=(3, 2))
+        with pytest.raises(InputError, match="the skin seems to be loaded"):
+            sensor.connect()
+        assert not sensor.is_connected
 
 
 def test_an_observation_is_that_of_the_frame(pressed: list[Frame]) -> None:

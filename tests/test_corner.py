@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -100,3 +101,35 @@ def test_continuous_sheets_are_not_run_rather_than_guessed() -> None:
     (result,) = verify(design, requirements=[Requirement(id="C", quantity="crosstalk", max=1.0)]).results
     assert result.outcome == "not run"
     assert "no worst case" in result.reason
+
+
+def _worst(design: Design) -> Any:
+    asked = [Requirement(id="W", quantity="reading_error", max=90.0)]
+    record = verify(design, requirements=asked).record().requirements[0]
+    assert record.corner is not None
+    return record
+
+
+def test_lines_of_one_package_deviate_together() -> None:
+    """The mates of the worst resistor differ from it by no more than they match; other packages are their own."""
+    spread = {"nominal": 1e3, "tolerance": 0.05, "matching": 0.001, "package": 2}
+    cells = {"rest_resistance": 1e4, "full_scale_resistance": 2e4}
+    record = _worst(amplifier(1, 4).replace(readout={"reference_resistance": spread}, cells=cells))
+    values = np.array(record.corner.parts["readout.reference_resistance"]).reshape(2, 2) / 1e3 - 1
+    place = record.corner.cell[1]
+    assert abs(values.ravel()[place]) == pytest.approx(0.05)
+    assert abs(np.diff(values[place // 2])[0]) <= 0.002 + 1e-12
+    assert np.abs(values[1 - place // 2]).max() <= 0.002
+
+
+def test_temperature_moves_all_parts_together() -> None:
+    """A reference resistor that grows as its row's lead and cell do reads the same at every temperature."""
+    lead = {"nominal": 1e4, "temperature_coefficient": 0.004}
+    cells = {"rest_resistance": 1e4, "full_scale_resistance": 1e4 + 1e-6}
+    alone = amplifier(1, 1).replace(array={"row_lead": lead}, operation={"temperature_range": (278.15, 338.15)})
+    alone = alone.replace(cells=cells)
+    both = alone.replace(readout={"reference_resistance": {"nominal": 1e3, "temperature_coefficient": 0.002}})
+    never = both.replace(array={"row_lead": 1e4}, readout={"reference_resistance": 1e3})
+    same, one, none = (_worst(design).measured for design in (both, alone, never))
+    assert same == pytest.approx(none, rel=0.03)
+    assert one > 1.1 * none

@@ -236,6 +236,16 @@ def test_the_self_test_of_the_large_board_sees_its_reference_resistors() -> None
 # ---- what goes wrong
 
 
+def test_a_run_repeats_byte_for_byte() -> None:
+    runs = []
+    for _ in range(2):
+        with FirmwareBoard(scene(board={"noise": 2e-3}), seed=3) as board:
+            board.send(host_protocol("ohmskin").request(Order.SELF_TEST))
+            runs.append(board.run(0.08))
+    assert runs[0] == runs[1]
+    assert len(runs[0]) > 1000
+
+
 def test_faults_of_the_line_are_counted_and_survived(tmp_path: Path) -> None:
     """Over a pseudo-terminal: flipped, dropped, inserted and doubled bytes, lost packets, and a stall."""
     kinds = ["flipped-bits", "dropped-bytes", "inserted-bytes", "duplicated-bytes", "dropped-packets"]

@@ -13,8 +13,13 @@ from parts_at_random import real_design
 from ohmskin.circuits import (
     Design,
     Settling,
+    adc_codes,
     apparent_resistance,
+    live_recovery,
+    recover,
     scan,
+    sensitivity,
+    volts_of_codes,
 )
 from ohmskin.circuits.spice import library_available, spice_scan
 from ohmskin.errors import InputError
@@ -159,3 +164,39 @@ def test_a_key_without_effect_is_an_error(
     plain = board(circuit, 2, 2, drive={"voltage": 1.0}, readout={"reference_resistance": 1e3})
     with pytest.raises(InputError, match=message):
         plain.replace(drive=drive, readout=readout)
+
+
+@pytest.mark.parametrize("circuit", ["inverting-amplifier", "voltage-divider", "row-amplifier"])
+@pytest.mark.parametrize("seed", range(4))
+def test_derivatives_are_those_of_the_reading(circuit: str, seed: int) -> None:
+    """By the adjoint method against finite differences, a line or all parts at a time."""
+    design, cells = real_design(seed, circuit=circuit, largest=3, idle_lines=True)
+    found, h = sensitivity(design, cells), 1e-5
+    one = design.readout.columns == "multiplexed"
+    for section, key in (("array", "row_lead"), ("array", "column_lead"), ("readout", "reference_resistance")):
+        derivative = getattr(found, key)
+        value = np.broadcast_to(getattr(getattr(design, section), key), derivative.shape[-1])
+        above, below = (
+            design.replace(**{section: {key: float(each[0]) if one and section == "readout" else tuple(each)}})
+            for each in (value * (1 + h), value * (1 - h))
+        )
+        slope = (scan(above, cells).volts - scan(below, cells).volts) / (2 * h)
+        np.testing.assert_allclose(slope, (derivative * value).sum(axis=-1), rtol=1e-4, atol=1e-9)
+
+
+@pytest.mark.parametrize("rows", ["ground", "pull", "float"])
+@pytest.mark.parametrize("columns", ["parallel", "float", "ground", "load"])
+@pytest.mark.parametrize("circuit", ["inverting-amplifier", "row-amplifier", "voltage-divider"])
+def test_cells_are_recovered_from_one_frame_and_from_a_stream(circuit: str, columns: str, rows: str) -> None:
+    cells = 10 ** np.random.default_rng(7).uniform(3.0, 4.5, (3, 4))
+    idle = {} if columns == "parallel" else {"columns": "multiplexed", "idle_columns": columns}
+    drive = {"voltage": -1.0, "idle_rows": rows} | ({"idle_row_resistance": 1e4} if rows == "pull" else {})
+    design = board(circuit, 3, 4, drive=drive, readout={"reference_resistance": 1e3, **idle})
+    design = design.replace(adc={"bits": 14, "range": [-1.2, 1.2]})
+    volts = scan(design, cells).volts
+    np.testing.assert_allclose(recover(design, volts).resistance, cells, rtol=1e-8)
+    live, read = live_recovery(design), volts_of_codes(design, adc_codes(design, volts))
+    for _ in range(4):
+        found = live(read)
+    assert found.valid.all()
+    assert (np.abs(found.resistance / cells - 1) <= found.uncertainty).all()

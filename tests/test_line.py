@@ -12,7 +12,18 @@ from hypothesis import strategies as st
 
 from ohmskin.emulator import Board, Device, Line, LineSettings, LinkFault, Scene, Transmission
 from ohmskin.errors import InputError
-from ohmskin.wire import Corrupt, Description, Event, Flag, FramePacket, Identity, host_protocol
+from ohmskin.wire import (
+    Command,
+    Corrupt,
+    Description,
+    Event,
+    Flag,
+    FramePacket,
+    Identity,
+    Order,
+    encode,
+    host_protocol,
+)
 
 sizes = st.lists(st.integers(1, 200), min_size=1, max_size=20)
 
@@ -209,3 +220,25 @@ def test_a_stall_delivers_late_and_a_second_host_takes_bytes_away() -> None:
     assert set(range(98)) <= set(numbers)
     assert len([number for number in numbers if 100 <= number < 200]) < 90
     assert set(range(210, 300)) <= set(numbers)
+
+
+def test_the_same_seed_gives_the_same_bytes() -> None:
+    what = scene(
+        board={"noise": 0.001, "frame_rate": 200.0},
+        line={"bit_errors": 1e-5},
+        clock={"jitter_s": 0.001},
+        link_fault=[{"kind": "dropped-bytes", "probability": 1e-3}, {"kind": "reset", "at_s": 0.5}],
+    )
+    once, again, other = (live(what, 1.0, seed=seed)[1] for seed in (4, 4, 5))
+    assert once == again != other
+
+
+def test_a_flood_of_commands_by_a_host_that_does_not_read_grows_nothing_and_stops_no_clock() -> None:
+    board = Board(scene(board={"frame_rate": 100.0}))
+    device = Device(board.scene, board)
+    flood = encode(Command(Order.DESCRIBE)) * 200 + encode(Command(Order.SELF_TEST)) * 200
+    while device.time_s < 3.0:
+        device.tick(host_present=True)
+        device.receive(flood, device.next_us)
+        device.advance(device.next_us)
+        assert len(device.transmission) < 30_000

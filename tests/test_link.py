@@ -12,13 +12,14 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from boards import DESIGN, scene
-from patience import HANG_S
+from patience import HANG_S, Patience
 
 from ohmskin.circuits import Design, adc_codes
 from ohmskin.cli import run
@@ -101,6 +102,42 @@ def test_the_frames_are_the_truth_and_the_estimate_is_near_it(scene_file: Path, 
     quiet = estimated[:, arrays["pressure_kpa"].max(axis=0) < 0.01]
     assert pressed.sum() >= 3
     assert np.abs(quiet).max() < 0.1
+
+
+def test_a_lossy_and_noisy_line_is_counted_end_to_end(tmp_path: Path) -> None:
+    faults = [
+        {"kind": "dropped-packets", "probability": 0.05, "at_s": 1.0},
+        {"kind": "flipped-bits", "probability": 2e-4, "at_s": 1.0},
+    ]
+    what = scene(link_fault=faults)
+    port, truth = PtyPort(), tmp_path / "truth.npz"
+    with running(what, port, clock="fast", duration_s=10.0, truth=truth):
+        frames = collect(port.name, lossy=True)
+    lost = sum(frame.lost_before for frame in frames)
+    assert 10 < lost < 70
+    first = frames[0].sequence - frames[0].lost_before
+    assert lost + len(frames) == frames[-1].sequence - first + 1
+    with np.load(truth) as arrays:
+        assert len(arrays["sequence"]) == 500
+        codes = adc_codes(what.skin.design, arrays["volts"])
+    for frame in frames:
+        np.testing.assert_array_equal(frame.counts, codes[frame.sequence])
+
+
+def test_a_slow_host_gets_the_frame_of_now_and_nothing_is_lost() -> None:
+    """A thread drains the port meanwhile: what the host was too slow for is skipped, not lost, and not late."""
+    port, patience = PtyPort(), Patience()
+    with running(scene(board={"frame_rate": 200.0}), port), Skin.open(port.name) as skin:
+        frames = [next(skin)]
+        for _ in range(3):
+            enough = skin.stats().frames + 30
+            while skin.stats().frames <= enough:
+                patience.spend("frames that nobody takes")
+            frames.append(next(skin))
+    for before, after in pairwise(frames):
+        assert after.sequence - before.sequence == 1 + after.skipped_before
+        assert after.skipped_before > 10
+        assert (after.lost_before, after.overrun) == (0, False)
 
 
 def test_what_a_host_that_does_not_read_loses_is_counted(tmp_path: Path) -> None:

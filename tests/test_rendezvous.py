@@ -7,17 +7,23 @@ import os
 import signal
 import subprocess
 import sys
+import termios
+import threading
+import tty
 from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
 
+import numpy as np
 import pytest
-from boards import EXAMPLES, scene
+from boards import EXAMPLES, frame, identity, scene, sheet
+from patience import Patience
 
 from ohmskin.common.rendezvous import Announcement, announced, announced_ports
 from ohmskin.driver import Frame, Skin, discover
 from ohmskin.emulator import Port, PtyPort, Rfc2217Port, Scene, TcpPort, running
 from ohmskin.errors import LinkEnded, LinkError
+from ohmskin.wire import FramePacket, board_protocol
 
 FINGERS, PROTOTYPE = EXAMPLES / "fingers.toml", EXAMPLES / "prototype.toml"
 LINKS: dict[str, Callable[[], Port]] = {
@@ -118,6 +124,73 @@ class TestEnds:
             back = next(frame for frame in skin if frame.reconnected)
             assert (back.rebooted, skin.serial_number, skin.tared) == (True, "A1", rest)
             assert skin.stats().reconnects == 1
+
+    def test_a_board_that_is_plugged_in_again_is_found_under_its_new_number(self) -> None:
+        """Another program gets the number of its pseudo-terminal meanwhile."""
+        pulled = {"kind": "unplug", "at_s": 2.0, "duration_s": 1.0}
+        port, patience = PtyPort(), Patience()
+        with contextlib.ExitStack() as ends:
+            ends.enter_context(running(scene(board={"frame_rate": 100.0}, link_fault=[pulled]), port))
+            skin = ends.enter_context(Skin.open(port.name, reconnect=60.0, timeout=30.0))
+            old_name = port.name
+            while os.path.exists(old_name):
+                patience.spend(f"{old_name} to go away")
+            names = [""]
+            while names[-1] != old_name and len(names) < 8:  # a test beside this one may take it
+                master, stranger = os.openpty()
+                names.append(os.ttyname(stranger))
+                tty.setraw(stranger, termios.TCSANOW)
+                ends.callback(os.close, master)
+                ends.callback(os.close, stranger)
+            os.write(master, b"for somebody else")
+            back = next(frame for frame in skin if frame.reconnected)
+            assert back.rebooted
+            assert port.name not in names
+            assert os.read(stranger, 100) == b"for somebody else"
+
+    @pytest.mark.parametrize(("family", "goes_on"), [("fsr-array", True), ("ohmskin", False), ("fsr-array", False)])
+    def test_a_bridge_that_hangs_up_is_an_end_only_if_it_goes_away_and_the_board_could_not_say_more(
+        self, family: str, goes_on: bool
+    ) -> None:
+        """As a bridge from TCP to a serial port does when the cable behind it is pulled: it goes on listening."""
+        some = FramePacket.of(np.full((4, 4), 900), sequence=0, time_us=0)
+        first = {
+            "fsr-array": 3 * board_protocol("fsr-array", shape=(4, 4), adc_bits=12).frame(some),
+            "ohmskin": identity() + sheet() + frame(0),
+        }[family]
+        design = PROTOTYPE if family == "fsr-array" else None
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            taken = threading.Event()
+
+            def serve() -> None:
+                said = first
+                with contextlib.suppress(OSError):
+                    while True:
+                        host, _ = server.accept()
+                        with host:
+                            host.sendall(said)
+                            taken.wait(60)
+                            if not goes_on:
+                                server.close()
+                            host.shutdown(socket.SHUT_WR)
+                            while host.recv(4096):
+                                pass
+                        said = b""
+
+            serving = threading.Thread(target=serve, daemon=True)
+            serving.start()
+            name = "socket://{}:{}".format(*server.getsockname())
+            with Skin.open(name, board=family, design=design, delivery="lossless", reconnect=1.0) as skin:
+                next(skin)
+                taken.set()
+                if family == "fsr-array" and not goes_on:
+                    assert len(list(skin)) == 2
+                else:
+                    with pytest.raises(LinkError, match="the other end hung up"):
+                        list(skin)
+            if goes_on:
+                server.shutdown(socket.SHUT_RDWR)
+            serving.join(60)
 
     def test_the_end_of_a_recording_without_an_end_packet_is_an_end(self, tmp_path: Path) -> None:
         path, link = tmp_path / "cut.mcap", tmp_path / "skin"
@@ -282,6 +355,45 @@ class TestForeignNotes:
                 assert [found.name for found in announced_ports()] == [elsewhere.name]
         meeting_place.chmod(0o700)
         assert list(announced_ports()) == []
+
+    def test_a_note_that_changes_while_a_host_holds_it_is_not_followed_either(self) -> None:
+        """Reconnection asks the same note again for the present name of the port."""
+        there = Announcement("/dev/pts/1000")
+        held = announced("/dev/pts/1000")
+        assert held is not None
+        there.move("spy:///dev/null?file=/tmp/victim")
+        assert (held.name, held.is_listed) == ("", False)
+        there.move("/dev/pts/1001")
+        assert held.name == "/dev/pts/1001"
+        there.close()
+
+    def test_a_link_or_a_pipe_in_place_of_a_note_or_of_the_folder_is_none(self, meeting_place: Path) -> None:
+        there = Announcement("/dev/pts/1000")
+        (note,) = meeting_place.iterdir()
+        moved = meeting_place.rename(meeting_place.with_name("moved"))
+        meeting_place.symlink_to(moved)
+        assert list(announced_ports()) == []
+        meeting_place.unlink()
+        moved.rename(meeting_place)
+        assert [found.name for found in announced_ports()] == ["/dev/pts/1000"]
+        note.rename(note.with_suffix(".moved"))
+        note.symlink_to(note.with_suffix(".moved"))
+        os.mkfifo(note.with_name("pipe.port"))
+        note.with_name("folder.port").mkdir()
+        assert list(announced_ports()) == []
+        there.close()
+
+    @pytest.mark.skipif(os.getuid() != 0, reason="only root can give files away")
+    def test_a_folder_or_a_note_of_another_user_is_as_if_it_were_not_there(self, meeting_place: Path) -> None:
+        there = Announcement("/dev/pts/1000")
+        (note,) = meeting_place.iterdir()
+        for foreign in (note, meeting_place, meeting_place.parent):  # the last: of another user's login
+            os.chown(foreign, 65534, 65534)
+            assert list(announced_ports()) == []
+            assert note.exists()
+            os.chown(foreign, 0, 0)
+            assert [found.name for found in announced_ports()] == ["/dev/pts/1000"]
+        there.close()
 
     def test_boards_at_all_addresses_are_announced_at_the_loopback(self) -> None:
         with TcpPort.at("0.0.0.0:0") as port:

@@ -222,3 +222,20 @@ def test_currents_and_leakage_are_judged_and_bounded_by_a_solution() -> None:
         for requirement in [requirement.requirement]
     }
     assert named == {"D25"}
+
+
+def test_a_worst_case_never_falls_when_tolerances_grow() -> None:
+    design = random_board(8, largest=3)
+    found = []
+    for factor in (1.0, 2.0):
+        changes: dict[str, dict[str, object]] = {"readout": {"offset_voltage": factor * design.readout.offset_voltage}}
+        for key, spread in design.spreads.items():
+            section, name = key.split(".")
+            part = {
+                "nominal": getattr(getattr(design, section), name),
+                "tolerance": min(factor * spread.tolerance, 0.5),
+            }
+            changes.setdefault(section, {})[name] = part
+        found.append(stated(_verified(design.replace(**changes))))
+    for quantity, smaller in found[0].items():
+        assert found[1][quantity] == smaller or found[1][quantity] >= smaller - 1e-6 * abs(smaller), quantity
