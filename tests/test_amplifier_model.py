@@ -133,6 +133,19 @@ def test_a_model_in_the_dialect_of_pspice_runs(folder: Path) -> None:
     assert margins[1] == pytest.approx(margins[0], abs=0.05)
 
 
+def test_a_board_that_the_model_finds_unstable_fails(folder: Path) -> None:
+    """The one-pole analysis cannot know: a second pole below the crossover, and a resistor behind the output."""
+    need(spice.command_available())
+    slow = MODEL.replace(f"{1 / (2 * np.pi * SECOND_POLE)!r}", f"{1 / (2 * np.pi * 2e4)!r}")
+    (folder / "opa.lib").write_bytes(slow.encode("latin-1"))
+    asked = [Requirement(id=method, quantity="phase_margin", min=45.0, method=method) for method in METHODS]
+    report = verify(_design(folder), requirements=asked)
+    assert {result.requirement.id: str(result.outcome) for result in report.results} == dict(
+        zip(METHODS, ("pass", "fail"), strict=True)
+    )
+
+
+METHODS = ("worst-case", "spice")
 HOSTILE = [
     (".control\nshell touch hacked\n.endc", "line 2: '.control' is not part of a model"),
     (".CONTROL\nshell touch hacked\n.ENDC", "line 2: '.CONTROL' is not part of a model"),

@@ -24,6 +24,7 @@ from ohmskin.doctor import (
     draft,
     examine_device,
     examine_installation,
+    examine_ports,
     examine_traffic,
     has_baud_rate,
     judge,
@@ -81,6 +82,17 @@ def test_a_forbidden_port_names_the_group(machine: System, monkeypatch: pytest.M
     port.chmod(0o660)
     monkeypatch.setattr(grp, "getgrnam", lambda name: SimpleNamespace(gr_mem=["maker"]))
     assert _permission_mend(machine).startswith("log out and in again")
+
+
+def test_programs_that_open_ports_of_boards_by_themselves_are_named(
+    machine: System, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("serial.tools.list_ports.comports", list)
+    assert {finding.state for finding in examine_ports(machine)} == {State.OK}
+    machine.path("/proc/71/comm").write_text("ModemManager\n")
+    (finding,) = [found for found in examine_ports(machine) if found.state is State.PROBLEM]
+    assert finding.subject == "ModemManager"
+    assert finding.mend
 
 
 def _permission_mend(machine: System) -> str:

@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 import time
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -304,3 +305,14 @@ def test_a_file_that_is_no_recording_is_refused_in_one_line(
     assert run(["score", str(path), str(path)]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert message in line
+
+
+def test_a_long_record_takes_bounded_memory(tmp_path: Path) -> None:
+    one, frames = sample(1, (32, 32)), 1000
+    with TruthFile(tmp_path / "t.npz", (32, 32)) as truth:
+        tracemalloc.start()
+        for _ in range(frames):
+            truth.append(one)
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+    assert peak < 1e6 < frames * 3 * one.volts.nbytes / 10

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -12,7 +13,7 @@ import pytest
 
 from ohmskin.common.config import read_toml
 from ohmskin.common.files import check_writable, read_bytes, whole_file, write_together
-from ohmskin.common.tables import read_cells, read_columns
+from ohmskin.common.tables import read_cells, read_columns, write_text
 from ohmskin.errors import InputError, LinkError
 
 SCANNING = [sys.executable, "-m", "ohmskin", "scan", "design.toml", "--cells", "cells.csv", "-o"]
@@ -126,6 +127,20 @@ def test_a_signal_leaves_no_partial_file(number: int, tmp_path: Path) -> None:
         process.send_signal(number)
         assert process.wait() != 0
     assert not list(tmp_path.iterdir())
+
+
+def test_a_pipe_is_written_through_and_a_replaced_file_keeps_its_mode(tmp_path: Path) -> None:
+    pipe, private = tmp_path / "pipe", tmp_path / "private.csv"
+    os.mkfifo(pipe)
+    with subprocess.Popen(["cat", pipe], stdout=subprocess.PIPE) as reader:
+        write_text(pipe, "through\n")
+        assert reader.stdout is not None
+        assert reader.stdout.read() == b"through\n"
+    assert pipe.is_fifo()
+    private.write_text("old")
+    private.chmod(0o640)
+    write_text(private, "new")
+    assert private.stat().st_mode & 0o777 == 0o640
 
 
 SPREADSHEETS = {

@@ -201,7 +201,7 @@ def test_a_board_that_nobody_reads_lives_out_its_time_and_its_seed(scene_file: P
     assert (volts[0] != volts[2]).all()
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
 def test_a_signal_ends_the_run_with_the_truth_written(
     scene_file: Path, tmp_path: Path, number: signal.Signals, code: int
 ) -> None:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -320,3 +323,30 @@ def test_example_requirements_are_valid() -> None:
     (file,) = folder.glob("requirements*.toml")
     assert load_requirements(file)
     parse(read_toml(folder / "toleranced.toml"), Design, source="example")
+
+
+DROPS_ERRORS = """
+import time
+class Destroyed:
+    def __del__(self):
+        print("waiting", flush=True)
+        time.sleep(1.0)
+def destructor(design, cell):
+    Destroyed()
+    time.sleep(600.0)
+"""
+
+
+def test_a_signal_ends_the_run_even_where_python_drops_exceptions(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(DROPS_ERRORS)
+    (tmp_path / "design.toml").write_text(
+        f'{AMPLIFIED}[[requirement]]\nid = "A"\nquantity = "own.py:destructor"\nmax = 1.0\n'
+    )
+    command = [sys.executable, "-m", "ohmskin", "verify", "design.toml"]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        while process.stdout.readline() != b"waiting\n":
+            pass
+        process.send_signal(signal.SIGTERM)
+        _, said = process.communicate()
+    assert (process.returncode, said) == (128 + signal.SIGTERM, b"ohmskin: terminated\n")
