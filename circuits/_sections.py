@@ -48,7 +48,9 @@ def in_kelvin(value: float) -> float:
 Kelvin = Annotated[float, Field(le=MOST, allow_inf_nan=False), AfterValidator(in_kelvin)]
 Volts = Annotated[float, Field(ge=-MOST_V, le=MOST_V, allow_inf_nan=False)]
 PerLine = float | tuple[float, ...]
-Ohms = Annotated[PerLine, _per_line("a number of ohm >= 0", lambda x: x == 0 or LEAST <= x <= MOST)]
+Ohms = Annotated[
+    PerLine, _per_line(f"a number of ohm, 0 or at least {LEAST:g}", lambda x: x == 0 or LEAST <= x <= MOST)
+]
 PositiveOhms = Annotated[
     PerLine,
     _per_line(f"a number of ohm > 0, at least {LEAST_REFERENCE_OHM:g}", lambda x: LEAST_REFERENCE_OHM <= x <= MOST),

@@ -152,7 +152,16 @@ class TestOwners:
                 assert len(list(islice(frames, 200))) == 200
                 del frames
             gc.collect()
-            Skin.open(port.name, timeout=30.0).close()
+            until(lambda: opens(port.name))  # the reader thread closes it
+
+
+def opens(name: str) -> bool:
+    """Whether the port is nobody's."""
+    try:
+        Skin.open(name, timeout=30.0).close()
+    except LinkError:
+        return False
+    return True
 
 
 class TestFiniteBoards:

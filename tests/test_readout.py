@@ -121,9 +121,14 @@ BASE: dict[str, Any] = {
         ),
         ("array", "column_segment", [1.0], "array.column_segment has 1 entries, expected one number or 3"),
         ("readout", "offset_voltage", [0.0, 0.0], r"expected one number or 3 \(one per column\)"),
-        ("array", "row_lead", -1.0, r"array.row_lead: must be a number of ohm >= 0, or a list .* \(got -1.0\)"),
-        ("array", "row_lead", [1.0, float("inf")], "array.row_lead: must be a number of ohm >= 0"),
-        ("array", "row_lead", "3", "array.row_lead: must be a number of ohm >= 0"),
+        (
+            "array",
+            "row_lead",
+            -1.0,
+            r"array.row_lead: must be a number of ohm, 0 or at least 1e-30, or a list .* \(got -1.0\)",
+        ),
+        ("array", "row_lead", [1.0, float("inf")], "array.row_lead: must be a number of ohm, 0 or at least 1e-30"),
+        ("array", "row_lead", "3", "array.row_lead: must be a number of ohm, 0 or at least 1e-30"),
         ("readout", "reference_resistance", [1.0, 0.0, 1.0], "must be a number of ohm > 0"),
         ("readout", "open_loop_gain", 0.5, "must be a number >= 1"),
         ("readout", "bias_current", True, "must be a finite number"),
@@ -151,15 +156,15 @@ def test_bad_faults_are_refused_by_name(fault: dict[str, Any], message: str) -> 
 
 
 @pytest.mark.parametrize("circuit", ["inverting-amplifier", "voltage-divider", "voltage-feedback"])
-def test_resistances_too_small_to_invert_are_none(circuit: str) -> None:
+def test_a_cell_too_small_to_invert_is_a_short(circuit: str) -> None:
     """1 / 5e-324 overflows."""
     cells = np.array([[1e3, 5e3], [2e3, 5e-324]])
-    tiny = {"row_lead": 5e-324, "column_lead": 1e-310, "row_segment": 1e-300, "column_segment": 5e-324}
-    design = amplifier(2, 2, open_loop_gain=1e5).with_circuit(circuit)
-    if circuit == "voltage-feedback":  # a short between a driver and the follower would be a contradiction
-        tiny["column_lead"] = 1.0
-        design = design.replace(array={"column_lead": 1.0})
-    none = cells.copy()
-    none[1, 1] = 0.0
-    small = design.replace(array=tiny)
-    np.testing.assert_array_equal(scan(small, cells).volts, scan(design, none).volts)
+    design = amplifier(2, 2, open_loop_gain=1e5).with_circuit(circuit).replace(array={"column_lead": 1.0})
+    short = cells.copy()
+    short[1, 1] = 0.0
+    np.testing.assert_array_equal(scan(design, cells).volts, scan(design, short).volts)
+
+
+def test_a_line_too_small_to_invert_is_refused() -> None:
+    with pytest.raises(InputError, match=r"array\.row_segment: must be a number of ohm, 0 or at least 1e-30"):
+        amplifier(2, 2).replace(array={"row_segment": 1e-300})
