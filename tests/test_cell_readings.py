@@ -69,6 +69,21 @@ def test_a_cell_whose_resistance_rises_has_its_load_bounded_from_above() -> None
     assert estimator.std_kpa[0] > 0.1 * cell.full_scale_kpa
 
 
+def test_the_memory_of_a_load_beyond_the_range_is_in_doubt_after_its_release() -> None:
+    """The inverse has followed the least load of the interval, so that the cell recovers from more than it knows."""
+    cell = Cell.example().replace(log_span=2.0)  # its resistance falls
+    estimator, random = cell.estimator((1,)), np.random.default_rng(1)
+    load = 0.9 * cell.full_scale_kpa * np.interp(np.arange(400.0), [80, 84, 240, 244], [0, 1, 1, 0])
+    siemens = 1.0 / cell.forward(()).run(np.full(400, 0.0125), load)
+    step, most = siemens.max() / 1000, 0.5 * siemens.max()
+    errors = []
+    for truth, kpa in zip(siemens, load, strict=True):
+        near = step * np.round(truth / step + 0.2 * random.standard_normal())
+        told = (near, near - step / 2, near + step / 2) if near < most else (np.nan, most, np.inf)
+        errors.append(abs(estimator.step_readings(0.0125, read(*told, step))[0] - kpa) / estimator.std_kpa[0])
+    assert max(errors[40:]) < 2.5
+
+
 def test_readings_within_the_range_are_estimated_as_their_resistances_are() -> None:
     """The same pressures as from ohms; the resolution is told by the first readings."""
     cell, random = Cell.example(), np.random.default_rng(4)

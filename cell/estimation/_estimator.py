@@ -161,6 +161,8 @@ class Estimator:
         if only.any():
             self._by_bounds = np.zeros(resistance.size)
             resistance[only], self._by_bounds[only] = (part[only] for part in self._within(least, most))
+            if self.inversion.remembers:
+                self._gaps.doubt_within(self._by_bounds)
         return self._step(elapsed_s, resistance)
 
     def _within(self, least_ohm: FloatArray, most_ohm: FloatArray) -> tuple[FloatArray, FloatArray]:

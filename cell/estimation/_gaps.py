@@ -2,7 +2,8 @@
 
 While a cell is not read, its load may change. The variance of its pressure grows from that of the last reading towards
 that of an unknown load. After the gap the reading is known again, but unseen loads within the gap may have changed the
-memory of the cell. This second uncertainty falls to 1/e within :data:`AFTER_GAP_S`.
+memory of the cell. This second uncertainty falls to 1/e within :data:`AFTER_GAP_S`. So does that of a memory that has
+followed the least load of an interval.
 """
 
 from __future__ import annotations
@@ -17,6 +18,9 @@ from ._conditions import Conditions
 AFTER_GAP, AFTER_GAP_S = 0.3, 10.0
 """fraction of the uncertainty from a gap that remains after the first new reading, and the time in which that falls to
 1/e"""
+AFTER_INTERVAL = 0.7
+"""fraction of the standard deviation of a load of which an interval was known that remains after it, and falls as
+quickly. Paper cells whose load has been followed at the wrong height show 0.6 to 0.8 of that error after the release"""
 CHANGED_IN_GAP = 0.4
 """standard deviation after a long gap over the change of pressure across it: presses that came and went in the gap may
 have left that change behind"""
@@ -96,6 +100,11 @@ class Gaps:
         held = AFTER_GAP * np.minimum(hidden, whole_kpa[cells])
         left_behind = CHANGED_IN_GAP * change_kpa[cells] * (hidden / self._unknown_kpa)
         self.doubt(cells, np.hypot(held, left_behind))
+
+    def doubt_within(self, variance: FloatArray) -> None:
+        """Take a frame that limits loads to intervals, with (n,) kPa^2: memories have followed a wrong load."""
+        np.maximum(self._left, AFTER_INTERVAL**2 * variance, out=self._left)
+        self._renew()
 
     def doubt(self, cells: IntArray, std_kpa: FloatArray) -> None:
         """Add standard deviations (m,) in kPa to ``cells`` (m,); they decay as those after a gap."""
