@@ -177,8 +177,8 @@ class Cell(Section):
                 include the error of its own R0.
 
         Raises:
-            InputError: no such estimator, or not one for this cell; R0 does not fit ``shape``; ``rest_error`` is not
-                a number from 0 to 1.
+            InputError: no such estimator, or not one for this cell; R0 does not fit ``shape``, or ``shape`` has no
+                cells; ``rest_error`` is not a number from 0 to 1, or ``noise`` is negative or not finite.
         """
         name = name or self.default_estimator
         if name not in ESTIMATORS:
@@ -188,11 +188,15 @@ class Cell(Section):
             rest_error = 0.0 if learned is None or rest_resistance_ohm is None else REST_ERROR
         if not 0 <= rest_error <= 1:
             raise InputError(f"the relative error of R0 is {rest_error}; expected a number from 0 to 1")
+        if noise is not None and not 0 <= noise < np.inf:
+            raise InputError(f"the noise of R/R0 is {noise}; expected a finite number, 0 or more")
         conditions = self._conditions(name, noise)
         if rest_error:
             slope = rest_slope(self.equilibrium_ohm, self.full_scale_kpa)
             conditions = replace(conditions, rest_std_kpa=rest_error * slope)
         rest = resistance_of(shape, self._rest(rest_resistance_ohm)).ravel()
+        if not rest.size:
+            raise InputError(f"frames of shape {shape} have no cells; expected at least one")
         inversion = self._inversion(name, rest, exact=conditions.noise == 0.0)
         return Estimator(inversion, shape, rest, self._scale(rest), conditions)
 

@@ -175,6 +175,17 @@ def test_an_absurd_error_of_r0_is_refused() -> None:
             EXAMPLE.estimator((), rest_error=error)
 
 
+@pytest.mark.parametrize("noise", [-1e-3, np.nan, np.inf])
+def test_noise_that_is_none_is_refused(noise: float) -> None:
+    with pytest.raises(InputError, match="noise of R/R0"):
+        EXAMPLE.estimator((), noise=noise)
+
+
+def test_frames_without_cells_are_refused() -> None:
+    with pytest.raises(InputError, match=r"shape \(0, 3\) have no cells"):
+        EXAMPLE.estimator((0, 3))
+
+
 # -- honest deviations -------------------------------------------------------------------------------------------------
 
 
@@ -203,6 +214,20 @@ def test_errors_of_drawn_paper_cells_are_within_the_stated_deviations() -> None:
             pressure, std, _ = judges.estimated(played, cell.estimator((scenes.CELLS,)))
             within.append(judges.figures(played, pressure, std, cell.full_scale_kpa).within)
     assert np.mean(within) > 97.0
+
+
+def test_brief_touches_of_rubbed_cells_leave_no_load() -> None:
+    """Touches of one to six frames: where the release goes unnoticed, the recovery is no load that grows."""
+    cells, dt = 16, 0.01
+    time, place = np.arange(0.0, 9.0, dt)[:, None], np.linspace(0.0, 1.0, cells)
+    share = 0.4 * sum(np.exp(-0.5 * ((time - rub) / 0.04) ** 2) for rub in np.arange(0.5, 6.0, 0.4))
+    share = share + (0.02 + 0.04 * place) * (np.abs(time - 6.5 - 0.05 * place) < 0.008 + 0.022 * place)
+    read = EXAMPLE.forward((cells,)).run(np.full(len(time), dt), share * FULL)
+    read *= 1.0 + 2e-4 * np.random.default_rng(4).standard_normal(read.shape)
+    estimator = EXAMPLE.estimator((cells,))
+    for frame in read:
+        pressure = estimator.step(dt, frame)
+    assert np.abs(pressure).max() < 0.01 * FULL
 
 
 @pytest.mark.parametrize("step", [0.035, 0.07])
