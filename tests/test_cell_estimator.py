@@ -329,9 +329,10 @@ SAVED: dict[str, Callable[[Estimator], Estimator]] = {
 
 @pytest.mark.parametrize(("kind", "name"), _NAMES)
 def test_a_saved_state_goes_on(kind: str, name: str | None) -> None:
-    """To the last bit, through JSON, with sparks and gaps; also as a copy and a pickle."""
+    """To the last bit, through JSON, with gaps and in the middle of sparks; also as a copy and a pickle."""
     cell = KINDS[kind]
     read, random = sensed(cell, presses(260), 1e-3), np.random.default_rng(3)
+    read[128:132, ::2] *= 2.5
     read[random.random(read.shape) < 0.01] = np.nan
     first, second = (cell.estimator((6,), name) for _ in range(2))
     stepped(first, read[:130])

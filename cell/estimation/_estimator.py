@@ -467,30 +467,36 @@ class Estimator:
 
     # -- saving ------------------------------------------------------------------------------------------------------
 
+    @property
+    def _parts(self) -> tuple[NoiseMeter, SharedNoise, Sleep, Deviation, Gaps, Held, Sparks]:
+        """Those that have a state of their own."""
+        noise, shared = self._noise, self._shared_noise
+        return noise, shared, self._sleep, self._deviation, self._gaps, self._held, self._sparks
+
     def state(self) -> dict[str, FloatArray]:
         """A copy of the whole state, for :meth:`restore`: float64 arrays by name."""
         own = {"cells": values(self._cells), "memory": values(self._memory), "pressure": self._pressure}
         own |= {"read": self._read, "followed": self._wanted}
         own["clock"] = np.array([self._usual_s, self._tremor_for_s, self._frames])
-        for part in (self._noise, self._shared_noise, self._sleep, self._deviation, self._gaps, self._held):
+        for part in self._parts:
             own |= part.state()
         return {name: np.array(value, dtype=np.float64) for name, value in own.items()}
 
     def restore(self, state: Mapping[str, ArrayLike]) -> None:
-        """Continue from a saved :meth:`state` (arrays, or lists as JSON has them). Recent jumps count as loads.
+        """Continue from a saved :meth:`state` (arrays, or lists as JSON has them).
 
         Raises:
             InputError: the state is not one of this estimator for cells of this shape.
         """
         expected = self.state()
         given = {name: np.array(value, dtype=np.float64, order="C") for name, value in state.items()}
-        if {name: value.shape for name, value in expected.items()} != {n: v.shape for n, v in given.items()}:
+        shapes = [{name: value.shape for name, value in each.items()} for each in (expected, given)]
+        if shapes[0] != shapes[1] or not np.isfinite(given["clock"]).all():
             raise InputError(f"not a saved state of this estimator for cells of shape {self.shape}")
         values(self._cells)[...], values(self._memory)[...] = given["cells"], given["memory"]
         self._pressure, self._read, self._wanted = given["pressure"], given["read"] > 0, given["followed"] > 0
         self._followed, self._all_read, self._stale = self._wanted.nonzero()[0], bool(self._read.all()), True
         self._usual_s, self._tremor_for_s, frames = given["clock"].tolist()
         self._frames = int(frames)
-        for part in (self._noise, self._shared_noise, self._sleep, self._deviation, self._gaps, self._held):
+        for part in self._parts:
             part.restore(given)
-        self._sparks.forget_all(self._cells)

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray, IntArray
-from ...common.compiled import Places, Record, Records, Row, loop, zeros
+from ...common.compiled import Places, Record, Records, Row, loop, values, zeros
 from .._state import CellState
 from ._gaps import Gaps
 from ._inversion import Inversion
@@ -144,11 +144,6 @@ class Sparks:
         self.forget(cells, gone)
         return undone
 
-    def forget_all(self, cells: Records[CellState]) -> None:
-        """Treat all jumps as loads."""
-        cells["jump"] = 0.0
-        self.places = self.places[:0]
-
     def forget(self, cells: Records[CellState], places: IntArray) -> None:
         """Treat jumps of cells as loads."""
         if self.places.size:
@@ -161,6 +156,18 @@ class Sparks:
         doubted = cells["jump_is_load"][self.places] == 0.0
         beyond = self.places[doubted & (np.abs(now - full_kpa / 2) > BEYOND * full_kpa)]
         pressure_kpa[beyond] = cells["jumped_from_kpa"][beyond]
+
+    def state(self) -> dict[str, FloatArray]:
+        """The state, by name."""
+        jumped = np.zeros(self._cells.size)
+        jumped[self.places] = 1.0
+        before = {"cells_before": values(self._cells), "memory_before": values(self._memory)}
+        return before | {"jumped": jumped, "readings_before": self._taps.before}
+
+    def restore(self, state: dict[str, FloatArray]) -> None:
+        """Continue from a saved :meth:`state`."""
+        values(self._cells)[...], values(self._memory)[...] = state["cells_before"], state["memory_before"]
+        self.places, self._taps.before = np.flatnonzero(state["jumped"]), state["readings_before"]
 
 
 @loop
