@@ -67,6 +67,52 @@ def test_streams_of_hard_presses_that_once_had_wrong_cells(number: int) -> None:
     assert tally.valid
 
 
+@pytest.mark.parametrize("lead", [20.0, 200.0])
+@pytest.mark.parametrize("offset", [0.0, 1e-3])
+@pytest.mark.parametrize("reference", [3e3, 29.4e3])
+@pytest.mark.parametrize("shape", [(7, 3), (16, 16)])
+def test_equal_cells_far_above_their_leads_are_valid(
+    shape: tuple[int, int], reference: float, offset: float, lead: float
+) -> None:
+    """An offset that drives currents from the idle lines into a column cannot hide a pressed skin."""
+    readout = {"reference_resistance": reference, "offset_voltage": offset, "open_loop_gain": 1e5}
+    design = board(*shape, lead).replace(array={"column_lead": 0.0}, readout=readout, adc={"bits": 12})
+    for resistance in (10e3, 120e3):
+        cells, read = np.full(shape, resistance), CountReader(design)
+        for _ in range(3):
+            reading = read(adc_codes(design, scan(design, cells).volts))
+        assert reading.valid.all()
+        assert (np.abs(reading.resistance / cells - 1.0) <= reading.uncertainty).all()
+
+
+def test_current_from_idle_lines_above_a_poor_conductor_is_enclosed_with_the_others() -> None:
+    """By the follower's offset. Cells of 170 to 190 kohm beside hard presses were read as 44 to 62 kohm, and valid."""
+    design = board(7, 3, 200.0).replace(
+        array={"column_lead": 0.0},
+        readout={"reference_resistance": 29.4e3, "offset_voltage": 5e-3, "open_loop_gain": 300.0},
+        adc={"bits": 12},
+    )
+    rest = np.full((7, 3), 120e3)
+    pressed = np.array(
+        [
+            [118e3, 111e3, 82.0],
+            [181e3, 192e3, 173e3],
+            [148.0, 5.3, 63.0],
+            [93.0, 6.0, 43.0],
+            [81e3, 300.0, 191e3],
+            [173e3, 8.0, 48.5],
+            [109e3, 11.7, 188e3],
+        ]
+    )
+    read, valid = CountReader(design), 0
+    for cells in [rest] * 2 + [pressed] * 6 + [rest] * 3:
+        reading = read(adc_codes(design, scan(design, cells).volts))
+        known = reading.valid
+        valid += int(known.sum())
+        assert (np.abs(reading.resistance / cells - 1.0) <= reading.uncertainty)[known].all()
+    assert valid >= 4 * rest.size
+
+
 def test_current_by_detours_over_pressed_cells_is_enclosed_with_them() -> None:
     """By way of a row and a column of good conductors. A cell of 9 kohm was read as 3.7 kohm within 22 %, and valid."""
     design = board(7, 5, 100.0).replace(

@@ -36,7 +36,8 @@ from ._law_kernels import LEAST, columns_of, rows_of
 
 _TIES = 10.0  # cell over the usual one of its column from which on it may be a short
 _MOST_BRIDGE = 1e9  # S
-_LEAST_WIRE = 1.0  # ohm of a column between its end and a row that it may lift
+_SHORTED = 0.15  # ohm, of all cells of a column in parallel, if they are shorts
+_ROUNDS = 3  # of narrowing bounds
 
 
 class Ports(NamedTuple):
@@ -172,12 +173,28 @@ class Law:
                 factor[list(rows)] *= hypot(1.0, share) / max(1.0 - share**2, LEAST)
         return factor
 
-    def may_follow(self, ports: Ports, volts: FloatArray, share: float) -> BoolArray:
-        """Cells (N, M) whose row, or column, a follower's own error may lift by this ``share`` of the drive."""
+    def may_follow(self, ports: Ports, volts: FloatArray, error: float, share: float) -> BoolArray:
+        """Cells (N, M) whose row, or column, a follower's own error may lift by this ``share`` of the drive.
+
+        Readings have an ``error`` in V. The end of a column stands e above the idle lines by the follower's error, and
+        S to all other lines: then W D = I + S e. Where e is positive, S and D may grow together, up to a short of the
+        whole skin. Where it is negative, D is at most I / W, and S at most I / -e.
+        """
         (i0, i1), (c0, c1), _ = self.law
-        above = np.abs((c0 + c1 * volts) - self.wire * (i0 + i1 * volts))  # V, of the column's end above idle lines
-        lifted = (self.lead * (above / (self.wire + _LEAST_WIRE)).sum(axis=1))[:, None]
-        follows: BoolArray = (lifted > share * np.abs(ports.drive)) | (np.abs(ports.share).sum(axis=0) > share)
+        current = i0 + i1 * volts
+        above = ((c0 + c1 * volts) - self.wire * current) / ports.drive
+        most = 1.0 / (self.wire + self._beside_end.min(axis=0) + _SHORTED)
+        lead, lifts = self.lead[:, None], np.abs(above)
+        if self.lead.any() and float((self.lead * (most * lifts).sum(axis=1)).max()) > share:
+            own = np.maximum(current / ports.drive, 0.0) + error * np.abs(i1 / ports.drive)
+            most = np.minimum(most, (own / np.maximum(-above, LEAST * own)).min(axis=0))
+            for _ in range(_ROUNDS):
+                ends = own + most * np.maximum(above, 0.0)  # S, upper bounds of D between rows and columns' ends
+                nodes = ends / np.maximum(1.0 - self.wire * ends.sum(axis=0), LEAST)
+                left = np.maximum(1.0 - (lead * nodes).sum(axis=1), LEAST)[:, None]
+                most = np.minimum(most, (nodes / left).sum(axis=0))
+        lifted = (lead * most * lifts).sum(axis=1)[:, None]
+        follows: BoolArray = (lifted > share) | (np.abs(ports.share).sum(axis=0) > share)
         # Two shorts of a row join their columns. Where the follower's error exceeds the drop along a column, they
         # divide all other readings of both, and read like ordinary cells themselves.
         loose = np.abs(c1 - self.wire * i1) > self.wire * np.abs(i1)

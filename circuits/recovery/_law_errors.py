@@ -113,7 +113,7 @@ class LawErrors:
         """readings within their error of a short's; None: there are none"""
         if law.follows:
             at_end = law.at_end(ports, _WITHIN * self.error)
-            lost = law.may_follow(ports, volts, _FOLLOWS) | at_end
+            lost = law.may_follow(ports, volts, self.error, _FOLLOWS) | at_end
             if lost.any():
                 self.at_end = at_end if at_end.any() else None
                 self.opens, self.linear = True, np.where(lost, inf, self.linear)
