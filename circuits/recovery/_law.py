@@ -36,7 +36,7 @@ from ._law_kernels import LEAST, columns_of, rows_of
 
 _TIES = 10.0  # cell over the usual one of its column from which on it may be a short
 _MOST_BRIDGE = 1e9  # S
-_SHORTED = 0.15  # ohm, of all cells of a column in parallel, if they are shorts
+_SHORTED = 0.3  # ohm, of all cells of a column in parallel, if they are shorts
 _ROUNDS = 3  # of narrowing bounds
 
 
