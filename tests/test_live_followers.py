@@ -113,6 +113,24 @@ def test_current_from_idle_lines_above_a_poor_conductor_is_enclosed_with_the_oth
     assert valid >= 4 * rest.size
 
 
+@pytest.mark.parametrize("bits", [8, 16])
+def test_an_open_cell_behind_heavy_leads_is_not_valid(bits: int) -> None:
+    """What passes beside the cell was taken for its own current, of which the cell's own share is far less."""
+    shape = (20, 20)
+    array = {"column_lead": 60.0, "row_segment": 2.0, "column_segment": 2.0}
+    readout = {"reference_resistance": 4.7e3, "offset_voltage": 5e-4, "open_loop_gain": 1e6, "bias_current": 1e-9}
+    design = board(*shape, 120.0).replace(array=array, readout=readout, adc={"bits": bits})
+    rest = 10 ** np.random.default_rng(77).uniform(3.9, 4.15, shape)
+    opened = rest.copy()
+    opened[2, 1] = 1e12
+    read = CountReader(design)
+    for cells in [rest] * 2 + [opened] * 4:
+        reading = read(adc_codes(design, scan(design, cells).volts))
+        known = reading.valid
+        assert (np.abs(reading.resistance / cells - 1.0) <= reading.uncertainty)[known].all()
+    assert known.sum() == known.size - 1
+
+
 def test_current_by_detours_over_pressed_cells_is_enclosed_with_them() -> None:
     """By way of a row and a column of good conductors. A cell of 9 kohm was read as 3.7 kohm within 22 %, and valid."""
     design = board(7, 5, 100.0).replace(

@@ -85,7 +85,7 @@ class Factors:
             self._coupling = np.maximum(self._coupling, self._coupling_at(np.maximum(cells, 0.0)))
             allowed = uncertainty(cells)
             matters = allowed <= limit
-            if not ((self.moved(grown * np.abs(cells - self._base), matters) > _FRESH * allowed) & matters).any():
+            if not ((self.moved(grown * np.abs(cells - self._base), cells, matters) > _FRESH * allowed) & matters).any():
                 return cells, True
         self.renewed = True
         return self._renewed(cells, by_law, uncertainty, error, counted, limit, grown)
@@ -97,13 +97,17 @@ class Factors:
             cells += self._added
         return cells
 
-    def moved(self, change: FloatArray, matters: BoolArray) -> FloatArray:
-        """Relative change of the factors, to first order, by a ``change`` in S of the cells; 0 at first."""
+    def moved(self, change: FloatArray, cells: FloatArray, matters: BoolArray) -> FloatArray:
+        """Relative change of ``cells`` by their factors, to first order, by a ``change`` in S of these; 0 at first."""
         if self._base is None:
             return np.zeros(change.shape)
-        off = np.empty(change.shape)
+        off, most = np.empty(change.shape), self._base
+        if self._any_added:
+            matters, most = matters & (self._added == 0.0), np.maximum(most, np.abs(self._added))
         sums = self._row_sums, self._column_sums
         self._move(change, self._base, self._beyond, self._coupling, *sums, matters, np.empty(change.shape[1]), off)
+        # What passes beside a cell does not fall with it.
+        off *= np.maximum(most / np.maximum(cells, OPEN), 1.0)
         return off
 
     def _renewed(
@@ -130,7 +134,7 @@ class Factors:
             allowed = uncertainty(new)
             matters = counted & (allowed <= limit)
             change = np.abs(np.maximum(new, OPEN) - cells)  # a negative reading is that of an open cell
-            off = self.moved(change * counted * grown, matters)
+            off = self.moved(change * counted * grown, new, matters)
             loads = change > _ROUGHLY * np.minimum(error, 1.0) * np.maximum(np.abs(by_law), cells)
             if not (counted & np.where(matters, off > _FRESH * allowed, loads)).any():
                 self._astray = not matters.any()
@@ -150,6 +154,8 @@ class Factors:
         self._rho, self._added = np.where(usual, ratio, 1.0), np.where(usual, 0.0, cells - again)
         self._any_added = not usual.all()
         self._base, self._beyond = cells, np.abs(self._rho - 1.0)
+        if self._any_added:  # the law is as steep there as beside other cells
+            self._beyond[~usual] = self._beyond.max()
         self._row_sums, self._column_sums = cells.sum(axis=1), cells.sum(axis=0)
         self._coupling = self._coupling_at(cells)
         corrected: FloatArray = self._rho * by_law + self._added

@@ -37,6 +37,7 @@ from ._law_kernels import LEAST, columns_of, rows_of
 _TIES = 10.0  # cell over the usual one of its column from which on it may be a short
 _MOST_BRIDGE = 1e9  # S
 _SHORTED = 0.3  # ohm, of all cells of a column in parallel, if they are shorts
+_TIED_DOWN = 1.1  # margin for segments
 _ROUNDS = 3  # of narrowing bounds
 
 
@@ -79,6 +80,7 @@ class Law:
         one_by_one: bool,
         floating: bool,
         virtual_ground: bool,
+        grounded: bool,
     ) -> None:
         """The laws of a board.
 
@@ -95,6 +97,7 @@ class Law:
             one_by_one: whether idle columns carry no load.
             floating: whether idle rows float.
             virtual_ground: whether amplifiers hold the columns.
+            grounded: whether idle columns of a divider are grounded.
 
         """
         self.law = PortLaw(*(np.array(np.broadcast_to(part, (2, len(wire))), order="C") for part in law))
@@ -107,6 +110,8 @@ class Law:
         """whether a follower drives the idle lines"""
         self.cancels = virtual_ground and not floating
         """whether columns stand next to the idle lines, so that offsets alone drive currents into their shorts"""
+        self.ties_down = grounded and self.has_leads
+        """whether a short ties its row to the ground while its column is idle"""
         self.behind: FloatArray = np.abs((c1 - w1 * (not self.has_potential)) / i1)
         """(M,) ohm, potential of a column above the idle lines per current into its end"""
         rows, columns = absent.shape
@@ -172,6 +177,29 @@ class Law:
                 share = max(bridge / (bridge + max(of_row[row], LEAST)) for row in rows)
                 factor[list(rows)] *= hypot(1.0, share) / max(1.0 - share**2, LEAST)
         return factor
+
+    def may_tie_down(self, ports: Ports, of_left: FloatArray) -> BoolArray:
+        """Columns (M,) with a cell that may tie its row down to a grounded idle column more than the laws count.
+
+        While its column j is idle, cell (i, j) leaves row i the share x = 1 - r_i D_ij of the drive: at least that of a
+        short, and what the readings of other columns l demand, C_il / W_il <= x (1 - sum of the others' C / W). The
+        row's other cells are then D_il / x. While column j is read, they take r_i sum_l D_il / x of its drive. Where a
+        short explains all that is missing in column j, two scales give the same readings. ``of_left`` is the error of
+        what is left of the drive at the columns.
+        """
+        lead, share = self.lead[:, None], np.maximum(ports.share, 0.0)
+        demanded = share / np.maximum(share + np.maximum(ports.left, 0.0), LEAST)
+        highest = np.argmax(demanded, axis=1)
+        others = np.repeat(demanded.max(axis=1)[:, None], len(self.wire), axis=1)
+        rest = demanded.copy()
+        rest[np.arange(len(rest)), highest] = 0.0
+        others[np.arange(len(rest)), highest] = rest.max(axis=1)
+        least = np.maximum(self.wire / np.maximum(lead + self.wire, LEAST), others)
+        beside = np.maximum(ports.driven, 0.0)
+        beside = beside.sum(axis=1)[:, None] - beside
+        missing = ports.apart * lead / np.maximum(1.0 - least, LEAST) + share * lead * beside / np.maximum(least, LEAST)
+        tied: BoolArray = (_TIED_DOWN * missing).max(axis=0) > ports.left - of_left
+        return tied
 
     def may_follow(self, ports: Ports, volts: FloatArray, error: float, share: float) -> BoolArray:
         """Cells (N, M) whose row, or column, a follower's own error may lift by this ``share`` of the drive.

@@ -102,6 +102,10 @@ class LawErrors:
             *(self.of_driven, own_per_volt, beside, self.own, self.linear, self._std),
             *(self.of_left, self.column_open, self.of_sums, self.row_open, np.empty((3, columns))),
         )
+        if law.ties_down:
+            tied = law.may_tie_down(ports, self.of_left)
+            if tied.any():
+                self.opens, self.of_left[tied], self.column_open[tied] = True, inf, inf
         apart = law.apart(ports)
         self.apart: FloatArray | float = 1.0 if apart is None else apart
         """factor by which errors grow where bridges mix two lines"""

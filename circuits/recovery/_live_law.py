@@ -91,6 +91,7 @@ class LawLive:
             one_by_one=one_by_one,
             floating=board.floating,
             virtual_ground=board.circuit.virtual_ground,
+            grounded=one_by_one and not board.circuit.has_amplifiers and board.idle_columns == "ground",
         )
         self._enclosure = Enclosure(board, self._law, to_driver, to_end)
         self._wires = np.abs(to_driver - lead[:, None]) + np.abs(to_end - to_end.mean(axis=0))
@@ -158,7 +159,7 @@ class LawLive:
         if enclosed is not None and self._factors.renewed:
             enclosed = self._enclosure(ports, errors, cells, unknowns, volts)
         uncertainty = errors.relative(cells)
-        moved = self._factors.moved(np.minimum(uncertainty, 1.0) * np.abs(cells), uncertainty <= limit)
+        moved = self._factors.moved(np.minimum(uncertainty, 1.0) * np.abs(cells), cells, uncertainty <= limit)
         uncertainty = uncertainty + moved
         return self._reading(errors, cells, uncertainty, enclosed, unknowns, settled=settled)
 
