@@ -85,7 +85,9 @@ class Factors:
             self._coupling = np.maximum(self._coupling, self._coupling_at(np.maximum(cells, 0.0)))
             allowed = uncertainty(cells)
             matters = allowed <= limit
-            if not ((self.moved(grown * np.abs(cells - self._base), cells, matters) > _FRESH * allowed) & matters).any():
+            if not (
+                (self.moved(grown * np.abs(cells - self._base), cells, matters) > _FRESH * allowed) & matters
+            ).any():
                 return cells, True
         self.renewed = True
         return self._renewed(cells, by_law, uncertainty, error, counted, limit, grown)
