@@ -103,13 +103,17 @@ class Factors:
         """Relative change of ``cells`` by their factors, to first order, by a ``change`` in S of these; 0 at first."""
         if self._base is None:
             return np.zeros(change.shape)
-        off, most = np.empty(change.shape), self._base
+        off, differs = np.empty(change.shape), self._added != 0.0
         if self._any_added:
-            matters, most = matters & (self._added == 0.0), np.maximum(most, np.abs(self._added))
+            matters = matters & ~differs
         sums = self._row_sums, self._column_sums
         self._move(change, self._base, self._beyond, self._coupling, *sums, matters, np.empty(change.shape[1]), off)
         # What passes beside a cell does not fall with it.
-        off *= np.maximum(most / np.maximum(cells, OPEN), 1.0)
+        least = np.maximum(cells, OPEN)
+        off += self._beyond * change * np.maximum(1.0 / least - 1.0 / self._base, 0.0)
+        if self._any_added:
+            most = np.maximum(self._base, np.abs(self._added))
+            off = np.where(differs, off * np.maximum(most / least, 1.0), off)
         return off
 
     def _renewed(

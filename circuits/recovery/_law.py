@@ -233,6 +233,14 @@ class Law:
             follows = follows | ties.any(axis=0) | ties.any(axis=1)[:, None]
         return follows
 
+    def feeds(self, ports: Ports, volts: FloatArray, share: float) -> BoolArray:
+        """Cells (N, M) of which a short elsewhere in the column may bring, or take, this ``share`` of the current."""
+        (i0, i1), (c0, c1), _ = self.law
+        above = (c0 + c1 * volts) - self.wire * (i0 + i1 * volts)
+        most = 1.0 / (self.wire + self._beside_end.min(axis=0) + _SHORTED)
+        fed: BoolArray = most * np.abs(above) > share * np.abs(i0 + i1 * volts)
+        return fed
+
     def at_end(self, ports: Ports, error: float) -> BoolArray:
         """Cells (N, M) of readings whose ``error`` in V may hide the whole drive of their rows."""
         (w0, w1) = self.law.drive

@@ -118,6 +118,8 @@ class LawErrors:
         if law.follows:
             at_end = law.at_end(ports, _WITHIN * self.error)
             lost = law.may_follow(ports, volts, self.error, _FOLLOWS) | at_end
+            if at_end.any():
+                lost |= at_end.any(axis=0) & law.feeds(ports, volts, _FOLLOWS)
             if lost.any():
                 self.at_end = at_end if at_end.any() else None
                 self.opens, self.linear = True, np.where(lost, inf, self.linear)
