@@ -10,24 +10,12 @@ from ._board import REFERENCE_BOARDS, BoardKind, BoardSettings, FirmwareBoard, c
 from ._circuit import REFERENCE_RESISTORS_OHM, reference_outputs
 from ._engines import AVR8JS, Engine, missing_for
 from ._loop import FirmwareInService
-from ._measure import (
-    BAUD_RATES,
-    ERROR_BUDGET_STEPS,
-    PRESCALERS_LOG2,
-    DwellError,
-    FrameRate,
-    dwell_error,
-    fastest_scan,
-    line_rate,
-)
-from ._processor import CLOCK_HZ, Processor
+from ._measure import ERROR_BUDGET_STEPS, DwellError, dwell_error
+from ._processor import Processor
 
 __all__ = [
     "AVR8JS",
-    "BAUD_RATES",
-    "CLOCK_HZ",
     "ERROR_BUDGET_STEPS",
-    "PRESCALERS_LOG2",
     "REFERENCE_BOARDS",
     "REFERENCE_RESISTORS_OHM",
     "BoardKind",
@@ -36,12 +24,9 @@ __all__ = [
     "Engine",
     "FirmwareBoard",
     "FirmwareInService",
-    "FrameRate",
     "Processor",
     "check_scene",
     "dwell_error",
-    "fastest_scan",
-    "line_rate",
     "missing_for",
     "reference_outputs",
 ]
