@@ -49,10 +49,3 @@ def scatter(values: FloatArray) -> float:
 
 _MEDIAN_OF_NORMAL = 0.6745
 """median of the absolute values of standard normal numbers"""
-
-
-def read_only(values: AnyArray) -> AnyArray:
-    """A contiguous, read-only copy in double precision, as loops of :mod:`ohmskin.common.compiled` take."""
-    copy = np.array(values, dtype=np.float64, order="C")
-    copy.flags.writeable = False
-    return copy

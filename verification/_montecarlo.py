@@ -19,6 +19,7 @@ from ._targets import Box, Corners, Press, Target, values_of_boards
 
 BLOCK = 100
 CONFIDENCE = 0.95
+MOST_BOARDS = 10_000_000
 
 
 def blocks(samples: int) -> int:
@@ -63,29 +64,29 @@ def worst_board(target: Target, box: Box, presses: Sequence[Press], seed: int, v
     return Corners(np.array([row]), np.array([column]), np.array([sign]), x)
 
 
-def proportion_bounds(kept: int, count: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
+def proportion_bounds(kept: int, count: int) -> tuple[float, float]:
     """Two-sided Clopper-Pearson bounds of a proportion (Biometrika 26, 1934): exact, for any count."""
     if count < 1:
         return 0.0, 1.0
-    tail = (1.0 - confidence) / 2.0
+    tail = (1.0 - CONFIDENCE) / 2.0
     low = 0.0 if kept == 0 else float(beta.ppf(tail, kept, count - kept + 1))
     high = 1.0 if kept == count else float(beta.ppf(1.0 - tail, kept + 1, count - kept))
     return low, high
 
 
-def boards_needed(wanted: float, share: float, *, most: int = 10_000_000) -> int | None:
+def boards_needed(wanted: float, share: float) -> int | None:
     """The least number of boards whose lower bound reaches the wanted yield, if ``share`` of them keep the limit.
 
     Returns:
-        The number, by bisection; None if even ``most`` boards would not do, as when ``share`` is below ``wanted``.
+        The number, by bisection; None if even :data:`MOST_BOARDS` would not do, as when ``share`` is below ``wanted``.
     """
 
     def proves(count: int) -> bool:
         return proportion_bounds(math.floor(share * count + 1e-9), count)[0] >= wanted
 
-    if share <= wanted or not proves(most):
+    if share <= wanted or not proves(MOST_BOARDS):
         return None
-    low, high = 0, most
+    low, high = 0, MOST_BOARDS
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (low, middle) if proves(middle) else (middle, high)
