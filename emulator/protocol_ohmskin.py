@@ -129,10 +129,6 @@ class Serial(protocol_socket.Serial):
             selector.register(self._socket, event)
             return bool(selector.select(patience.time_left()))
 
-    def from_url(self, url: str) -> tuple[str, int]:
-        """Not used: the URL names a file."""
-        raise SerialException(f"{url} is no network address")
-
     def close(self) -> None:
         """Stop the board, and raise what it failed with."""
         if not self.is_open:
