@@ -137,9 +137,7 @@ def test_deviations_are_those_of_errors_that_are_alike(noise_steps: float) -> No
     assert 0.5 < np.sqrt(np.mean(np.concatenate(squares))) < 1.25
 
 
-@pytest.mark.parametrize(
-    ("rows", "bits", "reference_ohm"), [(16, 10, 30e3), (16, 8, 10e3), (32, 12, 30e3), (32, 10, 10e3)]
-)
+@pytest.mark.parametrize(("rows", "bits", "reference_ohm"), [(16, 8, 10e3), (32, 12, 30e3)])
 @pytest.mark.parametrize("kind", ["divider", "loaded"])
 def test_equal_cells_that_round_alike_are_nearly_as_certain_as_stated(
     kind: str, rows: int, bits: int, reference_ohm: float
@@ -151,7 +149,7 @@ def test_equal_cells_that_round_alike_are_nearly_as_certain_as_stated(
     """
     design = board(kind, rows, 3, bits, row_lead=0.0, column_lead=0.0)
     design, used = design.replace(readout={"reference_resistance": reference_ohm}), []
-    for level in np.geomspace(0.5, 2.0, 60):
+    for level in np.geomspace(0.5, 2.0, 20):
         read, cells = CountReader(design), np.full((rows, 3), level * 1e4)
         for number in range(9):
             if number == 6:
@@ -159,7 +157,7 @@ def test_equal_cells_that_round_alike_are_nearly_as_certain_as_stated(
             reading = read(adc_codes(design, scan(design, cells).volts))
             off = np.abs(reading.resistance / cells - 1.0) / reading.uncertainty
             used.append(np.max(off, where=reading.valid, initial=0.0))
-    assert np.count_nonzero(used) > 200
+    assert np.count_nonzero(used) > 60
     assert max(used) < 1.6
 
 

@@ -28,7 +28,7 @@ from ohmskin.errors import MissingExtra, SolverError
 Runner = Callable[[str], dict[str, Any]]
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", range(20))
 def test_the_sweep_agrees_with_the_reference_and_with_the_solver(seed: int) -> None:
     """Random small grids of every kind."""
     need(library_available() or command_available())

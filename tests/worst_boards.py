@@ -1,4 +1,4 @@
-"""Random boards, and an attack on their stated worst cases by chance: ``python tests/worst_boards.py [FIRST] [COUNT]``.
+"""Random boards, and an attack on their stated worst cases by chance.
 
 The attack has its own tolerances, converter, host and errors, and knows of the package only how to read many boards at
 once. What it says of a stated corner comes from :mod:`nodal`, which shares nothing with the package.
@@ -6,7 +6,6 @@ once. What it says of a stated corner comes from :mod:`nodal`, which shares noth
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ohmskin.circuits import Boards, Design, Requirement, scan_population
-from ohmskin.verification import Report, verify
+from ohmskin.verification import Report
 
 Array = NDArray[np.float64]
 Pressed = NDArray[np.bool_]
@@ -305,25 +304,3 @@ def beaten(design: Design, seed: int, report: Report, count: int = 2000) -> dict
             if value > limit + (ROOM - 1.0) * abs(limit):
                 found[quantity] = limit, max(value, found.get(quantity, (0.0, -np.inf))[1])
     return found
-
-
-def main(first: int, count: int) -> None:
-    """Print every board that chance beats or that the nodal analysis contradicts, and their number."""
-    wrong = 0
-    for seed in range(first, first + count):
-        design = random_board(seed)
-        report = verify(design, requirements=asked(design), samples=200)
-        says = stated(report)
-        found: dict[str, object] = dict(beaten(design, seed, report))
-        for quantity, value in says.items():
-            again = by_hand(design, quantity, report)
-            if not (value == again or abs(value - again) <= 1e-6 * max(abs(value), 1e-3)):
-                found[f"{quantity} of the named corner"] = value, again
-        if found:
-            wrong += 1
-            print(seed, design.readout.circuit, design.array.shape, found, flush=True)
-    print(f"{wrong} of {count} random boards beaten or not reached")
-
-
-if __name__ == "__main__":
-    main(*(int(word) for word in (sys.argv[1:] + ["0", "300"][len(sys.argv) - 1 :])))
