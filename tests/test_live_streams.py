@@ -118,15 +118,9 @@ MISREAD: dict[str, tuple[int, ...]] = {
         60000073,
     ),
 }
-STREAMS = [
-    pytest.param(family, number, marks=[pytest.mark.slow] if place else [])
-    for family, numbers in MISREAD.items()
-    for place, number in enumerate(numbers)
-]
-"""the first of each family in each run"""
 
 
-@pytest.mark.parametrize(("family", "number"), STREAMS)
+@pytest.mark.parametrize(("family", "number"), [(each, number) for each in MISREAD for number in MISREAD[each]])
 def test_streams_that_were_once_misread(family: str, number: int) -> None:
     tally = _live_hunt.LiveTally()
     _live_hunt.check(family, number, tally)

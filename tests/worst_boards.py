@@ -1,7 +1,7 @@
 """Random boards, and an attack on their stated worst cases by chance.
 
 The attack has its own tolerances, converter, host and errors, and knows of the package only how to read many boards at
-once. What it says of a stated corner comes from :mod:`nodal`, which shares nothing with the package.
+once. What it says of a stated corner comes from the exact nodal analysis of ``bench/_reference.py``.
 """
 
 from __future__ import annotations
@@ -10,10 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import nodal
 import numpy as np
 from numpy.typing import NDArray
 
+from ohmskin.bench._reference import reference_volts
 from ohmskin.circuits import Boards, Design, Requirement, scan_population
 from ohmskin.verification import Report
 
@@ -266,7 +266,7 @@ def stated(report: Report) -> dict[str, float]:
 
 
 def by_hand(design: Design, quantity: str, report: Report) -> float:
-    """The quantity at the corner that the report names, by the nodal analysis of :mod:`nodal`."""
+    """The quantity at the corner that the report names, by exact nodal analysis."""
     measurement = next(r.measurement for r in report.results if r.requirement.quantity == quantity)
     assert measurement is not None
     assert measurement.corner is not None
@@ -276,11 +276,13 @@ def by_hand(design: Design, quantity: str, report: Report) -> float:
         section, name = key.split(".")
         changes.setdefault(section, {})[name] = values[0] if len(values) == 1 else tuple(values)
     board = design.replace(**changes)
+    if quantity.endswith("headroom"):
+        board = board.replace(readout={"supply": (-np.inf, np.inf)})
     errors = np.zeros((1, 3)) if board.adc is None else np.array([[getattr(board.adc, k[4:]) for k in EITHER_SIGN[2:]]])
     frames = []
     for ohms in corner.cells_ohm:
         cells = np.array(ohms)
-        volts = nodal.read(board, cells, limited=not quantity.endswith("headroom"))
+        volts = reference_volts(board, cells)
         frames.append(as_read(design, volts[None], cells[None], errors))
     return float(errors_of(design, quantity, frames)[0][corner.cell])
 
