@@ -304,23 +304,19 @@ def test_frames_lost_before_the_first_are_counted_from_the_description() -> None
     assert lost(packet(4, us=80_000)) == [4]
 
 
+TURNED = encode(FramePacket.of(np.full((2, 3), 2000), sequence=0, time_us=0, boot_id=1))
+
+
 @pytest.mark.parametrize(
-    ("pieces", "message"),
+    ("piece", "message"),
     [
-        ([packet(5, us=10), packet(4, us=20)], "frame 4 came where 6 was next, yet the board has not started anew"),
-        (
-            [encode(FramePacket.of(np.full((2, 3), 2000), sequence=0, time_us=0, boot_id=1))],
-            "the board sends 2 x 3 cells; its design has 3 x 2",
-        ),
-        ([packet(0, level=4096)], "the board sends a count of 4096; its ADC has 12 bits"),
+        (TURNED, "the board sends 2 x 3 cells; its design has 3 x 2"),
+        (packet(0, level=4096), "the board sends a count of 4096; its ADC has 12 bits"),
     ],
 )
-def test_frames_that_contradict_the_board_are_protocol_errors(pieces: list[bytes], message: str) -> None:
-    with lossless(Script(sheet(), *pieces)) as skin:
-        for _ in pieces[1:]:
-            next(skin)
-        with pytest.raises(ProtocolError, match=re.escape(message)):
-            next(skin)
+def test_frames_that_contradict_the_board_are_protocol_errors(piece: bytes, message: str) -> None:
+    with lossless(Script(sheet(), piece)) as skin, pytest.raises(ProtocolError, match=re.escape(message)):
+        next(skin)
 
 
 def test_a_description_that_is_no_design_is_a_protocol_error() -> None:

@@ -12,11 +12,8 @@ from ohmskin.bench._reference import reference_volts
 from ohmskin.circuits import (
     Design,
     Settling,
-    Status,
-    conditioning,
     effects,
     noise,
-    recover,
     scan,
     scan_batch,
     sensitivity,
@@ -98,17 +95,6 @@ def test_every_analysis_is_that_of_the_board_turned_by_hand(seed: int) -> None:
     for effect in effects(design, cells):
         name = effect.name.replace("row", "?").replace("column", "row").replace("?", "column")
         assert effect.estimate == by_name[name], effect.name
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_cells_are_recovered(seed: int) -> None:
-    design, cells = real_design(seed, circuit="row-amplifier")
-    cells = np.clip(cells, 1e3, 1e5)
-    found = recover(design, scan(design, cells, method="exact").volts)
-    read = found.status == Status.READ
-    assert read.mean() > 0.5
-    np.testing.assert_allclose(found.resistance[read], cells[read], rtol=1e-6)
-    assert conditioning(design, cells).amplification.shape == cells.shape
 
 
 def test_contradictions_are_told_in_the_arrays_own_words() -> None:
