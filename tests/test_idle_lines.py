@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from needs import need
 from numpy.typing import NDArray
 from parts_at_random import real_design
 
@@ -22,7 +21,6 @@ from ohmskin.circuits import (
     sensitivity,
     volts_of_codes,
 )
-from ohmskin.circuits.spice import library_available, spice_scan
 from ohmskin.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -67,15 +65,6 @@ def test_one_amplifier_behind_a_switch(idle: str) -> None:
     if idle == "ground":  # at the reference behind their leads: what virtual grounds do
         np.testing.assert_allclose(scan(design, cells).volts, scan(parallel, cells).volts, rtol=1e-12)
         assert round(apparent) == 3482
-
-
-@pytest.mark.parametrize("circuit", ["inverting-amplifier", "voltage-divider", "row-amplifier"])
-@pytest.mark.parametrize("seed", range(8))
-def test_ngspice_reads_the_same(circuit: str, seed: int) -> None:
-    need(library_available())
-    limits: dict[str, Any] = {"supply": (-0.05, 2.0)} if seed % 2 else {}
-    design, cells = real_design(seed, circuit=circuit, faults=seed % 3, idle_lines=True, **limits)
-    np.testing.assert_allclose(spice_scan(design, cells), scan(design, cells).volts, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("rows", ["ground", "pull"])
