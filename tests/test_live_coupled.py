@@ -6,38 +6,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from designs import KINDS, digitised
 
 from ohmskin.bench import _live_streams
 from ohmskin.circuits import Design, Reason, adc_codes, scan
 from ohmskin.driver import CountReader
 
-KINDS = {
-    "divider": ("voltage-divider", "ground", "float"),
-    "loaded": ("voltage-divider", "ground", "load"),
-    "open divider": ("voltage-divider", "float", "float"),
-    "floating loaded": ("voltage-divider", "float", "load"),
-    "feedback": ("voltage-feedback", "ground", "float"),
-    "floating": ("inverting-amplifier", "float", "float"),
-    "floating rows": ("row-amplifier", "float", "float"),
-    "grounded": ("inverting-amplifier", "ground", "float"),
-}
-
 
 def board(kind: str, rows: int, columns: int, bits: int = 12, *, fault: Any = (), **array: Any) -> Design:
-    circuit, idle_rows, idle_columns = KINDS[kind]
-    amplified = circuit.endswith("amplifier")
-    readout = {"circuit": circuit, "reference_resistance": 2e3 if amplified else 5e3, "idle_columns": idle_columns}
-    if circuit != "voltage-divider":
-        readout |= {"open_loop_gain": 1e4, "offset_voltage": 1e-3}
-    return Design.model_validate(
-        {
-            "array": {"rows": rows, "columns": columns, "row_lead": 5.0, "column_lead": 5.0} | array,
-            "drive": {"voltage": -1.0 if amplified else 3.3, "idle_rows": idle_rows},
-            "readout": readout,
-            "adc": {"bits": bits, "range": [0.0, 3.3]},
-            "fault": fault,
-        }
-    )
+    real = {} if KINDS[kind][0] == "voltage-divider" else {"open_loop_gain": 1e4, "offset_voltage": 1e-3}
+    lines = {"row_lead": 5.0, "column_lead": 5.0} | array
+    return digitised(kind, rows, columns, bits, fault=fault, array=lines, readout=real)
 
 
 @pytest.mark.parametrize("shape", [(1, 6), (4, 1)])

@@ -6,34 +6,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from designs import digitised
 
 from ohmskin.circuits import Design, adc_codes, scan
 from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import CountReader
 
-KINDS = {
-    "divider": ("voltage-divider", "ground", "float"),
-    "loaded": ("voltage-divider", "ground", "load"),
-    "open divider": ("voltage-divider", "float", "float"),
-    "feedback": ("voltage-feedback", "ground", "float"),
-}
 RESISTANCES = (1e-3, 1e-2, 0.1, 1.0, 10.0, 30.0, 100.0)
 """ohm of a short"""
 
 
-def board(kind: str, shape: tuple[int, int], bits: int = 10, **changes: Any) -> Design:
-    circuit, idle_rows, idle_columns = KINDS[kind]
-    readout: dict[str, Any] = {"circuit": circuit, "reference_resistance": 4.7e3, "idle_columns": idle_columns}
-    if circuit == "voltage-feedback":
-        readout["open_loop_gain"] = 1e3
-    return Design.model_validate(
-        {
-            "array": {"rows": shape[0], "columns": shape[1]} | changes.pop("array", {}),
-            "drive": {"voltage": 3.3, "idle_rows": idle_rows},
-            "readout": readout | changes.pop("readout", {}),
-            "adc": {"bits": bits, "range": [0.0, 3.3]},
-        }
-    )
+def board(kind: str, shape: tuple[int, int], bits: int = 10, *, array: Any = None, readout: Any = None) -> Design:
+    parts = {"reference_resistance": 4.7e3} | ({"open_loop_gain": 1e3} if kind == "feedback" else {})
+    return digitised(kind, *shape, bits, array=array or {}, readout=parts | (readout or {}))
 
 
 def counts_of(design: Design, cells: FloatArray) -> Any:
@@ -60,7 +45,7 @@ def places(draw: np.random.Generator, shape: tuple[int, int], form: str) -> list
 
 
 @pytest.mark.parametrize("form", ["row", "column", "rectangle"])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["divider", "loaded", "open divider", "feedback"])
 def test_shorts_of_a_line_are_never_read_as_other_cells(kind: str, form: str) -> None:
     """They come and go in mid-stream; lines, converters and references are drawn."""
     draw = np.random.default_rng([*kind.encode(), *form.encode()])
