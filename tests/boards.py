@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from patience import Patience
 
 from ohmskin.driver import Arrival, BytePort, Skin
@@ -50,7 +51,12 @@ def identity(
 
 
 def frame(
-    sequence: int, *, boot_id: int = 1, level: int | list[int] = 2000, flags: Flag = Flag.NONE, us: int | None = None
+    sequence: int,
+    *,
+    boot_id: int = 1,
+    level: int | list[int] | NDArray[np.int64] = 2000,
+    flags: Flag = Flag.NONE,
+    us: int | None = None,
 ) -> bytes:
     """A frame of that board, with counts ``level`` in all cells or rows, at ``us`` or its number in ms."""
     counts, time_us = np.full((3, 2), level), 1000 * sequence if us is None else us

@@ -32,3 +32,33 @@ def divider(rows: int, columns: int, *, idle_rows: str = "float", idle_columns: 
             {"circuit": "voltage-divider", "reference_resistance": 1000.0, "idle_columns": idle_columns}
         ),
     )
+
+
+KINDS = {
+    "divider": ("voltage-divider", "ground", "float"),
+    "loaded": ("voltage-divider", "ground", "load"),
+    "open divider": ("voltage-divider", "float", "float"),
+    "floating loaded": ("voltage-divider", "float", "load"),
+    "feedback": ("voltage-feedback", "ground", "float"),
+    "floating": ("inverting-amplifier", "float", "float"),
+    "floating rows": ("row-amplifier", "float", "float"),
+    "grounded": ("inverting-amplifier", "ground", "float"),
+}
+"""circuit, idle rows and idle columns"""
+
+
+def digitised(kind: str, rows: int, columns: int, bits: int, *, fault: Any = (), **sections: Any) -> Design:
+    """A board of one of :data:`KINDS` behind a converter of 3.3 V, with the given keys of its sections."""
+    circuit, idle_rows, idle_columns = KINDS[kind]
+    amplified = circuit.endswith("amplifier")
+    return Design.model_validate(
+        {
+            "array": {"rows": rows, "columns": columns} | sections.get("array", {}),
+            "drive": {"voltage": -1.0 if amplified else 3.3, "idle_rows": idle_rows},
+            "readout": {"circuit": circuit, "reference_resistance": 2e3 if amplified else 5e3}
+            | {"idle_columns": idle_columns}
+            | sections.get("readout", {}),
+            "adc": {"bits": bits, "range": [0.0, 3.3]},
+            "fault": fault,
+        }
+    )

@@ -328,6 +328,7 @@ def test_parameters_that_the_simulator_drops_decide_nothing(tmp_path: Path) -> N
 def test_a_hopeless_run_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     need(spice.command_available())
     monkeypatch.setattr("ohmskin.circuits.spice._ngspice.LEAST_LIMIT_S", 1)
+    monkeypatch.setattr("ohmskin.circuits.spice._ngspice.LIMIT_PER_CARD_S", 0)
     design = _published(tmp_path, more=NEVER_ENDING)
     with pytest.raises(SolverError, match="s of processor time"):
         spice.dynamic_reading(design, np.full((2, 2), 1e4), 0, period=1.0, analyses=["transient"])

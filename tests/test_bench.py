@@ -251,27 +251,6 @@ def test_the_command_prints_all_three(monkeypatch: pytest.MonkeyPatch, capsys: p
     assert sum("median_age" in row for row in rows) == 1
 
 
-def test_frames_that_wait_in_a_queue_are_those_of_a_reader_who_is_in_time() -> None:
-    """How many frames come together, and when the reader takes them, changes nothing of what they say."""
-    board = design(6, "inverting-amplifier", "ground", 10)
-    packets = packets_of(board, pressed((6, 6), 120)[1])
-    shown = []
-    for together in (1, 7, 120):
-        port = PacedPort(packets, 1.0, board)
-        with Skin(port, design=board, cell=Cell.example(), delivery="every", timeout=60.0) as skin:
-            taken = []
-            for number in range(len(packets)):
-                if number % together == 0:
-                    port.work(float(together))
-                frame = skin.read(0.0)
-                taken.append((frame.sequence, frame.reason, frame.resistance, frame.pressure, frame.pressure_std))
-        shown.append(taken)
-    for other in shown[1:]:
-        for one, same in zip(shown[0], other, strict=True):
-            for value, expected in zip(same, one, strict=True):
-                np.testing.assert_array_equal(value, expected)
-
-
 @pytest.mark.parametrize(("circuit", "idle_rows"), [("voltage-divider", "float"), ("inverting-amplifier", "ground")])
 def test_the_least_deviation_of_a_frame_is_that_of_the_linear_law(circuit: str, idle_rows: str) -> None:
     """Beside the inverse of the information matrix by differences of the circuit model; and no fit is better."""

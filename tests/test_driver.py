@@ -9,7 +9,8 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from boards import DESIGN, Script, Wire, gone, lossless, scene
+from boards import DESIGN, Script, Wire, gone, lossless, scene, sheet
+from boards import frame as packet
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -288,16 +289,6 @@ def test_what_the_line_spoils_is_counted_as_lost_and_never_believed() -> None:
         np.testing.assert_array_equal(frame.counts, taken[frame.sequence].counts)
 
 
-def sheet(sequence: int = 0, time_us: int = 0) -> bytes:
-    what = scene().skin
-    text = write_description(what.design.model_dump(), what.cell.model_dump())
-    return encode(DescriptionPiece(sequence, time_us, 0, len(text), text))
-
-
-def frame(sequence: int, time_us: int, *, level: int = 2000, shape: tuple[int, int] = (3, 2)) -> bytes:
-    return encode(FramePacket.of(np.full(shape, level), sequence=sequence, time_us=time_us))
-
-
 def lost(*pieces: bytes) -> list[int]:
     with lossless(Script(sheet(), *pieces)) as skin:
         return [frame.lost_before for frame in islice(skin, len(pieces))]
@@ -305,28 +296,27 @@ def lost(*pieces: bytes) -> list[int]:
 
 def test_losses_are_counted_across_the_wrap_of_the_sequence_number() -> None:
     top = 2**32 - 1
-    with lossless(Script(sheet(top, 5), frame(top, 5), frame(0, 6), frame(3, 7))) as skin:
+    with lossless(Script(sheet(sequence=top), packet(top, us=5), packet(0, us=6), packet(3, us=7))) as skin:
         assert [frame.lost_before for frame in islice(skin, 3)] == [0, 0, 2]
 
 
 def test_frames_lost_before_the_first_are_counted_from_the_description() -> None:
-    assert lost(frame(4, 80_000)) == [4]
+    assert lost(packet(4, us=80_000)) == [4]
+
+
+TURNED = encode(FramePacket.of(np.full((2, 3), 2000), sequence=0, time_us=0, boot_id=1))
 
 
 @pytest.mark.parametrize(
-    ("pieces", "message"),
+    ("piece", "message"),
     [
-        ([frame(5, 10), frame(4, 20)], "frame 4 came where 6 was next, yet the board has not started anew"),
-        ([frame(0, 0, shape=(2, 3))], "the board sends 2 x 3 cells; its design has 3 x 2"),
-        ([frame(0, 0, level=4096)], "the board sends a count of 4096; its ADC has 12 bits"),
+        (TURNED, "the board sends 2 x 3 cells; its design has 3 x 2"),
+        (packet(0, level=4096), "the board sends a count of 4096; its ADC has 12 bits"),
     ],
 )
-def test_frames_that_contradict_the_board_are_protocol_errors(pieces: list[bytes], message: str) -> None:
-    with lossless(Script(sheet(), *pieces)) as skin:
-        for _ in pieces[1:]:
-            next(skin)
-        with pytest.raises(ProtocolError, match=re.escape(message)):
-            next(skin)
+def test_frames_that_contradict_the_board_are_protocol_errors(piece: bytes, message: str) -> None:
+    with lossless(Script(sheet(), piece)) as skin, pytest.raises(ProtocolError, match=re.escape(message)):
+        next(skin)
 
 
 def test_a_description_that_is_no_design_is_a_protocol_error() -> None:
@@ -339,9 +329,9 @@ def test_a_description_that_is_no_design_is_a_protocol_error() -> None:
 def test_a_design_given_goes_before_the_description() -> None:
     ideal = design(array={"rows": 3, "columns": 2})
     other = design(array={"rows": 3, "columns": 2}, readout=DESIGN["readout"] | {"reference_resistance": 10e3})
-    with lossless(Script(sheet(), frame(0, 0)), design=other) as skin:
+    with lossless(Script(sheet(), packet(0)), design=other) as skin:
         theirs = next(skin).resistance
-    with lossless(Script(sheet(), frame(0, 0)), design=ideal) as skin:
+    with lossless(Script(sheet(), packet(0)), design=ideal) as skin:
         np.testing.assert_allclose(next(skin).resistance, 2 * theirs)
 
 
@@ -397,7 +387,7 @@ def test_another_family_of_boards_needs_another_protocol_only() -> None:
 @settings(max_examples=30)
 @given(st.lists(st.binary(max_size=200), max_size=8))
 def test_whatever_arrives_ends_in_a_frame_or_a_link_or_protocol_error(pieces: list[bytes]) -> None:
-    with lossless(Script(sheet(), *pieces, b"\0" + frame(0, 0), last=gone)) as skin:
+    with lossless(Script(sheet(), *pieces, b"\0" + packet(0), last=gone)) as skin:
         assert next(skin).sequence == 0
         with pytest.raises(LinkError, match="gone"):
             next(skin)

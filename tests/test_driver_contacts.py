@@ -100,23 +100,6 @@ def test_every_cell_is_in_at_most_one_contact_and_ids_are_distinct(seed: int, pr
             assert contact.peak_kpa > 0.03 * FULL_KPA or k > 0
 
 
-def test_ids_last_while_contacts_move_and_pass_each_other() -> None:
-    """Two fingers, one going right along row 4, the other left along row 11; a third comes and goes."""
-    frames = []
-    for k in range(60):
-        pressure = bump((16, 16), 4, 2 + 0.2 * k, 10.0) + bump((16, 16), 11, 13 - 0.2 * k, 8.0)
-        if 20 <= k < 30:
-            pressure = pressure + bump((16, 16), 15, 0, 6.0)
-        frames.append(pressure)
-    seen = track(frames)
-    upper = [next(c.id for c in contacts if c.y_mm < 24) for contacts in seen]
-    lower = [next(c.id for c in contacts if 32 < c.y_mm < 56) for contacts in seen]
-    assert set(upper) == {1}
-    assert set(lower) == {2}
-    assert [len(contacts) for contacts in seen] == [3 if 20 <= k < 30 else 2 for k in range(60)]
-    assert {c.id for contacts in seen for c in contacts} == {1, 2, 3}
-
-
 def fingers(paths: FloatArray, rate_hz: float, seed: int, noise_kpa: float = 0.1) -> list[tuple[Contact, ...]]:
     """Contacts of fingers with forces of their own. ``paths`` (fingers, frames, 2) are rows and columns of cells."""
     rng = np.random.default_rng(seed)

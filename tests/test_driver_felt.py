@@ -198,9 +198,6 @@ def test_a_held_load_never_fades(peak: float, width: float) -> None:
     assert seen[-1][0].force_n == seen[12][0].force_n
 
 
-# -- fingers beside each other --------------------------------------------------------------------------------------
-
-
 # -- scenes of the bench on a whole skin -------------------------------------------------------------------------------
 
 AMPLIFIER, DIVIDER = played.BOARDS[0], played.BOARDS[2]

@@ -374,16 +374,6 @@ class TestReaders:
             asyncio.run(follow(2))
             assert sorted(taken) == [2, 5, 5, 5]
 
-    def test_a_refused_tare_takes_no_frames(self) -> None:
-        with lossless(described(*(frame(k, level=[2000, 600]) for k in range(4)))) as skin:
-            with pytest.raises(InputError, match="differ from the others"):
-                skin.tare(2)
-            assert skin.tared is None
-            assert next(skin).sequence == 0
-            skin.tare(2, force=True)
-            after = next(skin)
-            assert (after.sequence, after.skipped_before) == (3, 0)
-
     @pytest.mark.parametrize("kind", ["pty", "tcp", "rfc2217", "ohmskin"])
     def test_opening_again_and_again_leaves_no_thread_and_no_descriptor(self, kind: str) -> None:
         """Also where the body of the ``with`` raises, and where the family does not fit."""

@@ -297,14 +297,6 @@ class TestEnds:
                     ask()
             skin.close()
 
-    def test_a_callback_may_close_the_skin(self) -> None:
-        port = described()
-        skin = Skin(port)
-        skin.on_frame(lambda frame: skin.close())
-        port.say(frame(0))
-        until(lambda: port.closed)
-        assert list(skin) == []
-
 
 class TestDamage:
     """Duplicates, faults and overruns."""

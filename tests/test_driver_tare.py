@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from boards import DESIGN, Script, Wire, frame, identity, lossless, scene, sheet, until
+from boards import DESIGN, Script, Wire, described, frame, identity, lossless, scene, sheet, until
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -27,7 +27,6 @@ from ohmskin.driver import Skin, Tare
 from ohmskin.driver._tare import EarlierRest, RestReadings
 from ohmskin.emulator import Board
 from ohmskin.errors import InputError
-from ohmskin.wire import DescriptionPiece, FramePacket, Identity, encode, write_description
 
 CELL = Cell.example()
 REST = CELL.rest_resistance_ohm
@@ -328,19 +327,8 @@ def test_a_tare_of_another_board_is_refused_also_where_the_board_describes_itsel
         later.join()
 
 
-def conversation(numbers: list[int]) -> list[bytes]:
-    what = scene().skin
-    counts = adc_codes(what.design, scan(what.design, np.full((3, 2), REST)).volts)
-    text = write_description(what.design.model_dump(), what.cell.model_dump())
-    head = [
-        encode(Identity(0, 0, 3, 2, 12, True, 1000, len(text), "A1", "test", 1)),
-        encode(DescriptionPiece(0, 0, 0, len(text), text, 1)),
-    ]
-    return head + [encode(FramePacket.of(counts, sequence=k, time_us=1000 * k, boot_id=1)) for k in numbers]
-
-
 def test_frames_lost_during_a_tare_count() -> None:
-    with lossless(Script(*conversation([0, 1, 5, 6, 9, 10]))) as skin:
+    with lossless(described(*map(frame, [0, 1, 5, 6, 9, 10]))) as skin:
         next(skin)
         tare = skin.tare(4)
         after = next(skin)
@@ -349,26 +337,26 @@ def test_frames_lost_during_a_tare_count() -> None:
 
 
 def test_a_tare_takes_frames_of_now_and_not_those_that_wait() -> None:
-    port = Script(*conversation(list(range(20))))
+    port = described(*map(frame, range(20)))
     with Skin(port, delivery="every") as skin:
         until(lambda: skin.stats().frames == 20)
-        coming = threading.Timer(0.1, port.say, conversation(list(range(20, 30)))[2:])
+        coming = threading.Timer(0.1, port.say, map(frame, range(20, 30)))
         coming.start()
         tare = skin.tare(3)
         coming.join()
         assert tare.frames == 3
-        port.say(*conversation([30])[2:])
+        port.say(frame(30))
         until(lambda: skin.stats().frames == 31)
         after = next(skin)
         assert after.skipped_before == (after.sequence or 0) - 3
 
 
 def test_after_a_tare_no_old_estimate_is_handed_out() -> None:
-    port = Script(*conversation([0]))
+    port = described(frame(0))
     with Skin(port) as skin:
         assert skin.latest(60.0, timeout=10.0).sequence == 0
         skin.use_tare(Tare(np.full((3, 2), 2 * REST), np.ones((3, 2), bool), np.zeros((3, 2)), 1, 0, "A1", 0.0))
-        port.say(*conversation([1])[2:])
+        port.say(frame(1))
         new = skin.latest(60.0, timeout=10.0)
         assert new.sequence == 1
         assert new.estimator_restarted

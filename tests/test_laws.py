@@ -156,6 +156,8 @@ def test_a_divider_stays_between_drive_and_reference(seed: int) -> None:
 EXTREME_CELLS = {
     "1 ohm to 1 Tohm": lambda random: 10 ** random.uniform(0, 12, (3, 3)),
     "a short": lambda random: np.where(np.eye(3) * [1, 0, 0], 0.0, 10 ** random.uniform(3, 6, (3, 3))),
+    "nearly shorts": lambda random: np.where(np.eye(3), [[1e-3], [1e4], [1e-9]], 10 ** random.uniform(3, 6, (3, 3))),
+    "all open": lambda random: np.full((3, 3), inf),
     "an open line": lambda random: np.where([[0], [1], [0]], inf, 10 ** random.uniform(3, 6, (3, 3))),
 }
 

@@ -1,4 +1,4 @@
-"""Amplifier boards at their limits: leads as large as the cells, shorts beside offsets, streams once read wrong."""
+"""Amplifier boards at their limits: leads as large as the cells, shorts beside offsets."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ohmskin.bench import _live_hunt
 from ohmskin.circuits import Design, Reason, adc_codes, scan
 from ohmskin.driver import CountReader
 
@@ -180,58 +179,3 @@ def test_noise_of_fine_converters_brings_no_saturated_output_back_to_life(bits: 
             reading = read(adc_codes(design, volts + draw.normal(scale=noise_volts, size=volts.shape)))
             assert not reading.valid[[1, 3], 1].any()
     assert reading.valid[0, 0]
-
-
-@pytest.mark.parametrize(
-    "stream",
-    [
-        "inverting:210000031",  # leads like the cells: did not settle
-        "inverting:210000308",
-        "inverting:310000132",
-        "inverting:310000557",
-        "row:210000527",  # the same, and off by a factor of two
-        "inverting:210000679",  # two shorts on a row: off by a factor of two
-        "inverting:93010000031",  # other columns feed a short's row: an open cell was off by a factor of two
-        "inverting:910000697",  # two columns joined by shorts on two rows: off by a factor of two
-        "row:910000038",  # heavy leads whose amplifiers have unlike offsets
-        "row events:5010000145",  # cells at the low end feed other rows by way of a broken column
-        "inverting events:3010000006",  # 18 bits: limits were not seen
-        "inverting events:3010000024",  # cells below the range beside heavy leads
-        "inverting events:3010000026",  # an offset through cells below the range
-        "inverting events:3010000074",  # a whole row of shorts joins all columns
-        "inverting events:3010000119",  # a whole column of shorts joins all rows
-        "inverting events:3010000137",
-        "inverting events:3010000151",  # did not settle, and was called known to a half
-        "row events:3050000679",  # heavy leads behind segments, with unlike offsets
-        "inverting events:3060000369",
-        "inverting events:3030000911",  # noise that takes an output at its limit back into the range
-        "row events:3020000137",  # a line shorted in mid-stream
-        "inverting events:555000002",  # noise that begins, and takes an output at its limit back into the range
-        "row extremes:202010000038",  # the same with a converter of 6 bits: off by a factor of 60
-        "inverting extremes:202020000095",
-        "inverting extremes:201010000046",  # cells shorted in the frame in which a noise begins
-        "inverting extremes:201050000042",  # open cells whose outputs an offset pushes far below the range
-        "inverting extremes:97950000151",  # 24 bits: noise from the first frame on takes an output off its limit
-        "row extremes:97950000168",
-    ],
-)
-def test_streams_that_were_once_misread(stream: str) -> None:
-    family, number = stream.split(":")
-    tally = _live_hunt.LiveTally()
-    _live_hunt.check(family, int(number), tally)
-    assert tally.findings == []
-
-
-@pytest.mark.parametrize(
-    "stream",
-    [
-        "inverting:6120000145",  # a fit that had not come to its end, called certain by its derivatives
-        "row:50000086",  # heavy leads and segments beside a cell of 1 ohm
-    ],
-)
-def test_streams_on_which_no_iteration_comes_to_an_end_have_no_wrong_cell(stream: str) -> None:
-    """Shorts behind heavy leads with segments: Kirchhoff's laws without segments lead round in a circle."""
-    family, number = stream.split(":")
-    tally = _live_hunt.LiveTally()
-    _live_hunt.check(family, int(number), tally)
-    assert tally.count("wrong cell") == tally.count("factor of two") == tally.count("unsolved") == 0

@@ -6,38 +6,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from designs import KINDS, digitised
 
 from ohmskin.bench import _live_streams
 from ohmskin.circuits import Design, Reason, adc_codes, scan
 from ohmskin.driver import CountReader
 
-KINDS = {
-    "divider": ("voltage-divider", "ground", "float"),
-    "loaded": ("voltage-divider", "ground", "load"),
-    "open divider": ("voltage-divider", "float", "float"),
-    "floating loaded": ("voltage-divider", "float", "load"),
-    "feedback": ("voltage-feedback", "ground", "float"),
-    "floating": ("inverting-amplifier", "float", "float"),
-    "floating rows": ("row-amplifier", "float", "float"),
-    "grounded": ("inverting-amplifier", "ground", "float"),
-}
-
 
 def board(kind: str, rows: int, columns: int, bits: int = 12, *, fault: Any = (), **array: Any) -> Design:
-    circuit, idle_rows, idle_columns = KINDS[kind]
-    amplified = circuit.endswith("amplifier")
-    readout = {"circuit": circuit, "reference_resistance": 2e3 if amplified else 5e3, "idle_columns": idle_columns}
-    if circuit != "voltage-divider":
-        readout |= {"open_loop_gain": 1e4, "offset_voltage": 1e-3}
-    return Design.model_validate(
-        {
-            "array": {"rows": rows, "columns": columns, "row_lead": 5.0, "column_lead": 5.0} | array,
-            "drive": {"voltage": -1.0 if amplified else 3.3, "idle_rows": idle_rows},
-            "readout": readout,
-            "adc": {"bits": bits, "range": [0.0, 3.3]},
-            "fault": fault,
-        }
-    )
+    real = {} if KINDS[kind][0] == "voltage-divider" else {"open_loop_gain": 1e4, "offset_voltage": 1e-3}
+    lines = {"row_lead": 5.0, "column_lead": 5.0} | array
+    return digitised(kind, rows, columns, bits, fault=fault, array=lines, readout=real)
 
 
 @pytest.mark.parametrize("shape", [(1, 6), (4, 1)])
@@ -137,9 +116,7 @@ def test_deviations_are_those_of_errors_that_are_alike(noise_steps: float) -> No
     assert 0.5 < np.sqrt(np.mean(np.concatenate(squares))) < 1.25
 
 
-@pytest.mark.parametrize(
-    ("rows", "bits", "reference_ohm"), [(16, 10, 30e3), (16, 8, 10e3), (32, 12, 30e3), (32, 10, 10e3)]
-)
+@pytest.mark.parametrize(("rows", "bits", "reference_ohm"), [(16, 8, 10e3), (32, 12, 30e3)])
 @pytest.mark.parametrize("kind", ["divider", "loaded"])
 def test_equal_cells_that_round_alike_are_nearly_as_certain_as_stated(
     kind: str, rows: int, bits: int, reference_ohm: float
@@ -151,7 +128,7 @@ def test_equal_cells_that_round_alike_are_nearly_as_certain_as_stated(
     """
     design = board(kind, rows, 3, bits, row_lead=0.0, column_lead=0.0)
     design, used = design.replace(readout={"reference_resistance": reference_ohm}), []
-    for level in np.geomspace(0.5, 2.0, 60):
+    for level in np.geomspace(0.5, 2.0, 20):
         read, cells = CountReader(design), np.full((rows, 3), level * 1e4)
         for number in range(9):
             if number == 6:
@@ -159,7 +136,7 @@ def test_equal_cells_that_round_alike_are_nearly_as_certain_as_stated(
             reading = read(adc_codes(design, scan(design, cells).volts))
             off = np.abs(reading.resistance / cells - 1.0) / reading.uncertainty
             used.append(np.max(off, where=reading.valid, initial=0.0))
-    assert np.count_nonzero(used) > 200
+    assert np.count_nonzero(used) > 60
     assert max(used) < 1.6
 
 

@@ -6,39 +6,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from designs import digitised
 
 from ohmskin.circuits import Design, adc_codes, scan
 from ohmskin.driver import CountReader
 
-BOARDS = {
-    "amplifiers": ("inverting-amplifier", "ground", "float"),
-    "floating amplifiers": ("inverting-amplifier", "float", "float"),
-    "divider": ("voltage-divider", "ground", "float"),
-    "loaded divider": ("voltage-divider", "ground", "load"),
-    "floating divider": ("voltage-divider", "float", "float"),
-    "follower": ("voltage-feedback", "ground", "float"),
-}
+
+def board(kind: str, bits: int = 12, **readout: Any) -> Design:
+    return digitised(kind, 6, 5, bits, array={"row_lead": 5.0, "column_lead": 5.0}, readout=readout)
 
 
-def board(name: str, bits: int = 12, **readout: Any) -> Design:
-    circuit, idle_rows, idle_columns = BOARDS[name]
-    amplified = circuit.endswith("amplifier")
-    return Design.model_validate(
-        {
-            "array": {"rows": 6, "columns": 5, "row_lead": 5.0, "column_lead": 5.0},
-            "drive": {"voltage": -1.0 if amplified else 3.3, "idle_rows": idle_rows},
-            "readout": {
-                "circuit": circuit,
-                "idle_columns": idle_columns,
-                "reference_resistance": 2e3 if amplified else 5e3,
-            }
-            | readout,
-            "adc": {"bits": bits, "range": [0.0, 3.3]},
-        }
-    )
-
-
-@pytest.mark.parametrize("name", ["amplifiers", "divider", "loaded divider", "follower"])
+@pytest.mark.parametrize("name", ["grounded", "divider", "loaded", "feedback"])
 def test_variances_and_what_a_column_shares_are_those_of_repeated_readings(name: str) -> None:
     design, draw = board(name, 16), np.random.default_rng(3)
     assert design.adc is not None
@@ -58,11 +36,11 @@ def test_variances_and_what_a_column_shares_are_those_of_repeated_readings(name:
     together = np.mean(deviation[:, 0] * deviation[:, 3], axis=0) / (
         told.column_std[0] * told.column_std[3] * surely + 1e-30
     )
-    if name in ("divider", "loaded divider"):
+    if name in ("divider", "loaded"):
         assert together.mean() == pytest.approx(1.0, abs=0.5)
 
 
-@pytest.mark.parametrize("name", list(BOARDS))
+@pytest.mark.parametrize("name", ["grounded", "floating", "divider", "loaded", "open divider", "feedback"])
 def test_steps_without_noise_are_within_what_is_stated(name: str) -> None:
     design, draw = board(name, 10), np.random.default_rng(5)
     for _ in range(5):
@@ -76,7 +54,7 @@ def test_steps_without_noise_are_within_what_is_stated(name: str) -> None:
         assert np.mean(off <= 1.01 * told.half_step[known] + 4.0 * np.sqrt(told.noise_variance[known])) > 0.9
 
 
-@pytest.mark.parametrize("name", ["amplifiers", "follower", "divider"])
+@pytest.mark.parametrize("name", ["grounded", "feedback", "divider"])
 @pytest.mark.parametrize("odd", [1e-2, np.inf])
 def test_a_reading_at_a_limit_is_an_interval(name: str, odd: float) -> None:
     design = board(name, **({} if name == "divider" else {"supply": (-0.2, 3.3)}))
@@ -94,7 +72,7 @@ def test_a_reading_at_a_limit_is_an_interval(name: str, odd: float) -> None:
 
 
 def test_what_is_not_known_has_no_value() -> None:
-    design = board("floating divider")
+    design = board("open divider")
     cells = np.full((6, 5), 6e3)
     cells[2, 3] = 1e-3
     told = CountReader(design)(adc_codes(design, scan(design, cells).volts)).readings

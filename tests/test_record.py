@@ -20,14 +20,15 @@ from pathlib import Path
 import hostile
 import numpy as np
 import pytest
-from boards import Script, Wire, gone, scene, until
+from boards import Script, Wire, gone, identity, scene, sheet, until
+from boards import frame as packet
 
 from ohmskin.cli import run
 from ohmskin.common.config import fingerprint
 from ohmskin.driver import Calibration, Frame, Recorder, Skin, to_xarray
 from ohmskin.emulator import Board, PtyPort, running
 from ohmskin.errors import InputError, LinkEnded, ProtocolError
-from ohmskin.wire import DescriptionPiece, Flag, FramePacket, Identity, encode, write_description
+from ohmskin.wire import Flag
 
 ARRAYS = ("counts", "rest_counts", "valid", "resistance", "pressure", "pressure_std")
 NUMBERS = (
@@ -50,26 +51,14 @@ def same(one: Frame, other: Frame) -> bool:
 
 
 def pieces(numbers: range, *, boot_id: int = 1, last: bool = False) -> list[bytes]:
-    what = scene().skin
-    text = write_description(what.design.model_dump(), what.cell.model_dump())
-    head = [
-        encode(Identity(0, 0, 3, 2, 12, True, 1000, len(text), "A1", "test", boot_id)),
-        encode(DescriptionPiece(0, 0, 0, len(text), text, boot_id)),
-    ]
-    rng = np.random.default_rng(boot_id)
+    """What a board says: who it is, its description, and frames of these numbers."""
+    draw = np.random.default_rng(boot_id)
+    ends = {numbers[-1]: Flag.LAST} if last else {}
     frames = [
-        encode(
-            FramePacket.of(
-                2000 + rng.integers(-40, 40, (3, 2)),
-                sequence=k,
-                time_us=1000 * k,
-                boot_id=boot_id,
-                flags=Flag.LAST if last and k == numbers[-1] else Flag.NONE,
-            )
-        )
+        packet(k, boot_id=boot_id, level=2000 + draw.integers(-40, 40, (3, 2)), flags=ends.get(k, Flag.NONE))
         for k in numbers
     ]
-    return head + frames
+    return [identity(boot_id), sheet(boot_id), *frames]
 
 
 def recorded(path: Path, count: int = 200) -> list[Frame]:

@@ -319,13 +319,6 @@ def test_a_cell_behind_a_complete_short_is_not_invented() -> None:
     np.testing.assert_allclose(recovery.resistance, cells, rtol=1e-6)
 
 
-def test_through_a_continuous_sheet() -> None:
-    cells = 10 ** np.random.default_rng(2).uniform(3.5, 4, (3, 3))
-    design = amplifier(3, 3, lead=5.0)
-    sheet = design.replace(array={"sheet": "continuous"})
-    np.testing.assert_allclose(recover(sheet, scan(sheet, cells).volts).resistance, cells, rtol=1e-9)
-
-
 def test_a_short_in_a_continuous_sheet_is_beside_the_cell_and_not_part_of_it() -> None:
     cells = 10 ** np.random.default_rng(2).uniform(3.5, 4, (3, 3))
     design = amplifier(3, 3, lead=5.0)
@@ -437,14 +430,3 @@ def test_an_open_cell_does_not_hide_its_neighbour(cell: float, offset: float, dr
     found = recover(design, scan(design, cells).volts)
     np.testing.assert_allclose(found.resistance, cells, rtol=1e-9)
     assert found.status.ravel().tolist() == [Status.READ, Status.OPEN]
-
-
-def test_a_complete_short_is_never_called_open() -> None:
-    """It holds its column at the drive: of the column nothing else is left to read."""
-    design = amplifier(4, 2, open_loop_gain=1e3, offset_voltage=1e-3)
-    cells = np.full((4, 2), 5e3)
-    cells[0, 0] = 0.0
-    found = recover(design, scan(design, cells).volts)
-    assert (found.status != Status.OPEN).all()
-    assert found.resistance[0, 0] == 0
-    np.testing.assert_allclose(found.resistance[1:, 1], 5e3, rtol=1e-9)

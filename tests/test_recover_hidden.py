@@ -60,20 +60,6 @@ def test_dividers_with_a_broken_line_claim_no_cell_that_the_loose_ones_shift(
         assert is_honest(found, cells).all(), (place, cells, found)
 
 
-def test_the_loose_row_of_a_divider_makes_its_neighbours_unknown() -> None:
-    board = design(
-        2,
-        2,
-        {"kind": "broken-row", "place": [1, 0]},
-        circuit="voltage-divider",
-        array={"row_lead": 10.0, "column_lead": 10.0},
-    )
-    found = recover(board, reference_volts(board, [[11100, 3500], [2900, 11100]]))
-    assert (found.status[0] == Status.DISTURBED).all()
-    assert (found.status[1] == Status.HIDDEN).all()
-    assert np.isinf(found.uncertainty).all()
-
-
 @pytest.mark.parametrize("idle_rows", ["ground", "float"])
 def test_a_row_that_a_wire_ties_to_an_ideal_driver_is_hidden_not_open(idle_rows: str) -> None:
     board = design(

@@ -46,14 +46,6 @@ def test_noise_that_grows_is_noticed_and_noise_that_ends_is_forgotten() -> None:
     assert seen[-1] < 1.8
 
 
-def test_a_press_that_moves_all_readings_is_no_noise() -> None:
-    rng = np.random.default_rng(3)
-    time = np.arange(60)
-    load = np.interp(time, [10, 18, 35, 36], [0.0, 1.0, 1.0, 0.0])[:, None, None]  # slowly on, at once off
-    volts = 0.3 * load * rng.uniform(0.2, 1.0, (8, 8)) + rng.normal(scale=0.5 * STEP, size=(60, 8, 8))
-    assert max(measured(volts)) < 1.5
-
-
 @pytest.mark.parametrize("steps", [0.6, 3.0, 20.0])
 @pytest.mark.parametrize("cells", [(1, 1), (1, 2), (2, 2), (3, 5)])
 def test_few_readings_rarely_show_less_noise_than_there_is(cells: tuple[int, int], steps: float) -> None:
@@ -63,12 +55,6 @@ def test_few_readings_rarely_show_less_noise_than_there_is(cells: tuple[int, int
         seen = measured(rng.normal(scale=steps * STEP, size=(6, *cells)))[1:]
         low.append(np.array(seen) / steps < 0.9)
     assert np.mean(low, axis=0)[3:].max() < 0.12
-
-
-def test_many_readings_leave_little_open() -> None:
-    rng = np.random.default_rng(8)
-    seen = measured(rng.normal(scale=3.0 * STEP, size=(200, 8, 8)))
-    assert np.median(seen[20:]) / 3.0 < 1.25
 
 
 def test_noise_that_begins_on_few_cells_is_known_in_its_third_frame() -> None:
@@ -86,20 +72,20 @@ def pressing(shape: tuple[int, int], frames: int, peak: float) -> np.ndarray:
     return peak * STEP * gain * course[:, None, None]
 
 
-@pytest.mark.parametrize("cells", [(3, 5), (8, 8), (16, 16)])
-@pytest.mark.parametrize("begins", [20, 35, 50, 66])
+@pytest.mark.parametrize("cells", [(3, 5), (12, 12)])
+@pytest.mark.parametrize("begins", [20, 50])
 def test_noise_that_begins_while_all_cells_move_is_known_in_its_third_frame(
     cells: tuple[int, int], begins: int
 ) -> None:
     """Wherever the press is: before, at and after its steepest frame. Afterwards it is known all the time."""
     scale = np.where(np.arange(90) < begins, 0.5, 20.0)[:, None, None]
     missed, later = 0, []
-    for seed in range(20):
+    for seed in range(10):
         noise = np.random.default_rng(seed).normal(size=(90, *cells))
         seen = measured(pressing(cells, 90, 3000.0) + STEP * scale * noise)
         missed += seen[begins + 2] < 12.0
         later += seen[begins + 6 :]
-    assert missed <= 3
+    assert missed <= 1
     assert np.mean(np.array(later) < 14.0) < 0.05
     assert np.median(later) < 30.0
 

@@ -201,15 +201,6 @@ def test_a_divider_against_an_ngspice_transient(name: str) -> None:
     np.testing.assert_allclose(divider_transient(design, cells, 150e-6, 5), sampled, atol=2e-4 * settling.signal)
 
 
-def test_a_divider_against_a_deck_by_hand() -> None:
-    """ngspice with edges of 100 ns: 2.7515 of 2.888 V, and 151 mV in the resting row that is read next."""
-    readout = {"reference_resistance": 1e4, "column_capacitance": 1e-8, "idle_columns": "load"}
-    design = divider(4, 1, idle_rows="ground", row_lead=100.0).replace(drive={"voltage": 5.0}, readout=readout)
-    settling = Settling(design, np.array([[7e3], [1e6], [1e6], [1e6]]))
-    np.testing.assert_allclose(settling.settled[:2, 0], [2.888, 0.0205], rtol=2e-3)
-    np.testing.assert_allclose(settling.sampled(125e-6)[:3, 0], [2.7515, 0.15059, 0.02668], atol=1e-3)
-
-
 @pytest.mark.parametrize("idle_columns", ["load", "float"])
 def test_a_divider_of_one_column_charges_like_one_rc(idle_columns: str) -> None:
     """tau = C (load, cells and lead in parallel); a sampler of 0 ohm adds its capacitance to that of the column."""
@@ -277,7 +268,7 @@ def test_rows_that_are_sensed_are_converted_in_the_order_of_their_numbers() -> N
     assert one.shortest_period(0.2) == pytest.approx(other.shortest_period(0.2), rel=1e-6)
 
 
-@pytest.mark.parametrize("seed", range(25))
+@pytest.mark.parametrize("seed", range(8))
 def test_a_ringing_amplifier_keeps_its_error_at_every_longer_period(seed: int) -> None:
     """Phase margins below 20 degrees: an error that falls below the limit and rises above it again does not count."""
     rng = np.random.default_rng(seed)

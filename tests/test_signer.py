@@ -6,10 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
+from worst_boards import asked, by_hand, stated
 
-from ohmskin.circuits import Design, Requirement, apparent_resistance, scan
+from ohmskin.circuits import Design, Requirement
 from ohmskin.verification import Report, verify
 
 WRITTEN = """
@@ -55,43 +55,10 @@ def _verified(design: Design, **asked: Any) -> Report:
     return verify(design, requirements=[Requirement(id="R", **asked)])
 
 
-def _solved_alone(design: Design, corner: Any) -> list[tuple[float, float, float]]:
-    """(true ohm, lowest and highest ohm read within half an ADC step) of the judged cell, frame by frame."""
-    sections: dict[str, dict[str, Any]] = {}
-    for key, values in corner.parts.items():
-        section, name = key.split(".")
-        sections.setdefault(section, {})[name] = tuple(values) if len(values) > 1 else values[0]
-    board = design.replace(**sections)
-    adc = board.adc
-    assert adc is not None
-    found = []
-    for frame in corner.cells_ohm:
-        cells = np.array(frame)
-        volts = scan(board, cells, method="exact").volts
-        line = volts * (1.0 + adc.gain_error) + adc.offset_voltage
-        share = line / adc.range[1]
-        converted = line + adc.inl_steps * adc.step * 4.0 * share * (1.0 - share)
-        ends = [
-            apparent_resistance(design, converted + half * adc.step)[corner.cell[0], corner.cell[1]]
-            for half in (-0.5, 0.5)
-        ]
-        found.append((float(cells[corner.cell[0], corner.cell[1]]), min(ends), max(ends)))
-    return found
-
-
-def test_named_corner_solved_alone_gives_stated_error(design: Design) -> None:
-    record = _verified(design, quantity="reading_error", max=5.0, unit="%").record().requirements[0]
-    assert record.corner is not None
-    ((true, low, high),) = _solved_alone(design, record.corner)
-    assert record.measured == pytest.approx(100 * max(abs(low / true - 1), abs(high / true - 1)), rel=1e-9)
-
-
-def test_named_corner_solved_alone_gives_stated_crosstalk(design: Design) -> None:
-    record = _verified(design, quantity="crosstalk", max=5.0, unit="%").record().requirements[0]
-    assert record.corner is not None
-    (_, low, high), (_, low_after, high_after) = _solved_alone(design, record.corner)
-    expected = max(high_after / low - 1, 1 - low_after / high)
-    assert record.measured == pytest.approx(100 * expected, rel=1e-9)
+def test_named_corners_solved_alone_give_the_stated_errors(design: Design) -> None:
+    report = verify(design, requirements=asked(design), samples=200)
+    for quantity, value in stated(report).items():
+        assert by_hand(design, quantity, report) == pytest.approx(value, rel=1e-6), quantity
 
 
 def test_pressure_is_not_judged_without_noise_and_speed(design: Design) -> None:

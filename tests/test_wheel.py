@@ -155,15 +155,18 @@ def test_the_demo_runs_without_ngspice(clean: Path, tmp_path: Path) -> None:
     assert "ngspice" in judged["reason"]
 
 
-def test_pressures_come_without_extras(clean: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("compiled", ["off", pytest.param("1", marks=pytest.mark.slow)])
+def test_pressures_come_without_extras(clean: Path, tmp_path: Path, compiled: str) -> None:
+    """Compiling takes a quarter of a minute of processor time."""
     code = (
-        "import logging, sys; logging.getLogger('ohmskin').setLevel('ERROR');"  # it tells that kernels are compiled
+        "import logging, os, sys; os.environ['OHMSKIN_COMPILED'] = sys.argv[2];"
+        "logging.getLogger('ohmskin').setLevel('ERROR');"  # it tells that kernels are compiled
         "from ohmskin.driver import Skin; skin = Skin.open('ohmskin://' + sys.argv[1]);"
         "frames = [next(skin) for _ in range(20)]; skin.close();"
         "print(frames[-1].pressure.shape, frames[-1].valid.all())"
     )
     scene = ROOT / "examples" / "fingers.toml"
-    assert _run(clean / "python", "-W", "error", "-c", code, scene, cwd=tmp_path) == "(4, 4) True\n"
+    assert _run(clean / "python", "-W", "error", "-c", code, scene, compiled, cwd=tmp_path) == "(4, 4) True\n"
 
 
 @pytest.mark.slow

@@ -5,13 +5,12 @@ from __future__ import annotations
 from itertools import product
 from pathlib import Path
 
-import nodal
 import numpy as np
 import pytest
-from parts_at_random import real_design
 from worst_boards import CIRCUITS, QUANTITIES, asked, beaten, by_hand, drawn_by, random_board, stated, values
 
-from ohmskin.circuits import Design, Requirement, scan
+from ohmskin.bench._reference import reference_volts
+from ohmskin.circuits import Design, Requirement
 from ohmskin.verification import Report, verify
 
 QUICK = (3, 5, 6, 11, 12, 22)
@@ -24,15 +23,6 @@ def _verified(design: Design) -> Report:
 
 def _agree(value: float, again: float) -> bool:
     return value == again or abs(value - again) <= 1e-6 * max(abs(value), 1e-3)
-
-
-@pytest.mark.parametrize("circuit", CIRCUITS)
-def test_the_judge_and_the_solvers_find_the_same(circuit: str) -> None:
-    for seed in range(4):
-        design, cells = real_design(seed, circuit=circuit, supply=(-np.inf, np.inf))
-        solved = scan(design, cells, method="exact").volts
-        signal = np.abs(solved - design.readout.reference_voltage).max()
-        assert nodal.read(design, cells) == pytest.approx(solved, abs=1e-7 * signal)
 
 
 @pytest.mark.parametrize("seed", QUICK)
@@ -212,7 +202,7 @@ def test_currents_and_leakage_are_judged_and_bounded_by_a_solution() -> None:
     assert output is not None
     assert switch is not None
     assert leakage is not None
-    signal = np.abs(nodal.read(design, np.full((2, 2), 9.5e3))).max() / 10e3
+    signal = np.abs(reference_volts(design, np.full((2, 2), 9.5e3))).max() / 10e3
     assert signal < output.value < 1.1 * signal
     assert 1.8 * signal < switch.value < 2.2 * signal
     assert leakage.value == pytest.approx(100 * 1e-6 / (1.0 / (17e3 * 1.05)), rel=1e-9)

@@ -1,22 +1,21 @@
-"""Random boards, and an attack on their stated worst cases by chance: ``python tests/worst_boards.py [FIRST] [COUNT]``.
+"""Random boards, and an attack on their stated worst cases by chance.
 
 The attack has its own tolerances, converter, host and errors, and knows of the package only how to read many boards at
-once. What it says of a stated corner comes from :mod:`nodal`, which shares nothing with the package.
+once. What it says of a stated corner comes from the exact nodal analysis of ``bench/_reference.py``.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import nodal
 import numpy as np
 from numpy.typing import NDArray
 
+from ohmskin.bench._reference import reference_volts
 from ohmskin.circuits import Boards, Design, Requirement, scan_population
-from ohmskin.verification import Report, verify
+from ohmskin.verification import Report
 
 Array = NDArray[np.float64]
 Pressed = NDArray[np.bool_]
@@ -267,7 +266,7 @@ def stated(report: Report) -> dict[str, float]:
 
 
 def by_hand(design: Design, quantity: str, report: Report) -> float:
-    """The quantity at the corner that the report names, by the nodal analysis of :mod:`nodal`."""
+    """The quantity at the corner that the report names, by exact nodal analysis."""
     measurement = next(r.measurement for r in report.results if r.requirement.quantity == quantity)
     assert measurement is not None
     assert measurement.corner is not None
@@ -277,11 +276,13 @@ def by_hand(design: Design, quantity: str, report: Report) -> float:
         section, name = key.split(".")
         changes.setdefault(section, {})[name] = values[0] if len(values) == 1 else tuple(values)
     board = design.replace(**changes)
+    if quantity.endswith("headroom"):
+        board = board.replace(readout={"supply": (-np.inf, np.inf)})
     errors = np.zeros((1, 3)) if board.adc is None else np.array([[getattr(board.adc, k[4:]) for k in EITHER_SIGN[2:]]])
     frames = []
     for ohms in corner.cells_ohm:
         cells = np.array(ohms)
-        volts = nodal.read(board, cells, limited=not quantity.endswith("headroom"))
+        volts = reference_volts(board, cells)
         frames.append(as_read(design, volts[None], cells[None], errors))
     return float(errors_of(design, quantity, frames)[0][corner.cell])
 
@@ -305,25 +306,3 @@ def beaten(design: Design, seed: int, report: Report, count: int = 2000) -> dict
             if value > limit + (ROOM - 1.0) * abs(limit):
                 found[quantity] = limit, max(value, found.get(quantity, (0.0, -np.inf))[1])
     return found
-
-
-def main(first: int, count: int) -> None:
-    """Print every board that chance beats or that the nodal analysis contradicts, and their number."""
-    wrong = 0
-    for seed in range(first, first + count):
-        design = random_board(seed)
-        report = verify(design, requirements=asked(design), samples=200)
-        says = stated(report)
-        found: dict[str, object] = dict(beaten(design, seed, report))
-        for quantity, value in says.items():
-            again = by_hand(design, quantity, report)
-            if not (value == again or abs(value - again) <= 1e-6 * max(abs(value), 1e-3)):
-                found[f"{quantity} of the named corner"] = value, again
-        if found:
-            wrong += 1
-            print(seed, design.readout.circuit, design.array.shape, found, flush=True)
-    print(f"{wrong} of {count} random boards beaten or not reached")
-
-
-if __name__ == "__main__":
-    main(*(int(word) for word in (sys.argv[1:] + ["0", "300"][len(sys.argv) - 1 :])))

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from cobs import cobs
 from pydantic import BaseModel
 
 from ohmskin.bench._reference import Indeterminate, reference_volts
@@ -298,7 +299,7 @@ _SHAPES = ((1, 1), (2, 3), (4, 4), (16, 16))
 
 
 def _stream(rng: random.Random, shapes: Sequence[tuple[int, int]] = _SHAPES) -> bytes:
-    """Frames of one board, as docs/wire.md has them, stuffed by this module's own encoder."""
+    """Frames of one board, as docs/wire.md has them."""
     boot = rng.randrange(2**32)
     packets = []
     for number in range(rng.randrange(1, 8)):
@@ -306,7 +307,7 @@ def _stream(rng: random.Random, shapes: Sequence[tuple[int, int]] = _SHAPES) -> 
         counts = rng.randbytes(2 * rows * columns) if rng.random() < 0.7 else bytes(2 * rows * columns)
         head = struct.pack("<BBIIQ", 1, 2, boot, number, 20_000 * number)
         body = head + struct.pack("<HHH", rows, columns, 0) + counts
-        packets.append(_stuffed(body + struct.pack("<I", zlib.crc32(body))) + b"\0")
+        packets.append(cobs.encode(body + struct.pack("<I", zlib.crc32(body))) + b"\0")
     return b"".join(packets)
 
 
@@ -340,19 +341,8 @@ def _simple_frames(data: bytes) -> list[tuple[Any, ...]]:
     return frames
 
 
-def _stuffed(data: bytes) -> bytes:
-    """COBS by its definition."""
-    out = bytearray()
-    for part in data.split(b"\0"):
-        rest = part
-        while len(rest) >= 254:
-            out += b"\xff" + rest[:254]
-            rest = rest[254:]
-        out += bytes([len(rest) + 1]) + rest
-    return bytes(out)
-
-
 def _unstuffed(data: bytes) -> bytes | None:
+    """COBS by its definition; None: none."""
     out, place = bytearray(), 0
     while place < len(data):
         code = data[place]
