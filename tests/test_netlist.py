@@ -28,7 +28,7 @@ def read_by_ngspice(design: Design, cells: np.ndarray) -> np.ndarray:
     return np.array([[step[f"volts_{j}"] for j in range(columns)] for step in frame])
 
 
-@pytest.mark.parametrize("number", range(3, 12))
+@pytest.mark.parametrize("number", range(12))
 def test_ngspice_reads_what_the_circuit_says(number: int) -> None:
     design, cells = hunt.subject("ordinary", number)
     expected = reference_volts(design, cells)

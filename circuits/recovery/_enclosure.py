@@ -116,6 +116,8 @@ class Enclosure:
         self._holds = ends is not None
         apart = behind + LEAST_SHORT_OHM
         self._driven_apart = np.abs(source[:, None] - source) / (apart[:, None] + apart)  # A between joined columns
+        # Share of a column's current that a joined one takes.
+        self._passes_on = behind[:, None] / (apart[:, None] + apart)
 
     def coupling(self, cells: FloatArray) -> FloatArray:
         """(M,) share of a column's current that may pass to other columns by way of the rows, at cells (N, M) in S."""
@@ -311,8 +313,11 @@ class Enclosure:
             together = ties.T.astype(np.float64) @ ties
             together.flat[:: len(together) + 1] = 0.0
             joined: BoolArray = np.greater(together, 0.5)
+            passes_on = np.where(joined, self._passes_on, 0.0)
             current = np.abs(ports.apart) * np.abs(ports.drive)
-            added += current @ joined + np.where(joined, self._driven_apart, 0.0).sum(axis=0)
+            beyond = np.where(limited, current, 0.0)  # nothing holds the column in that step
+            added += current @ passes_on + current * passes_on.sum(axis=1) + beyond @ joined
+            added += np.where(joined, self._driven_apart, 0.0).sum(axis=0)
         return np.nan_to_num(added, posinf=np.inf)
 
 

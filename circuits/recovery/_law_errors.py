@@ -133,5 +133,9 @@ class LawErrors:
 
     def per_volt(self, turn: Callable[[FloatArray], FloatArray], grown: FloatArray) -> Errors:
         """The errors in the coordinates of the array, ``grown`` by faults beside or before the cells."""
-        own, column, every = (turn(each * grown) for each in (np.abs(self._of_own), self._of_column, self._std))
+        grown = np.broadcast_to(grown, self._std.shape)  # infinite where a fault hides the cell
+        own, column, every = (
+            turn(np.multiply(each, grown, out=np.zeros(each.shape), where=each != 0.0))
+            for each in (np.abs(self._of_own), self._of_column, self._std)
+        )
         return Errors(own, column, every, _ALIKE if self._steps.alike else 1.0)

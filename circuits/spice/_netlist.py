@@ -101,8 +101,9 @@ def step_deck(design: Design, resistance: ArrayLike, row: int) -> Deck:
         return DeckWriter(board, cells, row).deck()
     whole = DeckWriter(board, cells, None).deck()
     last = board.shape[0] - 1
-    output = whole.outputs[board.sensed_line(row)]
-    return replace(whole, analysis=f"dc Vrow {last} 0 -1", one_by_one=True, outputs=(output,) * board.shape[0])
+    line = board.sensed_line(row)
+    analysis = f"dc Vrow {last} 0 -1" + (f" Vcolumn {line} {line} 1" if whole.one_by_one else "")
+    return replace(whole, analysis=analysis, one_by_one=True, outputs=(whole.outputs[line],) * board.shape[0])
 
 
 def frame_deck(design: Design, resistance: ArrayLike) -> Deck:
