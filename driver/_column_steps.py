@@ -54,7 +54,6 @@ class ColumnSteps:
         apart = np.abs(rest_ohm / np.median(rest_ohm, axis=0) - 1.0)
         alike = np.count_nonzero(apart < ALIKE, axis=0) >= MOST * len(rest_ohm)
         self._roundings = np.where(alike & rest_known, ROUNDINGS, 0.0)
-        self._scale_each = scale_each.machine_code() or scale_each.function
         self._idle = 0 if self._roundings.any() else NEVER  # frames until the steps are looked at
 
     def without(self, reading: Reading) -> tuple[FloatArray, FloatArray | None]:
@@ -75,7 +74,7 @@ class ColumnSteps:
             return resistance, None
         limits = np.exp(self._roundings * shared)
         scaled, scale = np.array(resistance), np.ones(limits.size)
-        self._scale_each(scaled, self._per_ohm, self._side, limits, scale)
+        scale_each(scaled, self._per_ohm, self._side, limits, scale)
         return scaled, np.abs(np.log(scale)) * EVENLY
 
 

@@ -210,7 +210,6 @@ class LineFaults:
         self._least: FloatArray = np.full(rest_ohm.shape, math.nan)  # least readings of the cells
         self._suspects: list[tuple[float, _Change]] = []
         self._faults: list[_Change] = []
-        self._all_sound = all_sound.machine_code() or all_sound.function
         self.cells: BoolArray | None = None
         """cells of faulty lines; None: no line is faulty"""
 
@@ -282,7 +281,7 @@ class LineFaults:
         margin = BELOW_REST if self._rest_known else max(BELOW_REST, SPREADS * (rest_spread or 0.0))
         if self.cells is None and not self._suspects:
             least = np.empty(log.shape)
-            if self._all_sound(log, before, self._least, margin, least):
+            if all_sound(log, before, self._least, margin, least):
                 self._least = least
                 return
         change = log - before

@@ -220,7 +220,6 @@ class CountReader:
         self._recover = live_recovery(design, accuracy=accuracy)
         self._step, self._lowest_volts = adc.step, float(volts_of_codes(design, np.zeros(1, dtype=np.int64))[0])
         # As arrays: NumPy converts a float to an array in every call, which takes as long as a small operation.
-        self._step_array, self._lowest_array = np.array(self._step), np.array(self._lowest_volts)
         low, high = design.readout.supply
         beyond_half_step = adc_error(design) - adc.step / 2  # V, by which a limited output may read inside it
         self._first, self._last = self._codes_within(low + beyond_half_step, high - beyond_half_step)
@@ -228,7 +227,6 @@ class CountReader:
         self._level = design.readout.reference_voltage
         self._design_noise = _noise_of(design)  # V
         self._scatter = Scatter(adc.step, assumed=not self._design_noise)
-        self._middle_of_codes = _middle_of_codes.machine_code(unchecked=True)
         self._guard, self._usual_codes = 0, self._usual_within(0)  # of the last frame, and the codes within its limits
         self._silent = 0  # cells whose readings stood at a limit in the last frame, and could not change
         self._limited: BoolArray | None = None  # cells that counted as limited in the last frame
@@ -273,18 +271,13 @@ class CountReader:
 
     def _volts(self, counts: NDArray[np.integer]) -> FloatArray:
         """The middle of each code, in V."""
-        volts: FloatArray = counts.astype(np.float64, order="C")
-        volts *= self._step_array
-        volts += self._lowest_array
+        volts: FloatArray = counts.astype(np.float64, order="C") * self._step + self._lowest_volts
         return volts
 
     def _volts_and_extremes(self, counts: NDArray[np.integer]) -> tuple[FloatArray, float, float]:
         """The middle of each code in V, the least count and the largest one."""
-        if self._middle_of_codes is None:
-            # argmin() is several times as fast as min().
-            return self._volts(counts), counts.item(counts.argmin()), counts.item(counts.argmax())
         volts = counts.astype(np.float64, order="C")
-        least, most = self._middle_of_codes(volts, self._step, self._lowest_volts)
+        least, most = _middle_of_codes.unchecked(volts, self._step, self._lowest_volts)
         return volts, least, most
 
     def __call__(self, counts: NDArray[np.integer]) -> Reading:

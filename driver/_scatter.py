@@ -101,8 +101,6 @@ class Scatter:
         """
         self._step = step
         self._assumed = ASSUMED * step if assumed else 0.0
-        self._cut_sum = _cut_sum.machine_code(unchecked=True) or _cut_sum.function
-        self._changes_of = _changes_of.machine_code(unchecked=True) or _changes_of.function
         self._quietest = np.zeros((0, 0))
         """V, the quietest sum found last by the compiled loop; overwritten in each frame"""
         self.before: FloatArray | None = None
@@ -172,7 +170,7 @@ class Scatter:
             if self._quietest.shape != volts.shape:
                 self._quietest = np.empty(volts.shape)
             change, most = np.empty(volts.shape), self._most(self._seen)
-            *cut, self._largest = self._changes_of(volts, before, self._change, most, change, self._quietest)
+            *cut, self._largest = _changes_of.unchecked(volts, before, self._change, most, change, self._quietest)
         if self.frames == 2:
             expected = max(self._seen, min(_median(np.abs(change)), AT_FIRST * self._step))
             self._seen, self._confirmed = self._by_mean(change, expected, moving), 1
@@ -305,7 +303,7 @@ class Scatter:
             moving: readings that can change.
 
         """
-        return self._cut_sum(change, self._most(expected)) / (moving * MEAN_CHANGE)
+        return _cut_sum.unchecked(change, self._most(expected)) / (moving * MEAN_CHANGE)
 
     def _most(self, expected: float) -> float:
         """V, the largest change that counts for an expected standard deviation in V."""

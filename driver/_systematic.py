@@ -71,7 +71,6 @@ class SystematicError:
         if self._tabulated:
             for row, slope in enumerate((by_reading, by_rest)):
                 self._slopes_squared[row] = np.interp(self._pressure, pressure[order], slope[order]) ** 2
-        self._add = add_variances.machine_code(unchecked=True) or add_variances.function
         self.rest_spread: float | None = None
         """relative standard deviation of the cells' rest resistances about the data sheet: the least value seen,
         enlarged by the sampling error of so few cells"""
@@ -110,7 +109,9 @@ class SystematicError:
 
     def _std(self, steps: _Steps, spread: float, pressure_kpa: FloatArray, variance_kpa2: FloatArray) -> FloatArray:
         relative, pressure = _whole(steps.relative_variance()), np.ascontiguousarray(pressure_kpa)
-        self._add(relative, pressure, self._pressure, self._slopes_squared, spread * spread, variance_kpa2)
+        add_variances.unchecked(
+            relative, pressure, self._pressure, self._slopes_squared, spread * spread, variance_kpa2
+        )
         return variance_kpa2
 
     def _look(self, reading: Reading) -> None:

@@ -58,7 +58,6 @@ class Factors:
         self._astray, self._begun = True, False
         self.renewed = False
         """whether the last frame has made the factors anew"""
-        self._move = move.machine_code(unchecked=True) or move.function
 
     def __call__(
         self,
@@ -107,7 +106,7 @@ class Factors:
         if self._any_added:
             matters = matters & ~differs
         sums = self._row_sums, self._column_sums
-        self._move(change, self._base, self._beyond, self._coupling, *sums, matters, np.empty(change.shape[1]), off)
+        move.unchecked(change, self._base, self._beyond, self._coupling, *sums, matters, np.empty(change.shape[1]), off)
         # What passes beside a cell does not fall with it.
         least = np.maximum(cells, OPEN)
         off += self._beyond * change * np.maximum(1.0 / least - 1.0 / self._base, 0.0)

@@ -125,8 +125,6 @@ class Law:
         self.present = np.ascontiguousarray(~(absent | (shorts > 0.0)))
         self.nowhere = np.zeros(absent.shape, dtype=np.bool_)
         self._shorts = np.array(shorts, order="C")
-        self._columns_of = columns_of.machine_code(unchecked=True) or columns_of.function
-        self._rows_of = rows_of.machine_code(unchecked=True) or rows_of.function
 
     def __call__(self, volts: FloatArray, unknown: BoolArray | None = None) -> Ports:
         """The conductances behind readings (N, M) in V, of which ``unknown`` ones state bounds only."""
@@ -136,11 +134,11 @@ class Law:
             *(np.empty(shape), np.empty(rows), np.empty(shape)),
         )
         nowhere = self.nowhere if unknown is None else unknown
-        self._columns_of(
+        columns_of.unchecked(
             volts, *self.law, self.present, nowhere, self._shorts, self._most, self._least_left, *ports[:6]
         )
         lines = self.lead, self._segments, self._beside_end, self._least_row_left
-        self._rows_of(ports.driven, *lines, ports.row_left, ports.cells)
+        rows_of.unchecked(ports.driven, *lines, ports.row_left, ports.cells)
         return ports
 
     def potential(self, volts: FloatArray) -> FloatArray:

@@ -42,21 +42,6 @@ class Steps(NamedTuple):
         return cls(half, random, half - random, not board.circuit.has_amplifiers)
 
 
-class Kernels(NamedTuple):
-    """Machine code of :mod:`._law_kernels`."""
-
-    errors_of: Callable[..., bool]
-    relative_to: Callable[..., None]
-
-    @classmethod
-    def load(cls) -> Self:
-        """Compile, or load what was compiled."""
-        return cls(
-            errors_of.machine_code(unchecked=True) or errors_of.function,
-            relative_to.machine_code(unchecked=True) or relative_to.function,
-        )
-
-
 class LawErrors:
     """Errors of one frame's cells. Arrays broadcast to (N, M) unless stated."""
 
@@ -68,7 +53,6 @@ class LawErrors:
         volts: FloatArray,
         noise: float,
         unknown: BoolArray | None,
-        kernels: Kernels,
     ) -> None:
         """Errors of the conductances behind a frame's readings.
 
@@ -79,10 +63,9 @@ class LawErrors:
             volts: (N, M) V, the readings.
             noise: V, standard deviation of each.
             unknown: (N, M) readings that state bounds only.
-            kernels: machine code.
 
         """
-        self._cells, self._steps, self._kernels = ports.cells, steps, kernels
+        self._cells, self._steps = ports.cells, steps
         by_steps, by_noise = steps.random * _BY_STEPS / sqrt(3.0), _BY_NOISE * noise
         random = hypot(by_steps, by_noise)
         self.error = steps.half + SIGMAS * noise
@@ -94,7 +77,7 @@ class LawErrors:
         middle = np.full(columns, nan)
         if steps.alike and 3.0 * rows > _BY_STEPS**2 and noise <= steps.half:
             middle = np.sort(volts, axis=0)[rows // 2]
-        self.opens: bool = kernels.errors_of(
+        self.opens: bool = errors_of.unchecked(
             *(volts, middle, *law.law, law.lead, law.present, law.nowhere if unknown is None else unknown),
             *(ports.apart, ports.share, ports.drive, ports.left, ports.total, ports.driven, ports.row_left),
             *(self.error, random, by_steps, by_noise, steps.random, steps.shared),
@@ -128,7 +111,7 @@ class LawErrors:
         """Relative uncertainty (N, M) of ``cells`` in S, which the laws gave before they were corrected."""
         uncertainty = np.empty(cells.shape)
         of_law = self._cells, self.own, self.linear, self.column_open, self.row_open
-        self._kernels.relative_to(cells, *of_law, uncertainty)
+        relative_to.unchecked(cells, *of_law, uncertainty)
         return uncertainty
 
     def per_volt(self, turn: Callable[[FloatArray], FloatArray], grown: FloatArray) -> Errors:

@@ -24,7 +24,7 @@ from .._sections import Fault
 from ._enclosure import Enclosed, Enclosure, Unknowns
 from ._factors import EVALUATIONS, OPEN, Factors
 from ._law import Law, Ports
-from ._law_errors import Kernels, LawErrors, Steps
+from ._law_errors import LawErrors, Steps
 from ._law_kernels import LEAST
 from ._lines import LineResistance
 from ._live_reading import (
@@ -77,7 +77,7 @@ class LawLive:
         self._faulty = bool(self._shunt.any() or board.series_ohms.any())
         lost = hidden.any() or (board.floating and self._shorted.any())
         self._tells = not ((board.circuit.mixes_cells or board.floating) and lost)
-        self._steps, self._kernels = Steps.of(board), Kernels.load()
+        self._steps = Steps.of(board)
         one_by_one = board.circuit.columns_one_by_one(board)
         lead = to_driver.mean(axis=1)
         segments = np.where(np.isfinite(board.row_ohms), board.row_ohms, 0.0)
@@ -132,7 +132,7 @@ class LawLive:
         volts = np.array(turn(volts), order="C")
         unknown = None if unknowns is None else np.ascontiguousarray(unknowns.any)
         ports = self._law(volts, unknown)
-        errors = LawErrors(self._law, self._steps, ports, volts, noise, unknown, self._kernels)
+        errors = LawErrors(self._law, self._steps, ports, volts, noise, unknown)
         self._count_impossible(ports, errors, unknowns)
         cells, settled, limit = ports.cells, True, self._rule.limit
         opened, enclosed = unknowns is not None or errors.opens, None
