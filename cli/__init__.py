@@ -44,6 +44,7 @@ COMMANDS = {
     "emulate": "Run a virtual scan board on a pty or TCP port.",
     "record": "Record a skin: every byte, and frames for viewers.",
     "replay": "Play a recording on a port that any program can open.",
+    "demo": "Show the shipped scene in the browser, without hardware.",
     "view": "Show a skin in the browser, live or from a recording.",
     "export": "Convert a recording to arrays or tables.",
     "calibrate": "Calibrate the cells of a skin by presses with known loads.",

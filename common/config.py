@@ -235,7 +235,8 @@ def _hint(model: type[BaseModel], location: tuple[int | str, ...], key: str, tab
     here = _keys(_model_at(model, location))
     if not homes:
         with_unit = [known for known in here if known.startswith(f"{key}_")]
-        near = difflib.get_close_matches(key, with_unit or here, n=1, cutoff=0.0)
+        near = difflib.get_close_matches(key, here, n=1, cutoff=LIKELY_SLIP)
+        near = near or difflib.get_close_matches(key, with_unit or here, n=1, cutoff=0.0)
         if near and near[0] in _table_at(tables, location):
             return f"; the nearest known key, '{near[0]}', is there already"
         return f"; the nearest known key is '{near[0]}'" if near else ""

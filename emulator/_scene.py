@@ -20,6 +20,8 @@ from ._events import Event, check_events
 from ._line_settings import ClockSettings, LineSettings, LinkFault
 from ._movie import Movie
 
+DEMO = Path(__file__).parent / "demo.toml"
+"""the shipped scene: ``ohmskin demo``, ``Skin.open("ohmskin://demo")``"""
 Percent = Annotated[float, Field(ge=0, le=1000)]
 DriftPoint = Annotated[tuple[Finite, Annotated[float, Field(ge=-300, le=1000)]], Field(strict=False)]
 

@@ -20,7 +20,7 @@ from pathlib import Path
 import hostile
 import numpy as np
 import pytest
-from boards import Script, Wire, gone, identity, scene, sheet, until
+from boards import EXAMPLES, Script, Wire, gone, identity, scene, sheet, until
 from boards import frame as packet
 
 from ohmskin.cli import run
@@ -531,6 +531,13 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     assert message in errors
     assert errors.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_scene_is_recorded_like_a_port(tmp_path: Path) -> None:
+    scene, output = EXAMPLES / "fingers.toml", tmp_path / "fingers.mcap"
+    assert run(["record", str(scene), "-o", str(output), "--duration", "0.5"]) == 0
+    with Skin.open(output) as skin:
+        assert next(skin).pressure.shape == (4, 4)
 
 
 def test_a_recording_is_not_replaced_unless_asked(tmp_path: Path) -> None:
