@@ -1,0 +1,262 @@
+"""Modes of the switching filter: how a load may move and for how long, and the cell's response in one time step.
+
+A mode is a phase of the material together with a kind of motion (:data:`KINDS`): a jump Markov linear system (Bar-Shalom,
+Li & Kirubarajan, *Estimation with Applications to Tracking and Navigation*, 2001, chapter 11). Every tuned number of the
+filter is in :class:`Tuning`, with its unit.
+
+**Dynamics.** s is the load over full scale, r the normalised resistance, v = s'. With the gains g = full scale / modulus,
+
+    rising phase    r' = gu v - (r - geq s)/Tu,                      gu = geq + full scale/etau2   (equation 3)
+    recovery phase  r' = g1 v + (g2 s - x2)/T2 + (g3 s - x3)/T3,     x2 = r - g1 s - x3            (equation 8)
+    always          s' = v,  x3' = (g3 s - x3)/T3
+
+s, r and x3 are continuous where the phase changes, so that a turn hands nothing over. All parts are first-order lags,
+discretised exactly for loads that are linear within a step.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from ...common.arrays import FloatArray
+from ...common.compiled import Record, record
+from ..materials import PaperModel, lag
+
+MODES = 12
+REST, HOLD_UP, HOLD_DOWN, CREEP_UP, CREEP_DOWN, LINE_UP, LINE_DOWN, MOVE_UP, MOVE_DOWN, EDGE_UP, EDGE_DOWN, SHAKE = range(MODES)
+"""no load; held loads and motions at four scales of speed, of both phases; and motion within the frames"""
+DOWN, UP, EITHER = range(3)
+"""phases: recovery, rising, and both in turn within a frame"""
+STILL, HELD, MOVING, JUMPING, SHAKING = range(5)
+"""kinds of motion: none, by chance only, at a speed that persists, by increments, and to and fro"""
+PHASES = (DOWN, UP, DOWN, UP, DOWN, UP, DOWN, UP, DOWN, UP, DOWN, EITHER)
+KINDS = (STILL, HELD, HELD, MOVING, MOVING, MOVING, MOVING, MOVING, MOVING, JUMPING, JUMPING, SHAKING)
+EACH = Annotated[FloatArray, MODES]
+Three = Annotated[FloatArray, 3]
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """What the filter assumes of loads and contacts. FS is full scale. Chosen by ``ohmskin bench --judges``."""
+
+    creep_per_s: float = 0.015
+    """FS/s, usual speed of loads that creep or sag; the next three: of slow, usual and fast motion"""
+    line_per_s: float = 0.05
+    move_per_s: float = 0.5
+    edge_per_s: float = 20.0
+    creep_s: float = 4.0
+    """s, for which such a motion lasts"""
+    line_s: float = 2.0
+    move_s: float = 0.4
+    edge_s: float = 0.05
+    hold_s: float = 1.0
+    """s, after which a held load begins to move"""
+    rest_s: float = 2.0
+    """s, after which a cell at rest is pressed"""
+    stop: float = 0.3
+    """share of the motions that end in a hold"""
+    turn: float = 0.3
+    """share of the motions that turn; the others go on at another scale of speed"""
+    release: float = 0.5
+    """share of the falls with a hold after them that end at no load"""
+    flip: float = 0.3
+    """share of the holds that the other phase of the material explains"""
+    shake_s: float = 2.0
+    """s, for which motion within the frames lasts; and s from one such motion to the next"""
+    calm_s: float = 20.0
+    shake_per_s: float = 0.3
+    """FS/s, path of the load in such a motion, as an excess of rises over falls"""
+    swing_s: float = 0.04
+    """s, time of a swing: swings are that path long"""
+    waver: float = 5e-4
+    """FS per sqrt(s), by which a held load wavers"""
+    unseen: float = 0.2
+    """share of the way of a frame that goes unseen at a turn, and its standard deviation"""
+    unseen_std: float = 0.15
+    memory: float = 0.05
+    """share of r by which the memory of a cell may be wrong when it comes to rest"""
+    drift: float = 1e-4
+    """r per sqrt(s), discrepancy of the model (Kennedy & O'Hagan 2001)"""
+    forget_s: float = 2.0
+    """s, for which evidence for a mode lasts, since no cell is exactly the model"""
+    overload: float = 1.15
+    """FS, heaviest load"""
+    floor: float = 0.002
+    """FS, least standard deviation that is stated; and share of the load that is added"""
+    relative: float = 0.008
+
+
+TUNING = Tuning()
+
+
+@dataclass(frozen=True)
+class Material:
+    """The two phases of a cell, in full scales; ``geq`` is r at full scale in equilibrium."""
+
+    geq: float
+    gu: float
+    g1: float
+    g2: float
+    g3: float
+    tu_s: float
+    t2_s: float
+    t3_s: float
+
+    @classmethod
+    def of(cls, model: PaperModel, full_scale_kpa: float) -> Material:
+        """Of a cell of the paper."""
+        m, full = model, full_scale_kpa
+        rising = full / m.eu1_kpa
+        branches = full / m.e1_kpa, full / m.e2_kpa, full / m.e3_kpa
+        return cls(rising, rising + full / m.etau2_kpa, *branches, m.tu_s, m.t2_s, m.t3_s)
+
+    @classmethod
+    def without_memory(cls) -> Material:
+        """Of readings that are loads already, up to their noise."""
+        return cls(1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 1.0)
+
+
+class Step(Record):
+    """Weights of a time step, for every phase (3,) or mode (:data:`MODES`,)."""
+
+    dt_s: float
+    by_s: Three
+    """r after the step = by_s s + by_r r + by_x3 x3 + by_move (change of s), of the states before it"""
+    by_r: Three
+    by_x3: Three
+    by_move: Three
+    x3_kept: float
+    x3_by_s: float
+    x3_by_move: float
+    bend: float
+    """r by an unseen way to and fro: the gain of rises beyond that of falls"""
+    way_s: EACH
+    """seconds: the mean way of a motion over its speed"""
+    kept: EACH
+    """share of the speed that is left"""
+    way_var: EACH
+    """variances of the way and of the speed, and their covariance"""
+    way_speed: EACH
+    speed_var: EACH
+    speed: EACH
+    """usual speed"""
+    leaves: EACH
+    """probability that a mode ends"""
+    after_down: EACH
+    """and shares of the modes that follow: on a mode of that phase, on rest, and on shaking"""
+    after_up: EACH
+    after_rest: EACH
+    after_shake: EACH
+    shakes: float
+    """probability that a cell begins to shake"""
+    usual: EACH
+    """probability of each mode when nothing is known"""
+    unseen: float
+    unseen_std: float
+    swing: float
+    """r per FS/s, of the swings within a frame"""
+    swing_s: float
+    memory: float
+    drift_var: float
+    forget_s: float
+    overload: float
+    floor: float
+    relative: float
+
+
+def discretise(material: Material, dt_s: float, tuning: Tuning = TUNING) -> Step:
+    """The weights of a step of ``dt_s``."""
+    m, t, mean = material, tuning, 0.5 * (material.gu + material.g1)
+    (gone_u, gone_2, gone_3), (ramp_u, ramp_2, ramp_3) = lag.weights(dt_s, np.array([m.tu_s, m.t2_s, m.t3_s]))
+    rising = np.array([m.geq * gone_u, 1.0 - gone_u, 0.0, m.gu - (m.gu - m.geq) * ramp_u])
+    recovery = np.array(
+        [
+            (m.g1 + m.g2) * gone_2 + m.g3 * gone_3,
+            1.0 - gone_2,
+            gone_2 - gone_3,
+            m.g1 + m.g2 * ramp_2 + m.g3 * ramp_3,
+        ]
+    )
+    by_s, by_r, by_x3, by_move = np.stack([recovery, rising, 0.5 * (rising + recovery)], axis=1)
+    motions = {name: np.zeros(MODES) for name in ("way_s", "kept", "way_var", "way_speed", "speed_var", "speed")}
+    for mode, (phase, kind) in enumerate(zip(PHASES, KINDS, strict=True)):
+        # Equal in r for both phases: otherwise the phase with less noise would win every hold.
+        even = mean / (m.g1, m.gu, mean)[phase]
+        values = _motion(mode, kind, dt_s, even, t)
+        for name, value in zip(motions, values, strict=True):
+            motions[name][mode] = value
+    after, leaves, shakes = _next(dt_s, t)
+    return record(
+        Step,
+        dt_s=dt_s,
+        **{"by_s": by_s, "by_r": by_r, "by_x3": by_x3, "by_move": by_move},
+        **{"x3_kept": 1.0 - gone_3, "x3_by_s": m.g3 * gone_3, "x3_by_move": m.g3 * ramp_3, "bend": m.gu - m.g1},
+        **motions,
+        **{"leaves": leaves, "after_down": after[0], "after_up": after[1], "after_rest": after[2]},
+        **{"after_shake": after[3], "shakes": shakes, "usual": _usual(after, leaves, shakes)},
+        **{"unseen": t.unseen, "unseen_std": t.unseen_std, "swing": mean * t.swing_s, "swing_s": t.swing_s},
+        **{"memory": t.memory, "drift_var": t.drift**2 * dt_s, "forget_s": t.forget_s},
+        **{"overload": t.overload, "floor": t.floor, "relative": t.relative},
+    )
+
+
+def _motion(mode: int, kind: int, dt_s: float, even: float, t: Tuning) -> tuple[float, ...]:
+    """Of one mode: way over speed, kept speed, variances of way, of both and of speed, usual speed.
+
+    The speed of a :data:`MOVING` load is an Ornstein-Uhlenbeck process, whose sign the mode fixes.
+    """
+    if kind == MOVING:
+        scale = (mode - CREEP_UP) // 2
+        speed = even * (t.creep_per_s, t.line_per_s, t.move_per_s)[scale]
+        lasts_s = (t.creep_s, t.line_s, t.move_s)[scale]
+        gone, ramp = lag.weights(dt_s, lasts_s)
+        z, power = dt_s / lasts_s, speed * speed
+        # Integrals of the covariance; the first one cancels to z^3 2/3 in short steps.
+        way = 2.0 * z - 2.0 * gone - gone * gone if z > 1e-3 else z**3 * (2.0 / 3.0)
+        return (
+            float(lasts_s * gone),
+            float(1.0 - gone),
+            float(power * lasts_s**2 * way),
+            float(power * lasts_s * gone**2),
+            float(power * gone * (2.0 - gone)),
+            speed,
+        )
+    if kind == JUMPING:
+        way = (even * min(t.edge_per_s * dt_s, 1.0)) ** 2
+        return 0.0, 0.0, way, way / dt_s, way / dt_s**2, 0.0
+    if kind == SHAKING:
+        kept = math.exp(-dt_s / t.shake_s)
+        return 0.0, kept, t.waver**2 * dt_s, 0.0, t.shake_per_s**2 * (1.0 - kept**2), t.shake_per_s
+    if kind == HELD:
+        return 0.0, 0.0, (t.waver * even) ** 2 * dt_s, 0.0, 0.0, 0.0
+    return (0.0,) * 6
+
+
+def _next(dt_s: float, t: Tuning) -> tuple[FloatArray, FloatArray, float]:
+    """Shares (4, modes) of what follows on recovery, rising, rest and shaking; (modes,) hazards of a step."""
+    up, down = np.array([CREEP_UP, LINE_UP, MOVE_UP, EDGE_UP]), np.array([CREEP_DOWN, LINE_DOWN, MOVE_DOWN, EDGE_DOWN])
+    on, after = 1.0 - t.stop - t.turn, np.zeros((4, MODES))
+    held = t.stop * (1.0 - t.release)
+    after[DOWN, [REST, HOLD_DOWN, HOLD_UP]] = t.stop * t.release, held * (1.0 - t.flip), held * t.flip
+    after[DOWN, down], after[DOWN, up] = on / 4, t.turn / 4
+    after[UP, [HOLD_UP, HOLD_DOWN]] = t.stop * (1.0 - t.flip), t.stop * t.flip
+    after[UP, up], after[UP, down] = on / 4, t.turn / 4
+    after[2, up] = 1 / 4
+    after[3, [HOLD_UP, HOLD_DOWN]], after[3, up], after[3, down] = 0.2, 0.3 / 4, 0.3 / 4
+    lasts_s = np.array([t.rest_s, *np.repeat([t.hold_s, t.creep_s, t.line_s, t.move_s, t.edge_s], 2), t.shake_s])
+    return after, -np.expm1(-dt_s / lasts_s), -math.expm1(-dt_s / t.calm_s)
+
+
+def _usual(after: FloatArray, leaves: FloatArray, shakes: float) -> FloatArray:
+    """(modes,) stationary distribution of the Markov chain."""
+    of = np.array([2, *[UP, DOWN] * 5, 3])
+    chain = leaves[:, None] * after[of] + np.diag(1.0 - leaves)
+    begins = np.where(np.isin(np.arange(MODES), (REST, SHAKE)), 0.0, shakes)
+    chain = chain * (1.0 - begins[:, None])
+    chain[:, SHAKE] += begins
+    system = np.vstack([chain.T - np.eye(MODES), np.ones(MODES)])
+    return np.asarray(np.linalg.lstsq(system, np.append(np.zeros(MODES), 1.0))[0])
