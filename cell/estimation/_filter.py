@@ -95,8 +95,11 @@ class Pools(Record):
     vv: FOUR
 
 
+TAIL = 0.03
+"""probability of explanations that an interval of 95 % need not cover"""
 NEGLIGIBLE = 1e-9
 """probability below which an estimate is dropped"""
+DEEP = 8.0
 FAR = 4.0
 """standard deviations from a bound at which the bound is not felt"""
 ROOT_HALF, DENSITY = math.sqrt(0.5), 1.0 / math.sqrt(2.0 * math.pi)
@@ -171,7 +174,7 @@ def mix(e: Estimates, c: Candidates, p: Pools, t: Step) -> None:
         w = e.w[j] * t.leaves[j]
         if w > NEGLIGIBLE:
             pool(p, AFTER_REST if j == REST else AFTER_SHAKE if j == SHAKE else phase_of(j), w, e, j)
-        if j != REST and j != SHAKE:
+        if j != SHAKE:
             shaking += e.w[j]
     for j in range(MODES):
         own, n = e.w[j] * (1.0 - t.leaves[j]), MODES + j
@@ -191,10 +194,10 @@ def mix(e: Estimates, c: Candidates, p: Pools, t: Step) -> None:
         if p.w[AFTER_SHAKE] * t.after_shake[j] > NEGLIGIBLE:
             comes(c, n, p.w[AFTER_SHAKE] * t.after_shake[j], p, AFTER_SHAKE, False, False, speed, t)
     if shaking > 0.0:  # any load may begin to shake, from the pooled estimate of all that has begun to change
-        for k in range(2):
+        for k in range(3):
             w = p.w[k]
             if w > NEGLIGIBLE:
-                part = w / (p.w[0] + p.w[1])
+                part = w / (p.w[0] + p.w[1] + p.w[2])
                 comes(c, MODES + SHAKE, shaking * t.shakes * part, p, k, False, False, t.speed[SHAKE], t)
 
 
@@ -250,9 +253,20 @@ def bound(c: Candidates, n: int, of_speed: bool, at: float, side: float) -> floa
     """Truncate a candidate to loads, or speeds, on one side of a bound; returns the probability of that side."""
     mean, var = (c.v[n], c.vv[n]) if of_speed else (c.s[n], c.ss[n])
     std = math.sqrt(max(var, 1e-18))
-    z = max(side * (mean - at) / std, -8.0)
+    z = side * (mean - at) / std
     if z > FAR:
         return 1.0
+    if z < -DEEP:  # the moments of so little are those of the bound itself
+        s, r, v = (c.sv[n], c.rv[n], c.vv[n]) if of_speed else (c.ss[n], c.sr[n], c.sv[n])
+        gain = (at - mean) / (std * std)
+        c.s[n] += s * gain
+        c.r[n] += r * gain
+        c.v[n] += v * gain
+        if of_speed:
+            c.v[n], c.sv[n], c.rv[n], c.vv[n] = at, 0.0, 0.0, 0.0
+        else:
+            c.s[n], c.ss[n], c.sr[n], c.sv[n] = at, 0.0, 0.0, 0.0
+        return above(-DEEP)
     inside = above(z)
     hazard = DENSITY * math.exp(-0.5 * z * z) / inside
     left = max(1.0 - hazard * (hazard + z), 0.02)
@@ -328,7 +342,6 @@ def advance(
     ``forget``: share of the evidence for the modes that is kept; 1: all.
     """
     mix(e, c, p, t)
-    widest = 0.0
     for n in range(2 * MODES):
         j = n % MODES
         if c.w[n] <= NEGLIGIBLE:
@@ -352,15 +365,13 @@ def advance(
             if j == SHAKE:
                 of_reading += t.swing * t.swing * (c.v[n] * c.v[n] + c.vv[n])
             c.reading_var[n] = of_reading
-            if REST < j <= 6 and of_reading > widest:
-                widest = of_reading
     nearest = 1e300
     for n in range(2 * MODES):
         if c.w[n] == 0.0:
             continue
         j = n % MODES
         if known:
-            factor, distance = judge(c.r[n], widest if REST < j <= 6 else c.reading_var[n], low, high)
+            factor, distance = judge(c.r[n], c.reading_var[n], low, high)
             c.likelihood[n] *= factor
             c.distance[n] = distance
             within(c, n, c.reading_var[n], low, high)
@@ -428,12 +439,14 @@ def mean_of(e: Estimates) -> float:
 @loop
 def variance_of(e: Estimates, mean: float, t: Step) -> float:
     """Variance of the load about ``mean``, swings within the frame included."""
-    var = 0.0
+    var = total = 0.0
     for j in range(MODES):
         off = e.s[j] - mean
-        var += e.w[j] * (e.ss[j] + off * off)
-    swing = t.swing_s * e.v[SHAKE]
-    return var + e.w[SHAKE] * swing * swing
+        w = e.w[j] * e.w[j] / (e.w[j] + TAIL)
+        swing = t.swing_s * e.v[SHAKE] if j == SHAKE else 0.0
+        var += w * (e.ss[j] + off * off + swing * swing)
+        total += w
+    return var / total
 
 
 @loop
@@ -448,15 +461,130 @@ def begin(e: Estimates, r: float, geq: float, g3: float) -> None:
     e.w[REST], e.w[1], e.w[2] = 0.7, 0.15, 0.15
 
 
+class Watch(Record):
+    """What is known of a cell beside its :class:`Estimates`."""
+
+    odds: float
+    """logarithm of the odds that the contact is bad since ``since_s``; 0 and no time: it is good"""
+    since_s: float
+    asleep: float
+    """1 while the cell is at rest and only watched"""
+    mean: float
+    """mean reading of a sleeping cell"""
+    sum: float
+    """Page's cumulative sum of its departures towards loads, in standard deviations"""
+
+
+@loop
+def copy(e: Estimates, of: Estimates) -> None:
+    """Make ``e`` the same as ``of``."""
+    for j in range(MODES):
+        e.w[j], e.s[j], e.r[j], e.v[j], e.x3[j] = of.w[j], of.s[j], of.r[j], of.v[j], of.x3[j]
+        e.ss[j], e.sr[j], e.sv[j], e.rr[j], e.rv[j], e.vv[j] = of.ss[j], of.sr[j], of.sv[j], of.rr[j], of.rv[j], of.vv[j]
+
+
+@loop
+def jumps(e: Estimates, low: float, high: float, var: float) -> bool:
+    """Whether a reading is far from all that was expected."""
+    mean = spread = 0.0
+    for j in range(MODES):
+        mean += e.w[j] * e.r[j]
+    for j in range(MODES):
+        off = e.r[j] - mean
+        spread += e.w[j] * (e.rr[j] + off * off)
+    off = max(low - mean, mean - high)
+    return off > 0.0 and off * off > SURPRISE * SURPRISE * (var + spread)
+
+
+@loop
+def follow(
+    e: Estimates, before: Estimates, watch: Watch, c: Candidates, p: Pools, trial: Estimates, t: Step,
+    known: bool, low: float, high: float, var: float, forget: float,
+) -> None:
+    """Take a reading of a cell whose contact may be bad."""
+    suspected = watch.since_s > 0.0
+    if not suspected and known and jumps(e, low, high, var):
+        copy(before, e)
+        density = advance(e, c, p, t, known, low, high, var, forget)
+        watch.odds = t.bad_prior - density
+        watch.since_s = t.dt_s if watch.odds > HOPELESS else 0.0
+        return
+    density = advance(e, c, p, t, known, low, high, var, forget)
+    if not suspected:
+        return
+    advance(before, c, p, t, False, low, high, var, 1.0)
+    watch.since_s += t.dt_s
+    if known:
+        if not jumps(before, low, high, var):
+            copy(trial, before)
+            returned = advance(trial, c, p, t, known, low, high, var, 1.0)
+            if watch.odds + t.bad_ends + returned - density > 0.0:
+                copy(e, trial)
+                watch.odds, watch.since_s = 0.0, 0.0
+                return
+        watch.odds -= t.dt_s / t.bad_s
+    if watch.odds < HOPELESS or watch.since_s > LASTING * t.bad_s:
+        watch.odds, watch.since_s = 0.0, 0.0
+
+
 @loop
 def step_each(
-    cells: Records[Estimates], scratch: Records[Candidates], pools: Records[Pools], steps: Records[Step],
+    cells: Records[Estimates], befores: Records[Estimates], watches: Records[Watch], scratch: Records[Candidates],
+    pools: Records[Pools], trial: Records[Estimates], steps: Records[Step],
     low: Row, high: Row, var: Row, known: Row, forget: float, load: Row, std: Row,
 ) -> None:
     """Take a frame: readings of n cells between ``low`` and ``high`` (n,), with noise ``var`` (n,)."""
-    t = steps[0]
+    t, c, p = steps[0], scratch[0], pools[0]
     for i in range(cells.size):
-        advance(cells[i], scratch[0], pools[0], t, known[i] > 0.0, low[i], high[i], var[i], forget)
-        mean = mean_of(cells[i])
+        e, before, watch = cells[i], befores[i], watches[i]
+        if watch.asleep > 0.0:
+            if known[i] == 0.0 or rests(watch, t, low[i], high[i], var[i]):
+                load[i] = 0.0
+                std[i] = math.sqrt(t.floor * t.floor + DOZES * DOZES * var[i] / (t.gain * t.gain))
+                continue
+            watch.asleep = 0.0
+        follow(e, before, watch, c, p, trial[0], t, known[i] > 0.0, low[i], high[i], var[i], forget)
+        mean = mean_of(e)
+        variance = variance_of(e, mean, t)
+        if watch.since_s > 0.0:
+            bad = 1.0 / (1.0 + math.exp(-watch.odds))
+            other = mean_of(before)
+            off = other - mean
+            mean += bad * off
+            bad = bad * bad / (bad + TAIL)
+            variance += bad * (variance_of(before, other, t) - variance) + bad * (1.0 - bad) * off * off
+        elif forget < 1.0 and known[i] > 0.0 and settled(e, t, var[i], high[i] - low[i]):
+            watch.asleep, watch.mean, watch.sum = 1.0, e.r[REST], 0.0
+            copy(before, e)
         load[i] = mean
-        std[i] = math.sqrt(variance_of(cells[i], mean, t) + t.floor * t.floor + t.relative * t.relative * mean * mean)
+        std[i] = math.sqrt(variance + t.floor * t.floor + t.relative * t.relative * mean * mean)
+
+
+@loop
+def settled(e: Estimates, t: Step, var: float, width: float) -> bool:
+    """Whether a cell is at rest, and remembers nothing that the noise does not hide."""
+    return e.w[REST] > RESTS and e.r[REST] * e.r[REST] < 1e-6 + 1e-2 * (var + width * width)
+
+
+@loop
+def rests(watch: Watch, t: Step, low: float, high: float, var: float) -> bool:
+    """Whether a sleeping cell goes on sleeping (Page 1954)."""
+    std = math.sqrt(var + (high - low) * (high - low) * (1.0 / 12.0))
+    off = (0.5 * (low + high) - watch.mean) / std
+    watch.sum = max(watch.sum + off - 0.5, 0.0)
+    watch.mean += (off * std) * min(t.dt_s / DRIFTS_S, 1.0)
+    return abs(off) < WAKES and watch.sum < WAKES
+
+
+SURPRISE = 6.0
+"""standard deviations from what was expected, from which a bad contact is suspected"""
+HOPELESS = -12.0
+"""logarithm of the odds at which no contact is suspected any more"""
+LASTING = 5.0
+"""usual times of a bad contact, after which what is read counts as a load"""
+RESTS = 2.0
+"""probability of rest from which a cell may sleep"""
+WAKES, DRIFTS_S = 4.0, 3.0
+"""standard deviations, and their sum, at which a cell wakes; and s, in which the mean of a sleeping cell follows"""
+DOZES = 1.0
+"""standard deviations of a reading that a load on a sleeping cell may have"""

@@ -47,7 +47,7 @@ class Tuning:
     """FS/s, usual speed of loads that creep or sag; the next three: of slow, usual and fast motion"""
     line_per_s: float = 0.05
     move_per_s: float = 0.5
-    edge_per_s: float = 20.0
+    edge_per_s: float = 40.0
     creep_s: float = 4.0
     """s, for which such a motion lasts"""
     line_s: float = 2.0
@@ -83,6 +83,9 @@ class Tuning:
     """r per sqrt(s), discrepancy of the model (Kennedy & O'Hagan 2001)"""
     forget_s: float = 2.0
     """s, for which evidence for a mode lasts, since no cell is exactly the model"""
+    bad_hz: float = 0.02
+    """1/s, bad contacts of a cell; and s, for which they last"""
+    bad_s: float = 0.06
     overload: float = 1.15
     """FS, heaviest load"""
     floor: float = 0.002
@@ -163,6 +166,12 @@ class Step(Record):
     memory: float
     drift_var: float
     forget_s: float
+    bad_prior: float
+    """logarithm of the probability that a contact gets bad in a step, per r; of that it gets good; and s, as above"""
+    bad_ends: float
+    bad_s: float
+    gain: float
+    """r at full scale of a slow load"""
     overload: float
     floor: float
     relative: float
@@ -200,7 +209,8 @@ def discretise(material: Material, dt_s: float, tuning: Tuning = TUNING) -> Step
         **{"after_shake": after[3], "shakes": shakes, "usual": _usual(after, leaves, shakes)},
         **{"unseen": t.unseen, "unseen_std": t.unseen_std, "swing": mean * t.swing_s, "swing_s": t.swing_s},
         **{"memory": t.memory, "drift_var": t.drift**2 * dt_s, "forget_s": t.forget_s},
-        **{"overload": t.overload, "floor": t.floor, "relative": t.relative},
+        **{"bad_prior": math.log(t.bad_hz * dt_s / (3.0 * m.geq)), "bad_ends": math.log(-math.expm1(-dt_s / t.bad_s))},
+        **{"bad_s": t.bad_s, "gain": m.gu, "overload": t.overload, "floor": t.floor, "relative": t.relative},
     )
 
 
@@ -255,7 +265,7 @@ def _usual(after: FloatArray, leaves: FloatArray, shakes: float) -> FloatArray:
     """(modes,) stationary distribution of the Markov chain."""
     of = np.array([2, *[UP, DOWN] * 5, 3])
     chain = leaves[:, None] * after[of] + np.diag(1.0 - leaves)
-    begins = np.where(np.isin(np.arange(MODES), (REST, SHAKE)), 0.0, shakes)
+    begins = np.where(np.arange(MODES) == SHAKE, 0.0, shakes)
     chain = chain * (1.0 - begins[:, None])
     chain[:, SHAKE] += begins
     system = np.vstack([chain.T - np.eye(MODES), np.ones(MODES)])
