@@ -20,7 +20,6 @@ import errno
 import importlib
 import logging
 import os
-import signal
 import sys
 import traceback
 from collections.abc import Sequence
@@ -32,6 +31,7 @@ from click.shell_completion import shell_complete
 
 from .. import __version__
 from ..common import _signals
+from ..common.system import ENDING_SIGNALS
 from ..common.text import one_line, shortened
 from ..errors import OhmskinError
 
@@ -56,7 +56,7 @@ COMMANDS = {
     "doctor": "Look at the installation and the serial ports, and say how to mend them.",
 }
 
-BAD_INPUT, DEFECT = 2, 70
+BAD_INPUT, DEFECT, BROKEN_PIPE = 2, 70, 128 + 13
 LONGEST_WORD = 200
 """characters of an argument that a message repeats"""
 _COMPLETE = "_OHMSKIN_COMPLETE"
@@ -142,7 +142,7 @@ def run(args: Sequence[str] | None = None) -> int:
         return error.exit_code
     except (KeyboardInterrupt, click.Abort) as error:
         number = _signals.number_of(error)
-        return _failed(_signals.NAMES.get(number, "interrupted"), 128 + number, state)
+        return _failed(ENDING_SIGNALS.get(number, "interrupted"), 128 + number, state)
     except click.ClickException as error:
         words = (shortened(word, LONGEST_WORD) for word in error.format_message().split())
         return _failed(" ".join(words), BAD_INPUT, state)
@@ -151,7 +151,7 @@ def run(args: Sequence[str] | None = None) -> int:
     except _StandardOutputError as error:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115  # so that its flush at exit does not fail again
         if error.errno == errno.EPIPE:
-            return 128 + signal.SIGPIPE
+            return BROKEN_PIPE
         return _failed(f"standard output: {error.strerror or error}", BAD_INPUT, state)
     except Exception as error:
         return _failed(_defect(error), DEFECT, state)

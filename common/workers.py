@@ -10,13 +10,13 @@ from __future__ import annotations
 import logging
 import multiprocessing
 import os
-import signal
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import TypeVar
+
+from .system import interrupts_blocked
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -51,7 +51,7 @@ def in_processes(
     alive, held_by_parent = context.Pipe(duplex=False)
     pool = ProcessPoolExecutor(jobs, context, _begin_worker, (alive,))
     try:
-        with _interrupts_blocked():  # a spawned process inherits the mask; Ctrl-C is for the parent to handle
+        with interrupts_blocked():  # a spawned process inherits the mask; Ctrl-C is for the parent to handle
             futures: list[Future[R]] = [pool.submit(function, item) for item in items]
         for future in as_completed(futures):
             tell(future.result())
@@ -76,12 +76,3 @@ def _begin_worker(alive: Connection) -> None:
             os._exit(1)
 
     threading.Thread(target=wait, daemon=True, name="end with parent").start()
-
-
-@contextmanager
-def _interrupts_blocked() -> Iterator[None]:
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
