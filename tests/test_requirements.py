@@ -15,7 +15,7 @@ from verified import AMPLIFIED, complete, outcomes_of
 from ohmskin.cell import Cell
 from ohmskin.circuits import Adc, Array, Design, Requirement
 from ohmskin.cli import run
-from ohmskin.common.config import parse, read_toml
+from ohmskin.common.config import parse
 from ohmskin.errors import InputError
 from ohmskin.verification import Outcome, default_requirements, load_requirements, verify
 
@@ -322,7 +322,7 @@ def test_example_requirements_are_valid() -> None:
     folder = Path(__file__).parent.parent / "examples"
     (file,) = folder.glob("requirements*.toml")
     assert load_requirements(file)
-    parse(read_toml(folder / "toleranced.toml"), Design, source="example")
+    Design.load(folder / "toleranced.toml")
 
 
 DROPS_ERRORS = """
