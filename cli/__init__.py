@@ -23,7 +23,6 @@ import os
 import sys
 import traceback
 from collections.abc import Sequence
-from io import BufferedWriter, FileIO, TextIOWrapper
 from typing import Any
 
 import click
@@ -34,6 +33,7 @@ from ..common import _signals
 from ..common.system import ENDING_SIGNALS
 from ..common.text import one_line, shortened
 from ..errors import OhmskinError
+from . import _streams
 
 # name -> one-line help. The module cli/NAME.py (`_` for `-`) holds a click command called `command`.
 COMMANDS = {
@@ -114,8 +114,7 @@ def ohmskin() -> None:
 def main(args: Sequence[str] | None = None) -> None:
     """Run the command line and exit."""
     _signals.leave_at_once()
-    if isinstance(sys.stdout, TextIOWrapper):
-        sys.stdout = _standard_output(sys.stdout)
+    _streams.set_up()
     _set_up_log()
     code = run(args)
     _signals.leave_from_now_on(code)
@@ -148,12 +147,12 @@ def run(args: Sequence[str] | None = None) -> int:
         return _failed(" ".join(words), BAD_INPUT, state)
     except OhmskinError as error:
         return _failed(str(error), BAD_INPUT, state)
-    except _StandardOutputError as error:
+    except _streams.OutputError as error:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115  # so that its flush at exit does not fail again
         if error.errno == errno.EPIPE:
             return BROKEN_PIPE
         return _failed(f"standard output: {error.strerror or error}", BAD_INPUT, state)
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # whatever asks to exit has no verdict
         return _failed(_defect(error), DEFECT, state)
 
 
@@ -175,27 +174,7 @@ def _failed(message: str, code: int, state: dict[str, bool]) -> int:
     return code
 
 
-def _defect(error: Exception) -> str:
+def _defect(error: BaseException) -> str:
     if isinstance(error, MemoryError):
         return "out of memory"
     return f"a defect of ohmskin, {type(error).__name__}: {error} (--debug shows where)"
-
-
-class _StandardOutputError(OSError):
-    """Standard output cannot be written; told apart from the errors of other files and of sockets."""
-
-
-class _StandardOutput(FileIO):
-    """Descriptor 1, whose errors say so."""
-
-    def write(self, data: Any) -> Any:
-        try:
-            return super().write(data)
-        except OSError as error:
-            raise _StandardOutputError(*error.args) from error
-
-
-def _standard_output(present: TextIOWrapper) -> TextIOWrapper:
-    """What takes the place of ``sys.stdout``: text that does not fit the terminal's encoding is escaped."""
-    raw = _StandardOutput(present.fileno(), "wb", closefd=False)
-    return TextIOWrapper(BufferedWriter(raw), present.encoding, "backslashreplace", line_buffering=present.isatty())

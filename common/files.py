@@ -149,6 +149,17 @@ def make_folder(path: str | Path) -> Path:
     return Path(path)
 
 
+def user_cache(name: str) -> Path | None:
+    """The folder ``name`` in this user's cache, which no one else writes to; None where it cannot be made."""
+    try:
+        base = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or Path.home() / ".cache"
+        folder = Path(base) / "ohmskin" / name
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except (OSError, RuntimeError):
+        return None
+    return folder
+
+
 def size(count: int) -> str:
     """A number of bytes for people: ``16 MiB``."""
     for unit in ("bytes", "KiB", "MiB"):

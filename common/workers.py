@@ -11,8 +11,9 @@ import logging
 import multiprocessing
 import os
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import TypeVar
 
@@ -49,9 +50,11 @@ def in_processes(
         return results
     context = multiprocessing.get_context("spawn")
     alive, held_by_parent = context.Pipe(duplex=False)
-    pool = ProcessPoolExecutor(jobs, context, _begin_worker, (alive,))
+    with _imports_from_safe_places():  # it starts a process that keeps count of semaphores
+        pool = ProcessPoolExecutor(jobs, context, _begin_worker, (alive,))
     try:
-        with interrupts_blocked():  # a spawned process inherits the mask; Ctrl-C is for the parent to handle
+        # A spawned process inherits the mask; Ctrl-C is for the parent to handle.
+        with interrupts_blocked(), _imports_from_safe_places():
             futures: list[Future[R]] = [pool.submit(function, item) for item in items]
         for future in as_completed(futures):
             tell(future.result())
@@ -63,6 +66,23 @@ def in_processes(
         pool.shutdown(cancel_futures=True)
         held_by_parent.close()
         alive.close()
+
+
+@contextmanager
+def _imports_from_safe_places() -> Iterator[None]:
+    """New Python processes import nothing from the working folder before they know this process's path.
+
+    They begin with ``python -c``, which would take a ``signal.py`` of that folder, a stranger's perhaps, for Python's.
+    """
+    before = os.environ.get("PYTHONSAFEPATH")
+    os.environ["PYTHONSAFEPATH"] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["PYTHONSAFEPATH"]
+        else:
+            os.environ["PYTHONSAFEPATH"] = before
 
 
 def _begin_worker(alive: Connection) -> None:
