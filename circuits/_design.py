@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from ..common.arrays import FloatArray
-from ..common.config import Section, load
+from ..common.config import OWN_TABLES, Section, load
 from ..errors import InputError
 from ._board import Board, Networks
 from ._readout import PER_LINE, Readout
@@ -42,8 +42,8 @@ class Design(Section):
     """geometry of the material, if array.sheet is "continuous"; a sliced one needs none"""
     fault: Annotated[tuple[Fault, ...], Field(strict=False)] = ()
     requirements: Requirements = Requirements()
-    requirement: Annotated[tuple[Requirement, ...], Field(strict=False, exclude=True)] = ()
-    """for the verification only; a board does not send them"""
+    requirement: Annotated[tuple[Requirement, ...], Field(strict=False, exclude=True), OWN_TABLES] = ()
+    """for the verification only; a board does not send them, and may not"""
     cells: Cells | None = None
     """None: as in a CELL.toml, or as the shipped example cell"""
     operation: Operation = Operation()
@@ -181,11 +181,7 @@ class Design(Section):
     @classmethod
     def load(cls, path: str | Path) -> Design:
         """Read DESIGN.toml; InputError with one located message if it is not a valid design."""
-        design = load(path, cls)
-        model = design.readout.amplifier_model
-        if model is None:
-            return design
-        return design.replace(readout={"amplifier_model": model.read(Path(path).parent)})
+        return load(path, cls)
 
     @property
     def spreads(self) -> dict[str, Spread]:

@@ -54,7 +54,9 @@ def _located(value: Any, info: ValidationInfo) -> Any:
     if not value or "\0" in value:
         raise ValueError("expected the name of a file")
     if info.context is None:
-        raise ValueError("names a file; only a file of your own may do so, no board and no recording")
+        raise ValueError(
+            "names a file; only a file of your own may do so (in Python: a Path), no board and no recording"
+        )
     return Path(info.context) / value
 
 
@@ -274,7 +276,8 @@ def _hint(model: type[BaseModel], location: tuple[int | str, ...], key: str, tab
     here = _keys(_model_at(model, location))
     if not homes:
         with_unit = [known for known in here if known.startswith(f"{key}_")]
-        near = difflib.get_close_matches(key, with_unit or here, n=1, cutoff=0.0)
+        near = difflib.get_close_matches(key, here, n=1, cutoff=LIKELY_SLIP)
+        near = near or difflib.get_close_matches(key, with_unit or here, n=1, cutoff=0.0)
         if near and near[0] in _table_at(tables, location):
             return f"; the nearest known key, '{near[0]}', is there already"
         return f"; the nearest known key is '{near[0]}'" if near else ""

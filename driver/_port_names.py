@@ -56,7 +56,8 @@ def refuse_missing(name: str) -> None:
     """
     if name.startswith(EMULATED_HERE):
         parts = urlsplit(name)
-        if not os.path.isfile(unquote(parts.netloc + parts.path)):
+        path = unquote(parts.netloc + parts.path)
+        if path != "demo" and not os.path.isfile(path):
             raise LinkError(f"{name}: no such scene")
     elif "://" not in name:
         if has_gone(name):

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import PrivateAttr
 
 from ..common.arrays import AnyArray, FloatArray
-from ..common.config import Section
+from ..common.config import LocalFile, Section
 from ..common.tables import read_columns
 from ..errors import InputError
 from ._archive import numbers, read_arrays
@@ -25,7 +25,7 @@ _TIMES = ("time_s", "time")
 class Movie(Section):
     """Frames of pressure or resistance, linear in time between them, constant before the first and after the last."""
 
-    file: str
+    file: LocalFile
     """.npz with arrays ``time_s`` (F,) and ``pressure_kpa`` or ``resistance_ohm`` (F, rows, columns), as the emulator's
     truth has them; or .csv with columns ``time_s``, ``r0c0``, ``r0c1`` and so on. Relative to the scene file."""
     quantity: Literal["pressure", "resistance"] = "pressure"
@@ -41,7 +41,7 @@ class Movie(Section):
         return self._checked
 
     def _check(self, shape: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
-        path = Path(self.file)
+        path = self.file
         match path.suffix.lower():
             case ".npz" | ".npy":
                 times, frames = self._from_npz(path)

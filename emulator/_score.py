@@ -295,7 +295,8 @@ def _rms(values: FloatArray) -> float:
 
 
 def _whole_numbers(path: str | Path, array: FloatArray) -> IntArray:
-    if array.ndim != 1 or array.dtype.kind not in "iu":
+    """Frame numbers, of any type: those of a recording are NaN where the board sends none."""
+    if array.ndim != 1 or array.dtype.kind not in "iuf" or not (array == np.floor(array)).all():
         raise InputError(f"{path}: 'sequence' is {array.dtype} of shape {array.shape}; expected whole numbers (F,)")
     return array.astype(np.int64)
 

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import os
 import select
 import selectors
 import signal
+import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
+from ..common.system import ENDING_SIGNALS
 from ._ports import Port
 
 ClockName = Literal["real", "fast"]
@@ -26,34 +27,36 @@ class Stop:
     def __init__(self) -> None:
         self.signal: int | None = None
         """the signal that asked, if one did"""
+        self.then: Callable[[], object] = lambda: None
+        """called once, when the run shall end, in the thread or signal handler that asks"""
         self._asked = False
-        self._read, self._write = os.pipe()
-        os.set_blocking(self._write, False)
+        self._read, self._write = socket.socketpair()  # select() of Windows knows no pipes
+        self._write.setblocking(False)
 
     def set(self, number: int | None = None) -> None:
         """End the run between two ticks."""
         self.signal = self.signal or number
         if not self._asked:
             self._asked = True
-            os.write(self._write, b"!")
+            self._write.send(b"!")
+            self.then()
 
     def is_set(self) -> bool:
         return self._asked
 
     def fileno(self) -> int:
-        return self._read
+        return self._read.fileno()
 
     def close(self) -> None:
-        os.close(self._read)
-        os.close(self._write)
+        self._read.close()
+        self._write.close()
 
 
 @contextmanager
 def stop_on_signals() -> Iterator[Stop]:
-    """A :class:`Stop` that SIGINT, SIGTERM and SIGHUP set, instead of what they did before. In the main thread only."""
+    """A :class:`Stop` that signals to end set, instead of what they did before. In the main thread only."""
     stop = Stop()
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {number: signal.signal(number, lambda number, _: stop.set(number)) for number in numbers}
+    before = {number: signal.signal(number, lambda number, _: stop.set(number)) for number in ENDING_SIGNALS}
     try:
         yield stop
     finally:

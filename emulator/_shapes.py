@@ -18,7 +18,7 @@ from pydantic import Field, model_validator
 from scipy.special import erf
 
 from ..common.arrays import FloatArray
-from ..common.config import Section
+from ..common.config import LocalFile, Section
 from ..common.extras import install_command
 from ..common.files import read_bytes
 from ..common.tables import read_matrix
@@ -215,7 +215,7 @@ class Image(Shape):
     """A picture of the contact: each pixel is the share of the load at its place, from 0 to 1."""
 
     SIZE: ClassVar[str] = "size"
-    file: str
+    file: LocalFile
     """.csv (lines of numbers 0 ... 1), .npy, or a grey .png (white is 1), relative to the scene file"""
     size_cells: Size | None = None
     """[height, width] of the whole picture"""
@@ -228,7 +228,7 @@ class Image(Shape):
 
     @cached_property
     def _pixels(self) -> FloatArray:
-        path = Path(self.file)
+        path = self.file
         match path.suffix.lower():
             case ".csv":
                 pixels = read_matrix(path)

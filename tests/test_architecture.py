@@ -26,7 +26,7 @@ MAY_IMPORT = {
     "driver": SHARED | {"circuits", "cell", "wire"},
     "calibration": SHARED | {"circuits", "cell", "wire", "driver"},
     "doctor": SHARED | {"circuits", "wire", "driver"},
-    "hil": SHARED | {"driver", "emulator"},
+    "hil": SHARED | {"circuits", "driver", "emulator"},
     "view": SHARED | {"circuits", "driver"},
     "verification": SHARED | {"circuits", "cell", "wire", "emulator", "driver", "bench"},
 }

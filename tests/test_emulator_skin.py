@@ -147,7 +147,7 @@ def test_millimetres_are_cells_times_the_pitch() -> None:
 
 def test_a_picture_presses_with_its_pixels(tmp_path: Path) -> None:
     (tmp_path / "foot.csv").write_text("1,0\n0,0.5\n")
-    image = Image(file=str(tmp_path / "foot.csv"), center=(2.0, 3.0), size_cells=(4.0, 2.0))
+    image = Image(file=tmp_path / "foot.csv", center=(2.0, 3.0), size_cells=(4.0, 2.0))
     expected = np.zeros((6, 6))
     # Rows 0 ... 4 of edges, columns 2 ... 4: pixels of 2 x 1 cells around the middle.
     expected[0:3, 2:5] = [[0.25, 0.25, 0], [0.5, 0.5, 0], [0.25, 0.375, 0.125]]

@@ -21,7 +21,7 @@ from patience import HANG_S, Patience
 
 from ohmskin.bench import soak
 from ohmskin.driver import Skin
-from ohmskin.emulator import PtyPort, Rfc2217Port, Scene, TcpPort, running
+from ohmskin.emulator import DEMO, PtyPort, Rfc2217Port, Scene, TcpPort, running
 from ohmskin.wire import Corrupt, Event, FramePacket, Identity, Order, host_protocol
 
 
@@ -126,6 +126,16 @@ def scene_file(tmp_path: Path) -> Path:
 def test_a_url_opens_a_board_in_this_process(scene_file: Path) -> None:
     with serial.serial_for_url(f"ohmskin://{scene_file}?clock=fast&duration=1", timeout=0.5) as line:
         assert [frame.sequence for frame in read_until(line, FramePacket, 50)] == list(range(50))
+
+
+def test_the_shipped_scene_leaves_five_seconds_for_a_tare_and_is_then_pressed() -> None:
+    with serial.serial_for_url("ohmskin://demo?clock=fast&duration=0.5", timeout=5.0) as line:
+        first = read_until(line, FramePacket, 1)[0]
+        assert line.in_waiting > 0
+    assert first.counts.shape == (16, 16)
+    scene = Scene.load(DEMO)
+    assert not any(scene.pressure_kpa(k / 10.0).any() for k in range(50))
+    assert all(scene.pressure_kpa(k / 10.0).max() > 1.0 for k in range(53, 130))
 
 
 def test_the_driver_reads_such_a_url_without_more_ado(scene_file: Path) -> None:

@@ -17,7 +17,7 @@ from ohmskin.circuits import Design, adc_codes, scan_batch
 from ohmskin.driver import CountReader
 
 CELL = Cell.example()
-PROTOTYPE = Design.load(Path(__file__).parents[1] / "examples" / "prototype.toml")
+PROTOTYPE = Design.load(Path(__file__).parents[1] / "verification" / "prototype.toml")
 DIVIDER = Design.model_validate(
     {
         "array": {"rows": 4, "columns": 3, "row_segment": 1.0, "column_segment": 1.0, "row_lead": 40.0},

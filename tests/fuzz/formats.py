@@ -149,7 +149,7 @@ def _judge_cell(data: bytes, rng: random.Random, folder: Path) -> str:
 
 def _scene_text(rng: random.Random) -> bytes:
     text = (ROOT / "examples" / "fingers.toml").read_text()
-    return text.replace("prototype.toml", str(ROOT / "examples" / "prototype.toml")).encode()
+    return text.replace("../verification/prototype.toml", str(ROOT / "verification" / "prototype.toml")).encode()
 
 
 def _judge_scene(data: bytes, rng: random.Random, folder: Path) -> str:
