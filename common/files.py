@@ -41,6 +41,13 @@ def read_bytes(path: str | Path, *, most_bytes: int = MOST_BYTES) -> bytes:
     return content
 
 
+@contextmanager
+def reading(path: str | Path) -> Iterator[BinaryIO]:
+    """A file that is open for reading; what the operating system says meanwhile is an InputError."""
+    with _errors_name(path, "read"), open(path, "rb") as file:
+        yield file
+
+
 def read_text(path: str | Path, *, most_bytes: int = MOST_BYTES) -> str:
     """The content of a UTF-8 text file; a byte order mark at its head is dropped. Raises InputError."""
     try:
