@@ -39,6 +39,7 @@ from . import _streams
 COMMANDS = {
     "scan": "Read one frame of cells through a readout design.",
     "netlist": "Write one scan step as a SPICE netlist.",
+    "import": "Read a board's KiCad netlist into a design.",
     "verify": "Verify a readout design: report.html, report.json, junit.xml.",
     "explore": "Vary a design: the Pareto front, and what must change.",
     "emulate": "Run a virtual scan board on a pty or TCP port.",

@@ -20,6 +20,7 @@ MAY_IMPORT = {
     "common": {"errors"},
     "circuits": SHARED,
     "cell": SHARED,
+    "kicad": SHARED | {"circuits"},
     "wire": SHARED,
     "bench": SHARED | {"circuits", "cell", "wire", "emulator", "driver", "view"},
     "emulator": SHARED | {"circuits", "cell", "wire"},
