@@ -188,7 +188,7 @@ class Consumer:
         """
         source = self._source
         measurement = source.converter.measure(raw)
-        notices = source.converter.notices
+        notices = source.counters.notices
         while notices:
             with contextlib.suppress(IndexError):  # another reader was quicker
                 warnings.warn(notices.popleft(), RuntimeWarning, stacklevel=2)

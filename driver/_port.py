@@ -60,7 +60,8 @@ class Arrival(NamedTuple):
 class BytePort(Protocol):
     """A byte stream with arrival times: the interface that a :class:`~ohmskin.driver.Skin` needs of a port.
 
-    A recording can provide it: ``read`` then returns the recorded arrivals, and ``now`` runs with the recording.
+    A recording can provide it: ``read`` then returns the recorded arrivals, and ``now`` runs with the recording. A port
+    whose board's time is a simulation's, at whatever pace, says so by an attribute ``is_simulated``, which is True.
     """
 
     name: str
@@ -130,6 +131,7 @@ class _RealTimePort:
         self.name = name
         self.announced = announced(name)
         """announcement of an emulated board's port on this machine; None: the port is another one"""
+        self.is_simulated = self.announced is not None or name.startswith(EMULATED_HERE)
 
     def now(self) -> float:
         """Present time in s on the machine's monotonic clock."""

@@ -82,7 +82,7 @@ class Reader:
         self.port_name = port.name
         self.introduction = introduction
         self.introduced = SignalSafeEvent()
-        self.stream = FrameStream(port.name, counters)
+        self.stream = FrameStream(port.name, counters, simulated=getattr(port, "is_simulated", False))
         self.taps: list[Callable[[Arrival], None]] = []
         """called with all bytes, as they arrive: for a recorder"""
         self.on_gone: list[Callable[[], None]] = []

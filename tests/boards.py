@@ -80,6 +80,8 @@ class MemoryPort:
     """A port in memory; subclasses say what comes. Time is real."""
 
     name = "memory"
+    is_simulated = True
+    """the time in its packets is what the test says, at whatever pace"""
 
     def __init__(self) -> None:
         self.closed = False
