@@ -5,9 +5,8 @@ the arrivals therefore lie above a line, which maps the board's clock to the hos
 the lower convex hull (Moon, Skelly and Towsley, "Estimation and removal of clock skew from network delay measurements",
 INFOCOM 1999; hull by Andrew's monotone chain). A constant delay cannot be seen.
 
-Until the drift is known, the line rises as steeply as the worst oscillator's: only a delay that no drift explains is
-called one. A time that runs at another pace than any oscillator, or stands, is no clock (:attr:`ClockMap.pace`), and
-frames then have their times of arrival.
+A time that runs at another pace than any oscillator, or stands, is no clock (:attr:`ClockMap.pace`). Frames then have
+their times of arrival.
 """
 
 from __future__ import annotations
@@ -21,8 +20,9 @@ BUCKET_S = 0.25
 """s of the host; only the least delayed frame of each such interval is kept"""
 WINDOW_BUCKETS = 240
 """intervals that are kept: the line follows a changing drift, as with temperature, within a minute"""
-DRIFT_SPAN_S = 5.0
-"""shorter spans do not determine the drift"""
+SHORTEST_SPAN_S, DRIFT_SPAN_S = 0.5, 5.0
+"""a line is sloped from the first of these spans on, as the worst oscillators need it; the drift is told from the
+second on"""
 LARGEST_DRIFT = 0.125
 """on-chip RC oscillators are off by up to 10 %, which is a drift of 1 / 0.9 - 1, and a little for the noise of delays"""
 PACE_PAIRS, UNEVEN_PAIRS = 4, 3
@@ -59,6 +59,8 @@ class ClockMap:
         """the last buckets, over which the pace is judged"""
         self._drift: float | None = None
         """None: not known yet"""
+        self._span_s = 0.0
+        """over which the drift was found"""
         self._anchor = (0.0, 0.0)
 
     @property
@@ -68,8 +70,10 @@ class ClockMap:
         0 until 5 s of even pace have passed. NaN if the board's time is not that of a clock (:attr:`pace`), or the line
         has the steepest allowed slope.
         """
-        drift = self._drift or 0.0
-        return 1e6 * drift if self.pace is Pace.EVEN and abs(drift) < LARGEST_DRIFT else math.nan
+        drift = self._slope()
+        if self.pace is not Pace.EVEN or abs(drift) >= LARGEST_DRIFT:
+            return math.nan
+        return 1e6 * drift if self._span_s >= DRIFT_SPAN_S else 0.0
 
     def add(self, device_s: float, received_s: float) -> float:
         """Take one frame.
@@ -100,7 +104,7 @@ class ClockMap:
         if y < self._line(x, falling=True) - STEP_S:
             # No drift does this: the clock was set forward, or all earlier frames had waited in a buffer.
             self._buckets.clear()
-            self._drift = None
+            self._drift, self._span_s = None, 0.0
         if y < line:
             # Less delayed than any earlier frame: the line is moved down to this frame.
             self._anchor = (x, y)
@@ -108,8 +112,8 @@ class ClockMap:
         return self._origin[1] + x + line
 
     def _slope(self, *, falling: bool = False) -> float:
-        """The drift; until it is known, the largest, or the least if ``falling``."""
-        unknown = -LARGEST_DRIFT if falling else LARGEST_DRIFT
+        """The drift; until it is known, none, or the least if ``falling``."""
+        unknown = -LARGEST_DRIFT if falling else 0.0
         return unknown if self._drift is None else self._drift
 
     def _line(self, x: float, *, falling: bool = False) -> float:
@@ -138,16 +142,19 @@ class ClockMap:
             self.pace = Pace.SLOW if slow > fast else Pace.FAST
             self.rate = passed_s / (passed_s + sum(y for _, y in pairs))
         elif self.pace is not Pace.EVEN and len(pairs) == PACE_PAIRS and not slow and not fast:
-            self.pace, self._drift = Pace.EVEN, None
+            self.pace, self._drift, self._span_s = Pace.EVEN, None, 0.0
             self._buckets.clear()
             self._buckets.extend(list(self._recent)[:-1])  # the caller adds the last one
 
     def _fit(self) -> None:
         hull = lower_hull(list(self._buckets))
-        if hull[-1][0] - hull[0][0] >= DRIFT_SPAN_S:
-            # Of all lines below the points, the one with the least sum of distances passes below their mean.
+        span_s = hull[-1][0] - hull[0][0]
+        if span_s >= min(DRIFT_SPAN_S, max(self._span_s, SHORTEST_SPAN_S)):
+            self._span_s = span_s
+            # Of all lines below the points, the one with the least sum of distances passes below their mean. The first
+            # of three buckets may hold frames that had waited in a buffer.
             middle = sum(x for x, _ in self._buckets) / len(self._buckets)
-            right = next(k for k in range(1, len(hull)) if hull[k][0] >= middle or k == len(hull) - 1)
+            right = next(k for k in range(1, len(hull)) if hull[k][0] > middle or k == len(hull) - 1)
             (x0, y0), (x1, y1) = hull[right - 1], hull[right]
             self._drift = min(max((y1 - y0) / (x1 - x0), -LARGEST_DRIFT), LARGEST_DRIFT)
         # If the drift is limited, or not known, the edge's own ends need not be the lowest points. The anchor is a frame,
