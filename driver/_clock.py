@@ -24,7 +24,7 @@ SHORTEST_SPAN_S, DRIFT_SPAN_S = 0.5, 5.0
 """a line is sloped from the first of these spans on, as the worst oscillators need it; the drift is told from the
 second on"""
 LARGEST_DRIFT = 0.125
-"""on-chip RC oscillators are off by up to 10 %, which is a drift of 1 / 0.9 - 1, and a little for the noise of delays"""
+"""on-chip RC oscillators are off by up to 10 %, a drift of 1 / 0.9 - 1; the rest is for the noise of delays"""
 PACE_PAIRS, UNEVEN_PAIRS = 4, 3
 """intervals, one after the other, and how many of them must be too long or too short for a clock: a pause is one"""
 STEP_S = 0.05
@@ -67,8 +67,8 @@ class ClockMap:
     def drift_ppm(self) -> float:
         """How much faster the host's clock runs than the board's, in parts per million.
 
-        0 until 5 s of even pace have passed. NaN if the board's time is not that of a clock (:attr:`pace`), or the line
-        has the steepest allowed slope.
+        0 until 5 s of even pace have passed. NaN if the board's time is not that of a clock (:attr:`pace`), or the
+        line has the steepest allowed slope.
         """
         drift = self._slope()
         if self.pace is not Pace.EVEN or abs(drift) >= LARGEST_DRIFT:
@@ -151,14 +151,14 @@ class ClockMap:
         span_s = hull[-1][0] - hull[0][0]
         if span_s >= min(DRIFT_SPAN_S, max(self._span_s, SHORTEST_SPAN_S)):
             self._span_s = span_s
-            # Of all lines below the points, the one with the least sum of distances passes below their mean. The first
-            # of three buckets may hold frames that had waited in a buffer.
+            # Of all lines below the points, the one with the least sum of distances passes below their mean. The
+            # first of three buckets may hold frames that had waited in a buffer.
             middle = sum(x for x, _ in self._buckets) / len(self._buckets)
             right = next(k for k in range(1, len(hull)) if hull[k][0] > middle or k == len(hull) - 1)
             (x0, y0), (x1, y1) = hull[right - 1], hull[right]
             self._drift = min(max((y1 - y0) / (x1 - x0), -LARGEST_DRIFT), LARGEST_DRIFT)
-        # If the drift is limited, or not known, the edge's own ends need not be the lowest points. The anchor is a frame,
-        # too, and may be newer.
+        # If the drift is limited, or not known, the edge's own ends need not be the lowest points. The anchor is a
+        # frame, too, and may be newer.
         slope = self._slope()
         frames = [*hull, self._anchor] if self._anchor[0] >= hull[0][0] else hull
         self._anchor = min(frames, key=lambda point: point[1] - slope * point[0])

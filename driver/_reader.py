@@ -17,6 +17,7 @@ from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError
 from ..wire import Corrupt, Description, Event, Family, Flag, FramePacket, HostProtocol, Identity, Order
 from ._introduce import Introduction
 from ._mailbox import Mailbox
+from ._orders import Answer, PendingOrder
 from ._port import Arrival, BytePort
 from ._reconnect import attempts
 from ._statistics import Counters
@@ -43,6 +44,8 @@ READ_AGAIN_S = 0.0005
 """a consumer who has read and converted for longer reads again, since newer frames may have come meanwhile"""
 CONVERTED_IN_TURN = 4
 """frames that the thread converts before it reads the port again, whose buffers hold some milliseconds"""
+ANSWER_LIES_BEHIND = 8
+"""queues of frames that may lie on the line before an answer"""
 JOIN_S = 2.0
 """how long closing waits for the thread, which may be busy opening a port"""
 
@@ -112,6 +115,9 @@ class Reader:
         self._away_because: LinkError | None = None
         self._received, self._reason = 0, "no end of a packet"
         """bytes since the last frame, and why the last of them formed no packet"""
+        self._orders: list[PendingOrder] = []
+        self._stopped = False
+        """the board was ordered to send no frames"""
         self._unreadable = ""
         """why the description that the board has sent cannot be read"""
         self._forgotten = False
@@ -193,8 +199,50 @@ class Reader:
         """Present time on the port's clock."""
         return self._clock()
 
-    def send(self, order: Order, *, period_us: int = 0) -> None:
-        """Send an order to the board.
+    def order(self, order: Order, timeout_s: float, *, period_us: int = 0) -> Answer | None:
+        """Send an order to the board, again if need be, and wait for its answer.
+
+        Returns:
+            The answer; None at once if the family's orders have none.
+
+        Raises:
+            InputError: the family has no such order, or this is the thread that would hear the answer.
+            OrderRefused: the board has refused the order.
+            LinkTimeout: no answer came.
+            LinkEnded: the skin is closed, or the stream is over.
+            LinkError: the port is gone, or the line is full.
+
+        """
+        if threading.current_thread() is self._thread:
+            raise InputError(f"{order.name} from within a function that is called with all bytes; give it elsewhere")
+        pending, until_s = PendingOrder(order), time.monotonic() + timeout_s
+        self._orders.append(pending)
+        try:
+            while True:
+                with self._reading:
+                    if not self.send(order, period_us=period_us):
+                        raise InputError(
+                            f"{self.port_name}: boards of family '{self._family.name}' take no {order.name}"
+                        )
+                    if not self._protocol.commands:
+                        return None
+                    pending.numbers.add(self._protocol.commands)
+                left_s = until_s - time.monotonic()
+                if pending.over.wait(min(max(left_s, 0.0), ASK_AGAIN_S)):
+                    break
+                if left_s <= 0:
+                    raise LinkTimeout(f"{self.port_name}: no answer to {order.name} within {timeout_s:g} s")
+        finally:
+            self._orders.remove(pending)
+        if pending.answer is None:
+            raise copy.copy(self._mailbox.end or self._closed())
+        answer = pending.taken(self.port_name, f" with {period_us} us" if order is Order.RATE else "")
+        if order in (Order.STOP, Order.START):
+            self._stopped = order is Order.STOP
+        return answer
+
+    def send(self, order: Order, *, period_us: int = 0) -> bool:
+        """Send an order to the board; returns whether its family has such an order.
 
         Raises:
             LinkEnded: the skin is closed, or the stream is over.
@@ -209,6 +257,7 @@ class Reader:
             data = self._protocol.request(order, period_us=period_us)
             if data:
                 self._port.write(data)
+            return bool(data)
 
     @contextlib.contextmanager
     def between_arrivals(self) -> Iterator[None]:
@@ -281,6 +330,8 @@ class Reader:
             self._reopen = None  # its finder watches a file, the port's announcement
             self.introduced.set()
             self.introduction.identified.set()
+            for pending in list(self._orders):
+                pending.over.set()
 
     def _live(self) -> None:
         """Serve the port, and again after each reconnection."""
@@ -308,7 +359,7 @@ class Reader:
         ask_at = time.monotonic() + ASK_WHO_S
         behind = False
         while not (self._is_ending or self._mailbox.end):
-            if self._lossless and self._mailbox.is_full():
+            if self._is_full():
                 self._mailbox.wait_for_room(ASK_AGAIN_S)
                 ask_at = time.monotonic() + ASK_AGAIN_S
                 continue
@@ -328,6 +379,10 @@ class Reader:
                 self._ask()
                 ask_at = now + (ASK_AGAIN_S if known else ASK_WHO_S)
 
+    def _is_full(self) -> bool:
+        """Whether no frame can be taken. An answer lies behind frames, hence some more are taken until it comes."""
+        return self._lossless and self._mailbox.is_full(ANSWER_LIES_BEHIND if self._orders else 1)
+
     def _ask(self) -> None:
         try:
             for order in (Order.IDENTIFY, Order.DESCRIBE):
@@ -340,6 +395,8 @@ class Reader:
 
     def _start_frames(self) -> None:
         """Order frames once the board is known, so that a board that waits for orders sends no unusable frames."""
+        if self._stopped:
+            return
         self.send(Order.START)
         if self._family.polled:
             self.send(Order.ONE_FRAME)
@@ -371,7 +428,7 @@ class Reader:
         only_noise, until = False, time.monotonic() + LONGEST_TURN_S
         with self._reading:
             for turn in range(MOST_READS):
-                if self._port is None or (self._lossless and self._mailbox.is_full()):
+                if self._port is None or self._is_full():
                     break
                 arrival = self._port.read()
                 if not arrival.data:
@@ -397,6 +454,8 @@ class Reader:
 
     def _handle(self, event: Event, arrival: Arrival) -> None:
         self._reason = ""
+        for pending in self._orders:
+            pending.hear(event)
         match event:
             case FramePacket():
                 self._has_frames = True
@@ -516,7 +575,9 @@ class Reader:
             with self._reading:
                 self._port, self._clock = port, port.now
                 self.port_name = self.introduction.port_name = port.name
-                self._protocol = self._new_protocol()
+                self._protocol, self._stopped = self._new_protocol(), False
+                for pending in self._orders:
+                    pending.numbers.clear()
                 self._unproven.clear()
                 known = self.introduction.identity, self.introduction.description
                 self._proofs = {type(packet) for packet in known if packet is not None}

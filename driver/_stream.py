@@ -289,8 +289,8 @@ class FrameStream:
         if self.clock.pace is not Pace.EVEN and self.clock.rate <= FASTEST_CLOCK:
             found = f"advances by {self.clock.rate:.2g} s in a second" if self.clock.rate else "stands"
             self.counters.clock = (
-                f"{self.name}: the board's clock {found}, which no oscillator does: frames have the times at which they "
-                "came, and bytes that wait in buffers no longer show in their ages"
+                f"{self.name}: the board's clock {found}, which no oscillator does: frames have the times at which "
+                "they came, and bytes that wait in buffers no longer show in their ages"
             )
             if told is None:
                 self.counters.notices.append(self.counters.clock)

@@ -148,6 +148,7 @@ class Wire(MemoryPort):
         return b"".join(map(self._carry, self.board.tick())) or b"\0"
 
     def write(self, data: bytes) -> None:
+        super().write(data)
         self.board.receive(data)
         self._pending += map(self._carry, self.board.answers())
 
