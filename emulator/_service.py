@@ -9,7 +9,7 @@ import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 from ..common.system import ENDING_SIGNALS
@@ -77,6 +77,8 @@ class Outcome:
     """bytes that a UART sent and that the host had no room for"""
     behind_s: float = 0.0
     """real clock: by how much board time fell behind because this machine was too slow"""
+    hung_up: list[str] = field(default_factory=list)
+    """why hosts were hung up on, each reason once"""
 
     def notes(self) -> list[str]:
         """What whoever started the run should know, a line each."""
@@ -87,7 +89,7 @@ class Outcome:
             notes.append(f"{self.lost_bytes} bytes were lost: the host read too slowly")
         if self.behind_s:
             notes.append(f"board time fell {self.behind_s:.1f} s behind: this machine is too slow for the scene")
-        return notes
+        return notes + [f"a host was hung up on: {reason}" for reason in self.hung_up]
 
 
 class HasFileno(Protocol):
