@@ -29,12 +29,11 @@ ASK_WHO_S = 0.25
 """the same for a board that has not identified itself: a lossy line needs several answers for a whole description"""
 PROOF_S = 3.0
 """after a reconnection: time for a board to prove that it is the same one"""
-MOST_READS = 64
-"""reads in one turn, so that a board that never pauses cannot block a consumer"""
-LONGEST_TURN_S = 0.02
-"""the same in s, for bytes without a frame"""
+MOST_EVENTS, LONGEST_TURN_S = 128, 0.02
+"""packets, and s of processor time, after which a turn of reading ends, whatever came: consumers, and the
+end of the skin, wait for one turn"""
 LONGEST_REST_S = 1.0
-"""most time that the thread rests after such bytes; it rests as long as it took to look through them"""
+"""most time that the thread rests after such a turn; it rests for as long as the turn took"""
 POLL_S = 0.05
 """how long a consumer waits for the thread to have read, before it looks for a frame"""
 MOST_UNPROVEN = 1000
@@ -116,6 +115,8 @@ class Reader:
         self._received, self._reason = 0, "no end of a packet"
         """bytes since the last frame, and why the last of them formed no packet"""
         self._orders: list[PendingOrder] = []
+        self._asked_at = inf
+        """when the board was first asked who it is"""
         self._stopped = False
         """the board was ordered to send no frames"""
         self._unreadable = ""
@@ -138,8 +139,13 @@ class Reader:
             LinkError: the port is gone.
 
         """
-        if not self.introduced.wait(timeout_s):
-            raise self.nothing_came("description", timeout_s)
+        # Only the board's silence counts, not the time until the thread runs and has asked, on a busy machine.
+        while not self.introduced.wait(ASK_WHO_S):
+            if time.monotonic() - self._asked_at < timeout_s:
+                continue
+            self.poll(patient=True)
+            if not self.introduced.is_set():
+                raise self.nothing_came("description", timeout_s)
         if not self.introduction.complete:
             end = self._mailbox.end
             raise LinkError(f"{self.port_name}: closed") if end is None else end
@@ -175,18 +181,19 @@ class Reader:
             )
         return LinkTimeout(f"{where}: the board is there, but sends none")
 
-    def poll(self) -> None:
+    def poll(self, *, patient: bool = False) -> None:
         """Read the bytes that have come, and convert their frames.
 
-        Errors of the port are left to the thread, and so are bytes of a flood.
+        Errors of the port are left to the thread, and so are bytes of a flood. Before a time-out is reported, whoever
+        waits is ``patient``: a thread that reads may be kept from it by other programs.
         """
         began_s = self.now()
-        self._read_and_convert()
+        self._read_and_convert(JOIN_S if patient else POLL_S)
         if self.now() - began_s > READ_AGAIN_S:
-            self._read_and_convert()
+            self._read_and_convert(POLL_S)
 
-    def _read_and_convert(self) -> None:
-        if self._reading.acquire(timeout=POLL_S):
+    def _read_and_convert(self, limit_s: float) -> None:
+        if self._reading.acquire(timeout=limit_s):
             try:
                 self._read()
             except OhmskinError:
@@ -356,6 +363,7 @@ class Reader:
         if self.introduction.complete:
             self.introduced.set()
         self._ask()
+        self._asked_at = min(self._asked_at, time.monotonic())
         ask_at = time.monotonic() + ASK_WHO_S
         behind = False
         while not (self._is_ending or self._mailbox.end):
@@ -409,7 +417,7 @@ class Reader:
             return left
 
     def _read(self) -> bool:
-        """Read the bytes that have come; whether there were some, and no frame among them."""
+        """Read what has come, within the budget of a turn; whether the thread shall rest before it goes on."""
         with self._errors_told():
             return self._drain()
 
@@ -425,9 +433,9 @@ class Reader:
             raise
 
     def _drain(self) -> bool:
-        only_noise, until = False, time.monotonic() + LONGEST_TURN_S
+        done, until_s = 0, time.thread_time() + LONGEST_TURN_S
         with self._reading:
-            for turn in range(MOST_READS):
+            while True:
                 if self._port is None or self._is_full():
                     break
                 arrival = self._port.read()
@@ -444,13 +452,13 @@ class Reader:
                 self.stream.arrive(arrival, frames)
                 for event in events:
                     self._handle(event, arrival)
-                only_noise = not frames and (only_noise or not turn)
+                done += len(events)
+                if done >= MOST_EVENTS or time.thread_time() > until_s:
+                    return not self._lossless
                 # Another frame may have come while several were decoded; it would be the newest one.
                 if not arrival.more and frames <= 1:
                     break
-                if only_noise and time.monotonic() > until:
-                    break
-        return only_noise
+        return False
 
     def _handle(self, event: Event, arrival: Arrival) -> None:
         self._reason = ""

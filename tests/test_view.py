@@ -632,7 +632,8 @@ def test_a_browser_that_pings_and_reads_nothing_is_hung_up_on(caplog: pytest.Log
         deaf.connect((parts.hostname, parts.port))
         deaf.sendall(
             f"GET /frames HTTP/1.1\r\nHost: {parts.netloc}\r\nOrigin: http://{parts.netloc}\r\n"
-            "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\nSec-WebSocket-Key: MDEyMzQ1Njc4OWFiY2RlZg==\r\n\r\n".encode()
+            "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+            "Sec-WebSocket-Key: MDEyMzQ1Njc4OWFiY2RlZg==\r\n\r\n".encode()
         )
         with pytest.raises(ConnectionError):
             deaf.sendall(1_000_000 * ping)
