@@ -18,9 +18,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 
-from ..common.config import Finite, Section
+from ..common.config import Finite, LocalFile, Section
 from ..common.files import read_bytes
 from ..common.text import one_line, shortened
 from ..errors import InputError
@@ -46,18 +46,21 @@ _NOISELESS_CELSIUS = -273.0
 
 
 class AmplifierModel(Section):
-    """The maker's macro-model of the column amplifiers, in place of the one-pole amplifier of SPICE netlists."""
+    """The maker's macro-model of the column amplifiers, in place of the one-pole amplifier of SPICE netlists.
 
-    file: Annotated[str, Field(min_length=1)]
-    """path of the model file, relative to the design"""
+    The file is read when the table is: errors are no such file, no such subcircuit, another number of pins, or a line
+    that is not allowed.
+    """
+
+    file: LocalFile
+    """the model file, relative to the design"""
     subcircuit: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.\-+/]+$")]
     """name of the .SUBCKT in the file"""
     pins: Annotated[tuple[Pin, ...], Field(strict=False)] = PINS
     """function of each pin, in the order of the .SUBCKT line; "ground" is tied to 0 V, "open" to nothing"""
     rails: Annotated[tuple[Finite, Finite] | None, Field(strict=False)] = None
     """V at "v-" and "v+"; None: as readout.supply"""
-    text: str = Field(default="", exclude=True, repr=False)
-    """checked cards of the file, one per line; empty: not read yet"""
+    _text: str = PrivateAttr(default="")
 
     @model_validator(mode="after")
     def _connected(self) -> Self:
@@ -66,16 +69,15 @@ class AmplifierModel(Section):
                 raise ValueError(f"pins must name '{pin}' once, got {list(self.pins)}")
         if self.rails is not None and not self.rails[0] < self.rails[1]:
             raise ValueError(f"rails must be [voltage at v-, voltage at v+] in V, got {list(self.rails)}")
+        self._text = self._read(self.file)
         return self
 
-    def read(self, folder: Path) -> AmplifierModel:
-        """A copy with the checked cards of the file; ``folder`` is that of the design.
+    @property
+    def text(self) -> str:
+        """The checked cards of the file, one per line."""
+        return self._text
 
-        Raises:
-            InputError: no such file, no such subcircuit, another number of pins, or a line that is not allowed.
-
-        """
-        path = folder / self.file
+    def _read(self, path: Path) -> str:
         # Makers use various code pages; only comments may contain more than ASCII.
         content = read_bytes(path, most_bytes=MOST_MODEL_BYTES).decode("latin-1")
         if _ENCRYPTED.search(content):
@@ -84,7 +86,7 @@ class AmplifierModel(Section):
         used = self._used(cards, str(path))
         for card in used:
             _check_card(card, str(path))
-        return self.replace(text="\n".join(_without_thermal_noise(used)))
+        return "\n".join(_without_thermal_noise(used))
 
     def _used(self, cards: list[_Card], path: str) -> list[_Card]:
         """The cards of the subcircuit, of those that it calls, and outside of all; libraries have many others."""

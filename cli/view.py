@@ -76,7 +76,9 @@ def show(what: str, opening: Opening, port: int | None, host: str, *, open_brows
 async def _show(source: Source, host: str, ports: Sequence[int], stop: Stop, *, open_browser: bool) -> None:
     """Serve the page until ``stop``."""
     stopped, loop = asyncio.Event(), asyncio.get_running_loop()
-    loop.add_reader(stop, stopped.set)
+    stop.then = lambda: loop.call_soon_threadsafe(stopped.set)
+    if stop.is_set():
+        stopped.set()
     with source:
         async with serve(source, host=host, ports=ports) as page:
             click.echo(page.url)
@@ -84,7 +86,6 @@ async def _show(source: Source, host: str, ports: Sequence[int], stop: Stop, *, 
                 # In a thread that nobody waits for: a browser in the terminal returns when it is closed.
                 threading.Thread(target=_open_browser, args=(page.url,), daemon=True).start()
             await stopped.wait()
-    loop.remove_reader(stop)
 
 
 def _open_browser(url: str) -> None:

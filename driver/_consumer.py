@@ -79,23 +79,27 @@ class Consumer:
 
         """
         deadline: float | None = None
+        late = False
         while True:
-            frame = self.frame_if_there()
+            frame = self.frame_if_there(late=late)
             if frame is not None:
                 return frame
             if deadline is None:
                 deadline = time.monotonic() + timeout_s
             left = deadline - time.monotonic()
             if left <= 0 and not (while_away and self._source.mailbox.away):
-                raise self._source.reader.nothing_came("frame", timeout_s)
+                if late or timeout_s <= 0:
+                    raise self._source.reader.nothing_came("frame", timeout_s)
+                late = True
+                continue
             self._wait(left if left > 0 else 1.0, self._place.index)
 
-    def frame_if_there(self) -> Frame | None:
-        """The next frame if it has arrived already; raises as :meth:`next_frame`."""
+    def frame_if_there(self, *, late: bool = False) -> Frame | None:
+        """The next frame if it has arrived already, looked for once more if ``late``; raises as :meth:`next_frame`."""
         source = self._source
         self._place.used = True
         if source.newest_only or not source.mailbox.has_after(self._place.index):
-            source.reader.poll()
+            source.reader.poll(patient=late)
         while True:
             if source.newest_only or self._place.index >= source.mailbox.fault.after:
                 self._check_fault()
@@ -188,7 +192,7 @@ class Consumer:
         """
         source = self._source
         measurement = source.converter.measure(raw)
-        notices = source.converter.notices
+        notices = source.counters.notices
         while notices:
             with contextlib.suppress(IndexError):  # another reader was quicker
                 warnings.warn(notices.popleft(), RuntimeWarning, stacklevel=2)

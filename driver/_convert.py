@@ -185,8 +185,7 @@ class Converter:
         """times and readings of the last frames"""
         self._awaited = False
         """a reader converts frames, or waits for the lock to do so"""
-        self.notices: deque[str] = deque()
-        """warnings for the next reader who takes a frame"""
+        self.notices = counters.notices
 
     @property
     def last_index(self) -> int:

@@ -166,12 +166,12 @@ class Mailbox:
         """Drop frames passed by all consumers that ever took a frame. The others start at the oldest frame left."""
         self._drop([place for place in self._places if place.used])
 
-    def is_full(self) -> bool:
-        """Whether the queue has no room, even after dropping frames that nobody has asked for."""
+    def is_full(self, times: int = 1) -> bool:
+        """Whether ``times`` the queue has no room, even after dropping frames that nobody has asked for."""
         with self.lock:
-            if len(self._frames) >= self.capacity:
+            if len(self._frames) >= times * self.capacity:
                 self._drop_unused()
-            return len(self._frames) >= self.capacity
+            return len(self._frames) >= times * self.capacity
 
     def wait_for(self, news: Callable[[], bool], timeout_s: float) -> None:
         """Wait until ``news`` returns True, for at most ``timeout_s``; it is called whenever something is new."""

@@ -35,7 +35,8 @@ NEGOTIATION_S = 15.0
 """longest wait for an RFC 2217 server to agree on its options"""
 UNHEARD_S = 3.0
 """a TCP peer that acknowledges nothing for this long is gone; a cable pulled at its end gives no other sign"""
-_CHUNK = 65536
+READ_BYTES = 8192
+"""bytes of a read at most, so that one read is a small part of a turn, however fast a board sends"""
 _SHORT = 1024
 """bytes below which one system call has returned everything: terminals return up to 4095 at once, sockets more"""
 _EMULATOR = "ohmskin.emulator"
@@ -60,7 +61,8 @@ class Arrival(NamedTuple):
 class BytePort(Protocol):
     """A byte stream with arrival times: the interface that a :class:`~ohmskin.driver.Skin` needs of a port.
 
-    A recording can provide it: ``read`` then returns the recorded arrivals, and ``now`` runs with the recording.
+    A recording can provide it: ``read`` then returns the recorded arrivals, and ``now`` runs with the recording. A port
+    whose board's time is a simulation's, at whatever pace, says so by an attribute ``is_simulated``, which is True.
     """
 
     name: str
@@ -130,6 +132,7 @@ class _RealTimePort:
         self.name = name
         self.announced = announced(name)
         """announcement of an emulated board's port on this machine; None: the port is another one"""
+        self.is_simulated = self.announced is not None or name.startswith(EMULATED_HERE)
 
     def now(self) -> float:
         """Present time in s on the machine's monotonic clock."""
@@ -177,17 +180,17 @@ class DescriptorPort(_RealTimePort):
         """Wait until bytes have come or the port is gone; False after ``timeout_s`` or after :meth:`interrupt`."""
         ready = {key.fd for key, _ in self._selector.select(max(timeout_s, 0.0))}
         if self._wake_read in ready:
-            os.read(self._wake_read, _CHUNK)
+            os.read(self._wake_read, READ_BYTES)
         return self._descriptor in ready
 
     def read(self) -> Arrival:
         """Take the bytes that have come, without waiting; LinkError when the port is gone."""
         try:
-            data = os.read(self._descriptor, _CHUNK)
+            data = os.read(self._descriptor, READ_BYTES)
             # A terminal reads nothing when nothing has come. Any port reads nothing when the other end has hung up, but
             # then select() reports the port as readable.
             if not data and self._readable.select(0):
-                data = os.read(self._descriptor, _CHUNK)
+                data = os.read(self._descriptor, READ_BYTES)
                 if not data:
                     raise self._gone("the other end hung up" if self._failure is None else self._failure)
         except OSError as error:
@@ -338,7 +341,7 @@ class UrlPort(_RealTimePort):
                 queued = _queued_bytes(self._device)
                 if queued:
                     return queued
-                size = self._device.in_waiting  # type: ignore[attr-defined]  # the stubs lack it
+                size = min(self._device.in_waiting, READ_BYTES)  # type: ignore[attr-defined]  # the stubs lack it
             return bytes(self._device.read(size)) if size else b""
         except BlockingIOError:  # another thread has taken the bytes
             return b""
@@ -361,7 +364,7 @@ class UrlPort(_RealTimePort):
 
 
 def _queued_bytes(device: serial.SerialBase) -> bytes:
-    """Take all bytes that pyserial's thread for RFC 2217 has queued; empty for other devices.
+    """Take bytes that pyserial's thread for RFC 2217 has queued; empty for other devices.
 
     pyserial's own ``read`` takes a lock for each byte, for which both threads compete. If other programs use the
     processor, a frame then takes a second.
@@ -371,7 +374,7 @@ def _queued_bytes(device: serial.SerialBase) -> bytes:
         return b""
     with waiting.mutex:
         count = waiting.queue.index(None) if None in waiting.queue else len(waiting.queue)  # None: the connection's end
-        return b"".join(waiting.queue.popleft() for _ in range(count))
+        return b"".join(waiting.queue.popleft() for _ in range(min(count, READ_BYTES)))
 
 
 def _end_when_unheard(connection: socket.socket) -> None:

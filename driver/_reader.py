@@ -17,6 +17,7 @@ from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError
 from ..wire import Corrupt, Description, Event, Family, Flag, FramePacket, HostProtocol, Identity, Order
 from ._introduce import Introduction
 from ._mailbox import Mailbox
+from ._orders import Answer, PendingOrder
 from ._port import Arrival, BytePort
 from ._reconnect import attempts
 from ._statistics import Counters
@@ -28,12 +29,11 @@ ASK_WHO_S = 0.25
 """the same for a board that has not identified itself: a lossy line needs several answers for a whole description"""
 PROOF_S = 3.0
 """after a reconnection: time for a board to prove that it is the same one"""
-MOST_READS = 64
-"""reads in one turn, so that a board that never pauses cannot block a consumer"""
-LONGEST_TURN_S = 0.02
-"""the same in s, for bytes without a frame"""
+MOST_EVENTS, LONGEST_TURN_S = 128, 0.02
+"""packets, and s of processor time, after which a turn of reading ends, whatever came: consumers, and the
+end of the skin, wait for one turn"""
 LONGEST_REST_S = 1.0
-"""most time that the thread rests after such bytes; it rests as long as it took to look through them"""
+"""most time that the thread rests after such a turn; it rests for as long as the turn took"""
 POLL_S = 0.05
 """how long a consumer waits for the thread to have read, before it looks for a frame"""
 MOST_UNPROVEN = 1000
@@ -43,6 +43,8 @@ READ_AGAIN_S = 0.0005
 """a consumer who has read and converted for longer reads again, since newer frames may have come meanwhile"""
 CONVERTED_IN_TURN = 4
 """frames that the thread converts before it reads the port again, whose buffers hold some milliseconds"""
+ANSWER_LIES_BEHIND = 8
+"""queues of frames that may lie on the line before an answer"""
 JOIN_S = 2.0
 """how long closing waits for the thread, which may be busy opening a port"""
 
@@ -82,7 +84,7 @@ class Reader:
         self.port_name = port.name
         self.introduction = introduction
         self.introduced = SignalSafeEvent()
-        self.stream = FrameStream(port.name, counters)
+        self.stream = FrameStream(port.name, counters, simulated=getattr(port, "is_simulated", False))
         self.taps: list[Callable[[Arrival], None]] = []
         """called with all bytes, as they arrive: for a recorder"""
         self.on_gone: list[Callable[[], None]] = []
@@ -112,6 +114,11 @@ class Reader:
         self._away_because: LinkError | None = None
         self._received, self._reason = 0, "no end of a packet"
         """bytes since the last frame, and why the last of them formed no packet"""
+        self._orders: list[PendingOrder] = []
+        self._asked_at = inf
+        """when the board was first asked who it is"""
+        self._stopped = False
+        """the board was ordered to send no frames"""
         self._unreadable = ""
         """why the description that the board has sent cannot be read"""
         self._forgotten = False
@@ -132,8 +139,13 @@ class Reader:
             LinkError: the port is gone.
 
         """
-        if not self.introduced.wait(timeout_s):
-            raise self.nothing_came("description", timeout_s)
+        # Only the board's silence counts, not the time until the thread runs and has asked, on a busy machine.
+        while not self.introduced.wait(ASK_WHO_S):
+            if time.monotonic() - self._asked_at < timeout_s:
+                continue
+            self.poll(patient=True)
+            if not self.introduced.is_set():
+                raise self.nothing_came("description", timeout_s)
         if not self.introduction.complete:
             end = self._mailbox.end
             raise LinkError(f"{self.port_name}: closed") if end is None else end
@@ -169,18 +181,19 @@ class Reader:
             )
         return LinkTimeout(f"{where}: the board is there, but sends none")
 
-    def poll(self) -> None:
+    def poll(self, *, patient: bool = False) -> None:
         """Read the bytes that have come, and convert their frames.
 
-        Errors of the port are left to the thread, and so are bytes of a flood.
+        Errors of the port are left to the thread, and so are bytes of a flood. Before a time-out is reported, whoever
+        waits is ``patient``: a thread that reads may be kept from it by other programs.
         """
         began_s = self.now()
-        self._read_and_convert()
+        self._read_and_convert(JOIN_S if patient else POLL_S)
         if self.now() - began_s > READ_AGAIN_S:
-            self._read_and_convert()
+            self._read_and_convert(POLL_S)
 
-    def _read_and_convert(self) -> None:
-        if self._reading.acquire(timeout=POLL_S):
+    def _read_and_convert(self, limit_s: float) -> None:
+        if self._reading.acquire(timeout=limit_s):
             try:
                 self._read()
             except OhmskinError:
@@ -193,8 +206,50 @@ class Reader:
         """Present time on the port's clock."""
         return self._clock()
 
-    def send(self, order: Order, *, period_us: int = 0) -> None:
-        """Send an order to the board.
+    def order(self, order: Order, timeout_s: float, *, period_us: int = 0) -> Answer | None:
+        """Send an order to the board, again if need be, and wait for its answer.
+
+        Returns:
+            The answer; None at once if the family's orders have none.
+
+        Raises:
+            InputError: the family has no such order, or this is the thread that would hear the answer.
+            OrderRefused: the board has refused the order.
+            LinkTimeout: no answer came.
+            LinkEnded: the skin is closed, or the stream is over.
+            LinkError: the port is gone, or the line is full.
+
+        """
+        if threading.current_thread() is self._thread:
+            raise InputError(f"{order.name} from within a function that is called with all bytes; give it elsewhere")
+        pending, until_s = PendingOrder(order), time.monotonic() + timeout_s
+        self._orders.append(pending)
+        try:
+            while True:
+                with self._reading:
+                    if not self.send(order, period_us=period_us):
+                        raise InputError(
+                            f"{self.port_name}: boards of family '{self._family.name}' take no {order.name}"
+                        )
+                    if not self._protocol.commands:
+                        return None
+                    pending.numbers.add(self._protocol.commands)
+                left_s = until_s - time.monotonic()
+                if pending.over.wait(min(max(left_s, 0.0), ASK_AGAIN_S)):
+                    break
+                if left_s <= 0:
+                    raise LinkTimeout(f"{self.port_name}: no answer to {order.name} within {timeout_s:g} s")
+        finally:
+            self._orders.remove(pending)
+        if pending.answer is None:
+            raise copy.copy(self._mailbox.end or self._closed())
+        answer = pending.taken(self.port_name, f" with {period_us} us" if order is Order.RATE else "")
+        if order in (Order.STOP, Order.START):
+            self._stopped = order is Order.STOP
+        return answer
+
+    def send(self, order: Order, *, period_us: int = 0) -> bool:
+        """Send an order to the board; returns whether its family has such an order.
 
         Raises:
             LinkEnded: the skin is closed, or the stream is over.
@@ -209,6 +264,7 @@ class Reader:
             data = self._protocol.request(order, period_us=period_us)
             if data:
                 self._port.write(data)
+            return bool(data)
 
     @contextlib.contextmanager
     def between_arrivals(self) -> Iterator[None]:
@@ -281,6 +337,8 @@ class Reader:
             self._reopen = None  # its finder watches a file, the port's announcement
             self.introduced.set()
             self.introduction.identified.set()
+            for pending in list(self._orders):
+                pending.over.set()
 
     def _live(self) -> None:
         """Serve the port, and again after each reconnection."""
@@ -305,10 +363,11 @@ class Reader:
         if self.introduction.complete:
             self.introduced.set()
         self._ask()
+        self._asked_at = min(self._asked_at, time.monotonic())
         ask_at = time.monotonic() + ASK_WHO_S
         behind = False
         while not (self._is_ending or self._mailbox.end):
-            if self._lossless and self._mailbox.is_full():
+            if self._is_full():
                 self._mailbox.wait_for_room(ASK_AGAIN_S)
                 ask_at = time.monotonic() + ASK_AGAIN_S
                 continue
@@ -328,6 +387,10 @@ class Reader:
                 self._ask()
                 ask_at = now + (ASK_AGAIN_S if known else ASK_WHO_S)
 
+    def _is_full(self) -> bool:
+        """Whether no frame can be taken. An answer lies behind frames, hence some more are taken until it comes."""
+        return self._lossless and self._mailbox.is_full(ANSWER_LIES_BEHIND if self._orders else 1)
+
     def _ask(self) -> None:
         try:
             for order in (Order.IDENTIFY, Order.DESCRIBE):
@@ -340,6 +403,8 @@ class Reader:
 
     def _start_frames(self) -> None:
         """Order frames once the board is known, so that a board that waits for orders sends no unusable frames."""
+        if self._stopped:
+            return
         self.send(Order.START)
         if self._family.polled:
             self.send(Order.ONE_FRAME)
@@ -352,7 +417,7 @@ class Reader:
             return left
 
     def _read(self) -> bool:
-        """Read the bytes that have come; whether there were some, and no frame among them."""
+        """Read what has come, within the budget of a turn; whether the thread shall rest before it goes on."""
         with self._errors_told():
             return self._drain()
 
@@ -368,10 +433,10 @@ class Reader:
             raise
 
     def _drain(self) -> bool:
-        only_noise, until = False, time.monotonic() + LONGEST_TURN_S
+        done, until_s = 0, time.thread_time() + LONGEST_TURN_S
         with self._reading:
-            for turn in range(MOST_READS):
-                if self._port is None or (self._lossless and self._mailbox.is_full()):
+            while True:
+                if self._port is None or self._is_full():
                     break
                 arrival = self._port.read()
                 if not arrival.data:
@@ -387,16 +452,18 @@ class Reader:
                 self.stream.arrive(arrival, frames)
                 for event in events:
                     self._handle(event, arrival)
-                only_noise = not frames and (only_noise or not turn)
+                done += len(events)
+                if done >= MOST_EVENTS or time.thread_time() > until_s:
+                    return not self._lossless
                 # Another frame may have come while several were decoded; it would be the newest one.
                 if not arrival.more and frames <= 1:
                     break
-                if only_noise and time.monotonic() > until:
-                    break
-        return only_noise
+        return False
 
     def _handle(self, event: Event, arrival: Arrival) -> None:
         self._reason = ""
+        for pending in self._orders:
+            pending.hear(event)
         match event:
             case FramePacket():
                 self._has_frames = True
@@ -516,7 +583,9 @@ class Reader:
             with self._reading:
                 self._port, self._clock = port, port.now
                 self.port_name = self.introduction.port_name = port.name
-                self._protocol = self._new_protocol()
+                self._protocol, self._stopped = self._new_protocol(), False
+                for pending in self._orders:
+                    pending.numbers.clear()
                 self._unproven.clear()
                 known = self.introduction.identity, self.introduction.description
                 self._proofs = {type(packet) for packet in known if packet is not None}

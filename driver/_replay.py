@@ -28,7 +28,7 @@ from ..common.files import size as size_text
 from ..common.progress import Progress, silent
 from ..common.text import shortened, shown
 from ..errors import InputError, LinkEnded, LinkError, MissingExtra, OhmskinError, ProtocolError
-from ..wire import BoardFile, Family, board_family, read_description, write_description
+from ..wire import BoardFile, Family, known_family, read_description, write_description
 from ._calibration import Calibration
 from ._pitch import Pitch
 from ._port import Arrival
@@ -122,7 +122,7 @@ class RecordedSettings:
         if self.board_file is not None:
             return BoardFile.parse(self.board_file, f"{path}: board_file").family()
         try:
-            return board_family(self.board)
+            return known_family(self.board)
         except InputError as error:
             raise InputError(
                 f"{path}: a recording of the board {shown(self.board)}, which is no known family; give it (board=)"

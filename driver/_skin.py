@@ -24,6 +24,7 @@ from ._convert import Measurement
 from ._discover import LONGEST_SEARCH_S, find_board
 from ._frame import Frame
 from ._opening import Link, Opening, SkinSettings
+from ._orders import Answer
 from ._port import Arrival, BytePort
 from ._port_names import has_gone, is_unpaced, refuse_missing, usb_serial_number
 from ._reader import await_free
@@ -492,18 +493,34 @@ class Skin:
         self._converter.on_rest.append(recording.rest_changed)
         self._converter.on_converted.append(told)
 
-    def request(self, order: Order, *, period_us: int = 0) -> None:
-        """Send the board an order of its protocol.
+    def request(self, order: Order, *, period_us: int = 0, timeout: float | None = None) -> Answer | None:
+        """Give the board an order of its protocol, and return its answer. After STOP no frames come until START.
+
+        Args:
+            order: what the board shall do.
+            period_us: us between two frames, for RATE.
+            timeout: s to wait for the answer (None: the timeout with which the skin was opened); the order is repeated
+                meanwhile, since lines lose packets.
+
+        Returns:
+            A :class:`ohmskin.wire.Reply`, matched by the order's number; for IDENTIFY, DESCRIBE, SELF_TEST and
+            ONE_FRAME the packet that was asked for. None for families of boards whose orders have no answers.
 
         Raises:
+            OrderRefused: the board has refused the order; the message says why.
+            LinkTimeout: no answer came.
             LinkEnded: the skin is closed, or the stream is over.
             LinkError: the port is gone, or the line is full.
-            InputError: ``order`` is no :class:`ohmskin.wire.Order`, or ``period_us`` no number.
+            InputError: ``order`` is no :class:`ohmskin.wire.Order`, or the family has no such order; ``period_us`` or
+                ``timeout`` is no number; a recording plays.
 
         """
         of_kind("order", order, Order, "an ohmskin.wire.Order")
         number("period_us", period_us, "us")
-        self._reader.send(order, period_us=period_us)
+        if self.recorded_s is not None:
+            raise InputError(f"{self.port_name}: a recording takes no orders")
+        limit_s = self._timeout if timeout is None else number("timeout", timeout, "s")
+        return self._reader.order(order, limit_s, period_us=period_us)
 
     def stats(self) -> LinkStatistics:
         """Statistics of the link: frames received and lost, and their ages."""

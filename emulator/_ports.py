@@ -14,6 +14,7 @@ import termios
 import time
 import tty
 from abc import ABC, abstractmethod
+from functools import cached_property
 from pathlib import Path
 from typing import Self, cast
 
@@ -30,6 +31,8 @@ _RESET, _IN_GOOD_ORDER = struct.pack("ii", 1, 0), struct.pack("ii", 0, 0)
 """whether to linger, and for how many s: how closing a TCP connection ends it (struct linger)"""
 LONGEST_SUBOPTION = 1024
 """bytes of a Telnet suboption; a host that sends a longer one is hung up on"""
+MOST_UNREAD = 65536
+"""bytes that may wait for a host beyond the kernel's buffer; one that asks and reads no answers is hung up on"""
 
 
 class Port(ABC):
@@ -41,6 +44,11 @@ class Port(ABC):
     """hosts so far, for ports that can tell one from the next"""
     _announcement: Announcement | None = None
     _listed = True
+
+    @cached_property
+    def hung_up(self) -> dict[str, None]:
+        """Why hosts were hung up on, each reason once."""
+        return {}
 
     @abstractmethod
     def host_present(self) -> bool:
@@ -472,16 +480,20 @@ class Rfc2217Port(TcpPort):
         if not data:
             self._flush()
             return data
+        broken, plain = "", b""
         try:
             plain = b"".join(self._manager.filter(data))
-        except (KeyError, ValueError, TypeError, struct.error):  # a suboption that breaks the standard
-            self._hang_up()
-            return None
+        except (KeyError, ValueError, TypeError, struct.error):
+            broken = "a suboption of Telnet that breaks RFC 2217"
         if len(self._manager.suboption or b"") > LONGEST_SUBOPTION:
-            self._hang_up()
-            return None
-        self._flush()
-        return plain
+            broken = f"a suboption of Telnet of more than {LONGEST_SUBOPTION} bytes"
+        if not (self._flush() or broken) and len(self._outgoing) > MOST_UNREAD:
+            broken = f"it asks and does not read: more than {MOST_UNREAD} bytes of answers wait"
+        if not broken:
+            return plain
+        self.hung_up[broken] = None
+        self._hang_up()
+        return None
 
     def write(self, data: bytes) -> int:
         if self._host is None:

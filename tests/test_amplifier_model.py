@@ -13,6 +13,7 @@ from verified import AMPLIFIED, complete
 
 from ohmskin.circuits import AmplifierModel, Design, Requirement, scan, spice, stability
 from ohmskin.cli import run
+from ohmskin.common.config import parse
 from ohmskin.errors import InputError, SolverError
 from ohmskin.verification import Report, verify
 
@@ -219,7 +220,7 @@ def test_supply_pins_need_a_supply(folder: Path) -> None:
     design = _design(folder).replace(readout={"supply": (float("-inf"), float("inf"))})
     with pytest.raises(InputError, match="rails: not given"):
         spice.dynamic_netlist(design, CELLS, 0)
-    rails = AmplifierModel(file="opa.lib", subcircuit="TWOPOLE", rails=(-2.5, 2.5)).read(folder)
+    rails = AmplifierModel(file=folder / "opa.lib", subcircuit="TWOPOLE", rails=(-2.5, 2.5))
     text = spice.dynamic_netlist(design.replace(readout={"amplifier_model": rails}), CELLS, 0)
     assert "Vlow rail_low 0 DC -2.5" in text
 
@@ -284,7 +285,7 @@ NEVER_ENDING = "BX X 0 V={SIN(6.28e12*TIME)}\nRX X Y 1k\nCX Y 0 1p"
 
 def _published(tmp_path: Path, *, warm: str = "", more: str = "") -> Design:
     (tmp_path / "amp.lib").write_text(PUBLISHED.format(warm=warm, more=more))
-    model = AmplifierModel(file="amp.lib", subcircuit="AMP/X").read(tmp_path)
+    model = parse({"file": "amp.lib", "subcircuit": "AMP/X"}, AmplifierModel, source="design", folder=tmp_path)
     return Design.model_validate(
         {
             "array": {"rows": 2, "columns": 2, "row_lead": 50.0},

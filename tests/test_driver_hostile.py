@@ -7,7 +7,7 @@ import threading
 import traceback
 
 import pytest
-from boards import MemoryPort, Script, described, frame, identity
+from boards import MemoryPort, Script, described, frame, identity, sheet
 
 from ohmskin.driver import CountReader, Skin
 from ohmskin.errors import LinkError, OhmskinError, ProtocolError
@@ -16,7 +16,7 @@ from ohmskin.wire import DescriptionPiece, encode
 DESIGN = {"array": {"rows": 3, "columns": 2}, "drive": {"voltage": -1.0}}
 ESCAPES = "\x1b[2J\n\x9b31m\u202e"
 """clears a terminal, colours it, and turns the direction of what follows"""
-BLOCK = 65536
+BLOCK = 8192
 """bytes that a port gives at once"""
 
 
@@ -44,6 +44,44 @@ def test_a_flood_of_noise_ends_with_the_timeout(family: str, noise: bytes) -> No
     ):
         skin.read()
     assert port.closed
+
+
+class Torrent(MemoryPort):
+    """A board that sends faster than any host takes; it counts what is taken in each turn of a thread."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._pieces = [identity(), sheet()]
+        self._number = 0
+        self.taken: list[int] = []
+        """frames since the last wait or the last look of the thread that reads"""
+
+    def ready(self) -> bool:
+        return True
+
+    def wait(self, timeout_s: float) -> bool:
+        self.taken.append(0)
+        return True
+
+    def next_bytes(self) -> bytes:
+        if self._pieces:
+            return self._pieces.pop(0)
+        first, self._number = self._number, self._number + 40
+        if self.taken:
+            self.taken[-1] += 40
+        return b"".join(map(frame, range(first, self._number)))
+
+
+def test_a_flood_of_frames_leaves_turns_of_bounded_work() -> None:
+    """The thread reads so many frames in a turn and no more, and so does each call; hence both are short."""
+    port = Torrent()
+    with Skin(port) as skin:
+        for _ in range(50):
+            before = skin.stats().frames
+            skin.latest(1e9)
+            assert skin.stats().frames - before < 5000  # three turns of this thread, and what the other does meanwhile
+    assert port.closed
+    assert max(port.taken) <= 10 * 200
 
 
 def test_set_ups_that_take_too_long_leave_few_threads(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -98,6 +98,17 @@ def test_a_host_that_raises_dtr_resets_a_board_that_has_auto_reset() -> None:
         assert (after.boot_id - before.boot_id) % 2**32 < 5
 
 
+def test_a_host_that_asks_and_does_not_read_is_hung_up_on_with_a_reason() -> None:
+    """Answers of Telnet's negotiation wait in bounded memory, whatever the kernel's buffers hold."""
+    port = Rfc2217Port.at(":0")
+    with running(scene(), port):
+        with connect(port) as deaf, pytest.raises(ConnectionError):
+            deaf.sendall(20_000_000 * b"\xff\xfd\x63")  # DO, of an option that nobody has
+        assert list(port.hung_up) == ["it asks and does not read: more than 65536 bytes of answers wait"]
+        with serial.serial_for_url(f"{port.name}?timeout={HANG_S}", timeout=0.2) as line:
+            assert read_until(line, FramePacket)
+
+
 def test_a_host_that_breaks_telnet_is_hung_up_on_and_the_next_one_served() -> None:
     """A suboption without end, and one that is too short."""
     for attack in (b"\xff\xfa\x2c" + b"x" * 5000, b"\xff\xfa\x2c\x01\xff\xf0", b"\xff\xfa\x2c\x03\x63\xff\xf0"):

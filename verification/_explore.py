@@ -18,7 +18,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from math import inf, isnan, nan
-from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -481,7 +480,7 @@ def _judge(subject: Subject, requirement: Requirement) -> _Judged | None:
             return None
         kept = (low is None or value >= low) and (high is None or value <= high)
         return _Judged(value, "%", bool(kept and np.isfinite(value)))
-    result = evaluate(subject, requirement, Path())
+    result = evaluate(subject, requirement, {})
     if result.measurement is None:
         return None
     return _Judged(result.measurement.value, result.unit, result.outcome is Outcome.PASS)

@@ -379,7 +379,7 @@ def _spread_shown(spread: Spread, unit: str, *, absolute: bool) -> str:
 
 def _value_shown(value: Any, unit: str) -> str:
     if isinstance(value, AmplifierModel):
-        return f"{value.subcircuit} of {value.file}"
+        return f"{value.subcircuit} of {value.file.name}"
     if isinstance(value, bool) or not isinstance(value, int | float | tuple | list):
         return "not given" if value is None else str(value)
     if isinstance(value, tuple | list):

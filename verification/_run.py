@@ -11,8 +11,9 @@ import dataclasses
 import importlib.resources
 import json
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -36,8 +37,9 @@ from ._claims import STATEMENTS, Statement
 from ._hardware import twins
 from ._montecarlo import BLOCK, blocks, sample_block
 from ._outcome import Claim, Finding, Result, defect, not_run
+from ._own_code import Allowing, OwnFunction, read_own_functions
 from ._report import Report
-from ._requirements import check_requirements, default_requirements, evaluate, load_own_functions
+from ._requirements import check_requirements, default_requirements, evaluate
 from ._static import TARGETS, box_of, keep_samples, presses_of
 from ._subject import SAMPLES, SEED, Subject, everything_of
 from ._targets import Press
@@ -73,8 +75,8 @@ class Work(NamedTuple):
 
     subject: Subject
     requirements: tuple[Requirement, ...]
-    folder: Path
-    """where the files of quantities of one's own are"""
+    own: Mapping[str, OwnFunction]
+    """functions of the design's own, by quantity"""
     presses: tuple[tuple[str, list[Press]], ...] = ()
     """of the Monte Carlo analysis, by quantity"""
 
@@ -97,6 +99,7 @@ def verify(
     executor: Executor | None = None,
     store: Path | None = None,
     folder: Path | None = None,
+    allow_code: Allowing = False,
     require_all: bool = False,
     command: str = "ohmskin verify",
     progress: Progress = silent,
@@ -119,12 +122,14 @@ def verify(
         seed: of all random numbers.
         jobs: processes side by side.
         executor: computes the tasks instead, wherever that is.
-        store: folder for what tasks have found so far; None: nothing is kept.
+        store: folder for what tasks have found so far, in which nobody else can write; None: nothing is kept.
         folder: where the files of quantities of one's own are; None: the present folder.
+        allow_code: whether these files are run, or a function that is asked of each with its path and SHA-256. Without
+            permission such a requirement is not run.
         require_all: what could not be run counts as failed.
         command: what the report says makes it again.
         progress: told of each task that is done.
-        announce: told, before anything is computed, whether functions of the design's own are run.
+        announce: told, before anything is computed, which files of the design's own are run.
 
     Raises:
         InputError: bad requirements, an unknown id, no samples.
@@ -139,15 +144,15 @@ def verify(
     subject = Subject(prototype() if design is None else design, cell, target, seed, samples, jig, board, baud)
     wanted = tuple(requirements if requirements is not None else subject.design.requirement)
     wanted = wanted or default_requirements(subject.design)
-    here = folder or Path()
     check_requirements(wanted)
     wanted = twins(subject, wanted)
     with_paper = design is None and requirements is None if paper is None else paper
     statements = list(STATEMENTS if with_paper else ())
     wanted, statements = _chosen(wanted, statements, tuple(only))
-    if own := load_own_functions(wanted, here):
-        announce(f"the design's own code is run: {', '.join(own)}")
-    work = Work(subject, wanted, here)
+    own = read_own_functions(wanted, folder or Path(), allow_code)
+    for path, sha256 in {function.path: function.sha256 for function in own.values() if function.allowed}.items():
+        announce(f"the design's own code is run: {path}, SHA-256 {sha256}")
+    work = Work(subject, wanted, own)
     memory = _Store(store, _fingerprint(work))
     if target != "emulated":  # another board may answer at the same port by now
         _subjects.pop(memory.fingerprint, None)
@@ -215,7 +220,7 @@ def _compute(
         parts = [found[f"samples-{k}"][quantity] for k in range(blocks(work.subject.samples))]
         keep_samples(work.subject, quantity, np.concatenate(parts))
     for number in last:
-        found[f"requirement-{number}"] = evaluate(work.subject, work.requirements[number], work.folder)
+        found[f"requirement-{number}"] = evaluate(work.subject, work.requirements[number], work.own)
     ordered = [found[f"requirement-{number}"] for number in range(len(work.requirements))]
     return ordered + [found[f"claim-{statement.id}"] for statement in statements]
 
@@ -273,7 +278,7 @@ def _do(work: Work, task: Task) -> tuple[Task, Any]:
             for quantity, presses in work.presses
         }
     if task.kind == "requirement":
-        return task, evaluate(subject, work.requirements[task.number], work.folder)
+        return task, evaluate(subject, work.requirements[task.number], work.own)
     return task, _claim(subject, STATEMENTS[task.number])
 
 
@@ -301,6 +306,7 @@ def _fingerprint(work: Work) -> str:
         "design": everything_of(subject.design),
         "cell": subject.cell.model_dump(),
         "requirements": [requirement.model_dump(mode="python") for requirement in work.requirements],
+        "own code": {quantity: function.allowed and function.sha256 for quantity, function in work.own.items()},
         "target": subject.target,
         "jig": None if subject.jig is None else subject.jig.tolist(),
         "seed": subject.seed,
@@ -314,7 +320,7 @@ class _Store:
 
     def __init__(self, folder: Path | None, fingerprint: str) -> None:
         self.fingerprint = fingerprint
-        self._folder = None if folder is None else folder / fingerprint[:16]
+        self._folder = None if folder is None else folder / fingerprint
 
     def load(self, task: Task) -> Any:
         """What an earlier run found, or None."""
@@ -340,11 +346,8 @@ class _Store:
             return
         for path in self._folder.glob("*.json"):
             path.unlink(missing_ok=True)
-        for folder in (self._folder, self._folder.parent):
-            try:
-                folder.rmdir()
-            except OSError:
-                return
+        with suppress(OSError):
+            self._folder.rmdir()
 
 
 def _plain(value: Any) -> Any:

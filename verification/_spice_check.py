@@ -91,7 +91,7 @@ def measured_in_spice(subject: Subject, requirement: Requirement) -> Measurement
         raise NotRun(f"ngspice: {error}") from error
     value, where = _worst_of(quantity, found)
     model = design.readout.amplifier_model
-    amplifier = "amplifier of one pole" if model is None else f"macro-model {model.subcircuit} of {model.file}"
+    amplifier = "amplifier of one pole" if model is None else f"macro-model {model.subcircuit} of {model.file.name}"
     dropped = dict.fromkeys(name for frame in found for name in frame.dropped)
     return Measurement(
         value,

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
-from ..common.config import Section, load, parse
+from ..common.config import LocalFile, Section, load, parse
 from ..errors import InputError
 from ._framing import DescribedBoard, StartTable
 from ._lines import JsonFrame, TextFrame, TextHost
@@ -37,9 +37,9 @@ class BoardTable(Section):
     bits: Annotated[int, Field(ge=1, le=MOST_BITS)] = 12
     """of the counts: the numbers sent, or what ``frame.range`` is divided into"""
     baudrate: Annotated[int, Field(ge=50, le=50_000_000)] = 115_200
-    design: str | None = None
+    design: LocalFile | None = None
     """DESIGN.toml of the circuit, relative to this file; None: not known, frames have counts only"""
-    cell: str | None = None
+    cell: LocalFile | None = None
     """CELL.toml of the material, likewise"""
 
 
@@ -77,7 +77,7 @@ class BoardFile(Section):
 
     @classmethod
     def parse(cls, tables: Mapping[str, Any], source: str) -> Self:
-        """Check tables from elsewhere, such as a recording; ``source`` names them in messages. Raises InputError."""
+        """Check tables of a recording or a program; ``source`` names them in messages. Raises InputError."""
         return parse(tables, cls, source=source)
 
     def tables(self) -> dict[str, Any]:
@@ -87,16 +87,15 @@ class BoardFile(Section):
             tables["board"].pop(name, None)
         return tables
 
-    def family(self, folder: Path | None = None, *, design: Mapping[str, Any] | None = None) -> Family:
+    def family(self, *, design: Mapping[str, Any] | None = None) -> Family:
         """The family of boards that speaks this format.
 
         Args:
-            folder: in which the files of circuit and cell are; None: they are left out.
             design: tables of DESIGN.toml for the usual circuit, for families that ohmskin ships.
 
         """
         board, frame, start = self.board, self.frame, self.start
-        files = {"design": board.design, "cell": board.cell} if folder is not None else {}
+        files = {"design": board.design, "cell": board.cell}
         return Family(
             name=board.name,
             summary=f"{board.rows} x {board.columns}, {board.bits} bits, {frame.format}",
@@ -112,7 +111,7 @@ class BoardFile(Section):
             rts=start.rts,
             design=design,
             tables=self.tables(),
-            files={name: folder / path for name, path in files.items() if path is not None and folder is not None},
+            files={name: path for name, path in files.items() if path is not None},
         )
 
     def _host(self, family: Family, layout: Layout) -> HostProtocol:
@@ -133,6 +132,6 @@ def load_family(path: str | Path) -> Family:
     """The family that a BOARD.toml describes. Raises InputError."""
     file = BoardFile.load(path)
     try:
-        return file.family(Path(path).parent)
+        return file.family()
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
