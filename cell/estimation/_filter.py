@@ -450,6 +450,13 @@ def variance_of(e: Estimates, mean: float, t: Step) -> float:
 
 
 @loop
+def begin_each(cells: Records[Estimates], places: Places, r: Row, geq: float, g3: float) -> None:
+    """Begin the cells at ``places`` (k,) with their first readings ``r`` (k,)."""
+    for k in range(places.size):
+        begin(cells[places[k]], r[k], geq, g3)
+
+
+@loop
 def begin(e: Estimates, r: float, geq: float, g3: float) -> None:
     """A cell whose first reading is ``r``: at rest, or held for long."""
     s = max(r, 0.0) / geq
@@ -528,40 +535,87 @@ def follow(
 
 
 @loop
+def expects(e: Estimates, watch: Watch, t: Step) -> tuple[float, float]:
+    """Mean and variance of the next r of a cell, to first order in the step."""
+    if watch.asleep > 0.0:
+        return watch.mean, 0.0
+    mean = spread = 0.0
+    for j in range(MODES):
+        mean += e.w[j] * e.r[j]
+    for j in range(MODES):
+        off = e.r[j] - mean
+        way = t.by_move[phase_of(j)] * t.way_s[j]
+        spread += e.w[j] * (e.rr[j] + off * off + way * way * (e.v[j] * e.v[j] + e.vv[j]))
+    return mean, spread
+
+
+@loop
 def step_each(
-    cells: Records[Estimates], befores: Records[Estimates], watches: Records[Watch], scratch: Records[Candidates],
-    pools: Records[Pools], trial: Records[Estimates], steps: Records[Step],
-    low: Row, high: Row, var: Row, known: Row, forget: float, load: Row, std: Row,
+    cells: Records[Estimates],
+    befores: Records[Estimates],
+    watches: Records[Watch],
+    scratch: Records[Candidates],
+    pools: Records[Pools],
+    trial: Records[Estimates],
+    steps: Records[Step],
+    low: Row,
+    high: Row,
+    var: Row,
+    known: Row,
+    sleeps: Row,
+    forget: float,
+    load: Row,
+    variance: Row,
 ) -> None:
-    """Take a frame: readings of n cells between ``low`` and ``high`` (n,), with noise ``var`` (n,)."""
+    """Take a frame of n cells; writes mean ``load`` (n,) and its ``variance`` (n,).
+
+    Args:
+        cells: (n,) estimates; before a bad contact, if it is one, in ``befores``; and the rest of their states.
+        befores: see ``cells``.
+        watches: see ``cells``.
+        scratch: (1,) of the kernel; ``pools`` and ``trial`` likewise.
+        pools: see ``scratch``.
+        trial: see ``scratch``.
+        steps: (1,) weights of the time step.
+        low: (n,) readings lie between ``low`` and ``high``.
+        high: see ``low``.
+        var: (n,) variance of their noise.
+        known: (n,) 1 where a cell is read, 0 where it is not, -1 where it has never been.
+        sleeps: (n,) 1 where a cell may sleep.
+        forget: share of the evidence for modes that is kept.
+        load: written.
+        variance: written.
+    """
     t, c, p = steps[0], scratch[0], pools[0]
     for i in range(cells.size):
+        if known[i] < 0.0:
+            continue
         e, before, watch = cells[i], befores[i], watches[i]
         if watch.asleep > 0.0:
             if known[i] == 0.0 or rests(watch, t, low[i], high[i], var[i]):
                 load[i] = 0.0
-                std[i] = math.sqrt(t.floor * t.floor + DOZES * DOZES * var[i] / (t.gain * t.gain))
+                width = high[i] - low[i]
+                variance[i] = t.floor * t.floor + (var[i] + width * width * (1.0 / 12.0)) / (t.gain * t.gain)
                 continue
             watch.asleep = 0.0
         follow(e, before, watch, c, p, trial[0], t, known[i] > 0.0, low[i], high[i], var[i], forget)
         mean = mean_of(e)
-        variance = variance_of(e, mean, t)
+        spread = variance_of(e, mean, t)
         if watch.since_s > 0.0:
             bad = 1.0 / (1.0 + math.exp(-watch.odds))
             other = mean_of(before)
             off = other - mean
             mean += bad * off
             bad = bad * bad / (bad + TAIL)
-            variance += bad * (variance_of(before, other, t) - variance) + bad * (1.0 - bad) * off * off
-        elif forget < 1.0 and known[i] > 0.0 and settled(e, t, var[i], high[i] - low[i]):
+            spread += bad * (variance_of(before, other, t) - spread) + bad * (1.0 - bad) * off * off
+        elif sleeps[i] > 0.0 and forget < 1.0 and known[i] > 0.0 and settled(e, var[i], high[i] - low[i]):
             watch.asleep, watch.mean, watch.sum = 1.0, e.r[REST], 0.0
-            copy(before, e)
         load[i] = mean
-        std[i] = math.sqrt(variance + t.floor * t.floor + t.relative * t.relative * mean * mean)
+        variance[i] = spread + t.floor * t.floor + t.relative * t.relative * mean * mean
 
 
 @loop
-def settled(e: Estimates, t: Step, var: float, width: float) -> bool:
+def settled(e: Estimates, var: float, width: float) -> bool:
     """Whether a cell is at rest, and remembers nothing that the noise does not hide."""
     return e.w[REST] > RESTS and e.r[REST] * e.r[REST] < 1e-6 + 1e-2 * (var + width * width)
 
@@ -582,9 +636,7 @@ HOPELESS = -12.0
 """logarithm of the odds at which no contact is suspected any more"""
 LASTING = 5.0
 """usual times of a bad contact, after which what is read counts as a load"""
-RESTS = 2.0
+RESTS = 0.9
 """probability of rest from which a cell may sleep"""
 WAKES, DRIFTS_S = 4.0, 3.0
 """standard deviations, and their sum, at which a cell wakes; and s, in which the mean of a sleeping cell follows"""
-DOZES = 1.0
-"""standard deviations of a reading that a load on a sleeping cell may have"""

@@ -1,0 +1,67 @@
+"""Errors that the cells of a column share: estimated from the other cells of the column, and taken out of the readings.
+
+On a divider whose idle rows are driven, errors of a few readings move all conductances of a column: a reading is
+r + noise + h z, with one standard normal z for each column and frame. The filter predicts every reading, so that the
+innovations of the *other* cells of a column tell z (a scalar Kalman update for each cell, its own reading left out: that
+would take a part of the cell's own load). Two laws keep loads out of z. An innovation counts up to
+:data:`CLIPPED` of its standard deviations (Huber 1964). And z is white from frame to frame while loads are not, so that
+the recent mean of z is no noise.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ...common.compiled import Records, Row, loop
+from ._filter import Estimates, Watch, expects
+from ._modes import Step
+
+CLIPPED = 3.0
+"""standard deviations of an innovation"""
+WHITE = 0.1
+"""weight of a frame in the recent mean of a column's z"""
+
+
+@loop
+def share_each(
+    cells: Records[Estimates],
+    watches: Records[Watch],
+    steps: Records[Step],
+    shared: Row,
+    known: Row,
+    recent: Row,
+    low: Row,
+    high: Row,
+    var: Row,
+    off: Row,
+    spread: Row,
+) -> None:
+    """Take what columns share out of readings between ``low`` and ``high`` (n,), and add what stays to ``var`` (n,).
+
+    ``shared`` (n,): signed standard deviation h of the shared error; ``recent`` (columns,): mean of late z; ``off`` and
+    ``spread`` (n,): scratch.
+    """
+    columns, t = recent.size, steps[0]
+    for i in range(shared.size):
+        spread[i] = 0.0
+        if known[i] > 0.0 and shared[i] != 0.0:
+            mean, expected = expects(cells[i], watches[i], t)
+            width = high[i] - low[i]
+            spread[i] = expected + var[i] + width * width * (1.0 / 12.0)
+            most = CLIPPED * math.sqrt(spread[i] + shared[i] * shared[i])
+            off[i] = min(max(0.5 * (low[i] + high[i]) - mean, -most), most)
+    for k in range(columns):
+        precision, told = 1.0, 0.0
+        for i in range(k, shared.size, columns):
+            if spread[i] > 0.0:
+                precision += shared[i] * shared[i] / spread[i]
+                told += shared[i] * off[i] / spread[i]
+        recent[k] += WHITE * (told / precision - recent[k])
+        for i in range(k, shared.size, columns):
+            if spread[i] > 0.0:
+                others = precision - shared[i] * shared[i] / spread[i]
+                z = (told - shared[i] * off[i] / spread[i]) / others
+                move = shared[i] * (z - recent[k] * (1.0 - 1.0 / others))
+                low[i] -= move
+                high[i] -= move
+                var[i] += shared[i] * shared[i] / others
