@@ -1,4 +1,4 @@
-"""``Measurement``: the conductances of one frame with what is known of their errors, from the circuit's law to contacts."""
+"""``Measurement``: conductances of one frame with what is known of their errors, from the circuit's law to contacts."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ STEP_STD = 3.0**-0.5
 class Measurement:
     """One frame of cells. Arrays are (rows, columns), in siemens unless stated, and never change again.
 
-    A cell's conductance is ``conductance + noise + column_std * z + half_step * u + column_half_step * v``: noise of its
-    own with variance ``noise_variance``, independent from frame to frame; one standard normal ``z`` per column and frame,
-    which all cells of the column share; quantisation errors with ``u`` of each cell and ``v`` of each column evenly
-    distributed from -1 to 1, which stay while the counts stay. Independently of these, the true conductance lies between
-    ``least`` and ``greatest``.
+    A cell's conductance is ``conductance + noise + column_std * z + half_step * u + column_half_step * v``: noise of
+    its own with variance ``noise_variance``, independent from frame to frame; one standard normal ``z`` per column and
+    frame, which all cells of the column share; quantisation errors with ``u`` of each cell and ``v`` of each column
+    evenly distributed from -1 to 1, which stay while the counts stay. Independently of these, the true conductance lies
+    between ``least`` and ``greatest``.
 
     A reading at a limit of the converter is an interval, not a gap: its ``conductance`` is NaN and ``least`` or
     ``greatest`` is finite. A cell of which nothing is known has NaN, 0 and infinity. A cell that is not valid since its
@@ -66,7 +66,7 @@ class Measurement:
 
     @property
     def column_std(self) -> FloatArray:
-        """By noise that the cells of a column share; signed: one ``z`` moves two cells by the signs of their entries."""
+        """By noise that the cells of a column share; signed: one ``z`` moves cells by the signs of their entries."""
         return self._field(COLUMN_STD)
 
     @property
@@ -93,8 +93,8 @@ class Measurement:
     def uncertainty(self) -> FloatArray:
         """Relative half-width of the conductance's interval (1); infinity where nothing is known.
 
-        It covers half an ADC step and three standard deviations of the noise of every reading, and the influence of cells
-        whose conductance is unknown.
+        It covers half an ADC step and three standard deviations of the noise of every reading, and the influence of
+        cells whose conductance is unknown.
         """
         return self._field(UNCERTAINTY)
 

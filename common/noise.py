@@ -1,4 +1,4 @@
-"""Noise of readings, estimated from frame to frame while they may move (noise-subspace and difference-based estimation).
+"""Noise of readings, estimated frame by frame while they may move (noise-subspace and difference-based estimation).
 
 Readings are taken frame by frame, in a unit in which noise is about the same at rest and under load: volts of a board,
 or conductances. There are two answers, for two uses:
@@ -113,7 +113,7 @@ class BoardNoise(Record):
     frames: float
     """taken so far"""
     stored: float
-    """those that differed from the one before; one that does not is no new sample, as of a board that sends all twice"""
+    """those that differed from the one before; a frame that a board sends twice is no new sample"""
     seen: float
     """noise without the sampling error of few readings"""
     confirmed: float
@@ -262,8 +262,8 @@ class NoiseEstimate:
 def constant_part(steps: float) -> float:
     """Fraction of the quantisation error that averaging does not reduce, at a measured noise in quantisation ``steps``.
 
-    Noise sigma ahead of the converter leaves the fraction s = exp(-2 (pi sigma)^2) of the mean error (Widrow and Kollar,
-    Quantization Noise, 2008) and makes the rest random, so that readings change by sigma^2 + (1 - s^2) / 12.
+    Noise sigma ahead of the converter leaves the fraction s = exp(-2 (pi sigma)^2) of the mean error (Widrow and
+    Kollar, Quantization Noise, 2008) and makes the rest random, so that readings change by sigma^2 + (1 - s^2) / 12.
     """
     low, high = 0.0, steps
     for _ in range(24):
@@ -277,8 +277,10 @@ def constant_part(steps: float) -> float:
 
 
 def _few_at_most(most: int) -> FloatArray:
-    """(2, most + 1) by number of changes: the relative error by which a standard deviation estimated from so many may be
-    too small (chi-square below its :data:`DOUBT` quantile), and the :data:`RARE` quantile of chi-square.
+    """(2, most + 1) by number of changes: sampling error of a standard deviation, and least sum of squares.
+
+    The first is the relative error by which an estimate from so many changes may be too small (chi-square below its
+    :data:`DOUBT` quantile), the second the :data:`RARE` quantile of chi-square.
     """
     changes = np.arange(most + 1.0)
     changes[0] = 1.0
@@ -383,7 +385,7 @@ def show_noise(board: BoardNoise, few: Rows, shown: float, square: float, quantu
 
 @loop
 def noise_of_few(ring: Rows, newest: int, board: BoardNoise, scratch: Rows, mean: float, quantum: float) -> float:
-    """The noise of few readings by the alternation of the last two changes; ``mean`` is that by the size of the last."""
+    """The noise of few readings by the alternation of two changes; ``mean`` is that by the size of the last one."""
     shown = min(mean, alternation(ring, newest, board, max(quantum, CLIP * board.seen)))
     if shown <= GROWING * board.seen:
         return shown
@@ -470,8 +472,8 @@ def select(sizes: Row, count: int, place: int) -> float:
 def noise_of_quietest(ring: Rows, newest: int, board: BoardNoise, scratch: Rows, quantum: float, three: bool) -> float:
     """The noise by the scatter over the readings of the quietest sum of the last two changes, or of ``three``."""
     count, moving = ring.shape[1], max(board.free, 1.0)
-    # Coordinates that are independent under noise, with the variance of one change, 2 sigma^2: the differences of first,
-    # second and third order of three changes (Legendre weights), or of the last two.
+    # Coordinates that are independent under noise, with the variance 2 sigma^2 of one change: of three changes the
+    # linear, quadratic and cubic Legendre weights of four readings, of two changes the same of three readings.
     xx = xy = xz = yy = yz = zz = 0.0
     for i in range(count):
         a, b, c = ring[newest, i], ring[(newest - 1) % KEPT, i], ring[(newest - 2) % KEPT, i]
