@@ -16,7 +16,7 @@ from functools import partial
 
 from ..common.checks import function
 from ..errors import LinkEnded, LinkError, LinkTimeout, ProtocolError
-from ._convert import Converter, Measurement
+from ._convert import Converted, Converter
 from ._frame import Frame
 from ._mailbox import Mailbox
 from ._reader import Reader
@@ -361,7 +361,7 @@ class ConvertedFrames:
         self._source, self._receive = source, receive
         self._before = _Totals()
 
-    def converted(self, raw: RawFrame, measurement: Measurement) -> None:
+    def converted(self, raw: RawFrame, measurement: Converted) -> None:
         """Take the next converted frame."""
         before, self._before = self._before, _Totals.of(raw, measurement.estimator_starts)
         self._receive(_frame(raw, measurement, before, self._source))
@@ -395,7 +395,7 @@ class _Totals:
         return cls(frame.index, frame.lost, frame.overruns, frame.reconnects, frame.reboots, estimator_starts)
 
 
-def _frame(raw: RawFrame, measurement: Measurement, before: _Totals, source: Source) -> Frame:
+def _frame(raw: RawFrame, measurement: Converted, before: _Totals, source: Source) -> Frame:
     """The frame for a reader whose totals up to now are ``before``."""
     contacts, view = source.converter.contacts, measurement.view
     lost_before = None if raw.lost is None else raw.lost - (before.lost or 0)

@@ -20,7 +20,7 @@ from ..common.text import printable
 from ..errors import InputError, LinkEnded, LinkError
 from ..wire import Description, Identity, Order
 from ._consumer import AsyncFrames, Consumer, ConvertedFrames, FrameCallback, Source, frames_since
-from ._convert import Measurement
+from ._convert import Converted
 from ._discover import LONGEST_SEARCH_S, find_board
 from ._frame import Frame
 from ._opening import Link, Opening, SkinSettings
@@ -94,7 +94,7 @@ class Skin:
         """Identify the board as asked; on failure the port is closed."""
         self._timeout = opening.timeout_s
         self._recorder: Recording | None = None
-        self._followers: dict[Recording, Callable[[RawFrame, Measurement], None]] = {}
+        self._followers: dict[Recording, Callable[[RawFrame, Converted], None]] = {}
         """recordings in progress -> the function that gives them converted frames"""
         try:
             link = Link(port, opening, reopen)
