@@ -222,9 +222,7 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
             decoded = process_time()
             reading = read(event.counts)
             solved = process_time()
-            if not estimator.resolved:
-                estimator.resolve(*read.resolution)
-            estimator.step_readings(1.0 / FRAME_RATE_HZ if number else 0.0, reading)
+            estimator.update(1.0 / FRAME_RATE_HZ if number else 0.0, reading)
             estimated = process_time()
             port.work(APART_S)  # the next frame comes
             taking = process_time()

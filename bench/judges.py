@@ -25,10 +25,11 @@ from ..cell import Cell
 from ..common import config
 from ..common.arrays import FloatArray
 from ..common.config import NotNegative, Positive, Section
+from ..common.measurement import Measurement
 from ..errors import InputError
 from . import panel
 from .harness import column, interval_score
-from .scenes import COLUMN_NOISE, Fault, Played, Scene, cells, play
+from .scenes import COLUMN_NOISE, MOST_VOLTS, Fault, Played, Scene, cells, play
 
 TABLE = Path(__file__).with_name("judges.toml")
 JUDGED_FROM_S, JUDGED_FROM_FRAMES = 0.5, 10.0
@@ -209,26 +210,34 @@ def judge(chosen: Iterable[Row], make: Maker) -> Iterator[Verdict]:
 
 
 def estimated(played: Played, estimator: Judged) -> tuple[FloatArray, FloatArray, float]:
-    """Pressure and standard deviation (n, *cells) in kPa, NaN in lost frames; and the processor time in s."""
-    ohms = played.ohms
-    if (resolve := getattr(estimator, "resolve", None)) is not None:
-        resolve(*_resolution(played))
+    """Pressure and standard deviation (n, *cells) in kPa, NaN in lost frames; and the processor time in s.
+
+    An estimator that has ``update`` gets what a circuit's inverse knows of the errors, where columns share some.
+    """
+    ohms, update = played.ohms, getattr(estimator, "update", None) if played.shares_columns else None
+    if update is None and (resolve := getattr(estimator, "resolve", None)) is not None:
+        at_rest = np.where(np.isfinite(ohms[0]), ohms[0], np.nan)
+        resolve(played.step_siemens / np.sqrt(12.0) * at_rest, at_rest)
     pressure, std = np.full((2, *ohms.shape), np.nan)
     last, spent = -1, 0.0
     for n in np.flatnonzero(played.arrives).tolist():
+        elapsed_s = (n - last) * played.frame_s
+        frame = ohms[n] if update is None else _measured(played, n)
         start = process_time()
-        pressure[n] = estimator.step((n - last) * played.frame_s, ohms[n])
+        pressure[n] = estimator.step(elapsed_s, frame) if update is None else update(elapsed_s, frame)
         std[n] = estimator.std_kpa
         spent += process_time() - start
         last = n
     return pressure, std, spent
 
 
-def _resolution(played: Played) -> tuple[Any, ...]:
-    """What a skin tells an estimator: the relative deviation of conductances by the ADC's steps, and ohms."""
-    at_rest = np.where(np.isfinite(played.ohms[0]), played.ohms[0], np.nan)
-    std = played.step_siemens / np.sqrt(12.0) * at_rest
-    return (std, at_rest, np.hypot(1.0, COLUMN_NOISE) * std, True) if played.shares_columns else (std, at_rest)
+def _measured(played: Played, n: int) -> Measurement:
+    """Frame ``n`` as a skin hands it over: its noise is that of the board."""
+    siemens, own = played.siemens[n], np.hypot(played.noise_siemens, played.step_siemens / np.sqrt(12.0))
+    column_std = COLUMN_NOISE * own * played.volts_per_siemens * np.nan_to_num(siemens) / MOST_VOLTS
+    known = np.ones_like(siemens)
+    noise, half = played.noise_siemens**2 * known, 0.5 * played.step_siemens * known
+    return Measurement.of(conductance=siemens, noise_variance=noise, column_std=column_std, half_step=half)
 
 
 def figures(played: Played, pressure: FloatArray, std: FloatArray, full_scale_kpa: float) -> Figures:

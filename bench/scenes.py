@@ -369,6 +369,9 @@ class Played:
     arrives: BoolArray
     """(n,) which frames do"""
     step_siemens: float
+    noise_siemens: float
+    """standard deviation of the noise of a cell's own reading"""
+    volts_per_siemens: float
     shares_columns: bool = False
     """whether noise scales all conductances of a column alike"""
 
@@ -442,6 +445,8 @@ def read(
         counts=counts,
         arrives=arrives,
         step_siemens=step_siemens,
+        noise_siemens=1e-3 * noise_mv / volts_per_siemens,
+        volts_per_siemens=volts_per_siemens,
         shares_columns=fault == "divider",
     )
 

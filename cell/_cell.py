@@ -18,8 +18,8 @@ from .estimation import Conditions, Contact, Estimator, Inversion, Logarithm, Ra
 from .inversions import (
     DRIFT,
     UNKNOWN_DRIFT,
-    AsymmetricInversion,
     EquilibriumInversion,
+    FollowedInversion,
     Learned,
     LearnedInversion,
     Numbers,
@@ -27,15 +27,11 @@ from .inversions import (
     StaticCurve,
     StaticCurveInversion,
     SwitchedInversion,
-    TurningInversion,
-    margin,
     rest_slope,
 )
 from .materials import (
-    AsymmetricModel,
     ContactModel,
     Forward,
-    M10Model,
     Model,
     PaperModel,
     equilibrium_curve,
@@ -142,8 +138,6 @@ class Cell(Section):
         match self.model:
             case PaperModel():
                 return "inverse"
-            case AsymmetricModel() | M10Model() if margin(self.model, self.full_scale_kpa) > 0:
-                return "inverse"
         return "static"
 
     def forward(self, shape: tuple[int, ...], *, rest_resistance_ohm: ArrayLike | None = None) -> Forward:
@@ -193,7 +187,7 @@ class Cell(Section):
         conditions = self._conditions(name, noise)
         if rest_error:
             slope = rest_slope(self.equilibrium_ohm, self.full_scale_kpa)
-            conditions = replace(conditions, rest_std_kpa=rest_error * slope)
+            conditions = replace(conditions, rest_error=rest_error, rest_slope_kpa=slope)
         rest = resistance_of(shape, self._rest(rest_resistance_ohm)).ravel()
         if not rest.size:
             raise InputError(f"frames of shape {shape} have no cells; expected at least one")
@@ -233,11 +227,9 @@ class Cell(Section):
                     raise self._other_kind(name, "paper")
                 return SwitchedInversion(model, full)
             case "inverse":
-                if isinstance(model, PaperModel):
-                    return TurningInversion(model, full, exact=exact)
-                if not isinstance(model, AsymmetricModel | M10Model):
-                    raise self._other_kind(name, "paper', 'asymmetric' or 'm10")
-                return AsymmetricInversion(model, full, exact=exact)
+                if not isinstance(model, PaperModel):
+                    raise self._other_kind(name, "paper")
+                return FollowedInversion(model, full, exact=exact)
             case "play":
                 found = None if learned is None else learned.play
             case "distilled":
@@ -267,8 +259,6 @@ class Cell(Section):
         return Conditions(
             model_std_kpa=0.0 if percent is None else DRIFT * max(percent, least) / 100 * self.full_scale_kpa,
             noise=(learned.seen.noise or None) if noise is None else noise,
-            speed_kpa_per_s=learned.seen.speed_kpa_per_s,
-            longest_load_s=learned.seen.longest_load_s,
         )
 
     def _rest(self, given: ArrayLike | None) -> FloatArray:

@@ -222,7 +222,7 @@ class Converter:
         counts = np.full(self.shape, 2 ** (adc.bits - 1), dtype=np.uint16)
         measured = self._read(counts)
         if self.cell is not None:
-            self._fresh_estimator().step_readings(1.0, measured)
+            self._fresh_estimator().update(1.0, measured)
         self._read = self._new_reader()
 
     def _new_reader(self) -> CountReader | PlainReader:
@@ -372,8 +372,6 @@ class Converter:
         if estimator is None or self._systematic is None:
             unknown = np.full(measured.reason.shape, np.nan)
             return unknown, Lazy(unknown.copy)
-        if not estimator.resolved and isinstance(self._read, CountReader):
-            estimator.resolve(*self._read.resolution)
         assert self._column_steps is not None, "it is made with the estimator"
         conductance, taken_out = self._column_steps.without(measured)
         if self.cell is not None and self.cell.open_at_rest:
@@ -382,7 +380,7 @@ class Converter:
         if conductance.base is not measured.block:
             seen = Measurement(measured.block.copy(), measured.reason)
             seen.block[CONDUCTANCE] = conductance
-        common = estimator.step_readings(gap_s, seen)
+        common = estimator.update(gap_s, seen)
         systematic = self._systematic.take(measured, taken_out, rest_known=self._rest_known)
         std = Lazy(partial(_std, estimator.variance_of_last_step(), systematic, common, calibration))
         return common if calibration is None else calibration.applied(common), std

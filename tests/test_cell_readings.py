@@ -45,11 +45,11 @@ def test_a_reading_below_a_step_bears_no_load_to_within_that_step(step: float, f
     for n in range(frames):
         press = 20 <= n < 40
         told = (400 * step, 399.5 * step, 400.5 * step) if press else (np.nan, 0.0, step)
-        pressure = estimator.step_readings(0.02, read(*told, step))
+        pressure = estimator.update(0.02, read(*told, step))
         if press and n > 35:
             assert pressure[0] == pytest.approx(min(400 * load_kpa, 3 * FULL_KPA), rel=0.05)
     for _ in range(20):
-        pressure = estimator.step_readings(0.02, read(np.nan, 0.0, step, step))
+        pressure = estimator.update(0.02, read(np.nan, 0.0, step, step))
     assert pressure[0] == 0.0
     assert 3.0 * estimator.std_kpa[0] > load_kpa - 1e-9
 
@@ -58,7 +58,7 @@ def test_a_reading_at_the_upper_limit_is_at_least_the_load_of_the_limit() -> Non
     estimator = SENSOR.estimator((1,))
     for n in range(60):
         told = (np.nan, 0.6 / FULL_OHM, np.inf) if n > 20 else (np.nan, 0.0, 1e-6)
-        pressure = estimator.step_readings(0.02, read(*told))
+        pressure = estimator.update(0.02, read(*told))
     assert pressure[0] == pytest.approx(0.6 * FULL_KPA, rel=0.02)
     assert pressure[0] + 2.0 * estimator.std_kpa[0] > 1.1 * FULL_KPA
 
@@ -68,9 +68,9 @@ def test_a_cell_whose_resistance_rises_has_its_load_bounded_from_above() -> None
     cell = Cell.example()
     rest = 1.0 / cell.rest_resistance_ohm
     estimator = cell.estimator((1,))
-    assert np.isnan(estimator.step_readings(0.02, read(np.nan, 0.0, 0.1 * rest))).all()
+    assert np.isnan(estimator.update(0.02, read(np.nan, 0.0, 0.1 * rest))).all()
     for _ in range(20):
-        pressure = estimator.step_readings(0.02, read(np.nan, 0.8 * rest, np.inf))
+        pressure = estimator.update(0.02, read(np.nan, 0.8 * rest, np.inf))
     assert pressure[0] == 0.0
     assert estimator.std_kpa[0] > 0.1 * cell.full_scale_kpa
 
@@ -86,7 +86,7 @@ def test_the_memory_of_a_load_beyond_the_range_is_in_doubt_after_its_release() -
     for truth, kpa in zip(siemens, load, strict=True):
         near = step * np.round(truth / step + 0.2 * random.standard_normal())
         told = (near, near - step / 2, near + step / 2) if near < most else (np.nan, most, np.inf)
-        errors.append(abs(estimator.step_readings(0.0125, read(*told, step))[0] - kpa) / estimator.std_kpa[0])
+        errors.append(abs(estimator.update(0.0125, read(*told, step))[0] - kpa) / estimator.std_kpa[0])
     assert max(errors[40:]) < 2.5
 
 
@@ -102,7 +102,7 @@ def test_readings_within_the_range_are_estimated_as_their_resistances_are() -> N
     half = np.full(2, 0.5 * step)
     for frame in siemens:
         told = Measurement.of(conductance=frame, noise_variance=np.full(2, 4e-16), half_step=half)
-        np.testing.assert_allclose(one.step_readings(0.02, told), other.step(0.02, 1.0 / frame), rtol=1e-9)
+        np.testing.assert_allclose(one.update(0.02, told), other.step(0.02, 1.0 / frame), rtol=1e-9)
         np.testing.assert_allclose(one.std_kpa, other.std_kpa, rtol=1e-9)
 
 
@@ -127,7 +127,7 @@ def test_a_contact_that_conducts_at_rest_is_not_connected_where_it_reads_no_curr
         pressed = 1.0 / (1.0 / cell.rest_resistance_ohm + 0.4 / FULL_OHM)
         pressure = estimator.step(0.02, pressed if n < 40 else np.inf)
         told = (1.0 / pressed, 0.99 / pressed, 1.01 / pressed) if n < 40 else (np.nan, 0.0, bound)
-        bounded = other.step_readings(0.02, read(*told))
+        bounded = other.update(0.02, read(*told))
     assert pressure == pytest.approx(0.4 * FULL_KPA, rel=1e-6)
     assert bounded[0] == pytest.approx(0.4 * FULL_KPA, rel=1e-6)
     assert estimator.std_kpa > 0.01 * FULL_KPA
@@ -135,7 +135,7 @@ def test_a_contact_that_conducts_at_rest_is_not_connected_where_it_reads_no_curr
 
 def test_readings_of_another_shape_are_refused() -> None:
     with pytest.raises(InputError, match="conductance has shape"):
-        SENSOR.estimator((2,)).step_readings(0.02, read(1e-4, 1e-4, 1e-4))
+        SENSOR.estimator((2,)).update(0.02, read(1e-4, 1e-4, 1e-4))
 
 
 def test_a_mat_that_is_open_at_rest_is_tared_and_comes_back_to_no_load() -> None:

@@ -42,9 +42,7 @@ def shown(
     pressure, std = np.zeros((2, *load.shape))
     for n, frame in enumerate(codes[tare:], tare):
         reading = read(frame)
-        if not estimator.resolved:
-            estimator.resolve(*read.resolution)
-        pressure[n] = estimator.step_readings(1.0 / rate_hz, reading)
+        pressure[n] = estimator.update(1.0 / rate_hz, reading)
         std[n] = systematic.take(reading, rest_known=True)(pressure[n], estimator.std_kpa**2)
     return pressure, std
 

@@ -28,6 +28,7 @@ def share_each(
     watches: Records[Watch],
     steps: Records[Step],
     shared: Row,
+    held: Row,
     known: Row,
     recent: Row,
     low: Row,
@@ -38,8 +39,8 @@ def share_each(
 ) -> None:
     """Take what columns share out of readings between ``low`` and ``high`` (n,), and add what stays to ``var`` (n,).
 
-    ``shared`` (n,): signed standard deviation h of the shared error; ``recent`` (columns,): mean of late z; ``off`` and
-    ``spread`` (n,): scratch.
+    ``shared`` (n,): signed standard deviation h of the shared error; ``held`` (n,): the most of it that lasts, by a
+    quantisation step; ``recent`` (columns,): mean of late z; ``off`` and ``spread`` (n,): scratch.
     """
     columns, t = recent.size, steps[0]
     for i in range(shared.size):
@@ -61,7 +62,8 @@ def share_each(
             if spread[i] > 0.0:
                 others = precision - shared[i] * shared[i] / spread[i]
                 z = (told - shared[i] * off[i] / spread[i]) / others
-                move = shared[i] * (z - recent[k] * (1.0 - 1.0 / others))
+                lasting = shared[i] * recent[k] * (1.0 - 1.0 / others)
+                move = shared[i] * z - lasting + min(max(lasting, -held[i]), held[i])
                 low[i] -= move
                 high[i] -= move
                 var[i] += shared[i] * shared[i] / others

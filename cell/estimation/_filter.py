@@ -27,9 +27,7 @@ from ._modes import (
     CREEP_DOWN,
     DOWN,
     EACH,
-    HELD,
     MODES,
-    MOVING,
     REST,
     SHAKE,
     UP,
@@ -239,7 +237,11 @@ def predict(c: Candidates, n: int, j: int, t: Step) -> None:
     c.v[n] = t.kept[j] * v
     c.x3[n] = t.x3_kept * x3 + t.x3_by_s * s + t.x3_by_move * way * v
     s_s, s_r, s_v = ss + way * sv, sr + way * rv, sv + way * vv
-    r_s, r_r, r_v = by_s * ss + by_r * sr + by_v * sv, by_s * sr + by_r * rr + by_v * rv, by_s * sv + by_r * rv + by_v * vv
+    r_s, r_r, r_v = (
+        by_s * ss + by_r * sr + by_v * sv,
+        by_s * sr + by_r * rr + by_v * rv,
+        by_s * sv + by_r * rv + by_v * vv,
+    )
     c.ss[n] = s_s + way * s_v + t.way_var[j]
     c.sr[n] = by_s * s_s + by_r * s_r + by_v * s_v + move * t.way_var[j]
     c.sv[n] = t.kept[j] * s_v + t.way_speed[j]
@@ -380,8 +382,7 @@ def advance(
             c.likelihood[n] *= bound(c, n, True, 0.0, sign)
         if j != REST:
             c.likelihood[n] *= bound(c, n, False, 0.0, 1.0) * bound(c, n, False, t.overload, -1.0)
-        if c.distance[n] < nearest:
-            nearest = c.distance[n]
+        nearest = min(nearest, c.distance[n])
     total = 0.0
     for n in range(2 * MODES):
         if c.w[n] != 0.0:
@@ -487,7 +488,14 @@ def copy(e: Estimates, of: Estimates) -> None:
     """Make ``e`` the same as ``of``."""
     for j in range(MODES):
         e.w[j], e.s[j], e.r[j], e.v[j], e.x3[j] = of.w[j], of.s[j], of.r[j], of.v[j], of.x3[j]
-        e.ss[j], e.sr[j], e.sv[j], e.rr[j], e.rv[j], e.vv[j] = of.ss[j], of.sr[j], of.sv[j], of.rr[j], of.rv[j], of.vv[j]
+        e.ss[j], e.sr[j], e.sv[j], e.rr[j], e.rv[j], e.vv[j] = (
+            of.ss[j],
+            of.sr[j],
+            of.sv[j],
+            of.rr[j],
+            of.rv[j],
+            of.vv[j],
+        )
 
 
 @loop
@@ -505,8 +513,18 @@ def jumps(e: Estimates, low: float, high: float, var: float) -> bool:
 
 @loop
 def follow(
-    e: Estimates, before: Estimates, watch: Watch, c: Candidates, p: Pools, trial: Estimates, t: Step,
-    known: bool, low: float, high: float, var: float, forget: float,
+    e: Estimates,
+    before: Estimates,
+    watch: Watch,
+    c: Candidates,
+    p: Pools,
+    trial: Estimates,
+    t: Step,
+    known: bool,
+    low: float,
+    high: float,
+    var: float,
+    forget: float,
 ) -> None:
     """Take a reading of a cell whose contact may be bad."""
     suspected = watch.since_s > 0.0
@@ -592,7 +610,7 @@ def step_each(
             continue
         e, before, watch = cells[i], befores[i], watches[i]
         if watch.asleep > 0.0:
-            if known[i] == 0.0 or rests(watch, t, low[i], high[i], var[i]):
+            if known[i] > 0.0 and rests(watch, t, low[i], high[i], var[i]):
                 load[i] = 0.0
                 width = high[i] - low[i]
                 variance[i] = t.floor * t.floor + (var[i] + width * width * (1.0 / 12.0)) / (t.gain * t.gain)

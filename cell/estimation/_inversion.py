@@ -1,9 +1,8 @@
-"""Interface of a material to :class:`._estimator.Estimator`: inversion of a cell's hysteresis and creep, with memory.
+"""Interface of a material to :class:`._estimator.Estimator`: from what the filter follows to a pressure.
 
-The estimator handles everything that is common to all materials: missing readings, noise, sleep, bad contacts, standard
-deviations. An :class:`Inversion` holds all that depends on the material or the method. Missing readings and sleeping
-cells never reach an inversion. An inversion stores no cells itself: the estimator passes the states of all cells, and
-the places of those that are concerned.
+An :class:`Inversion` either has dynamics that the filter itself follows (:attr:`Inversion.material`: the filter inverts
+the cell), or it maps readings that the filter has cleaned. It stores no cells: the estimator passes the states of all
+cells, and the places of those that are concerned.
 """
 
 from __future__ import annotations
@@ -15,13 +14,14 @@ from typing import Any
 import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray, IntArray
-from ...common.compiled import Record, Records, zeros
+from ...common.compiled import Record, Records
 from .._state import CellState
+from ._modes import Material
 
 LOADS = (-0.5, 3.0)
 """range of loads that an inversion searches, in multiples of full scale"""
-USUAL, DOUBT = 1.1, 0.1
-"""multiples of full scale: pressures are limited to the first while their standard deviation exceeds the second"""
+USUAL = 1.1
+"""multiple of full scale that usual loads do not exceed"""
 UNKNOWN = 0.6
 """fraction of full scale: standard deviation of an unknown load that is at most :data:`USUAL`; two standard deviations
 cover all such loads"""
@@ -30,30 +30,21 @@ MEMORIES = 30.0
 
 
 class Inversion(ABC):
-    """Turns normalised resistances r = R/R0 - 1 of cells into their pressures.
+    """Pressures of cells. Methods take the states ``cells`` (n,) and ``memory`` (n,) of all and change those at places.
 
-    Methods take the states ``cells`` (n,) and ``memory`` (n,) of all cells and change those at ``places`` (k,).
+    ``cells["level"]`` is what the filter follows: r, or the load over full scale if there is a :attr:`material`.
     """
 
-    memory: type[Record]
-    """what the inversion remembers of a cell beside its :class:`.._state.CellState`"""
+    memory: type[Record] = Record
+    """what the inversion remembers of a cell"""
+    material: Material | None = None
+    """dynamics of the cell that the filter follows; None: it only cleans the readings"""
     knows_errors = True
     """False: only a calibration can state the errors of the pressures"""
+    filtered = True
+    """False: readings pass as they are"""
     remembers = True
-    """False: the resistance depends on the present load alone, so that loads within a gap leave nothing behind"""
-    bends = 0.0, 0.0
-    """for turning points within a frame: standard deviation of r per kPa of the load's second difference; and the least
-    second difference that counts, in standard deviations of noise; 0: no such variance"""
-    steepness_kpa = np.zeros(2)
-    """pressure in kPa per r of a fast rise of the load, and of a fast fall; 0: the gain of the cell"""
-    means_every = 0
-    """frames from one call of :meth:`check_means` to the next; 0: no calls"""
-    rests = 0.0
-    """squared standard deviations at which a load and no load are equally likely in cells classified as at rest; 0: no
-    cell is so classified"""
-    seeming = 0.0
-    """apparent rise of the pressure in kPa by motion as large as the noise, in a window of the noise meter, per
-    standard deviation of a reading and per squared gain; 0: no apparent rise"""
+    """False: the resistance depends on the present load alone"""
 
     def __init__(
         self,
@@ -69,12 +60,10 @@ class Inversion(ABC):
             full_scale_kpa: the largest pressure that the cell is meant for.
             full_scale_r: r at equilibrium under full scale; negative where a load lowers the resistance.
             credible: range of r that loads can cause; readings beyond it are treated as missing.
-            exact: whether readings are taken as exact, without smoothing.
+            exact: whether readings are taken as exact.
         """
         self.full_scale_kpa, self.credible, self.exact = full_scale_kpa, credible, exact
         self.full_scale_r, self.side = abs(full_scale_r), math.copysign(1.0, full_scale_r)
-
-    # -- required methods --------------------------------------------------------------------------------------------
 
     @abstractmethod
     def begin(self, cells: Records[CellState], memory: Records[Any], places: IntArray, r: FloatArray) -> None:
@@ -82,15 +71,7 @@ class Inversion(ABC):
 
     @abstractmethod
     def advance(self, cells: Records[CellState], memory: Records[Any], places: IntArray, dt_s: float) -> None:
-        """Take the present readings of cells, which are ``dt_s`` after the last ones."""
-
-    # -- optional methods --------------------------------------------------------------------------------------------
-
-    def held_kpa(self, r: FloatArray) -> FloatArray:
-        """(m,) pressure of cells whose reading has been ``r`` (m,) for ever."""
-        cells, memory = zeros(CellState, r.size), zeros(self.memory, r.size)
-        self.begin(cells, memory, np.arange(r.size), r)
-        return cells["pressure_kpa"].copy()
+        """Take the levels of cells, which are ``dt_s`` after the last ones."""
 
     def hold(  # noqa: B027 - of a memory that some inversions do not have
         self, cells: Records[CellState], memory: Records[Any], places: IntArray, dt_s: FloatArray
@@ -100,29 +81,6 @@ class Inversion(ABC):
     def settled(self, cells: Records[CellState], memory: Records[Any], places: IntArray, band: float) -> BoolArray:
         """(k,) whether the memory is that of a cell at rest, within ``band`` of r."""
         return np.ones(places.size, dtype=bool)
-
-    def check_means(  # noqa: B027 - of a memory that some inversions do not have
-        self, cells: Records[CellState], memory: Records[Any], places: IntArray, dt_s: float, mean: FloatArray
-    ) -> None:
-        """Correct the memory by the readings since the last call, with ``mean`` (k,); called after :meth:`advance`."""
-
-    def tremor_every(self, dt_s: float) -> int:
-        """Frames from one call of :meth:`correct_tremor` to the next, for frames every ``dt_s``; 0: no calls."""
-        return 0
-
-    def correct_tremor(  # noqa: B027 - of a memory that some inversions do not have
-        self, cells: Records[CellState], memory: Records[Any], places: IntArray, dt_s: float, mean: FloatArray
-    ) -> None:
-        """Subtract what a tremor within the noise has left; called after :meth:`check_means`, with its arguments."""
-
-    def left_over(self, cells: Records[CellState], memory: Records[Any], places: IntArray) -> FloatArray:
-        """(k,) excess of r, by earlier loads, over the equilibrium r of the present load; 0 where unknown."""
-        return np.zeros(places.size)
-
-    def doubt_rises(  # noqa: B027 - of a memory that some inversions do not have
-        self, cells: Records[CellState], memory: Records[Any], places: IntArray, rise_kpa: FloatArray
-    ) -> None:
-        """Add the uncertainty of rises ``rise_kpa`` (k,) that may be apparent only."""
 
 
 def credible_readings(steepest: float) -> tuple[float, float]:

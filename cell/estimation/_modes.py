@@ -27,7 +27,9 @@ from ...common.compiled import Record, record
 from ..materials import PaperModel, lag
 
 MODES = 12
-REST, HOLD_UP, HOLD_DOWN, CREEP_UP, CREEP_DOWN, LINE_UP, LINE_DOWN, MOVE_UP, MOVE_DOWN, EDGE_UP, EDGE_DOWN, SHAKE = range(MODES)
+REST, HOLD_UP, HOLD_DOWN, CREEP_UP, CREEP_DOWN, LINE_UP, LINE_DOWN, MOVE_UP, MOVE_DOWN, EDGE_UP, EDGE_DOWN, SHAKE = (
+    range(MODES)
+)
 """no load; held loads and motions at four scales of speed, of both phases; and motion within the frames"""
 DOWN, UP, EITHER = range(3)
 """phases: recovery, rising, and both in turn within a frame"""

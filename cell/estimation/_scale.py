@@ -30,11 +30,8 @@ class Scale(ABC):
         """Write r (n,) of resistances (n,); NaN where no cell has such a resistance."""
 
     @abstractmethod
-    def at_rest(self, relative_std: FloatArray, resistance_ohm: FloatArray) -> FloatArray:
-        """(n,) standard deviation of r at rest, for relative ones (n,) of conductances at ``resistance_ohm`` (n,).
-
-        Noise of conductances is taken to be constant in conductance, which makes it proportional to (1 + r)^2 in r.
-        """
+    def slope(self, conductance: FloatArray) -> FloatArray:
+        """(n,) dr/dG at conductances G (n,) in siemens."""
 
 
 class Ratio(Scale):
@@ -47,8 +44,8 @@ class Ratio(Scale):
         np.multiply(resistance_ohm, self._per_ohm, out=r)
         r -= 1.0
 
-    def at_rest(self, relative_std: FloatArray, resistance_ohm: FloatArray) -> FloatArray:
-        return relative_std / (resistance_ohm * self._per_ohm)
+    def slope(self, conductance: FloatArray) -> FloatArray:
+        return np.asarray(-self._per_ohm / conductance**2)
 
 
 class Logarithm(Scale):
@@ -65,9 +62,8 @@ class Logarithm(Scale):
         r /= self._span
         np.maximum(r, -BELOW, out=r)
 
-    def at_rest(self, relative_std: FloatArray, resistance_ohm: FloatArray) -> FloatArray:
-        scale = 1.0 + np.maximum(np.log(self._rest_ohm / resistance_ohm) / self._span, -BELOW)
-        return relative_std / (self._span * scale * scale)
+    def slope(self, conductance: FloatArray) -> FloatArray:
+        return np.asarray(1.0 / (self._span * conductance))
 
 
 class Contact(Scale):
@@ -94,5 +90,6 @@ class Contact(Scale):
             np.divide(1.0, r, out=r)
         r -= 1.0
 
-    def at_rest(self, relative_std: FloatArray, resistance_ohm: FloatArray) -> FloatArray:
-        return relative_std * (self._scale_ohm / resistance_ohm)
+    def slope(self, conductance: FloatArray) -> FloatArray:
+        scaled = (conductance + self._shift) * self._scale_ohm
+        return np.asarray(-self._scale_ohm / scaled**2)

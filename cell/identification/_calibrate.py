@@ -14,7 +14,6 @@ from ...errors import InputError
 from .._cell import Calibrated, Cell, EstimatorName
 from ..estimation import Estimator, longest_s
 from ..inversions import DRIFT, Seen
-from ..inversions import margin as inverse_margin
 from ..materials import AsymmetricModel, M10Model, Model, resistance_on_logarithm, simulate
 from . import _choice as choice
 from . import _training as training
@@ -169,7 +168,7 @@ def _calibrated(
     cell = Cell(rest_resistance_ohm=rest, full_scale_kpa=full, model=model)
     samples, seen = Regimes.of(thin, full), _seen(thin, full)
     presses = float(samples.pressing[-1]) / 2
-    inverse = inverse_margin(model, full) if isinstance(model, AsymmetricModel | M10Model) else None
+    inverse = None
     teacher, breaks = _teacher(found), _breaks(found)
     whole = _normalised(thin, cell, teacher)
     judged: dict[EstimatorName, list[FoldErrors]] = {}

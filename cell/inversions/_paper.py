@@ -1,98 +1,33 @@
-"""Inversions of the paper's cell: by hypotheses about its turning points, and the paper's own estimator (P8)."""
+"""Inversions of the paper's cell: by the filter that follows it, and the paper's own estimator (P8), the baseline."""
 
 from __future__ import annotations
-
-from functools import partial
 
 import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray, IntArray
-from ...common.compiled import Record, Records, zeros
-from .._state import CellState, PaperState
-from ..estimation import RECENT, WINDOW, Inversion, credible_readings
+from ...common.compiled import Record, Records, record, zeros
+from .._state import CellState
+from ..estimation import Inversion, Material, credible_readings
 from ..materials import ByStep, PaperModel, lag
-from . import _hypotheses as hypotheses
-from . import _sequential_tests as tests
-from . import _tremor_path as tremor
-from ._linear_models import fast_r, gains_of, paper_step
-
-UNSEEN = 1.5
-"""standard deviations of a reading: a load may go to and fro by so much in a frame without being noticed"""
 
 
-class TurningInversion(Inversion):
-    """The exact inverse of the paper's cell, changed from one model to the other where the *pressure* turns.
-
-    The frame is :mod:`._hypotheses`. Every few frames, means of readings answer whether a released cell bears no load,
-    whether a load has been released or has begun to rise (:mod:`._sequential_tests`), and how far a load goes to and
-    fro within the noise (:mod:`._tremor_path`).
-    """
-
-    memory = PaperState
+class FollowedInversion(Inversion):
+    """The paper's cell, whose two phases are the dynamics of the filter: it follows the load itself."""
 
     def __init__(self, model: PaperModel, full_scale_kpa: float, *, exact: bool) -> None:
-        self.model = model
-        rise_r, _ = fast_r(model)
-        full_r = model.gain_per_kpa * full_scale_kpa
-        super().__init__(full_scale_kpa, full_r, credible=credible_readings(full_scale_kpa * rise_r), exact=exact)
-        self._numbers = hypotheses.paper_numbers(model, full_scale_kpa, exact=exact)
-        bend = float(self._numbers.bend)
-        self.bends = hypotheses.BETWEEN * bend, hypotheses.TURN_SIGMAS
-        self.seeming = WINDOW * UNSEEN * bend
-        self.steepness_kpa = np.array([1 / rise_r, model.e1_kpa])
-        self.rests, self.means_every = tests.RESTED_SIGMAS**2, 0 if exact else RECENT
-        held_kpa_per_s = hypotheses.HELD_PER_S * full_scale_kpa
-        self._steps = ByStep(partial(paper_step, held_kpa_per_s=held_kpa_per_s), model)
-        self._looks = ByStep(tests.look_step, model)
-        self._paths = ByStep(partial(tremor.path_step, full_kpa=full_scale_kpa), model)
-        self._begin_gain_kpa = gains_of(model, 0.01)[0][0]
-
-    def held_kpa(self, r: FloatArray) -> FloatArray:
-        return r / self.model.gain_per_kpa
-
-    def begin(self, cells: Records[CellState], memory: Records[PaperState], places: IntArray, r: FloatArray) -> None:
-        memory[places] = zeros(PaperState, 1)
-        hypotheses.begin_each.unchecked(cells, memory, places, r, self._numbers, self._begin_gain_kpa)
-
-    def advance(self, cells: Records[CellState], memory: Records[PaperState], awake: IntArray, dt_s: float) -> None:
-        hypotheses.advance_each.unchecked(cells, memory, awake, self._numbers, self._steps.of(dt_s))
-
-    def check_means(
-        self, cells: Records[CellState], memory: Records[PaperState], awake: IntArray, dt_s: float, mean: FloatArray
-    ) -> None:
-        tests.test_each.unchecked(cells, memory, awake, mean, self._numbers, self._looks.of(dt_s))
-
-    def tremor_every(self, dt_s: float) -> int:
-        return 0 if self.exact else tremor.readings_in_look(dt_s)
-
-    def correct_tremor(
-        self, cells: Records[CellState], memory: Records[PaperState], awake: IntArray, dt_s: float, mean: FloatArray
-    ) -> None:
-        tremor.correct_each.unchecked(cells, memory, awake, mean, self._numbers, self._paths.of(dt_s))
-
-    def doubt_rises(
-        self, cells: Records[CellState], memory: Records[PaperState], places: IntArray, rise_kpa: FloatArray
-    ) -> None:
-        """A load that goes to and fro within the noise seems to rise: r goes up by one model and down, by less, by the
-        other."""
-        before = cells["turn_variance_kpa2"][places]
-        after = np.minimum((np.sqrt(before) + rise_kpa) ** 2, self._numbers.most_lost_kpa2)
-        cells["variance_kpa2"][places] += after - before
-        cells["turn_variance_kpa2"][places] = after
-
-    def hold(self, cells: Records[CellState], memory: Records[PaperState], places: IntArray, dt_s: FloatArray) -> None:
-        hypotheses.hold_each.unchecked(cells, memory, places, dt_s, self._numbers)
-
-    def settled(
-        self, cells: Records[CellState], memory: Records[PaperState], places: IntArray, band: float
-    ) -> BoolArray:
-        m, own = self.model, memory[places]
-        off = np.abs(cells["pressure_kpa"][places]) < 2 * band / m.gain_per_kpa
-        of_rising, of_recovery = (
-            np.abs(own["settled_kpa"]) / m.etau2_kpa,
-            np.abs(own["x2"]) + np.abs(own["recovery_x3"]),
+        self.material = Material.of(model, full_scale_kpa)
+        super().__init__(
+            full_scale_kpa,
+            model.gain_per_kpa * full_scale_kpa,
+            credible=credible_readings(self.material.gu),
+            exact=exact,
         )
-        return np.asarray(off & (np.where(own["direction"] > 0, of_rising, of_recovery) < band))
+
+    def begin(self, cells: Records[CellState], memory: Records[Record], places: IntArray, r: FloatArray) -> None:
+        cells["gain_kpa"][places], cells["variance_kpa2"][places] = self.full_scale_kpa, 0.0
+
+    def advance(self, cells: Records[CellState], memory: Records[Record], places: IntArray, dt_s: float) -> None:
+        cells["pressure_kpa"][places] = cells["level"][places] * self.full_scale_kpa
 
 
 class SwitchedState(Record):
@@ -107,6 +42,43 @@ class SwitchedState(Record):
     lagged_r: float
 
 
+class PaperStep(Record):
+    """Weights of one time step: of the lag of the rising phase, and of the two branches of recovery."""
+
+    kept_u: float
+    free_u: float
+    ramp_u: float
+    kept_2: float
+    free_2: float
+    ramp_2: float
+    kept_3: float
+    free_3: float
+    ramp_3: float
+    rising_gain_kpa: float
+    """pressure per r in the rising model"""
+    recovery_gain_kpa: float
+    settled_gain: float
+    """pressure per settled state in the rising model"""
+
+
+def paper_step(model: PaperModel, dt_s: float) -> PaperStep:
+    """The weights for steps of ``dt_s``."""
+    m = model
+    gone, ramp = lag.weights(dt_s, np.array([m.tu_s, m.t2_s, m.t3_s]))
+    gains = np.array([1.0, 1 / m.e2_kpa, 1 / m.e3_kpa])
+    kept, free, ramps = 1 - gone, gains * (gone - ramp), gains * ramp
+    rising_gain = 1 / (1 / m.eu1_kpa + (1 - ramp[0]) / m.etau2_kpa)
+    return record(
+        PaperStep,
+        **{f"kept_{lag_of}": float(x) for lag_of, x in zip("u23", kept, strict=True)},
+        **{f"free_{lag_of}": float(x) for lag_of, x in zip("u23", free, strict=True)},
+        **{f"ramp_{lag_of}": float(x) for lag_of, x in zip("u23", ramps, strict=True)},
+        rising_gain_kpa=rising_gain,
+        recovery_gain_kpa=1 / (1 / m.e1_kpa + ramps[1] + ramps[2]),
+        settled_gain=rising_gain / m.etau2_kpa,
+    )
+
+
 class SwitchedInversion(Inversion):
     """The paper's estimator (P8): invert the rising or the recovery model, selected by dr/dt and two thresholds.
 
@@ -117,13 +89,13 @@ class SwitchedInversion(Inversion):
     """
 
     memory = SwitchedState
-    knows_errors = False
+    knows_errors = filtered = False
 
     def __init__(self, model: PaperModel, full_scale_kpa: float) -> None:
         self.model = model
-        self._steps = ByStep(partial(paper_step, held_kpa_per_s=0.0), model)
+        self._steps = ByStep(paper_step, model)
         self._thresholds_per_s = model.thresholds_per_s(full_scale_kpa)
-        credible = credible_readings(full_scale_kpa * fast_r(model)[0])
+        credible = credible_readings(full_scale_kpa * (1 / model.eu1_kpa + 1 / model.etau2_kpa))
         super().__init__(full_scale_kpa, model.gain_per_kpa * full_scale_kpa, credible=credible, exact=True)
 
     def begin(self, cells: Records[CellState], memory: Records[SwitchedState], places: IntArray, r: FloatArray) -> None:
