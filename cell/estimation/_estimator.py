@@ -73,7 +73,11 @@ class Estimator:
         """r, or load, of one unit of what the filter follows"""
         self._r_unit = 1.0 if follows_load else self._unit
         self._material = material if material is not None else Material.without_memory()
-        tuning = TUNING if follows_load else replace(TUNING, memory=0.0, relative=0.0, overload=READINGS_OVERLOAD)
+        tuning = TUNING
+        if not follows_load:
+            # What a cell without memory reads is over when it is over.
+            bad_hz = TUNING.bad_hz if inversion.remembers else 0.0
+            tuning = replace(TUNING, memory=0.0, relative=0.0, overload=READINGS_OVERLOAD, bad_hz=bad_hz)
         self._step_of = lru_cache(maxsize=256)(partial(_one_step, self._material, tuning))
         self._cells, self._befores = zeros(Estimates, count), zeros(Estimates, count)
         self._watches = zeros(Watch, count)

@@ -621,11 +621,12 @@ def step_each(
         spread = variance_of(e, mean, t)
         if watch.since_s > 0.0:
             bad = 1.0 / (1.0 + math.exp(-watch.odds))
+            bad = bad * bad / (bad + TAIL)
             other = mean_of(before)
             off = other - mean
-            mean += bad * off
-            bad = bad * bad / (bad + TAIL)
             spread += bad * (variance_of(before, other, t) - spread) + bad * (1.0 - bad) * off * off
+            if watch.odds > 0.0:
+                mean = other
         elif sleeps[i] > 0.0 and forget < 1.0 and known[i] > 0.0 and settled(e, var[i], high[i] - low[i]):
             watch.asleep, watch.mean, watch.sum = 1.0, e.r[REST], 0.0
         load[i] = mean

@@ -47,15 +47,15 @@ class Tuning:
 
     creep_per_s: float = 0.015
     """FS/s, usual speed of loads that creep or sag; the next three: of slow, usual and fast motion"""
-    line_per_s: float = 0.05
+    line_per_s: float = 0.2
     move_per_s: float = 0.5
     edge_per_s: float = 40.0
-    creep_s: float = 4.0
+    creep_s: float = 1.0
     """s, for which such a motion lasts"""
-    line_s: float = 2.0
+    line_s: float = 2.5
     move_s: float = 0.4
     edge_s: float = 0.05
-    hold_s: float = 1.0
+    hold_s: float = 0.55
     """s, after which a held load begins to move"""
     rest_s: float = 2.0
     """s, after which a cell at rest is pressed"""
@@ -81,7 +81,7 @@ class Tuning:
     unseen_std: float = 0.15
     memory: float = 0.05
     """share of r by which the memory of a cell may be wrong when it comes to rest"""
-    drift: float = 1e-4
+    drift: float = 0.0006
     """r per sqrt(s), discrepancy of the model (Kennedy & O'Hagan 2001)"""
     forget_s: float = 2.0
     """s, for which evidence for a mode lasts, since no cell is exactly the model"""
@@ -90,12 +90,14 @@ class Tuning:
     bad_s: float = 0.06
     overload: float = 1.15
     """FS, heaviest load"""
-    floor: float = 0.002
+    floor: float = 0.001
     """FS, least standard deviation that is stated; and share of the load that is added"""
-    relative: float = 0.008
+    relative: float = 0.012
 
 
 TUNING = Tuning()
+AT_ONCE_S = 1e-6
+"""s, time constants of a cell without memory"""
 
 
 @dataclass(frozen=True)
@@ -122,7 +124,7 @@ class Material:
     @classmethod
     def without_memory(cls) -> Material:
         """Of readings that are loads already, up to their noise."""
-        return cls(1.0, 1.0, 1.0, 0.0, 0.0, 1.0, 1.0, 1.0)
+        return cls(1.0, 1.0, 1.0, 0.0, 0.0, *(AT_ONCE_S,) * 3)
 
 
 class Step(Record):
@@ -211,7 +213,7 @@ def discretise(material: Material, dt_s: float, tuning: Tuning = TUNING) -> Step
         **{"after_shake": after[3], "shakes": shakes, "usual": _usual(after, leaves, shakes)},
         **{"unseen": t.unseen, "unseen_std": t.unseen_std, "swing": mean * t.swing_s, "swing_s": t.swing_s},
         **{"memory": t.memory, "drift_var": t.drift**2 * dt_s, "forget_s": t.forget_s},
-        **{"bad_prior": math.log(t.bad_hz * dt_s / (3.0 * m.geq)), "bad_ends": math.log(-math.expm1(-dt_s / t.bad_s))},
+        **{"bad_prior": math.log(max(t.bad_hz * dt_s / (3.0 * m.geq), 1e-300)), "bad_ends": math.log(-math.expm1(-dt_s / t.bad_s))},
         **{"bad_s": t.bad_s, "gain": m.gu, "overload": t.overload, "floor": t.floor, "relative": t.relative},
     )
 
