@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,21 +26,26 @@ from ...common.measurement import STEP_STD, Measurement
 from ...common.noise import NoiseEstimate
 from ...errors import InputError
 from .._state import CellState
+from ..materials import ByStep
 from ._columns import share_each
 from ._conditions import Conditions
 from ._filter import Candidates, Estimates, Pools, Watch, begin_each, step_each
 from ._inversion import Inversion
-from ._modes import TUNING, Material, Step, discretise
+from ._modes import TUNING, Material, Step, Tuning, discretise
 from ._scale import Scale
 
 FORGET_EVERY_S = 0.05
 """s, after which evidence is forgotten, and cells are put to sleep"""
+SETTLED = 0.01
+"""share of r at full scale, which the memory of a sleeping cell may still hold"""
 LEAST_STD = 1e-6
 """of r: readings are not taken as more exact"""
 OF_STEP = 0.2
 """least noise of a reading over the deviation by its quantisation: what else is in a step nobody sees"""
 FAR = 1e9
 """r of a bound that is none"""
+BELOW_STD = 3.0
+"""standard deviations of the noise below zero, from which a reading is in error"""
 READINGS_OVERLOAD = 30.0
 """full scales of r that a filter of readings follows"""
 
@@ -78,7 +82,7 @@ class Estimator:
             # What a cell without memory reads is over when it is over.
             bad_hz = TUNING.bad_hz if inversion.remembers else 0.0
             tuning = replace(TUNING, memory=0.0, relative=0.0, overload=READINGS_OVERLOAD, bad_hz=bad_hz)
-        self._step_of = lru_cache(maxsize=256)(partial(_one_step, self._material, tuning))
+        self._steps = ByStep(_one_step, (self._material, tuning))
         self._cells, self._befores = zeros(Estimates, count), zeros(Estimates, count)
         self._watches = zeros(Watch, count)
         self._scratch = zeros(Candidates, 1), zeros(Pools, 1), zeros(Estimates, 1)
@@ -92,6 +96,7 @@ class Estimator:
         """(n,) whether each cell has been read"""
         self._sleeps = np.zeros(count)
         self._pressure, self._variance = np.full((2, count), np.nan)
+        self._level_variance = np.zeros(count)
         self._frames, self._since_forgot_s = 0, 0.0
 
     # -- the frame ---------------------------------------------------------------------------------------------------
@@ -166,7 +171,7 @@ class Estimator:
         places = self._read.nonzero()[0]
         if not self.inversion.filtered:
             places = known.nonzero()[0]
-            self._states["level"][places] = 0.5 * (low + high)[places]
+            self._states["level"][places] = 0.5 * (low + high)[places] * self._r_unit
         elif places.size:
             places = self._filter(dt, low, high, var, marks, shared, slope)
         if places.size:
@@ -196,8 +201,11 @@ class Estimator:
             silent = exact & ~(np.isfinite(r) & np.isfinite(slope) & (conductance > 0.0))
             r[silent], half[silent], var[silent] = 0.0, 0.0, LEAST_STD**2
         least, most = self.inversion.credible
+        # No load and no memory leaves r below zero: what is there beyond the noise is an error of the reading.
+        below = np.minimum(r + BELOW_STD * np.sqrt(var) + half, 0.0)
+        r, var = r - below, var + below * below
         low, high = r - half, r + half
-        credible = (r * self._r_unit > least) & (r * self._r_unit < most)
+        credible = ((r + below) * self._r_unit > least) & (r * self._r_unit < most)
         known = exact & credible & np.isfinite(half) & np.isfinite(var)
         if bounds is not None and not exact.all():
             self._bound(np.flatnonzero(~exact), bounds, (low, high, var, known))
@@ -218,19 +226,19 @@ class Estimator:
             with np.errstate(divide="ignore", invalid="ignore"):
                 self._scale.read(np.where(told, 1.0 / bound, np.nan), edge)
             edges.append(edge[places] / self._r_unit)
-        falls = self._scale.falls
+        falls, usual = self._scale.falls, self.inversion.usual_level
         # The unit of a cell whose resistance falls is negative, so that r rises with its load either way.
         first, last = (edges[0], edges[1]) if falls else (edges[1], edges[0])
-        says = (
-            np.isfinite(first) if not (falls and self._scale.open_at_rest) else np.isfinite(first) | np.isfinite(last)
-        )
-        says &= ~(np.isfinite(first) & (first * abs(self._r_unit) > self.inversion.credible[1]))
-        if not falls:
-            says |= np.isfinite(last) & (last > -0.5)
-        low[places] = np.where(np.isfinite(first), first, -FAR)
-        high[places] = np.where(np.isfinite(last), last, FAR)
-        var[places] = LEAST_STD
-        known[places] = says & (low[places] <= high[places])
+        if falls and self._scale.open_at_rest:  # a bound below is none
+            says = np.isfinite(first) | np.isfinite(last)
+        else:
+            says = np.isfinite(first) if falls else np.isfinite(last) & (last > 0.0)
+        first = np.where(np.isfinite(first), first, -FAR)
+        last = np.where(np.isfinite(last), last, FAR)
+        if falls:  # usual loads alone are credited
+            last = np.minimum(last, np.maximum(usual, first))
+        low[places], high[places], var[places] = first, last, LEAST_STD**2
+        known[places] = says & (first <= last) & (last > 0.0)
 
     def _begin(self, new: np.ndarray[tuple[int], np.dtype[np.intp]], r: FloatArray) -> None:
         """Begin cells with their first reading, as if the load had been held for ever."""
@@ -252,7 +260,7 @@ class Estimator:
         slope: FloatArray,
     ) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
         """Let the filter take a frame; returns the cells (k,) that are awake."""
-        step = self._step_of(round(dt, 7))
+        step = self._steps.of(round(dt, 7))
         if shared is not None and shared[0].any():
             std, held = shared
             both = np.copysign(np.hypot(std, STEP_STD * held), std) * slope
@@ -273,14 +281,14 @@ class Estimator:
             *(forget, load, variance),
         )
         asleep = self._watches["asleep"] > 0.0
-        self._level, self._level_variance = load, variance
+        self._level_variance = variance
         self._states["level"] = load * self._unit
         return np.flatnonzero(self._read & ~asleep)
 
     def _settled(self) -> FloatArray:
         """(n,) 1 where the memory of the inversion is that of rest."""
-        every = np.arange(self._sleeps.size)
-        return self.inversion.settled(self._states, self._memory, every, 0.01 * self.inversion.full_scale_r) * 1.0
+        every, band = np.arange(self._sleeps.size), SETTLED * self.inversion.full_scale_r
+        return np.asarray(self.inversion.settled(self._states, self._memory, every, band) * 1.0)
 
     def _show(self, marks: FloatArray) -> None:
         """Write the pressures and variances of the frame."""
@@ -395,8 +403,8 @@ class Estimator:
         self._noise.restore(given)
 
 
-def _one_step(material: Material, tuning: object, dt_s: float) -> Records[Step]:
+def _one_step(of: tuple[Material, Tuning], dt_s: float) -> Records[Step]:
     """(1,) the weights of a time step."""
     made = zeros(Step, 1)
-    made[0] = discretise(material, dt_s, tuning)  # type: ignore[arg-type]
+    np.asarray(made)[0] = discretise(of[0], dt_s, of[1])
     return made

@@ -636,7 +636,7 @@ def step_each(
 @loop
 def settled(e: Estimates, var: float, width: float) -> bool:
     """Whether a cell is at rest, and remembers nothing that the noise does not hide."""
-    return e.w[REST] > RESTS and e.r[REST] * e.r[REST] < 1e-6 + 1e-2 * (var + width * width)
+    return e.w[REST] > RESTS and e.r[REST] * e.r[REST] < 1e-6 + 0.3 * (var + width * width * (1.0 / 12.0))
 
 
 @loop
@@ -655,7 +655,7 @@ HOPELESS = -12.0
 """logarithm of the odds at which no contact is suspected any more"""
 LASTING = 5.0
 """usual times of a bad contact, after which what is read counts as a load"""
-RESTS = 0.9
+RESTS = 0.5
 """probability of rest from which a cell may sleep"""
 WAKES, DRIFTS_S = 4.0, 3.0
 """standard deviations, and their sum, at which a cell wakes; and s, in which the mean of a sleeping cell follows"""

@@ -41,6 +41,8 @@ class Inversion(ABC):
     """dynamics of the cell that the filter follows; None: it only cleans the readings"""
     knows_errors = True
     """False: only a calibration can state the errors of the pressures"""
+    usual_level = USUAL
+    """level of the heaviest usual load, over that of full scale"""
     filtered = True
     """False: readings pass as they are"""
     remembers = True

@@ -47,17 +47,17 @@ class Tuning:
 
     creep_per_s: float = 0.015
     """FS/s, usual speed of loads that creep or sag; the next three: of slow, usual and fast motion"""
-    line_per_s: float = 0.2
+    line_per_s: float = 0.3
     move_per_s: float = 0.5
     edge_per_s: float = 40.0
-    creep_s: float = 1.0
+    creep_s: float = 0.8
     """s, for which such a motion lasts"""
-    line_s: float = 2.5
-    move_s: float = 0.4
+    line_s: float = 3.0
+    move_s: float = 0.1
     edge_s: float = 0.05
     hold_s: float = 0.55
     """s, after which a held load begins to move"""
-    rest_s: float = 2.0
+    rest_s: float = 5.0
     """s, after which a cell at rest is pressed"""
     stop: float = 0.3
     """share of the motions that end in a hold"""
@@ -213,7 +213,10 @@ def discretise(material: Material, dt_s: float, tuning: Tuning = TUNING) -> Step
         **{"after_shake": after[3], "shakes": shakes, "usual": _usual(after, leaves, shakes)},
         **{"unseen": t.unseen, "unseen_std": t.unseen_std, "swing": mean * t.swing_s, "swing_s": t.swing_s},
         **{"memory": t.memory, "drift_var": t.drift**2 * dt_s, "forget_s": t.forget_s},
-        **{"bad_prior": math.log(max(t.bad_hz * dt_s / (3.0 * m.geq), 1e-300)), "bad_ends": math.log(-math.expm1(-dt_s / t.bad_s))},
+        **{
+            "bad_prior": math.log(max(t.bad_hz * dt_s / (3.0 * m.geq), 1e-300)),
+            "bad_ends": math.log(-math.expm1(-dt_s / t.bad_s)),
+        },
         **{"bad_s": t.bad_s, "gain": m.gu, "overload": t.overload, "floor": t.floor, "relative": t.relative},
     )
 

@@ -108,6 +108,7 @@ class EquilibriumInversion(Inversion):
             self._most_r = float(statics[load <= USUAL].max()) + (model.alpha1 + model.alpha2) * USUAL
             """r of the largest credible load without broken chains: no branch exceeds its target"""
         super().__init__(full_scale_kpa, full_r, exact=exact)
+        self.usual_level = float(np.interp(USUAL, self._load, self._curve)) / max(abs(full_r), 1e-12)
 
     def begin(self, cells: Records[CellState], memory: Records[Chains], places: IntArray, r: FloatArray) -> None:
         self._take(cells, memory, places, r, np.zeros_like(r))
