@@ -30,7 +30,7 @@ from ..materials import ByStep
 from ._columns import share_each
 from ._conditions import Conditions
 from ._filter import Candidates, Estimates, Pools, Watch, begin_each, step_each
-from ._inversion import Inversion
+from ._inversion import UNKNOWN, Inversion
 from ._modes import TUNING, Material, Step, Tuning, discretise
 from ._scale import Scale
 
@@ -298,7 +298,7 @@ class Estimator:
         variance = states["variance_kpa2"].copy()
         if self.inversion.filtered:
             gain = states["gain_kpa"] * self._unit
-            variance += gain * gain * self._level_variance
+            variance += np.minimum(gain * gain * self._level_variance, (UNKNOWN * full) ** 2)
         variance += self._conditions.model_std_kpa**2
         slopes = self._conditions.rest_slope_kpa
         if slopes is not None and self.rest_error:

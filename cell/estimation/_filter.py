@@ -477,9 +477,9 @@ class Watch(Record):
     since_s: float
     asleep: float
     """1 while the cell is at rest and only watched"""
-    mean: float
+    centre: float
     """mean reading of a sleeping cell"""
-    sum: float
+    cusum: float
     """Page's cumulative sum of its departures towards loads, in standard deviations"""
 
 
@@ -556,7 +556,7 @@ def follow(
 def expects(e: Estimates, watch: Watch, t: Step) -> tuple[float, float]:
     """Mean and variance of the next r of a cell, to first order in the step."""
     if watch.asleep > 0.0:
-        return watch.mean, 0.0
+        return watch.centre, 0.0
     mean = spread = 0.0
     for j in range(MODES):
         mean += e.w[j] * e.r[j]
@@ -628,7 +628,7 @@ def step_each(
             if watch.odds > 0.0:
                 mean = other
         elif sleeps[i] > 0.0 and forget < 1.0 and known[i] > 0.0 and settled(e, var[i], high[i] - low[i]):
-            watch.asleep, watch.mean, watch.sum = 1.0, e.r[REST], 0.0
+            watch.asleep, watch.centre, watch.cusum = 1.0, e.r[REST], 0.0
         load[i] = mean
         variance[i] = spread + t.floor * t.floor + t.relative * t.relative * mean * mean
 
@@ -643,10 +643,10 @@ def settled(e: Estimates, var: float, width: float) -> bool:
 def rests(watch: Watch, t: Step, low: float, high: float, var: float) -> bool:
     """Whether a sleeping cell goes on sleeping (Page 1954)."""
     std = math.sqrt(var + (high - low) * (high - low) * (1.0 / 12.0))
-    off = (0.5 * (low + high) - watch.mean) / std
-    watch.sum = max(watch.sum + off - 0.5, 0.0)
-    watch.mean += (off * std) * min(t.dt_s / DRIFTS_S, 1.0)
-    return abs(off) < WAKES and watch.sum < WAKES
+    off = (0.5 * (low + high) - watch.centre) / std
+    watch.cusum = max(watch.cusum + off - 0.5, 0.0)
+    watch.centre += (off * std) * min(t.dt_s / DRIFTS_S, 1.0)
+    return abs(off) < WAKES and watch.cusum < WAKES
 
 
 SURPRISE = 6.0

@@ -49,7 +49,8 @@ class Tuning:
     """FS/s, usual speed of loads that creep or sag; the next three: of slow, usual and fast motion"""
     line_per_s: float = 0.3
     move_per_s: float = 0.5
-    edge_per_s: float = 40.0
+    edge: float = 0.4
+    """FS, usual size of a change within one frame"""
     creep_s: float = 0.8
     """s, for which such a motion lasts"""
     line_s: float = 3.0
@@ -243,7 +244,7 @@ def _motion(mode: int, kind: int, dt_s: float, even: float, t: Tuning) -> tuple[
             speed,
         )
     if kind == JUMPING:
-        way = (even * min(t.edge_per_s * dt_s, 1.0)) ** 2
+        way = (even * t.edge) ** 2
         return 0.0, 0.0, way, way / dt_s, way / dt_s**2, 0.0
     if kind == SHAKING:
         kept = math.exp(-dt_s / t.shake_s)

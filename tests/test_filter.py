@@ -1,0 +1,328 @@
+"""Laws of the switching filter: its dynamics are the cell's, its updates are Bayes' rule, its errors are as stated."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import multivariate_normal, norm, truncnorm
+
+from ohmskin.bench import scenes
+from ohmskin.cell import Cell, PaperModel
+from ohmskin.cell.estimation import Material
+from ohmskin.cell.estimation import _filter as filters
+from ohmskin.cell.estimation import _modes as modes
+from ohmskin.cell.estimation._columns import share_each
+from ohmskin.common.arrays import FloatArray
+from ohmskin.common.compiled import zeros
+
+CELL = Cell.example()
+FULL_KPA = CELL.full_scale_kpa
+assert isinstance(CELL.model, PaperModel)
+MATERIAL = Material.of(CELL.model, FULL_KPA)
+MOMENTS = ("s", "r", "v"), (("ss", "sr", "sv"), ("sr", "rr", "rv"), ("sv", "rv", "vv"))
+
+
+def step_of(dt_s: float) -> modes.Step:
+    return modes.discretise(MATERIAL, dt_s)
+
+
+def steps_of(dt_s: float) -> np.ndarray:
+    made = zeros(modes.Step, 1)
+    made[0] = step_of(dt_s)
+    return made
+
+
+def gaussian(record: object, place: int) -> tuple[FloatArray, FloatArray]:
+    means, covariances = MOMENTS
+    get = lambda name: getattr(record, name)[place]  # noqa: E731
+    return np.array([get(n) for n in means]), np.array([[get(n) for n in row] for row in covariances])
+
+
+def written(record: object, place: int, mean: FloatArray, covariance: FloatArray) -> None:
+    means, names = MOMENTS
+    for i, name in enumerate(means):
+        getattr(record, name)[place] = mean[i]
+        for j in range(3):
+            getattr(record, names[i][j])[place] = covariance[i, j]
+
+
+def drawn(seed: int) -> tuple[FloatArray, FloatArray]:
+    random = np.random.default_rng(seed)
+    root = 0.1 * random.standard_normal((3, 3))
+    return random.uniform([0.2, 0.1, -0.3], [0.8, 0.9, 0.3]), root @ root.T + 1e-4 * np.eye(3)
+
+
+# -- dynamics and modes --
+
+
+@given(st.floats(1e-3, 0.3), st.integers(0, 2**32 - 1))
+@settings(max_examples=25)
+def test_each_phase_steps_as_the_cell_does(dt_s: float, seed: int) -> None:
+    """From the states of a cell that rises, or falls, to its next r and x3, exactly."""
+    random, t, g3, t3 = np.random.default_rng(seed), step_of(dt_s), MATERIAL.g3, MATERIAL.t3_s
+    for phase, way in ((modes.UP, np.cumsum(random.uniform(0.0, 0.2, 12))), (modes.DOWN, None)):
+        load = way if way is not None else np.r_[0.9, 0.9 - np.cumsum(random.uniform(1e-3, 0.08, 11))]
+        r = CELL.forward(()).run(np.full(12, dt_s), load * FULL_KPA) / CELL.rest_resistance_ohm - 1.0
+        x3 = 0.0
+        for n in range(12):
+            before, change = (load[n - 1], load[n] - load[n - 1]) if n else (0.0, load[0])
+            if n > 1:
+                by = t.by_s[phase] * before + t.by_r[phase] * r[n - 1] + t.by_x3[phase] * x3
+                assert by + t.by_move[phase] * change == pytest.approx(r[n], abs=1e-9)
+            after = t.x3_kept * x3 + t.x3_by_s * before + t.x3_by_move * change
+            slow = np.exp(-dt_s / t3)
+            assert after == pytest.approx(
+                slow * x3 + g3 * (before * (1 - slow) + change * (1 - (1 - slow) * t3 / dt_s)), abs=1e-9
+            )
+            x3 = after
+
+
+@given(st.floats(1e-3, 0.2))
+def test_modes_follow_a_markov_chain_in_time(dt_s: float) -> None:
+    """Shares of what follows add up to one, and hazards are per second: two steps are one of twice the time."""
+    t, twice = step_of(dt_s), step_of(2.0 * dt_s)
+    for after in (t.after_down, t.after_up, t.after_rest, t.after_shake):
+        assert after.sum() == pytest.approx(1.0)
+    np.testing.assert_allclose(1.0 - twice.leaves, (1.0 - t.leaves) ** 2)
+    np.testing.assert_allclose(twice.kept, t.kept**2, atol=1e-12)
+    slow = t.kept > 0.0
+    np.testing.assert_allclose(twice.speed_var[slow], (t.speed_var * (1.0 + t.kept**2))[slow], rtol=1e-6)
+    assert t.usual.sum() == pytest.approx(1.0)
+    assert (t.usual > 0.0).all()
+
+
+@pytest.mark.parametrize("falls", [False, True])
+def test_a_way_that_a_turn_hides_raises_r_whichever_way_it_goes(falls: bool) -> None:
+    """The cell answers rises by more than falls, so that the mean way before the turn adds to r, with a variance."""
+    t, p, c = step_of(0.01), zeros(filters.Pools, 1)[0], zeros(filters.Candidates, 1)[0]
+    p.w[0], p.s[0], p.r[0], p.v[0] = 1.0, 0.5, 0.4, -2.0 if falls else 2.0
+    filters.comes(c, 0, 1.0, p, 0, True, False, 0.0, t)
+    assert c.r[0] == pytest.approx(0.4 + t.unseen * t.bend * 0.01 * 2.0)
+    assert c.rr[0] == pytest.approx((t.unseen_std * t.bend * 0.01 * 2.0) ** 2)
+    assert t.bend == pytest.approx(MATERIAL.gu - MATERIAL.g1)
+    filters.comes(c, 1, 1.0, p, 0, False, False, 0.0, t)
+    assert c.r[1] == 0.4
+
+
+# -- Bayes' rule --
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(1e-4, 0.05), st.floats(-0.2, 0.2))
+def test_a_narrow_reading_is_a_kalman_update(seed: int, std: float, off: float) -> None:
+    mean, covariance = drawn(seed)
+    c = zeros(filters.Candidates, 1)[0]
+    written(c, 0, mean, covariance)
+    var, at = covariance[1, 1] + std**2, mean[1] + off
+    filters.within(c, 0, var, at, at)
+    gain = covariance[:, 1] / var
+    found, left = gaussian(c, 0)
+    np.testing.assert_allclose(found, mean + gain * off, atol=1e-12)
+    np.testing.assert_allclose(left, covariance - np.outer(gain, covariance[1]), atol=1e-12)
+    factor, distance = filters.judge(mean[1], var, at, at)
+    assert factor * np.exp(-distance) == pytest.approx(norm.pdf(off, scale=var**0.5))
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(-2.5, 1.5), st.floats(1.0, 1e6))
+def test_an_interval_is_what_lies_within_it(seed: int, low: float, width: float) -> None:
+    """Mean, variance and probability of a normal reading that is cut at both ends."""
+    mean, covariance = drawn(seed)
+    c = zeros(filters.Candidates, 1)[0]
+    written(c, 0, mean, covariance)
+    var = covariance[1, 1]
+    std = var**0.5
+    ends = mean[1] + std * low, mean[1] + std * (low + width)
+    filters.within(c, 0, var, *ends)
+    cut = truncnorm(low, low + width, loc=mean[1], scale=std)
+    found, left = gaussian(c, 0)
+    assert found[1] == pytest.approx(cut.mean(), abs=1e-6)
+    assert left[1, 1] == pytest.approx(cut.var(), rel=1e-4, abs=1e-9)
+    factor, distance = filters.judge(mean[1], var, *ends)
+    inside = norm.cdf(low + width) - norm.cdf(low)
+    assert factor * np.exp(-distance) == pytest.approx(inside / min(ends[1] - ends[0], 1.0), rel=1e-6)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([1.0, -1.0]), st.floats(-3.0, 3.0), st.booleans())
+def test_a_bound_truncates_and_takes_the_others_along(seed: int, side: float, z: float, of_speed: bool) -> None:
+    mean, covariance = drawn(seed)
+    c, k = zeros(filters.Candidates, 1)[0], 2 if of_speed else 0
+    written(c, 0, mean, covariance)
+    std = covariance[k, k] ** 0.5
+    at = mean[k] - side * z * std
+    share = filters.bound(c, 0, of_speed, at, side)
+    cut = truncnorm(*((-z, np.inf) if side > 0 else (-np.inf, z)), loc=mean[k], scale=std)
+    found, left = gaussian(c, 0)
+    assert share == pytest.approx(norm.cdf(z), rel=1e-9)
+    assert found[k] == pytest.approx(cut.mean(), abs=1e-6 + 0.01 * std)
+    assert left[k, k] == pytest.approx(max(cut.var(), 0.02 * std**2), rel=1e-3)
+    assert np.linalg.eigvalsh(left).min() > -1e-12
+    shift = (found - mean)[[i for i in range(3) if i != k]]
+    along = (covariance[k] / covariance[k, k] * (found - mean)[k])[[i for i in range(3) if i != k]]
+    np.testing.assert_allclose(shift, along, atol=1e-9)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.01, 0.99))
+def test_pools_keep_the_moments_of_the_mixture(seed: int, share: float) -> None:
+    e, p = zeros(filters.Estimates, 1)[0], zeros(filters.Pools, 1)[0]
+    parts = [drawn(seed), drawn(seed + 1)]
+    for j, part in enumerate(parts):
+        written(e, j, *part)
+        filters.pool(p, 0, share if j else 1.0 - share, e, j)
+    mean = (1.0 - share) * parts[0][0] + share * parts[1][0]
+    second = sum(
+        w * (cov + np.outer(m, m)) for w, (m, cov) in zip((1.0 - share, share), parts, strict=True)
+    ) - np.outer(mean, mean)
+    found, covariance = gaussian(p, 0)
+    np.testing.assert_allclose(found, mean)
+    np.testing.assert_allclose(covariance, second, atol=1e-12)
+
+
+def test_the_density_of_a_reading_is_that_of_the_mixture() -> None:
+    """Of a cell in one mode, whose estimate is far from every bound: the predicted normal density."""
+    e, c, p = zeros(filters.Estimates, 1)[0], zeros(filters.Candidates, 1)[0], zeros(filters.Pools, 1)[0]
+    t = step_of(1e-6)  # nothing else can have happened
+    e.w[1], e.s[1], e.r[1], e.ss[1], e.rr[1] = 1.0, 0.5, 0.5, 1e-4, 1e-4
+    density = filters.advance(e, c, p, t, True, 0.51, 0.51, 3e-4, 1.0)
+    assert density == pytest.approx(multivariate_normal.logpdf(0.51, 0.5, 4e-4), abs=1e-3)
+    assert e.w.sum() == pytest.approx(1.0)
+
+
+# -- columns --
+
+
+def test_a_cell_takes_no_part_in_what_its_column_shares_for_it() -> None:
+    """Its own reading changes the corrections of the others, and none of its own; alone in a column it has none."""
+    t, cells, watches = steps_of(0.01), zeros(filters.Estimates, 5), zeros(filters.Watch, 5)
+    places = np.arange(5)
+    filters.begin_each(cells, places, np.zeros(5), MATERIAL.geq, MATERIAL.g3)
+    watches["asleep"] = 1.0
+
+    def corrected(reading: FloatArray) -> FloatArray:
+        low, high, var = reading.copy(), reading.copy(), np.full(5, 1e-6)
+        shared, held = np.full(5, 4e-3), np.zeros(5)
+        # cells 0, 2, 4 in a column, 1 and 3 in another
+        share_each(cells, watches, t, shared, held, np.ones(5), np.zeros(2), low, high, var, *np.empty((2, 5)))
+        return reading - low
+
+    calm, off = corrected(np.zeros(5)), np.zeros(5)
+    np.testing.assert_allclose(calm, 0.0, atol=1e-12)
+    off[0] = 3e-3
+    moved = corrected(off)
+    assert moved[0] == pytest.approx(0.0, abs=4e-4)  # but for the recent mean
+    assert (np.abs(moved[[2, 4]]) > 1e-3).all()
+    assert moved[[1, 3]] == pytest.approx(0.0, abs=1e-12)
+    alike = corrected(np.full(5, 3e-3))
+    assert (alike > 0.8 * 3e-3).all()  # what all show is taken out
+
+
+# -- the whole filter --
+
+
+def errors(load: FloatArray, dt_s: float, noise: float, cell: Cell = CELL, seed: int = 0) -> tuple[FloatArray, ...]:
+    """Errors and deviations (frames, cells) over full scale, under shares of full scale."""
+    ohm = cell.forward(load.shape[1:]).run(np.full(len(load), dt_s), load * cell.full_scale_kpa)
+    ohm = ohm * (1.0 + noise * np.random.default_rng(seed).standard_normal(ohm.shape))
+    estimator, found, std = cell.estimator(load.shape[1:]), np.empty_like(load), np.empty_like(load)
+    for n, frame in enumerate(ohm):
+        found[n], std[n] = estimator.step(dt_s, frame), estimator.std_kpa
+    return found / cell.full_scale_kpa - load, std / cell.full_scale_kpa
+
+
+def presses(seed: int, frames: int, cells: int, dt_s: float) -> FloatArray:
+    """Rises, holds and falls at random: of 0.1 to 1 s, from rest to full scale."""
+    random, load = np.random.default_rng(seed), np.zeros((frames, cells))
+    for i in range(cells):
+        corners = np.cumsum(random.uniform(0.1, 1.0, 200))
+        levels = np.repeat(random.choice([0.0, 0.0, 0.3, 0.6, 0.9], 100), 2)
+        load[:, i] = np.interp(dt_s * np.arange(frames), corners, levels, left=0.0)
+    return load
+
+
+@pytest.mark.parametrize(("dt_s", "noise"), [(0.005, 1e-4), (0.01, 1e-3), (0.02, 5e-3)])
+def test_errors_are_consistent_with_the_stated_deviations(dt_s: float, noise: float) -> None:
+    """Normalised squared errors (NEES) near one, and nine errors in ten within two deviations."""
+    error, std = errors(presses(1, 1200, 12, dt_s), dt_s, noise)
+    late = slice(100, None)
+    assert 0.02 < np.median((error / std)[late] ** 2) < 1.0
+    assert np.mean(np.abs(error) <= 2.0 * std, where=np.arange(1200)[:, None] > 100) > 0.9
+    assert np.sqrt(np.mean(error[late] ** 2)) < 0.03
+
+
+@pytest.mark.parametrize("dt_s", [0.005, 0.02, 0.1])
+def test_without_noise_the_cell_is_inverted(dt_s: float) -> None:
+    """Presses that are held: what is left are turns within frames."""
+    time = dt_s * np.arange(int(20.0 / dt_s))
+    load = np.interp(time, [2, 2.5, 6, 6.5, 9, 10, 14, 14.5], [0, 0.8, 0.8, 0.3, 0.3, 0.6, 0.6, 0])[:, None]
+    error, std = errors(load * np.array([1.0, 0.4]), dt_s, 0.0)
+    assert np.sqrt(np.mean(error**2)) < 0.015
+    assert np.abs(error[time > 16.0]).max() < 0.005
+    assert np.mean(np.abs(error) <= 2.0 * std) > 0.95
+
+
+@given(st.floats(0.1, 10.0), st.floats(0.1, 100.0))
+@settings(max_examples=5, deadline=None)
+def test_units_do_not_matter(pressures: float, ohms: float) -> None:
+    """Full scale and moduli in another unit, and R0 another one: the same shares of full scale."""
+    model = CELL.model
+    scaled = {
+        name: value * pressures
+        for name, value in model.model_dump(exclude_none=True).items()
+        if name not in ("kind", "derivative_s")
+    }
+    other = CELL.replace(
+        model=model.replace(**scaled),
+        full_scale_kpa=FULL_KPA * pressures,
+        rest_resistance_ohm=CELL.rest_resistance_ohm * ohms,
+    )
+    load = presses(3, 200, 2, 0.02)
+    for one, two in zip(errors(load, 0.02, 1e-3), errors(load, 0.02, 1e-3, other), strict=True):
+        np.testing.assert_allclose(one, two, atol=1e-6)
+
+
+@pytest.mark.parametrize("cell", [CELL, scenes.cells()["paper"]], ids=["example", "paper"])
+def test_a_held_load_does_not_fade(cell: Cell) -> None:
+    """Five minutes at 0.6: within the deviation, which stays small."""
+    load = 0.6 * np.interp(0.1 * np.arange(3000), [2, 3], [0, 1])[:, None]
+    error, std = errors(load, 0.1, 5e-4, cell)
+    assert np.abs(error[100:]).max() < 0.02
+    assert (np.abs(error) <= 2.0 * std)[100:].mean() > 0.97
+    assert np.median(std) < 0.02
+
+
+def test_a_gap_widens_the_deviation_until_readings_come_back() -> None:
+    load = 0.5 * np.interp(0.02 * np.arange(500), [1, 1.1], [0, 1])[:, None]
+    ohm = CELL.forward((1,)).run(np.full(500, 0.02), load * FULL_KPA)
+    ohm *= 1.0 + 2e-4 * np.random.default_rng(0).standard_normal(ohm.shape)
+    ohm[200:300] = np.nan
+    estimator, found, std = CELL.estimator((1,)), [], []
+    for frame in ohm:
+        found.append(float(estimator.step(0.02, frame)[0]))
+        std.append(float(estimator.std_kpa[0]))
+    assert (np.array(found)[200:300] == found[199]).all()
+    assert (np.diff(std[200:240]) >= 0.0).all()
+    assert std[299] > 10.0 * std[199]
+    assert abs(found[-1] - 0.5 * FULL_KPA) < 2.0 * std[-1] + 0.01 * FULL_KPA
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.5, 4.0])
+def test_a_bad_contact_is_over_when_it_is_over(factor: float) -> None:
+    """For 60 ms, of cells at rest and pressed ones: ten frames later the error is that of before."""
+    load = np.interp(0.01 * np.arange(400), [0.5, 0.6], [0, 1])[:, None] * np.array([0.0, 0.5])
+    ohm = CELL.forward((2,)).run(np.full(400, 0.01), load * FULL_KPA)
+    ohm *= 1.0 + 5e-4 * np.random.default_rng(1).standard_normal(ohm.shape)
+    ohm[200:206] *= factor
+    estimator = CELL.estimator((2,))
+    found = np.array([estimator.step(0.01, frame) for frame in ohm]) / FULL_KPA
+    assert np.abs(found - load)[215:].max() < 0.03
+
+
+def test_no_load_is_shown_a_second_after_vibration() -> None:
+    """A finger that vibrates at 12 Hz, and is lifted."""
+    time = 0.01 * np.arange(1200)
+    held = np.interp(time, [1.0, 1.2, 8.0, 8.1], [0, 1, 1, 0])
+    load = (0.35 * held + 0.1 * np.sin(2 * np.pi * 12.0 * time) * np.interp(time, [1.5, 2, 7.5, 8], [0, 1, 1, 0]))[
+        :, None
+    ]
+    error, _ = errors(load, 0.01, 2e-4)
+    assert np.abs(error[time > 9.1]).max() < 0.1
