@@ -10,6 +10,7 @@ from ._board import Board
 from ._design import Design
 from ._effects import Effect, effects
 from ._ideal import apparent_resistance, ideal_volts
+from ._operating import OperatingPoint, operating_point
 from ._population import Boards, PopulationReading, read_together, scan_population
 from ._readout import Readout
 from ._requirement import Conditions, Requirement
@@ -33,7 +34,7 @@ from .recovery import (
     live_recovery,
     recover,
 )
-from .timing import Noise, Settling, Stability, Transient, noise, stability
+from .timing import BoardsInTime, Noise, Settling, Stability, Transient, noise, stability, stability_of_boards
 
 CIRCUITS: tuple[str, ...] = tuple(_CIRCUITS)
 """Readout circuits that a design file can name"""
@@ -47,6 +48,7 @@ __all__ = [
     "BatchResult",
     "Board",
     "Boards",
+    "BoardsInTime",
     "Cells",
     "Conditioning",
     "Conditions",
@@ -58,6 +60,7 @@ __all__ = [
     "LiveReading",
     "LiveRecovery",
     "Noise",
+    "OperatingPoint",
     "Operation",
     "PopulationReading",
     "Readout",
@@ -85,6 +88,7 @@ __all__ = [
     "interpolates",
     "live_recovery",
     "noise",
+    "operating_point",
     "read_together",
     "recover",
     "scan",
@@ -93,5 +97,6 @@ __all__ = [
     "scan_sequence",
     "sensitivity",
     "stability",
+    "stability_of_boards",
     "volts_of_codes",
 ]

@@ -179,7 +179,22 @@ class ReadoutCircuit(ABC):
         """``volts`` (..., N, M) with their limits for ideal parts, which the solvers replaced by large conductances."""
         return volts
 
+    def delivered(self, board: Parts, group: SensitivityGroup, row_current: FloatArray) -> FloatArray:
+        """A (readings' rows, readings' columns) that the output of each reading's amplifier delivers into the array.
+
+        Args:
+            board: parts of the readout.
+            group: readings, with their forward fields.
+            row_current: (rows, columns or 1, N) A out of each driver in these fields.
+
+        """
+        return np.zeros((len(group.rows), len(group.columns)))
+
     # One cell alone, with ideal parts
+
+    @abstractmethod
+    def domain(self, board: Parts) -> tuple[float, float]:
+        """V of the ideal circuit's output on an open cell, and on a short: the ends of what a reading can say."""
 
     @abstractmethod
     def ideal_volts(self, board: Parts, cells: FloatArray) -> FloatArray:

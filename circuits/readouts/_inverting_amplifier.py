@@ -131,6 +131,15 @@ class InvertingAmplifier(ReadoutCircuit):
     def inverts(self) -> bool:
         return True
 
+    def delivered(self, board: Parts, group: SensitivityGroup, row_current: FloatArray) -> FloatArray:
+        """The current of a column's end, less the bias current, through the reference resistor."""
+        current = np.broadcast_to(group.lead_current, (len(group.rows), 1, board.shape[1]))[:, 0]
+        delivered: FloatArray = (current - board.bias)[:, group.columns]
+        return delivered
+
+    def domain(self, board: Parts) -> tuple[float, float]:
+        return board.level, -inf if board.drive > 0 else inf
+
     def ideal_volts(self, board: Parts, cells: FloatArray) -> FloatArray:
         with np.errstate(divide="ignore"):  # a short gives an infinite output
             volts: FloatArray = board.level - board.drive * board.reference / cells

@@ -95,6 +95,9 @@ class VoltageDivider(ReadoutCircuit):
     def columns_one_by_one(self, board: Parts) -> bool:
         return board.idle_columns != "load"
 
+    def domain(self, board: Parts) -> tuple[float, float]:
+        return board.level, board.level + board.drive
+
     def ideal_volts(self, board: Parts, cells: FloatArray) -> FloatArray:
         volts: FloatArray = board.level + board.drive * board.reference / (board.reference + cells)
         return volts
