@@ -3,6 +3,7 @@
 from ._cell import ESTIMATORS, Cell
 from .estimation import Estimator
 from .identification import (
+    READING_NOISE,
     CalibrationResult,
     Recording,
     calibrate,
@@ -17,6 +18,7 @@ from .identification import (
     protocol_text,
     read_recording,
     recovery_branches,
+    rehearsed,
 )
 from .materials import (
     AsymmetricModel,
@@ -30,6 +32,7 @@ from .materials import (
 
 __all__ = [
     "ESTIMATORS",
+    "READING_NOISE",
     "AsymmetricModel",
     "CalibrationResult",
     "Cell",
@@ -53,4 +56,5 @@ __all__ = [
     "protocol_text",
     "read_recording",
     "recovery_branches",
+    "rehearsed",
 ]

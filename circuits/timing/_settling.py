@@ -49,6 +49,11 @@ class BoardsInTime:
         self.settled: FloatArray = board.turn(self._scan.settled) + boards.reference_voltage[..., None]
         """(B, rows, columns) V after a long time, without supply limits"""
 
+    @property
+    def takes_time(self) -> bool:
+        """Whether any reading follows its row switch with a delay."""
+        return bool((self._scan.modes().size > 0).any())
+
     def deviations(self, period: FloatArray | float) -> Deviations:
         """Deviations in V (B, rows, columns) from the settled readings if each row is selected for ``period`` s (B,).
 

@@ -1,0 +1,60 @@
+"""Fastest scan: the frame rate at which every reading still settles to a quarter of a converter's step."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...circuits import Requirement
+from .._dut import DesignUnderTest
+from .._hardware import Readings
+from .._judging import measured, worst_of
+from .._outcome import Measurement, NotRun
+from .._quantity import Quantity, Shipped
+from .._whole_board import ScanPeriodTarget
+from .settling_error import QUICK, largest_signal
+
+CLOCK_TICK_S = 1e-6
+"""of the device times in frames"""
+
+
+def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
+    design = dut.design
+    if design.adc is None:
+        raise NotRun("missing: adc.bits, adc.range")
+    if requirement.min is None and requirement.max is None:
+        raise NotRun("no limit is given; missing: operation.frame_rate")
+    largest_signal(dut)
+    found = worst_of(dut, ScanPeriodTarget(design.adc.step / 4))
+    if np.isinf(found.value):
+        where = f"{found.where}: the sampling capacitor cannot follow within adc.acquisition_time"
+        return Measurement(0.0, "Hz", where=where)
+    if found.value <= 0:
+        raise NotRun("nothing limits the scan")
+    return measured(found, 1.0 / (found.value * design.board.shape[0]), "Hz")
+
+
+def _measured(dut: DesignUnderTest, readings: Readings) -> Measurement:
+    if not readings.device_seconds:
+        raise NotRun("the board tells no time")
+    rate = (len(readings.volts) + readings.lost - 1) / readings.device_seconds
+    tick = 2.0 * CLOCK_TICK_S / readings.device_seconds  # at both ends
+    text = ["The rate at which this board scans."]
+    return Measurement(rate, "Hz", where="by the board's clock", text=text, resolution=rate * tick)
+
+
+QUANTITY = Quantity(
+    name="fastest_scan",
+    title="Fastest scan",
+    unit="Hz",
+    says="Frames per second at which every reading still settles to a quarter of an ADC step, Hz.",
+    compute=_compute,
+    shipped=(
+        Shipped(
+            9,
+            "The declared frame rate can be had to a quarter of an ADC step.",
+            min=lambda design: design.operation.frame_rate,
+        ),
+    ),
+    mended_by=QUICK,
+    measured=_measured,
+)
