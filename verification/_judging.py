@@ -141,9 +141,13 @@ def headroom(dut: DesignUnderTest, excursion: Excursion, what: str, allowed: str
     """Smallest distance in V of the lowest and the highest voltage from their limits."""
     found = worst_of(dut, excursion)
     low, high = excursion.limits
-    beyond, below = found.by_sign.max(axis=(1, 2))
-    ends = [engineering(end, "V") if np.isfinite(end) else "not limited" for end in (low - below, high + beyond)]
-    limits = [engineering(end, "V") if np.isfinite(end) else "any" for end in (low, high)]
+    beyond, below = np.nan_to_num(found.by_sign.max(axis=(1, 2)))
+    limited = np.isfinite([low, high])
+    ends = [
+        engineering(end, "V") if known else "not limited"
+        for end, known in zip((low - below, high + beyond), limited, strict=True)
+    ]
+    limits = [engineering(end, "V") if known else "any" for end, known in zip((low, high), limited, strict=True)]
     volts = high + found.value if found.corner.sign[0] > 0 else low - found.value
     cell, _, rest = found.where.partition("; ")
     return replace(

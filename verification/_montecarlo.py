@@ -18,7 +18,7 @@ from math import inf
 import numpy as np
 from scipy.stats import beta
 
-from ..common.arrays import FloatArray
+from ..common.arrays import FloatArray, IntArray
 from ._box import Box, Corners
 from ._readings import ReadingTarget, named_corners
 from ._search import WorstCase
@@ -89,7 +89,9 @@ class Sampler:
 
     def judged(self, boards: FloatArray) -> FloatArray:
         """As :meth:`block`, of boards with factors and deviations of cells (S, F + cells)."""
-        best = self._solved(boards, self.found, np.tile(np.arange(len(self.found)), (len(boards), 1))).max(axis=1)
+        best: FloatArray = self._solved(boards, self.found, np.tile(np.arange(len(self.found)), (len(boards), 1))).max(
+            axis=1
+        )
         promised = self.fixed + boards @ self.slopes.T
         count = min(TOGETHER * MOST_TRIES, promised.shape[1])
         order = np.argsort(-promised, axis=1, kind="stable")[:, :count]
@@ -103,7 +105,7 @@ class Sampler:
             best[active] = np.maximum(best[active], solved.max(axis=1))
         return best
 
-    def _solved(self, boards: FloatArray, corners: Corners, chosen: FloatArray) -> FloatArray:
+    def _solved(self, boards: FloatArray, corners: Corners, chosen: IntArray) -> FloatArray:
         """(S, T) the target of each board at T of the corners' cells and presses."""
         parts, cells = len(self.box.factors), self.box.cells
         which = chosen.ravel()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 from ..circuits import Design, Requirement
 from ._dut import DesignUnderTest
@@ -12,7 +12,11 @@ from ._hardware import Readings
 from ._outcome import Measurement
 from ._readings import ReadingErrorTarget
 
-NOMINAL, WORST, SAMPLED, SPICE, HARDWARE = "nominal", "worst-case", "monte-carlo", "spice", "hardware"
+NOMINAL: Final = "nominal"
+WORST: Final = "worst-case"
+SAMPLED: Final = "monte-carlo"
+SPICE: Final = "spice"
+HARDWARE: Final = "hardware"
 DOWN, UP = "down", "up"
 """directions in which a part may be changed"""
 AVERAGING = "frames averaged"

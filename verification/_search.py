@@ -46,7 +46,7 @@ _RANDOM_CELLS, _RANDOM_CORNERS = 4, 16  # random corners are those of so many ce
 _ROUNDS = 30  # of improvement, at most
 _LEAST_GAIN = 1e-9  # relative: less is rounding
 _WITHOUT_INFLUENCE = 1e-10  # relative: a flip that changes the value by less changes nothing
-_LINE, _LINE_IN_TIME = 9, 41  # points of a line search along a coordinate; ringing has several peaks between two ends
+_LINE, _LINE_IN_TIME = 7, 41  # points of a line search along a coordinate; ringing has several peaks between two ends
 _ZOOMS = 3  # of a line search, each to the neighbours of the best point
 _LINES = 6  # line searches one after the other, at most
 _LEAST_RISE = 1e-5  # relative, of a line search
@@ -219,9 +219,8 @@ class _Search:
         self.parts: list[tuple[Corners, FloatArray]] = []
         flips = max(int(self.free.sum()), 1) * target.cost(box)
         self.exact = flips <= MOST_FLIPS
-        self.climbs = int(np.clip(MOST_WORK // (3 * flips), 2, 64)) if self.exact else 2
-        if target.by_cell:
-            self.climbs = max(self.climbs, 2 * _FEWEST)
+        most = 64 if target.by_cell else _FEWEST
+        self.climbs = int(np.clip(MOST_WORK // (3 * flips), 2 * _FEWEST if target.by_cell else 1, most))
 
     def solve(self, corners: Corners) -> FloatArray:
         """Solve corners and keep them; returns their values."""
@@ -254,12 +253,13 @@ class _Search:
         known = Corners.joined([part for part, _ in self.parts])
         values = np.concatenate([value for _, value in self.parts])
         settled = False
-        if not np.isposinf(values.max()) and values.max() > -inf:
+        flat = values.max() == values.min()  # nothing settles, nothing flows
+        if not np.isposinf(values.max()) and not flat:
             starts = self.worst(self.climbs)
             if self.target.by_cell:
                 starts = Corners.joined([starts, known.some(np.argsort(-values, kind="stable")[: self.climbs // 4])])
             climbed = self._climbed(starts)
-            best = np.argsort(-climbed.values, kind="stable")[: 1 if self.target.by_cell else _FEWEST]
+            best = np.argsort(-climbed.values, kind="stable")[: 2 if self.target.in_time else 1]
             refined = self._refined(climbed.some(best))
             known = Corners.joined([refined.corners, climbed.corners, known])
             values = np.concatenate([refined.values, climbed.values, values])
@@ -407,9 +407,9 @@ class _Search:
 
     def _line_search(self, corner: Corners, value: float) -> tuple[FloatArray, float]:
         """The best point (D,) that differs from a corner in one coordinate, and its value."""
-        looked_at = self.free
+        looked_at = self.free.copy()
         if self.box.cells > FIRST_ORDER_BEYOND or not self.exact:
-            looked_at = self.free & self.box.near(*self.target.place(self.box, corner))
+            looked_at &= self.box.near(*self.target.place(self.box, corner))
         free, parts = np.flatnonzero(looked_at), len(self.box.factors)
         fine = [k for k in free if self.target.in_time and k < parts and self.box.factors.factors[k].line is None]
         best_x, best = corner.x[0], value

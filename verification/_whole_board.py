@@ -19,6 +19,8 @@ from ..errors import SolverError
 from ._box import Box, Corners
 from ._search import Target
 
+SETTLED = 1e-11
+"""share of a signal; smaller deviations are rounding"""
 _RANDOM = 12
 """random corners among the starts"""
 _TOGETHER = 1 << 17
@@ -100,25 +102,8 @@ class SettlingTarget(InTimeTarget):
 
     def of_boards(self, box: Box, boards: Boards, cells: FloatArray) -> FloatArray:
         in_time = BoardsInTime(box.design, boards, cells)
-        larger: FloatArray = in_time.deviations(self.period).larger / self.signal
-        return larger * within_supply(box, in_time.settled)
-
-
-@dataclass(frozen=True)
-class ScanPeriodTarget(InTimeTarget):
-    """Shortest period of a driven line, s, at which every reading settles to an allowed deviation."""
-
-    allowed: float
-    """V"""
-    name: str = "shortest row period"
-
-    def of_boards(self, box: Box, boards: Boards, cells: FloatArray) -> FloatArray:
-        in_time = BoardsInTime(box.design, boards, cells)
-        period = in_time.shortest_period(np.full(len(cells), self.allowed))
-        return period[:, None, None] * within_supply(box, in_time.settled)
-
-    def cost(self, box: Box) -> float:
-        return 20.0 * super().cost(box)  # so many periods are tried
+        share = np.maximum(in_time.deviations(self.period).larger / self.signal, SETTLED)
+        return share * within_supply(box, in_time.settled)
 
 
 @dataclass(frozen=True)
@@ -180,6 +165,14 @@ class LeakageTarget(OperatingTarget):
         with np.errstate(divide="ignore", invalid="ignore"):
             share: FloatArray = self.amperes * point.leakage / np.abs(point.signal)
         return share
+
+
+def shortest_periods(box: Box, corners: Corners, allowed: float) -> FloatArray:
+    """(C,) shortest period of a driven line, s, at which every reading settles to ``allowed`` V; -inf where an output
+    saturates."""
+    in_time = BoardsInTime(box.design, box.population(corners.x).boards, box.cells_of(corners.x))
+    kept = np.isfinite(within_supply(box, in_time.settled)[:, 0, 0])
+    return np.where(kept, in_time.shortest_period(np.full(len(corners), allowed)), -np.inf)
 
 
 def driven_line(box: Box, place: Sequence[int]) -> str:

@@ -174,12 +174,11 @@ class Circuit(NamedTuple):
         batch, size = static.shape[:2]
         one, stores = np.eye(size), charge.any(axis=(0, 2))
         moving, at_once = np.flatnonzero(stores), np.flatnonzero(~stores)
-        of_moving = (slice(None), *np.ix_(moving, moving))
-        instant = np.linalg.solve(static[(slice(None), *np.ix_(at_once, at_once))], one[at_once])
+        instant = np.linalg.solve(_block(static, at_once, at_once), one[at_once])
         lift = np.broadcast_to(one[:, moving], (batch, size, len(moving))).copy()
-        lift[:, at_once] -= instant[:, :, at_once] @ static[(slice(None), *np.ix_(at_once, moving))]
-        inverse = np.linalg.inv(charge[of_moving])
-        reduce = one[moving] - static[(slice(None), *np.ix_(moving, at_once))] @ instant
+        lift[:, at_once] -= instant[:, :, at_once] @ _block(static, at_once, moving)
+        inverse = np.linalg.inv(_block(charge, moving, moving))
+        reduce = one[moving] - _block(static, moving, at_once) @ instant
         matrix = -inverse @ reduce @ static @ lift
         leap, back = inverse @ jump[:, moving], follow @ lift
         feed = np.zeros((batch, size, source.shape[-1]))
@@ -226,6 +225,11 @@ class Circuit(NamedTuple):
         """Settled voltages (B, S, ...) with these currents (B, M, ...) into the column ends."""
         volts: FloatArray = self.response[..., : current.shape[1]] @ current + self.constant[..., None]
         return volts
+
+
+def _block(matrix: FloatArray, rows: IntArray, columns: IntArray) -> FloatArray:
+    """(B, R, C) of matrices (B, ...)."""
+    return matrix[:, rows[:, None], columns]
 
 
 def _modes(

@@ -48,7 +48,8 @@ class Deviations(NamedTuple):
     @property
     def larger(self) -> FloatArray:
         """(B, N, M) V: the magnitude of the larger one of both scans."""
-        return np.maximum(np.abs(self.repeated), np.abs(self.from_rest))
+        larger: FloatArray = np.maximum(np.abs(self.repeated), np.abs(self.from_rest))
+        return larger
 
 
 class Modes(NamedTuple):
@@ -68,7 +69,7 @@ class Modes(NamedTuple):
     def envelope(self, waiting: FloatArray) -> FloatArray:
         """Bound (B, D) in V on each mode in a sample taken ``waiting`` s (B,) after a row switch, earlier steps
         included."""
-        decay = np.where(self.size > 0.0, self.rate.real, -np.inf) * waiting[:, None]
+        decay = np.where(self.size > 0.0, self.rate.real, -1.0) * waiting[:, None]
         envelope: FloatArray = self.size * np.exp(decay) / np.maximum(-np.expm1(decay), 1e-300)
         return envelope
 
@@ -84,7 +85,9 @@ class Modes(NamedTuple):
         """Step (B,) in s of the search, short enough that the sum of the modes that still matter is nearly straight."""
         matter = self.envelope(waiting) > _NEGLIGIBLE * allowed[:, None] / max(self.rate.shape[-1], 1)
         fastest = np.abs(np.where(matter, self.rate, 0.0)).max(axis=-1, initial=0.0)
-        return np.minimum(0.1 * waiting, np.divide(0.25, fastest, out=np.full_like(fastest, np.inf), where=fastest > 0))
+        straight = np.divide(0.25, fastest, out=np.full_like(fastest, np.inf), where=fastest > 0)
+        step: FloatArray = np.minimum(0.1 * waiting, straight)
+        return step
 
 
 class SwitchState(NamedTuple):
@@ -180,7 +183,7 @@ class RepeatedScan:
             if (key := (id(phase), state.connected is None)) not in known:
                 known[key] = phase.after(np.eye(phase.into.shape[-1])[None], duration)
         return [
-            known[id(phase), state.connected is None][(slice(None), *np.ix_(nodes, nodes))]
+            known[id(phase), state.connected is None][:, nodes[:, None], nodes]
             for phase, state, nodes in zip(phases, self._states, self._nodes, strict=True)
         ]
 
@@ -204,12 +207,13 @@ class RepeatedScan:
             volts = goals + deviation
 
     @cached_property
-    def unhurried(self) -> FloatArray:
-        """(B, N, M) V that remains at any row period: a shared capacitor's memory of the last conversion."""
+    def unhurried(self) -> Deviations:
+        """Deviations that remain at any row period: a shared capacitor's memory of the last conversion."""
         modes = self.modes()
         if not self._acquisition or not modes.rate.shape[-1]:
-            return np.zeros((self._goals.shape[1], *self._board.shape))
-        return self.deviations(self.briefest + _LONG / modes.slowest).larger
+            nothing = np.zeros((self._goals.shape[1], *self._board.shape))
+            return Deviations(nothing, nothing)
+        return self.deviations(self.briefest + _LONG / modes.slowest)
 
     def modes(self) -> Modes:
         """Modes of :meth:`deviations` after the waiting time, which is the row period less :attr:`briefest`."""

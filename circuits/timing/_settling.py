@@ -80,7 +80,7 @@ class BoardsInTime:
         deviation comes near the limit, the search looks for a peak between two steps.
         """
         modes = self._scan.modes()
-        unhurried = self._scan.unhurried.max(axis=(1, 2))
+        unhurried = self._scan.unhurried.larger.max(axis=(1, 2))
         found = np.where(unhurried > allowed, inf, self.briefest)
         left = (unhurried <= allowed) & (modes.slowest > 0) & np.isfinite(modes.slowest)
         if not left.any():
@@ -88,9 +88,11 @@ class BoardsInTime:
         least = np.where(left, 1e-9 / np.where(left, modes.slowest, 1.0), 0.0)
 
         def excess(waiting: FloatArray) -> FloatArray:
-            return self._scan.deviations(self.briefest + waiting).larger.max(axis=(1, 2)) - allowed
+            largest: FloatArray = self._scan.deviations(self.briefest + waiting).larger.max(axis=(1, 2))
+            return largest - allowed
 
-        upper = np.maximum(modes.settled_after(allowed - unhurried), least)
+        room = np.where(left, allowed - unhurried, inf)
+        upper = np.maximum(modes.settled_after(room), least)
         upper_excess = excess(upper)
         for _ in range(60):
             if not (late := left & (upper_excess > 0)).any():
@@ -101,7 +103,7 @@ class BoardsInTime:
         bracket = np.zeros((2, len(upper)))
         crosses = np.zeros(len(upper), dtype=np.bool_)
         while left.any():
-            lower = np.maximum(upper - modes.step(upper, allowed - unhurried), 0.0)
+            lower = np.maximum(upper - modes.step(upper, room), 0.0)
             ends = lower < least
             lower[ends] = 0.0 if self.briefest else least[ends]
             lower_excess = excess(lower)
@@ -196,7 +198,8 @@ class Settling:
             InputError: the period is not positive or shorter than the acquisitions of all columns.
 
         """
-        return self.settled + self._in_time.deviations(period).repeated[0]
+        sampled: FloatArray = self.settled + self._in_time.deviations(period).repeated[0]
+        return sampled
 
     def sampled_from_rest(self, period: float) -> FloatArray:
         """As :meth:`sampled`, but each row follows a row without signal: outputs and capacitor at the reference.
@@ -207,7 +210,8 @@ class Settling:
             InputError: as :meth:`sampled`.
 
         """
-        return self.settled + self._in_time.deviations(period).from_rest[0]
+        sampled: FloatArray = self.settled + self._in_time.deviations(period).from_rest[0]
+        return sampled
 
     def error(self, period: float) -> float:
         """Largest deviation from the settled readings, relative to the largest signal of the frame.
