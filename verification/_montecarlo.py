@@ -89,16 +89,17 @@ class Sampler:
 
     def judged(self, boards: FloatArray) -> FloatArray:
         """As :meth:`block`, of boards with factors and deviations of cells (S, F + cells)."""
-        best: FloatArray = self._solved(boards, self.found, np.tile(np.arange(len(self.found)), (len(boards), 1))).max(
-            axis=1
-        )
+        own = np.tile(np.arange(len(self.found)), (len(boards), 1))
+        best: FloatArray = self._solved(boards, self.found, own).max(axis=1)
         promised = self.fixed + boards @ self.slopes.T
         count = min(TOGETHER * MOST_TRIES, promised.shape[1])
         order = np.argsort(-promised, axis=1, kind="stable")[:, :count]
         for first in range(0, count, TOGETHER):
             chosen = order[:, first : first + TOGETHER]
             next_value = np.take_along_axis(promised, chosen[:, :1], axis=1)[:, 0]
-            active = np.flatnonzero((next_value > best - _ROOM * np.abs(best)) & ~np.isinf(best) | (first == 0))
+            open_ones = np.isfinite(best)
+            worth = np.where(open_ones, best, 0.0) * (1.0 - _ROOM)
+            active = np.flatnonzero(open_ones & ((next_value > worth) | (first == 0)))
             if not len(active):
                 break
             solved = self._solved(boards[active], self.named, chosen[active])
