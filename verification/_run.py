@@ -269,10 +269,10 @@ def _run_all(
         nonlocal done
         task, value = item
         found[task.key] = value
+        done += 1
         if not stored:
             memory.save(task, value)
-        done += 1
-        progress(done, len(tasks), task.what)
+            progress(done, len(tasks), task.what)
         if isinstance(value, Result | Claim):
             tell(value)
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...circuits import Boards, BoardsInTime, Requirement, Settling, scan
+from ...circuits import Boards, BoardsInTime, Requirement, Settling, ideal_volts, scan_batch
 from ...common import plots
 from ...errors import InputError, SolverError
 from .._dut import DesignUnderTest, once
@@ -41,7 +41,7 @@ def rate_of(dut: DesignUnderTest, requirement: Requirement | None = None) -> flo
 
 @once
 def largest_signal(dut: DesignUnderTest) -> float:
-    """V: the largest difference of a reading from the reference, of nominal parts with all cells at rest or pressed.
+    """V: the largest difference of a reading from the reference by the circuit's law, with nominal parts.
 
     Raises:
         NotRun: the circuit in time is not modelled or not linear, or nothing in it takes time.
@@ -53,12 +53,11 @@ def largest_signal(dut: DesignUnderTest) -> float:
     except (InputError, SolverError) as error:
         raise NotRun(str(error)) from error
     if not in_time.takes_time:
-        keys = ["readout.gain_bandwidth"] if design.board.circuit.has_amplifiers else ["readout.column_capacitance"]
-        raise NotRun(f"missing: {keys[0]}, or adc.switch_resistance with adc.sampling_capacitance: nothing takes time")
-    settled = [scan(design, frame, method="exact") for frame in cells]
-    if any(frame.saturated.any() for frame in settled):
+        first = "readout.gain_bandwidth" if design.board.circuit.has_amplifiers else "readout.column_capacitance"
+        raise NotRun(f"missing: {first}, or adc.switch_resistance with adc.sampling_capacitance: nothing takes time")
+    if scan_batch(design, cells, method="exact").saturated.any():
         raise NotRun("settling is linear: an output saturates with nominal parts")
-    return float(max(np.abs(frame.volts - design.readout.reference_voltage).max() for frame in settled))
+    return float(np.abs(ideal_volts(design, cells) - design.readout.reference_voltage).max())
 
 
 def worst_settling(dut: DesignUnderTest, rate: float, *, spread: bool = True) -> WorstCase:
