@@ -24,7 +24,7 @@ from ._parameters import MAXIMA, Factors
 from ._readings import converted, limited
 from ._units import engineering
 from .quantities.gain_error import GainError
-from .quantities.settling_error import rate_of, settling_share
+from .quantities.settling_error import largest_signal, rate_of, settling_share
 
 SECONDS = 24.0
 FASTEST_HZ = 50.0
@@ -103,6 +103,14 @@ def host_design(design: Design) -> Design:
         if getattr(design, section) is not None and key not in design.spreads:
             unknown.setdefault(section, {})[name] = 0.0
     return design.replace(**unknown)
+
+
+def require_dynamics(dut: DesignUnderTest) -> None:
+    """Raise NotRun, which names what is missing, where the design does not say how noisy and how fast it is."""
+    circuit = dut.design.board.circuit
+    if circuit.virtual_ground or not circuit.has_amplifiers:  # of a follower neither is modelled
+        noise_of(dut)
+        largest_signal(dut)
 
 
 @once

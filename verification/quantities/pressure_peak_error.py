@@ -5,16 +5,15 @@ from __future__ import annotations
 from ...circuits import Requirement
 from .._dut import DesignUnderTest
 from .._outcome import Measurement
-from .._pressures import runs, what_is_in
+from .._pressures import require_dynamics, runs, what_is_in
 from .._quantity import Quantity, Shipped
 from .._units import engineering
-from .noise import noise_of
 from .settling_error import rate_of
 
 
 def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
     rate_of(dut, requirement)
-    noise_of(dut)
+    require_dynamics(dut)
     found = [(run.peak(), run) for run in runs(dut)]
     (error, (frame, row, column)), run = max(found, key=lambda item: item[0][0])
     return Measurement(

@@ -5,15 +5,14 @@ from __future__ import annotations
 from ...circuits import Requirement
 from .._dut import DesignUnderTest
 from .._outcome import Measurement, drawn
-from .._pressures import runs, traces, what_is_in
+from .._pressures import require_dynamics, runs, traces, what_is_in
 from .._quantity import Quantity, Shipped
-from .noise import noise_of
 from .settling_error import rate_of
 
 
 def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
     rate_of(dut, requirement)
-    noise_of(dut)
+    require_dynamics(dut)
     found = [(run.rmse(), run) for run in runs(dut)]
     (error, place), run = max(found, key=lambda item: item[0][0])
     lost = float(run.lost.mean())
