@@ -5,6 +5,7 @@ from __future__ import annotations
 import enum
 from collections import OrderedDict
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,9 @@ from ._clock import ClockMap, Pace
 from ._port import Arrival
 from ._spacing import ArrivalTimes
 from ._statistics import Counters
+
+if TYPE_CHECKING:
+    from ._convert import Measurement
 
 REMEMBERED = 64
 """frames among which a duplicate is looked for, and by which a packet may be late"""
@@ -58,6 +62,8 @@ class RawFrame:
     """total"""
     absent: tuple[int, ...] = ()
     """cells, counted row by row, of which the board has sent no count"""
+    measurement: Measurement | None = None
+    """None: not converted yet, skipped, or it does not fit the design; written by :class:`._frames.Frames` only"""
 
 
 class _Succession(enum.Enum):
