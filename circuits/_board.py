@@ -19,7 +19,7 @@ from ..common.arrays import FloatArray
 from ._parts import Parts
 from ._readout import Readout
 from ._sections import Adc, Array, Drive, Fault, PerLine, Sheet
-from .ends import GROUND, REF, Card, ColumnEnd, LineEnds, Network, Reference, RowEnd, amplifier, with_values
+from .ends import GROUND, REF, Card, ColumnEnd, LineEnds, Network, Reference, RowEnd, amplifier
 from .readouts import CIRCUITS, DESCRIBED, DESCRIBED_INVERTING, LinearReadout, ReadoutCircuit
 
 
@@ -172,19 +172,15 @@ def _line_ends(board: Board, networks: Networks) -> LineEnds:
     ref = REF if networks.reference or board.level else GROUND
     selected, idle = _named_rows(board, ref)
     if row_end is not None:
-        found = row_end.networks
-        selected, idle = (
-            with_values(found[key], row_end.values, rows) if key in found else usual
-            for key, usual in (("selected", selected), ("idle", idle))
-        )
-    if column_end is not None:
-        found, shared = column_end.networks, column_end.shared_by
-        read = with_values(found["parts"], column_end.values, -(-columns // shared))
-        unread = with_values(found["idle"], column_end.values, columns)
-    else:
+        selected = row_end.lines("selected", rows) if row_end.selected is not None else selected
+        idle = row_end.lines("idle", rows) if row_end.idle is not None else idle
+    if column_end is None:
         shared = board.shared_by
         read, unread = _named_columns(board, ref)
-    reference = () if networks.reference is None else networks.reference.networks["parts"]
+    else:
+        shared = column_end.shared_by
+        read, unread = column_end.lines("parts", -(-columns // shared)), column_end.lines("idle", columns)
+    reference = () if networks.reference is None else networks.reference.lines("parts", 1)[0]
     return LineEnds(selected, idle, read, unread, shared, reference, board.level)
 
 

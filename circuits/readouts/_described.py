@@ -103,6 +103,10 @@ class Described(Terminated):
         assert board.line_ends is not None
         return _alone(board.line_ends)[0]
 
+    def ambiguity(self, board: Parts) -> str:
+        assert board.line_ends is not None
+        return board.line_ends.ambiguity()
+
     def sensitivity_groups(self, board: Parts, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
         if board.described is None:
             yield from node_groups(board, ports)
