@@ -44,8 +44,13 @@ class Board(Parts):
         adc: Adc | None,
         faults: tuple[Fault, ...],
         networks: Networks | None = None,
+        *,
+        by_nodes: bool = False,
     ) -> Board:
-        """Expand the sections of a design. Users take ``design.board``, which keeps the result."""
+        """Expand the sections of a design. Users take ``design.board``, which keeps the result.
+
+        With ``by_nodes`` the lines end in networks even where they are Thevenin equivalents.
+        """
         circuit = CIRCUITS[readout.circuit]
         turned = circuit.senses == "rows"
         row_keys, column_keys = (array.row_lead, array.row_segment), (array.column_lead, array.column_segment)
@@ -94,7 +99,7 @@ class Board(Parts):
             readout=readout,
             adc=adc,
         )
-        return board if networks is None else _with_networks(board, networks)
+        return board if networks is None else _with_networks(board, networks, by_nodes=by_nodes)
 
     @property
     def virtual_grounds(self) -> bool:
@@ -115,13 +120,13 @@ class Networks(NamedTuple):
     reference: Reference | None = None
 
 
-def _with_networks(board: Board, networks: Networks) -> Board:
+def _with_networks(board: Board, networks: Networks, *, by_nodes: bool) -> Board:
     """The board with the networks of the design at its lines, and those that its other keys stand for."""
     ends = _line_ends(board, networks)
     floating, pull, lead = board.floating, board.pull, board.row_lead
     drive, datum = board.drive, Fraction(board.level)
     columns = None
-    if ends.is_apart:
+    if ends.is_apart and not by_nodes:
         rows = None
         if networks.row_end is not None:
             rows = ends.rows(ends.rest())
@@ -209,10 +214,13 @@ def _named_columns(board: Board, ref: str) -> tuple[tuple[Network, ...], tuple[N
             offset_voltage=float(board.offset[j]),
             bias_current=float(board.bias[j]),
             gain_bandwidth=board.readout.gain_bandwidth,
+            voltage_noise=board.readout.voltage_noise,
+            current_noise=board.readout.current_noise,
             low=low,
             high=high,
         )
-        read.append((load, amplified) if board.circuit.virtual_ground else (load,))
+        feedback = Card("CREF", load.nodes, board.readout.feedback_capacitance)
+        read.append((load, feedback, amplified) if board.circuit.virtual_ground else (load,))
         match board.idle_columns:
             case "float":
                 unread.append(())

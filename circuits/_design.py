@@ -242,6 +242,21 @@ class Design(Section):
         networks = Networks(self.row_end, self.column_end, self.reference) if self.is_described else None
         return Board.of(self.array, self.sheet, self.drive, self.readout, self.adc, self.fault, networks)
 
+    @cached_property
+    def board_by_nodes(self) -> Board:
+        """The same board with a network at the end of each line, and no pull-downs or drivers in its grid.
+
+        Raises:
+            InputError: the circuit drives idle lines, or senses rows: it has no such networks.
+
+        """
+        circuit = CIRCUITS[self.readout.circuit]
+        if circuit.drives_idle_lines or circuit.senses == "rows":
+            raise InputError(f'readout.circuit = "{circuit.name}" has no networks at the ends of its lines')
+        networks = Networks(self.row_end, self.column_end, self.reference)
+        parts = self.array, self.sheet, self.drive, self.readout, self.adc, self.fault
+        return Board.of(*parts, networks, by_nodes=True)
+
     @property
     def is_described(self) -> bool:
         """Whether networks describe ends of lines."""

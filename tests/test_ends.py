@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from ohmskin.circuits import Design, adc_codes, live_recovery, recover, scan, vo
 from ohmskin.circuits.spice import command_available, netlist, run_control
 from ohmskin.common.config import parse
 from ohmskin.errors import InputError, SolverError
+from ohmskin.wire import read_description, write_description
 
 GROUNDED = ["V1 line 0 0"]
 NEGATIVE = ["V1 line 0 -1"]
@@ -229,7 +229,9 @@ def test_a_file_gives_the_same_board(tmp_path: Path) -> None:
     design = Design.load(tmp_path / "design.toml")
     same = designed("divider, rows pulled down", row_lead=0.0, column_lead=0.0)
     np.testing.assert_array_equal(scan(design, CELLS).volts, scan(same, CELLS).volts)
-    sent = parse(json.loads(design.model_dump_json(exclude_none=True)), Design, source="a board")
+    tables, _ = read_description(write_description(design.model_dump(), None))
+    assert tables is not None
+    sent = parse(tables, Design, source="a board")
     np.testing.assert_array_equal(scan(sent, CELLS).volts, scan(design, CELLS).volts)
 
 
