@@ -223,8 +223,8 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
             reading = read(event.counts)
             solved = process_time()
             if not estimator.resolved:
-                estimator.resolve(*reading.resolution)
-            estimator.step(1.0 / FRAME_RATE_HZ if number else 0.0, reading.for_estimation)
+                estimator.resolve(*read.resolution)
+            estimator.step_readings(1.0 / FRAME_RATE_HZ if number else 0.0, reading)
             estimated = process_time()
             port.work(APART_S)  # the next frame comes
             taking = process_time()

@@ -18,6 +18,7 @@ from ._sections import Adc, Array, Cells, Drive, Fault, Operation, Requirements,
 from ._sensitivity import Sensitivity, sensitivity
 from ._sequence import interpolates, scan_sequence
 from ._spread import Spread
+from .ends import ColumnEnd, Event, Reference, RowEnd, Scan
 from .readouts import CIRCUITS as _CIRCUITS
 from .recovery import (
     Conditioning,
@@ -33,7 +34,7 @@ from .recovery import (
     live_recovery,
     recover,
 )
-from .timing import Noise, Settling, Stability, Transient, noise, stability
+from .timing import EventScan, Noise, Settling, Stability, Transient, noise, stability
 
 CIRCUITS: tuple[str, ...] = tuple(_CIRCUITS)
 """Readout circuits that a design file can name"""
@@ -48,12 +49,15 @@ __all__ = [
     "Board",
     "Boards",
     "Cells",
+    "ColumnEnd",
     "Conditioning",
     "Conditions",
     "Design",
     "Drive",
     "Effect",
     "Errors",
+    "Event",
+    "EventScan",
     "Fault",
     "LiveReading",
     "LiveRecovery",
@@ -64,8 +68,11 @@ __all__ = [
     "Reason",
     "Recoverer",
     "Recovery",
+    "Reference",
     "Requirement",
     "Requirements",
+    "RowEnd",
+    "Scan",
     "ScanResult",
     "Sensitivity",
     "Settling",

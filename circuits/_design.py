@@ -117,7 +117,7 @@ class Design(Section):
 
     def _refuse_keys_beside_networks(self) -> None:
         """Raise ValueError if networks at the lines' ends leave a key without effect, or have none themselves."""
-        networks = [name for name in ("row_end", "column_end", "reference") if getattr(self, name) is not None]
+        networks = [name for name, _ in self._networks()]
         if not networks:
             return
         circuit = CIRCUITS[self.readout.circuit]
@@ -129,17 +129,13 @@ class Design(Section):
         keys: list[tuple[str, str, str]] = []
         if self.column_end is not None:
             keys += [("column_end", "readout", key) for key in _SAID_BY_COLUMN_END]
-            for name, values in self.column_end.values.items():
-                ends = -(-self.array.columns // self.column_end.shared_by)
-                if len(values) not in (ends, self.array.columns):
-                    raise ValueError(
-                        f"column_end.values.{name} has {len(values)} entries, expected one per end: {ends}"
-                    )
         if self.row_end is not None:
             keys += [("row_end.idle", "drive", key) for key in _SAID_BY_IDLE_ROW if self.row_end.idle is not None]
-            for name, values in self.row_end.values.items():
-                if len(values) != self.array.rows:
-                    raise ValueError(f"row_end.values.{name} has {len(values)} entries, expected {self.array.rows}")
+        for section, end in self._networks():
+            for name, values in end.values.items():
+                expected = self._ends_of(section, name)
+                if len(values) != expected:
+                    raise ValueError(f"{section}.values.{name} has {len(values)} entries, expected {expected}")
         if self.reference is not None:
             keys.append(("reference", "readout", "reference_voltage"))
         for network, section, key in keys:
@@ -191,24 +187,33 @@ class Design(Section):
             section = getattr(self, name)
             if section is not None:
                 found |= {f"{name}.{key}": spread for key, spread in section.spread.items()}
-        for name in ("row_end", "column_end", "reference"):
-            end = getattr(self, name)
-            if end is not None:
-                found |= {f"{name}.{part}": spread for part, spread in end.spreads.items()}
+        for name, end in self._networks():
+            found |= {f"{name}.{part}": spread for part, spread in end.spreads.items()}
         return found
+
+    def _networks(self) -> list[tuple[str, RowEnd | ColumnEnd | Reference]]:
+        """The sections that describe ends of lines, with their names."""
+        sections = {"row_end": self.row_end, "column_end": self.column_end, "reference": self.reference}
+        return [(name, end) for name, end in sections.items() if end is not None]
+
+    def _ends_of(self, section: str, part: str) -> int:
+        """How many a board has of one part of a network."""
+        if section == "reference":
+            return 1
+        if section == "row_end" or self.column_end is None:
+            return self.array.rows
+        names = {card.name for card in self.column_end.networks["parts"]}
+        shared = self.column_end.shared_by if part.rpartition(".")[2] in names and not part.startswith("idle.") else 1
+        return -(-self.array.columns // shared)
 
     @property
     def end_parts(self) -> dict[str, FloatArray]:
         """Nominal values (ends,) of the parts of networks at the lines' ends, by section and name."""
         found: dict[str, FloatArray] = {}
-        for name in ("row_end", "column_end", "reference"):
-            end = getattr(self, name)
-            if end is not None:
-                count = self.array.rows if name == "row_end" else 1
-                if name == "column_end":
-                    count = -(-self.array.columns // end.shared_by)
-                for part, value in end.nominal.items():
-                    found[f"{name}.{part}"] = np.array(end.values.get(part, (value,) * count))
+        for section, end in self._networks():
+            for part, value in end.nominal.items():
+                count = self._ends_of(section, part)
+                found[f"{section}.{part}"] = np.array(end.values.get(part, (value,) * count))
         return found
 
     def with_end_parts(self, values: Mapping[str, ArrayLike]) -> Design:
@@ -237,10 +242,25 @@ class Design(Section):
         networks = Networks(self.row_end, self.column_end, self.reference) if self.is_described else None
         return Board.of(self.array, self.sheet, self.drive, self.readout, self.adc, self.fault, networks)
 
+    @cached_property
+    def board_by_nodes(self) -> Board:
+        """The same board with a network at the end of each line, and no pull-downs or drivers in its grid.
+
+        Raises:
+            InputError: the circuit drives idle lines, or senses rows: it has no such networks.
+
+        """
+        circuit = CIRCUITS[self.readout.circuit]
+        if circuit.drives_idle_lines or circuit.senses == "rows":
+            raise InputError(f'readout.circuit = "{circuit.name}" has no networks at the ends of its lines')
+        networks = Networks(self.row_end, self.column_end, self.reference)
+        parts = self.array, self.sheet, self.drive, self.readout, self.adc, self.fault
+        return Board.of(*parts, networks, by_nodes=True)
+
     @property
     def is_described(self) -> bool:
         """Whether networks describe ends of lines."""
-        return any(part is not None for part in (self.row_end, self.column_end, self.reference))
+        return bool(self._networks())
 
     def resistance(self, cells: ArrayLike) -> FloatArray:
         """``cells`` as a checked (rows, columns) array in ohm; inf is an open cell, 0 a short.

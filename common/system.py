@@ -7,8 +7,11 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import signal
-from collections.abc import Iterator
+import socket
+import struct
+from collections.abc import Callable, Iterator
 from typing import IO, TYPE_CHECKING
 
 from ..errors import InputError
@@ -36,7 +39,7 @@ else:
         fcntl = grp = pty = pwd = termios = tty = None
         POSIX = False
 
-__all__ = ["ENDING_SIGNALS", "POSIX", "fcntl", "grp", "pty", "pwd", "require_posix", "termios", "tty"]
+__all__ = ["ENDING_SIGNALS", "POSIX", "grp", "pty", "pwd", "require_posix", "tty"]
 
 ENDING_SIGNALS: dict[int, str] = {
     int(getattr(signal, name)): said
@@ -88,3 +91,36 @@ def interrupts_blocked() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def waiting_bytes(descriptor: int) -> int:
+    """Bytes that have come at a terminal or socket and were not read. POSIX only."""
+    return int(struct.unpack("i", fcntl.ioctl(descriptor, termios.FIONREAD, struct.pack("i", 0)))[0])
+
+
+def unacknowledged_bytes(connection: socket.socket) -> int:
+    """Bytes that were sent and that the peer has not acknowledged; 0 where the system does not tell."""
+    if not hasattr(termios, "TIOCOUTQ"):
+        return 0
+    return int(struct.unpack("i", fcntl.ioctl(connection, termios.TIOCOUTQ, struct.pack("i", 0)))[0])
+
+
+def has_hung_up(connection: socket.socket) -> bool:
+    """Whether the peer has closed its end: on Linux even if bytes that it sent before are unread."""
+    if hasattr(select, "POLLRDHUP"):
+        poll = select.poll()
+        poll.register(connection, select.POLLRDHUP)
+        return bool(poll.poll(0))
+    try:
+        return connection.recv(1, socket.MSG_PEEK) == b""
+    except BlockingIOError:
+        return False
+
+
+def urgent_data(connection: socket.socket) -> Callable[[], bool]:
+    """A function that tells whether urgent data have come. select() alone would fail beyond descriptor 1023."""
+    if not hasattr(select, "poll"):
+        return lambda: bool(select.select([], [], [connection], 0)[2])
+    poll = select.poll()
+    poll.register(connection, select.POLLPRI)
+    return lambda: bool(poll.poll(0))

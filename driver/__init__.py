@@ -7,6 +7,7 @@
             print(frame.pressure)
 """
 
+from ..common.measurement import Measurement
 from ._arrays import FRAME_GRIDS, FRAME_NUMBERS, stack, to_xarray
 from ._calibration import Calibration
 from ._contacts import Contact, ContactTracker
@@ -16,7 +17,7 @@ from ._frames import Delivery
 from ._messages import MESSAGE_SCHEMAS, messages_of
 from ._options import SkinSettings
 from ._port import BAUDRATE, Arrival, BytePort, SerialPort, SocketPort, open_port
-from ._reading import CountReader, Reading
+from ._reading import CountReader
 from ._recorder import Recorder
 from ._recording import Recording
 from ._replay import ReplayPort
@@ -39,7 +40,7 @@ __all__ = [
     "FoundBoard",
     "Frame",
     "LinkStatistics",
-    "Reading",
+    "Measurement",
     "Recorder",
     "Recording",
     "ReplayPort",

@@ -17,7 +17,7 @@ from functools import partial
 from ..common.checks import function
 from ..errors import LinkEnded, LinkError, LinkTimeout, ProtocolError
 from ._connection import Connection
-from ._convert import Measurement
+from ._convert import Converted
 from ._frame import Frame
 from ._stream import RawFrame
 
@@ -338,11 +338,11 @@ class _CallbackThread(threading.Thread):
     """A thread in which a callback runs."""
 
 
-def follower(connection: Connection, receive: Callable[[Frame], None]) -> Callable[[RawFrame, Measurement], None]:
+def follower(connection: Connection, receive: Callable[[Frame], None]) -> Callable[[RawFrame, Converted], None]:
     """A function that passes every converted frame to a recorder, in order, whoever asked for the conversion."""
     before = _Totals()
 
-    def converted(raw: RawFrame, measurement: Measurement) -> None:
+    def converted(raw: RawFrame, measurement: Converted) -> None:
         nonlocal before
         frame, before = _frame(raw, measurement, before, connection), _Totals.of(raw, measurement.estimator_starts)
         receive(frame)
@@ -356,7 +356,7 @@ def frames_since(connection: Connection, monotonic_s: float) -> list[Frame]:
         connection.poll()
     frames, before = [], _Totals()
     for raw in connection.frames.converted_since(monotonic_s):
-        measurement = raw.measurement
+        measurement = raw.converted
         assert measurement is not None
         if raw.monotonic_time > monotonic_s:
             frames.append(_frame(raw, measurement, before, connection))
@@ -380,7 +380,7 @@ class _Totals:
         return cls(frame.index, frame.lost, frame.overruns, frame.reconnects, frame.reboots, estimator_starts)
 
 
-def _frame(raw: RawFrame, measurement: Measurement, before: _Totals, connection: Connection) -> Frame:
+def _frame(raw: RawFrame, measurement: Converted, before: _Totals, connection: Connection) -> Frame:
     """The frame for a reader whose totals up to now are ``before``."""
     contacts, view = connection.frames.converter.contacts, measurement.view
     lost_before = None if raw.lost is None else raw.lost - (before.lost or 0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from ..cell import Cell, Estimator
 from ..circuits import Design, Reason, ValidityRule
 from ..common.arrays import BoolArray, FloatArray
+from ..common.measurement import CONDUCTANCE, Measurement
 from ..errors import InputError
 from ..wire import Layout
 from ._calibration import Calibration
@@ -24,7 +24,7 @@ from ._lazy import Lazy
 from ._line_faults import Creep, LineFaults
 from ._pitch import Pitch
 from ._plain import PlainReader
-from ._reading import CountReader, Reading
+from ._reading import CountReader
 from ._statistics import Counters
 from ._stream import RawFrame
 from ._systematic import SystematicError
@@ -49,6 +49,7 @@ FEW = 0.02
 """fraction of valid cells in those frames below which the driver reports the reason"""
 CLEAR_SPREAD = 0.01
 """fraction of full scale: pressure error by unknown rest resistances from which on the driver reports them"""
+_NO_CURRENT, _UNSOLVED = int(Reason.NO_CURRENT), int(Reason.UNSOLVED)
 _NO_CELL = (
     "the data of the cells are not known, so there are no pressures (NaN): the board does not send them; give them, "
     'Skin.open(..., cell="cell.toml"), as `ohmskin fit` writes them'
@@ -64,8 +65,8 @@ _WHY_NONE = {
 }
 
 
-class Measurement(NamedTuple):
-    """The measured values of one frame. Arrays are (rows, columns) and read-only."""
+class Converted(NamedTuple):
+    """What a frame is converted to. Arrays are (rows, columns) and read-only."""
 
     valid: BoolArray
     reason: NDArray[np.int8]
@@ -151,7 +152,7 @@ class Converter:
         self._last: RawFrame | None = None
         self._last_s: float | None = None
         """of the last frame, on the estimator's time scale"""
-        self._recent: deque[tuple[float, Reading]] = deque(maxlen=KNOWN_FRAMES)
+        self._recent: deque[tuple[float, Measurement]] = deque(maxlen=KNOWN_FRAMES)
         """times and readings of the last frames"""
         self.notices = counters.notices
 
@@ -181,9 +182,9 @@ class Converter:
         adc = self.design.adc
         assert adc is not None, "CountReader refuses designs without an ADC"
         counts = np.full(self.shape, 2 ** (adc.bits - 1), dtype=np.uint16)
-        reading = self._read(counts)
+        measured = self._read(counts)
         if self.cell is not None:
-            self._fresh_estimator().step(1.0, reading.resistance)
+            self._fresh_estimator().step_readings(1.0, measured)
         self._read = self._new_reader()
 
     def _new_reader(self) -> CountReader | PlainReader:
@@ -197,16 +198,16 @@ class Converter:
         self._rest_ohm = rest_ohm
         self._estimator = self._new_estimator()
         before_s: float | None = None
-        for time_s, reading in self._recent:
+        for time_s, measured in self._recent:
             gap_s = 0.0 if before_s is None else round(time_s - before_s, CLOCK_DIGITS)
-            self._estimate(gap_s, self._without_faulty_lines(time_s, reading))
+            self._estimate(gap_s, self._without_faulty_lines(time_s, measured))
             before_s = time_s
         if self._judged is None:
             self._counters.untared = self._why_to_tare()
         for tell in tuple(self.on_rest):
             tell(rest_ohm, self.last_index)
 
-    def convert(self, frame: RawFrame) -> Measurement:
+    def convert(self, frame: RawFrame) -> Converted:
         """The measurement of the next frame. Raises ProtocolError if its counts do not fit the design."""
         due = None
         while self._rest_changes and frame.index > self._rest_changes[0].after_frame:
@@ -215,29 +216,30 @@ class Converter:
             self.use_rest(None if due.rest is None else due.rest.reshape(self.shape))
         gap_s = 0.0 if self._last_s is None else round(frame.time_s - self._last_s, CLOCK_DIGITS)
         self._last, self._last_s = frame, frame.time_s if self._last_s is None else self._last_s + gap_s
-        reading = self._read_present(frame)
+        measured = self._read_present(frame)
         counters = self._counters
-        if not reading.solved:
+        if measured.reason.flat[0] == _UNSOLVED:
             counters.unsolved += 1
         if self._judged is not None:
-            self._judge(reading)
+            self._judge(measured)
         if gap_s > KEEP_STATE_S:
             self._estimator = self._new_estimator()
             self._recent.clear()
-        self._recent.append((frame.time_s, reading))
-        reading = self._without_faulty_lines(frame.time_s, reading)
-        counters.reasons = reading.reason
-        for array in (reading.valid, reading.reason, reading.resistance):
+        self._recent.append((frame.time_s, measured))
+        measured = self._without_faulty_lines(frame.time_s, measured)
+        reason = counters.reasons = measured.reason
+        valid, resistance = reason == 0, measured.resistance
+        for array in (valid, reason, resistance):
             array.setflags(write=False)  # half of the time that array.flags takes
-        pressure, std = self._estimate(gap_s, reading)
+        pressure, std = self._estimate(gap_s, measured)
         pressure.setflags(write=False)
-        unread = (reading.reason != int(Reason.VALID)) & (reading.reason != int(Reason.UNCERTAIN))
+        unread = (reason != int(Reason.VALID)) & (reason != int(Reason.UNCERTAIN))
         view = PressureView(frame.index, frame.time_s, pressure, std, unread)
         self.contacts.pass_by(view)
-        return Measurement(
-            reading.valid,
-            reading.reason,
-            reading.resistance,
+        return Converted(
+            valid,
+            reason,
+            resistance,
             pressure,
             std,
             view,
@@ -245,7 +247,7 @@ class Converter:
             self._starts,
         )
 
-    def _read_present(self, frame: RawFrame) -> Reading:
+    def _read_present(self, frame: RawFrame) -> Measurement:
         """The reading of a frame. A cell without a count keeps its last one, as others depend on it, and is marked."""
         before, self._present = self._present, frame.counts
         if not frame.absent:
@@ -255,56 +257,52 @@ class Converter:
         self._present = np.where(missing, frame.counts if before is None else before, frame.counts)
         return self._read(self._present).without(missing, Reason.MISSING)
 
-    def _estimate(self, gap_s: float, reading: Reading) -> tuple[FloatArray, Lazy]:
+    def _estimate(self, gap_s: float, measured: Measurement) -> tuple[FloatArray, Lazy]:
         """Pressures (rows, columns) in kPa and their standard deviations."""
         estimator, calibration = self._estimator, self._calibration
         if estimator is None or self._systematic is None:
-            unknown = np.full(reading.valid.shape, np.nan)
+            unknown = np.full(measured.reason.shape, np.nan)
             return unknown, Lazy(unknown.copy)
-        if not estimator.resolved:
-            estimator.resolve(*reading.resolution)
+        if not estimator.resolved and isinstance(self._read, CountReader):
+            estimator.resolve(*self._read.resolution)
         assert self._column_steps is not None, "it is made with the estimator"
-        resistance, taken_out = self._column_steps.without(reading)
-        if self.cell is not None and self.cell.open_at_rest and not reading.all_valid:
-            resistance = np.where(reading.reason == Reason.NO_CURRENT, np.inf, resistance)
-        if reading.bounded:  # an interval is more than a gap
-            with np.errstate(divide="ignore"):
-                common = estimator.step_readings(gap_s, replace(reading.readings, conductance=1.0 / resistance))
-        else:
-            common = estimator.step(gap_s, resistance)
-        systematic = self._systematic.take(reading, taken_out, rest_known=self._rest_known)
+        conductance, taken_out = self._column_steps.without(measured)
+        if self.cell is not None and self.cell.open_at_rest:
+            conductance = np.where(measured.reason == _NO_CURRENT, 0.0, conductance)
+        seen = measured
+        if conductance.base is not measured.block:
+            seen = Measurement(measured.block.copy(), measured.reason)
+            seen.block[CONDUCTANCE] = conductance
+        common = estimator.step_readings(gap_s, seen)
+        systematic = self._systematic.take(measured, taken_out, rest_known=self._rest_known)
         std = Lazy(partial(_std, estimator.variance_of_last_step(), systematic, common, calibration))
         return common if calibration is None else calibration.applied(common), std
 
-    def _without_faulty_lines(self, time_s: float, reading: Reading) -> Reading:
-        """The reading, with the cells of faulty lines marked as not valid (:mod:`._line_faults`)."""
+    def _without_faulty_lines(self, time_s: float, measured: Measurement) -> Measurement:
+        """The measurement, with the cells of faulty lines marked as not valid (:mod:`._line_faults`)."""
         if self._line_faults is None or self._systematic is None:
-            return reading
-        cells = self._line_faults.take(time_s, reading, self._systematic.rest_spread)
+            return measured
+        cells = self._line_faults.take(time_s, measured, self._systematic.rest_spread)
         self._counters.faulty = None if cells is None else self._line_faults.remark
-        return reading if cells is None else reading.without(cells)
+        return measured if cells is None else measured.without(cells, Reason.DISTURBED)
 
     @property
     def _rest_known(self) -> bool:
         return self._rest_ohm is not None or self._calibration is not None
 
-    def _judge(self, reading: Reading) -> None:
+    def _judge(self, measured: Measurement) -> None:
         """After the first frames, report once why cells are not valid, or that rest resistances are not known."""
         assert self._judged is not None
         self._judged += 1
         if self._judged <= UNSETTLED_FRAMES:
             return
-        if reading.all_valid:
-            self._reasons[Reason.VALID] += reading.valid.size
-        else:
-            told = np.bincount(reading.reason.ravel(), minlength=len(Reason))
-            if self.cell is not None and self.cell.open_at_rest:  # a cell without current bears no load: no fault
-                told[Reason.VALID] += told[Reason.NO_CURRENT]
-                told[Reason.NO_CURRENT] = 0
-            self._reasons += told
-            uncertain = reading.reason == int(Reason.UNCERTAIN)
-            if uncertain.any():
-                self._surest = min(self._surest, float(reading.uncertainty[uncertain].min()))
+        told = np.bincount(measured.reason.ravel(), minlength=len(Reason))
+        if self.cell is not None and self.cell.open_at_rest:  # a cell without current bears no load: no fault
+            told[Reason.VALID] += told[Reason.NO_CURRENT]
+            told[Reason.NO_CURRENT] = 0
+        self._reasons += told
+        uncertain = measured.reason == int(Reason.UNCERTAIN)
+        self._surest = min(self._surest, float(measured.uncertainty.min(initial=np.inf, where=uncertain)))
         if self._judged < SOON:
             return
         self._judged = None
@@ -313,7 +311,7 @@ class Converter:
             if self._counters.remark:
                 self.notices.append(self._counters.remark)
         else:
-            self._sheet = self._unlike_sheet(reading)
+            self._sheet = self._unlike_sheet(measured)
             self._counters.untared = self._why_to_tare()
             if self._counters.untared and self._sheet:
                 self.notices.append(self._counters.untared)
@@ -339,11 +337,11 @@ class Converter:
             "bits, or another reference resistor, tells more"
         )
 
-    def _unlike_sheet(self, reading: Reading) -> str | None:
+    def _unlike_sheet(self, measured: Measurement) -> str | None:
         """A remark if the resistance of the typical cell is far from the data sheet's value at rest."""
-        if not reading.valid.any():
+        if not measured.valid.any():
             return None
-        far = far_from_sheet(float(np.median(reading.resistance[reading.valid])), self.cell)
+        far = far_from_sheet(float(np.median(measured.resistance[measured.valid])), self.cell)
         if not far:
             return None
         return (

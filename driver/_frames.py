@@ -29,7 +29,7 @@ from typing import Literal
 
 from ..common.arrays import FloatArray
 from ..errors import LinkError, OhmskinError, ProtocolError
-from ._convert import Converter, Measurement
+from ._convert import Converted, Converter
 from ._statistics import Counters
 from ._stream import RawFrame
 
@@ -92,7 +92,7 @@ class Frames:
         """why no frame will come any more"""
         self.away: str | None = None
         """why the port is lost, while the driver tries to open it again"""
-        self.on_converted: list[Callable[[RawFrame, Measurement], None]] = []
+        self.on_converted: list[Callable[[RawFrame, Converted], None]] = []
         """called with every measurement: for recorders"""
         self._converter: Converter | None = None
         self._capacity = capacity
@@ -236,16 +236,16 @@ class Frames:
                 return latest if latest is not None and latest.index > index else None
             return self._after(index)
 
-    def measure(self, frame: RawFrame) -> Measurement | None:
+    def measure(self, frame: RawFrame) -> Converted | None:
         """The measurement of ``frame``; frames before it that wait for their conversion are converted first.
 
         Returns:
             None if the frame was skipped, or its counts do not fit the design.
 
         """
-        if frame.measurement is None:
+        if frame.converted is None:
             self.catch_up(frame.index)
-        return frame.measurement
+        return frame.converted
 
     def catch_up(self, last: int | None = None) -> None:
         """Convert the frames up to the number ``last``; None: all, unless readers convert them as they take them."""
@@ -267,7 +267,7 @@ class Frames:
         """
         with self._converting, self.lock:
             starts = 0 if self._converter is None else self._converter.starts
-            kept = [one for one in self._kept if one.measurement and one.measurement.estimator_starts == starts]
+            kept = [one for one in self._kept if one.converted and one.converted.estimator_starts == starts]
         first = next((k for k, one in enumerate(kept) if one.monotonic_time > monotonic_s), len(kept))
         return kept[max(first - 1, 0) :]
 
@@ -345,7 +345,7 @@ class Frames:
                 continue
             done += 1
             try:
-                frame.measurement = self.converter.convert(frame)
+                frame.converted = self.converter.convert(frame)
             except ProtocolError as error:
                 self.report(error, frame.index)
                 continue
@@ -357,7 +357,7 @@ class Frames:
                 raise
             self._last, self._converted = frame, self._converted + 1
             for tell in tuple(self.on_converted):
-                tell(frame, frame.measurement)
+                tell(frame, frame.converted)
         return True
 
     # -- the queue, with the lock held ---------------------------------------------------------------------------------

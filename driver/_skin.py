@@ -21,7 +21,7 @@ from ..errors import InputError, LinkEnded, LinkError
 from ..wire import Description, Identity, Order
 from ._connection import await_free
 from ._consumer import AsyncFrames, Consumer, FrameCallback, follower, frames_since
-from ._convert import Converter, Measurement
+from ._convert import Converted, Converter
 from ._discover import LONGEST_SEARCH_S, find_board
 from ._frame import Frame
 from ._options import Options, SkinSettings
@@ -96,7 +96,7 @@ class Skin:
         settings = replace(options.settings, simulated=getattr(port, "is_simulated", False))
         self._timeout = options.timeout_s
         self._recorder: Recording | None = None
-        self._followers: dict[Recording, Callable[[RawFrame, Measurement], None]] = {}
+        self._followers: dict[Recording, Callable[[RawFrame, Converted], None]] = {}
         """recordings in progress -> the function that gives them converted frames"""
         try:
             self._connection = connect(port, options, reopen)

@@ -18,7 +18,7 @@ from ._spacing import ArrivalTimes
 from ._statistics import Counters
 
 if TYPE_CHECKING:
-    from ._convert import Measurement
+    from ._convert import Converted
 
 REMEMBERED = 64
 """frames among which a duplicate is looked for, and by which a packet may be late"""
@@ -62,7 +62,7 @@ class RawFrame:
     """total"""
     absent: tuple[int, ...] = ()
     """cells, counted row by row, of which the board has sent no count"""
-    measurement: Measurement | None = None
+    converted: Converted | None = None
     """None: not converted yet, skipped, or it does not fit the design; written by :class:`._frames.Frames` only"""
 
 

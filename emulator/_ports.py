@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import os
-import pty
 import select
 import socket
 import struct
-import termios
 import time
-import tty
 from abc import ABC, abstractmethod
 from functools import cached_property
 from pathlib import Path
@@ -21,6 +17,7 @@ from typing import Self, cast
 from serial.rfc2217 import PortManager, Serial
 
 from ..common.rendezvous import END_OF_TRANSMISSION, Announcement
+from ..common.system import has_hung_up, pty, require_posix, tty, unacknowledged_bytes, waiting_bytes
 from ..errors import InputError, LinkError
 
 READ_AT_ONCE = 4096
@@ -180,11 +177,13 @@ class PtyPort(Port):
         listed: whether hosts that look for boards open this port to see who is there.
 
     Raises:
-        InputError: ``link`` is in use, is something else than an emulator's link, or cannot be made.
+        InputError: ``link`` is in use, is something else than an emulator's link, or cannot be made; or this system
+            has no pseudo-terminals.
 
     """
 
     def __init__(self, link: Path | None = None, *, listed: bool = True) -> None:
+        require_posix("a pseudo-terminal", "give the board a TCP port (--tcp)")
         self._listed = listed
         self._link = None if link is None else _Link(link)
         self._open()
@@ -249,10 +248,9 @@ class PtyPort(Port):
             poll = select.poll()
             poll.register(host_end, select.POLLIN)
             poll.poll(0)
-            (waiting,) = struct.unpack("i", fcntl.ioctl(host_end, termios.FIONREAD, struct.pack("i", 0)))
+            return waiting_bytes(host_end)
         finally:
             os.close(host_end)
-        return int(waiting)
 
     def plug_in(self, name: str | None) -> None:
         if name is not None and self._link is not None:
@@ -305,10 +303,7 @@ class _SocketPort(Port):
         return sent
 
     def unread(self) -> int:
-        if self._host is None:
-            return 0
-        (unacknowledged,) = struct.unpack("i", fcntl.ioctl(self._host, termios.TIOCOUTQ, struct.pack("i", 0)))
-        return int(unacknowledged)
+        return 0 if self._host is None else unacknowledged_bytes(self._host)
 
     def _close(self) -> None:
         self._hang_up()
@@ -381,7 +376,7 @@ class TcpPort(_SocketPort):
             if error.errno in (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM):
                 return self._host is not None
             raise LinkError(f"{self.name}: cannot accept a host: {error.strerror}") from error
-        if self._host is not None and (time.monotonic() - self._took_at > DEAF_S or _left(self._host)):
+        if self._host is not None and (time.monotonic() - self._took_at > DEAF_S or has_hung_up(self._host)):
             self._hang_up()
         if self._host is None:
             arrived.setblocking(False)
@@ -538,13 +533,6 @@ class _Connection:
 
     def write(self, data: bytes) -> None:
         self._outgoing += data
-
-
-def _left(host: socket.socket) -> bool:
-    """Whether the host has closed its end, even if bytes that it sent before are still unread."""
-    poll = select.poll()
-    poll.register(host, select.POLLRDHUP)
-    return bool(poll.poll(0))
 
 
 def _host_and_port(address: str) -> tuple[str, int]:

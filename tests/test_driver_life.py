@@ -437,7 +437,7 @@ class TestPorts:
         terminal = PtyPort()
         with terminal, socket.create_server(("127.0.0.1", 0)) as server:
             descriptors = len(os.listdir("/proc/self/fd"))
-            monkeypatch.setattr(os, "pipe", fail)
+            monkeypatch.setattr(socket, "socketpair", fail)
             for name in (terminal.name, "socket://{}:{}".format(*server.getsockname())):
                 with pytest.raises(LinkError, match="cannot be opened: Too many open files"):
                     open_port(name)

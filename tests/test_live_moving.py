@@ -82,8 +82,8 @@ def followed(board: Design, noise_v: float, rate_hz: float, seconds: float) -> F
         for n, frame in enumerate(codes):
             reading = read(frame)
             if not estimator.resolved:
-                estimator.resolve(*reading.resolution)
-            pressure[n] = estimator.step(dt, reading.for_estimation)
+                estimator.resolve(*read.resolution)
+            pressure[n] = estimator.step_readings(dt, reading)
             std[n] = estimator.std_kpa
         judged = slice(round(BEGIN_S * rate_hz), None)
         plays.append((load[SUBSTEPS - 1 :: SUBSTEPS][judged], pressure[judged], std[judged]))

@@ -11,7 +11,7 @@
 
 from ._cards import DIODES, GROUND, OPAMP, Card, parse_cards
 from ._equations import LINE, OUT, Equations, PortLaw, float_of, port_law
-from ._line_ends import OPEN_OHM, REF, Columns, LineEnds, Network, Rows, amplifier, is_bent, resistor, with_values
+from ._line_ends import OPEN_OHM, REF, Columns, LineEnds, Network, Rows, amplifier, is_bent
 from ._sections import ColumnEnd, Event, Reference, RowEnd, Scan
 from ._spice import join, spice_cards
 
@@ -41,7 +41,5 @@ __all__ = [
     "join",
     "parse_cards",
     "port_law",
-    "resistor",
     "spice_cards",
-    "with_values",
 ]

@@ -125,6 +125,11 @@ class ReadoutCircuit(ABC):
         ends = self.ends(board)
         return None if ends is None else PortLaw.of_ends(ends, wire, board.drive, floating=board.floating)
 
+    def ambiguity(self, board: Parts) -> str:
+        """Why readings of such a board do not determine its cells; empty: nothing is known against it."""
+        del board
+        return ""
+
     def linear(self, board: Parts) -> LinearReadout | None:
         """The outputs as a linear function of transfer conductances; None where they are not linear."""
         return None

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray
 from .._parts import Parts
-from ..ends import LineEnds
+from ..ends import OPEN_OHM, LineEnds
 from ._adjoint import SensitivityGroup, TerminatedColumns, terminated_groups
 from ._cards import CardWriter
 from ._circuit import Alone, Reading
@@ -96,12 +96,21 @@ class Described(Terminated):
         ohms = passed * board.row_lead[:, None] + ends.resistance
         return Alone(ends.slope * (passed * board.drive - ends.source), ohms, self.at_rest(board) - board.level)
 
+    def apparent_resistance(self, board: Parts, volts: FloatArray) -> FloatArray:
+        """NaN at columns that nothing loads: one cell alone always has the same reading there."""
+        ohms = super().apparent_resistance(board, volts)
+        return np.where(self.alone(board).span >= OPEN_OHM / 2, np.nan, ohms)
+
     def at_rest(self, board: Parts) -> FloatArray:
         """(M,) or (N, M) V of the outputs without current."""
         if board.described is not None:
             return board.described.output
         assert board.line_ends is not None
         return _alone(board.line_ends)[0]
+
+    def ambiguity(self, board: Parts) -> str:
+        assert board.line_ends is not None
+        return board.line_ends.ambiguity()
 
     def sensitivity_groups(self, board: Parts, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
         if board.described is None:
@@ -134,19 +143,27 @@ def _alone(ends: LineEnds) -> tuple[FloatArray, FloatArray, FloatArray]:
     In a linear circuit the output is a fraction of two linear functions of the cell's conductance, which three
     solutions give.
     """
-    (rows, columns), probes = ends.shape, _PROBES_S
+    rows, columns = ends.shape
     rest, gain, span = np.empty((3, rows, columns))
     known: dict[tuple[object, ...], tuple[float, float, float]] = {}
     for row in range(rows):
         for column in range(columns):
             key = ends.selected[row], ends.idle[row], ends.read[column // ends.shared_by], ends.unread[column]
             if key not in known:
-                volts = alone(ends, row, column, np.array([0.0, *probes]))
-                first, second = (volts[1:] - volts[0]) / probes
-                ohms = (first - second) / (volts[2] - volts[1]) if first != second else 0.0
-                known[key] = volts[0], first + ohms * (volts[1] - volts[0]), ohms
+                known[key] = _fraction(ends, row, column)
             rest[row, column], gain[row, column], span[row, column] = known[key]
     return rest, gain, span
+
+
+def _fraction(ends: LineEnds, row: int, column: int) -> tuple[float, float, float]:
+    """Rest, gain and span of one crosspoint."""
+    near, far = alone(ends, row, column, np.array(_PROBES_S))
+    if np.isclose(near, far, rtol=1e-9, atol=0.0):  # nothing loads the column, or a current drives the row
+        return 0.0, OPEN_OHM * float(near), OPEN_OHM
+    rest = alone(ends, row, column, np.zeros(1))[0]
+    first, second = (near - rest) / _PROBES_S[0], (far - rest) / _PROBES_S[1]
+    ohms = (first - second) / (far - near)
+    return rest, first + ohms * (near - rest), ohms
 
 
 DESCRIBED, DESCRIBED_INVERTING = Described(inverts=False), Described(inverts=True)
