@@ -17,7 +17,7 @@ from functools import partial
 from ..common.checks import function
 from ..errors import LinkEnded, LinkError, LinkTimeout, ProtocolError
 from ._connection import Connection
-from ._convert import Converted
+from ._converted import Converted
 from ._frame import Frame
 from ._stream import RawFrame
 

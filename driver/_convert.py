@@ -6,20 +6,20 @@ import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..cell import Cell, Estimator
 from ..circuits import Design, Reason, ValidityRule
-from ..common.arrays import BoolArray, FloatArray
+from ..common.arrays import FloatArray
 from ..common.measurement import CONDUCTANCE, Measurement
 from ..errors import InputError
 from ..wire import Layout
 from ._calibration import Calibration
 from ._column_steps import ColumnSteps
 from ._contacts import ContactsOfFrames, ContactTracker, PressureView
+from ._converted import Converted
 from ._lazy import Lazy
 from ._line_faults import Creep, LineFaults
 from ._pitch import Pitch
@@ -63,25 +63,6 @@ _WHY_NONE = {
     "was asked for; look for shorted cells, or take a circuit that reads each cell alone",
     Reason.UNSOLVED: "no cells give such readings; the design is not that of this board",
 }
-
-
-class Converted(NamedTuple):
-    """What a frame is converted to. Arrays are (rows, columns) and read-only."""
-
-    valid: BoolArray
-    reason: NDArray[np.int8]
-    """why a cell is not valid: a :class:`ohmskin.circuits.Reason` each"""
-    resistance: FloatArray
-    """ohm"""
-    pressure: FloatArray
-    """kPa"""
-    pressure_std: Lazy
-    """kPa"""
-    view: PressureView
-    rest_counts: FloatArray
-    """where the circuit is not known; else 0"""
-    estimator_starts: int
-    """number of times that the estimator has started without memory, up to this frame"""
 
 
 class Converter:

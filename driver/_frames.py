@@ -29,7 +29,8 @@ from typing import Literal
 
 from ..common.arrays import FloatArray
 from ..errors import LinkError, OhmskinError, ProtocolError
-from ._convert import Converted, Converter
+from ._convert import Converter
+from ._converted import Converted
 from ._statistics import Counters
 from ._stream import RawFrame
 

@@ -21,7 +21,8 @@ from ..errors import InputError, LinkEnded, LinkError
 from ..wire import Description, Identity, Order
 from ._connection import await_free
 from ._consumer import AsyncFrames, Consumer, FrameCallback, follower, frames_since
-from ._convert import Converted, Converter
+from ._convert import Converter
+from ._converted import Converted
 from ._discover import LONGEST_SEARCH_S, find_board
 from ._frame import Frame
 from ._options import Options, SkinSettings

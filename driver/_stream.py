@@ -5,7 +5,6 @@ from __future__ import annotations
 import enum
 from collections import OrderedDict
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +12,10 @@ from numpy.typing import NDArray
 from ..errors import ProtocolError
 from ..wire import Flag, FramePacket
 from ._clock import ClockMap, Pace
+from ._converted import Converted
 from ._port import Arrival
 from ._spacing import ArrivalTimes
 from ._statistics import Counters
-
-if TYPE_CHECKING:
-    from ._convert import Converted
 
 REMEMBERED = 64
 """frames among which a duplicate is looked for, and by which a packet may be late"""
