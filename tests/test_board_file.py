@@ -489,6 +489,26 @@ def test_the_page_names_every_key_and_every_example() -> None:
     assert not [path.name for path in EXAMPLES if f"({'../examples/boards/' + path.name})" not in page]
 
 
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"layout": "row-per-line", "end": "a\nb"},
+        {"layout": "row-per-line", "end": "\n"},
+        {"layout": "row-per-line", "end": "\x0c"},
+        {"layout": "row-per-line", "end": "\u00e9"},
+        {"prefix": " d"},
+        {"prefix": "d\n"},
+        {"suffix": "x\t"},
+        {"suffix": "\u00e9"},
+        {"separator": "\u00a0"},
+        {"separator": "|", "newline": " ;\r\n"},
+    ],
+)
+def test_a_text_that_no_line_matches_is_refused(keys: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=r"frame\.text: (end: .* is no line|a line of .* would not)"):
+        text(**keys)
+
+
 def test_a_family_of_ones_own_package_is_found_by_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "matfamily.py").write_text(
         "from ohmskin.wire import BoardFile\n"

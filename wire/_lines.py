@@ -64,6 +64,22 @@ class _LinesFrame(AnyFrame):
             raise ValueError("numbered_rows needs skip = 1 or more: the first skipped number is that of the row")
         return self
 
+    @model_validator(mode="after")
+    def _is_read_back(self) -> Self:
+        """What a board of this format sends is what its host looks for: each text in one line, nothing beside it."""
+        values = [1.0, 0.0, 2.0]
+        line, *more = _lines_of(self.line(values) + self.newline)
+        if more or self.read(line, len(values)) != values:
+            raise ValueError(
+                f"a line of this format, {self.line(values) + self.newline!r}, would not be read; expected texts of "
+                "printable ASCII without white space at the ends of a line, and a newline that adds no separator"
+            )
+        if self.end is not None:
+            line, *more = _lines_of(self.end + "\n")
+            if more or not self.is_end(line):
+                raise ValueError(f'end: {self.end!r} is no line; expected printable ASCII in one line, or ""')
+        return self
+
     @property
     def by_frames(self) -> bool:
         """Whether a line is a whole frame."""
@@ -166,6 +182,16 @@ class JsonFrame(_LinesFrame):
         return self.key.split(".") if self.key else []
 
 
+def _lines_of(sent: str) -> list[str]:
+    """The lines of what is sent as a host has them."""
+    return [_text_of(line) for line in sent.encode().split(b"\n")[:-1]]
+
+
+def _text_of(line: bytes) -> str:
+    """A line as text, without white space at its ends; with U+FFFD for bytes that are none."""
+    return line.decode("ascii", errors="replace").strip(" \t\r\0")
+
+
 def _number(word: str) -> float | None:
     """The number of a word; NaN where the board has none, None where the word is none."""
     if len(word) <= LONGEST_NUMBER and _NUMBER.fullmatch(word):
@@ -221,9 +247,8 @@ class TextHost(LineHost):
 
     def take(self, line: bytes, received_at: float) -> list[Event]:
         size, first, self._first = len(line) + 1, self._first, False
-        try:
-            text = line.decode("ascii").strip(" \t\r\0")
-        except UnicodeDecodeError:
+        text = _text_of(line)
+        if not text.isascii():
             self._fault = self._fault or "a line with bytes that are no text"
             return [Corrupt(size, "a line with bytes that are no text")]
         if not self._form.by_frames and self._form.is_end(text):
