@@ -20,7 +20,7 @@ import gc
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from time import monotonic, process_time
+from time import process_time
 from types import MappingProxyType
 from typing import Any
 
@@ -57,7 +57,7 @@ CASES: tuple[tuple[str, str, int, int], ...] = (
     ("inverting-amplifier", "float", 12, 0),
 )
 """circuit, idle rows, ADC bits, saturated cells"""
-APART_S = 1e3  # from packet to packet on the port's own clock, beside which no real time counts
+APART_S = 1.0 / FRAME_RATE_HZ  # from packet to packet on the port's own clock, as on the board's
 LARGEST_FLOATING = 32  # side beyond which boards with floating rows are left out: minutes
 
 
@@ -205,8 +205,8 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
             reading = read(event.counts)
             solved = process_time()
             if not estimator.resolved:
-                estimator.resolve(*reading.resolution)
-            estimator.step(1.0 / FRAME_RATE_HZ if number else 0.0, reading.for_estimation)
+                estimator.resolve(*read.resolution)
+            estimator.step_readings(1.0 / FRAME_RATE_HZ if number else 0.0, reading)
             estimated = process_time()
             port.work(APART_S)  # the next frame comes
             taking = process_time()
@@ -258,8 +258,8 @@ def _old_objects_kept() -> Iterator[None]:
 
 
 def port_of(packets: list[bytes], board: Design) -> PacedPort:
-    """A port with the clock that real ports have: one of processor time takes ten times as long to look at."""
-    return PacedPort(packets, APART_S, board, clock=monotonic)
+    """A port whose clock stands while a frame is worked on, so that its packets come as regularly as they were sent."""
+    return PacedPort(packets, (1.0 - 1e-9) * APART_S, board, clock=float)
 
 
 @contextlib.contextmanager

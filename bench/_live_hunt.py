@@ -30,7 +30,7 @@ import numpy as np
 
 from ..circuits import Reason
 from ..common.arrays import FloatArray
-from ..driver import CountReader, Reading
+from ..driver import CountReader, Measurement
 from ._live_streams import MOVING, LiveStream, stream
 from .harness import column, timed
 
@@ -91,7 +91,7 @@ def check(family: str, number: int, tally: LiveTally) -> None:
         before = counts
         tally.frames += 1
         tally.valid, tally.cells = tally.valid + int(reading.valid.sum()), tally.cells + counts.size
-        if not reading.solved:
+        if (reading.reason == Reason.UNSOLVED).all():
             found.setdefault("unsolved", f"frame {frame}")
         wrong = _wrong_cells(reading, read_from, frame, tally)
         free.append(int((reading.reason != Reason.SATURATED).sum()))
@@ -118,7 +118,7 @@ def check(family: str, number: int, tally: LiveTally) -> None:
 
 
 def _wrong_cells(
-    reading: Reading, read_from: LiveStream, frame: int, tally: LiveTally, more: float = 1.0
+    reading: Measurement, read_from: LiveStream, frame: int, tally: LiveTally, more: float = 1.0
 ) -> dict[str, str]:
     """The findings in the valid cells of one frame, were their uncertainties ``more`` times as large."""
     valid, found = reading.valid, {}

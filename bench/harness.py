@@ -13,6 +13,8 @@ import numpy as np
 from ..common.arrays import FloatArray
 
 GAP = "  "
+MISS = 40.0
+"""2/0.05, the price of an error beyond a 95 % interval"""
 
 
 @dataclass(frozen=True)
@@ -109,3 +111,12 @@ def search(
             check(family, number, tally)
             yield from (*tally.findings[known:], *tally.slow[slow:])
         number += 1
+
+
+def interval_score(error: FloatArray, std: FloatArray) -> float:
+    """Mean interval score (Gneiting & Raftery 2007, equation 43) of two standard deviations to both sides.
+
+    Width of the 95 % interval, and :data:`MISS` times the distance of a truth that lies outside: proper, so that a
+    deviation is neither too wide nor too narrow for free. Arguments have one shape and unit.
+    """
+    return float(np.mean(4.0 * std + MISS * np.maximum(np.abs(error) - 2.0 * std, 0.0)))

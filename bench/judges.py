@@ -27,17 +27,17 @@ from ..common.arrays import FloatArray
 from ..common.config import NotNegative, Positive, Section
 from ..errors import InputError
 from . import panel
-from .harness import column
+from .harness import column, interval_score
 from .scenes import COLUMN_NOISE, Fault, Played, Scene, cells, play
 
 TABLE = Path(__file__).with_name("judges.toml")
 JUDGED_FROM_S, JUDGED_FROM_FRAMES = 0.5, 10.0
 """nothing is judged earlier: the noise is not known yet"""
-REST_AFTER_S = 0.15
+REST_AFTER_S = 1.0
 """without load, from when on what is shown counts as shown at rest"""
 RECORDING_S = 120.0
 """of a recording before and after the moment up to which is learned"""
-QUICK_EVERY = 6
+QUICK_EVERY = 12
 """of the scenes, one is in the quick selection"""
 
 
@@ -58,15 +58,13 @@ Maker = Callable[[Cell, tuple[int, ...]], Judged]
 class Gate(Section):
     """Limits of the figures of a row; a limit that is absent is none."""
 
-    rmse_percent: NotNegative | None = None
+    rmse_percent: NotNegative = 0.0
+    """is added to what the next two allow"""
     rmse_times_today: NotNegative | None = None
-    """of both limits of the RMSE, the larger counts"""
     rmse_times_static: NotNegative | None = None
     within_percent: NotNegative | None = None
-    worst_sd: NotNegative | None = None
-    sd_times_today: NotNegative | None = None
-    sd_times_rmse: NotNegative | None = None
-    rest_kpa: NotNegative | None = None
+    interval_times_today: NotNegative | None = None
+    rest_percent: NotNegative | None = None
 
 
 class Block(Section):
@@ -106,12 +104,13 @@ class Figures:
     """% of full scale"""
     within: float
     """% of the errors within two stated deviations"""
-    worst: float
-    """largest error over its deviation"""
+    interval: float
+    """mean interval score (Gneiting & Raftery 2007, equation 43) of the 95 % interval of two deviations to both sides,
+    % of full scale: its width, and 40 times the distance of a truth that lies outside"""
     sd: float
     """median stated deviation, % of full scale"""
     rest: float = np.nan
-    """largest pressure in kPa shown where a cell has had no load for a while; NaN where no cell is released"""
+    """largest pressure shown a second after a release or later, % of full scale; NaN where no cell is released"""
     static: float = np.nan
     """RMSE of the static curve on the same recording"""
 
@@ -237,17 +236,16 @@ def figures(played: Played, pressure: FloatArray, std: FloatArray, full_scale_kp
     time_s = played.time_s
     kept = played.arrives & (time_s > max(JUDGED_FROM_S, JUDGED_FROM_FRAMES * played.frame_s))
     error = np.abs(pressure - played.pressure_kpa)[kept]
-    over = error / std[kept]
     loaded = played.pressure_kpa > 0.0
     last_s = np.maximum.accumulate(np.where(loaded, time_s.reshape(-1, *[1] * (loaded.ndim - 1)), -np.inf), axis=0)
     since_s = time_s.reshape(-1, *[1] * (loaded.ndim - 1)) - last_s
     resting = (np.isfinite(since_s) & (since_s > REST_AFTER_S))[kept]
     return Figures(
         rmse=100.0 * float(np.sqrt(np.mean(error**2))) / full_scale_kpa,
-        within=100.0 * float(np.mean(over < 2.0)),
-        worst=float(over.max()),
+        within=100.0 * float(np.mean(error <= 2.0 * std[kept])),
+        interval=100.0 * interval_score(error, std[kept]) / full_scale_kpa,
         sd=100.0 * float(np.median(std[kept])) / full_scale_kpa,
-        rest=float(error[resting].max()) if resting.any() else np.nan,
+        rest=100.0 * float(error[resting].max()) / full_scale_kpa if resting.any() else np.nan,
     )
 
 
@@ -267,9 +265,8 @@ def _recorded(name: str, make: Maker) -> tuple[Figures, float, int]:
     figures = Figures(
         rmse=verdict.rmse_percent,
         within=100.0 * verdict.within_two_std,
-        worst=verdict.worst_sd,
+        interval=verdict.interval_percent,
         sd=verdict.std_percent,
-        rest=verdict.rest_kpa,
         static=verdict.static_percent,
     )
     return figures, process_time() - start, 0
@@ -290,27 +287,25 @@ def _shortened(scene: panel.Scene) -> panel.Scene:
 
 # -- verdicts ----------------------------------------------------------------------------------------------------------
 
-FIGURES = "rmse", "within", "worst", "sd", "rest"
-"""that have limits"""
+FIGURES = "rmse", "within", "interval", "sd", "rest"
+"""that are shown; all but the deviation may have limits"""
 _ROUNDING = 1.005
 """figures of the table are rounded to three digits"""
 
 
 def limit_of(row: Row, figure: str, found: Figures | None = None) -> float:
-    """The limit of one figure; NaN where there is none. A deviation may be limited by the RMSE that was ``found``."""
+    """The limit of one figure; NaN where there is none. A limit may depend on what was ``found``."""
     gate, today = row.limits, row.today
-    by_today = gate.rmse_times_today if figure == "rmse" else gate.sd_times_today if figure == "sd" else None
-    limits = [] if by_today is None or today is None else [by_today * getattr(today, figure)]
     if figure == "rmse":
-        limits += [] if gate.rmse_percent is None else [gate.rmse_percent]
+        limits = [] if gate.rmse_times_today is None or today is None else [gate.rmse_times_today * today.rmse]
         if found is not None and gate.rmse_times_static is not None:
-            limits = [min([*limits, gate.rmse_times_static * found.static])]
-        return max(limits, default=np.nan)
-    if figure == "sd" and found is not None and gate.sd_times_rmse is not None:
-        limits.append(gate.sd_times_rmse * found.rmse)
-    own = {"within": gate.within_percent, "worst": gate.worst_sd, "rest": gate.rest_kpa}.get(figure)
-    limits += [] if own is None else [own]
-    return min(limits, default=np.nan)
+            limits.append(gate.rmse_times_static * found.static)
+        return min(limits, default=np.nan) + gate.rmse_percent
+    if figure == "interval":
+        times = gate.interval_times_today
+        return np.nan if times is None or today is None else times * today.interval
+    own = {"within": gate.within_percent, "rest": gate.rest_percent}.get(figure)
+    return np.nan if own is None else own
 
 
 def misses(row: Row, found: Figures) -> tuple[str, ...]:
@@ -331,7 +326,7 @@ def misses(row: Row, found: Figures) -> tuple[str, ...]:
 TITLES = dict(
     zip(
         FIGURES,
-        ("RMSE, % FS: today, now (most)", "within 2 sd, %", "worst, sd", "sd, % FS", "rest, kPa"),
+        ("RMSE, % FS: today, now (most)", "within 2 sd, %", "interval, % FS", "sd, % FS", "rest, % FS"),
         strict=True,
     )
 )
@@ -388,6 +383,8 @@ class Summary:
     rmse_today: float = field(metadata=column("today", "{:.2f}", width=6))
     within: float = field(metadata=column("in 2 sd, mean", "{:.1f}"))
     within_today: float = field(metadata=column("today", "{:.1f}", width=6))
+    interval_ratio: float = field(metadata=column("interval / today", "{:.3f}"))
+    """geometric mean over the rows"""
     microseconds: float = field(metadata=column("us per cell and frame", "{:.2f}"))
     """processor time of the estimator"""
 
@@ -398,6 +395,7 @@ def summary(verdicts: Iterable[Verdict]) -> Iterator[Summary]:
     for gate in [*dict.fromkeys(one.row.gate for one in every), "all"]:
         some = [one for one in every if gate in (one.row.gate, "all")]
         pairs = [(one.row, one.row.today) for one in some if one.row.today is not None]
+        ratios = [one.found.interval / one.row.today.interval for one in some if one.row.today is not None]
         timed = [one for one in some if one.cell_frames]
         yield Summary(
             gate=gate,
@@ -408,6 +406,7 @@ def summary(verdicts: Iterable[Verdict]) -> Iterator[Summary]:
             rmse_today=float(np.median([today.rmse for _, today in pairs])) if pairs else np.nan,
             within=float(np.mean([one.found.within for one in some])),
             within_today=float(np.mean([today.within for _, today in pairs])) if pairs else np.nan,
+            interval_ratio=float(np.exp(np.mean(np.log(ratios)))) if ratios else np.nan,
             microseconds=1e6 * sum(one.seconds for one in timed) / max(sum(one.cell_frames for one in timed), 1),
         )
 
@@ -422,6 +421,8 @@ def freeze(verdicts: Iterable[Verdict]) -> None:
         today[one.row.name] = [float(f"{value:.3g}") for value in found]
     known = [row.name for row in rows()]
     design = TABLE.read_text(encoding="utf-8").partition("\n[today]")[0].rstrip()
-    heading = "# RMSE, within, worst, sd, rest, RMSE of the static curve: `ohmskin bench --judges --freeze` writes them"
+    heading = (
+        "# RMSE, within, interval, sd, rest, RMSE of the static curve: `ohmskin bench --judges --freeze` writes them"
+    )
     lines = [f'"{name}" = {today[name]}' for name in known if name in today]
     TABLE.write_text("\n".join([design, "", "[today]", heading, *lines, ""]), encoding="utf-8")

@@ -25,7 +25,7 @@ import numpy as np
 from ..cell import CalibrationResult, Cell, Recording, calibrate, checked_recording, estimate_recording
 from ..common.arrays import FloatArray
 from ._materials import LOADS, MATERIALS
-from .harness import column, table
+from .harness import column, interval_score, table
 
 DT_S = 0.1
 FULL_SCALE_KPA = 15.5
@@ -88,6 +88,8 @@ class Verdict:
     """share of the samples whose truth lies within two stated standard deviations"""
     std_percent: float = field(metadata=column("sd", "{:.1f}", width=4))
     """median standard deviation, of full scale"""
+    interval_percent: float = field(metadata=column("interval", "{:.1f}"))
+    """interval score of :mod:`.judges`, % of full scale"""
     rest_kpa: float = field(metadata=column("rest", "{:.2f}"))
     """mean size of what is shown at rest; NaN if the cell never rests"""
     folds: dict[int, float] = field(metadata=column("fold {}", "{:.1f}"))
@@ -178,6 +180,7 @@ def judge(
         best_percent=min([percent(error), percent(static), *others]),
         within_two_std=float(np.mean(np.abs(error) <= 2 * std)),
         std_percent=float(100 * np.median(std) / full),
+        interval_percent=100 * interval_score(error, std) / full,
         rest_kpa=float(np.mean(np.abs(error)[resting])) if resting.any() else np.nan,
         folds=dict(enumerate(cell.estimators.fold_percent[cell.estimators.default], 1)),
     )

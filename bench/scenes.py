@@ -29,7 +29,9 @@ MOST_VOLTS = 2.0
 """of the amplifier, for the lesser of the resistances at rest and at full scale"""
 RANGE_V = 3.3
 """of the ADC"""
-Fault = Literal["", "sparks", "lost frames", "opens", "degrading", "divider"]
+Fault = Literal["", "sparks", "lost frames", "opens", "degrading", "divider", "mismatched"]
+MISMATCH = 0.05
+"""largest relative error of each parameter of a mismatched cell, of which the estimator knows the exact one"""
 COLUMN_NOISE = 4.0
 """standard deviation of the conductances by noise and steps that a column of a divider shares, over that by own ones"""
 
@@ -412,7 +414,14 @@ def read(
 ) -> Played:
     """Frames of a board under loads ``share`` (n SUBSTEPS, *cells) of full scale: white noise of volts, and an ADC."""
     steps = np.full(len(share), frame_s / SUBSTEPS)
-    ohm = cell.forward(share.shape[1:]).run(steps, share * cell.full_scale_kpa)[SUBSTEPS - 1 :: SUBSTEPS]
+    if fault == "mismatched":
+        each = [
+            mismatched(cell, seed).forward((1,)).run(steps, one)
+            for seed, one in enumerate(np.moveaxis(share.reshape(len(share), -1, 1) * cell.full_scale_kpa, 1, 0))
+        ]
+        ohm = np.concatenate(each, axis=1).reshape(share.shape)[SUBSTEPS - 1 :: SUBSTEPS]
+    else:
+        ohm = cell.forward(share.shape[1:]).run(steps, share * cell.full_scale_kpa)[SUBSTEPS - 1 :: SUBSTEPS]
     if fault == "degrading":
         ohm = _degraded(ohm, cell.rest_resistance_ohm)
     full_scale_ohm = float(cell.forward(()).step(1.0, np.asarray(cell.full_scale_kpa)))
@@ -435,6 +444,19 @@ def read(
         step_siemens=step_siemens,
         shares_columns=fault == "divider",
     )
+
+
+def mismatched(cell: Cell, seed: int) -> Cell:
+    """The cell with each parameter off by up to :data:`MISMATCH`; both phases of a ``paper`` cell share their rest."""
+    model, random = cell.model, np.random.default_rng(seed)
+    off = {
+        name: value * random.uniform(1.0 - MISMATCH, 1.0 + MISMATCH)
+        for name, value in model.model_dump().items()
+        if isinstance(value, float)
+    }
+    if isinstance(model, PaperModel):
+        off["eu1_kpa"] = 1.0 / (1.0 / off["e1_kpa"] + 1.0 / off["e2_kpa"] + 1.0 / off["e3_kpa"])
+    return cell.replace(model=model.replace(**off))
 
 
 def _degraded(ohm: FloatArray, rest_ohm: float) -> FloatArray:

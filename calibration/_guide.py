@@ -10,14 +10,12 @@ import numpy as np
 
 from ..common.config import fingerprint
 from ..driver import Frame, Skin
-from ..errors import InputError, LinkEnded, LinkError
+from ..errors import InputError, LinkEnded
 from ..wire import Order
 from ._plan import Plan
 from ._progress import Progress
 from ._watch import Event, HeldLongEnough, PressBegan, PressRefused, PressTaken, RestTaken, Watch
 
-IDENTITY_FRAMES = 200
-"""largest number of frames before the board has sent its serial number"""
 PATIENCE_S = 600.0
 """longest time without an event, by the board's clock"""
 
@@ -175,14 +173,8 @@ class Guide:
 
 def _hear_identity(skin: Skin) -> None:
     """Wait for the serial number of the board, if its family has one; the driver may start without it."""
-    if not skin.family.has_description:
-        return
-    for _ in range(IDENTITY_FRAMES):
-        if skin.identity is not None:
-            return
+    if skin.family.has_description and skin.identity is None:
         skin.request(Order.IDENTIFY)
-        skin.read()
-    raise LinkError(f"{skin.port_name}: the board does not say its serial number")
 
 
 class _Clock:

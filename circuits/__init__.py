@@ -19,12 +19,14 @@ from ._sections import Adc, Array, Cells, Drive, Fault, Operation, Requirements,
 from ._sensitivity import Sensitivity, sensitivity
 from ._sequence import interpolates, scan_sequence
 from ._spread import Spread
+from .ends import ColumnEnd, Event, Reference, RowEnd, Scan
 from .readouts import CIRCUITS as _CIRCUITS
 from .recovery import (
     Conditioning,
     Errors,
     LiveReading,
     LiveRecovery,
+    Measured,
     Reason,
     Recoverer,
     Recovery,
@@ -34,7 +36,17 @@ from .recovery import (
     live_recovery,
     recover,
 )
-from .timing import BoardsInTime, Noise, Settling, Stability, Transient, noise, stability, stability_of_boards
+from .timing import (
+    BoardsInTime,
+    EventScan,
+    Noise,
+    Settling,
+    Stability,
+    Transient,
+    noise,
+    stability,
+    stability_of_boards,
+)
 
 CIRCUITS: tuple[str, ...] = tuple(_CIRCUITS)
 """Readout circuits that a design file can name"""
@@ -50,15 +62,19 @@ __all__ = [
     "Boards",
     "BoardsInTime",
     "Cells",
+    "ColumnEnd",
     "Conditioning",
     "Conditions",
     "Design",
     "Drive",
     "Effect",
     "Errors",
+    "Event",
+    "EventScan",
     "Fault",
     "LiveReading",
     "LiveRecovery",
+    "Measured",
     "Noise",
     "OperatingPoint",
     "Operation",
@@ -67,8 +83,11 @@ __all__ = [
     "Reason",
     "Recoverer",
     "Recovery",
+    "Reference",
     "Requirement",
     "Requirements",
+    "RowEnd",
+    "Scan",
     "ScanResult",
     "Sensitivity",
     "Settling",

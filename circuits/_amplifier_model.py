@@ -14,13 +14,14 @@ without a word; its own mark is ``noisy=0``.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 
-from ..common.config import Finite, Section
+from ..common.config import Finite, LocalFile, Section
 from ..common.files import read_bytes
 from ..common.text import one_line, shortened
 from ..errors import InputError
@@ -29,6 +30,8 @@ Pin = Literal["in+", "in-", "v+", "v-", "out", "ground", "open"]
 PINS: tuple[Pin, ...] = ("in+", "in-", "v+", "v-", "out")
 """default: the order that most makers use"""
 MOST_MODEL_BYTES = 4 * 2**20
+MOST_STATEMENTS = 20_000
+"""of a model whose calls are expanded; makers' amplifiers have hundreds"""
 CARDS = (".subckt", ".ends", ".model", ".param", ".params", ".func", ".if", ".elseif", ".else", ".endif")
 DEVICES = "bcdefghijklmqrstvwxz"
 """First letters of devices; among the others are code models ("a"), which can read files."""
@@ -46,18 +49,21 @@ _NOISELESS_CELSIUS = -273.0
 
 
 class AmplifierModel(Section):
-    """The maker's macro-model of the column amplifiers, in place of the one-pole amplifier of SPICE netlists."""
+    """The maker's macro-model of the column amplifiers, in place of the one-pole amplifier of SPICE netlists.
 
-    file: Annotated[str, Field(min_length=1)]
-    """path of the model file, relative to the design"""
+    The file is read when the table is: errors are no such file, no such subcircuit, another number of pins, or a line
+    that is not allowed.
+    """
+
+    file: LocalFile
+    """the model file, relative to the design"""
     subcircuit: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.\-+/]+$")]
     """name of the .SUBCKT in the file"""
     pins: Annotated[tuple[Pin, ...], Field(strict=False)] = PINS
     """function of each pin, in the order of the .SUBCKT line; "ground" is tied to 0 V, "open" to nothing"""
     rails: Annotated[tuple[Finite, Finite] | None, Field(strict=False)] = None
     """V at "v-" and "v+"; None: as readout.supply"""
-    text: str = Field(default="", exclude=True, repr=False)
-    """checked cards of the file, one per line; empty: not read yet"""
+    _text: str = PrivateAttr(default="")
 
     @model_validator(mode="after")
     def _connected(self) -> Self:
@@ -66,16 +72,15 @@ class AmplifierModel(Section):
                 raise ValueError(f"pins must name '{pin}' once, got {list(self.pins)}")
         if self.rails is not None and not self.rails[0] < self.rails[1]:
             raise ValueError(f"rails must be [voltage at v-, voltage at v+] in V, got {list(self.rails)}")
+        self._text = self._read(self.file)
         return self
 
-    def read(self, folder: Path) -> AmplifierModel:
-        """A copy with the checked cards of the file; ``folder`` is that of the design.
+    @property
+    def text(self) -> str:
+        """The checked cards of the file, one per line."""
+        return self._text
 
-        Raises:
-            InputError: no such file, no such subcircuit, another number of pins, or a line that is not allowed.
-
-        """
-        path = folder / self.file
+    def _read(self, path: Path) -> str:
         # Makers use various code pages; only comments may contain more than ASCII.
         content = read_bytes(path, most_bytes=MOST_MODEL_BYTES).decode("latin-1")
         if _ENCRYPTED.search(content):
@@ -84,7 +89,7 @@ class AmplifierModel(Section):
         used = self._used(cards, str(path))
         for card in used:
             _check_card(card, str(path))
-        return self.replace(text="\n".join(_without_thermal_noise(used)))
+        return "\n".join(_without_thermal_noise(used))
 
     def _used(self, cards: list[_Card], path: str) -> list[_Card]:
         """The cards of the subcircuit, of those that it calls, and outside of all; libraries have many others."""
@@ -127,8 +132,12 @@ class AmplifierModel(Section):
                 f"({shortened(one_line(' '.join(outside[name])))}), but readout.amplifier_model.pins names "
                 f"{len(self.pins)}"
             )
-        reached = {None, *_reached(name, calls, path)}
-        return [card for card, owner in zip(cards, belongs, strict=True) if owner in reached]
+        reached = _reached(name, calls, path)
+        used = [card for card, owner in zip(cards, belongs, strict=True) if owner is None or owner in reached]
+        if (whole := _expanded(used, reached)) > MOST_STATEMENTS:
+            what = f"{path}: .SUBCKT {self.subcircuit} with all that it calls"
+            raise InputError(f"{what} has {whole:.3g} statements; expected at most {MOST_STATEMENTS}")
+        return used
 
 
 class _Card(NamedTuple):
@@ -242,17 +251,46 @@ def _before_parameters(words: list[str]) -> list[str]:
     return found
 
 
-def _reached(name: str, calls: dict[str, set[str]], path: str) -> set[str]:
-    """The subcircuit and all that it calls. Raises InputError for one that contains itself, which ngspice would expand
-    until memory ends.
+def _expanded(cards: list[_Card], reached: Iterable[str]) -> float:
+    """Statements of the last of the subcircuits when all calls in it are replaced by what they call.
+
+    Args:
+        cards: of all of them. Of definitions with one name the largest counts.
+        reached: names, each behind those that it calls.
+
     """
-    finished: set[str] = set()
+    definitions: dict[str, list[Counter[str | None]]] = {}
+    inside: list[Counter[str | None]] = []
+    for card in cards:
+        words = card.words
+        if words[0] == ".subckt":
+            inside.append(Counter())
+            definitions.setdefault(words[1], []).append(inside[-1])
+        elif words[0] == ".ends":
+            inside.pop()
+        elif inside:
+            called = _before_parameters(words[1:])[-1:] if words[0].startswith("x") else []
+            inside[-1].update([None, *called])
+    whole: dict[str | None, float] = {None: 1.0}
+    for name in reached:
+        whole[name] = max(
+            (sum(count * whole.get(part, 0.0) for part, count in parts.items()) for parts in definitions.get(name, [])),
+            default=0.0,
+        )
+    return list(whole.values())[-1]
+
+
+def _reached(name: str, calls: dict[str, set[str]], path: str) -> dict[str, None]:
+    """The subcircuit and all that it calls, which come before it. Raises InputError for one that contains itself, which
+    ngspice would expand until memory ends.
+    """
+    finished: dict[str, None] = {}
     stack = [(name, iter(sorted(calls.get(name, ()))))]
     while stack:
         current, pending = stack[-1]
         callee = next(pending, None)
         if callee is None:
-            finished.add(current)
+            finished[current] = None
             stack.pop()
         elif callee in [above for above, _ in stack]:
             raise InputError(f"{path}: .SUBCKT {one_line(callee)} contains itself")

@@ -6,10 +6,11 @@ are in line coordinates, which :mod:`._parts` explains.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import cached_property
 from math import inf
-from typing import Self
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,8 @@ from ..common.arrays import FloatArray
 from ._parts import Parts
 from ._readout import Readout
 from ._sections import Adc, Array, Drive, Fault, PerLine, Sheet
-from .readouts import CIRCUITS, LinearReadout, ReadoutCircuit
+from .ends import GROUND, REF, Card, ColumnEnd, LineEnds, Network, Reference, RowEnd, amplifier
+from .readouts import CIRCUITS, DESCRIBED, DESCRIBED_INVERTING, LinearReadout, ReadoutCircuit
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,9 +36,21 @@ class Board(Parts):
 
     @classmethod
     def of(
-        cls, array: Array, sheet: Sheet, drive: Drive, readout: Readout, adc: Adc | None, faults: tuple[Fault, ...]
-    ) -> Self:
-        """Expand the sections of a design. Users take ``design.board``, which keeps the result."""
+        cls,
+        array: Array,
+        sheet: Sheet,
+        drive: Drive,
+        readout: Readout,
+        adc: Adc | None,
+        faults: tuple[Fault, ...],
+        networks: Networks | None = None,
+        *,
+        by_nodes: bool = False,
+    ) -> Board:
+        """Expand the sections of a design. Users take ``design.board``, which keeps the result.
+
+        With ``by_nodes`` the lines end in networks even where they are Thevenin equivalents.
+        """
         circuit = CIRCUITS[readout.circuit]
         turned = circuit.senses == "rows"
         row_keys, column_keys = (array.row_lead, array.row_segment), (array.column_lead, array.column_segment)
@@ -56,7 +70,7 @@ class Board(Parts):
         column_ohms = np.repeat(each(sensed[1], columns)[None], rows, axis=0)
         column_ohms[0] = 0.0
         column_ohms[1:] += severed[:-1]
-        return cls(
+        board = cls(
             shape=(rows, columns),
             row_ohms=row_ohms + series_ohms(faults, "broken-row", (rows, columns)),
             column_ohms=column_ohms,
@@ -74,14 +88,18 @@ class Board(Parts):
             floating=drive.idle_rows != "ground" and not circuit.drives_idle_lines,
             pull=drive.idle_row_resistance,
             row_lead=row_lead,
+            shared_by=1 if circuit.reads_together(readout.columns, readout.idle_columns) else columns,
             multiplexed=readout.columns == "multiplexed",
             idle_columns=readout.idle_columns,
+            line_ends=None,
+            described=None,
             continuous=array.sheet == "continuous",
             sheet=sheet,
             circuit=circuit,
             readout=readout,
             adc=adc,
         )
+        return board if networks is None else _with_networks(board, networks, by_nodes=by_nodes)
 
     @property
     def virtual_grounds(self) -> bool:
@@ -92,6 +110,125 @@ class Board(Parts):
     def linear(self) -> LinearReadout | None:
         """The readout as a linear function of transfer conductances; None where it is not one."""
         return self.circuit.linear(self)
+
+
+class Networks(NamedTuple):
+    """Sections of a design that describe ends of lines; None: the ends are as ``[drive]`` and ``[readout]`` say."""
+
+    row_end: RowEnd | None = None
+    column_end: ColumnEnd | None = None
+    reference: Reference | None = None
+
+
+def _with_networks(board: Board, networks: Networks, *, by_nodes: bool) -> Board:
+    """The board with the networks of the design at its lines, and those that its other keys stand for."""
+    ends = _line_ends(board, networks)
+    floating, pull, lead = board.floating, board.pull, board.row_lead
+    drive, datum = board.drive, Fraction(board.level)
+    columns = None
+    if ends.is_apart and not by_nodes:
+        rows = None
+        if networks.row_end is not None:
+            rows = ends.rows(ends.rest())
+            if rows is not None:
+                floating, pull, lead, drive, datum = rows.floating, rows.pull, rows.lead, rows.drive, rows.datum
+        if rows is not None or networks.row_end is None:
+            columns = ends.columns(datum)
+    if columns is None:  # each row's step is a network of its own, whose ends are not of the grid
+        floating, pull, lead = True, inf, np.zeros(board.shape[0])
+        if networks.row_end is None and board.pulled:
+            lead = -board.row_lead  # among the parts of the ends
+    own_lead = np.zeros_like(lead) if networks.row_end is None and columns is not None else lead
+    row_ohms = board.row_ohms.copy()
+    row_ohms[:, 0] += own_lead
+    described = replace(
+        board,
+        row_ohms=row_ohms,
+        row_lead=lead
+        if columns is not None and (networks.row_end is not None or board.pulled)
+        else np.zeros_like(lead),
+        floating=floating,
+        pull=pull,
+        drive=drive,
+        gain=np.full(board.shape[1], inf),
+        offset=np.zeros(board.shape[1]),
+        bias=np.zeros(board.shape[1]),
+        supply=(-inf, inf),
+        shared_by=ends.shared_by,
+        multiplexed=False,
+        line_ends=ends,
+        described=columns,
+        circuit=DESCRIBED,
+    )
+    swing = float(np.mean(DESCRIBED.alone(described).gain))
+    reference = np.full(board.shape[1], abs(swing / drive)) if columns is None else np.abs(columns.slope)
+    return replace(
+        described,
+        level=float(DESCRIBED.at_rest(described).flat[0]),
+        reference=reference,
+        circuit=DESCRIBED if (swing > 0) == (drive > 0) else DESCRIBED_INVERTING,
+    )
+
+
+def _line_ends(board: Board, networks: Networks) -> LineEnds:
+    """Cards of all ends; of those that are not described, as the other keys of the design say."""
+    rows, columns = board.shape
+    row_end, column_end = networks.row_end, networks.column_end
+    ref = REF if networks.reference or board.level else GROUND
+    selected, idle = _named_rows(board, ref)
+    if row_end is not None:
+        selected = row_end.lines("selected", rows) if row_end.selected is not None else selected
+        idle = row_end.lines("idle", rows) if row_end.idle is not None else idle
+    if column_end is None:
+        shared = board.shared_by
+        read, unread = _named_columns(board, ref)
+    else:
+        shared = column_end.shared_by
+        read, unread = column_end.lines("parts", -(-columns // shared)), column_end.lines("idle", columns)
+    reference = () if networks.reference is None else networks.reference.lines("parts", 1)[0]
+    return LineEnds(selected, idle, read, unread, shared, reference, board.level)
+
+
+def _named_rows(board: Board, ref: str) -> tuple[tuple[Network, ...], tuple[Network, ...]]:
+    """The networks that ``[drive]`` stands for, with the reference voltage at the node ``ref``."""
+    driver = Card("VDRIVE", ("line", ref), board.drive)
+    if board.pulled:
+        pull = Card("RPULL", ("line", ref), board.pull)
+        at = driver.renamed(lambda node: "driver" if node == "line" else node, str)
+        leads = [Card("RLEAD", ("driver", "line"), float(ohm)) for ohm in board.row_lead]
+        return tuple((at, lead, pull) for lead in leads), ((pull,),) * board.shape[0]
+    idle = () if board.floating else (Card("VIDLE", ("line", ref), 0.0),)
+    return ((driver,),) * board.shape[0], (idle,) * board.shape[0]
+
+
+def _named_columns(board: Board, ref: str) -> tuple[tuple[Network, ...], tuple[Network, ...]]:
+    """The networks that ``[readout]`` stands for, of an end while it has its turn and of an idle column."""
+    low, high = board.supply
+    read: list[Network] = []
+    unread: list[Network] = []
+    for j, ohm in enumerate(board.reference.tolist()):
+        load = Card("RREF", ("line", "out" if board.circuit.virtual_ground else ref), ohm)
+        amplified = amplifier(
+            *(ref, "line", "out"),
+            open_loop_gain=float(board.gain[j]),
+            offset_voltage=float(board.offset[j]),
+            bias_current=float(board.bias[j]),
+            gain_bandwidth=board.readout.gain_bandwidth,
+            voltage_noise=board.readout.voltage_noise,
+            current_noise=board.readout.current_noise,
+            low=low,
+            high=high,
+        )
+        feedback = Card("CREF", load.nodes, board.readout.feedback_capacitance)
+        read.append((load, feedback, amplified) if board.circuit.virtual_ground else (load,))
+        match board.idle_columns:
+            case "float":
+                unread.append(())
+            case "ground":
+                unread.append((Card("VIDLE", ("line", ref), 0.0),))
+            case "load":
+                unread.append((Card("RIDLE", ("line", ref), ohm),))
+    return tuple(read[:: board.shared_by]), tuple(unread)
 
 
 def cell_alone(board: Board, conductance: FloatArray, shunt: FloatArray) -> FloatArray:

@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 from math import inf
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from ..common.arrays import FloatArray
-from ..common.config import Section, load
+from ..common.config import OWN_TABLES, Section, load
 from ..errors import InputError
-from ._board import Board
+from ._board import Board, Networks
 from ._readout import PER_LINE, Readout
 from ._requirement import Requirement
 from ._sections import Adc, Array, Cells, Drive, Fault, Operation, Requirements, Sheet
 from ._spread import Spread
+from .ends import ColumnEnd, Reference, RowEnd, Scan
 from .readouts import CIRCUITS
+
+_SAID_BY_COLUMN_END = (
+    *("open_loop_gain", "gain_bandwidth", "offset_voltage", "bias_current", "supply", "columns", "idle_columns"),
+    *("feedback_capacitance", "voltage_noise", "current_noise", "amplifier_model"),
+)
+_SAID_BY_IDLE_ROW = ("idle_rows", "idle_row_resistance")
 
 
 class Design(Section):
@@ -34,11 +42,36 @@ class Design(Section):
     """geometry of the material, if array.sheet is "continuous"; a sliced one needs none"""
     fault: Annotated[tuple[Fault, ...], Field(strict=False)] = ()
     requirements: Requirements = Requirements()
-    requirement: Annotated[tuple[Requirement, ...], Field(strict=False, exclude=True)] = ()
-    """for the verification only; a board does not send them"""
+    requirement: Annotated[tuple[Requirement, ...], Field(strict=False, exclude=True), OWN_TABLES] = ()
+    """for the verification only; a board does not send them, and may not"""
     cells: Cells | None = None
     """None: as in a CELL.toml, or as the shipped example cell"""
     operation: Operation = Operation()
+    row_end: RowEnd | None = None
+    """networks at the rows; None: as ``[drive]`` says"""
+    column_end: ColumnEnd | None = None
+    """networks at the columns; None: as ``[readout]`` says"""
+    reference: Reference | None = None
+    """network at the node ``ref``; None: a stiff source of ``readout.reference_voltage``"""
+    scan: Scan | None = None
+    """None: the verification asks for a constant row period"""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _described(cls, given: Any) -> Any:
+        """Sections that say nothing beside described ends may be left out."""
+        if not isinstance(given, Mapping):
+            return given
+        usual: dict[str, Any] = {}
+        if given.get("row_end"):
+            usual["drive"] = {"voltage": 1.0}
+        if given.get("column_end"):
+            usual["readout"] = {"circuit": "voltage-divider", "reference_resistance": 1.0}
+        filled = {
+            key: table | given[key] if isinstance(given.get(key), Mapping) else given.get(key, table)
+            for key, table in usual.items()
+        }
+        return {**given, **filled}
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -54,6 +87,7 @@ class Design(Section):
                 line = "row" if by_row else "column"
                 raise ValueError(f"{key} has {len(value)} entries, expected one number or {lines} (one per {line})")
         self._refuse_ties_to_nothing()
+        self._refuse_keys_beside_networks()
         self._refuse_keys_without_effect()
         for number, fault in enumerate(self.fault):
             for row, column in fault.ends if fault.bridge else [fault.place]:
@@ -80,6 +114,34 @@ class Design(Section):
                 )
             if not getattr(getattr(self, section), name):
                 raise ValueError(f"{key} is tied to {spread.tied_to}, which is 0 V; expected a part to follow")
+
+    def _refuse_keys_beside_networks(self) -> None:
+        """Raise ValueError if networks at the lines' ends leave a key without effect, or have none themselves."""
+        networks = [name for name, _ in self._networks()]
+        if not networks:
+            return
+        circuit = CIRCUITS[self.readout.circuit]
+        if circuit.drives_idle_lines or circuit.senses == "rows":
+            raise ValueError(
+                f'{networks[0]} has no effect with readout.circuit = "{circuit.name}"; expected a circuit that senses '
+                "columns and drives rows only"
+            )
+        keys: list[tuple[str, str, str]] = []
+        if self.column_end is not None:
+            keys += [("column_end", "readout", key) for key in _SAID_BY_COLUMN_END]
+        if self.row_end is not None:
+            keys += [("row_end.idle", "drive", key) for key in _SAID_BY_IDLE_ROW if self.row_end.idle is not None]
+        for section, end in self._networks():
+            for name, values in end.values.items():
+                expected = self._ends_of(section, name)
+                if len(values) != expected:
+                    raise ValueError(f"{section}.values.{name} has {len(values)} entries, expected {expected}")
+        if self.reference is not None:
+            keys.append(("reference", "readout", "reference_voltage"))
+        for network, section, key in keys:
+            table = getattr(self, section)
+            if getattr(table, key) != type(table).model_fields[key].default:
+                raise ValueError(f"{section}.{key} has no effect beside {network}, which describes the circuit itself")
 
     def _refuse_keys_without_effect(self) -> None:
         """Raise ValueError if a key about idle lines has no effect on the chosen circuit."""
@@ -115,11 +177,7 @@ class Design(Section):
     @classmethod
     def load(cls, path: str | Path) -> Design:
         """Read DESIGN.toml; InputError with one located message if it is not a valid design."""
-        design = load(path, cls)
-        model = design.readout.amplifier_model
-        if model is None:
-            return design
-        return design.replace(readout={"amplifier_model": model.read(Path(path).parent)})
+        return load(path, cls)
 
     @property
     def spreads(self) -> dict[str, Spread]:
@@ -129,7 +187,42 @@ class Design(Section):
             section = getattr(self, name)
             if section is not None:
                 found |= {f"{name}.{key}": spread for key, spread in section.spread.items()}
+        for name, end in self._networks():
+            found |= {f"{name}.{part}": spread for part, spread in end.spreads.items()}
         return found
+
+    def _networks(self) -> list[tuple[str, RowEnd | ColumnEnd | Reference]]:
+        """The sections that describe ends of lines, with their names."""
+        sections = {"row_end": self.row_end, "column_end": self.column_end, "reference": self.reference}
+        return [(name, end) for name, end in sections.items() if end is not None]
+
+    def _ends_of(self, section: str, part: str) -> int:
+        """How many a board has of one part of a network."""
+        if section == "reference":
+            return 1
+        if section == "row_end" or self.column_end is None:
+            return self.array.rows
+        names = {card.name for card in self.column_end.networks["parts"]}
+        shared = self.column_end.shared_by if part.rpartition(".")[2] in names and not part.startswith("idle.") else 1
+        return -(-self.array.columns // shared)
+
+    @property
+    def end_parts(self) -> dict[str, FloatArray]:
+        """Nominal values (ends,) of the parts of networks at the lines' ends, by section and name."""
+        found: dict[str, FloatArray] = {}
+        for section, end in self._networks():
+            for part, value in end.nominal.items():
+                count = self._ends_of(section, part)
+                found[f"{section}.{part}"] = np.array(end.values.get(part, (value,) * count))
+        return found
+
+    def with_end_parts(self, values: Mapping[str, ArrayLike]) -> Design:
+        """A copy with other values of some of the :attr:`end_parts`."""
+        tables: dict[str, dict[str, tuple[float, ...]]] = {}
+        for key, each in values.items():
+            section, part = key.split(".", 1)
+            tables.setdefault(section, dict(getattr(self, section).values))[part] = tuple(np.ravel(each).tolist())
+        return self.replace(**{section: {"values": table} for section, table in tables.items()})
 
     def with_circuit(self, circuit: str) -> Design:
         """A copy of the design with another readout circuit; keys of idle lines that it lacks have their defaults."""
@@ -141,12 +234,33 @@ class Design(Section):
             readout |= {"columns": "parallel", "idle_columns": "float"}
         elif other.virtual_ground and self.readout.columns == "parallel":
             readout["idle_columns"] = "float"
-        return self.replace(drive=drive, readout=readout)
+        return self.replace(drive=drive, readout=readout, row_end=None, column_end=None, reference=None)
 
     @cached_property
     def board(self) -> Board:
         """The design expanded into arrays, once."""
-        return Board.of(self.array, self.sheet, self.drive, self.readout, self.adc, self.fault)
+        networks = Networks(self.row_end, self.column_end, self.reference) if self.is_described else None
+        return Board.of(self.array, self.sheet, self.drive, self.readout, self.adc, self.fault, networks)
+
+    @cached_property
+    def board_by_nodes(self) -> Board:
+        """The same board with a network at the end of each line, and no pull-downs or drivers in its grid.
+
+        Raises:
+            InputError: the circuit drives idle lines, or senses rows: it has no such networks.
+
+        """
+        circuit = CIRCUITS[self.readout.circuit]
+        if circuit.drives_idle_lines or circuit.senses == "rows":
+            raise InputError(f'readout.circuit = "{circuit.name}" has no networks at the ends of its lines')
+        networks = Networks(self.row_end, self.column_end, self.reference)
+        parts = self.array, self.sheet, self.drive, self.readout, self.adc, self.fault
+        return Board.of(*parts, networks, by_nodes=True)
+
+    @property
+    def is_described(self) -> bool:
+        """Whether networks describe ends of lines."""
+        return bool(self._networks())
 
     def resistance(self, cells: ArrayLike) -> FloatArray:
         """``cells`` as a checked (rows, columns) array in ohm; inf is an open cell, 0 a short.

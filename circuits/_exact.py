@@ -70,7 +70,7 @@ def _read_ports(board: Board, cells: FloatArray) -> tuple[Outputs, FloatArray]:
     by_energy = board.circuit.energy_bound(board, ports, moved)
     by_entry = entrywise(np.asarray(moved), _nodes(board)) * reading.magnitude
     error = np.fmin(by_energy, by_entry) + few * (np.abs(reading.volts) + without_current + reading.cancelled)
-    return Outputs(reading.volts, reading.saturated), error
+    return Outputs(reading.volts, reading.saturated), error + reading.error
 
 
 def _nodes(board: Board) -> int:

@@ -20,8 +20,9 @@ from typing import Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..common.arrays import FloatArray
+from ..common.arrays import BoolArray, FloatArray
 from ._sections import Fault, Sheet
+from .ends import Columns, LineEnds
 from .solvers import Lines, siemens
 
 LEAST_SHORT_OHM = 1e-3
@@ -68,10 +69,16 @@ class Parts:
     """ohm from each row, where its lead ends, to the reference; inf: none"""
     row_lead: FloatArray
     """(N,) ohm of the rows' leads, the part of ``row_ohms[:, 0]`` between driver and pull-down"""
+    shared_by: int
+    """neighbouring columns that take turns, one of them read and the others idle; 1: all columns are read at once"""
     multiplexed: bool
     """whether one amplifier or load reads one column after the other"""
     idle_columns: Literal["float", "ground", "load"]
     """end of columns that are not read, where these are read one by one"""
+    line_ends: LineEnds | None
+    """networks at the lines' ends; None: as the circuit says"""
+    described: Columns | None
+    """the columns' ends by these networks; None where they are no Thevenin equivalents, or there are no networks"""
     continuous: bool
     """whether the sheet conducts from cell to cell"""
     sheet: Sheet
@@ -130,7 +137,9 @@ class Parts:
 
     @cached_property
     def idle_resistance(self) -> FloatArray:
-        """(M,) ohm behind the lead of each column that is not read, to the reference; inf is open."""
+        """(M,) ohm behind the lead of each column that is not read, to :attr:`idle_source`; inf is open."""
+        if self.described is not None:
+            return self.described.idle_resistance
         match self.idle_columns:
             case "float":
                 return np.full(self.shape[1], inf)
@@ -138,6 +147,17 @@ class Parts:
                 return np.zeros(self.shape[1])
             case "load":
                 return self.reference
+
+    @cached_property
+    def idle_source(self) -> FloatArray:
+        """(M,) V above the idle rows that columns end in which are not read."""
+        return np.zeros(self.shape[1]) if self.described is None else self.described.idle_source
+
+    @cached_property
+    def turns(self) -> tuple[BoolArray, ...]:
+        """(M,) columns that are read together, for each turn of a scan step."""
+        columns = np.arange(self.shape[1])
+        return tuple(columns % self.shared_by == turn for turn in range(min(self.shared_by, self.shape[1])))
 
     @cached_property
     def lines(self) -> Lines:

@@ -20,11 +20,9 @@ import errno
 import importlib
 import logging
 import os
-import signal
 import sys
 import traceback
 from collections.abc import Sequence
-from io import BufferedWriter, FileIO, TextIOWrapper
 from typing import Any
 
 import click
@@ -32,18 +30,22 @@ from click.shell_completion import shell_complete
 
 from .. import __version__
 from ..common import _signals
+from ..common.system import ENDING_SIGNALS
 from ..common.text import one_line, shortened
 from ..errors import OhmskinError
+from . import _streams
 
 # name -> one-line help. The module cli/NAME.py (`_` for `-`) holds a click command called `command`.
 COMMANDS = {
     "scan": "Read one frame of cells through a readout design.",
     "netlist": "Write one scan step as a SPICE netlist.",
+    "import": "Read a board's KiCad netlist into a design.",
     "verify": "Verify a readout design: report.html, report.json, junit.xml.",
     "explore": "Vary a design: the Pareto front, and what must change.",
     "emulate": "Run a virtual scan board on a pty or TCP port.",
     "record": "Record a skin: every byte, and frames for viewers.",
     "replay": "Play a recording on a port that any program can open.",
+    "demo": "Show the shipped scene in the browser, without hardware.",
     "view": "Show a skin in the browser, live or from a recording.",
     "export": "Convert a recording to arrays or tables.",
     "calibrate": "Calibrate the cells of a skin by presses with known loads.",
@@ -55,7 +57,7 @@ COMMANDS = {
     "doctor": "Look at the installation and the serial ports, and say how to mend them.",
 }
 
-BAD_INPUT, DEFECT = 2, 70
+BAD_INPUT, DEFECT, BROKEN_PIPE = 2, 70, 128 + 13
 LONGEST_WORD = 200
 """characters of an argument that a message repeats"""
 _COMPLETE = "_OHMSKIN_COMPLETE"
@@ -113,8 +115,7 @@ def ohmskin() -> None:
 def main(args: Sequence[str] | None = None) -> None:
     """Run the command line and exit."""
     _signals.leave_at_once()
-    if isinstance(sys.stdout, TextIOWrapper):
-        sys.stdout = _standard_output(sys.stdout)
+    _streams.set_up()
     _set_up_log()
     code = run(args)
     _signals.leave_from_now_on(code)
@@ -141,18 +142,18 @@ def run(args: Sequence[str] | None = None) -> int:
         return error.exit_code
     except (KeyboardInterrupt, click.Abort) as error:
         number = _signals.number_of(error)
-        return _failed(_signals.NAMES.get(number, "interrupted"), 128 + number, state)
+        return _failed(ENDING_SIGNALS.get(number, "interrupted"), 128 + number, state)
     except click.ClickException as error:
         words = (shortened(word, LONGEST_WORD) for word in error.format_message().split())
         return _failed(" ".join(words), BAD_INPUT, state)
     except OhmskinError as error:
         return _failed(str(error), BAD_INPUT, state)
-    except _StandardOutputError as error:
+    except _streams.OutputError as error:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115  # so that its flush at exit does not fail again
         if error.errno == errno.EPIPE:
-            return 128 + signal.SIGPIPE
+            return BROKEN_PIPE
         return _failed(f"standard output: {error.strerror or error}", BAD_INPUT, state)
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # whatever asks to exit has no verdict
         return _failed(_defect(error), DEFECT, state)
 
 
@@ -174,27 +175,7 @@ def _failed(message: str, code: int, state: dict[str, bool]) -> int:
     return code
 
 
-def _defect(error: Exception) -> str:
+def _defect(error: BaseException) -> str:
     if isinstance(error, MemoryError):
         return "out of memory"
     return f"a defect of ohmskin, {type(error).__name__}: {error} (--debug shows where)"
-
-
-class _StandardOutputError(OSError):
-    """Standard output cannot be written; told apart from the errors of other files and of sockets."""
-
-
-class _StandardOutput(FileIO):
-    """Descriptor 1, whose errors say so."""
-
-    def write(self, data: Any) -> Any:
-        try:
-            return super().write(data)
-        except OSError as error:
-            raise _StandardOutputError(*error.args) from error
-
-
-def _standard_output(present: TextIOWrapper) -> TextIOWrapper:
-    """What takes the place of ``sys.stdout``: text that does not fit the terminal's encoding is escaped."""
-    raw = _StandardOutput(present.fileno(), "wb", closefd=False)
-    return TextIOWrapper(BufferedWriter(raw), present.encoding, "backslashreplace", line_buffering=present.isatty())

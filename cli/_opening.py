@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import click
 
 from ..cell import Cell
 from ..circuits import Design
 from ..driver import Skin, Tare
+from ..emulator import Scene
 from ..wire import BOARDS
 from ._bar import progress_bar
 
@@ -29,11 +31,11 @@ class Opening:
     tare: Tare | None = None
     estimator: str | None = None
 
-    def open(self, port: str, **more: Any) -> Skin:
-        """The skin at a port or in a recording, tared; ``more`` goes to ``Skin.open``."""
+    def open(self, what: str, **more: Any) -> Skin:
+        """The skin at a port, in a recording or emulated from a scene, tared; ``more`` goes to ``Skin.open``."""
         with progress_bar("reading") as tell:
             skin = Skin.open(
-                port,
+                self._of_scene(what) if _is_scene(what) else what,
                 board=self.board,
                 baudrate=self.baud,
                 design=self.design,
@@ -50,6 +52,20 @@ class Opening:
                 skin.close()
                 raise
         return skin
+
+    def _of_scene(self, path: str) -> str:
+        """The address of the board that this process emulates from a scene."""
+        Scene.load(path)  # for its own message, where the file is wrong
+        return f"ohmskin://{quote(str(Path(path).resolve()))}?clock=real&board={quote(self.board)}"
+
+
+def is_emulated_here(what: str) -> bool:
+    """Whether :meth:`Opening.open` would emulate the board in this process."""
+    return what.startswith("ohmskin://") or _is_scene(what)
+
+
+def _is_scene(what: str) -> bool:
+    return what.endswith(".toml") and "://" not in what
 
 
 BOARD_HELP = f"Family of the board ({', '.join(BOARDS)}), or BOARD.toml that describes it, as `doctor` drafts it."

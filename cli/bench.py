@@ -70,7 +70,7 @@ class _ManyValues(click.Command):
     "--judges", "of_judges", is_flag=True, help="Judge an estimator by the scenes and gates of judges.toml instead."
 )
 @click.option("--only", default="", metavar="PATTERN", help="Of the judges: rows whose name or gate contains it.")
-@click.option("--quick", is_flag=True, help="Of the judges: a selection of about 20 s.")
+@click.option("--quick", is_flag=True, help="Of the judges: a selection of about 5 s.")
 @click.option(
     "--estimator", metavar="NAME", help="Of the judges: what is judged; also module:function(cell, shape). [cell's own]"
 )

@@ -18,7 +18,13 @@ from ..errors import InputError, MissingExtra
 from . import arguments
 from ._recording import played_frames
 
-OF_CIRCUIT = {"pressure": "pressure_kpa", "resistance": "resistance_ohm"}
+OF_CIRCUIT = {
+    "pressure": "pressure_kpa",
+    "pressure_std": "pressure_std_kpa",
+    "resistance": "resistance_ohm",
+    "counts": "counts",
+    "valid": "valid",
+}
 OF_COUNTS = {name: name for name in ("counts", "rest_counts", "valid")}
 """grids of a table, and the heads of their columns: with a known circuit, and without"""
 KINDS = (".npz", ".csv", ".parquet", ".nc")
@@ -34,9 +40,10 @@ def command(recording: Path, output: Path) -> None:
 
     .npz has an array for each field of a frame, with the frames along its first axis, `time`, the host's, and the
     contacts of all frames in a row: contact_frame is the frame of each. .csv and .parquet have a row per frame: its
-    numbers, the number of contacts and their force_n, then pressure_kpa_R_C and resistance_ohm_R_C for each cell;
-    counts_R_C, rest_counts_R_C and valid_R_C where the board's circuit is not known. .nc is netCDF for xarray, with the
-    dimensions time, row, column, units, and places of the cells in mm.
+    numbers, the number of contacts and their force_n, then pressure_kpa_R_C, pressure_std_kpa_R_C, resistance_ohm_R_C,
+    counts_R_C and valid_R_C for each cell; counts_R_C, rest_counts_R_C and valid_R_C where the board's circuit is not
+    known. .nc is netCDF for xarray, with the dimensions time, row, column, units, and places of the cells in mm. What
+    is not known is empty in tables, and NaN elsewhere.
     """
     kind = output.suffix.lower()
     if kind not in KINDS:
@@ -109,7 +116,7 @@ def _text(value: object) -> str:
     if isinstance(value, np.bool_):
         return str(int(value))
     if isinstance(value, np.floating):
-        return "" if np.isnan(value) else repr(float(value))
+        return "" if np.isnan(value) else str(int(value)) if value.is_integer() else repr(float(value))
     return str(value)
 
 
@@ -119,4 +126,4 @@ def _write_parquet(columns: dict[str, AnyArray], file: object) -> None:
         from pyarrow import parquet
     except ImportError as error:
         raise MissingExtra(f".parquet needs pyarrow: {install_command('parquet')}") from error
-    parquet.write_table(pyarrow.table(columns), file)
+    parquet.write_table(pyarrow.table({name: pyarrow.array(c, from_pandas=True) for name, c in columns.items()}), file)

@@ -26,21 +26,23 @@ QUEUE = 4096
         "ohmskin record /dev/ttyACM0 -o press.mcap --calibration left-arm.toml",
     )
 )
-@click.argument("port", metavar="PORT")
+@click.argument("what", metavar="PORT|SCENE.toml")
 @click.option("-o", "output", required=True, type=click.Path(path_type=Path), metavar="FILE.mcap")
 @click.option("--duration", type=arguments.positive, default=inf, metavar="S", help="Stop after S seconds.")
 @opening_options()
 @click.option("--overwrite", is_flag=True, help="Replace FILE.mcap if it is there already.")
 @arguments.as_json("what was recorded")
-def command(port: str, output: Path, duration: float, opening: Opening, overwrite: bool, as_json: bool) -> None:
-    """Record the skin at PORT: every byte, decoded frames for viewers, the board's description, calibration, events.
+def command(what: str, output: Path, duration: float, opening: Opening, overwrite: bool, as_json: bool) -> None:
+    """Record the skin at PORT, or the emulated one of SCENE.toml.
+
+    The file holds every byte, decoded frames for viewers, the board's description, calibration, events.
 
     Ends after the duration, at the end of an emulation, or with Ctrl-C. What was recorded until then can be read,
     whatever ends the command.
     """
     if output.suffix.lower() != ".mcap":
         raise InputError(f"{output}: is no name of a recording; expected FILE.mcap")
-    with opening.open(port, delivery="every", queue=QUEUE, record=output, overwrite=overwrite) as skin:
+    with opening.open(what, delivery="every", queue=QUEUE, record=output, overwrite=overwrite) as skin:
         try:
             _take_frames(skin, duration)
         except KeyboardInterrupt:  # the usual end of a recording without a duration

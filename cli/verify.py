@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import sys
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -15,13 +16,14 @@ import click
 from ..cell import Cell
 from ..circuits import Design
 from ..common.extras import install_command
-from ..common.files import check_writable, make_folder
+from ..common.files import check_writable, make_folder, user_cache
 from ..common.tables import read_cells
 from ..common.text import printable
 from ..errors import InputError, MissingExtra
 from ..verification import CATALOGUE, Report, load_record, load_requirements, prototype, schema, verify
 from . import arguments
 from ._bar import progress_bar
+from ._streams import extra_output
 
 EXPORTS = (".parquet", ".nc", ".csv")
 
@@ -58,6 +60,9 @@ EXPORTS = (".parquet", ".nc", ".csv")
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Processes side by side.")
 @click.option("--dask", metavar="ADDRESS", help="Compute on the workers of this Dask scheduler.")
 @click.option("--export", metavar="FILE", help="The Monte Carlo boards as .parquet, .nc (xarray) or .csv.")
+@click.option(
+    "--allow-code", is_flag=True, help="Run the Python files that requirements of the design name, with your rights."
+)
 @click.option("--quantities", is_flag=True, help="List the quantities that a requirement may limit, and exit.")
 @click.option("--schema", "print_schema", is_flag=True, help="Print the JSON schema of report.json, and exit.")
 def command(
@@ -78,6 +83,7 @@ def command(
     jobs: int,
     dask: str | None,
     export: str | None,
+    allow_code: bool,
     quantities: bool,
     print_schema: bool,
 ) -> int:
@@ -105,6 +111,7 @@ def command(
         raise InputError(f"--export {export}: expected a file name that ends with {', '.join(EXPORTS)}")
     folder = make_folder(output)
     check_writable(folder / "report.html", folder / "report.json", *([export] if export else []))
+    click.get_current_context().with_resource(extra_output())  # the report is what counts
     own = (design.requirement if design is not None else ()) if requirements else ()
     with _executor(dask) as executor, progress_bar("verifying") as progress:
         report = verify(
@@ -122,11 +129,12 @@ def command(
             seed=seed,
             jobs=jobs,
             executor=executor,
-            store=folder / ".partial",
+            store=user_cache("verify"),
             folder=None if design_file is None else Path(design_file).parent,
             require_all=require_all,
             command=_command(design_file, cell_file, requirement_files, paper, seed, samples),
             progress=progress,
+            allow_code=True if allow_code else _asked,
             announce=lambda said: click.echo(printable(said)),
         )
     report = replace(report, explore_command=_explore_command(design_file, cell_file, requirement_files))
@@ -144,6 +152,13 @@ def command(
         f"{paths.get('report.html', paths['report.json'])}"
     )
     return report.exit_code
+
+
+def _asked(path: Path, sha256: str) -> bool:
+    """Whether somebody at a terminal allows a Python file of the design."""
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        return False
+    return click.confirm(printable(f"{path}, SHA-256 {sha256}: run this code of the design?"), err=True)
 
 
 def _say(report: Report) -> None:

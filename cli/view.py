@@ -6,19 +6,40 @@ import asyncio
 import math
 import threading
 import webbrowser
-from collections.abc import Sequence
-from pathlib import Path
-from urllib.parse import quote
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import click
 
-from ..emulator import Scene, Stop, stop_on_signals
+from ..emulator import Stop, stop_on_signals
 from ..view import LiveSource, RecordedSource, Source, serve
 from . import arguments
-from ._opening import Opening, opening_options
+from ._opening import Opening, is_emulated_here, opening_options
 
 USUAL_PORT = 8700
 """a bookmark stays right from day to day; any other port where this one is in use"""
+
+
+_page_options = (
+    click.option(
+        "--port", type=click.IntRange(0, 65535), metavar="N", help=f"TCP port; 0: any. [{USUAL_PORT} if free]"
+    ),
+    click.option(
+        "--host",
+        default="127.0.0.1",
+        show_default=True,
+        metavar="ADDRESS",
+        help="Where to listen. Other machines can then see the page, if they know the token in its address.",
+    ),
+    click.option("--no-browser", is_flag=True, help="Print the address, and open no browser."),
+)
+
+
+def page_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command the options of the page."""
+    for option in reversed(_page_options):
+        command = option(command)
+    return command
 
 
 @click.command(
@@ -29,15 +50,7 @@ USUAL_PORT = 8700
     )
 )
 @click.argument("what", metavar="PORT|SCENE.toml|FILE.mcap")
-@click.option("--port", type=click.IntRange(0, 65535), metavar="N", help=f"TCP port; 0: any. [{USUAL_PORT} if free]")
-@click.option(
-    "--host",
-    default="127.0.0.1",
-    show_default=True,
-    metavar="ADDRESS",
-    help="Where to listen. Other machines can then see the page, if they know the token in its address.",
-)
-@click.option("--no-browser", is_flag=True, help="Print the address, and open no browser.")
+@page_options
 @opening_options()
 def command(what: str, port: int | None, host: str, no_browser: bool, opening: Opening) -> int:
     """Show a skin in the browser: the board at PORT, the emulated board of SCENE.toml, or a recording.
@@ -45,35 +58,27 @@ def command(what: str, port: int | None, host: str, no_browser: bool, opening: O
     The page has a heat map, contacts, pressures over time, the state of the link, and a button for tare; for a
     recording a slider. It needs no internet. Ctrl-C ends it.
     """
+    return show(what, opening, port, host, open_browser=not no_browser)
+
+
+def show(what: str, opening: Opening, port: int | None, host: str, *, open_browser: bool) -> int:
+    """Serve the page of a skin until a signal; returns the exit code."""
     with stop_on_signals() as stop:
         # The page waits for a board that is away, however long.
-        skin = opening.open(_port_name(what, opening.board), reconnect=math.inf)
-        source: Source = RecordedSource(skin) if what.endswith(".mcap") else LiveSource(skin, name=_title(what))
+        skin = opening.open(what, reconnect=math.inf)
+        title = f"{what} (emulated)" if is_emulated_here(what) else what
+        source: Source = RecordedSource(skin) if what.endswith(".mcap") else LiveSource(skin, name=title)
         ports = [USUAL_PORT, 0] if port is None else [port]
-        asyncio.run(_show(source, host, ports, stop, open_browser=not no_browser))
+        asyncio.run(_show(source, host, ports, stop, open_browser=open_browser))
         return 0 if stop.signal is None else 128 + stop.signal
-
-
-def _port_name(what: str, board: str) -> str:
-    """What the driver opens: for a scene the emulated board, in this process."""
-    if not _is_scene(what):
-        return what
-    Scene.load(Path(what))  # for its own message, where the file is wrong
-    return f"ohmskin://{quote(str(Path(what).resolve()))}?clock=real&board={quote(board)}"
-
-
-def _is_scene(what: str) -> bool:
-    return what.endswith(".toml") and "://" not in what
-
-
-def _title(what: str) -> str:
-    return f"{what} (emulated)" if _is_scene(what) else what
 
 
 async def _show(source: Source, host: str, ports: Sequence[int], stop: Stop, *, open_browser: bool) -> None:
     """Serve the page until ``stop``."""
     stopped, loop = asyncio.Event(), asyncio.get_running_loop()
-    loop.add_reader(stop, stopped.set)
+    stop.then = lambda: loop.call_soon_threadsafe(stopped.set)
+    if stop.is_set():
+        stopped.set()
     with source:
         async with serve(source, host=host, ports=ports) as page:
             click.echo(page.url)
@@ -81,7 +86,6 @@ async def _show(source: Source, host: str, ports: Sequence[int], stop: Stop, *, 
                 # In a thread that nobody waits for: a browser in the terminal returns when it is closed.
                 threading.Thread(target=_open_browser, args=(page.url,), daemon=True).start()
             await stopped.wait()
-    loop.remove_reader(stop)
 
 
 def _open_browser(url: str) -> None:

@@ -18,7 +18,8 @@ import sys
 from types import FrameType
 from typing import Any
 
-NAMES: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "hung up"}
+from .system import ENDING_SIGNALS, POSIX
+
 _AGAIN_S = 0.02
 """until a lost signal is sent again: most destructors and callbacks have returned by then"""
 _mine = False
@@ -38,7 +39,7 @@ class Interrupted(KeyboardInterrupt):
 
     def __del__(self) -> None:
         global _lost  # noqa: PLW0603  # signals belong to the process, too
-        if not self.arrived and not sys.is_finalizing():
+        if POSIX and not self.arrived and not sys.is_finalizing():
             _lost = self.signal_number
             signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
 
@@ -66,8 +67,9 @@ def raise_from_now_on() -> None:
     if not _mine:
         return
     sys.unraisablehook = _report_others
-    signal.signal(signal.SIGALRM, lambda number, frame: _raise(_lost, frame))
-    for number in NAMES:
+    if POSIX:
+        signal.signal(signal.SIGALRM, lambda number, frame: _raise(_lost, frame))
+    for number in ENDING_SIGNALS:
         # A program that was started to ignore a signal (nohup) goes on ignoring it.
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _raise)
@@ -79,7 +81,7 @@ def leave_from_now_on(code: int) -> None:
     def leave(number: int, frame: FrameType | None) -> None:
         os._exit(code)
 
-    for number in NAMES:
+    for number in ENDING_SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, leave)
 

@@ -38,6 +38,7 @@ from typing import (
 )
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .arrays import BoolArray, CodeArray, FloatArray, IntArray
 
@@ -46,6 +47,8 @@ SWITCH = "OHMSKIN_COMPILED"
 types of its arguments"""
 NUMBA_SWITCH = "NUMBA_DISABLE_JIT"
 """Numba's own environment variable; 1: nothing is compiled"""
+_NUMBA_FOLDER = "NUMBA_CACHE_DIR"
+"""Numba's own environment variable for the folder of machine code"""
 WAIT = "up to 30 s"
 """processor time in which all kernels are compiled"""
 
@@ -74,6 +77,8 @@ R = TypeVar("R")
 # Arrays whose elements are contiguous in memory, row after row.
 Row = Annotated[FloatArray, "float64[::1]"]
 Rows = Annotated[FloatArray, "float64[:, ::1]"]
+Blocks = Annotated[FloatArray, "float64[:, :, ::1]"]
+Reasons = Annotated[NDArray[np.int8], "int8[:, ::1]"]
 Places = Annotated[IntArray, "intp[::1]"]
 Flags = Annotated[BoolArray, "boolean[::1]"]
 FlagRows = Annotated[BoolArray, "boolean[:, ::1]"]
@@ -145,6 +150,18 @@ def values(records: Records[Any]) -> FloatArray:
     return np.asarray(records).view(np.float64).reshape(records.size, -1)
 
 
+def _numba() -> Any:
+    """Numba, with machine code of the user's own only.
+
+    Numba runs what it finds in its folder of machine code, and takes the name of that folder from a file in the working
+    folder (``.numba_config.yaml``), too, which may be a stranger's.
+    """
+    import numba
+
+    numba.config.CACHE_DIR = os.environ.get(_NUMBA_FOLDER, "")
+    return numba
+
+
 # -- kernels -----------------------------------------------------------------------------------------------------------
 
 
@@ -152,9 +169,7 @@ def why_not() -> str | None:
     """Why no kernel is compiled, in a few words; None: they are compiled."""
     if _switch() in _OFF:
         return f"switched off by {SWITCH}={os.environ[SWITCH]}"
-    import numba
-
-    return f"switched off by {NUMBA_SWITCH}" if numba.config.DISABLE_JIT else None
+    return f"switched off by {NUMBA_SWITCH}" if _numba().config.DISABLE_JIT else None
 
 
 def is_kept() -> bool:
@@ -162,10 +177,8 @@ def is_kept() -> bool:
 
     Otherwise no folder can be written to: neither ``__pycache__`` beside the modules nor one in the user's cache.
     """
-    import numba
-
     try:
-        numba.njit(cache=True)(_numba_type)  # compiles nothing yet, but looks for the folder
+        _numba().njit(cache=True)(_numba_type)  # compiles nothing yet, but looks for the folder
     except Exception:  # as in `Loop._compile`
         return False
     return True
@@ -241,10 +254,8 @@ class Loop(Generic[P, R]):
         return self._compiled
 
     def _compiled_by_numba(self, *, keep: bool) -> Any:
-        import numba
-
         # The signature makes Numba compile at once, and for no other types: a stream never waits for the compiler.
-        return numba.njit(self._signature(), cache=keep, **self._options())(self._own_function())
+        return _numba().njit(self._signature(), cache=keep, **self._options())(self._own_function())
 
     def _own_function(self) -> FunctionType:
         """A copy whose helpers are compiled functions, under a name that changes with all that it depends on.

@@ -2,6 +2,11 @@
 
 The types and limits are declared on the models. This module reads and writes the files, and turns pydantic's
 structured errors into one line that names the file, the key and what was expected.
+
+Tables come from a file of the user's own (:func:`load`) or from a stranger: a board, a recording, the network
+(:func:`parse` without a folder). A stranger's tables are values only. A key that names a file, or that leads to code or
+to a verdict, is marked on its model (:data:`LocalFile`, :data:`OWN_TABLES`) and refused there. Models that a program
+makes in Python are its own: a :class:`~pathlib.Path` and a checked model are no text, and are taken.
 """
 
 from __future__ import annotations
@@ -17,7 +22,7 @@ from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar, get_args, get_origin
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo
 from pydantic_core import ErrorDetails
 
 from ..errors import InputError
@@ -40,6 +45,31 @@ LIKELY_SLIP = 0.8
 Finite = Annotated[float, Field(ge=-MOST, le=MOST, allow_inf_nan=False)]
 Positive = Annotated[float, Field(ge=LEAST, le=MOST, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, le=MOST, allow_inf_nan=False)]
+
+
+def _located(value: Any, info: ValidationInfo) -> Any:
+    """The path of a file that is named relative to the file which names it."""
+    if not isinstance(value, str):
+        return value
+    if not value or "\0" in value:
+        raise ValueError("expected the name of a file")
+    if info.context is None:
+        raise ValueError(
+            "names a file; only a file of your own may do so (in Python: a Path), no board and no recording"
+        )
+    return Path(info.context) / value
+
+
+def _of_the_user(value: Any, info: ValidationInfo) -> Any:
+    if info.context is None and not all(isinstance(item, BaseModel) for item in value):
+        raise ValueError("only a file of your own may hold such tables, no board and no recording")
+    return value
+
+
+LocalFile = Annotated[Path, BeforeValidator(_located)]
+"""a key that names a file; it holds the path, which starts at the folder of the file that has the key"""
+OWN_TABLES = BeforeValidator(_of_the_user)
+"""marks a list of tables that a stranger may not send"""
 
 
 class Section(BaseModel):
@@ -85,7 +115,7 @@ def load(path: str | Path, model: type[S]) -> S:
         InputError: the file is missing, is not TOML, or does not fit the model. The message is one line.
 
     """
-    return parse(read_toml(path), model, source=str(path))
+    return parse(read_toml(path), model, source=str(path), folder=Path(path).parent)
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
@@ -139,11 +169,22 @@ def write_toml(path: str | Path, tables: Mapping[str, Any], *, comment: str = ""
     write_text(path, head + tomli_w.dumps(tables))
 
 
-def parse(tables: Mapping[str, Any], model: type[S], *, source: str) -> S:
-    """Check ``tables`` against ``model``; ``source`` names them in messages. Raises InputError."""
+def parse(tables: Mapping[str, Any], model: type[S], *, source: str, folder: Path | None = None) -> S:
+    """Check ``tables`` against ``model``.
+
+    Args:
+        tables: values by key.
+        model: what they must fit.
+        source: names the tables in messages.
+        folder: of the user's own file that holds the tables; None: they are a stranger's, and may name no file.
+
+    Raises:
+        InputError: they do not fit. The message is one line.
+
+    """
     try:
         _check_integers(tables, source)
-        return model.model_validate(tables)
+        return model.model_validate(tables, context=folder)
     except RecursionError as error:
         raise InputError(f"{source}: tables are nested too deeply") from error
     except ValidationError as error:
@@ -235,7 +276,8 @@ def _hint(model: type[BaseModel], location: tuple[int | str, ...], key: str, tab
     here = _keys(_model_at(model, location))
     if not homes:
         with_unit = [known for known in here if known.startswith(f"{key}_")]
-        near = difflib.get_close_matches(key, with_unit or here, n=1, cutoff=0.0)
+        near = difflib.get_close_matches(key, here, n=1, cutoff=LIKELY_SLIP)
+        near = near or difflib.get_close_matches(key, with_unit or here, n=1, cutoff=0.0)
         if near and near[0] in _table_at(tables, location):
             return f"; the nearest known key, '{near[0]}', is there already"
         return f"; the nearest known key is '{near[0]}'" if near else ""

@@ -11,7 +11,6 @@ import contextlib
 import itertools
 import os
 import re
-import stat
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -20,9 +19,7 @@ from typing import BinaryIO
 
 from ..errors import InputError, OhmskinError
 from .checks import path_text
-
-if sys.platform != "win32":
-    import fcntl
+from .system import POSIX, lock, take_over
 
 MOST_BYTES = 16 * 2**20
 """size limit of a configuration file: 1024 x 1024 calibrated cells fit"""
@@ -42,6 +39,13 @@ def read_bytes(path: str | Path, *, most_bytes: int = MOST_BYTES) -> bytes:
     if len(content) > most_bytes:
         raise InputError(f"{path}: larger than {size(most_bytes)}, the limit for this kind of file")
     return content
+
+
+@contextmanager
+def reading(path: str | Path) -> Iterator[BinaryIO]:
+    """A file that is open for reading; what the operating system says meanwhile is an InputError."""
+    with _errors_name(path, "read"), open(path, "rb") as file:
+        yield file
 
 
 def read_text(path: str | Path, *, most_bytes: int = MOST_BYTES) -> str:
@@ -152,6 +156,17 @@ def make_folder(path: str | Path) -> Path:
     return Path(path)
 
 
+def user_cache(name: str) -> Path | None:
+    """The folder ``name`` in this user's cache, which no one else writes to; None where it cannot be made."""
+    try:
+        base = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or Path.home() / ".cache"
+        folder = Path(base) / "ohmskin" / name
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except (OSError, RuntimeError):
+        return None
+    return folder
+
+
 def size(count: int) -> str:
     """A number of bytes for people: ``16 MiB``."""
     for unit in ("bytes", "KiB", "MiB"):
@@ -163,17 +178,16 @@ def size(count: int) -> str:
 
 def claim(file: BinaryIO) -> None:
     """Mark an open file as being written until it is closed, for :func:`is_claimed`, where the system can."""
-    if sys.platform != "win32":
-        with contextlib.suppress(OSError):
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    with contextlib.suppress(OSError):
+        lock(file)
 
 
 def is_claimed(path: Path) -> bool:
     """Whether somebody, in this process or in another one, writes a file that was marked by :func:`claim`."""
-    if sys.platform != "win32" and path.is_file():
+    if path.is_file():
         with contextlib.suppress(OSError), path.open("rb") as file:
             try:
-                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+                lock(file, shared=True)
             except BlockingIOError:
                 return True
     return False
@@ -183,11 +197,11 @@ def is_claimed(path: Path) -> bool:
 def one_at_a_time(folder: Path) -> Iterator[None]:
     """Wait until no other thread or process is in such a block for this folder, where the system has such marks."""
     with ExitStack() as stack:
-        if sys.platform != "win32":
+        if POSIX:
             with contextlib.suppress(OSError):
                 descriptor = os.open(folder, os.O_RDONLY)
                 stack.callback(os.close, descriptor)
-                fcntl.flock(descriptor, fcntl.LOCK_EX)
+                lock(descriptor, wait=True)
         yield
 
 
@@ -234,12 +248,10 @@ class Output:
             raise PermissionError(0, "Permission denied")
         name = f".{self._target.name[:40]}.partial-{os.getpid()}-{next(_numbers)}"
         partial = self._target.with_name(name)
-        descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+        descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
         self._partial = partial
         if old is not None:
-            with contextlib.suppress(PermissionError):
-                os.fchown(descriptor, old.st_uid, old.st_gid)
-            os.fchmod(descriptor, stat.S_IMODE(old.st_mode))
+            take_over(descriptor, old)
         return os.fdopen(descriptor, "wb")
 
     @property

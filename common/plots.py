@@ -55,7 +55,9 @@ def drawing(
     except ImportError as error:
         raise MissingExtra(f"plots need matplotlib: {install_command('report')}") from error
     colours = cycler(color=[BLUE, ORANGE, GREEN, RED, SKY, PURPLE, *_MORE])
-    with mpl.rc_context(STYLE | {"axes.prop_cycle": colours}):
+    with mpl.rc_context():
+        mpl.rcdefaults()  # a matplotlibrc in the working folder may be a stranger's, and start LaTeX
+        mpl.rcParams.update(STYLE | {"axes.prop_cycle": colours})
         figure = Figure(figsize=(width, height), layout="constrained")
         yield figure, figure.subplots(rows, columns, squeeze=False, **subplots)
 

@@ -19,7 +19,6 @@ dies, so a file that can be locked was left behind. A host keeps the file open a
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import re
 import secrets
@@ -32,6 +31,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from .checks import is_loopback
+from .system import POSIX, lock, unlock
 
 END_OF_TRANSMISSION = b"\x04"
 """what a board over TCP sends as urgent data before it ends: to hosts of other machines, which see no files of this one
@@ -62,7 +62,7 @@ class Announcement:
                 break
         if self._file >= 0:
             with contextlib.suppress(OSError):
-                fcntl.flock(self._file, fcntl.LOCK_EX)
+                lock(self._file, wait=True)
             self.move(port)
 
     def move(self, port: str) -> None:
@@ -154,6 +154,8 @@ def _directories() -> list[Path]:
 
     A program that no login has started, such as a service, may be without ``XDG_RUNTIME_DIR``.
     """
+    if not POSIX:
+        return []
     if given := os.environ.get("OHMSKIN_RUNTIME_DIR"):
         return [Path(given)]
     of_login = os.environ.get("XDG_RUNTIME_DIR", "")
@@ -195,12 +197,12 @@ def _may_be_announced(name: str) -> bool:
 def _is_left_behind(file: int) -> bool:
     """Whether the emulator that wrote this file is no more."""
     try:
-        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        lock(file, shared=True)
     except BlockingIOError:
         return False
     # Between its making and its locking, too, a file can be locked. It is empty then, as long as this lock holds.
     size = os.fstat(file).st_size
-    fcntl.flock(file, fcntl.LOCK_UN)
+    unlock(file)
     return size > 0
 
 

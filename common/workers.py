@@ -10,13 +10,14 @@ from __future__ import annotations
 import logging
 import multiprocessing
 import os
-import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import TypeVar
+
+from .system import interrupts_blocked
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -49,9 +50,11 @@ def in_processes(
         return results
     context = multiprocessing.get_context("spawn")
     alive, held_by_parent = context.Pipe(duplex=False)
-    pool = ProcessPoolExecutor(jobs, context, _begin_worker, (alive,))
+    with _imports_from_safe_places():  # it starts a process that keeps count of semaphores
+        pool = ProcessPoolExecutor(jobs, context, _begin_worker, (alive,))
     try:
-        with _interrupts_blocked():  # a spawned process inherits the mask; Ctrl-C is for the parent to handle
+        # A spawned process inherits the mask; Ctrl-C is for the parent to handle.
+        with interrupts_blocked(), _imports_from_safe_places():
             futures: list[Future[R]] = [pool.submit(function, item) for item in items]
         for future in as_completed(futures):
             tell(future.result())
@@ -65,6 +68,23 @@ def in_processes(
         alive.close()
 
 
+@contextmanager
+def _imports_from_safe_places() -> Iterator[None]:
+    """New Python processes import nothing from the working folder before they know this process's path.
+
+    They begin with ``python -c``, which would take a ``signal.py`` of that folder, a stranger's perhaps, for Python's.
+    """
+    before = os.environ.get("PYTHONSAFEPATH")
+    os.environ["PYTHONSAFEPATH"] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["PYTHONSAFEPATH"]
+        else:
+            os.environ["PYTHONSAFEPATH"] = before
+
+
 def _begin_worker(alive: Connection) -> None:
     """In a new worker: leave when the parent ends, and log nothing, since each worker would say the same."""
     logging.getLogger("ohmskin").addHandler(logging.NullHandler())
@@ -76,12 +96,3 @@ def _begin_worker(alive: Connection) -> None:
             os._exit(1)
 
     threading.Thread(target=wait, daemon=True, name="end with parent").start()
-
-
-@contextmanager
-def _interrupts_blocked() -> Iterator[None]:
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import grp
 import os
-import pwd
 import stat
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -12,6 +10,7 @@ from pathlib import Path
 
 from serial.tools import list_ports
 
+from ..common.system import POSIX, grp, pwd
 from ._finding import Finding, State
 
 GOOD_LATENCY_MS = 1
@@ -74,6 +73,8 @@ def examine_device(device: str, system: System | None = None, description: str =
     system = system or System()
     path = system.path(os.path.abspath(device))
     other = "see `ohmskin doctor` for the ports that there are"
+    if not POSIX and any(port.device == device for port in list_ports.comports()):
+        return [Finding(State.OK, device, "is there; only opening it shows whether it is free")]
     if not device or not path.exists():
         return [Finding(State.PROBLEM, device or "PORT", "is not there", f"plug the board in, or {other}")]
     if not system.is_device(path):

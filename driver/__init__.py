@@ -7,15 +7,17 @@
             print(frame.pressure)
 """
 
+from ..common.measurement import Measurement
 from ._arrays import FRAME_GRIDS, FRAME_NUMBERS, stack, to_xarray
 from ._calibration import Calibration
 from ._contacts import Contact, ContactTracker
 from ._discover import FoundBoard, discover
 from ._frame import Frame
+from ._frames import Delivery
 from ._messages import MESSAGE_SCHEMAS, messages_of
-from ._opening import Delivery, SkinSettings
+from ._options import SkinSettings
 from ._port import BAUDRATE, Arrival, BytePort, SerialPort, SocketPort, open_port
-from ._reading import CountReader, Reading
+from ._reading import CountReader
 from ._recorder import Recorder
 from ._recording import Recording
 from ._replay import ReplayPort
@@ -38,7 +40,7 @@ __all__ = [
     "FoundBoard",
     "Frame",
     "LinkStatistics",
-    "Reading",
+    "Measurement",
     "Recorder",
     "Recording",
     "ReplayPort",

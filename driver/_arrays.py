@@ -22,14 +22,14 @@ FRAME_NUMBERS = ("sequence", "device_time", "host_time", "lost_before", "overrun
 """fields with a number for each frame"""
 FRAME_GRIDS = ("counts", "rest_counts", "valid", "resistance", "pressure", "pressure_std")
 """fields with a number for each cell"""
-_TYPES = {"sequence": np.int64, "lost_before": np.int64, "counts": np.uint16}
+_TYPES = {"counts": np.uint16}
 _FLAGS = ("overrun", "reconnected", "rebooted", "valid")
 
 _MEANINGS = {
-    "sequence": ("1", "number of the frame, as the board sent it; -1: the board does not number its frames"),
+    "sequence": ("1", "number of the frame, as the board sent it; NaN: the board does not number its frames"),
     "device_time": ("s", "time on the board's clock from its start to the start of the scan"),
     "host_time": ("s", "time since the epoch at which the frame's last byte came, delays of the line taken out"),
-    "lost_before": ("1", "frames lost since the frame before; -1: not known"),
+    "lost_before": ("1", "frames lost since the frame before; NaN: not known"),
     "overrun": ("1", "the board dropped frames before this one, because the host read too slowly"),
     "reconnected": ("1", "the port was opened anew since the frame before"),
     "rebooted": ("1", "the board started anew since the frame before"),

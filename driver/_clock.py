@@ -4,24 +4,42 @@ A frame arrives late by the delays of operating system, line and buffers; never 
 the arrivals therefore lie above a line, which maps the board's clock to the host's. The line is the supporting edge of
 the lower convex hull (Moon, Skelly and Towsley, "Estimation and removal of clock skew from network delay measurements",
 INFOCOM 1999; hull by Andrew's monotone chain). A constant delay cannot be seen.
+
+A time that runs at another pace than any oscillator, or stands, is no clock (:attr:`ClockMap.pace`). Frames then have
+their times of arrival.
 """
 
 from __future__ import annotations
 
+import enum
 import math
 from collections import deque
+from itertools import pairwise
 
-BUCKET_S = 0.5
-"""s; only the least delayed frame of each such interval is kept"""
-WINDOW_BUCKETS = 120
+BUCKET_S = 0.25
+"""s of the host; only the least delayed frame of each such interval is kept"""
+WINDOW_BUCKETS = 240
 """intervals that are kept: the line follows a changing drift, as with temperature, within a minute"""
-DRIFT_SPAN_S = 5.0
-"""shorter spans do not determine the drift"""
-LARGEST_DRIFT = 0.02
-"""2 %: the worst on-chip oscillators; a steeper line is no drift"""
+SHORTEST_SPAN_S, DRIFT_SPAN_S = 0.5, 5.0
+"""a line is sloped from the first of these spans on, as the worst oscillators need it; the drift is told from the
+second on"""
+LARGEST_DRIFT = 0.125
+"""on-chip RC oscillators are off by up to 10 %, a drift of 1 / 0.9 - 1; the rest is for the noise of delays"""
+PACE_PAIRS, UNEVEN_PAIRS = 4, 3
+"""intervals, one after the other, and how many of them must be too long or too short for a clock: a pause is one"""
 STEP_S = 0.05
-STEP_BUCKETS = 6
+STEP_BUCKETS = 12
 """if all frames of 3 s are later than the line by 50 ms, the board's clock was set or has paused"""
+
+
+class Pace(enum.Enum):
+    """How a board's time goes beside the host's."""
+
+    EVEN = enum.auto()
+    SLOW = enum.auto()
+    """it stands, or is slower than any oscillator"""
+    FAST = enum.auto()
+    """as in an emulation that runs as fast as its host reads"""
 
 
 class ClockMap:
@@ -30,88 +48,120 @@ class ClockMap:
     def __init__(self) -> None:
         self.steps = 0
         """number of times that the board's clock was set or paused"""
+        self.pace = Pace.EVEN
+        self.rate = 1.0
+        """s of the board's time in a second of the host's, where :attr:`pace` is not even"""
         self._origin: tuple[float, float] | None = None
         self._buckets: deque[tuple[float, float]] = deque(maxlen=WINDOW_BUCKETS)
-        self._bucket_ends = 0.0
+        self._bucket_ends_s = BUCKET_S
         self._least = (0.0, 0.0)
-        self._drift = 0.0
+        self._recent: deque[tuple[float, float]] = deque(maxlen=PACE_PAIRS + 1)
+        """the last buckets, over which the pace is judged"""
+        self._drift: float | None = None
+        """None: not known yet"""
+        self._span_s = 0.0
+        """over which the drift was found"""
         self._anchor = (0.0, 0.0)
 
     @property
     def drift_ppm(self) -> float:
         """How much faster the host's clock runs than the board's, in parts per million.
 
-        0 until 5 s of even pace have passed.
-
-        NaN if the line has the steepest allowed slope: the board's time is then not that of a clock, as in an emulation
-        at the fast clock, which runs as fast as its host reads.
+        0 until 5 s of even pace have passed. NaN if the board's time is not that of a clock (:attr:`pace`), or the
+        line has the steepest allowed slope.
         """
-        return 1e6 * self._drift if abs(self._drift) < LARGEST_DRIFT else math.nan
+        drift = self._slope()
+        if self.pace is not Pace.EVEN or abs(drift) >= LARGEST_DRIFT:
+            return math.nan
+        return 1e6 * drift if self._span_s >= DRIFT_SPAN_S else 0.0
 
     def add(self, device_s: float, received_s: float) -> float:
         """Take one frame.
 
         Args:
-            device_s: time stamp of the board, in s; increasing.
+            device_s: time stamp of the board, in s; not decreasing.
             received_s: time of arrival, in s on the host's clock.
 
         Returns:
             Arrival time of the frame if it had the least delay seen so far, in s on the host's clock; at most
-            ``received_s``.
+            ``received_s``. It is ``received_s`` as long as the pace is not even.
 
         """
         if self._origin is None:
             self._origin = (device_s, received_s)
-            self._bucket_ends = BUCKET_S
-            self._least = (0.0, 0.0)
         x = device_s - self._origin[0]
-        y = received_s - self._origin[1] - x
-        if x >= self._bucket_ends:
+        elapsed_s = received_s - self._origin[1]
+        y = elapsed_s - x
+        if elapsed_s >= self._bucket_ends_s:
             self._close_bucket()
-            self._bucket_ends = x + BUCKET_S
+            self._bucket_ends_s = elapsed_s + BUCKET_S
             self._least = (x, y)
         elif y < self._least[1]:
             self._least = (x, y)
+        if self.pace is not Pace.EVEN:
+            return received_s
         line = self._line(x)
-        if y < line - STEP_S:
+        if y < self._line(x, falling=True) - STEP_S:
             # No drift does this: the clock was set forward, or all earlier frames had waited in a buffer.
             self._buckets.clear()
-            self._drift = 0.0
-            line = self._line(x)
+            self._drift, self._span_s = None, 0.0
         if y < line:
             # Less delayed than any earlier frame: the line is moved down to this frame.
             self._anchor = (x, y)
             line = y
         return self._origin[1] + x + line
 
-    def _line(self, x: float) -> float:
-        return self._anchor[1] + self._drift * (x - self._anchor[0])
+    def _slope(self, *, falling: bool = False) -> float:
+        """The drift; until it is known, none, or the least if ``falling``."""
+        unknown = -LARGEST_DRIFT if falling else 0.0
+        return unknown if self._drift is None else self._drift
+
+    def _line(self, x: float, *, falling: bool = False) -> float:
+        return self._anchor[1] + self._slope(falling=falling) * (x - self._anchor[0])
 
     def _close_bucket(self) -> None:
-        self._buckets.append(self._least)
-        recent = [self._buckets[k] for k in range(-min(STEP_BUCKETS, len(self._buckets)), 0)]
-        if len(recent) == STEP_BUCKETS and all(y > self._line(x) + STEP_S for x, y in recent):
-            self.steps += _keeps_pace(recent)
-            self._buckets.clear()
-            self._buckets.extend(recent)
-        hull = lower_hull(list(self._buckets))
-        if hull[-1][0] - hull[0][0] < DRIFT_SPAN_S:
-            self._drift = 0.0
-            self._anchor = min(hull, key=lambda point: point[1])
+        self._recent.append(self._least)
+        self._judge_pace()
+        if self.pace is not Pace.EVEN:
             return
-        # Of all lines below the points, the one with the least sum of distances passes below their mean.
-        middle = sum(x for x, _ in self._buckets) / len(self._buckets)
-        right = next(k for k in range(1, len(hull)) if hull[k][0] >= middle or k == len(hull) - 1)
-        (x0, y0), (x1, y1) = hull[right - 1], hull[right]
-        self._drift = min(max((y1 - y0) / (x1 - x0), -LARGEST_DRIFT), LARGEST_DRIFT)
-        # If the drift is limited, the edge's own ends need not be the lowest points.
-        self._anchor = min(hull, key=lambda point: point[1] - self._drift * point[0])
+        self._buckets.append(self._least)
+        last = list(self._buckets)[-STEP_BUCKETS:]
+        if len(last) == STEP_BUCKETS and all(y > self._line(x) + STEP_S for x, y in last):
+            self.steps += 1
+            self._buckets.clear()
+            self._buckets.extend(last)
+        self._fit()
 
+    def _judge_pace(self) -> None:
+        """Whether the board's time is a clock's. Once it is not, it must be even throughout to count as one again."""
+        pairs = [(x1 - x0, y1 - y0) for (x0, y0), (x1, y1) in pairwise(self._recent)]
+        slow = sum(y > LARGEST_DRIFT * x for x, y in pairs)
+        fast = sum(y < -LARGEST_DRIFT * x for x, y in pairs)
+        if max(slow, fast) >= UNEVEN_PAIRS:
+            passed_s = sum(x for x, _ in pairs)
+            self.pace = Pace.SLOW if slow > fast else Pace.FAST
+            self.rate = passed_s / (passed_s + sum(y for _, y in pairs))
+        elif self.pace is not Pace.EVEN and len(pairs) == PACE_PAIRS and not slow and not fast:
+            self.pace, self._drift, self._span_s = Pace.EVEN, None, 0.0
+            self._buckets.clear()
+            self._buckets.extend(list(self._recent)[:-1])  # the caller adds the last one
 
-def _keeps_pace(points: list[tuple[float, float]]) -> bool:
-    """Whether a clock can give the times of ``points``, which increase in x: a fast emulation keeps no pace."""
-    (x0, y0), (x1, y1) = points[0], points[-1]
-    return abs(y1 - y0) <= LARGEST_DRIFT * (x1 - x0) + STEP_S
+    def _fit(self) -> None:
+        hull = lower_hull(list(self._buckets))
+        span_s = hull[-1][0] - hull[0][0]
+        if span_s >= min(DRIFT_SPAN_S, max(self._span_s, SHORTEST_SPAN_S)):
+            self._span_s = span_s
+            # Of all lines below the points, the one with the least sum of distances passes below their mean. The
+            # first of three buckets may hold frames that had waited in a buffer.
+            middle = sum(x for x, _ in self._buckets) / len(self._buckets)
+            right = next(k for k in range(1, len(hull)) if hull[k][0] > middle or k == len(hull) - 1)
+            (x0, y0), (x1, y1) = hull[right - 1], hull[right]
+            self._drift = min(max((y1 - y0) / (x1 - x0), -LARGEST_DRIFT), LARGEST_DRIFT)
+        # If the drift is limited, or not known, the edge's own ends need not be the lowest points. The anchor is a
+        # frame, too, and may be newer.
+        slope = self._slope()
+        frames = [*hull, self._anchor] if self._anchor[0] >= hull[0][0] else hull
+        self._anchor = min(frames, key=lambda point: point[1] - slope * point[0])
 
 
 def lower_hull(points: list[tuple[float, float]]) -> list[tuple[float, float]]:

@@ -20,7 +20,7 @@ import numpy as np
 
 from ..common.arrays import FloatArray
 from ..common.compiled import Row, Rows, loop
-from ._reading import Reading
+from ..common.measurement import Measurement
 
 LEAST = 0.1
 """least relative error, by half a step of all other readings, that is removed"""
@@ -31,6 +31,8 @@ ROUNDINGS = 2.0
 ALIKE, MOST = 0.01, 0.8
 """relative difference at rest up to which cells are rounded alike, and the least share of such cells in a column. Cells
 that differ by more than a step have independent errors, which hardly add up"""
+ALIKE_IN_STEPS = 2.0
+"""by how much equal readings, rounded alike, exceed independent errors in what a measurement states of a column"""
 SPEAKS = 3
 """1/SPEAKS of a column's cells lie below the cell that represents the column"""
 
@@ -56,26 +58,30 @@ class ColumnSteps:
         self._roundings = np.where(alike & rest_known, ROUNDINGS, 0.0)
         self._idle = 0 if self._roundings.any() else NEVER  # frames until the steps are looked at
 
-    def without(self, reading: Reading) -> tuple[FloatArray, FloatArray | None]:
-        """Resistances for estimation, and the part of a load on whole columns that the correction may have removed.
+    def without(self, measured: Measurement) -> tuple[FloatArray, FloatArray | None]:
+        """Conductances for estimation, and the part of a load on whole columns that the correction may have removed.
 
         Returns:
-            (rows, columns) ohm, NaN where unknown; (columns,) relative standard deviation of these by the correction,
+            (rows, columns) S, NaN where unknown; (columns,) relative standard deviation of these by the correction,
             None if nothing was corrected.
 
         """
-        resistance = reading.for_estimation
+        conductance = measured.conductance
         if self._idle:
             self._idle -= 1
-            return resistance, None
-        shared = reading.column_steps
-        if shared is None or shared.max() < LEAST:
+            return conductance, None
+        rows = len(conductance)
+        with np.errstate(invalid="ignore"):
+            shared = np.abs(measured.column_half_step / conductance)
+        # The other readings enter by their sum: all at once they make the root of their number of independent errors.
+        shared = np.nan_to_num(np.fmin.reduce(shared, axis=0)) * (rows - 1) / math.sqrt(rows) / ALIKE_IN_STEPS
+        if shared.max() < LEAST:
             self._idle = FINE_FOR
-            return resistance, None
+            return conductance, None
         limits = np.exp(self._roundings * shared)
-        scaled, scale = np.array(resistance), np.ones(limits.size)
+        scaled, scale = 1.0 / conductance, np.ones(limits.size)
         scale_each(scaled, self._per_ohm, self._side, limits, scale)
-        return scaled, np.abs(np.log(scale)) * EVENLY
+        return 1.0 / scaled, np.abs(np.log(scale)) * EVENLY
 
 
 @loop

@@ -103,13 +103,12 @@ class Frame:
     def as_dict(self) -> dict[str, AnyArray]:
         """All fields as NumPy arrays: those per cell (rows, columns), the others without axes.
 
-        Missing numbers are NaN; missing counts (``sequence``, ``lost_before``) are -1. ``age`` is the age at this call.
+        What is not known is NaN. ``age`` is the age at this call.
         """
         values: dict[str, Any] = {item.name: getattr(self, item.name) for item in fields(self) if item.name[0] != "_"}
         values["pressure_std"] = self.pressure_std
-        for name in ("sequence", "lost_before"):
-            values[name] = -1 if values[name] is None else values[name]
-        values["device_time"] = np.nan if self.device_time is None else self.device_time
+        for name in ("sequence", "lost_before", "device_time"):
+            values[name] = np.nan if values[name] is None else float(values[name])
         values["age"] = self.age
         return {name: np.asarray(value) for name, value in values.items()}
 

@@ -28,7 +28,7 @@ import numpy as np
 from ..cell import Cell
 from ..common.arrays import BoolArray, FloatArray
 from ..common.compiled import Rows, loop
-from ._reading import Reading
+from ..common.measurement import Measurement
 
 EVERY_S = 0.08
 """s from one look at the lines to the next"""
@@ -213,7 +213,7 @@ class LineFaults:
         self.cells: BoolArray | None = None
         """cells of faulty lines; None: no line is faulty"""
 
-    def take(self, time_s: float, reading: Reading, rest_spread: float | None) -> BoolArray | None:
+    def take(self, time_s: float, reading: Measurement, rest_spread: float | None) -> BoolArray | None:
         """Take a frame's readings.
 
         Args:
@@ -250,7 +250,7 @@ class LineFaults:
     def _gather(self) -> None:
         self.cells = np.any([fault.cells for fault in self._faults], axis=0) if self._faults else None
 
-    def _judge(self, time_s: float, log: FloatArray, reading: Reading) -> None:
+    def _judge(self, time_s: float, log: FloatArray, reading: Measurement) -> None:
         """Follow faulty lines and suspects."""
         faulty = [fault for fault in self._faults if not _sound(fault, log)]
         if len(faulty) < len(self._faults):
@@ -275,7 +275,7 @@ class LineFaults:
         self._faults, self._suspects = faulty, going_on
         self._gather()
 
-    def _look(self, time_s: float, log: FloatArray, reading: Reading, rest_spread: float | None) -> None:
+    def _look(self, time_s: float, log: FloatArray, reading: Measurement, rest_spread: float | None) -> None:
         """Find lines that have changed recently, and keep the least readings of the cells."""
         earlier, before, _ = self._looks
         margin = BELOW_REST if self._rest_known else max(BELOW_REST, SPREADS * (rest_spread or 0.0))

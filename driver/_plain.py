@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..common.measurement import Measurement
 from ..errors import InputError, ProtocolError
 from ._frame import Frame
-from ._reading import Reading
 from ._tare import DRIFT_STDS, Tare
 
 DRIFT_COUNTS = 2.0
@@ -22,18 +22,11 @@ class PlainReader:
     def __init__(self, shape: tuple[int, int]) -> None:
         self._shape = shape
 
-    def __call__(self, counts: NDArray[np.uint16]) -> Reading:
+    def __call__(self, counts: NDArray[np.uint16]) -> Measurement:
         """The reading of one frame (rows, columns). Raises ProtocolError if the frame has another shape."""
         if counts.shape != self._shape:
             raise ProtocolError("a frame of {} x {} cells; this board has {} x {}".format(*counts.shape, *self._shape))
-        return Reading(
-            resistance=np.full(counts.shape, np.nan),
-            valid=np.ones(counts.shape, dtype=np.bool_),
-            reason=np.zeros(counts.shape, dtype=np.int8),
-            solved=True,
-            all_valid=True,
-            _found=None,
-        )
+        return Measurement.unknown(counts.shape)
 
 
 def tare_of_counts(taken: Sequence[Frame], *, lost: int | None, serial_number: str) -> Tare:

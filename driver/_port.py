@@ -9,7 +9,6 @@ import contextlib
 import errno
 import os
 import queue
-import select
 import selectors
 import socket
 import threading
@@ -21,6 +20,7 @@ from urllib.parse import urlsplit
 import serial
 
 from ..common.rendezvous import END_OF_TRANSMISSION, announced
+from ..common.system import POSIX, urgent_data
 from ..errors import LinkEnded, LinkError
 from ._port_names import EMULATED_HERE, reason_of, refuse_terminal, why_not_opened
 
@@ -35,7 +35,8 @@ NEGOTIATION_S = 15.0
 """longest wait for an RFC 2217 server to agree on its options"""
 UNHEARD_S = 3.0
 """a TCP peer that acknowledges nothing for this long is gone; a cable pulled at its end gives no other sign"""
-_CHUNK = 65536
+READ_BYTES = 8192
+"""bytes of a read at most, so that one read is a small part of a turn, however fast a board sends"""
 _SHORT = 1024
 """bytes below which one system call has returned everything: terminals return up to 4095 at once, sockets more"""
 _EMULATOR = "ohmskin.emulator"
@@ -60,7 +61,8 @@ class Arrival(NamedTuple):
 class BytePort(Protocol):
     """A byte stream with arrival times: the interface that a :class:`~ohmskin.driver.Skin` needs of a port.
 
-    A recording can provide it: ``read`` then returns the recorded arrivals, and ``now`` runs with the recording.
+    A recording can provide it: ``read`` then returns the recorded arrivals, and ``now`` runs with the recording. A port
+    whose board's time is a simulation's, at whatever pace, says so by an attribute ``is_simulated``, which is True.
     """
 
     name: str
@@ -117,7 +119,7 @@ def open_port(
         return SocketPort(name)
     device = _open_serial(name, baudrate, dtr, rts)
     try:
-        return UrlPort(name, device) if "://" in name else SerialPort(name, device)
+        return UrlPort(name, device) if _by_pyserial(name) else SerialPort(name, device)
     except OSError as error:  # too many open files
         device.close()
         raise LinkError(f"{name}: cannot be opened: {reason_of(error)}") from error
@@ -130,6 +132,7 @@ class _RealTimePort:
         self.name = name
         self.announced = announced(name)
         """announcement of an emulated board's port on this machine; None: the port is another one"""
+        self.is_simulated = self.announced is not None or name.startswith(EMULATED_HERE)
 
     def now(self) -> float:
         """Present time in s on the machine's monotonic clock."""
@@ -156,13 +159,13 @@ class _RealTimePort:
 
 
 class DescriptorPort(_RealTimePort):
-    """A port with a non-blocking file descriptor; POSIX only."""
+    """A port with a non-blocking descriptor that a selector can wait for."""
 
     def __init__(self, name: str, descriptor: int) -> None:
         super().__init__(name)
         self._descriptor = descriptor
-        self._wake_read, self._wake_write = os.pipe()
-        os.set_blocking(self._wake_write, False)
+        self._wake_read, self._wake_write = socket.socketpair()
+        self._wake_write.setblocking(False)
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._wake_read, selectors.EVENT_READ)
         self._selector.register(descriptor, selectors.EVENT_READ)
@@ -176,18 +179,18 @@ class DescriptorPort(_RealTimePort):
     def wait(self, timeout_s: float) -> bool:
         """Wait until bytes have come or the port is gone; False after ``timeout_s`` or after :meth:`interrupt`."""
         ready = {key.fd for key, _ in self._selector.select(max(timeout_s, 0.0))}
-        if self._wake_read in ready:
-            os.read(self._wake_read, _CHUNK)
+        if self._wake_read.fileno() in ready:
+            self._wake_read.recv(READ_BYTES)
         return self._descriptor in ready
 
     def read(self) -> Arrival:
         """Take the bytes that have come, without waiting; LinkError when the port is gone."""
         try:
-            data = os.read(self._descriptor, _CHUNK)
+            data = self._take()
             # A terminal reads nothing when nothing has come. Any port reads nothing when the other end has hung up, but
             # then select() reports the port as readable.
             if not data and self._readable.select(0):
-                data = os.read(self._descriptor, _CHUNK)
+                data = self._take()
                 if not data:
                     raise self._gone("the other end hung up" if self._failure is None else self._failure)
         except OSError as error:
@@ -205,7 +208,7 @@ class DescriptorPort(_RealTimePort):
         deadline = time.monotonic() + WRITE_TIMEOUT_S
         while rest:
             try:
-                rest = rest[os.write(self._descriptor, rest) :]
+                rest = rest[self._send(rest) :]
             except OSError as error:
                 if error.errno in _HUNG_UP:
                     if error.errno != errno.EPIPE:  # it reports a break that is known already, or no break
@@ -226,7 +229,7 @@ class DescriptorPort(_RealTimePort):
         """End a :meth:`wait` that another thread is in."""
         with self._closing, contextlib.suppress(BlockingIOError):
             if not self._closed:
-                os.write(self._wake_write, b"!")
+                self._wake_write.send(b"!")
 
     def _close(self) -> None:
         with self._closing:
@@ -235,9 +238,15 @@ class DescriptorPort(_RealTimePort):
             self._closed = True
             self._selector.close()
             self._readable.close()
-            os.close(self._wake_read)
-            os.close(self._wake_write)
+            self._wake_read.close()
+            self._wake_write.close()
             self._release()
+
+    def _take(self) -> bytes:
+        return os.read(self._descriptor, READ_BYTES)
+
+    def _send(self, data: memoryview) -> int:
+        return os.write(self._descriptor, data)
 
     @abstractmethod
     def _release(self) -> None:
@@ -274,8 +283,7 @@ class SocketPort(DescriptorPort):
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         _end_when_unheard(self._socket)
         self._socket.setblocking(False)
-        self._urgent = select.poll()
-        self._urgent.register(self._socket, select.POLLPRI)
+        self._has_urgent = urgent_data(self._socket)
         self._is_over = False
         """whether the emulated board at the other end has announced that no byte will follow"""
         try:
@@ -286,10 +294,16 @@ class SocketPort(DescriptorPort):
 
     def read(self) -> Arrival:
         """Take the bytes that have come, without waiting; LinkError when the port is gone."""
-        if self._urgent.poll(0):  # the kernel drops urgent data when the bytes behind them are read
+        if self._has_urgent():  # the kernel drops urgent data when the bytes behind them are read
             with contextlib.suppress(OSError):
                 self._is_over = self._socket.recv(1, socket.MSG_OOB) == END_OF_TRANSMISSION or self._is_over
         return super().read()
+
+    def _take(self) -> bytes:
+        return self._socket.recv(READ_BYTES)
+
+    def _send(self, data: memoryview) -> int:
+        return self._socket.send(data)
 
     def _gone(self, error: Exception | str) -> LinkError:
         return over(self.name) if self._is_over else super()._gone(error)
@@ -299,13 +313,13 @@ class SocketPort(DescriptorPort):
 
 
 class UrlPort(_RealTimePort):
-    """A port with its own read method in pyserial, such as ``rfc2217://HOST:PORT``."""
+    """A port that pyserial reads by its own method: ``rfc2217://HOST:PORT``, or a serial port of Windows."""
 
     def __init__(self, name: str, device: serial.SerialBase) -> None:
         super().__init__(name)
         self._device = device
         connection = getattr(device, "_socket", None)  # pyserial offers no limit of its own
-        if isinstance(connection, socket.socket) and connection.family != socket.AF_UNIX:
+        if isinstance(connection, socket.socket) and connection.family in (socket.AF_INET, socket.AF_INET6):
             _end_when_unheard(connection)
         self._waiting = b""
         self._reading = threading.Lock()
@@ -338,7 +352,7 @@ class UrlPort(_RealTimePort):
                 queued = _queued_bytes(self._device)
                 if queued:
                     return queued
-                size = self._device.in_waiting  # type: ignore[attr-defined]  # the stubs lack it
+                size = min(self._device.in_waiting, READ_BYTES)  # type: ignore[attr-defined]  # the stubs lack it
             return bytes(self._device.read(size)) if size else b""
         except BlockingIOError:  # another thread has taken the bytes
             return b""
@@ -361,7 +375,7 @@ class UrlPort(_RealTimePort):
 
 
 def _queued_bytes(device: serial.SerialBase) -> bytes:
-    """Take all bytes that pyserial's thread for RFC 2217 has queued; empty for other devices.
+    """Take bytes that pyserial's thread for RFC 2217 has queued; empty for other devices.
 
     pyserial's own ``read`` takes a lock for each byte, for which both threads compete. If other programs use the
     processor, a frame then takes a second.
@@ -371,7 +385,7 @@ def _queued_bytes(device: serial.SerialBase) -> bytes:
         return b""
     with waiting.mutex:
         count = waiting.queue.index(None) if None in waiting.queue else len(waiting.queue)  # None: the connection's end
-        return b"".join(waiting.queue.popleft() for _ in range(count))
+        return b"".join(waiting.queue.popleft() for _ in range(min(count, READ_BYTES)))
 
 
 def _end_when_unheard(connection: socket.socket) -> None:
@@ -392,13 +406,18 @@ def _patient(name: str) -> str:
     return f"{name}{'&' if '?' in name else '?'}timeout={NEGOTIATION_S:g}"
 
 
+def _by_pyserial(name: str) -> bool:
+    """Whether bytes are read by pyserial's own method: of addresses, and of devices that have no descriptor."""
+    return "://" in name or not POSIX
+
+
 def _open_serial(name: str, baudrate: int, dtr: bool | None, rts: bool | None) -> serial.SerialBase:
     refuse_terminal(name)
     if name.startswith(EMULATED_HERE) and _EMULATOR not in serial.protocol_handler_packages:
         serial.protocol_handler_packages.append(_EMULATOR)
     # pyserial's RFC 2217 client refuses a write timeout, and each change of a timeout is an exchange with the server.
     write_timeout_s = None if name.startswith("rfc2217://") else WRITE_TIMEOUT_S
-    timeout_s = URL_WAIT_S if "://" in name else 0.0
+    timeout_s = URL_WAIT_S if _by_pyserial(name) else 0.0
     try:
         device = serial.serial_for_url(
             _patient(name), baudrate, timeout=timeout_s, write_timeout=write_timeout_s, do_not_open=True

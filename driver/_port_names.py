@@ -11,6 +11,7 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 from serial.tools import list_ports
 
 from ..common.rendezvous import announced_ports
+from ..common.system import POSIX
 from ..errors import LinkError
 
 EMULATED_HERE = "ohmskin://"
@@ -56,18 +57,21 @@ def refuse_missing(name: str) -> None:
     """
     if name.startswith(EMULATED_HERE):
         parts = urlsplit(name)
-        if not os.path.isfile(unquote(parts.netloc + parts.path)):
+        path = unquote(parts.netloc + parts.path)
+        if path != "demo" and not os.path.isfile(path):
             raise LinkError(f"{name}: no such scene")
     elif "://" not in name:
         if has_gone(name):
             raise LinkError(f"{name}: {why_not_opened(name, FileNotFoundError(errno.ENOENT, 'no such port'))}")
-        if not os.access(name, os.R_OK | os.W_OK):
+        if POSIX and not os.access(name, os.R_OK | os.W_OK):
             raise LinkError(f"{name}: {why_not_opened(name, PermissionError(errno.EACCES, 'permission denied'))}")
 
 
 def has_gone(name: str) -> bool:
     """Whether no device has that name now; False for addresses (``socket://...``), which must be opened to tell."""
-    return "://" not in name and not os.path.exists(name)
+    if "://" in name:
+        return False
+    return not os.path.exists(name) if POSIX else name not in serial_ports()
 
 
 def refuse_terminal(name: str) -> None:
@@ -97,7 +101,7 @@ def why_not_opened(name: str, error: Exception) -> str:
         case errno.ENOENT:
             emulated = f"; emulated boards: {', '.join(emulated_ports())}" if emulated_ports() else ""
             return f"no such port; serial ports present: {', '.join(serial_ports()) or 'none'}{emulated}"
-        case errno.EACCES | errno.EPERM:
+        case errno.EACCES | errno.EPERM if POSIX:
             return f"permission denied; {_why_forbidden(name)}; `ohmskin doctor {name}` says what to do"
         case errno.EAGAIN | errno.EBUSY:
             return "in use by another program, or by another Skin of this one"

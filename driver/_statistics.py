@@ -47,7 +47,8 @@ class LinkStatistics:
     not_valid: dict[str, int]
     """cells of the newest converted frame that are not valid, by the name of their :class:`ohmskin.circuits.Reason`"""
     remark: str | None
-    """why hardly any cell was valid in the first frames; why there are no pressures; or that one should tare"""
+    """why hardly any cell was valid in the first frames; that the board's clock is none; which lines are faulty; why
+    there are no pressures, or that one should tare"""
     rate_hz: float
     """frames per second of the board's time, over the last 1000 frames; NaN before the second frame"""
     age_s: dict[int, float]
@@ -56,7 +57,8 @@ class LinkStatistics:
     """percentile -> delay of a frame beyond the least delay seen, over the last 1000; NaN without device time"""
     drift_ppm: float
     """how much faster the host's clock runs than the board's, in parts per million; 0 until 5 s of even pace have
-    passed, and without device time; NaN if they differ by 2 % or more, as at an emulator's fast clock"""
+    passed, and without device time; NaN if the board's time is no clock's (it stands, or they differ by more than an
+    eighth, as at an emulator's fast clock): frames then have the times at which they came"""
     clock_steps: int
     """number of times that the board's clock was set or paused while it ran"""
 
@@ -86,10 +88,14 @@ class Counters:
     """of the newest converted frame, a :class:`ohmskin.circuits.Reason` for each cell"""
     remark: str | None = None
     """why no cell is valid"""
+    clock: str | None = None
+    """why the board's time is not used"""
     faulty: str | None = None
     """names lines whose readings no load explains"""
     untared: str | None = None
     """why the skin should be tared"""
+    notices: deque[str] = field(default_factory=deque)
+    """warnings for the next reader who takes a frame"""
     times_s: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
     """of the last frames, on the time scale of the estimator"""
     ages_s: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
@@ -106,7 +112,7 @@ class Counters:
             | {
                 "skipped": skipped,
                 "not_valid": _not_valid(self.reasons),
-                "remark": self.remark or self.faulty or self.untared,
+                "remark": "; ".join(filter(None, (self.remark, self.clock, self.faulty or self.untared))) or None,
                 "rate_hz": (len(times) - 1) / elapsed if elapsed > 0 else float("nan"),
                 "age_s": _percentiles(self.ages_s),
                 "jitter_s": _percentiles(self.delays_s),

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from ..errors import ProtocolError
 from ..wire import Flag, FramePacket
-from ._clock import ClockMap
+from ._clock import ClockMap, Pace
+from ._converted import Converted
 from ._port import Arrival
 from ._spacing import ArrivalTimes
 from ._statistics import Counters
@@ -28,6 +29,8 @@ LEAST_PERIOD_US = 10.0
 """shortest time between two frames of any board"""
 BUFFERED_S = 10.0
 """longest time for which the bytes of a board without a clock may have waited in buffers"""
+FASTEST_CLOCK = 4.0
+"""s in a second: a divider that was set wrongly; a time that goes faster is a simulation's or a recording's"""
 LEAST_STEP_S = 1e-6
 """least step of time for the estimator, which needs increasing times"""
 
@@ -56,6 +59,8 @@ class RawFrame:
     """total"""
     absent: tuple[int, ...] = ()
     """cells, counted row by row, of which the board has sent no count"""
+    converted: Converted | None = None
+    """None: not converted yet, skipped, or it does not fit the design; written by :class:`._frames.Frames` only"""
 
 
 class _Succession(enum.Enum):
@@ -84,16 +89,20 @@ class FrameStream:
     further back      goes on             the next frame, numbered anew
     ================  ==================  =================================================================
 
+    Where the board's time goes as no oscillator does (:class:`.Pace`), frames have the times of their arrival. The
+    estimator follows the board's time nevertheless where it is fast, or ``simulated``: a simulation's time is exact.
+
     A jump of the numbers by more than 64 is a new numbering, too, if a board at FASTER times its usual rate could not
     have sent the frames between in the time that has passed. A new numbering is a resynchronisation, not a loss.
     """
 
-    def __init__(self, name: str, counters: Counters) -> None:
+    def __init__(self, name: str, counters: Counters, *, simulated: bool = False) -> None:
         self.name = name
         """name of the port, for messages"""
         self.clock = ClockMap()
+        self._simulated = simulated
         self._arrivals = ArrivalTimes()
-        """for boards without a clock"""
+        """for boards without a clock, and for those whose clock does not go as one"""
         self.counters = counters
         self._begun = False
         """whether a frame has come"""
@@ -114,8 +123,7 @@ class FrameStream:
 
     def arrive(self, arrival: Arrival, frames: int) -> None:
         """Take the number of frames that arrived together, before :meth:`add` numbers them one by one."""
-        if self._latest_us is None:  # otherwise the frames have the board's own time
-            self._arrivals.arrive(arrival.received_at, frames)
+        self._arrivals.arrive(arrival.received_at, frames)
 
     def end(self, sequence: int, boot_id: int | None, time_us: int) -> None:
         """Count the frames that the line lost before ``sequence``, the number that would have come next.
@@ -207,6 +215,7 @@ class FrameStream:
         counters = self.counters
         counters.clock_steps += self.clock.steps + (found is _Succession.CLOCK_SET)
         self.clock = ClockMap()
+        counters.clock = None
         if found is _Succession.REBOOT:
             counters.reboots += 1
             counters.times_s.clear()
@@ -265,17 +274,36 @@ class FrameStream:
         return missing
 
     def _map_time(self, device_s: float | None, arrival: Arrival) -> float:
+        arrived_s = self._arrivals.next(arrival.received_at)
         if device_s is None:
-            return self._arrivals.next(arrival.received_at)
-        monotonic = self.clock.add(device_s, arrival.received_at)
+            return arrived_s
+        before, monotonic = self.clock.pace, self.clock.add(device_s, arrival.received_at)
+        if self.clock.pace is not before and not self._simulated:
+            self._tell_pace()
+        if self.clock.pace is not Pace.EVEN:
+            return arrived_s
         self.counters.delays_s.append(arrival.received_at - monotonic)
         return monotonic
+
+    def _tell_pace(self) -> None:
+        """Say once that the board's time is no clock's, and as long as it is none."""
+        told = self.counters.clock
+        self.counters.clock = None
+        if self.clock.pace is not Pace.EVEN and self.clock.rate <= FASTEST_CLOCK:
+            found = f"advances by {self.clock.rate:.2g} s in a second" if self.clock.rate else "stands"
+            self.counters.clock = (
+                f"{self.name}: the board's clock {found}, which no oscillator does: frames have the times at which "
+                "they came, and bytes that wait in buffers no longer show in their ages"
+            )
+            if told is None:
+                self.counters.notices.append(self.counters.clock)
 
     def _advance(self, time_us: int | None, monotonic: float, missing: int, *, time_runs_through: bool) -> None:
         """Advance the estimator's time: by the board's clock if it runs through, else by the host's."""
         if self._begun:
             step = monotonic - self._latest_monotonic
-            if time_us is not None and self._latest_us is not None and time_runs_through:
+            slow = self.clock.pace is Pace.SLOW and not self._simulated
+            if time_us is not None and self._latest_us is not None and time_runs_through and not slow:
                 passed_us = time_us - self._latest_us
                 if self._was_set_forward(passed_us, step, missing):
                     self.counters.clock_steps += 1

@@ -24,7 +24,7 @@ import numpy as np
 from ..cell import Cell
 from ..common.arrays import BoolArray, FloatArray, scatter
 from ..common.compiled import FixedRows, Row, Rows, loop
-from ._reading import Reading
+from ..common.measurement import STEP_STD, Measurement
 
 LOOK_EVERY, LOOK_AT = 8, 3
 """interval in frames between two measurements of the cells' spread, and the frame of each interval that has it.
@@ -34,8 +34,6 @@ LEAST_CELLS = 4
 CAUTION = 1.17
 """relative standard deviation, times the root of n, of a scale estimate from the median of n absolute deviations
 (normal distribution; its asymptotic efficiency is 37 %)"""
-HALF_STEP = math.sqrt(3.0)
-"""half an ADC step over the standard deviation of the rounding error, which is uniform"""
 MOST = 0.95
 """largest relative error of a conductance by half a step that counts"""
 EXPLAINED = 0.95
@@ -83,7 +81,7 @@ class SystematicError:
         return relative * self._kpa_of_rest
 
     def take(
-        self, reading: Reading, taken_out: FloatArray | None = None, *, rest_known: bool
+        self, reading: Measurement, taken_out: FloatArray | None = None, *, rest_known: bool
     ) -> Callable[[FloatArray, FloatArray], FloatArray]:
         """Take the next frame.
 
@@ -114,13 +112,13 @@ class SystematicError:
         )
         return variance_kpa2
 
-    def _look(self, reading: Reading) -> None:
+    def _look(self, reading: Measurement) -> None:
         """Measure the spread of the cells every few frames, and keep the least value, since loads only add to it."""
         self._frames += 1
         if self.rest_spread == 0.0:
             return
         if self._frames == 1 or self._frames % LOOK_EVERY == LOOK_AT:
-            half_steps = np.minimum(HALF_STEP * reading.steps_std, MOST)
+            half_steps = np.minimum(np.nan_to_num(reading.steps_std) / STEP_STD, MOST)
             self._measure(reading.resistance, -np.log1p(-half_steps))
 
     def _measure(self, resistance_ohm: FloatArray, half_steps: FloatArray) -> None:
@@ -149,7 +147,7 @@ class SystematicError:
 class _Steps(NamedTuple):
     """Errors by ADC steps in one frame; immutable. Arrays are (rows, columns)."""
 
-    reading: Reading
+    reading: Measurement
     valid: BoolArray
     earlier: FloatArray | None
     """relative variance of cells that are not valid; None: all cells are valid"""
@@ -157,10 +155,10 @@ class _Steps(NamedTuple):
     """(columns,) relative standard deviation of resistances by the correction of column steps; None: none was made"""
 
     @classmethod
-    def of(cls, reading: Reading, before: _Steps | None, taken_out: FloatArray | None) -> _Steps:
+    def of(cls, reading: Measurement, before: _Steps | None, taken_out: FloatArray | None) -> _Steps:
         """The errors in a frame after ``before``."""
         valid = reading.valid
-        if reading.all_valid:
+        if valid.all():
             return cls(reading, valid, None, taken_out)
         if before is None:
             earlier = np.zeros(valid.shape)
@@ -175,7 +173,11 @@ class _Steps(NamedTuple):
 
         For a cell that is not valid now, the variance when it last was. The caller may change the array.
         """
-        variance: FloatArray = self.reading.steps_std**2 + self.reading.others_noise_std**2
+        reading = self.reading
+        own = np.sqrt(reading.noise_variance)
+        others = np.hypot(own, reading.column_std) - own
+        with np.errstate(invalid="ignore"):
+            variance: FloatArray = np.nan_to_num(reading.steps_std**2 + (others / reading.conductance) ** 2)
         if self.earlier is not None:
             variance = np.where(self.valid, variance, self.earlier)
         if self.taken_out is not None:

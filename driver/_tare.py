@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
 import math
-import zipfile
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,8 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ..cell import Cell, ContactModel
+from ..common.archives import Stored, read_arrays
 from ..common.arrays import BoolArray, FloatArray
-from ..common.files import read_bytes, whole_file
+from ..common.config import LEAST, MOST
+from ..common.files import whole_file
 from ..common.text import count_of, printable
 from ..errors import InputError
 
@@ -46,7 +46,22 @@ MOST_BYTES = 2**26
 """size limit of a file: a tare of 1024 x 1024 cells fits"""
 LATEST_S = 4e9
 """s since the epoch, in the year 2096: no tare is later"""
-_KEYS = ("rest_resistance_ohm", "measured", "std_ohm", "frames", "lost", "serial_number", "wall_time")
+MOST_FRAMES = 2**31
+"""of a tare: a year at 60 Hz"""
+MOST_COUNT = 2.0**16
+_CELLS = ("rows", "columns")
+_STORED = {
+    "rest_resistance_ohm": Stored("numbers", _CELLS, LEAST, MOST, nan=True),  # NaN: the circuit is not known
+    "measured": Stored("flags", _CELLS),
+    "std_ohm": Stored("numbers", _CELLS, 0.0, MOST, nan=True),
+    "frames": Stored("whole numbers", least=1, most=MOST_FRAMES),
+    "lost": Stored("whole numbers", least=-1, most=MOST_FRAMES),  # -1: not known
+    "serial_number": Stored("text"),
+    "wall_time": Stored("numbers", least=0.0, most=LATEST_S),
+    "remarks": Stored("text", ("remarks",)),
+    "rest_counts": Stored("numbers", _CELLS, 0.0, MOST_COUNT, optional=True),
+}
+"""arrays of a file, and what they may be"""
 
 
 class RestChange(NamedTuple):
@@ -129,11 +144,9 @@ class Tare:
 
     def save(self, path: str | Path) -> None:
         """Write the tare to a NumPy archive (.npz); InputError if that fails."""
-        values = {key: np.asarray(getattr(self, key)) for key in _KEYS if key != "lost"}
+        values = {key: np.asarray(value) for key in _STORED if (value := getattr(self, key)) is not None}
         values["lost"] = np.asarray(-1 if self.lost is None else self.lost)
         values["remarks"] = np.asarray(self.remarks, dtype=np.str_)
-        if self.rest_counts is not None:
-            values["rest_counts"] = self.rest_counts
         with whole_file(path) as file:
             np.savez(file, allow_pickle=False, **values)
 
@@ -145,31 +158,19 @@ class Tare:
             InputError: the file cannot be read or is no saved tare.
 
         """
-        content = read_bytes(path, most_bytes=MOST_BYTES)
-        try:
-            with np.load(io.BytesIO(content), allow_pickle=False) as file:
-                values = {key: file[key] for key in (*_KEYS, "remarks")}
-                counts = np.asarray(file["rest_counts"], dtype=np.float64) if "rest_counts" in file else None
-        except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            # NumPy's own message advises to load pickled objects, which would run code of the file's author.
-            raise InputError(f"{path}: is no saved tare; expected a file that Tare.save() has written") from error
-        rest = np.asarray(values["rest_resistance_ohm"], dtype=np.float64)
-        if counts is not None and (counts.shape != rest.shape or not (np.isfinite(counts) & (counts >= 0)).all()):
-            raise InputError(f"{path}: is no saved tare: counts at rest must not be negative, (rows, columns)")
-        if rest.ndim != 2 or not (counts is not None or (np.isfinite(rest) & (rest > 0)).all()):
-            raise InputError(f"{path}: is no saved tare: rest resistances must be positive, (rows, columns)")
-        wall_time = float(values["wall_time"])
-        if not 0 <= wall_time <= LATEST_S:
-            raise InputError(f"{path}: is no saved tare: its time must be s since the epoch")
+        values = read_arrays(path, _STORED, what="saved tare", most_bytes=MOST_BYTES)
+        rest, counts, measured = (values.get(key) for key in ("rest_resistance_ohm", "rest_counts", "measured"))
+        if rest is None or measured is None or rest.size == 0 or (counts is None and np.isnan(rest).any()):
+            raise InputError(f"{path}: is no saved tare: rest resistances must be numbers (rows, columns)")
         lost = int(values["lost"])
         return cls(
             rest_resistance_ohm=rest,
-            measured=np.asarray(values["measured"], dtype=np.bool_),
-            std_ohm=np.asarray(values["std_ohm"], dtype=np.float64),
+            measured=measured,
+            std_ohm=values["std_ohm"],
             frames=int(values["frames"]),
             lost=None if lost < 0 else lost,
             serial_number=str(values["serial_number"]),
-            wall_time=wall_time,
+            wall_time=float(values["wall_time"]),
             remarks=tuple(str(remark) for remark in values["remarks"].tolist()),
             rest_counts=counts,
         )

@@ -12,7 +12,7 @@ from ._line_settings import ClockSettings, LineSettings, LinkFault
 from ._plan import Plan, PlannedEffect, plan
 from ._ports import PairPort, Port, PtyPort, Rfc2217Port, TcpPort
 from ._run import EngineName, emulate, running
-from ._scene import BoardSettings, Scene, SkinSettings
+from ._scene import DEMO, BoardSettings, Scene, SkinSettings
 from ._score import Recording, Score, Truth, score, score_text
 from ._service import ClockName, Outcome, Stop, stop_on_signals
 from ._shapes import Bump, Disc, Image, Point, Rectangle
@@ -21,6 +21,7 @@ from ._spread import shares, spread
 from ._truth import TruthFile
 
 __all__ = [
+    "DEMO",
     "Board",
     "BoardSettings",
     "Bump",

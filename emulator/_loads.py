@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from ..common.arrays import FloatArray
-from ..common.config import Finite, NotNegative, Section
+from ..common.config import Finite, LocalFile, NotNegative, Section
 from ..common.tables import read_columns
 from ..errors import InputError
 
@@ -75,7 +75,7 @@ class Taps(Section):
 class Recorded(Section):
     """A load from a CSV file with columns ``time_s`` and ``pressure_kpa``, linear between its lines."""
 
-    file: str
+    file: LocalFile
     """relative to the scene file"""
     scale: NotNegative = 1.0
 

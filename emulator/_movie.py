@@ -9,23 +9,24 @@ from typing import Literal
 import numpy as np
 from pydantic import PrivateAttr
 
-from ..common.arrays import AnyArray, FloatArray
-from ..common.config import Section
+from ..common.archives import Stored, read_arrays
+from ..common.arrays import FloatArray
+from ..common.config import LocalFile, Section
 from ..common.tables import read_columns
 from ..errors import InputError
-from ._archive import numbers, read_arrays
 from ._loads import Seconds, within_period
 
 _MOST_BYTES = 1 << 30
 """size limit of a movie of one quantity in memory"""
 _NAMES = {"pressure": ("pressure_kpa", "pressure"), "resistance": ("resistance_ohm", "resistance")}
 _TIMES = ("time_s", "time")
+_CELLS = ("frames", "rows", "columns")
 
 
 class Movie(Section):
     """Frames of pressure or resistance, linear in time between them, constant before the first and after the last."""
 
-    file: str
+    file: LocalFile
     """.npz with arrays ``time_s`` (F,) and ``pressure_kpa`` or ``resistance_ohm`` (F, rows, columns), as the emulator's
     truth has them; or .csv with columns ``time_s``, ``r0c0``, ``r0c1`` and so on. Relative to the scene file."""
     quantity: Literal["pressure", "resistance"] = "pressure"
@@ -41,7 +42,7 @@ class Movie(Section):
         return self._checked
 
     def _check(self, shape: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
-        path = Path(self.file)
+        path = self.file
         match path.suffix.lower():
             case ".npz" | ".npy":
                 times, frames = self._from_npz(path)
@@ -81,13 +82,10 @@ class Movie(Section):
         return result
 
     def _from_npz(self, path: Path) -> tuple[FloatArray, FloatArray]:
-        arrays = read_arrays(path, [*_TIMES, *_NAMES[self.quantity]], most_bytes=2 * _MOST_BYTES)
-        times, frames = (_first(arrays, names, path) for names in (_TIMES, _NAMES[self.quantity]))
-        if times.ndim != 1 or frames.ndim != 3:
-            raise InputError(
-                f"{path}: has times {times.shape} and frames {frames.shape}; expected (F,), (F, rows, columns)"
-            )
-        return times, frames
+        wanted = {name: Stored("numbers", ("frames",), optional=True) for name in _TIMES}
+        wanted |= {name: Stored("numbers", _CELLS, nan=True, optional=True) for name in _NAMES[self.quantity]}
+        arrays = read_arrays(path, wanted, what="movie", most_bytes=2 * _MOST_BYTES)
+        return _first(arrays, _TIMES, path), _first(arrays, _NAMES[self.quantity], path)
 
     def _from_csv(self, path: Path, shape: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
         rows, columns = shape
@@ -97,9 +95,9 @@ class Movie(Section):
         return table["time_s"], frames.reshape(-1, rows, columns)
 
 
-def _first(arrays: Mapping[str, AnyArray], names: tuple[str, ...], path: Path) -> FloatArray:
-    """The first array that is there, as numbers."""
+def _first(arrays: Mapping[str, FloatArray], names: tuple[str, ...], path: Path) -> FloatArray:
+    """The first array that is there."""
     for name in names:
         if name in arrays:
-            return numbers(path, name, arrays[name], arrays[name].ndim)
+            return arrays[name]
     raise InputError(f"{path}: has no array '{names[0]}'")

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import os
-import pty
 import select
 import socket
 import struct
-import termios
 import time
-import tty
 from abc import ABC, abstractmethod
+from functools import cached_property
 from pathlib import Path
 from typing import Self, cast
 
 from serial.rfc2217 import PortManager, Serial
 
 from ..common.rendezvous import END_OF_TRANSMISSION, Announcement
+from ..common.system import has_hung_up, pty, require_posix, tty, unacknowledged_bytes, waiting_bytes
 from ..errors import InputError, LinkError
 
 READ_AT_ONCE = 4096
@@ -30,6 +28,8 @@ _RESET, _IN_GOOD_ORDER = struct.pack("ii", 1, 0), struct.pack("ii", 0, 0)
 """whether to linger, and for how many s: how closing a TCP connection ends it (struct linger)"""
 LONGEST_SUBOPTION = 1024
 """bytes of a Telnet suboption; a host that sends a longer one is hung up on"""
+MOST_UNREAD = 65536
+"""bytes that may wait for a host beyond the kernel's buffer; one that asks and reads no answers is hung up on"""
 
 
 class Port(ABC):
@@ -41,6 +41,11 @@ class Port(ABC):
     """hosts so far, for ports that can tell one from the next"""
     _announcement: Announcement | None = None
     _listed = True
+
+    @cached_property
+    def hung_up(self) -> dict[str, None]:
+        """Why hosts were hung up on, each reason once."""
+        return {}
 
     @abstractmethod
     def host_present(self) -> bool:
@@ -172,11 +177,13 @@ class PtyPort(Port):
         listed: whether hosts that look for boards open this port to see who is there.
 
     Raises:
-        InputError: ``link`` is in use, is something else than an emulator's link, or cannot be made.
+        InputError: ``link`` is in use, is something else than an emulator's link, or cannot be made; or this system
+            has no pseudo-terminals.
 
     """
 
     def __init__(self, link: Path | None = None, *, listed: bool = True) -> None:
+        require_posix("a pseudo-terminal", "give the board a TCP port (--tcp)")
         self._listed = listed
         self._link = None if link is None else _Link(link)
         self._open()
@@ -241,10 +248,9 @@ class PtyPort(Port):
             poll = select.poll()
             poll.register(host_end, select.POLLIN)
             poll.poll(0)
-            (waiting,) = struct.unpack("i", fcntl.ioctl(host_end, termios.FIONREAD, struct.pack("i", 0)))
+            return waiting_bytes(host_end)
         finally:
             os.close(host_end)
-        return int(waiting)
 
     def plug_in(self, name: str | None) -> None:
         if name is not None and self._link is not None:
@@ -297,10 +303,7 @@ class _SocketPort(Port):
         return sent
 
     def unread(self) -> int:
-        if self._host is None:
-            return 0
-        (unacknowledged,) = struct.unpack("i", fcntl.ioctl(self._host, termios.TIOCOUTQ, struct.pack("i", 0)))
-        return int(unacknowledged)
+        return 0 if self._host is None else unacknowledged_bytes(self._host)
 
     def _close(self) -> None:
         self._hang_up()
@@ -373,7 +376,7 @@ class TcpPort(_SocketPort):
             if error.errno in (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM):
                 return self._host is not None
             raise LinkError(f"{self.name}: cannot accept a host: {error.strerror}") from error
-        if self._host is not None and (time.monotonic() - self._took_at > DEAF_S or _left(self._host)):
+        if self._host is not None and (time.monotonic() - self._took_at > DEAF_S or has_hung_up(self._host)):
             self._hang_up()
         if self._host is None:
             arrived.setblocking(False)
@@ -472,16 +475,20 @@ class Rfc2217Port(TcpPort):
         if not data:
             self._flush()
             return data
+        broken, plain = "", b""
         try:
             plain = b"".join(self._manager.filter(data))
-        except (KeyError, ValueError, TypeError, struct.error):  # a suboption that breaks the standard
-            self._hang_up()
-            return None
+        except (KeyError, ValueError, TypeError, struct.error):
+            broken = "a suboption of Telnet that breaks RFC 2217"
         if len(self._manager.suboption or b"") > LONGEST_SUBOPTION:
-            self._hang_up()
-            return None
-        self._flush()
-        return plain
+            broken = f"a suboption of Telnet of more than {LONGEST_SUBOPTION} bytes"
+        if not (self._flush() or broken) and len(self._outgoing) > MOST_UNREAD:
+            broken = f"it asks and does not read: more than {MOST_UNREAD} bytes of answers wait"
+        if not broken:
+            return plain
+        self.hung_up[broken] = None
+        self._hang_up()
+        return None
 
     def write(self, data: bytes) -> int:
         if self._host is None:
@@ -526,13 +533,6 @@ class _Connection:
 
     def write(self, data: bytes) -> None:
         self._outgoing += data
-
-
-def _left(host: socket.socket) -> bool:
-    """Whether the host has closed its end, even if bytes that it sent before are still unread."""
-    poll = select.poll()
-    poll.register(host, select.POLLRDHUP)
-    return bool(poll.poll(0))
 
 
 def _host_and_port(address: str) -> tuple[str, int]:

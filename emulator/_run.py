@@ -123,6 +123,7 @@ def emulate(
             if not session.live(end_us):
                 session.wait(stop)
         outcome.seconds = min(device.time_s, duration_s)
+        outcome.hung_up = list(port.hung_up)
         session.drain(stop)
         if not stop.is_set():
             port.end()

@@ -20,6 +20,8 @@ from ._events import Event, check_events
 from ._line_settings import ClockSettings, LineSettings, LinkFault
 from ._movie import Movie
 
+DEMO = Path(__file__).parent / "demo.toml"
+"""the shipped scene: ``ohmskin demo``, ``Skin.open("ohmskin://demo")``"""
 Percent = Annotated[float, Field(ge=0, le=1000)]
 DriftPoint = Annotated[tuple[Finite, Annotated[float, Field(ge=-300, le=1000)]], Field(strict=False)]
 
@@ -172,10 +174,10 @@ class Scene(Section):
     def from_tables(cls, tables: Mapping[str, Any], *, source: str, directory: Path) -> Scene:
         """A scene from TOML tables; ``directory`` is where the paths in it start."""
         try:
-            whole = _with_paths(_with_parts(tables, source, directory), directory)
+            whole = _with_parts(tables, source, directory)
         except RecursionError as error:
             raise InputError(f"{source}: tables are nested too deeply") from error
-        scene = parse(whole, cls, source=source)
+        scene = parse(whole, cls, source=source, folder=directory)
         try:
             scene.read_files()
         except InputError as error:
@@ -232,24 +234,3 @@ def _with_parts(tables: Mapping[str, Any], source: str, directory: Path) -> Mapp
             except InputError as error:
                 raise InputError(f"{source}: skin.{key}: {error}") from error
     return {**tables, "skin": {**skin, **parts}}
-
-
-def _with_paths(tables: Any, directory: Path) -> Any:
-    """The tables with ``directory`` put before every key ``file``."""
-    match tables:
-        case Mapping():
-            return {
-                key: str(directory / value)
-                if key == "file" and isinstance(value, str)
-                else value
-                if key in _LONG
-                else _with_paths(value, directory)
-                for key, value in tables.items()
-            }
-        case list():
-            return [_with_paths(item, directory) for item in tables]
-    return tables
-
-
-_LONG = {"load_kpa", "force_n", "path_cells", "path_mm", "cells", "skin"}
-"""keys without files below them, some of them long"""

@@ -25,9 +25,10 @@ import numpy as np
 from scipy.ndimage import center_of_mass, label
 from scipy.optimize import linear_sum_assignment
 
+from ..common.archives import Stored, check_arrays, read_arrays
 from ..common.arrays import AnyArray, BoolArray, FloatArray, IntArray
+from ..common.config import MOST
 from ..errors import InputError
-from ._archive import numbers, read_arrays
 
 CONTACT_SHARE = 0.1
 """a contact is a patch of cells above this share of full scale"""
@@ -36,6 +37,23 @@ REST_SHARE = 0.01
 PAIR_CELLS = 3.0
 """contacts that are farther apart are not the same: one is missed, the other false"""
 _LONGEST_DELAY_S = 2.0
+MOST_BYTES = 4 << 30
+"""size limit of a file in memory: 1 h of 16 x 16 cells at 100 Hz takes 2.2 GB per quantity"""
+_CELLS = ("frames", "rows", "columns")
+_RECORDING = "recording as ohmskin export writes it"
+_RECORDED = {
+    "sequence": Stored("whole numbers", _CELLS[:1]),
+    "time": Stored("numbers", _CELLS[:1], -MOST, MOST),
+    "pressure": Stored("numbers", _CELLS, nan=True),
+    "valid": Stored("flags", _CELLS, optional=True),
+}
+_TRUE = {
+    "sequence": Stored("whole numbers", _CELLS[:1]),
+    "time_s": Stored("numbers", _CELLS[:1], -MOST, MOST),
+    "pressure_kpa": Stored("numbers", _CELLS, nan=True),
+    "pitch_mm": Stored("numbers", least=0.0, most=MOST, nan=True, optional=True),
+    "full_scale_kpa": Stored("numbers", least=0.0, most=MOST, nan=True, optional=True),
+}
 
 
 @dataclass(frozen=True)
@@ -50,24 +68,15 @@ class Recording:
     @classmethod
     def load(cls, path: str | Path) -> Self:
         """Read an archive; InputError says what is missing or does not fit."""
-        return cls.of(read_arrays(path, ["sequence", "time", "pressure", "valid"]), path)
+        return cls.of(read_arrays(path, _RECORDED, what=_RECORDING, most_bytes=MOST_BYTES), path)
 
     @classmethod
-    def of(cls, arrays: Mapping[str, AnyArray], path: str | Path) -> Self:
+    def of(cls, given: Mapping[str, AnyArray], path: str | Path) -> Self:
         """Check arrays that came from ``path``; InputError says what is missing or does not fit."""
-        for name in ("sequence", "time", "pressure"):
-            if name not in arrays:
-                raise InputError(f"{path}: has no array '{name}'; expected a recording as ohmskin export writes it")
-        time, pressure = numbers(path, "time", arrays["time"], 1), numbers(path, "pressure", arrays["pressure"], 3)
-        sequence = _whole_numbers(path, arrays["sequence"])
-        _check_lengths(path, {"sequence": sequence, "time": time, "pressure": pressure})
-        valid = np.isfinite(pressure)
-        if "valid" in arrays:
-            given = arrays["valid"]
-            if given.shape != pressure.shape or given.dtype.kind not in "biu":
-                raise InputError(f"{path}: 'valid' has shape {given.shape}, expected {pressure.shape}, true or false")
-            valid &= given.astype(np.bool_)
-        return cls(sequence, time, pressure, valid)
+        arrays = check_arrays(given, _RECORDED, path=path, what=_RECORDING)
+        _check_not_empty(path, arrays)
+        valid = np.isfinite(arrays["pressure"])
+        return cls(arrays["sequence"], arrays["time"], arrays["pressure"], valid & arrays.get("valid", valid))
 
 
 @dataclass(frozen=True)
@@ -84,19 +93,10 @@ class Truth:
     @classmethod
     def load(cls, path: str | Path) -> Self:
         """Read FILE.npz, or the spool that a killed emulator has left; InputError."""
-        arrays = read_arrays(path, ["sequence", "time_s", "pressure_kpa", "pitch_mm", "full_scale_kpa"])
-        for name in ("sequence", "time_s", "pressure_kpa"):
-            if name not in arrays:
-                raise InputError(f"{path}: has no array '{name}'; expected a truth file of ohmskin emulate")
-        time = numbers(path, "time_s", arrays["time_s"], 1)
-        pressure = numbers(path, "pressure_kpa", arrays["pressure_kpa"], 3)
-        sequence = _whole_numbers(path, arrays["sequence"])
-        _check_lengths(path, {"sequence": sequence, "time_s": time, "pressure_kpa": pressure})
-        scalars = {
-            name: float(numbers(path, name, arrays[name], 0)) if name in arrays else np.nan
-            for name in ("pitch_mm", "full_scale_kpa")
-        }
-        return cls(sequence, time, pressure, **scalars)
+        arrays = read_arrays(path, _TRUE, what="truth file of ohmskin emulate", most_bytes=MOST_BYTES)
+        _check_not_empty(path, arrays)
+        numbers = {name: float(arrays.get(name, np.nan)) for name in ("pitch_mm", "full_scale_kpa")}
+        return cls(arrays["sequence"], arrays["time_s"], arrays["pressure_kpa"], **numbers)
 
 
 @dataclass(frozen=True)
@@ -294,20 +294,9 @@ def _rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else np.nan
 
 
-def _whole_numbers(path: str | Path, array: FloatArray) -> IntArray:
-    if array.ndim != 1 or array.dtype.kind not in "iu":
-        raise InputError(f"{path}: 'sequence' is {array.dtype} of shape {array.shape}; expected whole numbers (F,)")
-    return array.astype(np.int64)
-
-
-def _check_lengths(path: str | Path, arrays: dict[str, FloatArray | IntArray]) -> None:
-    lengths = {name: len(array) for name, array in arrays.items()}
-    if len(set(lengths.values())) > 1 or not next(iter(lengths.values())):
-        listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
-        raise InputError(f"{path}: has arrays of these lengths: {listed}; expected one entry of each per frame")
-    for name, array in arrays.items():
-        if array.ndim == 1 and not np.isfinite(array).all():
-            raise InputError(f"{path}: '{name}' has entries that are no numbers")
+def _check_not_empty(path: str | Path, arrays: Mapping[str, AnyArray]) -> None:
+    if not arrays["sequence"].size:
+        raise InputError(f"{path}: has no frames")
 
 
 def score_text(result: Score) -> str:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import os
 import select
 import selectors
 import signal
+import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
+from ..common.system import ENDING_SIGNALS
 from ._ports import Port
 
 ClockName = Literal["real", "fast"]
@@ -26,34 +27,36 @@ class Stop:
     def __init__(self) -> None:
         self.signal: int | None = None
         """the signal that asked, if one did"""
+        self.then: Callable[[], object] = lambda: None
+        """called once, when the run shall end, in the thread or signal handler that asks"""
         self._asked = False
-        self._read, self._write = os.pipe()
-        os.set_blocking(self._write, False)
+        self._read, self._write = socket.socketpair()  # select() of Windows knows no pipes
+        self._write.setblocking(False)
 
     def set(self, number: int | None = None) -> None:
         """End the run between two ticks."""
         self.signal = self.signal or number
         if not self._asked:
             self._asked = True
-            os.write(self._write, b"!")
+            self._write.send(b"!")
+            self.then()
 
     def is_set(self) -> bool:
         return self._asked
 
     def fileno(self) -> int:
-        return self._read
+        return self._read.fileno()
 
     def close(self) -> None:
-        os.close(self._read)
-        os.close(self._write)
+        self._read.close()
+        self._write.close()
 
 
 @contextmanager
 def stop_on_signals() -> Iterator[Stop]:
-    """A :class:`Stop` that SIGINT, SIGTERM and SIGHUP set, instead of what they did before. In the main thread only."""
+    """A :class:`Stop` that signals to end set, instead of what they did before. In the main thread only."""
     stop = Stop()
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {number: signal.signal(number, lambda number, _: stop.set(number)) for number in numbers}
+    before = {number: signal.signal(number, lambda number, _: stop.set(number)) for number in ENDING_SIGNALS}
     try:
         yield stop
     finally:
@@ -74,6 +77,8 @@ class Outcome:
     """bytes that a UART sent and that the host had no room for"""
     behind_s: float = 0.0
     """real clock: by how much board time fell behind because this machine was too slow"""
+    hung_up: list[str] = field(default_factory=list)
+    """why hosts were hung up on, each reason once"""
 
     def notes(self) -> list[str]:
         """What whoever started the run should know, a line each."""
@@ -84,7 +89,7 @@ class Outcome:
             notes.append(f"{self.lost_bytes} bytes were lost: the host read too slowly")
         if self.behind_s:
             notes.append(f"board time fell {self.behind_s:.1f} s behind: this machine is too slow for the scene")
-        return notes
+        return notes + [f"a host was hung up on: {reason}" for reason in self.hung_up]
 
 
 class HasFileno(Protocol):

@@ -17,10 +17,11 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy.special import erf
 
+from ..common.archives import Stored, read_array
 from ..common.arrays import FloatArray
-from ..common.config import Section
+from ..common.config import LocalFile, Section
 from ..common.extras import install_command
-from ..common.files import read_bytes
+from ..common.files import MOST_BYTES, read_bytes
 from ..common.tables import read_matrix
 from ..errors import InputError, MissingExtra
 
@@ -33,6 +34,7 @@ Size = Annotated[tuple[Length, Length], Field(strict=False)]
 
 _BELL_REACH = 5.0  # sigma, on each axis; the bell is below 4e-6 of its peak there and is cut off
 _MOST_PIXELS = 1024  # along each side of an image
+_PIXELS = Stored("numbers", ("rows", "columns"))
 
 
 class Shape(Section):
@@ -215,7 +217,7 @@ class Image(Shape):
     """A picture of the contact: each pixel is the share of the load at its place, from 0 to 1."""
 
     SIZE: ClassVar[str] = "size"
-    file: str
+    file: LocalFile
     """.csv (lines of numbers 0 ... 1), .npy, or a grey .png (white is 1), relative to the scene file"""
     size_cells: Size | None = None
     """[height, width] of the whole picture"""
@@ -228,12 +230,12 @@ class Image(Shape):
 
     @cached_property
     def _pixels(self) -> FloatArray:
-        path = Path(self.file)
+        path = self.file
         match path.suffix.lower():
             case ".csv":
                 pixels = read_matrix(path)
             case ".npy":
-                pixels = _numpy_array(path)
+                pixels = read_array(path, _PIXELS, what="picture (.npy)", most_bytes=MOST_BYTES)
             case ".png":
                 pixels = _png(path)
             case suffix:
@@ -269,15 +271,6 @@ def _pixel_overlap(away: FloatArray, size: float, pixels: int) -> FloatArray:
     return np.maximum(shared, 0.0)
 
 
-def _numpy_array(path: Path) -> FloatArray:
-    content = io.BytesIO(read_bytes(path))
-    try:
-        array = np.load(content, allow_pickle=False)
-        return np.asarray(array, dtype=np.float64)
-    except (ValueError, TypeError, EOFError) as error:
-        raise InputError(f"{path}: is no .npy file of numbers: {error}") from error
-
-
 def _png(path: Path) -> FloatArray:
     try:
         import PIL.Image
@@ -285,7 +278,7 @@ def _png(path: Path) -> FloatArray:
         raise MissingExtra(f"{path}: .png needs Pillow: {install_command('report')}, or use .csv or .npy") from error
     content = io.BytesIO(read_bytes(path))
     try:
-        with PIL.Image.open(content) as picture:
+        with PIL.Image.open(content, formats=["PNG"]) as picture:  # others run programs: Ghostscript for .eps
             if max(picture.size) > _MOST_PIXELS:
                 raise InputError(f"{path}: has {picture.size} pixels; expected at most {_MOST_PIXELS} along each side")
             return np.asarray(picture.convert("L"), dtype=np.float64) / 255.0

@@ -17,6 +17,7 @@ from typing import IO, Self
 
 import numpy as np
 
+from ..common.arrays import AnyArray
 from ..common.files import whole_file
 from ..errors import InputError
 from ._skin import Sample
@@ -134,7 +135,10 @@ class TruthFile:
 
     def _finish(self) -> None:
         try:
-            frames = np.load(self._spool_path, mmap_mode="r") if self._frames else np.empty(0, self._record)
+            frames: AnyArray = np.empty(0, self._record)
+            if self._frames:
+                start = len(self._header(self._frames))
+                frames = np.memmap(self._spool_path, self._record, "r", offset=start, shape=(self._frames,))
             with whole_file(self._path) as file:
                 np.savez(
                     file,

@@ -2,17 +2,15 @@
 
 The board lives in a thread from ``open`` to ``close``. Options follow the path like those of ``ohmskin emulate``:
 ``ohmskin://scene.toml?clock=fast&seed=3&board=flexitac&duration=10&truth=truth.npz``. An absolute path has three
-slashes: ``ohmskin:///home/me/scene.toml``. pyserial finds this module, by its name, once :mod:`ohmskin.emulator` has
-been imported.
+slashes: ``ohmskin:///home/me/scene.toml``. ``ohmskin://demo`` is the scene that ohmskin ships. pyserial finds this
+module, by its name, once :mod:`ohmskin.emulator` has been imported.
 """
 
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import selectors
-import struct
-import termios
+import socket
 from math import inf
 from pathlib import Path
 from typing import Any, cast
@@ -25,10 +23,12 @@ from serial.urlhandler import protocol_socket
 from ..errors import InputError, OhmskinError
 from ._ports import PairPort
 from ._run import running
-from ._scene import Scene
+from ._scene import DEMO, Scene
 from ._service import ClockName
 
 OPTIONS = ("board", "clock", "duration", "seed", "truth")
+MOST_WAITING = 2**18
+"""bytes that :attr:`Serial.in_waiting` counts up to; a socket's buffer holds fewer"""
 
 
 class Serial(protocol_socket.Serial):
@@ -67,10 +67,11 @@ class Serial(protocol_socket.Serial):
             duration_s, seed = float(options.get("duration", inf)), int(options.get("seed", 0))
         except ValueError as error:
             raise InputError(f"{url}: expected numbers for duration and seed: {error}") from error
+        path = unquote(parts.netloc + parts.path)
         port = PairPort(url)
         try:
             board = running(
-                Scene.load(unquote(parts.netloc + parts.path)),
+                Scene.load(DEMO if path == "demo" else path),
                 port,
                 clock=cast("ClockName", clock),
                 duration_s=duration_s,
@@ -116,8 +117,10 @@ class Serial(protocol_socket.Serial):
     def in_waiting(self) -> int:
         """Bytes that can be read without waiting."""
         self._check_open()
-        (waiting,) = struct.unpack("i", fcntl.ioctl(self._socket, termios.FIONREAD, struct.pack("i", 0)))
-        return int(waiting)
+        try:
+            return len(self._socket.recv(MOST_WAITING, socket.MSG_PEEK))
+        except BlockingIOError:
+            return 0
 
     def _check_open(self) -> None:
         if not self.is_open:

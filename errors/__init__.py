@@ -4,6 +4,7 @@
 
     OhmskinError
       InputError         the caller's: a file, key, array or option is not as it must be
+        OrderRefused     a board refuses an order, such as a rate that it cannot keep
       MissingExtra       the installation's: an optional dependency is not there
       SolverError        the problem's: no trustworthy number can be computed
       LinkError          the cable's: the port is missing, refused, lost or silent
@@ -30,6 +31,15 @@ class OhmskinError(Exception):
 
 class InputError(OhmskinError, ValueError):
     """Something the caller handed in is wrong; the message says what, where and what was expected."""
+
+
+class OrderRefused(InputError):
+    """A board has answered that it does not take an order."""
+
+    def __init__(self, message: str, status: str) -> None:
+        super().__init__(message)
+        self.status = status
+        """name of the :class:`ohmskin.wire.Status` in its answer"""
 
 
 class MissingExtra(OhmskinError, ImportError):

@@ -30,7 +30,7 @@ TEST_S = 40.0
 TARE_FRAMES = 20
 PRESSED_KPA = 0.5
 SPREAD = {"rest_percent": 10.0, "sensitivity_percent": 20.0, "seed": 11}
-PROTOTYPE = str(Path(__file__).parent / "prototype.toml")
+PROTOTYPE = str(Path(__file__).parents[1] / "verification" / "prototype.toml")
 DIVIDER = {
     "array": {"rows": 4, "columns": 3, "row_segment": 1.0, "column_segment": 1.0, "row_lead": 40.0},
     "drive": {"voltage": 3.3, "idle_rows": "ground"},

@@ -5,7 +5,8 @@
 """
 
 from ._board import BoardInService, TargetMissing, serve
+from ._cells import described
 from ._press import Load, Press
 from ._suite import write_suite
 
-__all__ = ["BoardInService", "Load", "Press", "TargetMissing", "serve", "write_suite"]
+__all__ = ["BoardInService", "Load", "Press", "TargetMissing", "described", "serve", "write_suite"]

@@ -5,7 +5,8 @@ Options (and variables of the environment): ``--ohmskin-target`` (``OHMSKIN_TARG
 ``--ohmskin-seed`` (``OHMSKIN_SEED``), ``--ohmskin-calibration`` (``OHMSKIN_CALIBRATION``), ``--ohmskin-strict``
 (``OHMSKIN_STRICT``). docs/hil.md describes them.
 
-What cannot be run is reported as "not run" with its reason, and fails where ``--ohmskin-strict`` is given. Rooms of
+A board that is named and not there is an error. What cannot be run on one that is there is reported as "not run" with
+its reason, and fails where ``--ohmskin-strict`` is given. Rooms of
 ohmskin are imported when a fixture is used, so that the plugin costs nothing to other test suites.
 """
 
@@ -69,7 +70,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--ohmskin-calibration", metavar="FILE.toml", help="calibration of the skin under test [none]")
     group.addoption("--ohmskin-seed", metavar="K", help="seed of the emulated noise [0]")
     group.addoption(
-        "--ohmskin-strict", action="store_true", help="fail where hardware is missing, and if no test ran on hardware"
+        "--ohmskin-strict", action="store_true", help="fail where a test is not run, and if none ran on hardware"
     )
     parser.addini("ohmskin_scene", "SCENE.toml of the emulated board, relative to the configuration file")
 
@@ -133,7 +134,7 @@ def board(request: pytest.FixtureRequest) -> Iterator[BoardInService]:
         try:
             made = stack.enter_context(service)
         except TargetMissing as error:
-            _not_run(request, str(error))
+            _absent(str(error))
         yield made
 
 
@@ -149,7 +150,7 @@ def skin(request: pytest.FixtureRequest, board: BoardInService) -> Iterator[Skin
     except LinkError as error:
         if not board.is_hardware:
             raise
-        _not_run(request, str(error))
+        _absent(str(error))
     with opened:
         firmware = "" if opened.identity is None else opened.identity.firmware
         _say(request, firmware=firmware, serial_number=opened.serial_number)
@@ -217,6 +218,11 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     settings = item.config.stash[_settings]
     if item.get_closest_marker("ohmskin_hardware") is not None and not settings.is_hardware:
         _stop(settings, item, f"needs a real board; --ohmskin-target is {settings.target}")
+
+
+def _absent(reason: str) -> NoReturn:
+    """End the test with an error: the board that was asked for by name is not there."""
+    pytest.fail(f"the board under test is not there: {reason}", pytrace=False)
 
 
 def _not_run(request: pytest.FixtureRequest, reason: str) -> NoReturn:

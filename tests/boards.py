@@ -80,6 +80,8 @@ class MemoryPort:
     """A port in memory; subclasses say what comes. Time is real."""
 
     name = "memory"
+    is_simulated = True
+    """the time in its packets is what the test says, at whatever pace"""
 
     def __init__(self) -> None:
         self.closed = False
@@ -146,6 +148,7 @@ class Wire(MemoryPort):
         return b"".join(map(self._carry, self.board.tick())) or b"\0"
 
     def write(self, data: bytes) -> None:
+        super().write(data)
         self.board.receive(data)
         self._pending += map(self._carry, self.board.answers())
 

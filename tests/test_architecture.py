@@ -20,13 +20,14 @@ MAY_IMPORT = {
     "common": {"errors"},
     "circuits": SHARED,
     "cell": SHARED,
+    "kicad": SHARED | {"circuits"},
     "wire": SHARED,
     "bench": SHARED | {"circuits", "cell", "wire", "emulator", "driver", "view"},
     "emulator": SHARED | {"circuits", "cell", "wire"},
     "driver": SHARED | {"circuits", "cell", "wire"},
     "calibration": SHARED | {"circuits", "cell", "wire", "driver"},
     "doctor": SHARED | {"circuits", "wire", "driver"},
-    "hil": SHARED | {"driver", "emulator"},
+    "hil": SHARED | {"circuits", "driver", "emulator"},
     "view": SHARED | {"circuits", "driver"},
     "verification": SHARED | {"circuits", "cell", "wire", "emulator", "driver"},
 }
@@ -119,6 +120,25 @@ def test_only_one_module_imports_pyspice() -> None:
         if any(name.split(".")[0] == "PySpice" for name in _imports(file))
     }
     assert users == {"circuits/spice/_pyspice.py"}
+
+
+READS_ARRAYS = {"zipfile": "common/archives.py", "pickle": "verification/_own_code.py", "marshal": "", "shelve": ""}
+"""Modules that read what may be a stranger's, and who may use them. The pickle is one of this process for its child."""
+OPENS_FILES = ("load", "loadtxt", "genfromtxt", "fromfile", "DataSource")
+"""functions of NumPy"""
+
+
+def test_arrays_of_files_are_read_in_one_module() -> None:
+    """Which holds them against a schema, and sizes them first."""
+    for file in (file for room in ROOMS for file in (ROOT / room).rglob("*.py")):
+        here = str(file.relative_to(ROOT))
+        for name in {name.split(".")[0] for name in _imports(file)} & READS_ARRAYS.keys():
+            assert here == READS_ARRAYS[name], f"{here} imports {name}"
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "np":
+                assert node.attr not in ("load", "loadtxt", "genfromtxt", "fromfile", "DataSource"), (
+                    f"{here}:{node.lineno}"
+                )
 
 
 def test_only_the_table_of_circuits_knows_their_names() -> None:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ohmskin.cell import Cell, ContactModel
-from ohmskin.common.readings import Readings
+from ohmskin.common.measurement import Measurement
 from ohmskin.emulator import Board
 from ohmskin.errors import InputError
 
@@ -22,12 +22,18 @@ SENSOR = Cell(
 """a force-sensing resistor: open at rest, and its conductance is proportional to the load"""
 
 
-def read(siemens: float, least: float, greatest: float, step: float = 1e-6) -> Readings:
+def read(siemens: float, least: float, greatest: float, step: float = 1e-6) -> Measurement:
     """One cell: ``siemens`` in the middle of a step, or NaN where only bounds are known."""
     known = np.isfinite(siemens)
     half = 0.5 * step if known else 0.0
-    values = siemens, 1e-16 * known, 0.0, half, least, greatest
-    return Readings(*(np.array([float(value)]) for value in values))
+    one = np.ones(1)
+    return Measurement.of(
+        conductance=siemens * one,
+        noise_variance=1e-16 * known * one,
+        half_step=half * one,
+        least=least * one,
+        greatest=greatest * one,
+    )
 
 
 @given(st.floats(1e-7, 1e-4), st.booleans())
@@ -95,7 +101,7 @@ def test_readings_within_the_range_are_estimated_as_their_resistances_are() -> N
     other.resolve(0.5 * step / np.sqrt(3.0) / siemens[0], 1.0 / siemens[0])
     half = np.full(2, 0.5 * step)
     for frame in siemens:
-        told = Readings(frame, np.full(2, 4e-16), np.zeros(2), half, frame - half, frame + half)
+        told = Measurement.of(conductance=frame, noise_variance=np.full(2, 4e-16), half_step=half)
         np.testing.assert_allclose(one.step_readings(0.02, told), other.step(0.02, 1.0 / frame), rtol=1e-9)
         np.testing.assert_allclose(one.std_kpa, other.std_kpa, rtol=1e-9)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -240,6 +241,37 @@ def test_an_interrupt_at_any_time_of_the_start_is_one_line() -> None:
         # At its very end Python gives signals back to the system, which ends the process without a word.
         assert (process.returncode, said) in ((130, b"ohmskin: interrupted\n"), (-signal.SIGINT, b""))
     assert 130 in outcomes
+
+
+@pytest.mark.parametrize("closed", ["0<&-", "1>&-", "2>&-", "2>/dev/full", "0<&- 1>&- 2>&-"])
+def test_streams_that_are_closed_or_broken_change_no_exit_code(closed: str, tmp_path: Path) -> None:
+    """Nor does a file get the number of a closed stream, and with it what is said there."""
+    for words, code in (("--version", 0), ("scan nowhere.toml --cells cells.csv", 2)):
+        command = f"{shlex.quote(sys.executable)} -m ohmskin {words} {closed}"
+        assert subprocess.run(["bash", "-c", command], cwd=tmp_path, check=False).returncode == code
+
+
+def test_a_verdict_outlives_the_terminal(tmp_path: Path) -> None:
+    wanted = '[[requirement]]\nid = "A"\nquantity = "cell_voltage"\nmax = {}\n'
+    for limit, verdict in ((1e9, 0), (1e-9, 1)):
+        (tmp_path / "wanted.toml").write_text(wanted.format(limit))
+        for streams in (">/dev/full", "2>&- | true", ">&- 2>/dev/full"):
+            words = f"-m ohmskin verify --requirements wanted.toml --only A -o {verdict} {streams}"
+            command = f"set -o pipefail; {shlex.quote(sys.executable)} {words}"
+            assert subprocess.run(["bash", "-c", command], cwd=tmp_path, check=False).returncode == verdict, streams
+            report = json.loads((tmp_path / str(verdict) / "report.json").read_text())
+            assert report["exit_code"] == verdict
+
+
+def test_whatever_asks_to_exit_has_no_verdict(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def leave(*given: object, **options: object) -> None:
+        raise SystemExit(0)
+
+    monkeypatch.setattr("ohmskin.cli.verify.verify", leave)
+    assert run(["verify"]) == 70
+    assert "SystemExit" in capsys.readouterr().err
 
 
 START = """

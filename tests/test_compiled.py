@@ -316,3 +316,13 @@ def test_nothing_is_kept_where_no_folder_can_be_written_to(some_loops: Path) -> 
 def test_where_numba_is_told_to_compile_nothing_kernels_run_as_plain_python(some_loops: Path) -> None:
     off = "switched off by NUMBA_DISABLE_JIT"
     assert _used(some_loops, told=0, NUMBA_DISABLE_JIT="1") == f"8.0 True {off}\n"
+
+
+def test_no_machine_code_of_the_working_folder_is_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Numba takes the place of machine code from a file there, and unpickles what it finds in that place."""
+    import numba
+
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    compiled.is_kept()
+    assert numba.config.CACHE_DIR == ""

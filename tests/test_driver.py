@@ -15,9 +15,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ohmskin.cell import Cell
-from ohmskin.circuits import Design, adc_codes, apparent_resistance, ideal_volts, scan
+from ohmskin.circuits import Design, Reason, adc_codes, apparent_resistance, ideal_volts, scan
 from ohmskin.common.config import parse
-from ohmskin.driver import CountReader, Frame, Reading
+from ohmskin.driver import CountReader, Frame, Measurement
 from ohmskin.emulator import Board, Line, Sample
 from ohmskin.errors import InputError, LinkError, LinkTimeout, ProtocolError
 from ohmskin.wire import (
@@ -78,16 +78,17 @@ def test_counts_become_the_ohms_that_gave_them(ohms: float) -> None:
     """An ideal circuit: back within half a code, whose width in ohm is R^2 dV / (Vin Rref)."""
     plain = design(array={"rows": 3, "columns": 2})
     cells = np.full((3, 2), ohms)
-    reading = CountReader(plain)(adc_codes(plain, ideal_volts(plain, cells)))
+    read = CountReader(plain)
+    reading = read(adc_codes(plain, ideal_volts(plain, cells)))
     assert plain.adc is not None
     step = ohms**2 * plain.adc.step / 20e3
     assert reading.valid.all()
     np.testing.assert_allclose(reading.resistance, cells, atol=0.5 * step / (1 - 0.5 * step / ohms) * (1 + 1e-9))
     own = step / ohms / 12**0.5 * reading.resistance / ohms  # of the conductance that was read
-    np.testing.assert_allclose(reading.step_std, own, rtol=0.05)
+    np.testing.assert_allclose(read.resolution[0], own, rtol=0.05)
 
 
-def settled(read: CountReader, counts: np.ndarray) -> Reading:
+def settled(read: CountReader, counts: np.ndarray) -> Measurement:
     """The last of many equal frames, which say that there is hardly a noise; in the first, half a step is assumed."""
     for _ in range(40):
         read(counts)
@@ -140,7 +141,7 @@ def test_real_parts_are_taken_out_of_the_reading() -> None:
     apparent = np.abs(apparent_resistance(real, volts) / cells - 1)
     reading = CountReader(real)(adc_codes(real, volts))
     assert apparent.max() > 0.02
-    assert reading.solved
+    assert (reading.reason != Reason.UNSOLVED).all()
     np.testing.assert_allclose(reading.resistance, cells, rtol=2e-4)
 
 
@@ -164,7 +165,7 @@ def test_a_faint_cell_costs_no_other_with_a_reference_in_mid_supply(drive: float
     read = CountReader(board)
     for _ in range(20):
         reading = read(adc_codes(board, volts + noise.normal(scale=board.adc.step / 2, size=volts.shape)))
-        assert reading.solved
+        assert (reading.reason != Reason.UNSOLVED).all()
         assert reading.valid.ravel()[:-1].all()
         np.testing.assert_allclose(reading.resistance.ravel()[:-1], 1e4, rtol=0.03)
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+import warnings
 
 import numpy as np
 import pytest
-from boards import Flow
+from boards import Flow, frame, identity, sheet
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from ohmskin.driver import Skin
-from ohmskin.driver._clock import STEP_S, ClockMap
+from ohmskin.driver._clock import STEP_S, ClockMap, Pace
 from ohmskin.driver._spacing import ArrivalTimes
 from ohmskin.wire import BOARDS, FramePacket, board_protocol
 
@@ -41,7 +42,7 @@ def test_no_frame_is_said_to_have_come_later_than_it_did(
         assert clock.add(device_s, received_s) <= received_s + 1e-9 * max(1.0, received_s)
 
 
-@pytest.mark.parametrize("pace", [1.05, 50.0])
+@pytest.mark.parametrize("pace", [1.3, 50.0])
 def test_a_time_that_no_clock_keeps_has_no_drift(pace: float) -> None:
     """As at the emulator's fast clock. Frames are taken for delayed by no more than what counts as a step."""
     clock, delays = ClockMap(), []
@@ -50,6 +51,55 @@ def test_a_time_that_no_clock_keeps_has_no_drift(pace: float) -> None:
         delays.append(arrived_s - clock.add(0.01 * k, arrived_s))
     assert math.isnan(clock.drift_ppm)
     assert max(delays) < STEP_S + 0.01
+
+
+@given(st.sampled_from([0.0, 0.5, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2, 2.0, 50.0]), st.integers(0, 2**32 - 1))
+def test_ages_stay_true_at_every_pace_of_the_board_s_time(pace: float, seed: int) -> None:
+    """Of an oscillator that is off by up to 10 %, and of a time that no oscillator keeps, once a second has passed."""
+    rng = np.random.default_rng(seed)
+    sent_s = np.sort(rng.uniform(0, 20, 2000))
+    received_s = sent_s + delays(rng, len(sent_s))
+    received_s = np.maximum.accumulate(received_s)
+    clock = ClockMap()
+    late_s = received_s - mapped(clock, pace * sent_s, received_s)
+    assert late_s[sent_s > 1.5].max() < 0.025  # a frame is late by 20 ms at most, and by the noise of the others
+    is_clock = 0.9 <= pace <= 1.1
+    assert (clock.pace is Pace.EVEN) == is_clock
+    assert math.isnan(clock.drift_ppm) != is_clock
+    if is_clock:
+        assert clock.drift_ppm == pytest.approx(1e6 * (1 / pace - 1), abs=300)
+
+
+def test_a_clock_that_goes_again_is_used_again() -> None:
+    device_s, received_s = 0.0, 0.0
+    clock, paces = ClockMap(), []
+    for moving in (True, False, True):
+        for _ in range(500):
+            received_s += 0.01
+            device_s += 0.01 * moving
+            clock.add(device_s, received_s)
+        paces.append(clock.pace)
+    assert paces == [Pace.EVEN, Pace.SLOW, Pace.EVEN]
+    assert received_s + 0.04 - clock.add(device_s, received_s + 0.04) == pytest.approx(0.04, abs=0.01)
+
+
+@pytest.mark.parametrize("factor", [0.0, 0.5])
+def test_a_board_whose_clock_is_none_is_named_and_its_frames_are_new(factor: float) -> None:
+    """The estimator sees time pass, too."""
+    port = Flow(identity() + sheet(), lambda k: frame(k, us=int(1e4 * k * factor)), 0.01, at_once=10**6)
+    port.is_simulated = False
+    with Skin(port, delivery="every", timeout=60.0) as skin, warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        for _ in range(300):
+            port.work(0.01 + 1e-9)
+            age_s = skin.read().age
+        state = skin.stats()
+    assert age_s < 0.02
+    (notice,) = told
+    assert ("stands" if factor == 0 else "advances by 0.5 s in a second") in str(notice.message)
+    assert math.isnan(state.drift_ppm)
+    assert "which no oscillator does" in (state.remark or "")
+    assert state.rate_hz == pytest.approx(100.0, rel=0.2)
 
 
 @pytest.mark.parametrize(("pace", "pause_s"), [(4.0, 4.0), (0.6, 0.0)])

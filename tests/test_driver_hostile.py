@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import threading
 import traceback
+from collections import defaultdict
 
 import pytest
-from boards import MemoryPort, Script, described, frame, identity
+from boards import MemoryPort, Script, described, frame, identity, sheet
 
 from ohmskin.driver import CountReader, Skin
 from ohmskin.errors import LinkError, OhmskinError, ProtocolError
@@ -16,7 +17,7 @@ from ohmskin.wire import DescriptionPiece, encode
 DESIGN = {"array": {"rows": 3, "columns": 2}, "drive": {"voltage": -1.0}}
 ESCAPES = "\x1b[2J\n\x9b31m\u202e"
 """clears a terminal, colours it, and turns the direction of what follows"""
-BLOCK = 65536
+BLOCK = 8192
 """bytes that a port gives at once"""
 
 
@@ -44,6 +45,46 @@ def test_a_flood_of_noise_ends_with_the_timeout(family: str, noise: bytes) -> No
     ):
         skin.read()
     assert port.closed
+
+
+class Torrent(MemoryPort):
+    """A board that sends faster than any host takes; it counts the reads of each turn."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._pieces = [identity(), sheet()]
+        self._number = 0
+        self.reads: dict[int, list[int]] = defaultdict(lambda: [0])
+        """of each thread: reads in each of its turns"""
+
+    def ready(self) -> bool:
+        return True
+
+    def wait(self, timeout_s: float) -> bool:
+        self.reads[threading.get_ident()].append(0)
+        return True
+
+    def next_bytes(self) -> bytes:
+        self.reads[threading.get_ident()][-1] += 1
+        if self._pieces:
+            return self._pieces.pop(0)
+        first, self._number = self._number, self._number + 40
+        return b"".join(map(frame, range(first, self._number)))
+
+
+def test_a_flood_of_frames_leaves_turns_of_bounded_work() -> None:
+    """The thread reads so many frames in a turn and no more, and so does each call, whose two turns are then short."""
+    port = Torrent()
+    with Skin(port) as skin:
+        mine = port.reads[threading.get_ident()]
+        for _ in range(50):
+            mine.append(0)
+            skin.latest(1e9)
+    assert port.closed
+    turns = [count for counts in port.reads.values() if counts is not mine for count in counts]
+    assert sum(turns) > 0
+    assert max(turns) <= 6
+    assert max(mine) <= 12
 
 
 def test_set_ups_that_take_too_long_leave_few_threads(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -201,7 +201,7 @@ class TestFiniteBoards:
     def test_a_board_in_this_process_is_not_started_again(self) -> None:
         """Its family has no packet for an end."""
         url = f"ohmskin://{EXAMPLES / 'fingers.toml'}?clock=fast&duration=1&board=fsr-array"
-        design = EXAMPLES / "prototype.toml"
+        design = EXAMPLES.parent / "verification" / "prototype.toml"
         with Skin.open(url, board="fsr-array", design=design, delivery="lossless", timeout=30.0) as skin:
             assert len(list(skin)) == 50
             with pytest.raises(LinkEnded, match="come to the end of its time"):
@@ -437,7 +437,7 @@ class TestPorts:
         terminal = PtyPort()
         with terminal, socket.create_server(("127.0.0.1", 0)) as server:
             descriptors = len(os.listdir("/proc/self/fd"))
-            monkeypatch.setattr(os, "pipe", fail)
+            monkeypatch.setattr(socket, "socketpair", fail)
             for name in (terminal.name, "socket://{}:{}".format(*server.getsockname())):
                 with pytest.raises(LinkError, match="cannot be opened: Too many open files"):
                     open_port(name)

@@ -196,7 +196,7 @@ def test_what_is_no_tare_is_one_line(content: bytes | None, tmp_path: Path) -> N
     path = tmp_path / "tare.npz"
     if content is not None:
         path.write_bytes(content)
-    said = "is no saved tare; expected a file" if content is not None else "cannot be read: No such file"
+    said = "is no saved tare: " if content is not None else "cannot be read: No such file"
     with pytest.raises(InputError, match=rf"tare\.npz: {said}") as caught:
         Tare.load(path)
     assert "\n" not in str(caught.value)

@@ -78,6 +78,10 @@ LOAD = {"load_kpa": [[0.0, 1.0]]}
         ({"skin": {"design": DESIGN | {"adc": None}}}, "scene: skin.design needs an [adc] of at most 16 bits"),
         ({"skin": {"design": DESIGN | {"adc": {"bits": 24, "range": [0.0, 1.0]}}}}, "an [adc] of at most 16 bits"),
         ({"skin": {"design": "nowhere.toml"}}, "nowhere.toml: cannot be read: No such file or directory"),
+        (
+            {"skin": {"design": {**DESIGN, "array": {"row": 3, "columns": 3}}}},
+            "unknown key 'skin.design.array.row'; the nearest known key is 'rows'",
+        ),
         ({"board": {"frame_rat": 5.0}}, "scene: unknown key 'board.frame_rat'; the nearest known key is 'frame_rate'"),
         (
             {"board": {"frame_rate": 0.0}},

@@ -283,14 +283,14 @@ def test_the_command_scores_files(tmp_path: Path, capsys: pytest.CaptureFixture[
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"", "is no .npz file"),
+        (b"", "expected an archive (.npz)"),
         (b"PK\x05\x06" + bytes(18), "has no array 'sequence'"),
         ({"sequence": [1.5], "time": [0.0], "pressure": [[[1.0]]]}, "expected whole numbers"),
-        ({"sequence": [1, 2], "time": [0.0], "pressure": [[[1.0]]]}, "one entry of each per frame"),
-        ({"sequence": [1], "time": [np.nan], "pressure": [[[1.0]]]}, "'time' has entries that are no numbers"),
-        ({"sequence": [1], "time": [0.0], "pressure": [[1.0]]}, "expected numbers in 3 dimensions"),
-        ({"sequence": [1], "time": [0.0], "pressure": [[["a"]]]}, "expected numbers in 3 dimensions"),
-        ({"sequence": [1], "time": [0.0], "pressure": [[[1.0]]], "valid": [1]}, "'valid' has shape (1,)"),
+        ({"sequence": [1, 2], "time": [0.0], "pressure": [[[1.0]]]}, "'time' has 1 frames, and 'sequence' 2"),
+        ({"sequence": [1], "time": [np.nan], "pressure": [[[1.0]]]}, "'time' is nan at [0]; expected numbers"),
+        ({"sequence": [1], "time": [0.0], "pressure": [[1.0]]}, "expected numbers (frames, rows, columns)"),
+        ({"sequence": [1], "time": [0.0], "pressure": [[["a"]]]}, "expected numbers (frames, rows, columns)"),
+        ({"sequence": [1], "time": [0.0], "pressure": [[[1.0]]], "valid": [1]}, "'valid' is int64 of shape (1,)"),
         (None, "No such file"),
     ],
 )

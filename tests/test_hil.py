@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
@@ -58,9 +59,37 @@ def test_a_strict_run_fails_without_hardware(suite: Path) -> None:
     shown = _pytest(suite, one, "--ohmskin-strict", exit_code=1)
     assert "1 passed" in shown
     assert "no test ran on real hardware" in shown
-    assert "not run: /dev/no-such-port: no such port" in _pytest(
-        suite, one, exit_code=1, OHMSKIN_STRICT="1", OHMSKIN_TARGET="/dev/no-such-port"
+
+
+def test_a_board_that_is_named_and_not_there_is_an_error(suite: Path) -> None:
+    shown = _pytest(suite, "--ohmskin-target", "/dev/no-such-port", exit_code=1)
+    assert "6 errors" in shown
+    assert "the board under test is not there: /dev/no-such-port: no such port" in shown
+
+
+def test_a_failure_names_cells_reasons_and_values_and_every_lost_frame(suite: Path) -> None:
+    """A line that loses bytes, and a cell that is open and one that is shorted: each is found, and said."""
+    (suite / "scene.toml").write_text(
+        (suite / "scene.toml").read_text()
+        + """
+[[link_fault]]
+kind = "dropped-bytes"
+probability = 1e-3        # in frames of 55 bytes: 5 % of them
+[[event]]
+at_s = 0.0
+kind = "open-cell"
+place = [2, 1]
+[[event]]
+at_s = 0.0
+kind = "shorted-cell"
+place = [0, 3]
+"""
     )
+    shown = _pytest(suite, "-k", "gap or measured", exit_code=1)
+    assert "2 failed" in shown
+    assert re.search(r"frames lost before these of 200: \{\d+: 1", shown)
+    assert re.search(r"cell \(0, 3\): saturated, \d+ counts, nan ohm", shown)
+    assert re.search(r"cell \(2, 1\): no current, \d+ counts, nan ohm", shown)
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ from patience import HANG_S, Patience
 
 from ohmskin.bench import soak
 from ohmskin.driver import Skin
-from ohmskin.emulator import PtyPort, Rfc2217Port, Scene, TcpPort, running
+from ohmskin.emulator import DEMO, PtyPort, Rfc2217Port, Scene, TcpPort, running
 from ohmskin.wire import Corrupt, Event, FramePacket, Identity, Order, host_protocol
 
 
@@ -98,6 +98,17 @@ def test_a_host_that_raises_dtr_resets_a_board_that_has_auto_reset() -> None:
         assert (after.boot_id - before.boot_id) % 2**32 < 5
 
 
+def test_a_host_that_asks_and_does_not_read_is_hung_up_on_with_a_reason() -> None:
+    """Answers of Telnet's negotiation wait in bounded memory, whatever the kernel's buffers hold."""
+    port = Rfc2217Port.at(":0")
+    with running(scene(), port):
+        with connect(port) as deaf, pytest.raises(ConnectionError):
+            deaf.sendall(20_000_000 * b"\xff\xfd\x63")  # DO, of an option that nobody has
+        assert list(port.hung_up) == ["it asks and does not read: more than 65536 bytes of answers wait"]
+        with serial.serial_for_url(f"{port.name}?timeout={HANG_S}", timeout=0.2) as line:
+            assert read_until(line, FramePacket)
+
+
 def test_a_host_that_breaks_telnet_is_hung_up_on_and_the_next_one_served() -> None:
     """A suboption without end, and one that is too short."""
     for attack in (b"\xff\xfa\x2c" + b"x" * 5000, b"\xff\xfa\x2c\x01\xff\xf0", b"\xff\xfa\x2c\x03\x63\xff\xf0"):
@@ -126,6 +137,16 @@ def scene_file(tmp_path: Path) -> Path:
 def test_a_url_opens_a_board_in_this_process(scene_file: Path) -> None:
     with serial.serial_for_url(f"ohmskin://{scene_file}?clock=fast&duration=1", timeout=0.5) as line:
         assert [frame.sequence for frame in read_until(line, FramePacket, 50)] == list(range(50))
+
+
+def test_the_shipped_scene_leaves_five_seconds_for_a_tare_and_is_then_pressed() -> None:
+    with serial.serial_for_url("ohmskin://demo?clock=fast&duration=0.5", timeout=5.0) as line:
+        first = read_until(line, FramePacket, 1)[0]
+        assert line.in_waiting > 0
+    assert first.counts.shape == (16, 16)
+    scene = Scene.load(DEMO)
+    assert not any(scene.pressure_kpa(k / 10.0).any() for k in range(50))
+    assert all(scene.pressure_kpa(k / 10.0).max() > 1.0 for k in range(53, 130))
 
 
 def test_the_driver_reads_such_a_url_without_more_ado(scene_file: Path) -> None:

@@ -47,7 +47,7 @@ def test_cells_that_noise_has_carried_away_come_back(seed: int, noise_steps: flo
     read, volts = CountReader(design), scan(design, np.full((8, 8), 1e4)).volts
     for noise in [noise_steps] * 10 + [0.1] * 70:
         reading = read(adc_codes(design, volts + draw.normal(scale=noise * step, size=volts.shape)))
-    assert reading.all_valid
+    assert reading.valid.all()
     assert (np.abs(reading.resistance / 1e4 - 1.0) <= reading.uncertainty).all()
 
 
@@ -93,8 +93,6 @@ def test_deviations_are_those_of_the_errors(kind: str, noise_steps: float, least
         off = reading.resistance / cells - 1.0
         std = np.hypot(reading.steps_std, reading.noise_std)
         squares.append((off / std)[reading.valid] ** 2)
-        others = np.square(reading.others_noise_std / reading.noise_std)
-        assert others.max() <= 1.0
     assert least < np.sqrt(np.mean(np.concatenate(squares))) < 1.25
 
 

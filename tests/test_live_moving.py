@@ -17,7 +17,7 @@ from ohmskin.circuits import Design, adc_codes, scan_batch
 from ohmskin.driver import CountReader
 
 CELL = Cell.example()
-PROTOTYPE = Design.load(Path(__file__).parents[1] / "examples" / "prototype.toml")
+PROTOTYPE = Design.load(Path(__file__).parents[1] / "verification" / "prototype.toml")
 DIVIDER = Design.model_validate(
     {
         "array": {"rows": 4, "columns": 3, "row_segment": 1.0, "column_segment": 1.0, "row_lead": 40.0},
@@ -82,8 +82,8 @@ def followed(board: Design, noise_v: float, rate_hz: float, seconds: float) -> F
         for n, frame in enumerate(codes):
             reading = read(frame)
             if not estimator.resolved:
-                estimator.resolve(*reading.resolution)
-            pressure[n] = estimator.step(dt, reading.for_estimation)
+                estimator.resolve(*read.resolution)
+            pressure[n] = estimator.step_readings(dt, reading)
             std[n] = estimator.std_kpa
         judged = slice(round(BEGIN_S * rate_hz), None)
         plays.append((load[SUBSTEPS - 1 :: SUBSTEPS][judged], pressure[judged], std[judged]))

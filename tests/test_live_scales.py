@@ -7,7 +7,7 @@ import pytest
 
 from ohmskin.circuits import Design, adc_codes, scan
 from ohmskin.common.arrays import FloatArray
-from ohmskin.driver import CountReader, Reading
+from ohmskin.driver import CountReader, Measurement
 
 
 def board(row_lead: list[float], columns: int, *, bits: int = 20, column_lead: float = 0.0) -> Design:
@@ -22,13 +22,13 @@ def board(row_lead: list[float], columns: int, *, bits: int = 20, column_lead: f
     )
 
 
-def known_well(reading: Reading, cells: FloatArray) -> bool:
+def known_well(reading: Measurement, cells: FloatArray) -> bool:
     """Whether no valid cell is off by more than its uncertainty."""
     off = np.abs(reading.resistance / cells - 1.0)[reading.valid]
     return bool((off <= reading.uncertainty[reading.valid] * (1.0 + 1e-9)).all())
 
 
-def read_after_rest(design: Design, rest: FloatArray, pressed: FloatArray) -> list[Reading]:
+def read_after_rest(design: Design, rest: FloatArray, pressed: FloatArray) -> list[Measurement]:
     """A reader's frames at rest and after all cells have changed at once."""
     read = CountReader(design)
     return [read(adc_codes(design, scan(design, cells).volts)) for cells in [rest] * 3 + [pressed] * 8]

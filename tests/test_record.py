@@ -20,7 +20,7 @@ from pathlib import Path
 import hostile
 import numpy as np
 import pytest
-from boards import Script, Wire, gone, identity, scene, sheet, until
+from boards import EXAMPLES, Script, Wire, gone, identity, scene, sheet, until
 from boards import frame as packet
 
 from ohmskin.cli import run
@@ -415,9 +415,30 @@ def test_the_commands_record_replay_and_export(tmp_path: Path, capfd: pytest.Cap
     with (tmp_path / "first.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [float(row["pressure_kpa_1_1"]) for row in rows] == pressure[:, 1, 1].tolist()
+    assert [int(row["sequence"]) for row in rows] == list(range(200))
+    assert all(float(row["pressure_std_kpa_1_1"]) > 0 and row["valid_1_1"] == "1" for row in rows)
+    assert len({row["counts_1_1"] for row in rows}) > 1
     parquet = pytest.importorskip("pyarrow.parquet")
     assert run(["export", str(first), "-o", str(tmp_path / "first.parquet")]) == 0
     assert parquet.read_table(tmp_path / "first.parquet")["pressure_kpa_1_1"].to_pylist() == pressure[:, 1, 1].tolist()
+
+
+def test_what_a_board_does_not_send_is_empty_and_no_number(tmp_path: Path) -> None:
+    file = tmp_path / "mat.mcap"
+    address = "ohmskin://demo?clock=fast&duration=0.8&board=m1616"
+    with Skin.open(address, board="m1616", delivery="lossless", record=file) as skin:
+        assert len(list(skin)) > 10
+    for kind in ("csv", "npz", "parquet"):
+        assert run(["export", str(file), "-o", str(tmp_path / f"mat.{kind}")]) == 0
+    with (tmp_path / "mat.csv").open() as table:
+        assert {(row["sequence"], row["lost_before"], row["device_time"]) for row in csv.DictReader(table)} == {
+            ("", "", "")
+        }
+    with np.load(tmp_path / "mat.npz") as arrays:
+        assert len(arrays["sequence"]) > 10
+        assert np.isnan(arrays["sequence"]).all()
+    parquet = pytest.importorskip("pyarrow.parquet")
+    assert set(parquet.read_table(tmp_path / "mat.parquet")["sequence"].to_pylist()) == {None}
 
 
 def test_frames_become_a_dataset_with_units(tmp_path: Path) -> None:
@@ -531,6 +552,13 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     assert message in errors
     assert errors.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_scene_is_recorded_like_a_port(tmp_path: Path) -> None:
+    scene, output = EXAMPLES / "fingers.toml", tmp_path / "fingers.mcap"
+    assert run(["record", str(scene), "-o", str(output), "--duration", "0.5"]) == 0
+    with Skin.open(output) as skin:
+        assert next(skin).pressure.shape == (4, 4)
 
 
 def test_a_recording_is_not_replaced_unless_asked(tmp_path: Path) -> None:

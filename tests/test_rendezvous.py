@@ -26,7 +26,7 @@ from ohmskin.emulator import Port, PtyPort, Rfc2217Port, Scene, TcpPort, running
 from ohmskin.errors import LinkEnded, LinkError
 from ohmskin.wire import FramePacket, board_protocol
 
-FINGERS, PROTOTYPE = EXAMPLES / "fingers.toml", EXAMPLES / "prototype.toml"
+FINGERS, PROTOTYPE = EXAMPLES / "fingers.toml", EXAMPLES.parent / "verification" / "prototype.toml"
 LINKS: dict[str, Callable[[], Port]] = {
     "pty": PtyPort,
     "tcp": lambda: TcpPort.at(":0"),

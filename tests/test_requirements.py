@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
+import importlib.util
 import json
+import marshal
 import signal
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 from verified import AMPLIFIED, complete, outcomes_of
@@ -15,7 +19,8 @@ from verified import AMPLIFIED, complete, outcomes_of
 from ohmskin.cell import Cell
 from ohmskin.circuits import Adc, Array, Design, Requirement
 from ohmskin.cli import run
-from ohmskin.common.config import parse, read_toml
+from ohmskin.common.config import parse
+from ohmskin.common.text import markdown_code
 from ohmskin.errors import InputError
 from ohmskin.verification import Outcome, default_requirements, load_requirements, verify
 
@@ -66,6 +71,21 @@ def test_too_few_boards_are_not_a_failure_and_how_many_would_do_is_said(
         assert "--samples 368 would" in (tmp_path / "out" / name).read_text()
     assert run([*arguments, "--samples", "367"]) == 3
     assert run([*arguments, "--samples", "368"]) == 0
+
+
+def test_text_of_a_file_is_text_in_every_report(tmp_path: Path) -> None:
+    """Neither HTML nor a link nor a cell of a table, wherever a pull request or a browser shows it."""
+    hostile = "<img/src=x>|[a](http://b)`*www.c.d"
+    asked = [Requirement(id="A|<b>", quantity="checks.py:f", unit=hostile, max=1.0)]
+    (tmp_path / "checks.py").write_text(f"def f(design, cell):\n    return 2.0, {hostile!r}\n")
+    report = verify(requirements=asked, folder=tmp_path, allow_code=True, title=f"<script>{hostile}")
+    summary = report.markdown()
+    shown = r"\<img/src=x\>\|\[a\](http\://b)\`\*www\.c.d"
+    assert f"# \\<script\\>{shown}: fail" in summary
+    assert r"| A\|\<b\> checks.py:f | fail |" in summary
+    assert summary.count(shown) == summary.count("img/src") >= 4  # title, limit, what was found, where
+    assert "<img" not in report.html()
+    assert markdown_code("a`<b>``") == "``` a`<b>`` ```"
 
 
 def test_a_yield_that_is_missed_fails_whatever_the_number_of_boards(tmp_path: Path) -> None:
@@ -184,7 +204,7 @@ def test_requirements_come_from_the_design_or_from_a_file_beside_it(tmp_path: Pa
     out = tmp_path / "out"
     arguments = ["verify", str(tmp_path / "design.toml"), "-o", str(out)]
     assert run(arguments) == 0
-    assert run([*arguments, "--requirements", str(tmp_path / "beside.toml")]) == 1
+    assert run([*arguments, "--requirements", str(tmp_path / "beside.toml"), "--allow-code"]) == 1
     found = {item["id"]: item for item in json.loads((out / "report.json").read_text())["requirements"]}
     assert list(found) == ["R1", "X1", "X2"]
     assert found["X1"]["measured"] == 9.0
@@ -260,8 +280,13 @@ def test_a_designs_code_is_loaded_from_its_folder_only_if_it_is_selected(
     for id in "ABC":
         assert run([*command, id]) == 2
         assert f"requirement {id}: " in capsys.readouterr().err
-    assert run([*command, "D"]) == 0
-    assert capsys.readouterr().out.splitlines()[0] == "the design's own code is run: beside.py:f"
+    assert run([*command, "D"]) == 3
+    sha256 = hashlib.sha256((folder / "beside.py").read_bytes()).hexdigest()
+    assert f"beside.py (SHA-256 {sha256}) is the design's own code" in capsys.readouterr().out
+    assert run([*command, "D", "--allow-code"]) == 0
+    said = capsys.readouterr().out.splitlines()[0]
+    assert said == f"the design's own code is run: {folder / 'beside.py'}, SHA-256 {sha256}"
+    assert sha256 in (tmp_path / "out" / "report.json").read_text()
     assert not outside.with_suffix(".ran").exists()
 
 
@@ -294,9 +319,65 @@ def test_an_id_is_given_once() -> None:
 
 def test_a_quantity_of_ones_own_that_fails_is_not_run(tmp_path: Path) -> None:
     (tmp_path / "own.py").write_text("def f(design, cell):\n    raise RuntimeError('no')\n")
-    report = verify(requirements=_asked("own.py:f"), folder=tmp_path)
+    report = verify(requirements=_asked("own.py:f"), folder=tmp_path, allow_code=True)
     assert report.results[0].outcome is Outcome.NOT_RUN
-    assert "RuntimeError: no" in report.results[0].reason
+    assert "own.py, line 2: RuntimeError: no" in report.results[0].reason
+
+
+def _own(folder: Path, text: str, **options: Any) -> Any:
+    (folder / "checks.py").write_text(text)
+    asked = [Requirement(id="R1", quantity="checks.py:f", max=1.0)]
+    (result,) = verify(requirements=asked, folder=folder, **options).results
+    return result
+
+
+def test_code_of_a_design_runs_only_where_it_is_allowed(tmp_path: Path) -> None:
+    text = "from pathlib import Path\nPath(__file__).with_suffix('.ran').touch()\ndef f(design, cell): return 0.5\n"
+    asked: list[tuple[Path, str]] = []
+
+    def deny(path: Path, sha256: str) -> bool:
+        asked.append((path, sha256))
+        return False
+
+    for options in ({}, {"allow_code": False}, {"allow_code": deny}):
+        result = _own(tmp_path, text, **options)
+        assert result.outcome is Outcome.NOT_RUN
+        assert "--allow-code" in result.reason
+        assert not (tmp_path / "checks.ran").exists()
+    sha256 = hashlib.sha256(text.encode()).hexdigest()
+    assert asked == [(tmp_path / "checks.py", sha256)]
+    result = _own(tmp_path, text, allow_code=True)
+    assert result.outcome is Outcome.PASS
+    assert result.measurement is not None
+    assert sha256 in result.measurement.confidence
+    assert (tmp_path / "checks.ran").exists()
+
+
+def test_the_text_that_was_read_is_what_runs(tmp_path: Path) -> None:
+    """Not bytecode that lies beside it, nor a module of the folder in place of Python's own."""
+    forged = compile("def f(design, cell): return 0.5", "checks.py", "exec")
+    head = importlib.util.MAGIC_NUMBER + (1).to_bytes(4, "little") + importlib.util.source_hash(b"")
+    cached = Path(importlib.util.cache_from_source(tmp_path / "checks.py"))
+    cached.parent.mkdir()
+    cached.write_bytes(head + marshal.dumps(forged))
+    assert _own(tmp_path, "def f(design, cell): return 99.0\n", allow_code=True).outcome is Outcome.FAIL
+
+
+@pytest.mark.parametrize(
+    ("way", "said"),
+    [
+        ("raise SystemExit(0)", "SystemExit: 0"),
+        ("raise KeyboardInterrupt", "KeyboardInterrupt"),
+        ("import os; os._exit(0)", "exit code 0"),
+        ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", "exit code -9"),
+        ("import sys; sys.stdout.close(); return 'many'", "could not convert"),
+        ("import os; os.write(1, b'{\"value\": 0.5}\\n'); raise SystemExit(0)", "SystemExit: 0"),
+    ],
+)
+def test_no_way_out_of_a_function_is_a_verdict(way: str, said: str, tmp_path: Path) -> None:
+    result = _own(tmp_path, f"def f(design, cell):\n    {way}\n", allow_code=True)
+    assert result.outcome is Outcome.NOT_RUN
+    assert said in result.reason
 
 
 def test_hardware_that_is_missing_is_not_run() -> None:
@@ -322,27 +403,27 @@ def test_example_requirements_are_valid() -> None:
     folder = Path(__file__).parent.parent / "examples"
     (file,) = folder.glob("requirements*.toml")
     assert load_requirements(file)
-    parse(read_toml(folder / "toleranced.toml"), Design, source="example")
+    Design.load(folder / "toleranced.toml")
 
 
 DROPS_ERRORS = """
 import time
+from ohmskin import cli
+from ohmskin.cli import verify
 class Destroyed:
     def __del__(self):
         print("waiting", flush=True)
         time.sleep(1.0)
-def destructor(design, cell):
+def destructor(*given, **options):
     Destroyed()
     time.sleep(600.0)
+verify.verify = destructor
+cli.main(["verify"])
 """
 
 
 def test_a_signal_ends_the_run_even_where_python_drops_exceptions(tmp_path: Path) -> None:
-    (tmp_path / "own.py").write_text(DROPS_ERRORS)
-    (tmp_path / "design.toml").write_text(
-        f'{AMPLIFIED}[[requirement]]\nid = "A"\nquantity = "own.py:destructor"\nmax = 1.0\n'
-    )
-    command = [sys.executable, "-m", "ohmskin", "verify", "design.toml"]
+    command = [sys.executable, "-c", DROPS_ERRORS]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout is not None
         while process.stdout.readline() != b"waiting\n":

@@ -65,8 +65,7 @@ def test_pressure_is_not_judged_without_noise_and_speed(design: Design) -> None:
     for quantity in ("pressure_rmse", "pressure_peak_error"):
         result = _verified(design, quantity=quantity, max=5.0, unit="%").results[0]
         assert result.outcome == "not run"
-        for key in ("voltage_noise", "gain_bandwidth", "column_capacitance", "temperature"):
-            assert f"readout.{key}" in result.reason
+        assert "readout.gain_bandwidth" in result.reason
 
 
 def test_failed_requirement_says_the_command_to_type(design: Design) -> None:

@@ -586,7 +586,7 @@ def test_requests_that_contradict_themselves_are_bad_requests(host: str) -> None
             assert raw_status(url, request) == 400, request
 
 
-def test_strangers_are_few_and_in_nobodys_way() -> None:
+def test_unauthenticated_connections_are_few_and_in_nobodys_way() -> None:
     """They come faster than they are closed; the page is served all the time, and those who came first are gone."""
     with still(host="0.0.0.0") as (shown, port), contextlib.ExitStack() as crowd:
         address = ("127.0.0.1", urlsplit(shown).port or 0)
@@ -620,6 +620,25 @@ def test_a_stranger_who_says_nothing_is_hung_up_on(monkeypatch: pytest.MonkeyPat
         for stranger in (idle, slow):
             with suppress(ConnectionError):
                 assert stranger.recv(100) == b""
+
+
+def test_a_browser_that_pings_and_reads_nothing_is_hung_up_on(caplog: pytest.LogCaptureFixture) -> None:
+    """The library answers pings at once: what waits for a peer is bounded, and others are served."""
+    ping = b"\x89\xfd" + bytes(4) + 125 * b"x"
+    with still() as (url, _), join(url) as other, socket.socket() as deaf:
+        parts = urlsplit(url)
+        deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        deaf.settimeout(HANG_S)
+        deaf.connect((parts.hostname, parts.port))
+        deaf.sendall(
+            f"GET /frames HTTP/1.1\r\nHost: {parts.netloc}\r\nOrigin: http://{parts.netloc}\r\n"
+            "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+            "Sec-WebSocket-Key: MDEyMzQ1Njc4OWFiY2RlZg==\r\n\r\n".encode()
+        )
+        with pytest.raises(ConnectionError):
+            deaf.sendall(1_000_000 * ping)
+        assert isinstance(answer_to(other, '{"do": "next", "after": -1}'), bytes)
+    assert "it sends pings and reads no answers" in caplog.text
 
 
 def test_what_asyncio_says_of_strangers_does_not_reach_the_terminal(caplog: pytest.LogCaptureFixture) -> None:

@@ -155,8 +155,11 @@ def test_the_demo_runs_without_ngspice(clean: Path, tmp_path: Path) -> None:
     assert "ngspice" in judged["reason"]
 
 
-@pytest.mark.parametrize("compiled", ["off", pytest.param("1", marks=pytest.mark.slow)])
-def test_pressures_come_without_extras(clean: Path, tmp_path: Path, compiled: str) -> None:
+@pytest.mark.parametrize(
+    ("compiled", "scene", "rows"),
+    [("off", str(ROOT / "examples" / "fingers.toml"), 4), pytest.param("1", "demo", 16, marks=pytest.mark.slow)],
+)
+def test_pressures_come_without_extras(clean: Path, tmp_path: Path, compiled: str, scene: str, rows: int) -> None:
     """Compiling takes a quarter of a minute of processor time."""
     code = (
         "import logging, os, sys; os.environ['OHMSKIN_COMPILED'] = sys.argv[2];"
@@ -165,8 +168,8 @@ def test_pressures_come_without_extras(clean: Path, tmp_path: Path, compiled: st
         "frames = [next(skin) for _ in range(20)]; skin.close();"
         "print(frames[-1].pressure.shape, frames[-1].valid.all())"
     )
-    scene = ROOT / "examples" / "fingers.toml"
-    assert _run(clean / "python", "-W", "error", "-c", code, scene, compiled, cwd=tmp_path) == "(4, 4) True\n"
+    said = _run(clean / "python", "-W", "error", "-c", code, scene, compiled, cwd=tmp_path)
+    assert said == f"({rows}, {rows}) True\n"
 
 
 @pytest.mark.slow

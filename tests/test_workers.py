@@ -83,3 +83,18 @@ def _runs(process: int) -> bool:
     except (FileNotFoundError, ProcessLookupError):
         return False
     return state != "Z"
+
+
+def test_workers_import_nothing_from_the_working_folder(tmp_path: Path) -> None:
+    """It may be that of a design from somebody else."""
+    folder = tmp_path / "foreign"
+    folder.mkdir()
+    for name in ("signal", "pickle", "struct", "random"):
+        (folder / f"{name}.py").write_text(f"import os; os.write(2, b'{name} of the folder runs')\n")
+    script = tmp_path / "parent.py"
+    script.write_text(
+        "from ohmskin.common import workers\n"
+        "if __name__ == '__main__':\n    print(workers.in_processes(abs, [-1, 2], jobs=2))\n"
+    )
+    done = subprocess.run([sys.executable, script], cwd=folder, capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr, done.returncode) == ("[1, 2]\n", "", 0)

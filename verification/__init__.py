@@ -11,6 +11,7 @@ Requirements:
 :mod:`._catalogue`       the quantities that a requirement may limit, one file each in :mod:`.quantities`
 :mod:`._quantity`        what a quantity states: how it is found, its limits, what mends and who checks it
 :mod:`._judging`         from a target to a measurement
+:mod:`._own_code`        quantities of a design's own
 :mod:`._pressures`       from load to estimate, end to end
 :mod:`._hardware`        the same quantities, measured on a board
 :mod:`._spice_check`     the same quantities by ngspice

@@ -24,7 +24,7 @@ def everything_of(design: Design) -> dict[str, Any]:
     tables: dict[str, Any] = design.model_dump(exclude_defaults=True)
     model = design.readout.amplifier_model
     if model is not None:
-        tables["readout"]["amplifier_model"] = {**model.model_dump(), "text": model.text}
+        tables["readout"]["amplifier_model"] = {**model.model_dump(exclude={"file"}), "text": model.text}
     return tables
 
 

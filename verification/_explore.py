@@ -18,7 +18,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from math import inf, isnan, nan
-from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -426,7 +425,7 @@ class _Judged(NamedTuple):
 
 def _judge(dut: DesignUnderTest, requirement: Requirement) -> _Judged | None:
     """The quantity of a requirement, and whether it keeps the limits; None where it has no value."""
-    result = evaluate(dut, requirement, Path())
+    result = evaluate(dut, requirement, {})
     if result.measurement is None:
         return None
     return _Judged(result.measurement.value, result.unit, result.outcome is Outcome.PASS)

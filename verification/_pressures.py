@@ -24,6 +24,7 @@ from ._parameters import MAXIMA, Factors
 from ._readings import converted, limited
 from ._units import engineering
 from .quantities.gain_error import GainError
+from .quantities.noise import noise_of
 from .quantities.settling_error import largest_signal, rate_of, settling_share
 
 SECONDS = 24.0

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import time
-import traceback
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +16,7 @@ from ._catalogue import CATALOGUE, quantity_of
 from ._dut import DesignUnderTest
 from ._hardware import measured_on_board
 from ._outcome import STOPPED, DoesNotApply, Measurement, NotRun, Result, defect
+from ._own_code import OwnFunction, is_own
 from ._quantity import HARDWARE, SPICE, Quantity
 from ._spice_check import measured_in_spice
 from ._units import conversion
@@ -74,7 +73,7 @@ def check_requirements(requirements: Iterable[Requirement]) -> None:
             raise InputError(f"{name}: the id is given twice")
         seen.add(requirement.id)
         try:
-            if _is_own(requirement):
+            if is_own(requirement):
                 continue
             quantity = quantity_of(requirement.quantity)
             if requirement.unit not in quantity.units:
@@ -88,33 +87,23 @@ def check_requirements(requirements: Iterable[Requirement]) -> None:
             )
 
 
-def load_own_functions(requirements: Iterable[Requirement], folder: Path) -> list[str]:
-    """Run the files of the functions of the design's own that these requirements name; returns "FILE.py:FUNCTION" each.
+def evaluate(dut: DesignUnderTest, requirement: Requirement, own: Mapping[str, OwnFunction]) -> Result:
+    """One requirement on the design under test, whatever happens.
 
-    Raises:
-        InputError: a file that is not below ``folder``, or has no such function.
+    Args:
+        dut: the design under test.
+        requirement: what is asked for.
+        own: the functions of the design's own, by quantity.
     """
-    found = []
-    for requirement in filter(_is_own, requirements):
-        try:
-            _own_function(requirement.quantity, folder)
-        except InputError as error:
-            raise InputError(f"requirement {requirement.id}: {error}") from error
-        found.append(requirement.quantity)
-    return list(dict.fromkeys(found))
-
-
-def evaluate(dut: DesignUnderTest, requirement: Requirement, folder: Path) -> Result:
-    """One requirement on the design under test, whatever happens."""
     start = time.perf_counter()
-    quantity = None if _is_own(requirement) else CATALOGUE[requirement.quantity]
+    quantity = None if is_own(requirement) else CATALOGUE[requirement.quantity]
     method = requirement.method or ("own function" if quantity is None else quantity.methods[0])
     found: dict[str, Any] = {}
     scaled = requirement
     try:
         scaled = _in_unit_of(dut, requirement, quantity)
         if quantity is None:
-            found["measurement"] = _own(dut, requirement, folder)
+            found["measurement"] = own[requirement.quantity].measure(dut, requirement.unit)
         elif method == HARDWARE:
             found["measurement"] = measured_on_board(dut, quantity.name, quantity.measured)
         elif method == SPICE:
@@ -178,56 +167,3 @@ def _in_unit_of(dut: DesignUnderTest, requirement: Requirement, quantity: Quanti
 def _factor(requirement: Requirement, unit: str) -> float:
     given = requirement.unit
     return 1.0 if given == "%" and unit.startswith("%") else conversion(given, unit)
-
-
-def _is_own(requirement: Requirement) -> bool:
-    return ".py:" in requirement.quantity
-
-
-def _own_function(quantity: str, folder: Path) -> Callable[..., Any]:
-    """The function of ``FILE.py:FUNCTION``. Raises InputError."""
-    name, _, function = quantity.rpartition(":")
-    path = folder / name
-    if Path(name).is_absolute() or not path.resolve().is_relative_to(folder.resolve()):
-        raise InputError(f"{name}: a function is loaded from beside the design only, not from outside its folder")
-    if ".." in Path(name).parts:
-        raise InputError(f"{name}: expected a path below the design's folder, without '..'")
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    try:
-        spec.loader.exec_module(module)
-    except Exception as error:
-        raise InputError(f"{path}: {type(error).__name__}: {error}") from error
-    found = getattr(module, function, None)
-    if not callable(found):
-        raise InputError(f"{path}: no function '{function}'")
-    return found  # type: ignore[no-any-return]  # a user's function has no type
-
-
-def _own(dut: DesignUnderTest, requirement: Requirement, folder: Path) -> Measurement:
-    """A quantity of the user's own: ``function(design, cell)`` to a number, or to a number and a place."""
-    function = _own_function(requirement.quantity, folder)
-    try:
-        found = function(dut.design, dut.cell)
-        value, where = found if isinstance(found, tuple) else (found, "")
-        number = float(value)
-    except NotRun:
-        raise
-    except Exception as error:
-        raise NotRun(_where_raised(error, folder / requirement.quantity.rpartition(":")[0])) from error
-    return Measurement(number, requirement.unit, where=str(where), confidence=f"as {requirement.quantity} says")
-
-
-def _where_raised(error: Exception, path: Path) -> str:
-    """The error of a user's function in one line, with the last line of the user's file that it came through."""
-    lines = [
-        frame.lineno
-        for frame in traceback.extract_tb(error.__traceback__)
-        if Path(frame.filename).resolve() == path.resolve()
-    ]
-    place = f"{path.name}, line {lines[-1]}" if lines else "function(design, cell), or the number that it returns"
-    return " ".join(f"{place}: {type(error).__name__}: {error}".split())

@@ -11,8 +11,9 @@ import dataclasses
 import importlib.resources
 import json
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -36,13 +37,13 @@ from ._claims import STATEMENTS, Statement
 from ._dut import SAMPLES, SEED, DesignUnderTest, everything_of, keep
 from ._montecarlo import BLOCK, Sampler, blocks
 from ._outcome import STOPPED, Claim, Finding, NotRun, Result, defect, not_run
+from ._own_code import Allowing, OwnFunction, read_own_functions
 from ._quantity import HARDWARE, SAMPLED
 from ._report import Report
 from ._requirements import (
     check_requirements,
     default_requirements,
     evaluate,
-    load_own_functions,
     stopped_result,
     twins,
 )
@@ -77,8 +78,8 @@ class Work(NamedTuple):
 
     dut: DesignUnderTest
     requirements: tuple[Requirement, ...]
-    folder: Path
-    """where the files of quantities of one's own are"""
+    own: Mapping[str, OwnFunction]
+    """functions of the design's own, by quantity"""
     samplers: tuple[tuple[int, Sampler], ...] = ()
     """what judges random boards, by the number of a requirement that asks for it first"""
 
@@ -101,6 +102,7 @@ def verify(
     executor: Executor | None = None,
     store: Path | None = None,
     folder: Path | None = None,
+    allow_code: Allowing = False,
     require_all: bool = False,
     command: str = "ohmskin verify",
     progress: Progress = silent,
@@ -124,12 +126,14 @@ def verify(
         seed: of all random numbers.
         jobs: processes side by side.
         executor: computes the tasks instead, wherever that is.
-        store: folder for what tasks have found so far; None: nothing is kept.
+        store: folder for what tasks have found so far, in which nobody else can write; None: nothing is kept.
         folder: where the files of quantities of one's own are; None: the present folder.
+        allow_code: whether these files are run, or a function that is asked of each with its path and SHA-256. Without
+            permission such a requirement is not run.
         require_all: what could not be run counts as failed.
         command: what the report says makes it again.
         progress: told of each task that is done.
-        announce: told, before anything is computed, whether functions of the design's own are run.
+        announce: told, before anything is computed, which files of the design's own are run.
         tell: called with each result as soon as it is there.
 
     Returns:
@@ -148,15 +152,15 @@ def verify(
     dut = DesignUnderTest(prototype() if design is None else design, cell, target, seed, samples, jig, board, baud)
     wanted = tuple(requirements if requirements is not None else dut.design.requirement)
     wanted = wanted or default_requirements(dut.design)
-    here = folder or Path()
     check_requirements(wanted)
     wanted = twins(dut, wanted)
     with_paper = design is None and requirements is None if paper is None else paper
     statements = list(STATEMENTS if with_paper else ())
     wanted, statements = _chosen(wanted, statements, tuple(only))
-    if own := load_own_functions(wanted, here):
-        announce(f"the design's own code is run: {', '.join(own)}")
-    work = Work(dut, wanted, here)
+    own = read_own_functions(wanted, folder or Path(), allow_code)
+    for path, sha256 in {function.path: function.sha256 for function in own.values() if function.allowed}.items():
+        announce(f"the design's own code is run: {path}, SHA-256 {sha256}")
+    work = Work(dut, wanted, own)
     memory = _Store(store, _fingerprint(work))
     if target != "emulated":  # another board may answer at the same port by now
         _known.pop(memory.fingerprint, None)
@@ -313,7 +317,7 @@ def _do(work: Work, task: Task) -> tuple[Task, Any]:
     if task.kind == "samples":
         return task, {str(number): sampler.block(dut.seed, task.number).tolist() for number, sampler in work.samplers}
     if task.kind == "requirement":
-        return task, evaluate(dut, work.requirements[task.number], work.folder)
+        return task, evaluate(dut, work.requirements[task.number], work.own)
     return task, _claim(dut, STATEMENTS[task.number])
 
 
@@ -341,6 +345,7 @@ def _fingerprint(work: Work) -> str:
         "design": everything_of(dut.design),
         "cell": dut.cell.model_dump(),
         "requirements": [requirement.model_dump(mode="python") for requirement in work.requirements],
+        "own code": {quantity: function.allowed and function.sha256 for quantity, function in work.own.items()},
         "target": dut.target,
         "jig": None if dut.jig is None else dut.jig.tolist(),
         "seed": dut.seed,
@@ -354,7 +359,7 @@ class _Store:
 
     def __init__(self, folder: Path | None, fingerprint: str) -> None:
         self.fingerprint = fingerprint
-        self._folder = None if folder is None else folder / fingerprint[:16]
+        self._folder = None if folder is None else folder / fingerprint
 
     def load(self, task: Task) -> Any:
         """What an earlier run found, or None."""
@@ -380,11 +385,8 @@ class _Store:
             return
         for path in self._folder.glob("*.json"):
             path.unlink(missing_ok=True)
-        for folder in (self._folder, self._folder.parent):
-            try:
-                folder.rmdir()
-            except OSError:
-                return
+        with suppress(OSError):
+            self._folder.rmdir()
 
 
 def _plain(value: Any) -> Any:

@@ -64,7 +64,7 @@ def measured_in_spice(dut: DesignUnderTest, requirement: Requirement, analysis: 
     if analysis == "transient":
         value *= 100 / max(frame.signal for frame in found)
     model = design.readout.amplifier_model
-    amplifier = "amplifier of one pole" if model is None else f"macro-model {model.subcircuit} of {model.file}"
+    amplifier = "amplifier of one pole" if model is None else f"macro-model {model.subcircuit} of {model.file.name}"
     dropped = dict.fromkeys(name for frame in found for name in frame.dropped)
     return Measurement(
         value,

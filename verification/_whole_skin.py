@@ -12,6 +12,7 @@ import numpy as np
 
 from ..circuits import Requirement, adc_codes
 from ..common import plots
+from ..common.archives import Stored, read_arrays
 from ..common.arrays import BoolArray, FloatArray
 from ..driver import Frame, Skin
 from ..emulator import BoardSettings, Contact, EngineName, PtyPort, Rectangle, Scene, SkinSettings, running
@@ -36,6 +37,13 @@ PATIENCE_S = 60.0
 FIRMWARE_FRAMES = 200
 DWELLS_US = (20, 40, 80, 160)
 TOUCHED = 0.1  # of full scale: above it a cell counts as touched
+_MOST_BYTES = 2**30
+_TRUE = {
+    "sequence": Stored("whole numbers", ("frames",)),
+    "pressure_kpa": Stored("numbers", ("frames", "rows", "columns")),
+    "volts": Stored("numbers", ("frames", "rows", "columns"), nan=True),
+}
+"""what is read of the emulator's truth"""
 
 
 @dataclass(frozen=True)
@@ -129,8 +137,7 @@ def _receive(scene: Scene, dut: DesignUnderTest, *, engine: EngineName, count: i
             Skin.open(port.name, cell=dut.cell, delivery="lossless", timeout=PATIENCE_S) as skin,
         ):
             frames = list(islice(skin, count))
-        with np.load(truth_file) as file:
-            truth = {name: file[name] for name in file.files}
+        truth = read_arrays(truth_file, _TRUE, what="truth file", most_bytes=_MOST_BYTES)
     place = {number: k for k, number in enumerate(truth["sequence"].tolist())}
     frames = [frame for frame in frames if frame.sequence in place]
     known = [place[frame.sequence] for frame in frames if frame.sequence is not None]

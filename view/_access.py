@@ -1,4 +1,4 @@
-"""Who may see the page: checks of token, Host and Origin, against strangers and against other pages in the browser.
+"""Who may see the page: checks of token, Host and Origin, against other machines and other pages in the browser.
 
 On the loopback the page has no token. Two attacks come from web pages that the user has open elsewhere: such a page can
 open a WebSocket to the loopback (cross-site WebSocket hijacking; the browser then sends that page's Origin), and it can

@@ -19,7 +19,7 @@ from ._access import Access, Refused
 from ._orders import LARGEST_BYTES
 from ._session import Session
 from ._source import Source
-from ._strangers import REQUEST_S, Strangers
+from ._unauthenticated import REQUEST_S, Unauthenticated
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import Server, ServerConnection
@@ -67,11 +67,11 @@ async def serve(source: Source, *, host: str = "127.0.0.1", ports: Sequence[int]
         from websockets.asyncio.server import serve as listen
     except ImportError as error:
         raise MissingExtra(f"the page needs websockets: {install_command('view')}") from error
-    # Strangers must not fill the terminal: what they send wrong is answered, and not logged.
+    # Unauthenticated peers must not fill the terminal: what they send wrong is answered, and not logged.
     quiet = logging.getLogger("ohmskin.view")
     quiet.setLevel(logging.CRITICAL + 1)
-    strangers = Strangers()
-    desk = _FrontDesk(source, Access.for_host(host), _files(), strangers)
+    unauthenticated = Unauthenticated()
+    desk = _FrontDesk(source, Access.for_host(host), _files(), unauthenticated)
     server = None
     with _asyncio_tells(quiet):
         for port in ports:
@@ -85,7 +85,7 @@ async def serve(source: Source, *, host: str = "127.0.0.1", ports: Sequence[int]
                     max_size=LARGEST_BYTES,
                     max_queue=4,
                     open_timeout=REQUEST_S,
-                    create_connection=strangers.connections(),
+                    create_connection=unauthenticated.connections(),
                     logger=quiet,
                     server_header=None,
                 )
@@ -98,7 +98,7 @@ async def serve(source: Source, *, host: str = "127.0.0.1", ports: Sequence[int]
             found = next(iter(server.sockets)).getsockname()[1]
             yield Page(f"http://{_shown_host(host)}:{found}{desk.access.prefix}", found)
         finally:
-            strangers.hang_up()
+            unauthenticated.hang_up()
             await _shut(server)
 
 
@@ -127,10 +127,10 @@ class _FrontDesk:
     """Answers requests: a file, a WebSocket, or a refusal."""
 
     def __init__(
-        self, source: Source, access: Access, files: Mapping[str, tuple[str, bytes]], strangers: Strangers
+        self, source: Source, access: Access, files: Mapping[str, tuple[str, bytes]], unauthenticated: Unauthenticated
     ) -> None:
         self.access = access
-        self._strangers = strangers
+        self._unauthenticated = unauthenticated
         self._source = source
         self._files = files
         self._browsers = 0
@@ -159,7 +159,7 @@ class _FrontDesk:
 
     async def follow(self, connection: ServerConnection) -> None:
         """Serve one browser until it leaves."""
-        self._strangers.accept(connection)
+        self._unauthenticated.accept(connection)
         self._browsers += 1
         try:
             await Session(connection, self._source).run()

@@ -12,12 +12,13 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
-from ..common.config import Section, load, parse
+from ..common.config import LocalFile, Section, load, parse
 from ..errors import InputError
+from ._blocks import WORDS
 from ._framing import DescribedBoard, StartTable
 from ._lines import JsonFrame, TextFrame, TextHost
 from ._protocol import Family, HostProtocol, Layout
-from ._words import WORDS, BinaryFrame, BinaryHost, CobsHost
+from ._words import BinaryFrame, BinaryHost, CobsHost
 
 MOST_CELLS = 256 * 256
 MOST_LINES = 1024
@@ -37,9 +38,9 @@ class BoardTable(Section):
     bits: Annotated[int, Field(ge=1, le=MOST_BITS)] = 12
     """of the counts: the numbers sent, or what ``frame.range`` is divided into"""
     baudrate: Annotated[int, Field(ge=50, le=50_000_000)] = 115_200
-    design: str | None = None
+    design: LocalFile | None = None
     """DESIGN.toml of the circuit, relative to this file; None: not known, frames have counts only"""
-    cell: str | None = None
+    cell: LocalFile | None = None
     """CELL.toml of the material, likewise"""
 
 
@@ -57,15 +58,23 @@ class BoardFile(Section):
             raise ValueError(f"board: {board.rows} x {board.columns} cells; expected at most {MOST_CELLS}")
         if frame.range is not None and not frame.range[0] < frame.range[1]:
             raise ValueError(f"frame.range: expected the smaller number first (got {list(frame.range)})")
-        word = frame.word if isinstance(frame, BinaryFrame) else "float64le"
-        if frame.range is not None and not WORDS[word].holds(*frame.range, steps=2**board.bits - 1):
+        cells = board.rows * board.columns
+        if frame.map is not None:
+            turned = frame.order != "row-major" or frame.flip_rows or frame.flip_columns
+            if turned or sorted(frame.map) != list(range(cells)):
+                raise ValueError(f"frame.map: expected each place from 0 to {cells - 1} once, and no order or flips")
+        sent = frame.cells_sent if isinstance(frame, BinaryFrame) else None
+        if sent is not None and sent != cells:
+            raise ValueError(f"frame.block: {sent} cells in a frame; expected {cells}, {board.rows} x {board.columns}")
+        word = frame.cell_word if isinstance(frame, BinaryFrame) else WORDS["float64le"]
+        if frame.range is not None and not word.holds(*frame.range, steps=2**board.bits - 1):
             raise ValueError(
-                f"frame.range: a {word} cannot tell 2^{board.bits} numbers in {list(frame.range)} apart; "
+                f"frame.range: a {word.name} cannot tell 2^{board.bits} numbers in {list(frame.range)} apart; "
                 "expected fewer board.bits, or another range"
             )
-        if isinstance(frame, BinaryFrame) and frame.range is None and board.bits > WORDS[frame.word].bits:
+        if isinstance(frame, BinaryFrame) and frame.range is None and board.bits > word.bits:
             raise ValueError(
-                f"board.bits: a {frame.word} has {WORDS[frame.word].bits} bits for counts; expected no more, "
+                f"board.bits: a {word.name} has {word.bits} bits for counts; expected no more, "
                 f"or a frame.range (got {board.bits})"
             )
         return self
@@ -77,7 +86,7 @@ class BoardFile(Section):
 
     @classmethod
     def parse(cls, tables: Mapping[str, Any], source: str) -> Self:
-        """Check tables from elsewhere, such as a recording; ``source`` names them in messages. Raises InputError."""
+        """Check tables of a recording or a program; ``source`` names them in messages. Raises InputError."""
         return parse(tables, cls, source=source)
 
     def tables(self) -> dict[str, Any]:
@@ -87,16 +96,15 @@ class BoardFile(Section):
             tables["board"].pop(name, None)
         return tables
 
-    def family(self, folder: Path | None = None, *, design: Mapping[str, Any] | None = None) -> Family:
+    def family(self, *, design: Mapping[str, Any] | None = None) -> Family:
         """The family of boards that speaks this format.
 
         Args:
-            folder: in which the files of circuit and cell are; None: they are left out.
             design: tables of DESIGN.toml for the usual circuit, for families that ohmskin ships.
 
         """
         board, frame, start = self.board, self.frame, self.start
-        files = {"design": board.design, "cell": board.cell} if folder is not None else {}
+        files = {"design": board.design, "cell": board.cell}
         return Family(
             name=board.name,
             summary=f"{board.rows} x {board.columns}, {board.bits} bits, {frame.format}",
@@ -104,15 +112,15 @@ class BoardFile(Section):
             board=self._device,
             layout=Layout(board.rows, board.columns, board.bits),
             baud_rate=board.baudrate,
-            has_sequence=False,
-            has_device_time=False,
+            has_sequence=isinstance(frame, BinaryFrame) and frame.template(1).number is not None,
+            has_device_time=isinstance(frame, BinaryFrame) and frame.template(1).time is not None,
             has_description=False,
             polled=bool(start.poll),
             dtr=start.dtr,
             rts=start.rts,
             design=design,
             tables=self.tables(),
-            files={name: folder / path for name, path in files.items() if path is not None and folder is not None},
+            files={name: path for name, path in files.items() if path is not None},
         )
 
     def _host(self, family: Family, layout: Layout) -> HostProtocol:
@@ -133,6 +141,6 @@ def load_family(path: str | Path) -> Family:
     """The family that a BOARD.toml describes. Raises InputError."""
     file = BoardFile.load(path)
     try:
-        return file.family(Path(path).parent)
+        return file.family()
     except InputError as error:
         raise InputError(f"{path}: {error}") from error

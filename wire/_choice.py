@@ -34,8 +34,16 @@ def board_family(board: str | os.PathLike[str] | Family) -> Family:
     if isinstance(board, os.PathLike):
         return load_family(Path(board))
     name = of_kind("board", board, str, "the name of a family, a BOARD.toml, or a Family")
-    if name.endswith(".toml"):
-        return load_family(name)
+    return load_family(name) if name.endswith(".toml") else known_family(name)
+
+
+def known_family(name: str) -> Family:
+    """The family of this name, one of ``BOARDS`` or of an installed package: what a recording may name, but no file.
+
+    Raises:
+        InputError: there is none, with the nearest known name.
+
+    """
     if name in BOARDS:
         return BOARDS[name]
     brought = {entry.name: entry for entry in entry_points(group=GROUP)}

@@ -61,6 +61,9 @@ class Family:
 class HostProtocol(ABC):
     """The host's end of the line."""
 
+    commands = 0
+    """number of the last order, which the board's reply repeats; 0: the family's orders have no numbers, nor replies"""
+
     def __init__(self, family: Family, layout: Layout) -> None:
         self.family = family
         self.layout = layout

@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike
 
 from ...common.arrays import BoolArray, FloatArray, IntArray
 from ...common.compiled import Record, Records, values, zeros
-from ...common.readings import Readings
+from ...common.measurement import STEP_STD, Measurement
 from ...errors import InputError
 from .._state import CellState
 from . import _smoothing as smoothing
@@ -57,8 +57,6 @@ MORE = 1.1
 steps of other readings are neglected"""
 EVENLY = math.sqrt(3.0)
 """largest error over the standard deviation, of an error that is evenly distributed from none to all of it"""
-STEP_STD = 1.0 / EVENLY
-"""standard deviation of a quantisation error over half a step"""
 UNUSUAL = 0.1
 """relative change of the time between frames beyond which calls of ``correct_tremor`` are adapted to it"""
 UNKNOWN_PAST = 0.25
@@ -140,7 +138,7 @@ class Estimator:
         self._by_bounds = None
         return self._step(elapsed_s, resistance.ravel())
 
-    def step_readings(self, elapsed_s: float, readings: Readings) -> FloatArray:
+    def step_readings(self, elapsed_s: float, readings: Measurement) -> FloatArray:
         """As :meth:`step`, from conductances with their errors; a reading at a limit of the converter is an interval.
 
         A cell of which only an interval is known shows the least load of the interval, and the width of the interval
@@ -154,7 +152,7 @@ class Estimator:
                 1.0 / part.ravel() for part in (readings.conductance, readings.least, readings.greatest)
             )
         if not self.resolved:
-            with np.errstate(invalid="ignore"):
+            with np.errstate(invalid="ignore", divide="ignore"):
                 self.resolve(STEP_STD * readings.half_step / readings.conductance, 1.0 / readings.conductance)
         self._by_bounds = None
         only = np.isnan(resistance) & (np.isfinite(most) | (least > 0.0))

@@ -5,9 +5,12 @@
 :mod:`._inverting_amplifier`       transimpedance amplifiers on the columns (the paper's figure 15)
 :mod:`._row_amplifier`             the same with rows sensed and columns driven
 :mod:`._voltage_divider`           load resistors (the paper's figure 13)
+:mod:`._described`                 networks that the design describes part by part
 :mod:`._voltage_feedback`          a load, and a follower that drives all idle lines
 :mod:`._port_law`                  what a reading says of its own conductance and of its column, for :mod:`..recovery`
-:mod:`._ends`                      columns that end in a Thevenin equivalent
+:mod:`._terminated`                columns that end in Thevenin equivalents, at once or in turns
+:mod:`._ends`                      their currents
+:mod:`._nodal`                     Newton's method for ends that are no Thevenin equivalents
 :mod:`._linear`                    outputs as a linear function of transfer conductances
 :mod:`._adjoint`                   forward and adjoint port potentials, for the derivatives of readings
 :mod:`._quick`                     outputs and their fields by plain nodal analysis, without bounds
@@ -19,9 +22,11 @@
 from ._adjoint import SensitivityGroup
 from ._cards import COLUMN_INDEX, FOLLOWER, REFERENCE, ROW_INDEX, CardWriter
 from ._circuit import Reading, ReadoutCircuit
+from ._described import DESCRIBED, DESCRIBED_INVERTING
 from ._ends import one_driven, sum_of_others, terminate
 from ._inverting_amplifier import InvertingAmplifier
 from ._linear import LinearReadout, output_rounding
+from ._nodal import System, inverted_nodes, step_system
 from ._port_law import PortLaw
 from ._quick import PortFields, QuickFields, QuickNetwork
 from ._row_amplifier import RowAmplifier
@@ -36,6 +41,8 @@ CIRCUITS: dict[str, ReadoutCircuit] = {
 __all__ = [
     "CIRCUITS",
     "COLUMN_INDEX",
+    "DESCRIBED",
+    "DESCRIBED_INVERTING",
     "FOLLOWER",
     "REFERENCE",
     "ROW_INDEX",
@@ -48,8 +55,11 @@ __all__ = [
     "Reading",
     "ReadoutCircuit",
     "SensitivityGroup",
+    "System",
+    "inverted_nodes",
     "one_driven",
     "output_rounding",
+    "step_system",
     "sum_of_others",
     "terminate",
 ]

@@ -91,17 +91,17 @@ def terminated_groups(board: Parts, ports: FloatArray, steps: TerminatedColumns)
     fixed_ports = rows + board.pulled  # the ports ahead of the columns
     ends = steps.ends
     for some_rows in np.split(steps.rows, len(steps.rows)) if board.floating else [steps.rows]:
-        for some in np.split(steps.columns, len(steps.columns)) if steps.one_by_one else [steps.columns]:
+        for read in board.turns if steps.one_by_one else [np.ones(columns, dtype=np.bool_)]:
+            some = steps.columns[read[steps.columns]]
             if not len(some):
                 continue
-            read = np.isin(np.arange(columns), some) if steps.one_by_one else np.ones(columns, dtype=np.bool_)
             tie = np.zeros(fixed_ports + columns)
             tie[some_rows if board.floating else slice(rows)] = np.inf
             tie[rows:fixed_ports] = np.inf
             tie[fixed_ports:] = siemens(np.where(read, ends.resistance, board.idle_resistance) + board.column_lead)
             ties = TiedPorts.of(ports, tie)
             behind = np.zeros((len(some_rows), fixed_ports + columns))
-            behind[:, fixed_ports:] = np.where(read, ends.source, 0.0)
+            behind[:, fixed_ports:] = np.where(read, ends.source, board.idle_source)
             behind[np.arange(len(some_rows)), some_rows] = board.drive
             forward = ties.potentials(behind)
             unit = np.zeros((len(some), fixed_ports + columns))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from math import inf
 from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from ._cards import CardWriter
 from ._ends import Ends
 from ._linear import LinearReadout
 from ._port_law import PortLaw
-from ._quick import QuickFields, QuickNetwork, terminated_fields, terminated_outputs
+from ._quick import QuickFields, QuickNetwork
 from ._rounding import energy_bound
 
 
@@ -38,6 +39,8 @@ class Reading(NamedTuple):
     """(..., N, M) V: the same sum over the terms with a difference a - b of sources, with abs(a) + abs(b) instead"""
     relative: float = 0.0
     """bound on the relative rounding error of the conductances after all eliminations"""
+    error: FloatArray | float = 0.0
+    """V, bound on errors of the circuit's own solution"""
 
 
 class ReadoutCircuit(ABC):
@@ -84,20 +87,14 @@ class ReadoutCircuit(ABC):
             network: the grid between its ports.
 
         """
-        ends = self.ends(board)
-        if ends is None or not (ends.resistance + board.column_lead).all():
-            return None
-        return terminated_outputs(board, network, ends)
+        return None
 
     def quick_fields(self, board: Parts, network: QuickNetwork) -> QuickFields | None:
         """Fields of all readings, from which :mod:`..recovery` computes derivatives.
 
         Arguments, and None, as for :meth:`quick_outputs`.
         """
-        ends = self.ends(board)
-        if ends is None or not (ends.resistance + board.column_lead).all():
-            return None
-        return terminated_fields(board, network, ends)
+        return None
 
     @abstractmethod
     def end_resistance(self, board: Parts) -> FloatArray:
@@ -128,9 +125,18 @@ class ReadoutCircuit(ABC):
         ends = self.ends(board)
         return None if ends is None else PortLaw.of_ends(ends, wire, board.drive, floating=board.floating)
 
+    def ambiguity(self, board: Parts) -> str:
+        """Why readings of such a board do not determine its cells; empty: nothing is known against it."""
+        del board
+        return ""
+
     def linear(self, board: Parts) -> LinearReadout | None:
         """The outputs as a linear function of transfer conductances; None where they are not linear."""
         return None
+
+    def reads_together(self, columns: str, idle_columns: str) -> bool:
+        """Whether all columns are read at once, for ``readout.columns`` and ``readout.idle_columns``."""
+        return self.virtual_ground and columns == "parallel"
 
     def columns_one_by_one(self, board: Parts) -> bool:
         """Whether each column is measured on its own, because idle columns end in something else than the read one."""
@@ -192,32 +198,58 @@ class ReadoutCircuit(ABC):
 
     # One cell alone, with ideal parts
 
-    @abstractmethod
     def domain(self, board: Parts) -> tuple[float, float]:
         """V of the ideal circuit's output on an open cell, and on a short: the ends of what a reading can say."""
+        alone = self.alone(board)
+        empty = board.level + float(np.mean(alone.rest))
+        with np.errstate(divide="ignore"):  # a short gives an infinite output of an amplifier
+            return empty, empty + float(np.mean(np.divide(alone.gain, np.abs(alone.span))))
 
     @abstractmethod
+    def alone(self, board: Parts) -> Alone:
+        """The output of one cell that is alone, with ideal parts."""
+
     def ideal_volts(self, board: Parts, cells: FloatArray) -> FloatArray:
         """(..., N, M) V if each of the cells, in ohm, were alone and all parts ideal: the paper's equation (10)."""
+        alone = self.alone(board)
+        with np.errstate(divide="ignore"):  # a short gives an infinite output of an amplifier
+            volts: FloatArray = board.level + alone.rest + alone.gain / (alone.span + cells)
+        return volts
 
-    @abstractmethod
     def apparent_resistance(self, board: Parts, volts: FloatArray) -> FloatArray:
-        """(..., N, M) ohm: the inverse of :meth:`ideal_volts`; inf where the output stands at the reference."""
+        """(..., N, M) ohm: the inverse of :meth:`ideal_volts`; inf where no current flows, or so little that the
+        quotient overflows.
+        """
+        alone = self.alone(board)
+        signal = np.asarray(volts, dtype=np.float64) - board.level - alone.rest
+        with np.errstate(over="ignore"):
+            ratio = np.where(signal == 0, inf, alone.gain / np.where(signal == 0, 1.0, signal))
+        return ratio - alone.span
 
-    @abstractmethod
     def apparent_conductance(self, board: Parts, signal: FloatArray) -> FloatArray:
         """(..., N, M) S that the ideal circuit would need for a signal in V above the reference; 0 for the wrong sign.
 
         Signals below a few ulp of the reference voltage are rounding, and count as none.
         """
+        alone = self.alone(board)
+        ratio = (signal - alone.rest) / alone.gain
+        conductance = np.where(ratio > rounding_floor(board) / board.reference, ratio, 0.0)
+        return conductance / alone.left(conductance)
 
-    @abstractmethod
     def conductance_slope(self, board: Parts, signal: FloatArray) -> FloatArray:
         """(..., N, M) S/V: derivative of :meth:`apparent_conductance` by the signal."""
+        alone = self.alone(board)
+        slope: FloatArray = (1.0 / alone.gain) / alone.left((signal - alone.rest) / alone.gain) ** 2
+        return slope
 
-    @abstractmethod
     def log_conductance_slope(self, board: Parts, signal: FloatArray) -> FloatArray:
         """(..., N, M) 1/V: derivative of the logarithm of :meth:`apparent_conductance`; 0 where there is no signal."""
+        alone = self.alone(board)
+        above = signal - alone.rest
+        slope = above * (1.0 - above / alone.gain * alone.span)
+        if np.count_nonzero(slope) == slope.size:  # nearly always
+            return np.reciprocal(slope)
+        return np.divide(1.0, slope, out=np.zeros_like(signal), where=slope != 0)
 
     @property
     def inverts(self) -> bool:
@@ -249,6 +281,27 @@ class ReadoutCircuit(ABC):
         return
 
 
+class Alone(NamedTuple):
+    """Output of one cell of R ohm, the only one of a board with ideal parts: ``level + rest + gain / (span + R)``.
+
+    (M,) arrays, or numbers.
+    """
+
+    gain: FloatArray
+    """V ohm"""
+    span: FloatArray | float
+    """ohm of what the cell is in series with"""
+    rest: FloatArray | float = 0.0
+    """V above the reference without current"""
+
+    def left(self, ratio: FloatArray) -> FloatArray:
+        """Share of the drive that is left across the cell, for a signal over ``gain`` (S); it is never nothing."""
+        if not np.any(self.span):
+            return np.ones_like(ratio)
+        left: FloatArray = 1.0 - np.minimum(ratio * self.span, _FULL_RATIO)
+        return left
+
+
 class Contradiction(NamedTuple):
     """Ideal sources that are joined by parts of 0 ohm."""
 
@@ -256,6 +309,9 @@ class Contradiction(NamedTuple):
     """names of the sources"""
     remedy: str
     """the key of the design that can separate them"""
+
+
+_FULL_RATIO = 1 - 1e-9  # of signal to drive; beyond this ratio a divider cannot distinguish the cell from a short
 
 
 def _same_island(islands: IntArray) -> tuple[int, int] | None:

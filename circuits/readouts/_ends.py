@@ -7,13 +7,15 @@ network with these ends. The currents into the ends then follow for all scan ste
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from ...common.arrays import FloatArray
 from .._parts import Parts
-from ..solvers import IDEAL_WIRE, Rounded, eliminate_leading, siemens
+from ..solvers import IDEAL_WIRE, Rounded, eliminate_leading, inverted, siemens
 
 
 class Ends(NamedTuple):
@@ -114,8 +116,8 @@ def one_driven(network: FloatArray, rows: int) -> Iterator[Rounded]:
         yield eliminate_leading(network[..., order[:, None], order], rows - 1)
 
 
-def currents_one_by_one(board: Parts, ports: FloatArray, ends: Ends) -> Currents:
-    """Currents into the columns' ends where each column is read alone and the others end as idle columns do.
+def currents_in_turns(board: Parts, ports: FloatArray, ends: Ends) -> Currents:
+    """Currents into the columns' ends where columns take turns, and the others end as idle columns do.
 
     Args:
         board: drive, idle rows and idle columns.
@@ -123,17 +125,61 @@ def currents_one_by_one(board: Parts, ports: FloatArray, ends: Ends) -> Currents
         ends: the end of each column while it is read.
 
     """
-    parts: list[Currents] = []
-    for j in range(board.shape[1]):
-        own = np.arange(board.shape[1]) == j
-        behind = np.where(own, ends.resistance, board.idle_resistance) + board.column_lead
-        terminated = terminate(ports, board.shape[0] + board.pulled, behind)
-        parts.append(column_currents(board, terminated, np.where(own, ends.source, 0.0)))
-    value, magnitude, cancelled = (
-        np.stack([getattr(part, name)[..., j] for j, part in enumerate(parts)], axis=-1)
-        for name in ("value", "magnitude", "cancelled")
-    )
-    return Currents(value, magnitude, cancelled, np.max([part.relative for part in parts], axis=0))
+    rows, columns = board.shape
+    if not board.pulled and reads_alone(board, ends):
+        return _currents_alone(board, ports, ends.resistance + board.column_lead)
+    value, magnitude, cancelled = np.empty((3, *ports.shape[:-2], rows, columns))
+    relative = np.zeros(ports.shape[:-2])
+    for read in board.turns:
+        behind = np.where(read, ends.resistance, board.idle_resistance) + board.column_lead
+        terminated = terminate(ports, rows + board.pulled, behind)
+        part = column_currents(board, terminated, np.where(read, ends.source, board.idle_source))
+        for whole, own in zip((value, magnitude, cancelled), part[:3], strict=True):
+            whole[..., read] = own[..., read]
+        relative = np.maximum(relative, part.relative)
+    return Currents(value, magnitude, cancelled, relative)
+
+
+def reads_alone(board: Parts, ends: Ends) -> bool:
+    """Whether each column is read with all others open, behind nothing but a resistance."""
+    is_alone = board.shared_by >= board.shape[1] and np.isinf(board.idle_resistance).all()
+    return bool(is_alone and not ends.source.any())
+
+
+def _currents_alone(board: Parts, ports: FloatArray, behind: FloatArray) -> Currents:
+    """As :func:`currents_in_turns` with ``behind`` (M,) ohm to the reference at one column at a time, the others open.
+
+    By the Thevenin equivalents of the grid at its columns.
+    """
+    rows = board.shape[0]
+    if board.floating:
+        between, relative = effective_resistance(ports, rows)
+        current = board.drive / (behind + between)
+    else:
+        inner, relative = inverted(ports[..., rows:, rows:], ports[..., :rows, rows:].sum(axis=-2), rows)
+        open_circuit = board.drive * ports[..., :rows, rows:] @ inner
+        current = open_circuit / (behind + np.einsum("...jj->...j", inner)[..., None, :])
+    return Currents(current, np.abs(current), np.zeros_like(current), relative)  # a quotient of sums of one sign
+
+
+def effective_resistance(ports: FloatArray, rows: int) -> Rounded:
+    """Ohm (..., N, M) between each row terminal and each column terminal with all other terminals open.
+
+    The selected row is grounded in each step. Grounding one node for all pairs would cancel digits of nearby pairs.
+    """
+    size = ports.shape[-1]
+    result = np.empty((*ports.shape[:-2], rows, size - rows))
+    flat, out = ports.reshape(-1, size, size), result.reshape(-1, rows, size - rows)
+    relative = np.zeros(len(flat))  # each row of each frame is solved on its own
+    for frame, network in enumerate(flat):
+        _, island = connected_components(network > 0, directed=False)
+        for row in range(rows):
+            others = np.delete(np.arange(size), row)
+            inner, error = inverted(network[np.ix_(others, others)], network[row, others])
+            relative[frame] = max(relative[frame], float(error))
+            ohms = np.where(island[others] == island[row], np.diagonal(inner), inf)
+            out[frame, row] = ohms[rows - 1 :]
+    return Rounded(result, relative.reshape(ports.shape[:-2]))
 
 
 def sum_of_others(values: FloatArray) -> FloatArray:

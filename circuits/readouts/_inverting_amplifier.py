@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from ...common.arrays import BoolArray, FloatArray, IntArray
 from ...errors import SolverError
 from .._parts import Parts
-from ..solvers import IDEAL_WIRE, LARGEST_PART, Lines, Wires
+from ..solvers import IDEAL_WIRE, LARGEST_PART
 from ._adjoint import SensitivityGroup, TerminatedColumns, terminated_groups
 from ._cards import CardWriter
-from ._circuit import Reading, ReadoutCircuit, rounding_floor
-from ._ends import Ends, column_currents, currents_one_by_one, terminate
-from ._linear import LinearReadout
+from ._circuit import Alone, Reading
+from ._ends import Ends, column_currents, terminate
+from ._terminated import Terminated
 
 SignArray = NDArray[np.int8]
 
@@ -34,68 +34,33 @@ _MURTY_AFTER = 50  # rounds of pivoting all columns at once, before one column a
 _LARGEST_SPICE_GAIN = 1e8  # of a voltage-controlled source: a larger one would multiply ngspice's rounding errors
 
 
-class InvertingAmplifier(ReadoutCircuit):
+class InvertingAmplifier(Terminated):
     """An inverting amplifier on each column; idle rows at the reference, or open."""
 
     name = "inverting-amplifier"
     virtual_ground = True
     in_populations = True
 
+    def read_ends(self, board: Parts) -> Ends:
+        return amplifier_ends(board)
+
     def read(self, board: Parts, ports: FloatArray) -> Reading:
-        rows, columns = board.shape
-        ends = amplifier_ends(board)
-        if board.multiplexed:
-            currents = currents_one_by_one(board, ports, ends)
-        else:
-            network = terminate(ports, rows + board.pulled, ends.resistance + board.column_lead)
-            currents = column_currents(board, network, ends.source)
-        volts, relative = ends.output + ends.slope * currents.value, float(currents.relative.max(initial=0.0))
-        magnitude, cancelled = (np.abs(ends.slope) * part for part in (currents.magnitude, currents.cancelled))
+        volts, saturated, magnitude, cancelled, relative, _ = super().read(board, ports)
         low, high = board.supply
         saturated = (volts < low) | (volts > high)
-        if board.multiplexed:  # one amplifier at a time: its limited output is the nearest limit
+        if self.columns_one_by_one(board):  # one amplifier at a time: its limited output is the nearest limit
             magnitude, cancelled = (np.where(saturated, 0.0, part) for part in (magnitude, cancelled))
             volts = np.clip(volts, low, high)
         elif saturated.any():
             frames = ports.reshape(-1, *ports.shape[-2:])
-            parts = [part.reshape(-1, rows, columns) for part in (volts, saturated, magnitude, cancelled)]
+            parts = [part.reshape(-1, *board.shape) for part in (volts, saturated, magnitude, cancelled)]
             for frame in np.flatnonzero(parts[1].any(axis=(1, 2))):
                 of_frame = Reading(*(part[frame] for part in parts))
-                *limited, own = _read_saturated(board, frames[frame], of_frame)
+                *limited, own, _ = _read_saturated(board, frames[frame], of_frame)
                 for part, instead in zip(parts, limited, strict=True):
                     part[frame] = instead
                 relative = max(relative, own)
         return Reading(volts, saturated, magnitude, cancelled, relative)
-
-    def columns_one_by_one(self, board: Parts) -> bool:
-        return board.multiplexed
-
-    def end_resistance(self, board: Parts) -> FloatArray:
-        own = amplifier_ends(board).resistance
-        return np.minimum(own, board.idle_resistance) if board.multiplexed else own
-
-    def ends(self, board: Parts) -> Ends | None:
-        return None if board.multiplexed else amplifier_ends(board)
-
-    def linear(self, board: Parts) -> LinearReadout | None:
-        """Linear with grounded idle rows and inputs that all stand at one potential; None otherwise."""
-        if board.floating or board.multiplexed or not board.plain:
-            return None
-        ends = amplifier_ends(board)
-        resistance = ends.resistance + board.column_lead
-        if (ends.source != ends.source[0]).any() or np.isinf(resistance).any():
-            return None
-        with np.errstate(divide="ignore"):
-            ended = Lines(board.lines.row, board.lines.column, 1.0 / resistance)
-        return LinearReadout(
-            output=ends.output,
-            slope=ends.slope,
-            drive=board.drive,
-            source=float(ends.source[0]),
-            supply=board.supply,
-            lines=ended,
-            wires=Wires.of(ended),
-        )
 
     def ideal_inputs(self, board: Parts) -> BoolArray:
         ideal: BoolArray = (board.column_lead == 0) & np.isinf(board.gain)
@@ -137,27 +102,8 @@ class InvertingAmplifier(ReadoutCircuit):
         delivered: FloatArray = (current - board.bias)[:, group.columns]
         return delivered
 
-    def domain(self, board: Parts) -> tuple[float, float]:
-        return board.level, -inf if board.drive > 0 else inf
-
-    def ideal_volts(self, board: Parts, cells: FloatArray) -> FloatArray:
-        with np.errstate(divide="ignore"):  # a short gives an infinite output
-            volts: FloatArray = board.level - board.drive * board.reference / cells
-        return volts
-
-    def apparent_resistance(self, board: Parts, volts: FloatArray) -> FloatArray:
-        return -board.reference * drive_over_signal(board, volts)
-
-    def apparent_conductance(self, board: Parts, signal: FloatArray) -> FloatArray:
-        ratio = -signal / board.drive
-        conductance: FloatArray = np.where(ratio > rounding_floor(board), ratio, 0.0) / board.reference
-        return conductance
-
-    def conductance_slope(self, board: Parts, signal: FloatArray) -> FloatArray:
-        return np.broadcast_to(-1.0 / (board.drive * board.reference), signal.shape)
-
-    def log_conductance_slope(self, board: Parts, signal: FloatArray) -> FloatArray:
-        return np.divide(1.0, signal, out=np.zeros_like(signal), where=signal != 0)
+    def alone(self, board: Parts) -> Alone:
+        return Alone(-board.drive * board.reference, 0.0)
 
     def sensitivity_groups(self, board: Parts, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
         at_high = reading.volts >= board.supply[1]
@@ -167,8 +113,8 @@ class InvertingAmplifier(ReadoutCircuit):
             columns = TerminatedColumns(
                 rows=np.flatnonzero(pattern_of.ravel() == number),
                 columns=np.flatnonzero(pattern == 0),  # an output at a limit does not move
-                one_by_one=board.multiplexed,
-                ends=amplifier_ends(board, None if board.multiplexed else pattern),
+                one_by_one=self.columns_one_by_one(board),
+                ends=amplifier_ends(board, None if self.columns_one_by_one(board) else pattern),
                 own_parts=lambda some, current, adjoint, linear=pattern == 0: _by_own_parts(  # type: ignore[misc]
                     board, linear, some, current, adjoint
                 ),
@@ -282,14 +228,6 @@ class InvertingAmplifier(ReadoutCircuit):
                 "readout.open_loop_gain a finite value"
             )
         return min(max(output, low), high)
-
-
-def drive_over_signal(board: Parts, volts: FloatArray) -> FloatArray:
-    """(..., N, M) drive over signal; inf where there is no signal, or one so small that the quotient overflows."""
-    signal = np.asarray(volts, dtype=np.float64) - board.level
-    with np.errstate(over="ignore"):
-        ratio = np.where(signal == 0, inf, board.drive / np.where(signal == 0, 1.0, signal))
-    return ratio
 
 
 def amplifier_ends(board: Parts, state: SignArray | None = None) -> Ends:

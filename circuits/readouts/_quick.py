@@ -74,12 +74,12 @@ def terminated_outputs(board: Parts, network: QuickNetwork, ends: Ends) -> Float
     return volts
 
 
-def open_column_outputs(board: Parts, network: QuickNetwork) -> FloatArray:
-    """V (N, M) of a divider whose idle columns are open, by the Thevenin equivalent of each column."""
+def open_column_outputs(board: Parts, network: QuickNetwork, ends: Ends) -> FloatArray:
+    """V (N, M) of ends without sources, idle columns open, by the Thevenin equivalent of each column."""
     driven = network.driven
-    rows, load = len(driven), board.reference
+    rows = len(driven)
     if board.floating:
-        nothing = np.zeros(len(load))
+        nothing = np.zeros(driven.shape[1])
         laplacian = _floating(network, nothing)
         # Adding a constant to all entries makes the matrix invertible, and changes no resistance between two nodes.
         laplacian += np.trace(laplacian) / len(laplacian) ** 2
@@ -90,11 +90,11 @@ def open_column_outputs(board: Parts, network: QuickNetwork) -> FloatArray:
     else:
         impedance = _impedance(network, 0.0)
         inside, source = np.diagonal(impedance), board.drive * (driven @ impedance)
-    volts: FloatArray = board.level + source * load / (load + board.column_lead + inside)
+    volts: FloatArray = ends.output + ends.slope * source / (ends.resistance + board.column_lead + inside)
     return volts
 
 
-def _alone(board: Parts, network: QuickNetwork) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _alone(board: Parts, network: QuickNetwork, ends: Ends) -> tuple[FloatArray, FloatArray, FloatArray]:
     """One column of a board with pull-downs at a time, all other columns open.
 
     Returns:
@@ -103,28 +103,28 @@ def _alone(board: Parts, network: QuickNetwork) -> tuple[FloatArray, FloatArray,
 
     """
     rows = len(network.driven)
-    impedance = np.asarray(np.linalg.inv(_floating(network, np.zeros(len(board.reference)))), dtype=np.float64)
+    impedance = np.asarray(np.linalg.inv(_floating(network, np.zeros(len(ends.slope)))), dtype=np.float64)
     own = np.diagonal(impedance)
     gain = impedance[:rows, rows:] / own[:rows, None]
     inside = own[rows:] - gain * impedance[:rows, rows:]
-    return impedance, gain, 1.0 / (board.reference + board.column_lead + inside)
+    return impedance, gain, 1.0 / (ends.resistance + board.column_lead + inside)
 
 
-def pulled_column_outputs(board: Parts, network: QuickNetwork) -> FloatArray:
-    """V (N, M) of a divider whose rows have pull-downs and whose idle columns are open."""
-    _, gain, conductance = _alone(board, network)
-    volts: FloatArray = board.level + board.drive * board.reference * gain * conductance
+def pulled_column_outputs(board: Parts, network: QuickNetwork, ends: Ends) -> FloatArray:
+    """V (N, M) of ends without sources, rows with pull-downs and idle columns open."""
+    _, gain, conductance = _alone(board, network, ends)
+    volts: FloatArray = ends.output + board.drive * ends.slope * gain * conductance
     return volts
 
 
-def pulled_column_fields(board: Parts, network: QuickNetwork) -> QuickFields:
+def pulled_column_fields(board: Parts, network: QuickNetwork, ends: Ends) -> QuickFields:
     """Fields of the readings of :func:`pulled_column_outputs`."""
-    impedance, gain, conductance = _alone(board, network)
+    impedance, gain, conductance = _alone(board, network, ends)
     rows = len(network.driven)
     of_rows, of_columns = impedance[:rows], impedance[rows:]
     current = board.drive * gain * conductance  # A into the load
     into_row = (board.drive + impedance[:rows, rows:] * current) / np.diagonal(impedance)[:rows, None]
-    unit = board.reference * conductance
+    unit = ends.slope * conductance
     return QuickFields(
         PortFields(of_rows, of_columns, into_row, -current), PortFields(of_rows, of_columns, -unit * gain, unit)
     )
@@ -188,11 +188,11 @@ def terminated_fields(board: Parts, network: QuickNetwork, ends: Ends) -> QuickF
     )
 
 
-def open_column_fields(board: Parts, network: QuickNetwork) -> QuickFields:
+def open_column_fields(board: Parts, network: QuickNetwork, ends: Ends) -> QuickFields:
     """Fields of the readings of :func:`open_column_outputs`."""
     driven = network.driven
-    (rows, columns), load = driven.shape, board.reference
-    behind = load + board.column_lead
+    (rows, columns), slope = driven.shape, ends.slope
+    behind = ends.resistance + board.column_lead
     if not board.floating:
         impedance = _impedance(network, 0.0)
         share = 1.0 / (behind + np.diagonal(impedance))
@@ -204,7 +204,7 @@ def open_column_fields(board: Parts, network: QuickNetwork) -> QuickFields:
         one, none = np.ones((rows, columns)), np.zeros((rows, columns))
         return QuickFields(
             PortFields(selected, at_columns, one, -open_circuit * share),
-            PortFields(np.zeros_like(selected), at_columns, none, one * (load * share)),
+            PortFields(np.zeros_like(selected), at_columns, none, one * (slope * share)),
         )
     laplacian = _floating(network, np.zeros(columns))
     laplacian += np.trace(laplacian) / len(laplacian) ** 2
@@ -213,7 +213,7 @@ def open_column_fields(board: Parts, network: QuickNetwork) -> QuickFields:
     # V at the ports for 1 A from the row to the column are the difference of both.
     own = np.diagonal(at_ports)
     current = 1.0 / (behind + own[:rows, None] + own[rows:] - 2.0 * at_ports[:rows, rows:])
-    forward, adjoint = board.drive * current, load * current
+    forward, adjoint = board.drive * current, slope * current
     return QuickFields(
         PortFields(of_rows, of_columns, forward, -forward), PortFields(of_rows, of_columns, -adjoint, adjoint)
     )

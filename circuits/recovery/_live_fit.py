@@ -36,6 +36,7 @@ from ._live_reading import (
     UNSETTLED,
     Errors,
     LiveReading,
+    UsualReading,
     ValidityRule,
     undetermined,
 )
@@ -92,6 +93,7 @@ class FitLive:
     """Live recovery of dividers whose rows float."""
 
     scales_columns = False
+    usual: UsualReading | None = None
 
     def __init__(self, board: Board, rule: ValidityRule) -> None:
         """For a board with a converter.

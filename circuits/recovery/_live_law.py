@@ -24,7 +24,7 @@ from .._sections import Fault
 from ._enclosure import Enclosed, Enclosure, Unknowns
 from ._factors import EVALUATIONS, OPEN, Factors
 from ._law import Law, Ports
-from ._law_errors import LawErrors, Steps
+from ._law_errors import ALIKE, LawErrors, Steps
 from ._law_kernels import LEAST
 from ._lines import LineResistance
 from ._live_reading import (
@@ -35,16 +35,16 @@ from ._live_reading import (
     UNCERTAIN,
     UNSETTLED,
     LiveReading,
+    UsualReading,
     ValidityRule,
     undetermined,
 )
 from ._quick_model import QuickModel
+from ._usual_frames import BEYOND, MOST_WIRE, UsualFrames
 
 _SHEET_EVALUATIONS = 1  # of a continuous sheet in a frame, a hundred times as dear as that of a sliced one
 _COMPLETE_SHORT = 1e-5  # ohm that stands for a short of 0 ohm
-_MOST_WIRE = 2.0  # resistance of a cell's lines over its own from which on it reads like a short
 _OFTEN = 3  # frames with readings that no cells give, after which the design is taken for wrong
-_BEYOND = 3.0  # errors by which such readings exceed what cells can give
 
 
 class LawLive:
@@ -107,10 +107,36 @@ class LawLive:
             self._factors = Factors(board.shape, self._law_of_model, self._enclosure.coupling, evaluations)
         beside_end = np.abs(to_end - to_end.mean(axis=0)).max(axis=0)
         self._beside_law = beside_end / np.maximum(self._law.behind, beside_end + LEAST)  # share that segments change
+        self.usual: UsualReading | None = self._usual_frames(board)
         self._impossible = 0
         self._every = np.ones(board.shape, dtype=np.bool_), np.zeros(board.shape, dtype=np.int8)
         for shared in self._every:
             shared.flags.writeable = False
+
+    def _usual_frames(self, board: Board) -> UsualFrames | None:
+        """What measures the usual frames; None if there are none on this board."""
+        law, steps = self._law, self._steps
+        several = law.follows or law.ties_down  # answers
+        assert board.adc is not None
+        if self._faulty or self._present is not None or not self._tells or several or board.faults:
+            return None
+        constants = {
+            "step": board.adc.step,
+            "half": steps.half,
+            "random": steps.random,
+            "shared": steps.shared,
+            "alike": ALIKE if steps.alike else 1.0,
+            "accuracy": self._rule.limit,
+            "averages": self._rule.averages,
+            "scales_columns": self.scales_columns,
+            "mixes": law.has_potential,
+            "has_leads": law.has_leads,
+            "one_by_one": law.one_by_one,
+            "floating": board.floating,
+            "factors": self._factors is not None,
+            "turned": board.turned,
+        }
+        return UsualFrames(law, self._factors, self._beside_law, (self._wires, self._whole_wires), constants)
 
     @np.errstate(all="ignore")
     def __call__(
@@ -176,7 +202,7 @@ class LawLive:
 
     def _count_impossible(self, ports: Ports, errors: LawErrors, unknowns: Unknowns | None) -> None:
         """Raise SolverError for readings that no cells give, frame after frame."""
-        impossible = unknowns is None and bool((ports.left < -_BEYOND * errors.of_left - self._beside_law).any())
+        impossible = unknowns is None and bool((ports.left < -BEYOND * errors.of_left - self._beside_law).any())
         self._impossible = self._impossible + 1 if impossible else 0
         if self._impossible > _OFTEN:
             raise SolverError("no cell resistances give these readings; check that the design is that of the board")
@@ -202,7 +228,7 @@ class LawLive:
             by_others = None if by_others is None else np.where(by_others > 0.0, by_others * grown, 0.0)
         total = uncertainty if by_others is None else uncertainty + by_others
         valid = self._rule.accepts(total)
-        short = cells * self._wires > _MOST_WIRE if self._any_wire else None
+        short = cells * self._wires > MOST_WIRE if self._any_wire else None
         if errors.at_end is not None:
             short = errors.at_end if short is None else short | errors.at_end
         resistance = 1.0 / np.maximum(cells, 0.0)
@@ -241,7 +267,7 @@ class LawLive:
         if by_others is not None:
             reason[by_others > 0.5 * total] = DISTURBED
         # A cell far below its wires reads like a short, whatever its own error is.
-        like_short = (cells * self._whole_wires > _MOST_WIRE) & ~valid
+        like_short = (cells * self._whole_wires > MOST_WIRE) & ~valid
         none = ((own >= 1.0) | ~(cells > 0.0)) & ~like_short
         beside = False if short is None else bool(short.any())  # a short keeps others from settling
         unsettled = None if settled else ~none

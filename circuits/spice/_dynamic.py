@@ -20,7 +20,6 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterator
 from math import inf, isfinite, isinf, nan, pi
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -202,14 +201,14 @@ class _Writer:
         )
 
     def _model_cards(self, model: AmplifierModel) -> Iterator[str]:
-        yield f"* {printable(model.file)}: {model.subcircuit} in place of the one-pole amplifier"
+        yield f"* {printable(model.file.name)}: {model.subcircuit} in place of the one-pole amplifier"
         yield "* A model in PSpice's dialect needs ngspice -D ngbehavior=psa, and .control blocks in place of *#"
         low, high = self.rails
         if "v-" in model.pins:
             yield f"Vlow rail_low 0 DC {low!r}"
         if "v+" in model.pins:
             yield f"Vhigh rail_high 0 DC {high!r}"
-        yield from (model.text or model.read(Path()).text).split("\n")
+        yield from model.text.split("\n")
 
     @property
     def rails(self) -> tuple[float, float]:

@@ -18,7 +18,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from math import inf, isinf
+from typing import NamedTuple
 
+import numpy as np
 from numpy.typing import ArrayLike
 from scipy.cluster.hierarchy import DisjointSet
 
@@ -26,6 +28,7 @@ from ...common.arrays import FloatArray
 from ...errors import InputError, SolverError
 from .._board import Board
 from .._design import Design
+from ..ends import LINE, REF, LineEnds, join, spice_cards
 from ..readouts import COLUMN_INDEX, FOLLOWER, REFERENCE, ROW_INDEX, CardWriter
 
 _IDLE_COLUMNS = {"float": "are open", "ground": "stay at the reference", "load": "have a load each"}
@@ -121,6 +124,26 @@ def frame_deck(design: Design, resistance: ArrayLike) -> Deck:
     return DeckWriter(board, board.turn(design.resistance(resistance)), None).deck()
 
 
+def _marked(node: str, mark: str) -> str:
+    """Name of a node in the copy of the circuit for one turn."""
+    return node if node == REFERENCE else f"{node}{mark}"
+
+
+class _Place(NamedTuple):
+    """Names of a network's nodes in the whole circuit."""
+
+    place: str
+    mark: str
+    """of the turn"""
+    line: str
+    shares_reference: bool
+
+    def name(self, node: str) -> str:
+        if node == REF and self.shares_reference:
+            return f"{node}{self.mark}"
+        return _marked(self.line if node == LINE else node if node == REFERENCE else f"{node}_{self.place}", self.mark)
+
+
 class DeckWriter(CardWriter):
     """Writes the SPICE cards of one board.
 
@@ -152,14 +175,17 @@ class DeckWriter(CardWriter):
         self.feedback = board.circuit.drives_idle_lines
         self.one_by_one = board.circuit.columns_one_by_one(board) and (self.columns > 1 or self.feedback)
         self.floating = board.floating and not self.feedback
-        self.driven = [i for i in range(self.rows) if row in {None, i} or not self.floating]
-        self.ground = "agnd" if board.level else REFERENCE
+        self.described = board.line_ends
+        self.driven = [i for i in range(self.rows) if row in {None, i} or not self.floating or self.described]
+        self.ground = "agnd" if board.level and not self.described else REFERENCE
         self.name = self._merged_node_names()
         self.drivers = {self.name[self._driver(i)]: i for i in self.driven}
         self._refuse_contradictions()
 
     def deck(self) -> Deck:
         """The circuit with its analysis."""
+        if self.described is not None:
+            return self._described_deck(self.described)
         cards = [*self._sources(), *self._grid(), "", *self.circuit.cards(self), *self._island_ties()]
         if any(card.startswith("B") for card in cards):
             cards += [
@@ -180,10 +206,52 @@ class DeckWriter(CardWriter):
             title += "; columns are driven: row I, column J here are the array's column, row counted from the end"
         return Deck(title, tuple(cards), " ".join(sweep), self.one_by_one, outputs, self.ground)
 
+    def _described_deck(self, ends: LineEnds) -> Deck:
+        """The circuit of a board with networks at its lines: the whole of it once for each turn of the columns."""
+        if self.row is None:
+            raise SolverError("networks at the lines' ends change from row to row; only a netlist of one row has them")
+        outputs = [REFERENCE] * self.columns
+        at_ends = (*map(self._driver, self.driven), *map(self.circuit.column_end, range(self.columns)))
+        lines = [self.name[node] for node in at_ends]
+        cards = [f"* Row {self.row} is selected."]
+        for turn, read in enumerate(self.board.turns):
+            mark = f"_t{turn}" if len(self.board.turns) > 1 else ""
+            if mark:
+                cards += ["", f"* Turn {turn}: columns {', '.join(map(str, np.flatnonzero(read)))} are read."]
+            for card in self._grid():
+                name, *words = card.split(" ", 3)
+                is_part = card.startswith("R")
+                cards.append(
+                    f"{name}{mark} {_marked(words[0], mark)} {_marked(words[1], mark)} {words[2]}" if is_part else card
+                )
+            cards.append("")
+            islands = DisjointSet([REFERENCE])
+            for _, a, b, ohm in self._resistors():
+                for node in (a, b):
+                    islands.add(_marked(self.name[node], mark))
+                if ohm < inf:
+                    islands.merge(*(_marked(self.name[node], mark) for node in (a, b)))
+            for place, number, network in ends.of_step(self.row, read):
+                at = _Place(place, mark, lines[number] if number < len(lines) else "", bool(ends.reference))
+                cards += spice_cards(network, at.name, f"_{place}{mark}")
+                join(islands, network, at.name)
+                if self.rows <= number < len(lines) and read[number - self.rows]:
+                    outputs[number - self.rows] = at.name(ends.out)
+            for number, island in enumerate(islands.subsets()):
+                if REFERENCE not in island:
+                    cards.append(f"Rtie_{number}{mark} {min(island)} {REFERENCE} 1")
+        if any(card.startswith(("B", "D")) for card in cards):
+            cards.append(NONLINEAR_OPTIONS)
+        rows, columns = self.board.array_shape
+        title = f"ohmskin: {rows} x {columns} cells, networks at the lines' ends, row {self.row} selected"
+        return Deck(title, tuple(cards), "op", False, tuple(outputs), REFERENCE)
+
     # Nodes
 
     def _driver(self, i: int) -> str:
         """Node at the driven end of row i's lead. For an idle row this is the reference or the follower's output."""
+        if self.described is not None:
+            return f"row_end_{i}"
         return f"drive_{i}" if self.row in {None, i} else FOLLOWER if self.feedback else REFERENCE
 
     def _start(self, i: int) -> str:
@@ -202,7 +270,10 @@ class DeckWriter(CardWriter):
         All crosspoints of a line without segment resistance are one node.
         """
         row, column = self.row_ohms.tolist(), self.column_ohms.tolist()
-        if self.board.pulled:
+        if self.described is not None:
+            for i in self.driven:
+                yield f"Rlead_row_{i}", self._driver(i), self._row(i, 0), row[i][0] - float(self.board.row_lead[i])
+        elif self.board.pulled:
             lead = self.board.row_lead.tolist()
             for i in range(self.rows):
                 yield f"Rpull_row_{i}", self._start(i), REFERENCE, self.board.pull
@@ -247,6 +318,8 @@ class DeckWriter(CardWriter):
 
     def _refuse_contradictions(self) -> None:
         """Raise SolverError if ideal parts join sources of different voltages."""
+        if self.described is not None:
+            return
         if len(self.drivers) < len({self._driver(i) for i in self.driven}) and not (self.row is None and self.floating):
             raise SolverError(
                 "rows that are driven to different voltages are joined by parts of 0 ohm; "

@@ -76,7 +76,7 @@ class Modes(NamedTuple):
     def settled_after(self, allowed: FloatArray) -> FloatArray:
         """(B,) seconds after which the sum of all modes stays within ``allowed`` V (B,)."""
         fastest = np.abs(np.where(self.size > 0.0, self.rate, 0.0)).max(axis=-1, initial=0.0)
-        least = np.divide(1.0, fastest, out=np.zeros_like(fastest), where=fastest > 0)
+        least: FloatArray = np.divide(1.0, fastest, out=np.zeros_like(fastest), where=fastest > 0)
         while (late := (self.envelope(least).sum(axis=-1) > allowed) & (fastest > 0)).any():
             least[late] *= 1.2
         return least

@@ -71,11 +71,20 @@ class Host:
         return of(answer, events)[-1]
 
     def taken(self, order: Order, *, period_us: int = 0) -> Reply:
-        """Give an order until its own reply comes."""
+        """Give an order until its own reply comes: the one that repeats its number, however late others come."""
+        mine: set[int] = set()
         patience = Patience()
-        while (reply := self.ask(order, Reply, period_us=period_us)).order != order.value:
-            patience.spend(reply)
-        return reply
+        while True:
+            self.tell(order, period_us=period_us)
+            mine.add(self.protocol.commands)
+            again = Patience(1.0)
+            while not again.is_over:
+                patience.spend(order)
+                again.count()
+                for reply in of(Reply, self.protocol.feed(self.serial.read(1024), time.monotonic())):
+                    if reply.command_sequence in mine:
+                        assert reply.order == order.value
+                        return reply
 
 
 @pytest.fixture

@@ -36,6 +36,7 @@ from ohmskin.common.text import one_line
 from ohmskin.driver import ReplayPort, Skin
 from ohmskin.emulator import Scene
 from ohmskin.errors import InputError, LinkEnded, LinkError, OhmskinError, SolverError
+from ohmskin.kicad import Imported, differences, import_design, read_netlist, to_netlist
 from ohmskin.wire import BoardFile, FramePacket, Order, board_protocol, host_protocol
 
 from .mutations import mutated
@@ -130,6 +131,34 @@ def _agrees_with_reference(design: Design, rng: random.Random) -> None:
     assert error <= allowed, f"volts are off by {error:g} V; the bound is {allowed:g} V"
 
 
+def _netlist_text(rng: random.Random) -> bytes:
+    return to_netlist(tomllib.loads(_design_text(rng).decode())).encode()
+
+
+def _imported(path: Path) -> Imported:
+    netlist = read_netlist(path)
+    try:
+        found = import_design(netlist)
+        found.design()
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    return found
+
+
+def _judge_netlist(data: bytes, rng: random.Random, folder: Path) -> str:
+    """What is read is a design, or says why not; its text reads back as the same design."""
+    path = folder / "board.net"
+    path.write_bytes(data)
+    found = _read(path, _imported)
+    if found is None:
+        return REFUSED
+    design = found.design()
+    written = folder / "design.toml"
+    written.write_text(found.toml())
+    assert not differences(Design.load(written), design), "the text says another design"
+    return ACCEPTED
+
+
 def _cell_text(rng: random.Random) -> bytes:
     return (ROOT / "cell" / "example.toml").read_bytes()
 
@@ -149,7 +178,7 @@ def _judge_cell(data: bytes, rng: random.Random, folder: Path) -> str:
 
 def _scene_text(rng: random.Random) -> bytes:
     text = (ROOT / "examples" / "fingers.toml").read_text()
-    return text.replace("prototype.toml", str(ROOT / "examples" / "prototype.toml")).encode()
+    return text.replace("../verification/prototype.toml", str(ROOT / "verification" / "prototype.toml")).encode()
 
 
 def _judge_scene(data: bytes, rng: random.Random, folder: Path) -> str:
@@ -560,6 +589,7 @@ FORMATS = {
         Format("cells", _cells_text, _judge_cells),
         Format("recording", _recording_text, _judge_recording),
         Format("frames", _stream, _judge_stream, text=False),
+        Format("netlist", _netlist_text, _judge_netlist),
         Format("board", _board_text, _judge_board),
         Format("mcap", _recorded, _judge_recorded, text=False),
         Format("call", _call, _judge_call),

@@ -31,7 +31,6 @@ class OhmskinHost(HostProtocol):
         super().__init__(family, layout)
         self._decoder = PacketDecoder()
         self._description = _Assembly()
-        self._commands = 0
 
     def feed(self, data: bytes, received_at: float) -> list[Event]:
         events: list[Event] = []
@@ -49,9 +48,9 @@ class OhmskinHost(HostProtocol):
         return events
 
     def request(self, order: Order, *, period_us: int = 0) -> bytes:
-        self._commands = (self._commands + 1) % 2**32
+        self.commands = (self.commands + 1) % 2**32
         # The zero ends what an earlier host may have left unfinished.
-        return b"\0" + encode(Command(order, period_us, sequence=self._commands))
+        return b"\0" + encode(Command(order, period_us, sequence=self.commands))
 
 
 class OhmskinBoard(BoardProtocol):

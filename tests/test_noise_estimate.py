@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ohmskin.circuits import Design, adc_codes, scan
+from ohmskin.common.noise import NoiseEstimate, constant_part
 from ohmskin.driver import CountReader
 
 STEP = 1e-3
@@ -198,3 +199,59 @@ def test_readings_that_stand_still_become_valid_again_after_noise() -> None:
     assert not noisy.valid.all()
     assert quiet[-1].valid.all()
     assert quiet[-1].uncertainty.max() < 0.3 * noisy.uncertainty.min()
+
+
+@pytest.mark.parametrize("count", [1, 4, 16, 256])
+@pytest.mark.parametrize("press", [0.0, 1000.0])
+def test_the_noise_of_each_reading_is_learned_while_a_finger_taps(count: int, press: float) -> None:
+    """To a third of a reading's own noise after 600 frames; presses of a thousand times the noise do not count."""
+    ratios, frames = [], np.arange(600)
+    for seed in range(1 if count > 100 else 6):
+        draw = np.random.default_rng(seed)
+        true = np.geomspace(0.7, 1.4, count) if count > 1 else np.ones(1)
+        course = press * ((frames % 100 < 20) + 0.5 - 0.5 * np.cos(frames / 40.0))
+        estimate = NoiseEstimate(count, quantum=1e-6)
+        for load in course[:, None] + true * draw.normal(size=(600, count)):
+            estimate.update(load)
+        ratios.append(estimate.each / true)
+    assert np.median(ratios) == pytest.approx(1.0, abs=0.1)
+    assert np.quantile(ratios, [0.05, 0.95]) == pytest.approx([1.0, 1.0], abs=0.3)
+
+
+@pytest.mark.parametrize("sigma", [0.08, 0.2, 0.5, 2.0])
+def test_of_quantised_readings_noise_and_constant_part_make_up_the_whole_error(sigma: float) -> None:
+    """Mean squares over many readings: what changes from frame to frame, and what stays of a step of uniform error."""
+    draw = np.random.default_rng(3)
+    true, estimate = draw.uniform(0.0, 100.0, 400), NoiseEstimate(400, quantum=1.0, assumed=0.5)
+    errors = []
+    for _ in range(60):
+        codes = np.round(true + sigma * draw.normal(size=400))
+        estimate.update(codes)
+        errors.append(np.mean((codes - true) ** 2))
+    stated = estimate.usual**2 + constant_part(estimate.usual) ** 2 / 12.0
+    assert stated == pytest.approx(np.mean(errors), rel=0.1)
+
+
+def test_readings_that_are_missing_or_sent_twice_change_no_noise() -> None:
+    draw = np.random.default_rng(5)
+    frames = draw.normal(size=(300, 12))
+    plain, doubled, gappy = (NoiseEstimate(12, quantum=1e-6) for _ in range(3))
+    upper: tuple[list[float], ...] = [], [], []
+    for frame in frames:
+        missing = draw.random(12) < 0.1
+        upper[0].append(plain.update(frame))
+        upper[1].append(gappy.update(np.where(missing, np.nan, frame), missing=missing))
+        upper[2].append([doubled.update(frame), doubled.update(frame)][1])
+    assert [doubled.usual, gappy.usual] == pytest.approx([plain.usual] * 2, rel=0.15)
+    assert np.median(upper, axis=1) == pytest.approx(np.median(upper[0]), rel=0.3)
+
+
+def test_a_restored_estimate_goes_on_as_the_saved_one() -> None:
+    draw = np.random.default_rng(6)
+    one, other = (NoiseEstimate(9, quantum=1e-3, expected=2.0) for _ in range(2))
+    for frame in draw.normal(size=(50, 9)):
+        one.update(frame)
+    other.restore({name: np.array(value) for name, value in one.state().items()})
+    for frame in draw.normal(size=(50, 9)):
+        assert one.update(frame) == other.update(frame)
+    np.testing.assert_array_equal(one.each, other.each)

@@ -1,0 +1,45 @@
+"""Ends of lines as small networks: their cards, their equations, and their sections of DESIGN.toml.
+
+=====================  =================================================================
+:mod:`._cards`         SPICE elements as values
+:mod:`._equations`     modified nodal analysis, and the exact law of a linear end
+:mod:`._line_ends`     the ends of all lines of a board
+:mod:`._spice`         their cards for ngspice
+:mod:`._sections`      ``[row_end]``, ``[column_end]``, ``[reference]`` and ``[scan]``
+=====================  =================================================================
+"""
+
+from ._cards import DIODES, GROUND, OPAMP, Card, parse_cards
+from ._equations import LINE, OUT, Equations, PortLaw, float_of, port_law
+from ._line_ends import OPEN_OHM, REF, Columns, LineEnds, Network, Rows, amplifier, is_bent
+from ._sections import ColumnEnd, Event, Reference, RowEnd, Scan
+from ._spice import join, spice_cards
+
+__all__ = [
+    "DIODES",
+    "GROUND",
+    "LINE",
+    "OPAMP",
+    "OPEN_OHM",
+    "OUT",
+    "REF",
+    "Card",
+    "ColumnEnd",
+    "Columns",
+    "Equations",
+    "Event",
+    "LineEnds",
+    "Network",
+    "PortLaw",
+    "Reference",
+    "RowEnd",
+    "Rows",
+    "Scan",
+    "amplifier",
+    "float_of",
+    "is_bent",
+    "join",
+    "parse_cards",
+    "port_law",
+    "spice_cards",
+]

@@ -1,0 +1,169 @@
+"""Columns that end in networks which the design describes part by part (:mod:`..ends`).
+
+Ends that are Thevenin equivalents are read like loads and amplifiers, with the same certificates. All others (diodes,
+limited amplifiers, a reference that the ends share) are solved node by node (:mod:`._nodal`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from ...common.arrays import BoolArray, FloatArray
+from .._parts import Parts
+from ..ends import OPEN_OHM, LineEnds
+from ._adjoint import SensitivityGroup, TerminatedColumns, terminated_groups
+from ._cards import CardWriter
+from ._circuit import Alone, Reading
+from ._ends import Ends
+from ._linear import LinearReadout
+from ._nodal import alone, node_groups, read_nodes
+from ._port_law import PortLaw
+from ._quick import QuickFields, QuickNetwork
+from ._terminated import Terminated
+
+_MOST_ATTENUATED_OHM = 1e9  # of a column's end, up to which line attenuation is of use
+_PROBES_S = 1e-6, 1e-4  # conductances of a cell, from which its output without others follows
+
+
+class Described(Terminated):
+    """Networks at the ends of all lines."""
+
+    name = "described"
+    has_amplifiers = False
+    mixes_cells = True
+    behind_the_load = "the ends of all lines are networks"
+
+    def __init__(self, *, inverts: bool) -> None:
+        """``inverts``: whether a cell that conducts more lowers the output, for a positive drive."""
+        self._inverts = inverts
+
+    @property
+    def inverts(self) -> bool:
+        return self._inverts
+
+    def read_ends(self, board: Parts) -> Ends:
+        ends = board.described
+        assert ends is not None
+        return Ends(ends.resistance, ends.source, ends.output, ends.slope)
+
+    def read(self, board: Parts, ports: FloatArray) -> Reading:
+        return read_nodes(board, ports) if board.described is None else super().read(board, ports)
+
+    def ends(self, board: Parts) -> Ends | None:
+        return None if board.described is None else super().ends(board)
+
+    def end_resistance(self, board: Parts) -> FloatArray:
+        return np.zeros(board.shape[1]) if board.described is None else super().end_resistance(board)
+
+    def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:
+        if board.described is None:
+            return np.full((*ports.shape[:-2], *board.shape), np.inf)  # the bound by entries holds
+        ends = board.described
+        sources = np.maximum(np.abs(ends.source), np.abs(ends.idle_source))
+        return super().energy_bound(replace(board, reference=np.abs(ends.slope), offset=sources), ports, relative)
+
+    def quick_outputs(self, board: Parts, network: QuickNetwork) -> FloatArray | None:
+        return None if board.described is None else super().quick_outputs(board, network)
+
+    def quick_fields(self, board: Parts, network: QuickNetwork) -> QuickFields | None:
+        return None if board.described is None else super().quick_fields(board, network)
+
+    def port_law(self, board: Parts, wire: FloatArray) -> PortLaw | None:
+        if board.described is None or board.floating:
+            return None
+        return PortLaw.of_ends(self.read_ends(board), wire, board.drive, floating=False)
+
+    def linear(self, board: Parts) -> LinearReadout | None:
+        ends = board.described
+        return None if ends is None or ends.resistance.max() > _MOST_ATTENUATED_OHM else super().linear(board)
+
+    def ideal_inputs(self, board: Parts) -> BoolArray:
+        held: BoolArray = (self.end_resistance(board) + board.column_lead) == 0
+        return held if board.described is not None else np.zeros_like(held)
+
+    def alone(self, board: Parts) -> Alone:
+        ends = board.described
+        if ends is None:
+            assert board.line_ends is not None
+            rest, gain, span = _alone(board.line_ends)
+            return Alone(gain, span, rest - board.level)
+        # The row's end by itself: driver, lead and pull-down as a Thevenin equivalent.
+        passed = 1.0 / (1.0 + board.row_lead[:, None] / board.pull)
+        ohms = passed * board.row_lead[:, None] + ends.resistance
+        return Alone(ends.slope * (passed * board.drive - ends.source), ohms, self.at_rest(board) - board.level)
+
+    def apparent_resistance(self, board: Parts, volts: FloatArray) -> FloatArray:
+        """NaN at columns that nothing loads: one cell alone always has the same reading there."""
+        ohms = super().apparent_resistance(board, volts)
+        return np.where(self.alone(board).span >= OPEN_OHM / 2, np.nan, ohms)
+
+    def at_rest(self, board: Parts) -> FloatArray:
+        """(M,) or (N, M) V of the outputs without current."""
+        if board.described is not None:
+            return board.described.output
+        assert board.line_ends is not None
+        return _alone(board.line_ends)[0]
+
+    def ambiguity(self, board: Parts) -> str:
+        assert board.line_ends is not None
+        return board.line_ends.ambiguity()
+
+    def sensitivity_groups(self, board: Parts, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
+        if board.described is None:
+            yield from node_groups(board, ports)
+            return
+        rows, columns = board.shape
+        steps = TerminatedColumns(
+            rows=np.arange(rows),
+            columns=np.arange(columns),
+            one_by_one=self.columns_one_by_one(board),
+            ends=self.read_ends(board),
+            own_parts=lambda some, current, adjoint: {},
+        )
+        yield from terminated_groups(board, ports, steps)
+
+    def column_end(self, j: int) -> str:
+        return f"line_{j}"
+
+    def output_node(self, writer: CardWriter, j: int) -> str:
+        raise NotImplementedError
+
+    def cards(self, writer: CardWriter) -> Iterator[str]:
+        raise NotImplementedError
+
+
+@lru_cache(maxsize=64)
+def _alone(ends: LineEnds) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Volts (N, M) without a cell, and gain in V ohm and span in ohm of :class:`._circuit.Alone`.
+
+    In a linear circuit the output is a fraction of two linear functions of the cell's conductance, which three
+    solutions give.
+    """
+    rows, columns = ends.shape
+    rest, gain, span = np.empty((3, rows, columns))
+    known: dict[tuple[object, ...], tuple[float, float, float]] = {}
+    for row in range(rows):
+        for column in range(columns):
+            key = ends.selected[row], ends.idle[row], ends.read[column // ends.shared_by], ends.unread[column]
+            if key not in known:
+                known[key] = _fraction(ends, row, column)
+            rest[row, column], gain[row, column], span[row, column] = known[key]
+    return rest, gain, span
+
+
+def _fraction(ends: LineEnds, row: int, column: int) -> tuple[float, float, float]:
+    """Rest, gain and span of one crosspoint."""
+    near, far = alone(ends, row, column, np.array(_PROBES_S))
+    if np.isclose(near, far, rtol=1e-9, atol=0.0):  # nothing loads the column, or a current drives the row
+        return 0.0, OPEN_OHM * float(near), OPEN_OHM
+    rest = alone(ends, row, column, np.zeros(1))[0]
+    first, second = (near - rest) / _PROBES_S[0], (far - rest) / _PROBES_S[1]
+    ohms = (first - second) / (far - near)
+    return rest, first + ohms * (near - rest), ohms
+
+
+DESCRIBED, DESCRIBED_INVERTING = Described(inverts=False), Described(inverts=True)

@@ -1,0 +1,147 @@
+"""``Measurement``: conductances of one frame with what is known of their errors, from the circuit's law to contacts."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .arrays import BoolArray, FloatArray
+
+CONDUCTANCE, NOISE_VARIANCE, COLUMN_STD, HALF_STEP, COLUMN_HALF_STEP, LEAST, GREATEST, UNCERTAINTY = range(8)
+"""places of the fields in :attr:`Measurement.block`"""
+FIELDS = 8
+STEP_STD = 3.0**-0.5
+"""standard deviation of an error that is evenly distributed up to half a step, over that half step"""
+
+
+class Measurement:
+    """One frame of cells. Arrays are (rows, columns), in siemens unless stated, and never change again.
+
+    A cell's conductance is ``conductance + noise + column_std * z + half_step * u + column_half_step * v``: noise of
+    its own with variance ``noise_variance``, independent from frame to frame; one standard normal ``z`` per column and
+    frame, which all cells of the column share; quantisation errors with ``u`` of each cell and ``v`` of each column
+    evenly distributed from -1 to 1, which stay while the counts stay. Independently of these, the true conductance lies
+    between ``least`` and ``greatest``.
+
+    A reading at a limit of the converter is an interval, not a gap: its ``conductance`` is NaN and ``least`` or
+    ``greatest`` is finite. A cell of which nothing is known has NaN, 0 and infinity. A cell that is not valid since its
+    reading is noisy has a conductance nevertheless: filters average noise.
+    """
+
+    __slots__ = ("block", "reason")
+
+    def __init__(self, block: FloatArray, reason: NDArray[np.int8]) -> None:
+        """``block`` (:data:`FIELDS`, rows, columns) holds all fields, so that a kernel takes them as one argument."""
+        self.block = block
+        self.reason = reason
+        """why a cell is not valid: a :class:`ohmskin.circuits.Reason` each, 0 for valid cells"""
+
+    @classmethod
+    def unknown(cls, shape: tuple[int, ...], reason: int = 0) -> Self:
+        """A frame of which nothing is known, for this reason; to be filled by who makes it."""
+        block = np.zeros((FIELDS, *shape))
+        block[CONDUCTANCE], block[GREATEST], block[UNCERTAINTY] = np.nan, np.inf, np.inf
+        return cls(block, np.full(shape, reason, dtype=np.int8))
+
+    @classmethod
+    def of(cls, **fields: FloatArray) -> Self:
+        """A frame of the fields that are given by name; the others say that nothing is known."""
+        shape = np.shape(fields["conductance"])
+        made = cls.unknown(shape)
+        for name, values in fields.items():
+            made.block[_PLACES[name]] = values
+        return made
+
+    @property
+    def conductance(self) -> FloatArray:
+        """NaN where only the bounds are known."""
+        return self._field(CONDUCTANCE)
+
+    @property
+    def noise_variance(self) -> FloatArray:
+        """S^2, by noise that no other cell shares."""
+        return self._field(NOISE_VARIANCE)
+
+    @property
+    def column_std(self) -> FloatArray:
+        """By noise that the cells of a column share; signed: one ``z`` moves cells by the signs of their entries."""
+        return self._field(COLUMN_STD)
+
+    @property
+    def half_step(self) -> FloatArray:
+        """Half a step of the ADC that noise does not randomise, as far as no other cell shares it."""
+        return self._field(HALF_STEP)
+
+    @property
+    def column_half_step(self) -> FloatArray:
+        """Likewise, as far as the cells of a column share it; signed like :attr:`column_std`."""
+        return self._field(COLUMN_HALF_STEP)
+
+    @property
+    def least(self) -> FloatArray:
+        """Lower bound on the conductance; 0 where there is none."""
+        return self._field(LEAST)
+
+    @property
+    def greatest(self) -> FloatArray:
+        """Upper bound on the conductance; infinity where there is none."""
+        return self._field(GREATEST)
+
+    @property
+    def uncertainty(self) -> FloatArray:
+        """Relative half-width of the conductance's interval (1); infinity where nothing is known.
+
+        It covers half an ADC step and three standard deviations of the noise of every reading, and the influence of
+        cells whose conductance is unknown.
+        """
+        return self._field(UNCERTAINTY)
+
+    @property
+    def valid(self) -> BoolArray:
+        """Cells whose uncertainty is at most the accuracy asked for."""
+        valid: BoolArray = self.reason == 0
+        return valid
+
+    @property
+    def resistance(self) -> FloatArray:
+        """Ohm; NaN where not valid."""
+        with np.errstate(divide="ignore"):
+            return np.where(self.reason == 0, 1.0 / self.block[CONDUCTANCE], np.nan)
+
+    @property
+    def noise_std(self) -> FloatArray:
+        """Standard deviation by all noise, relative to the conductance (1); NaN where that is not known."""
+        std: FloatArray = np.sqrt(self.noise_variance + self.column_std**2) / self.conductance
+        return std
+
+    @property
+    def steps_std(self) -> FloatArray:
+        """Likewise by the quantisation errors that noise does not randomise."""
+        std: FloatArray = STEP_STD * np.hypot(self.half_step, self.column_half_step) / self.conductance
+        return std
+
+    def without(self, cells: BoolArray, reason: int) -> Measurement:
+        """The same frame without any knowledge of ``cells`` (rows, columns), which are not valid for this reason."""
+        other = self.unknown(cells.shape, reason)
+        return Measurement(
+            np.where(cells, other.block, self.block),
+            np.where(cells & (self.reason == 0), other.reason, self.reason),
+        )
+
+    def _field(self, place: int) -> FloatArray:
+        field: FloatArray = self.block[place]
+        return field
+
+
+_PLACES = {
+    "conductance": CONDUCTANCE,
+    "noise_variance": NOISE_VARIANCE,
+    "column_std": COLUMN_STD,
+    "half_step": HALF_STEP,
+    "column_half_step": COLUMN_HALF_STEP,
+    "least": LEAST,
+    "greatest": GREATEST,
+    "uncertainty": UNCERTAINTY,
+}
