@@ -39,6 +39,7 @@ from ._montecarlo import BLOCK, Sampler, blocks
 from ._outcome import STOPPED, Claim, Finding, NotRun, Result, defect, not_run
 from ._own_code import Allowing, OwnFunction, read_own_functions
 from ._quantity import HARDWARE, SAMPLED
+from ._reading_errors import judged_by, sampler_of, samples_of
 from ._report import Report
 from ._requirements import (
     check_requirements,
@@ -47,7 +48,6 @@ from ._requirements import (
     stopped_result,
     twins,
 )
-from .quantities._readings_judged import judged_by, sampler_of, samples_of
 
 NO_PORT = ("emulated", "firmware")
 ON_TARGET = ("P14",)

@@ -37,6 +37,8 @@ class WholeBoardTarget(Target):
         """(C, N, M) what each cell contributes at points (C, D); NaN where it says nothing."""
 
     def evaluate(self, box: Box, corners: Corners) -> FloatArray:
+        if not len(corners):
+            return np.zeros(0)
         found = self.values(box, corners.x).reshape(len(corners), -1)
         with np.errstate(invalid="ignore"):
             return np.asarray(np.where(np.isnan(found), -np.inf, found).max(axis=1))

@@ -13,8 +13,8 @@ from .._box import Box
 from .._dut import DesignUnderTest
 from .._outcome import DoesNotApply, Measurement
 from .._quantity import READING_PARTS, Quantity, Shipped
+from .._reading_errors import METHODS, UNITS, judge
 from .._readings import ReadingErrorTarget
-from ._readings_judged import METHODS, UNITS, judge
 
 
 @dataclass(frozen=True)

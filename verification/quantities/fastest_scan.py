@@ -13,7 +13,7 @@ from .._judging import box_of, measured, worst_of
 from .._outcome import Measurement, NotRun
 from .._quantity import Quantity, Shipped
 from .._whole_board import SettlingTarget, shortest_periods
-from .settling_error import QUICK, largest_signal
+from .settling_error import QUICK, require_linear
 
 MOST_SEARCHES = 4
 NEAR = 1e-3
@@ -29,7 +29,7 @@ def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Mea
         raise NotRun("missing: adc.bits, adc.range")
     if requirement.min is None and requirement.max is None:
         raise NotRun("no limit is given; missing: operation.frame_rate")
-    largest_signal(dut)
+    require_linear(dut)
     allowed, box = design.adc.step / 4, box_of(dut)
     starts = SettlingTarget(1.0, allowed).starts(box)
     periods = shortest_periods(box, starts, allowed)

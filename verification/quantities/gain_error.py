@@ -11,8 +11,8 @@ import numpy as np
 from ...common.arrays import FloatArray, IntArray
 from .._box import Box
 from .._quantity import READING_PARTS, Quantity, Shipped
+from .._reading_errors import METHODS, UNITS, judge
 from .._readings import ReadingErrorTarget
-from ._readings_judged import METHODS, UNITS, judge
 
 
 @dataclass(frozen=True)

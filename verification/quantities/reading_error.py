@@ -15,9 +15,9 @@ from .._dut import DesignUnderTest
 from .._hardware import Readings
 from .._outcome import Measurement, NotRun
 from .._quantity import READING_PARTS, SAMPLED, Quantity, Shipped
+from .._reading_errors import METHODS, UNITS, judge
 from .._readings import ReadingErrorTarget
 from .._units import engineering
-from ._readings_judged import METHODS, UNITS, judge
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ def largest_signal(dut: DesignUnderTest) -> float:
     """V: the largest difference of a reading from the reference by the circuit's law, with nominal parts.
 
     Raises:
-        NotRun: the circuit in time is not modelled or not linear, or nothing in it takes time.
+        NotRun: the circuit in time is not modelled, or nothing in it takes time.
     """
     design = dut.design
     cells = np.stack([np.full(design.array.shape, ohms) for ohms in (dut.rest, dut.pressed)])
@@ -55,8 +55,6 @@ def largest_signal(dut: DesignUnderTest) -> float:
     if not in_time.takes_time:
         first = "readout.gain_bandwidth" if design.board.circuit.has_amplifiers else "readout.column_capacitance"
         raise NotRun(f"missing: {first}, or adc.switch_resistance with adc.sampling_capacitance: nothing takes time")
-    if scan_batch(design, cells, method="exact").saturated.any():
-        raise NotRun("settling is linear: an output saturates with nominal parts")
     return float(np.abs(ideal_volts(design, cells) - design.readout.reference_voltage).max())
 
 
@@ -66,9 +64,17 @@ def worst_settling(dut: DesignUnderTest, rate: float, *, spread: bool = True) ->
     return worst_of(dut, SettlingTarget(period, largest_signal(dut)), spread=spread)
 
 
+def require_linear(dut: DesignUnderTest) -> None:
+    """Raise NotRun where the circuit in time is not modelled or not linear, or where nothing in it takes time."""
+    largest_signal(dut)
+    cells = np.stack([np.full(dut.design.array.shape, ohms) for ohms in (dut.rest, dut.pressed)])
+    if scan_batch(dut.design, cells, method="exact").saturated.any():
+        raise NotRun("settling is linear: an output saturates with nominal parts")
+
+
 def settling_error(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
     rate = rate_of(dut, requirement)
-    largest_signal(dut)
+    require_linear(dut)
     lines, adc = dut.design.board.shape, dut.design.adc
     period = 1.0 / (rate * lines[0])
     if adc is not None and period < adc.acquisition_time * lines[1]:
@@ -90,7 +96,7 @@ def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Mea
 def settling_share(dut: DesignUnderTest, rate: float) -> float:
     """Share of the preceding row's reading that is left in a reading with nominal parts; 0 where nothing takes time."""
     try:
-        return float(min(worst_settling(dut, rate, spread=False).value, 1.0))
+        return float(np.clip(worst_settling(dut, rate, spread=False).value, 0.0, 1.0))
     except NotRun:
         return 0.0
     except InputError:

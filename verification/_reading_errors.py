@@ -7,14 +7,14 @@ from math import inf
 
 import numpy as np
 
-from ...circuits import Requirement
-from .._dut import DesignUnderTest, once
-from .._judging import contributions, corner_of, in_both_units, maps, measured, worst_of
-from .._montecarlo import CONFIDENCE, Sampler, blocks, boards_needed, proportion_bounds
-from .._outcome import Measurement
-from .._quantity import NOMINAL, SAMPLED, WORST
-from .._readings import ReadingErrorTarget
-from .._units import engineering
+from ..circuits import Requirement
+from ._dut import DesignUnderTest, once
+from ._judging import contributions, corner_of, in_both_units, maps, measured, worst_of
+from ._montecarlo import CONFIDENCE, Sampler, blocks, boards_needed, proportion_bounds
+from ._outcome import Measurement
+from ._quantity import NOMINAL, SAMPLED, WORST
+from ._readings import ReadingErrorTarget
+from ._units import engineering
 
 METHODS = (WORST, NOMINAL, SAMPLED)
 UNITS = ("% FS", "kPa")
