@@ -38,6 +38,7 @@ from typing import (
 )
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .arrays import BoolArray, CodeArray, FloatArray, IntArray
 
@@ -76,6 +77,8 @@ R = TypeVar("R")
 # Arrays whose elements are contiguous in memory, row after row.
 Row = Annotated[FloatArray, "float64[::1]"]
 Rows = Annotated[FloatArray, "float64[:, ::1]"]
+Blocks = Annotated[FloatArray, "float64[:, :, ::1]"]
+Reasons = Annotated[NDArray[np.int8], "int8[:, ::1]"]
 Places = Annotated[IntArray, "intp[::1]"]
 Flags = Annotated[BoolArray, "boolean[::1]"]
 FlagRows = Annotated[BoolArray, "boolean[:, ::1]"]

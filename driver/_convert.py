@@ -3,28 +3,25 @@
 from __future__ import annotations
 
 import math
-import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
-from time import thread_time
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..cell import Cell, Estimator
 from ..circuits import Design, Reason, ValidityRule
-from ..common.arrays import BoolArray, FloatArray
+from ..common.arrays import FloatArray
 from ..common.measurement import CONDUCTANCE, Measurement
-from ..errors import InputError, ProtocolError
+from ..errors import InputError
 from ..wire import Layout
 from ._calibration import Calibration
 from ._column_steps import ColumnSteps
 from ._contacts import ContactsOfFrames, ContactTracker, PressureView
+from ._converted import Converted
 from ._lazy import Lazy
 from ._line_faults import Creep, LineFaults
-from ._mailbox import Mailbox
 from ._pitch import Pitch
 from ._plain import PlainReader
 from ._reading import CountReader
@@ -34,9 +31,6 @@ from ._systematic import SystematicError
 from ._tare import DRIFT as TARE_DRIFT
 from ._tare import KNOWN_DRIFT, RestChange, far_from_sheet
 
-LATE_S = 0.01
-"""s of processor time that a reader of the newest frame spends on those before it. Those that are left then are
-skipped: boards may send faster than a computer converts"""
 KNOWN_FRAMES = 20
 """frames before new rest resistances that the estimator sees again with them: as many as a usual tare has. They tell it
 that the skin is at rest, or what lies on it"""
@@ -71,39 +65,8 @@ _WHY_NONE = {
 }
 
 
-class Converted(NamedTuple):
-    """What a frame is converted to. Arrays are (rows, columns) and read-only."""
-
-    valid: BoolArray
-    reason: NDArray[np.int8]
-    """why a cell is not valid: a :class:`ohmskin.circuits.Reason` each"""
-    resistance: FloatArray
-    """ohm"""
-    pressure: FloatArray
-    """kPa"""
-    pressure_std: Lazy
-    """kPa"""
-    view: PressureView
-    rest_counts: FloatArray
-    """where the circuit is not known; else 0"""
-    estimator_starts: int
-    """number of times that the estimator has started without memory, up to this frame"""
-
-
-class Measured(NamedTuple):
-    """A frame and its measurement."""
-
-    frame: RawFrame
-    measurement: Converted
-
-
 class Converter:
-    """Turns the frames of a mailbox into measurements: each frame once, in the order of arrival.
-
-    The material remembers every load, so the estimator has to see every frame. On live boards the thread that reads the
-    port converts the frames as they come (:meth:`keep_up`), whether anybody takes them or not. Where nothing may be
-    lost, a frame is converted when it is taken (:meth:`measure`), and those before it with it.
-    """
+    """Turns frames into measurements: each frame once, in the order of arrival, as :class:`._frames.Frames` asks."""
 
     def __init__(
         self,
@@ -111,10 +74,8 @@ class Converter:
         cell: Cell | None,
         estimator: str | None,
         pitch: Pitch,
-        mailbox: Mailbox,
         counters: Counters,
         *,
-        newest_only: bool,
         rest_changes: Sequence[RestChange] = (),
         accuracy: float | None = None,
         calibration: Calibration | None = None,
@@ -122,7 +83,6 @@ class Converter:
         """Set up the circuit's inverse and the estimator; without ``cell`` pressures are NaN.
 
         ``design`` is the array alone where the circuit is not known. Frames then have counts, and a tare takes those.
-        With ``newest_only`` readers get the newest frame, and spend :data:`LATE_S` on those before it at most.
         ``rest_changes`` come from a recording.
         ``accuracy`` is the relative uncertainty up to which cells are valid, see :class:`CountReader`.
         ``calibration`` gives each cell its gain, and its rest resistance as long as no tare replaces that.
@@ -137,7 +97,6 @@ class Converter:
         self.shape = design.array.shape if isinstance(design, Design) else (design.rows, design.columns)
         self.cell = cell
         self.pitch = pitch
-        self._mailbox, self._newest_only = mailbox, newest_only
         self._estimator_name = estimator
         self._calibration = calibration
         self._counters = counters
@@ -151,9 +110,6 @@ class Converter:
         self._sheet: str | None = None
         """why the data sheet seems to be another skin's, judged by the first frames"""
         self._systematic = None if cell is None else SystematicError(cell)
-        self._lock = threading.RLock()
-        self.on_converted: list[Callable[[RawFrame, Converted], None]] = []
-        """called with every measurement: for recorders"""
         self._rest_ohm: FloatArray | None = None  # counts where the circuit is not known
         self._no_rest = np.zeros(self.shape)
         self._no_rest.setflags(write=False)
@@ -173,31 +129,18 @@ class Converter:
         faults_press = self._estimator is None or self._estimator.side > 0
         tracker = ContactTracker(self.shape, pitch, full_scale_kpa, drift_kpa=drift_kpa, faults_press=faults_press)
         self.contacts = ContactsOfFrames(tracker)
-        self._converted = 0
-        self._passed = 0
-        """number of the last frame that was converted, skipped, or did not fit"""
         self._counters.untared = self._why_to_tare()
         self._last: RawFrame | None = None
         self._last_s: float | None = None
         """of the last frame, on the estimator's time scale"""
-        self._measured: dict[int, Measured] = {}
-        """number of a frame -> the frame and its measurement, of the last frames in order"""
         self._recent: deque[tuple[float, Measurement]] = deque(maxlen=KNOWN_FRAMES)
         """times and readings of the last frames"""
-        self._awaited = False
-        """a reader converts frames, or waits for the lock to do so"""
         self.notices = counters.notices
 
     @property
     def last_index(self) -> int:
         """Number of the newest converted frame; 0 before the first."""
         return 0 if self._last is None else self._last.index
-
-    @property
-    def skipped(self) -> int:
-        """Number of frames before the newest converted one that were not converted."""
-        with self._lock:
-            return self.last_index - self._converted
 
     @property
     def rest(self) -> FloatArray | None:
@@ -233,90 +176,20 @@ class Converter:
 
         The estimator begins anew with the last :data:`KNOWN_FRAMES` frames.
         """
-        with self._lock:
-            self._rest_ohm = rest_ohm
-            self._estimator = self._new_estimator()
-            before_s: float | None = None
-            for time_s, measured in self._recent:
-                gap_s = 0.0 if before_s is None else round(time_s - before_s, CLOCK_DIGITS)
-                self._estimate(gap_s, self._without_faulty_lines(time_s, measured))
-                before_s = time_s
-            if self._judged is None:
-                self._counters.untared = self._why_to_tare()
-            for tell in tuple(self.on_rest):
-                tell(rest_ohm, self.last_index)
+        self._rest_ohm = rest_ohm
+        self._estimator = self._new_estimator()
+        before_s: float | None = None
+        for time_s, measured in self._recent:
+            gap_s = 0.0 if before_s is None else round(time_s - before_s, CLOCK_DIGITS)
+            self._estimate(gap_s, self._without_faulty_lines(time_s, measured))
+            before_s = time_s
+        if self._judged is None:
+            self._counters.untared = self._why_to_tare()
+        for tell in tuple(self.on_rest):
+            tell(rest_ohm, self.last_index)
 
-    def disown(self) -> None:
-        """In a forked process: replace the lock, whoever held it."""
-        self._lock = threading.RLock()
-
-    def measure(self, frame: RawFrame) -> Converted | None:
-        """The measurement of ``frame``; frames before it that wait for their conversion are converted first.
-
-        Returns:
-            None if the frame was skipped, its counts do not fit the design, or it is older than those that are kept.
-
-        """
-        with self._lock:
-            if frame.index > self.last_index:
-                self._convert_up_to(frame.index)
-            found = self._measured.get(frame.index)
-            return None if found is None else found.measurement
-
-    def keep_up(self, most: int | None = None) -> bool:
-        """Convert the frames that have come.
-
-        Args:
-            most: number of frames after which the thread that reads the port goes on with reading; None: a reader waits
-                for the newest frame.
-
-        Returns:
-            Whether frames are left.
-
-        """
-        if most is None:
-            self._awaited = True
-        elif self._awaited:
-            return False  # a reader converts them, and shall not wait for the lock
-        with self._lock:
-            newest = self._mailbox.newest
-            return newest is not None and self._convert_up_to(newest.index, most)
-
-    def measured_since(self, monotonic_s: float) -> list[Measured]:
-        """The frames that came after this time and have been converted, in order; with the last one before them.
-
-        Frames from before the estimator's last start, as at a tare, are not among them.
-        """
-        with self._lock:
-            kept = [one for one in self._measured.values() if one.measurement.estimator_starts == self._starts]
-        first = next((k for k, one in enumerate(kept) if one.frame.monotonic_time > monotonic_s), len(kept))
-        return kept[max(first - 1, 0) :]
-
-    def _convert_up_to(self, last: int, most: int | None = None) -> bool:
-        """Convert the frames up to the number ``last``, at most ``most`` of them; returns whether frames are left."""
-        done, until_s = 0, thread_time() + LATE_S
-        while most is None or done < most:
-            frame = self._mailbox.after(self._passed)
-            if frame is None or frame.index > last:
-                self._awaited = False
-                return False
-            self._passed = frame.index
-            if self._newest_only and frame.index < last and thread_time() > until_s:
-                continue
-            done += 1
-            try:
-                measurement = self._convert(frame)
-            except ProtocolError as error:
-                self._mailbox.report(error, frame.index)
-                continue
-            self._measured[frame.index] = Measured(frame, measurement)
-            if len(self._measured) > self._mailbox.capacity:
-                del self._measured[next(iter(self._measured))]
-            for tell in tuple(self.on_converted):
-                tell(frame, measurement)
-        return True
-
-    def _convert(self, frame: RawFrame) -> Converted:
+    def convert(self, frame: RawFrame) -> Converted:
+        """The measurement of the next frame. Raises ProtocolError if its counts do not fit the design."""
         due = None
         while self._rest_changes and frame.index > self._rest_changes[0].after_frame:
             due = self._rest_changes.popleft()
@@ -326,7 +199,6 @@ class Converter:
         self._last, self._last_s = frame, frame.time_s if self._last_s is None else self._last_s + gap_s
         measured = self._read_present(frame)
         counters = self._counters
-        self._converted += 1
         if measured.reason.flat[0] == _UNSOLVED:
             counters.unsolved += 1
         if self._judged is not None:

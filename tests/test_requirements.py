@@ -20,6 +20,7 @@ from ohmskin.cell import Cell
 from ohmskin.circuits import Adc, Array, Design, Requirement
 from ohmskin.cli import run
 from ohmskin.common.config import parse
+from ohmskin.common.text import markdown_code
 from ohmskin.errors import InputError
 from ohmskin.verification import Outcome, default_requirements, load_requirements, verify
 
@@ -70,6 +71,21 @@ def test_too_few_boards_are_not_a_failure_and_how_many_would_do_is_said(
         assert "--samples 368 would" in (tmp_path / "out" / name).read_text()
     assert run([*arguments, "--samples", "367"]) == 3
     assert run([*arguments, "--samples", "368"]) == 0
+
+
+def test_text_of_a_file_is_text_in_every_report(tmp_path: Path) -> None:
+    """Neither HTML nor a link nor a cell of a table, wherever a pull request or a browser shows it."""
+    hostile = "<img/src=x>|[a](http://b)`*www.c.d"
+    asked = [Requirement(id="A|<b>", quantity="checks.py:f", unit=hostile, max=1.0)]
+    (tmp_path / "checks.py").write_text(f"def f(design, cell):\n    return 2.0, {hostile!r}\n")
+    report = verify(requirements=asked, folder=tmp_path, allow_code=True, title=f"<script>{hostile}")
+    summary = report.markdown()
+    shown = r"\<img/src=x\>\|\[a\](http\://b)\`\*www\.c.d"
+    assert f"# \\<script\\>{shown}: fail" in summary
+    assert r"| A\|\<b\> checks.py:f | fail |" in summary
+    assert summary.count(shown) == summary.count("img/src") >= 4  # title, limit, what was found, where
+    assert "<img" not in report.html()
+    assert markdown_code("a`<b>``") == "``` a`<b>`` ```"
 
 
 def test_a_yield_that_is_missed_fails_whatever_the_number_of_boards(tmp_path: Path) -> None:

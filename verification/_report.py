@@ -24,7 +24,7 @@ from ..common import plots
 from ..common.config import fingerprint
 from ..common.extras import install_command
 from ..common.files import make_folder, write_together
-from ..common.text import printable
+from ..common.text import markdown, markdown_code, printable
 from ..errors import MissingExtra, OhmskinError
 from ._assumptions import Assumptions, assumptions_of
 from ._catalogue import CATALOGUE
@@ -318,7 +318,7 @@ class Report:
     def markdown(self) -> str:
         """The verdict and the table of requirements."""
         lines = [
-            f"# {printable(self.title)}: {self.outcome}",
+            f"# {markdown(self.title)}: {self.outcome}",
             "",
             f"{self.count('pass')} pass, {self.count('fail')} fail, {self.count('not run')} not run, "
             f"{self.count('does not apply')} do not apply. Design {self.design_sha256[:12]}, seed {self.subject.seed}, "
@@ -330,17 +330,22 @@ class Report:
         for r in self.results:
             where = "" if r.measurement is None else r.measurement.where if r.outcome is Outcome.PASS else r.why
             cells = (f"{r.requirement.id} {r.title}", r.outcome, r.limit, r.found, r.margin_shown, where)
-            lines.append("| " + " | ".join(printable(str(c)).replace("|", "\\|") for c in cells) + " |")
-        lines += ["", self.assumed]
-        mended = [r.requirement.id for r in self.results if self.to_mend(r)]
+            lines.append("| " + " | ".join(markdown(str(c)) for c in cells) + " |")
+        lines += ["", markdown(self.assumed)]
+        mended = ", ".join(r.requirement.id for r in self.results if self.to_mend(r))
         if mended:
-            lines += ["", f"Which single part would mend {', '.join(mended)}: `{printable(self.explore_command)}`"]
+            command = markdown_code(self.explore_command)
+            lines += ["", f"Which single part would mend {markdown(mended)}: {command}"]
         if self.claims:
             lines += ["", "| claim | outcome |", "|---|---|"]
             lines += [f"| {claim.id} {claim.title} | {claim.outcome} |" for claim in self.claims]
         if self.changes:
             lines += ["", "| against the older report | change | was | is |", "|---|---|---|---|"]
-            lines += [f"| {c.id} | {c.change} | {c.was} | {c.is_now} |" for c in self.changes if c.change != "same"]
+            lines += [
+                f"| {markdown(c.id)} | {c.change} | {markdown(c.was or '')} | {markdown(c.is_now or '')} |"
+                for c in self.changes
+                if c.change != "same"
+            ]
         return "\n".join(lines) + "\n"
 
     def settings(self) -> list[Setting]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from math import inf
+from math import copysign, inf
 from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -194,6 +194,12 @@ class ReadoutCircuit(ABC):
     @abstractmethod
     def alone(self, board: Parts) -> Alone:
         """The output of one cell that is alone, with ideal parts."""
+
+    def domain(self, board: Parts) -> tuple[float, float]:
+        """V of the ideal circuit's output on an open cell, and on a short: the ends of what a reading can say."""
+        gain, span, rest = (float(np.mean(part)) for part in self.alone(board))
+        open_cell = board.level + rest
+        return open_cell, open_cell + gain / span if span else copysign(inf, gain)
 
     def ideal_volts(self, board: Parts, cells: FloatArray) -> FloatArray:
         """(..., N, M) V if each of the cells, in ohm, were alone and all parts ideal: the paper's equation (10)."""

@@ -158,6 +158,11 @@ class Law:
         rows_of.unchecked(ports.driven, *lines, ports.row_left, ports.cells)
         return ports
 
+    def given(self) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...], tuple[FloatArray, ...]]:
+        """What the kernels are given of each column (M,), of each row (N,) and of each cell (N, M)."""
+        of_rows = self.lead, self._most, self._least_row_left
+        return (self._least_left, self.behind), of_rows, (self._shorts, self._segments, self._beside_end)
+
     def potential(self, volts: FloatArray) -> FloatArray:
         """V (N, M), of each column above the idle lines at readings ``volts``."""
         potential: FloatArray = self.law.potential[0] + self.law.potential[1] * volts

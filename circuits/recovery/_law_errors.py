@@ -15,8 +15,8 @@ from ._law import Law, Ports
 from ._law_kernels import errors_of, relative_to
 from ._live_reading import SIGMAS, Errors
 
-_ALIKE = 2.0  # measured where cells at rest are alike; 1.8 in a pressed column of equal cells
-_BY_STEPS, _BY_NOISE = 4.5, 3.5  # standard deviations of other readings' steps and noise that are covered
+ALIKE = 2.0  # measured where cells at rest are alike; 1.8 in a pressed column of equal cells
+BY_STEPS, BY_NOISE = 4.5, 3.5  # standard deviations of other readings' steps and noise that are covered
 
 
 class Steps(NamedTuple):
@@ -64,7 +64,7 @@ class LawErrors:
 
         """
         self.cells, self._steps = ports.cells, steps
-        by_steps, by_noise = steps.random * _BY_STEPS / sqrt(3.0), _BY_NOISE * noise
+        by_steps, by_noise = steps.random * BY_STEPS / sqrt(3.0), BY_NOISE * noise
         random = hypot(by_steps, by_noise)
         self.error = steps.half + SIGMAS * noise
         """V, of a reading"""
@@ -73,7 +73,7 @@ class LawErrors:
         self.of_left, self.column_open = np.empty((2, columns))
         self.of_sums, self.row_open = np.empty((2, rows))
         middle = np.full(columns, nan)
-        if steps.alike and 3.0 * rows > _BY_STEPS**2 and noise <= steps.half:
+        if steps.alike and 3.0 * rows > BY_STEPS**2 and noise <= steps.half:
             middle = np.sort(volts, axis=0)[rows // 2]
         self.opens: bool = errors_of.unchecked(
             *(volts, middle, *law.law, law.lead, law.present, law.nowhere if unknown is None else unknown),
@@ -105,4 +105,4 @@ class LawErrors:
             turn(np.multiply(each, grown, out=np.zeros(each.shape), where=each != 0.0))
             for each in (np.abs(self._of_own), self._of_column, self._std)
         )
-        return Errors(own, column, every, _ALIKE if self._steps.alike else 1.0)
+        return Errors(own, column, every, ALIKE if self._steps.alike else 1.0)

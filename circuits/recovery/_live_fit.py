@@ -37,10 +37,12 @@ from ._live_reading import (
     UNSETTLED,
     Errors,
     LiveReading,
+    UsualReading,
     ValidityRule,
     undetermined,
 )
 from ._law import several_answers
+from ._law_errors import ALIKE, BY_NOISE, BY_STEPS
 from ._law_kernels import TINY
 from ._node_blocks import NodeBlocks
 from ._quick_model import QuickModel, with_resistance
@@ -57,8 +59,6 @@ MOST_BESIDE = 256
 _SMALL = 100  # cells up to which the derivatives are a matrix
 _PRIOR = 3.0  # standard deviation of a logarithm before anything is read: a factor of 20
 _ALIKE_ERRORS = 20.0  # inverse of the relative change of the readings' errors up to which covariances are alike
-_ALIKE = 2.0  # as of grounded rows, see Errors
-_BY_STEPS, _BY_NOISE = 4.5, 3.5  # standard deviations by ADC steps and by noise that an uncertainty covers
 _FITS, _NO_FIT, _MISFIT = 0.8, 3.0, 8.0  # half steps: by rounding alone, no fit yet, no cells give these readings
 _FAR, _NEAR = 0.5, 0.02  # change of a logarithm for which derivatives no longer serve, and for which new ones are alike
 _HARDLY_KNOWN = 0.15  # standard deviation of a logarithm beyond which a step does not matter
@@ -112,6 +112,7 @@ class FitLive:
     """Live recovery of boards without a port law, and of single frames that their law leaves open."""
 
     scales_columns = False
+    usual: UsualReading | None = None
 
     def __init__(self, board: Board, rule: ValidityRule) -> None:
         """For a board with a converter.
@@ -355,16 +356,16 @@ class FitLive:
 
         """
         wired = np.exp(log) * (self._leads.ravel() + LEAST_SHORT_OHM)
-        prior = (1.0 + wired) * np.maximum(1.0 / wired, 1.0) / _BY_STEPS
+        prior = (1.0 + wired) * np.maximum(1.0 / wired, 1.0) / BY_STEPS
         square = np.linalg.qr(np.concatenate([jacobian * prior, np.eye(len(log))]), mode="r")
         inverse, failed = dtrtri(square)
         if failed or not np.isfinite(inverse).all():
             raise np.linalg.LinAlgError("derivatives that are not finite")
         inverse *= prior[:, None]
         std: FloatArray = np.sqrt(np.einsum("ij,ij->i", inverse, inverse))
-        up = _BY_STEPS * std / (1.0 + wired)
+        up = BY_STEPS * std / (1.0 + wired)
         grown = np.where(up * wired < 1.0, (1.0 + up) / np.maximum(1.0 - up * wired, TINY), inf) - 1.0
-        grown = np.minimum(grown, np.exp(self._most - log) - 1.0) / (_BY_STEPS * std)
+        grown = np.minimum(grown, np.exp(self._most - log) - 1.0) / (BY_STEPS * std)
         loose = (grown > _MOST_BENT) | (up > 1.0)
         ties = np.count_nonzero(loose & (wired * (1.0 + up) > _TIES))
         conductance, open_size = np.exp(log).reshape(self._shape), (loose & (up > _OPEN_SIZE)).reshape(self._shape)
@@ -414,7 +415,7 @@ class FitLive:
         slope = np.abs(board.circuit.log_conductance_slope(board, signal * np.sign(board.drive)))
         own = np.where(slope > 0.0, error * slope, 1.0)
         coarser = hypot(1.0, noise / self._std)
-        sigmas = hypot(_BY_STEPS, _BY_NOISE * noise / self._std) / coarser * max(misfit, 1.0)
+        sigmas = hypot(BY_STEPS, BY_NOISE * noise / self._std) / coarser * max(misfit, 1.0)
         uncertainty = own + np.expm1(np.minimum(np.maximum(sigmas * std - own, 0.0), _LARGEST))
         if self._several:
             uncertainty = np.full(shape, inf)
@@ -437,7 +438,7 @@ class FitLive:
             turn(valid),
             turn(reason),
             lambda: turn(total),
-            lambda: Errors(turn(of_own), turn(none), turn(every), _ALIKE),
+            lambda: Errors(turn(of_own), turn(none), turn(every), ALIKE),
         )
 
     def _nothing(self, why: int, limited: BoolArray) -> LiveReading:

@@ -24,7 +24,7 @@ from .._parts import LEAST_SHORT_OHM
 from ._enclosure import Enclosed, Enclosure, Unknowns
 from ._factors import EVALUATIONS, OPEN, Factors
 from ._law import Law, Ports, several_answers
-from ._law_errors import LawErrors, Steps
+from ._law_errors import ALIKE, LawErrors, Steps
 from ._law_kernels import LEAST, OPEN_SCALE
 from ._lines import LineResistance
 from ._live_fit import MOST_BESIDE, FitLive
@@ -36,17 +36,17 @@ from ._live_reading import (
     UNCERTAIN,
     UNSETTLED,
     LiveReading,
+    UsualReading,
     ValidityRule,
     undetermined,
 )
 from ._quick_model import COMPLETE_SHORT, QuickModel, with_resistance
+from ._usual_frames import BEYOND, MOST_WIRE, UsualFrames
 
 _SHEET_EVALUATIONS = 1  # of a continuous sheet in a frame, a hundred times as dear as that of a sliced one
-_MOST_WIRE = 2.0  # resistance of a cell's lines over its own from which on it reads like a short
 _DOMINATED = 0.1  # share of the drive at a column over the largest one, up to which a cell is small beside another
 _ONE_ANSWER = 3.0  # largest over least conductance of all answers, up to which they are one within their errors
 _OFTEN = 3  # frames with readings that no cells give, after which the design is taken for wrong
-_BEYOND = 3.0  # errors by which such readings exceed what cells can give
 
 
 class LawLive:
@@ -90,7 +90,7 @@ class LawLive:
         # An amplifier at a virtual ground stands at its limit long before a cell is as good as a short.
         most = np.full(board.shape, 1.0 / LEAST_SHORT_OHM)
         if board.circuit.virtual_ground:
-            most = _MOST_WIRE / (self._whole_wires + LEAST_SHORT_OHM)
+            most = MOST_WIRE / (self._whole_wires + LEAST_SHORT_OHM)
         bridges = tuple(fault for fault in sliced.faults if fault.bridge)
         self._law = Law(
             *(law, lead, segments, wire, to_end - to_end.mean(axis=0)),
@@ -116,10 +116,35 @@ class LawLive:
         self._fit = None
         if board.circuit.mixes_cells and not self._law.several and board.shape[0] * board.shape[1] <= MOST_BESIDE:
             self._fit = FitLive(board, rule)
+        self.usual: UsualReading | None = self._usual_frames(board)
         self._impossible = 0
         self._every = np.ones(board.shape, dtype=np.bool_), np.zeros(board.shape, dtype=np.int8)
         for shared in self._every:
             shared.flags.writeable = False
+
+    def _usual_frames(self, board: Board) -> UsualFrames | None:
+        """What measures the usual frames; None if there are none on this board."""
+        law, steps = self._law, self._steps
+        assert board.adc is not None
+        if self._faulty or self._present is not None or not self._tells or law.several or board.faults:
+            return None
+        constants = {
+            "step": board.adc.step,
+            "half": steps.half,
+            "random": steps.random,
+            "shared": steps.shared,
+            "alike": ALIKE if steps.alike else 1.0,
+            "accuracy": self._rule.limit,
+            "averages": self._rule.averages,
+            "scales_columns": self.scales_columns,
+            "mixes": law.has_potential,
+            "has_leads": law.has_leads,
+            "one_by_one": law.one_by_one,
+            "floating": board.floating,
+            "factors": self._factors is not None,
+            "turned": board.turned,
+        }
+        return UsualFrames(law, self._factors, self._beside_law, (self._wires, self._whole_wires), constants)
 
     @np.errstate(all="ignore")
     def __call__(
@@ -193,7 +218,7 @@ class LawLive:
 
     def _count_impossible(self, ports: Ports, errors: LawErrors, unknowns: Unknowns | None) -> None:
         """Raise SolverError for readings that no cells give, frame after frame."""
-        impossible = unknowns is None and bool((ports.left < -_BEYOND * errors.of_left - self._beside_law).any())
+        impossible = unknowns is None and bool((ports.left < -BEYOND * errors.of_left - self._beside_law).any())
         self._impossible = self._impossible + 1 if impossible else 0
         if self._impossible > _OFTEN:
             raise SolverError("no cell resistances give these readings; check that the design is that of the board")
@@ -224,7 +249,7 @@ class LawLive:
             total = np.maximum(total, np.maximum(high - by_law, by_law - low) / np.abs(by_law))
             total = np.where(high > _ONE_ANSWER * low, inf, total)
         valid = self._rule.accepts(total)
-        short = cells * self._wires > _MOST_WIRE if self._any_wire else None
+        short = cells * self._wires > MOST_WIRE if self._any_wire else None
         resistance = 1.0 / np.maximum(cells, 0.0)
         usual = settled and unknowns is None and self._present is None and (short is None or not short.any())
         every = usual and np.count_nonzero(valid) == valid.size
@@ -264,7 +289,7 @@ class LawLive:
         if by_others is not None:
             reason[by_others > 0.5 * total] = DISTURBED
         # A cell far below its wires reads like a short, whatever its own error is.
-        like_short = (cells * self._whole_wires > _MOST_WIRE) & ~valid
+        like_short = (cells * self._whole_wires > MOST_WIRE) & ~valid
         none = ((own >= 1.0) | ~(cells > 0.0)) & ~like_short
         beside = False if short is None else bool(short.any())  # a short keeps others from settling
         unsettled = None if settled else ~none

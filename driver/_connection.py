@@ -1,4 +1,4 @@
-"""Reader thread: reads the port, reopens it after a loss, and puts decoded frames into the mailbox."""
+"""Connection to one board: a thread reads the port, reopens it after a loss, and passes decoded frames on."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import time
 import weakref
 from collections import deque
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from math import inf
 
 from ..common.events import SignalSafeEvent
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
-from ..wire import Corrupt, Description, Event, Family, Flag, FramePacket, HostProtocol, Identity, Order
-from ._introduce import Introduction
-from ._mailbox import Mailbox
+from ..wire import Corrupt, Description, Event, Flag, FramePacket, HostProtocol, Identity, Order
+from ._frames import Frames
+from ._handshake import Handshake
 from ._orders import Answer, PendingOrder
 from ._port import Arrival, BytePort
 from ._reconnect import attempts
-from ._statistics import Counters
 from ._stream import FrameStream
 
 ASK_AGAIN_S = 0.5
@@ -41,8 +41,6 @@ MOST_UNPROVEN = 1000
 _NO_FLAGS = Flag.NONE  # operations on flags take 1 us each
 READ_AGAIN_S = 0.0005
 """a consumer who has read and converted for longer reads again, since newer frames may have come meanwhile"""
-CONVERTED_IN_TURN = 4
-"""frames that the thread converts before it reads the port again, whose buffers hold some milliseconds"""
 ANSWER_LIES_BEHIND = 8
 """queues of frames that may lie on the line before an answer"""
 JOIN_S = 2.0
@@ -54,15 +52,29 @@ def await_free(name: str) -> None:
     if "://" in name:  # a server may take several hosts
         return
     place = os.path.realpath(name)
-    for reader in list(_READERS):
-        port = reader._port
-        if port is None or not reader._is_ending or os.path.realpath(port.name) != place:
+    for connection in list(_CONNECTIONS):
+        port = connection._port
+        if port is None or not connection._is_ending or os.path.realpath(port.name) != place:
             continue
-        if reader._thread.is_alive() and reader._thread is not threading.current_thread():
-            reader._thread.join(JOIN_S)
+        if connection._thread.is_alive() and connection._thread is not threading.current_thread():
+            connection._thread.join(JOIN_S)
 
 
-class Reader:
+@dataclass
+class Absence:
+    """The time from the loss of the port until the board there has proved that it is the one from before."""
+
+    since_s: float
+    because: LinkError
+    proof_until_s: float = inf
+    """infinite until the port is there again"""
+    unproven: set[type[object]] = field(default_factory=set)
+    """types of the packets that are still missing for the proof"""
+    waiting: deque[tuple[FramePacket, Arrival]] = field(default_factory=lambda: deque(maxlen=MOST_UNPROVEN))
+    """frames that arrived before the proof was complete"""
+
+
+class Connection:
     """Reads one board in a thread of its own, from opening to closing.
 
     Two parties read the port. The thread waits for bytes. A consumer also reads the bytes that are there before it
@@ -74,44 +86,33 @@ class Reader:
         port: BytePort,
         *,
         protocol: Callable[[], HostProtocol],
-        introduction: Introduction,
-        mailbox: Mailbox,
-        counters: Counters,
-        lossless: bool,
+        handshake: Handshake,
+        frames: Frames,
         reopen: Callable[[], BytePort] | None,
         reconnect_s: float,
     ) -> None:
         self.port_name = port.name
-        self.introduction = introduction
-        self.introduced = SignalSafeEvent()
-        self.stream = FrameStream(port.name, counters, simulated=getattr(port, "is_simulated", False))
+        self.handshake = handshake
+        self.known = SignalSafeEvent()
+        """set when the handshake is complete, or will never be"""
+        self.frames = frames
+        self.stream = FrameStream(port.name, frames.counters, simulated=getattr(port, "is_simulated", False))
         self.taps: list[Callable[[Arrival], None]] = []
         """called with all bytes, as they arrive: for a recorder"""
         self.on_gone: list[Callable[[], None]] = []
         """called when the port has been lost"""
-        self.keep_up: Callable[[int | None], bool] = lambda most: False
-        """converts the frames that have come (:meth:`.Converter.keep_up`)"""
         self._port: BytePort | None = port
         self._clock = port.now  # of the last port, which a recording has after its end, too
-        self._family: Family = introduction.family
+        self._family = handshake.family
         self._new_protocol = protocol
         self._protocol = protocol()
-        self._mailbox, self._counters = mailbox, counters
-        self._lossless = lossless
         self._reopen, self._reconnect_s = reopen, reconnect_s
         self._reading = threading.RLock()
         """held by the thread that reads from the port, writes to it, or replaces it"""
         self._stop = SignalSafeEvent()
         self._has_frames = False
         """a frame has come since the board was last asked"""
-        self._proof_until = inf
-        """until when the board must prove that it is the one from before; infinite when no proof is due"""
-        self._proofs: set[type[object]] = set()
-        """types of the packets that are still missing for this proof"""
-        self._unproven: deque[tuple[FramePacket, Arrival]] = deque(maxlen=MOST_UNPROVEN)
-        """frames that arrived before the proof was complete"""
-        self._away_since: float | None = None
-        self._away_because: LinkError | None = None
+        self._absence: Absence | None = None
         self._received, self._reason = 0, "no end of a packet"
         """bytes since the last frame, and why the last of them formed no packet"""
         self._orders: list[PendingOrder] = []
@@ -126,11 +127,13 @@ class Reader:
 
     def start(self) -> None:
         """Start the thread."""
-        _READERS.add(self)
+        _CONNECTIONS.add(self)
         self._thread.start()
 
-    def await_introduction(self, timeout_s: float) -> None:
+    def await_handshake(self, timeout_s: float) -> None:
         """Wait until the board has sent everything that the driver needs to know about it.
+
+        Only the board's silence counts, not the time until the thread runs and has asked, on a busy machine.
 
         Raises:
             LinkTimeout: the board is silent.
@@ -139,34 +142,32 @@ class Reader:
             LinkError: the port is gone.
 
         """
-        # Only the board's silence counts, not the time until the thread runs and has asked, on a busy machine.
-        while not self.introduced.wait(ASK_WHO_S):
+        while not self.known.wait(min(ASK_WHO_S, timeout_s)):
             if time.monotonic() - self._asked_at < timeout_s:
                 continue
             self.poll(patient=True)
-            if not self.introduced.is_set():
+            if not self.known.is_set():
                 raise self.nothing_came("description", timeout_s)
-        if not self.introduction.complete:
-            end = self._mailbox.end
-            raise LinkError(f"{self.port_name}: closed") if end is None else end
+        if not self.handshake.complete:
+            raise LinkError(f"{self.port_name}: closed") if self.frames.end is None else self.frames.end
 
     def serial_number(self, timeout_s: float) -> str:
         """Wait for the board's serial number; empty if it has none, or does not send it in time."""
-        if self._family.has_description and self._mailbox.end is None:
-            self.introduction.identified.wait(min(timeout_s, threading.TIMEOUT_MAX))
-        return self.introduction.serial_number
+        if self._family.has_description and self.frames.end is None:
+            self.handshake.identified.wait(min(timeout_s, threading.TIMEOUT_MAX))
+        return self.handshake.serial_number
 
     def nothing_came(self, what: str, timeout_s: float) -> LinkTimeout | ProtocolError:
         """The error for a wait for ``what`` that timed out."""
         where = f"{self.port_name}: no {what} within {max(timeout_s, 0.0):g} s"
-        if self._lossless and self._mailbox.is_full():
+        if self.frames.is_full():
             return LinkTimeout(f"{where}: the queue is full of frames for another reader of this skin, who takes none")
-        if self._mailbox.away is not None:
-            return LinkTimeout(f"{where}: {self._mailbox.away}; trying to open the port again")
-        if self._unreadable and not self.introduction.complete:
+        if self.frames.away is not None:
+            return LinkTimeout(f"{where}: {self.frames.away}; trying to open the port again")
+        if self._unreadable and not self.handshake.complete:
             return ProtocolError(f"{where}: the board describes itself wrongly: {self._unreadable}")
         if not self._received:
-            last = self._mailbox.newest
+            last = self.frames.newest
             if last is None:
                 return LinkTimeout(f"{where}: the port is silent")
             return LinkTimeout(
@@ -188,11 +189,11 @@ class Reader:
         waits is ``patient``: a thread that reads may be kept from it by other programs.
         """
         began_s = self.now()
-        self._read_and_convert(JOIN_S if patient else POLL_S)
+        self._read_for_consumer(JOIN_S if patient else POLL_S)
         if self.now() - began_s > READ_AGAIN_S:
-            self._read_and_convert(POLL_S)
+            self._read_for_consumer(POLL_S)
 
-    def _read_and_convert(self, limit_s: float) -> None:
+    def _read_for_consumer(self, limit_s: float) -> None:
         if self._reading.acquire(timeout=limit_s):
             try:
                 self._read()
@@ -200,7 +201,8 @@ class Reader:
                 return
             finally:
                 self._reading.release()
-        self._convert(None)
+        self.frames.catch_up()
+        self.frames.wake()
 
     def now(self) -> float:
         """Present time on the port's clock."""
@@ -242,7 +244,7 @@ class Reader:
         finally:
             self._orders.remove(pending)
         if pending.answer is None:
-            raise copy.copy(self._mailbox.end or self._closed())
+            raise copy.copy(self.frames.end or self._closed())
         answer = pending.taken(self.port_name, f" with {period_us} us" if order is Order.RATE else "")
         if order in (Order.STOP, Order.START):
             self._stopped = order is Order.STOP
@@ -257,8 +259,8 @@ class Reader:
 
         """
         with self._reading:
-            if self._mailbox.end is not None:
-                raise copy.copy(self._mailbox.end)
+            if self.frames.end is not None:
+                raise copy.copy(self.frames.end)
             if self._port is None:
                 raise LinkError(f"{self.port_name}: the board is away")
             data = self._protocol.request(order, period_us=period_us)
@@ -275,9 +277,9 @@ class Reader:
     @property
     def away(self) -> bool:
         """Whether the port is gone at present, or the board there has yet to show that it is the one from before."""
-        return self._away_since is not None
+        return self._absence is not None
 
-    def introduce_before(self, introduction: bytes) -> None:
+    def hear_before(self, introduction: bytes) -> None:
         """Take what the board said of itself before a recording that plays began. Call before :meth:`start`.
 
         Raises:
@@ -286,13 +288,13 @@ class Reader:
         """
         for event in self._new_protocol().feed(introduction, 0.0):
             if isinstance(event, Identity | Description):
-                self.introduction.add(event)
+                self.handshake.add(event)
 
     def disown(self) -> None:
         """In a forked process: leave port and mailbox to the parent process, which opened them."""
         self._reading, self._port = threading.RLock(), None
         self._stop = SignalSafeEvent()
-        self._mailbox.disown(
+        self.frames.disown(
             LinkError(
                 f"{self.port_name}: was opened by process {os.getppid()}, from which this one was forked; take frames "
                 "there, or open the skin here (multiprocessing: start method 'spawn')"
@@ -305,7 +307,7 @@ class Reader:
         port = self._port
         if port is not None:
             port.interrupt()
-        self._mailbox.close(self._closed())
+        self.frames.close(self._closed())
         if self._thread.is_alive() and threading.current_thread() is not self._thread:
             self._thread.join(JOIN_S)
 
@@ -328,15 +330,15 @@ class Reader:
         try:
             self._live()
         except OhmskinError as error:
-            self._mailbox.finish(self._closed() if self._is_ending else error)
+            self.frames.finish(self._closed() if self._is_ending else error)
         finally:
             # stop() may have woken this thread before telling the consumers.
             ended = LinkError(f"{self.port_name}: the reader thread has ended")
-            self._mailbox.finish(self._closed() if self._is_ending else ended)
+            self.frames.finish(self._closed() if self._is_ending else ended)
             self._release()
             self._reopen = None  # its finder watches a file, the port's announcement
-            self.introduced.set()
-            self.introduction.identified.set()
+            self.known.set()
+            self.handshake.identified.set()
             for pending in list(self._orders):
                 pending.over.set()
 
@@ -349,7 +351,7 @@ class Reader:
             except LinkEnded:
                 raise
             except LinkError as error:
-                if self._is_ending or self._reopen is None or not self.introduced.is_set():
+                if self._is_ending or self._reopen is None or not self.known.is_set():
                     raise
                 self._release()
                 for tap in self.on_gone:
@@ -360,15 +362,15 @@ class Reader:
         """Read the port until it ends."""
         port = self._port
         assert port is not None
-        if self.introduction.complete:
-            self.introduced.set()
+        if self.handshake.complete:
+            self.known.set()
         self._ask()
         self._asked_at = min(self._asked_at, time.monotonic())
         ask_at = time.monotonic() + ASK_WHO_S
         behind = False
-        while not (self._is_ending or self._mailbox.end):
+        while not (self._is_ending or self.frames.end):
             if self._is_full():
-                self._mailbox.wait_for_room(ASK_AGAIN_S)
+                self.frames.wait_for_room(ASK_AGAIN_S)
                 ask_at = time.monotonic() + ASK_AGAIN_S
                 continue
             if port.wait(0.0 if behind else ask_at - time.monotonic()):
@@ -376,11 +378,11 @@ class Reader:
                 if self._read():
                     # Half of the interpreter's time is left to others, who may be setting up the circuit's inverse.
                     self._stop.wait(min(time.monotonic() - began, LONGEST_REST_S))
-            behind = self._convert(CONVERTED_IN_TURN)
+            behind = self.frames.keep_up()
             now = time.monotonic()
-            if now > self._proof_until:
+            if self._absence is not None and now > self._absence.proof_until_s:
                 raise LinkError(f"{port.name}: the board there does not show that it is the one from before")
-            known = self.introduced.is_set() and self._proof_until == inf
+            known = self.known.is_set() and self._absence is None
             if self._has_frames and known:
                 ask_at, self._has_frames = now + ASK_AGAIN_S, False
             elif now >= ask_at:
@@ -389,13 +391,13 @@ class Reader:
 
     def _is_full(self) -> bool:
         """Whether no frame can be taken. An answer lies behind frames, hence some more are taken until it comes."""
-        return self._lossless and self._mailbox.is_full(ANSWER_LIES_BEHIND if self._orders else 1)
+        return self.frames.is_full(ANSWER_LIES_BEHIND if self._orders else 1)
 
     def _ask(self) -> None:
         try:
             for order in (Order.IDENTIFY, Order.DESCRIBE):
                 self.send(order)
-            if self.introduction.complete and not self._proofs:
+            if self.handshake.complete and not (self._absence and self._absence.unproven):
                 self._start_frames()
         except LinkError:
             self._read()  # bytes from before the loss, and the reason of the loss
@@ -409,27 +411,15 @@ class Reader:
         if self._family.polled:
             self.send(Order.ONE_FRAME)
 
-    def _convert(self, most: int | None) -> bool:
-        """Convert ``most`` of the frames that have come (None: all), and tell consumers; whether frames are left."""
-        with self._errors_told():
-            left = self.keep_up(most)
-            self._mailbox.tell()
-            return left
-
     def _read(self) -> bool:
         """Read what has come, within the budget of a turn; whether the thread shall rest before it goes on."""
-        with self._errors_told():
-            return self._drain()
-
-    @contextlib.contextmanager
-    def _errors_told(self) -> Iterator[None]:
         try:
-            yield
+            return self._drain()
         except OhmskinError:
             raise
         except Exception as error:
             # No reader shall wait for frames that no longer come.
-            self._mailbox.finish(LinkError(f"{self.port_name}: reading failed: {error!r}"))
+            self.frames.finish(LinkError(f"{self.port_name}: reading failed: {error!r}"))
             raise
 
     def _drain(self) -> bool:
@@ -454,7 +444,7 @@ class Reader:
                     self._handle(event, arrival)
                 done += len(events)
                 if done >= MOST_EVENTS or time.thread_time() > until_s:
-                    return not self._lossless
+                    return not self.frames.lossless
                 # Another frame may have come while several were decoded; it would be the newest one.
                 if not arrival.more and frames <= 1:
                     break
@@ -476,19 +466,19 @@ class Reader:
                 self._reason = event.reason
                 if event.is_description:
                     self._unreadable = event.reason
-                self._counters.corrupt += 1
-                self._counters.why_corrupt = event.reason
+                self.frames.counters.corrupt += 1
+                self.frames.counters.why_corrupt = event.reason
 
     def _receive(self, packet: FramePacket, arrival: Arrival) -> None:
-        if not self.introduction.complete:
+        if not self.handshake.complete:
             self._learn(packet)
-            if not self.introduction.complete:
+            if not self.handshake.complete:
                 following = None if packet.sequence is None else (packet.sequence + 1) % 2**32
                 self.stream.announce(following, packet.boot_id)
                 return
-        if self._proof_until < inf:
-            if self._proofs:
-                self._unproven.append((packet, arrival))
+        if self._absence is not None:
+            if self._absence.unproven:
+                self._absence.waiting.append((packet, arrival))
                 return
             # A board that sends no identity is identified by its port alone.
             self._prove()
@@ -498,18 +488,18 @@ class Reader:
         try:
             frame = self.stream.add(packet, arrival)
         except ProtocolError as error:
-            self._mailbox.report(error)
+            self.frames.report(error)
             return
         self._received = 0
         if frame is not None:
-            self._mailbox.put(frame)
+            self.frames.put(frame)
         if packet.flags is not _NO_FLAGS and packet.flags & Flag.LAST:
             self._finish()
 
     def _finish(self) -> None:
         """End the stream: the board has announced that no frame follows."""
-        unknown = "" if self.introduction.complete else ", and has not described itself before"
-        self._mailbox.finish(LinkEnded(f"{self.port_name}: the board has come to the end of its frames{unknown}"))
+        unknown = "" if self.handshake.complete else ", and has not described itself before"
+        self.frames.finish(LinkEnded(f"{self.port_name}: the board has come to the end of its frames{unknown}"))
         assert self._port is not None
         self._port.interrupt()
 
@@ -522,13 +512,14 @@ class Reader:
             InputError: the given design does not match the board that is being opened.
 
         """
-        first_frame_is_near = not self._unproven
-        if self._proof_until < inf:
-            difference = self.introduction.difference(event)
+        absence = self._absence
+        first_frame_is_near = absence is None or not absence.waiting
+        if absence is not None:
+            difference = self.handshake.difference(event)
             if difference:
                 raise LinkError(f"{self.port_name}: {difference}")
-            self._proofs.discard(type(event))
-            if not self._proofs:
+            absence.unproven.discard(type(event))
+            if not absence.unproven:
                 self._prove()
                 self._start_frames()
         if isinstance(event, Identity) and event.over:
@@ -541,36 +532,37 @@ class Reader:
 
     def _learn(self, event: Identity | Description | FramePacket) -> None:
         """Pass a packet to the introduction; errors as for :meth:`_identify`."""
-        known = self.introduction.complete
+        known = self.handshake.complete
         try:
-            self.introduction.add(event)
+            self.handshake.add(event)
         except (ProtocolError, InputError) as error:
             # Readers of an open skin go on after ProtocolError and InputError; this error is final, hence LinkError.
             final = LinkError(str(error)) if known else error
-            self._mailbox.finish(final)
+            self.frames.finish(final)
             raise final from error
-        if self.introduction.complete and not known:
+        if self.handshake.complete and not known:
             self._start_frames()
-            self.introduced.set()
+            self.known.set()
 
     def _prove(self) -> None:
         """The board has proved that it is the one from before."""
-        self._proof_until = inf
-        self._away_since = None
-        self._counters.reconnects += 1
-        self._counters.times_s.clear()
-        self._mailbox.set_away(None)
-        unproven, self._unproven = self._unproven, deque(maxlen=MOST_UNPROVEN)
-        for packet, arrival in unproven:
+        absence, self._absence = self._absence, None
+        assert absence is not None
+        self.frames.counters.reconnects += 1
+        self.frames.counters.times_s.clear()
+        self.frames.set_away(None)
+        for packet, arrival in absence.waiting:
             self._add_frame(packet, arrival)
 
     def _connect_again(self, error: LinkError) -> None:
         """Open the port again; LinkError if it has not come back in time."""
         assert self._reopen is not None
-        if self._away_since is None:
-            self._away_since, self._away_because = time.monotonic(), error
-            self._mailbox.set_away(str(error))
-        left_s = self._reconnect_s - (time.monotonic() - self._away_since)
+        before = self._absence
+        if before is None:
+            before = Absence(time.monotonic(), error)
+            self.frames.set_away(str(error))
+        absence = self._absence = Absence(before.since_s, before.because)
+        left_s = self._reconnect_s - (time.monotonic() - absence.since_s)
         failure: LinkError | None = None
         for _ in attempts(left_s, lambda wait_s: self._stop.wait(wait_s) or self._forgotten):
             try:
@@ -582,19 +574,18 @@ class Reader:
                 continue
             with self._reading:
                 self._port, self._clock = port, port.now
-                self.port_name = self.introduction.port_name = port.name
+                self.port_name = self.handshake.port_name = port.name
                 self._protocol, self._stopped = self._new_protocol(), False
                 for pending in self._orders:
                     pending.numbers.clear()
-                self._unproven.clear()
-                known = self.introduction.identity, self.introduction.description
-                self._proofs = {type(packet) for packet in known if packet is not None}
-                self._proof_until = time.monotonic() + PROOF_S
+                known = self.handshake.identity, self.handshake.description
+                absence.unproven = {type(packet) for packet in known if packet is not None}
+                absence.proof_until_s = time.monotonic() + PROOF_S
             return
         # "A board was found and refused" is more informative than "the port is not there".
-        found = failure if str(error) == str(self._away_because) else error
+        found = failure if str(error) == str(absence.because) else error
         because = "" if found is None else f" ({found})"
-        raise LinkError(f"{self._away_because}; it has not come back within {self._reconnect_s:g} s{because}")
+        raise LinkError(f"{absence.because}; it has not come back within {self._reconnect_s:g} s{because}")
 
     def _release(self) -> None:
         with self._reading:
@@ -603,5 +594,5 @@ class Reader:
                 self._port = None
 
 
-_READERS: weakref.WeakSet[Reader] = weakref.WeakSet()
-"""readers started by this process"""
+_CONNECTIONS: weakref.WeakSet[Connection] = weakref.WeakSet()
+"""started by this process"""

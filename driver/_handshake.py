@@ -21,7 +21,7 @@ MOST_CONTINUOUS_CELLS = 32 * 32
 MOST_FINE_PIECES = 512 * 512
 
 
-class Introduction:
+class Handshake:
     """All that is known of the board: from its packets, or given by the caller instead."""
 
     def __init__(self, family: Family, port_name: str, design: Design | None, cell: Cell | None) -> None:
