@@ -82,7 +82,7 @@ class _Alone(NamedTuple):
     admittance: FloatArray
     """S of the column to the reference, its lead not included"""
     impedance: FloatArray
-    """ohm between the base network's nodes: columns (M, M), or row terminals and columns (N + M, N + M) if rows float"""
+    """ohm between the nodes of the base network: columns (M, M), or row terminals and columns (N + M, N + M)"""
     own: FloatArray
     """ohm of each column in the base network"""
     idle: FloatArray

@@ -99,7 +99,9 @@ class Enclosure:
         self._behind_cell = self._behind - to_end.mean(axis=0) + to_end
         self._floating, self._follows = board.floating, circuit.drives_idle_lines
         self._divides, self._one_by_one = not circuit.has_amplifiers, circuit.columns_one_by_one(board)
-        self._idle = 1.0 / np.maximum(board.idle_resistance + law.wire, LEAST_SHORT_OHM)  # S (M,) of an idle column's end
+        self._idle = 1.0 / np.maximum(
+            board.idle_resistance + law.wire, LEAST_SHORT_OHM
+        )  # S (M,) of an idle column's end
         # A short while its own row is driven: S into the column's end, per volt of drive, and V of the column.
         self._saturates, self._into_end, self._column = False, self._short, np.full(board.shape, drive)
         source = np.zeros(board.shape[1])

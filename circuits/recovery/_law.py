@@ -223,6 +223,19 @@ class Law:
         below, above, low, high = np.empty((4, rows, columns))
         sums = np.empty((3, max(rows, columns)))
         answers.unchecked(
-            volts, *self.law, self.present, limited, faint, self.lead, most, self._column_most, error, below, above, sums, low, high
+            volts,
+            *self.law,
+            self.present,
+            limited,
+            faint,
+            self.lead,
+            most,
+            self._column_most,
+            error,
+            below,
+            above,
+            sums,
+            low,
+            high,
         )
         return low, high

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import hypot, inf, nan, sqrt
+from math import hypot, nan, sqrt
 from typing import NamedTuple, Self
 
 import numpy as np

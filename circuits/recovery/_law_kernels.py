@@ -373,9 +373,9 @@ def answers(
                 r = lead[i]
                 # What the column's cell conducts to ground by way of its row and the other idle columns.
                 of_others = 1.0
-                for l in range(columns):
-                    if l != j:
-                        of_others += r * cell_most[i, l]
+                for other in range(columns):
+                    if other != j:
+                        of_others += r * cell_most[i, other]
                 left = 1.0 - r * above[i, j]
                 most_passed = 1.0 - r * (sums[2, i] - above[i, j]) / left if left > LEAST else 0.0
                 most_passed = min(1.0 / max(most_passed, LEAST), of_others)

@@ -26,6 +26,9 @@ from .._adc import adc_error
 from .._board import Board, broken_off, cell_alone
 from .._grid import exact_ports
 from .._parts import LEAST_SHORT_OHM
+from ._law import several_answers
+from ._law_errors import ALIKE, BY_NOISE, BY_STEPS
+from ._law_kernels import TINY
 from ._lines import LineResistance
 from ._live_reading import (
     DISTURBED,
@@ -41,9 +44,6 @@ from ._live_reading import (
     ValidityRule,
     undetermined,
 )
-from ._law import several_answers
-from ._law_errors import ALIKE, BY_NOISE, BY_STEPS
-from ._law_kernels import TINY
 from ._node_blocks import NodeBlocks
 from ._quick_model import QuickModel, with_resistance
 from ._sheet_model import SheetModel
@@ -147,7 +147,8 @@ class FitLive:
         for fault in self._board.shorts:
             self._shunt[fault.place] += 1.0 / fault.ohms
         ideal, most = (
-            np.abs(board.circuit.ideal_volts(board, ohms) - board.level) for ohms in (self._leads, np.zeros(board.shape))
+            np.abs(board.circuit.ideal_volts(board, ohms) - board.level)
+            for ohms in (self._leads, np.zeros(board.shape))
         )
         self._short, self._full = np.where(self._gone, inf, ideal), most  # V, of a short with and without leads
         per_volt = np.abs(board.circuit.conductance_slope(board, np.zeros(board.shape)))
@@ -338,6 +339,7 @@ class FitLive:
         factor, failed = dpotrf(normal, lower=1)
         if failed:
             raise np.linalg.LinAlgError("the normal matrix is not positive definite")
+
         def solve(apart: FloatArray) -> FloatArray:
             step: FloatArray = dpotrs(factor, jacobian.T @ (apart / self._std), lower=1)[0]
             return step
@@ -447,4 +449,3 @@ class FitLive:
         reason[limited] = SATURATED
         reason[self._gone] = HIDDEN
         return undetermined(self._turn(reason))
-
