@@ -307,3 +307,15 @@ def test_each_end_has_its_own_values() -> None:
     shared = designed("multiplexer in groups, others low").end_parts
     assert shared["column_end.parts.R1"].tolist() == [10e3, 10e3]
     assert shared["column_end.idle.R1"].tolist() == [100.0] * 4
+
+
+def test_calls_of_subcircuits_without_parts_are_not_followed(tmp_path: Path) -> None:
+    """A thousand calls in each of eight levels would be, for ever."""
+    levels = "".join(f".subckt l{d} a\n" + f"x1 a l{d + 1}\n" * 1000 + ".ends\n" for d in range(7))
+    (tmp_path / "end.cir").write_text(f".subckt col line out\nx1 line l0\n.ends\n{levels}.subckt l7 a\n.ends\n")
+    (tmp_path / "design.toml").write_text(
+        '[array]\nrows = 1\ncolumns = 1\n[row_end]\nselected = ["V1 line 0 1"]\nidle = []\n'
+        '[column_end]\nparts = { file = "end.cir", subcircuit = "col" }\n'
+    )
+    with pytest.raises(InputError, match=r"a \.subckt without parts"):
+        Design.load(tmp_path / "design.toml")
