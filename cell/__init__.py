@@ -14,6 +14,7 @@ from .identification import (
     check_resistances,
     checked_recording,
     estimate_recording,
+    learned_from_model,
     protocol_load,
     protocol_text,
     read_recording,
@@ -29,6 +30,8 @@ from .materials import (
     Percolation,
     drifted_rest_resistance,
 )
+
+Cell.learned_from_model = staticmethod(learned_from_model)
 
 __all__ = [
     "ESTIMATORS",
