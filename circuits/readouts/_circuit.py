@@ -202,13 +202,6 @@ class ReadoutCircuit(ABC):
 
     # One cell alone, with ideal parts
 
-    def domain(self, board: Parts) -> tuple[float, float]:
-        """V of the ideal circuit's output on an open cell, and on a short: the ends of what a reading can say."""
-        alone = self.alone(board)
-        empty = board.level + float(np.mean(alone.rest))
-        with np.errstate(divide="ignore"):  # a short gives an infinite output of an amplifier
-            return empty, empty + float(np.mean(np.divide(alone.gain, np.abs(alone.span))))
-
     @abstractmethod
     def alone(self, board: Parts) -> Alone:
         """The output of one cell that is alone, with ideal parts."""
