@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from needs import need
 
-from ohmskin.circuits import Design, adc_codes, live_recovery, recover, scan, volts_of_codes
+from ohmskin.circuits import Design, adc_codes, ideal_volts, live_recovery, recover, scan, volts_of_codes
 from ohmskin.circuits.spice import command_available, netlist, run_control
 from ohmskin.common.config import parse
 from ohmskin.errors import InputError, SolverError
@@ -214,6 +214,15 @@ def test_a_second_set_of_cells_gives_the_readings_of_a_weakly_driven_row() -> No
     read = [scan(design, np.full((2, 1), ohm)).volts[0, 0] for ohm in (1e1, 5e2, 1e5)]
     assert read[1] > read[0]
     assert read[1] > read[2]
+
+
+@pytest.mark.parametrize("kind", ["a diode in each driven row", "rows driven by a divider", "a Sallen-Key filter"])
+def test_one_cell_alone_reads_as_its_apparent_resistance(kind: str) -> None:
+    design = designed(kind, rows=1, columns=1, row_lead=0.0, column_lead=0.0)
+    for ohm in (50.0, 1e3, 4.7e4, 1e6):
+        assert scan(design, [[ohm]]).resistance[0, 0] == pytest.approx(ohm, rel=1e-4)
+        assert ideal_volts(design, [[ohm]])[0, 0] == pytest.approx(scan(design, [[ohm]]).volts[0, 0], rel=1e-3)
+    assert scan(design, [[np.inf]]).resistance[0, 0] > 1e8
 
 
 @pytest.mark.parametrize(
