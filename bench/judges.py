@@ -222,9 +222,9 @@ def estimated(played: Played, estimator: Judged) -> tuple[FloatArray, FloatArray
     last, spent = -1, 0.0
     for n in np.flatnonzero(played.arrives).tolist():
         elapsed_s = (n - last) * played.frame_s
-        frame = ohms[n] if update is None else _measured(played, n)
+        measured = None if update is None else _measured(played, n)
         start = process_time()
-        pressure[n] = estimator.step(elapsed_s, frame) if update is None else update(elapsed_s, frame)
+        pressure[n] = estimator.step(elapsed_s, ohms[n]) if update is None else update(elapsed_s, measured)
         std[n] = estimator.std_kpa
         spent += process_time() - start
         last = n

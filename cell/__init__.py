@@ -3,6 +3,7 @@
 from ._cell import ESTIMATORS, Cell
 from .estimation import Estimator
 from .identification import (
+    READING_NOISE,
     CalibrationResult,
     Recording,
     calibrate,
@@ -13,10 +14,12 @@ from .identification import (
     check_resistances,
     checked_recording,
     estimate_recording,
+    learned_from_model,
     protocol_load,
     protocol_text,
     read_recording,
     recovery_branches,
+    rehearsed,
 )
 from .materials import (
     AsymmetricModel,
@@ -28,8 +31,11 @@ from .materials import (
     drifted_rest_resistance,
 )
 
+Cell.learned_from_model = staticmethod(learned_from_model)
+
 __all__ = [
     "ESTIMATORS",
+    "READING_NOISE",
     "AsymmetricModel",
     "CalibrationResult",
     "Cell",
@@ -53,4 +59,5 @@ __all__ = [
     "protocol_text",
     "read_recording",
     "recovery_branches",
+    "rehearsed",
 ]

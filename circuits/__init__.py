@@ -10,6 +10,7 @@ from ._board import Board
 from ._design import Design
 from ._effects import Effect, effects
 from ._ideal import apparent_resistance, ideal_volts
+from ._operating import OperatingPoint, operating_point
 from ._population import Boards, PopulationReading, read_together, scan_population
 from ._readout import Readout
 from ._requirement import Conditions, Requirement
@@ -18,12 +19,14 @@ from ._sections import Adc, Array, Cells, Drive, Fault, Operation, Requirements,
 from ._sensitivity import Sensitivity, sensitivity
 from ._sequence import interpolates, scan_sequence
 from ._spread import Spread
+from .ends import ColumnEnd, Event, Reference, RowEnd, Scan
 from .readouts import CIRCUITS as _CIRCUITS
 from .recovery import (
     Conditioning,
     Errors,
     LiveReading,
     LiveRecovery,
+    Measured,
     Reason,
     Recoverer,
     Recovery,
@@ -33,7 +36,17 @@ from .recovery import (
     live_recovery,
     recover,
 )
-from .timing import Noise, Settling, Stability, Transient, noise, stability
+from .timing import (
+    BoardsInTime,
+    EventScan,
+    Noise,
+    Settling,
+    Stability,
+    Transient,
+    noise,
+    stability,
+    stability_of_boards,
+)
 
 CIRCUITS: tuple[str, ...] = tuple(_CIRCUITS)
 """Readout circuits that a design file can name"""
@@ -47,25 +60,34 @@ __all__ = [
     "BatchResult",
     "Board",
     "Boards",
+    "BoardsInTime",
     "Cells",
+    "ColumnEnd",
     "Conditioning",
     "Conditions",
     "Design",
     "Drive",
     "Effect",
     "Errors",
+    "Event",
+    "EventScan",
     "Fault",
     "LiveReading",
     "LiveRecovery",
+    "Measured",
     "Noise",
+    "OperatingPoint",
     "Operation",
     "PopulationReading",
     "Readout",
     "Reason",
     "Recoverer",
     "Recovery",
+    "Reference",
     "Requirement",
     "Requirements",
+    "RowEnd",
+    "Scan",
     "ScanResult",
     "Sensitivity",
     "Settling",
@@ -85,6 +107,7 @@ __all__ = [
     "interpolates",
     "live_recovery",
     "noise",
+    "operating_point",
     "read_together",
     "recover",
     "scan",
@@ -93,5 +116,6 @@ __all__ = [
     "scan_sequence",
     "sensitivity",
     "stability",
+    "stability_of_boards",
     "volts_of_codes",
 ]

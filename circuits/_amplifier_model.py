@@ -14,7 +14,8 @@ without a word; its own mark is ``noisy=0``.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple, Self
 
@@ -29,6 +30,8 @@ Pin = Literal["in+", "in-", "v+", "v-", "out", "ground", "open"]
 PINS: tuple[Pin, ...] = ("in+", "in-", "v+", "v-", "out")
 """default: the order that most makers use"""
 MOST_MODEL_BYTES = 4 * 2**20
+MOST_STATEMENTS = 20_000
+"""of a model whose calls are expanded; makers' amplifiers have hundreds"""
 CARDS = (".subckt", ".ends", ".model", ".param", ".params", ".func", ".if", ".elseif", ".else", ".endif")
 DEVICES = "bcdefghijklmqrstvwxz"
 """First letters of devices; among the others are code models ("a"), which can read files."""
@@ -129,8 +132,12 @@ class AmplifierModel(Section):
                 f"({shortened(one_line(' '.join(outside[name])))}), but readout.amplifier_model.pins names "
                 f"{len(self.pins)}"
             )
-        reached = {None, *_reached(name, calls, path)}
-        return [card for card, owner in zip(cards, belongs, strict=True) if owner in reached]
+        reached = _reached(name, calls, path)
+        used = [card for card, owner in zip(cards, belongs, strict=True) if owner is None or owner in reached]
+        if (whole := _expanded(used, reached)) > MOST_STATEMENTS:
+            what = f"{path}: .SUBCKT {self.subcircuit} with all that it calls"
+            raise InputError(f"{what} has {whole:.3g} statements; expected at most {MOST_STATEMENTS}")
+        return used
 
 
 class _Card(NamedTuple):
@@ -244,17 +251,46 @@ def _before_parameters(words: list[str]) -> list[str]:
     return found
 
 
-def _reached(name: str, calls: dict[str, set[str]], path: str) -> set[str]:
-    """The subcircuit and all that it calls. Raises InputError for one that contains itself, which ngspice would expand
-    until memory ends.
+def _expanded(cards: list[_Card], reached: Iterable[str]) -> float:
+    """Statements of the last of the subcircuits when all calls in it are replaced by what they call.
+
+    Args:
+        cards: of all of them. Of definitions with one name the largest counts.
+        reached: names, each behind those that it calls.
+
     """
-    finished: set[str] = set()
+    definitions: dict[str, list[Counter[str | None]]] = {}
+    inside: list[Counter[str | None]] = []
+    for card in cards:
+        words = card.words
+        if words[0] == ".subckt":
+            inside.append(Counter())
+            definitions.setdefault(words[1], []).append(inside[-1])
+        elif words[0] == ".ends":
+            inside.pop()
+        elif inside:
+            called = _before_parameters(words[1:])[-1:] if words[0].startswith("x") else []
+            inside[-1].update([None, *called])
+    whole: dict[str | None, float] = {None: 1.0}
+    for name in reached:
+        whole[name] = max(
+            (sum(count * whole.get(part, 0.0) for part, count in parts.items()) for parts in definitions.get(name, [])),
+            default=0.0,
+        )
+    return list(whole.values())[-1]
+
+
+def _reached(name: str, calls: dict[str, set[str]], path: str) -> dict[str, None]:
+    """The subcircuit and all that it calls, which come before it. Raises InputError for one that contains itself, which
+    ngspice would expand until memory ends.
+    """
+    finished: dict[str, None] = {}
     stack = [(name, iter(sorted(calls.get(name, ()))))]
     while stack:
         current, pending = stack[-1]
         callee = next(pending, None)
         if callee is None:
-            finished.add(current)
+            finished[current] = None
             stack.pop()
         elif callee in [above for above, _ in stack]:
             raise InputError(f"{path}: .SUBCKT {one_line(callee)} contains itself")

@@ -19,7 +19,7 @@ from ..common.arrays import FloatArray
 from ._parts import Parts
 from ._readout import Readout
 from ._sections import Adc, Array, Drive, Fault, PerLine, Sheet
-from .ends import GROUND, REF, Card, ColumnEnd, LineEnds, Network, Reference, RowEnd, amplifier, with_values
+from .ends import GROUND, LINE, REF, Card, ColumnEnd, Crosspoint, LineEnds, Network, Reference, RowEnd, amplifier
 from .readouts import CIRCUITS, DESCRIBED, DESCRIBED_INVERTING, LinearReadout, ReadoutCircuit
 
 
@@ -44,8 +44,13 @@ class Board(Parts):
         adc: Adc | None,
         faults: tuple[Fault, ...],
         networks: Networks | None = None,
+        *,
+        by_nodes: bool = False,
     ) -> Board:
-        """Expand the sections of a design. Users take ``design.board``, which keeps the result."""
+        """Expand the sections of a design. Users take ``design.board``, which keeps the result.
+
+        With ``by_nodes`` the lines end in networks even where they are Thevenin equivalents.
+        """
         circuit = CIRCUITS[readout.circuit]
         turned = circuit.senses == "rows"
         row_keys, column_keys = (array.row_lead, array.row_segment), (array.column_lead, array.column_segment)
@@ -94,7 +99,7 @@ class Board(Parts):
             readout=readout,
             adc=adc,
         )
-        return board if networks is None else _with_networks(board, networks)
+        return board if networks is None else _with_networks(board, networks, by_nodes=by_nodes)
 
     @property
     def virtual_grounds(self) -> bool:
@@ -113,15 +118,16 @@ class Networks(NamedTuple):
     row_end: RowEnd | None = None
     column_end: ColumnEnd | None = None
     reference: Reference | None = None
+    crosspoint: Crosspoint | None = None
 
 
-def _with_networks(board: Board, networks: Networks) -> Board:
+def _with_networks(board: Board, networks: Networks, *, by_nodes: bool) -> Board:
     """The board with the networks of the design at its lines, and those that its other keys stand for."""
     ends = _line_ends(board, networks)
     floating, pull, lead = board.floating, board.pull, board.row_lead
     drive, datum = board.drive, Fraction(board.level)
     columns = None
-    if ends.is_apart:
+    if ends.is_apart and not by_nodes:
         rows = None
         if networks.row_end is not None:
             rows = ends.rows(ends.rest())
@@ -133,6 +139,8 @@ def _with_networks(board: Board, networks: Networks) -> Board:
         floating, pull, lead = True, inf, np.zeros(board.shape[0])
         if networks.row_end is None and board.pulled:
             lead = -board.row_lead  # among the parts of the ends
+        if networks.crosspoint is not None:
+            lead = -board.row_ohms[:, 0]
     own_lead = np.zeros_like(lead) if networks.row_end is None and columns is not None else lead
     row_ohms = board.row_ohms.copy()
     row_ohms[:, 0] += own_lead
@@ -172,20 +180,30 @@ def _line_ends(board: Board, networks: Networks) -> LineEnds:
     ref = REF if networks.reference or board.level else GROUND
     selected, idle = _named_rows(board, ref)
     if row_end is not None:
-        found = row_end.networks
-        selected, idle = (
-            with_values(found[key], row_end.values, rows) if key in found else usual
-            for key, usual in (("selected", selected), ("idle", idle))
-        )
-    if column_end is not None:
-        found, shared = column_end.networks, column_end.shared_by
-        read = with_values(found["parts"], column_end.values, -(-columns // shared))
-        unread = with_values(found["idle"], column_end.values, columns)
-    else:
+        selected = row_end.lines("selected", rows) if row_end.selected is not None else selected
+        idle = row_end.lines("idle", rows) if row_end.idle is not None else idle
+    if column_end is None:
         shared = board.shared_by
         read, unread = _named_columns(board, ref)
-    reference = () if networks.reference is None else networks.reference.networks["parts"]
-    return LineEnds(selected, idle, read, unread, shared, reference, board.level)
+    else:
+        shared = column_end.shared_by
+        read, unread = column_end.lines("parts", -(-columns // shared)), column_end.lines("idle", columns)
+    reference = () if networks.reference is None else networks.reference.lines("parts", 1)[0]
+    if networks.crosspoint is None:
+        return LineEnds(selected, idle, read, unread, shared, reference, board.level)
+    # The ports of a grid with ideal lines are then its cells alone, and the rows' leads are parts of their ends.
+    leads = np.zeros(rows) if board.pulled and row_end is None else board.row_ohms[:, 0]
+    selected, idle = (tuple(map(_behind_lead, ends, leads.tolist())) for ends in (selected, idle))
+    crosspoint = networks.crosspoint.lines("parts", 1)[0]
+    return LineEnds(selected, idle, read, unread, shared, reference, board.level, crosspoint)
+
+
+def _behind_lead(network: Network, ohm: float) -> Network:
+    """A row's end with the lead of its line."""
+    if not ohm or not network:
+        return network
+    inside = tuple(card.renamed(lambda node: "lead" if node == LINE else node, str) for card in network)
+    return (*inside, Card("R.LEAD", ("lead", LINE), ohm))
 
 
 def _named_rows(board: Board, ref: str) -> tuple[tuple[Network, ...], tuple[Network, ...]]:
@@ -213,10 +231,13 @@ def _named_columns(board: Board, ref: str) -> tuple[tuple[Network, ...], tuple[N
             offset_voltage=float(board.offset[j]),
             bias_current=float(board.bias[j]),
             gain_bandwidth=board.readout.gain_bandwidth,
+            voltage_noise=board.readout.voltage_noise,
+            current_noise=board.readout.current_noise,
             low=low,
             high=high,
         )
-        read.append((load, amplified) if board.circuit.virtual_ground else (load,))
+        feedback = Card("CREF", load.nodes, board.readout.feedback_capacitance)
+        read.append((load, feedback, amplified) if board.circuit.virtual_ground else (load,))
         match board.idle_columns:
             case "float":
                 unread.append(())

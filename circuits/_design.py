@@ -20,13 +20,14 @@ from ._readout import PER_LINE, Readout
 from ._requirement import Requirement
 from ._sections import Adc, Array, Cells, Drive, Fault, Operation, Requirements, Sheet
 from ._spread import Spread
-from .ends import ColumnEnd, Reference, RowEnd, Scan
+from .ends import ColumnEnd, Crosspoint, Reference, RowEnd, Scan
 from .readouts import CIRCUITS
 
 _SAID_BY_COLUMN_END = (
     *("open_loop_gain", "gain_bandwidth", "offset_voltage", "bias_current", "supply", "columns", "idle_columns"),
     *("feedback_capacitance", "voltage_noise", "current_noise", "amplifier_model"),
 )
+_NETWORKS = ("row_end", "column_end", "reference", "crosspoint")
 _SAID_BY_IDLE_ROW = ("idle_rows", "idle_row_resistance")
 
 
@@ -53,6 +54,8 @@ class Design(Section):
     """networks at the columns; None: as ``[readout]`` says"""
     reference: Reference | None = None
     """network at the node ``ref``; None: a stiff source of ``readout.reference_voltage``"""
+    crosspoint: Crosspoint | None = None
+    """network between each row and its cells; None: nothing"""
     scan: Scan | None = None
     """None: the verification asks for a constant row period"""
 
@@ -117,7 +120,7 @@ class Design(Section):
 
     def _refuse_keys_beside_networks(self) -> None:
         """Raise ValueError if networks at the lines' ends leave a key without effect, or have none themselves."""
-        networks = [name for name in ("row_end", "column_end", "reference") if getattr(self, name) is not None]
+        networks = [name for name, _ in self._networks()]
         if not networks:
             return
         circuit = CIRCUITS[self.readout.circuit]
@@ -126,20 +129,21 @@ class Design(Section):
                 f'{networks[0]} has no effect with readout.circuit = "{circuit.name}"; expected a circuit that senses '
                 "columns and drives rows only"
             )
+        lines = self.array.row_segment, self.array.column_segment
+        if self.crosspoint is not None and (any(map(np.any, lines)) or self.fault or self.array.sheet != "sliced"):
+            raise ValueError(
+                "crosspoint: expected lines without resistance between cells, a sliced sheet and no faults"
+            )
         keys: list[tuple[str, str, str]] = []
         if self.column_end is not None:
             keys += [("column_end", "readout", key) for key in _SAID_BY_COLUMN_END]
-            for name, values in self.column_end.values.items():
-                ends = -(-self.array.columns // self.column_end.shared_by)
-                if len(values) not in (ends, self.array.columns):
-                    raise ValueError(
-                        f"column_end.values.{name} has {len(values)} entries, expected one per end: {ends}"
-                    )
         if self.row_end is not None:
             keys += [("row_end.idle", "drive", key) for key in _SAID_BY_IDLE_ROW if self.row_end.idle is not None]
-            for name, values in self.row_end.values.items():
-                if len(values) != self.array.rows:
-                    raise ValueError(f"row_end.values.{name} has {len(values)} entries, expected {self.array.rows}")
+        for section, end in self._networks():
+            for name, values in end.values.items():
+                expected = self._ends_of(section, name)
+                if len(values) != expected:
+                    raise ValueError(f"{section}.values.{name} has {len(values)} entries, expected {expected}")
         if self.reference is not None:
             keys.append(("reference", "readout", "reference_voltage"))
         for network, section, key in keys:
@@ -191,24 +195,33 @@ class Design(Section):
             section = getattr(self, name)
             if section is not None:
                 found |= {f"{name}.{key}": spread for key, spread in section.spread.items()}
-        for name in ("row_end", "column_end", "reference"):
-            end = getattr(self, name)
-            if end is not None:
-                found |= {f"{name}.{part}": spread for part, spread in end.spreads.items()}
+        for name, end in self._networks():
+            found |= {f"{name}.{part}": spread for part, spread in end.spreads.items()}
         return found
+
+    def _networks(self) -> list[tuple[str, RowEnd | ColumnEnd | Reference | Crosspoint]]:
+        """The sections that describe ends of lines, with their names."""
+        sections = (self.row_end, self.column_end, self.reference, self.crosspoint)
+        return [(name, end) for name, end in zip(_NETWORKS, sections, strict=True) if end is not None]
+
+    def _ends_of(self, section: str, part: str) -> int:
+        """How many a board has of one part of a network."""
+        if section in {"reference", "crosspoint"}:
+            return 1
+        if section == "row_end" or self.column_end is None:
+            return self.array.rows
+        names = {card.name for card in self.column_end.networks["parts"]}
+        shared = self.column_end.shared_by if part.rpartition(".")[2] in names and not part.startswith("idle.") else 1
+        return -(-self.array.columns // shared)
 
     @property
     def end_parts(self) -> dict[str, FloatArray]:
         """Nominal values (ends,) of the parts of networks at the lines' ends, by section and name."""
         found: dict[str, FloatArray] = {}
-        for name in ("row_end", "column_end", "reference"):
-            end = getattr(self, name)
-            if end is not None:
-                count = self.array.rows if name == "row_end" else 1
-                if name == "column_end":
-                    count = -(-self.array.columns // end.shared_by)
-                for part, value in end.nominal.items():
-                    found[f"{name}.{part}"] = np.array(end.values.get(part, (value,) * count))
+        for section, end in self._networks():
+            for part, value in end.nominal.items():
+                count = self._ends_of(section, part)
+                found[f"{section}.{part}"] = np.array(end.values.get(part, (value,) * count))
         return found
 
     def with_end_parts(self, values: Mapping[str, ArrayLike]) -> Design:
@@ -229,18 +242,37 @@ class Design(Section):
             readout |= {"columns": "parallel", "idle_columns": "float"}
         elif other.virtual_ground and self.readout.columns == "parallel":
             readout["idle_columns"] = "float"
-        return self.replace(drive=drive, readout=readout, row_end=None, column_end=None, reference=None)
+        return self.replace(
+            drive=drive, readout=readout, row_end=None, column_end=None, reference=None, crosspoint=None
+        )
 
     @cached_property
     def board(self) -> Board:
         """The design expanded into arrays, once."""
-        networks = Networks(self.row_end, self.column_end, self.reference) if self.is_described else None
+        networks = (
+            Networks(self.row_end, self.column_end, self.reference, self.crosspoint) if self.is_described else None
+        )
         return Board.of(self.array, self.sheet, self.drive, self.readout, self.adc, self.fault, networks)
+
+    @cached_property
+    def board_by_nodes(self) -> Board:
+        """The same board with a network at the end of each line, and no pull-downs or drivers in its grid.
+
+        Raises:
+            InputError: the circuit drives idle lines, or senses rows: it has no such networks.
+
+        """
+        circuit = CIRCUITS[self.readout.circuit]
+        if circuit.drives_idle_lines or circuit.senses == "rows":
+            raise InputError(f'readout.circuit = "{circuit.name}" has no networks at the ends of its lines')
+        networks = Networks(self.row_end, self.column_end, self.reference, self.crosspoint)
+        parts = self.array, self.sheet, self.drive, self.readout, self.adc, self.fault
+        return Board.of(*parts, networks, by_nodes=True)
 
     @property
     def is_described(self) -> bool:
         """Whether networks describe ends of lines."""
-        return any(part is not None for part in (self.row_end, self.column_end, self.reference))
+        return bool(self._networks())
 
     def resistance(self, cells: ArrayLike) -> FloatArray:
         """``cells`` as a checked (rows, columns) array in ohm; inf is an open cell, 0 a short.

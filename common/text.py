@@ -1,9 +1,13 @@
-"""Text from files, boards and file names, made safe to show on a terminal, in XML or in HTML."""
+"""Text from files, boards and file names, made safe to show on a terminal, in XML, HTML or Markdown."""
 
 from __future__ import annotations
 
+import re
+
 LONGEST_SHOWN = 60
 """characters of a rejected value that a message repeats"""
+_MARKDOWN = re.compile(r"[\\`*_\[\]<>&|!~#@$]|:(?=//)|(?<=www)\.")
+"""what begins markup, HTML, a reference or a link"""
 
 
 def printable(text: str) -> str:
@@ -12,6 +16,17 @@ def printable(text: str) -> str:
     A file can hold escape sequences that would command the terminal, and a file name need not be valid UTF-8.
     """
     return "".join(letter if letter.isprintable() else _escaped(letter) for letter in text)
+
+
+def markdown(text: str) -> str:
+    """``text`` as itself in a line of Markdown (CommonMark, with GitHub's tables and links): no markup, no HTML."""
+    return _MARKDOWN.sub(r"\\\g<0>", printable(text))
+
+
+def markdown_code(text: str) -> str:
+    """``text`` as code in a line of Markdown, between more backticks than it has in a row."""
+    fence = "`" * (1 + max(map(len, re.findall("`+", text)), default=0))
+    return f"{fence} {printable(text)} {fence}" if "`" in text else f"`{printable(text)}`"
 
 
 def one_line(text: str) -> str:

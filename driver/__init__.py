@@ -13,8 +13,9 @@ from ._calibration import Calibration
 from ._contacts import Contact, ContactTracker
 from ._discover import FoundBoard, discover
 from ._frame import Frame
+from ._frames import Delivery
 from ._messages import MESSAGE_SCHEMAS, messages_of
-from ._opening import Delivery, SkinSettings
+from ._options import SkinSettings
 from ._port import BAUDRATE, Arrival, BytePort, SerialPort, SocketPort, open_port
 from ._reading import CountReader
 from ._recorder import Recorder

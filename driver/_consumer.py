@@ -16,48 +16,34 @@ from functools import partial
 
 from ..common.checks import function
 from ..errors import LinkEnded, LinkError, LinkTimeout, ProtocolError
-from ._convert import Converted, Converter
+from ._connection import Connection
+from ._converted import Converted
 from ._frame import Frame
-from ._mailbox import Mailbox
-from ._reader import Reader
-from ._statistics import Counters
 from ._stream import RawFrame
 
 CLOSE_S = 2.0
 """how long closing waits for a running callback, which may itself be waiting for the closing thread"""
 
 
-@dataclass(frozen=True)
-class Source:
-    """What consumers get their frames from."""
-
-    reader: Reader
-    mailbox: Mailbox
-    converter: Converter
-    counters: Counters
-    newest_only: bool
-    """True: a consumer gets the newest frame; False: every frame that is still queued"""
-    eager: bool
-    """True: frames are converted as they come; False: when they are asked for"""
-
-
 class Consumer:
     """One place in the stream of frames. Counts for its reader the frames lost and skipped between those it got."""
 
-    def __init__(self, source: Source, *, after: int | None = None) -> None:
-        """Begin after the frame with this number; None: as :meth:`Mailbox.join` says."""
-        self._source = source
-        mailbox = source.mailbox
-        with mailbox.lock:
-            self._place, last = mailbox.join(after)
-            self._faults = mailbox.fault.number if after is None else 0
+    def __init__(self, connection: Connection, *, after: int | None = None) -> None:
+        """Begin after the frame with this number; None: as :meth:`.Frames.join` says."""
+        self._connection = connection
+        self._frames = frames = connection.frames
+        with frames.lock:
+            self._place, last = frames.join(after)
+            self._faults = frames.fault.number if after is None else 0
         self._lock = threading.Lock()
-        self._told = _Totals() if last is None else _Totals.of(last, source.converter.starts)
+        self._reported = _Totals() if last is None else _Totals.of(last, frames.converter.starts)
         self._newest = self._place.index
         """number of the last frame delivered; before the first delivery, of the frame at which this consumer began"""
+        self._seen = 0
+        """number of the last frame that was looked at"""
         self._frame: Frame | None = None
         """the frame delivered last, original or repeated"""
-        weakref.finalize(self, mailbox.leave, self._place)
+        weakref.finalize(self, frames.leave, self._place)
 
     @property
     def index(self) -> int:
@@ -87,24 +73,25 @@ class Consumer:
             if deadline is None:
                 deadline = time.monotonic() + timeout_s
             left = deadline - time.monotonic()
-            if left <= 0 and not (while_away and self._source.mailbox.away):
+            if left <= 0 and not (while_away and self._frames.away):
                 if late or timeout_s <= 0:
-                    raise self._source.reader.nothing_came("frame", timeout_s)
+                    raise self._connection.nothing_came("frame", timeout_s)
                 late = True
                 continue
-            self._wait(left if left > 0 else 1.0, self._place.index)
+            self._wait(left if left > 0 else 1.0)
 
     def frame_if_there(self, *, late: bool = False) -> Frame | None:
         """The next frame if it has arrived already, looked for once more if ``late``; raises as :meth:`next_frame`."""
-        source = self._source
-        self._place.used = True
-        if source.newest_only or not source.mailbox.has_after(self._place.index):
-            source.reader.poll(patient=late)
+        frames, place = self._frames, self._place
+        place.used = True
+        if frames.newest_only or not frames.has_after(place.index):
+            self._connection.poll(patient=late)
         while True:
-            if source.newest_only or self._place.index >= source.mailbox.fault.after:
+            if frames.newest_only or place.index >= frames.fault.after:
                 self._check_fault()
-            raw = source.mailbox.newest if source.newest_only else source.mailbox.after(self._place.index)
-            if raw is None or raw.index <= self._place.index:
+            self._seen = max(place.index, frames.done if frames.newest_only else 0)
+            raw = frames.following(place.index)
+            if raw is None:
                 self._check()
                 return None
             frame = self._claim(raw)
@@ -120,11 +107,12 @@ class Consumer:
 
         """
         deadline = time.monotonic() + timeout_s
-        source = self._source
+        frames = self._frames
         self._place.used = True
         while True:
-            source.reader.poll()
-            newest = source.mailbox.newest
+            self._connection.poll()
+            done, newest = frames.done, frames.latest
+            self._seen = newest.index if frames.lossless and newest is not None else done
             if newest is not None and self._age_s(newest) <= max_age_s:
                 frame = self._repeat(newest) or self._claim(newest, max_age_s)
                 if frame is not None:
@@ -134,16 +122,15 @@ class Consumer:
             self._check()
             left = deadline - time.monotonic()
             if left <= 0:
-                away = source.mailbox.away
+                away = "" if frames.away is None else f" ({frames.away}; trying to open the port again)"
                 raise LinkTimeout(
-                    f"{source.reader.port_name}: no frame younger than {max_age_s:g} s: "
-                    + self._why_none(newest, max_age_s)
-                    + ("" if away is None else f" ({away}; trying to open the port again)")
+                    f"{self._connection.port_name}: no frame younger than {max_age_s:g} s: "
+                    f"{self._why_none(newest, max_age_s)}{away}"
                 )
-            self._wait(left, self._place.index if newest is None else newest.index)
+            self._wait(left)
 
     def _age_s(self, raw: RawFrame) -> float:
-        return self._source.reader.now() - raw.monotonic_time
+        return self._connection.now() - raw.monotonic_time
 
     def _why_none(self, newest: RawFrame | None, max_age_s: float) -> str:
         if newest is None:
@@ -154,23 +141,23 @@ class Consumer:
 
     def for_tare(self) -> Consumer:
         """A consumer of the next frames: where none is dropped, of those after the last one delivered here."""
-        return Consumer(self._source, after=None if self._source.eager else self.index)
+        return Consumer(self._connection, after=self.index if self._frames.lossless else None)
 
     def forget(self, tared: Sequence[int] = ()) -> None:
         """Deliver neither the last frame again, nor frames that were converted before this call, nor those of a tare.
 
         The reader has made use of the ``tared`` frames (their numbers): the next frame does not count them as skipped.
         """
-        source = self._source
+        frames = self._frames
         with self._lock:
-            self._told = replace(self._told, index=self._told.index + sum(k > self._newest for k in tared))
+            self._reported = replace(self._reported, index=self._reported.index + sum(k > self._newest for k in tared))
             self._frame = None
-            self._newest = max(self._newest, source.converter.last_index if source.eager else 0, *tared)
-            source.mailbox.move(self._place, self._newest)
+            self._newest = max(self._newest, 0 if frames.lossless else frames.converter.last_index, *tared)
+            frames.move(self._place, self._newest)
 
     def leave(self) -> None:
-        """Give up the place: the mailbox keeps no more frames for this consumer."""
-        self._source.mailbox.leave(self._place)
+        """Give up the place: no more frames are kept for this consumer."""
+        self._frames.leave(self._place)
 
     def _repeat(self, newest: RawFrame) -> Frame | None:
         """The last frame delivered, if it is still the newest."""
@@ -190,9 +177,9 @@ class Consumer:
             its conversion.
 
         """
-        source = self._source
-        measurement = source.converter.measure(raw)
-        notices = source.counters.notices
+        frames = self._frames
+        measurement = frames.measure(raw)
+        notices = frames.counters.notices
         while notices:
             with contextlib.suppress(IndexError):  # another reader was quicker
                 warnings.warn(notices.popleft(), RuntimeWarning, stacklevel=2)
@@ -202,17 +189,17 @@ class Consumer:
                 return None
             if measurement is None or raw.index <= self._newest:
                 # This also covers an interrupt between the two steps below: the frame must not be offered for ever.
-                source.mailbox.move(self._place, raw.index)
+                frames.move(self._place, raw.index)
                 return None
-            told, self._told = self._told, _Totals.of(raw, measurement.estimator_starts)
-            self._newest, self._frame = raw.index, _frame(raw, measurement, told, source)
-            source.mailbox.move(self._place, raw.index)
-            source.counters.ages_s.append(age_s)
+            reported, self._reported = self._reported, _Totals.of(raw, measurement.estimator_starts)
+            self._newest, self._frame = raw.index, _frame(raw, measurement, reported, self._connection)
+            frames.move(self._place, raw.index)
+            frames.counters.ages_s.append(age_s)
             return self._frame
 
     def _check_fault(self) -> None:
         """Raise the newest fault unless this consumer has raised it already."""
-        fault = self._source.mailbox.fault
+        fault = self._frames.fault
         if fault.number > self._faults:
             self._faults = fault.number
             raise copy.copy(fault.error)
@@ -220,28 +207,28 @@ class Consumer:
     def _check(self) -> None:
         """If no frame will come any more, raise the reason."""
         self._check_fault()
-        end = self._source.mailbox.end
+        end = self._frames.end
         if end is not None:
             raise copy.copy(end)
 
-    def _wait(self, timeout_s: float, seen: int) -> None:
-        """Wait for a frame after the number ``seen``, for a fault, or for the end of the stream."""
-        mailbox = self._source.mailbox
+    def _wait(self, timeout_s: float) -> None:
+        """Wait for a frame beyond those seen, for a fault, or for the end of the stream."""
+        frames, seen = self._frames, self._seen
 
         def new() -> bool:
-            return mailbox.has_after(seen) or mailbox.end is not None or mailbox.fault.number > self._faults
+            return frames.has_after(seen) or frames.end is not None or frames.fault.number > self._faults
 
-        mailbox.wait_for(new, min(timeout_s, threading.TIMEOUT_MAX))
+        frames.wait_for(new, min(timeout_s, threading.TIMEOUT_MAX))
 
 
 class AsyncFrames:
     """Frames for ``async for``: waits in the event loop, converts in the loop's thread."""
 
-    def __init__(self, source: Source, timeout_s: float, *, keep: object = None) -> None:
+    def __init__(self, connection: Connection, timeout_s: float, *, keep: object = None) -> None:
         """``keep``: object protected from garbage collection while frames are taken, since the port closes with it."""
-        self._source, self._keep = source, keep
+        self._connection, self._keep = connection, keep
         self._timeout_s = timeout_s
-        self._consumer = Consumer(source)
+        self._consumer = Consumer(connection)
         self._event = asyncio.Event()
         loop, event = asyncio.get_running_loop(), self._event
 
@@ -250,8 +237,8 @@ class AsyncFrames:
             with contextlib.suppress(RuntimeError):
                 loop.call_soon_threadsafe(event.set)
 
-        source.mailbox.add_waker(wake)
-        weakref.finalize(self, source.mailbox.remove_waker, wake)
+        connection.frames.add_waker(wake)
+        weakref.finalize(self, connection.frames.remove_waker, wake)
 
     def __aiter__(self) -> AsyncFrames:
         return self
@@ -268,9 +255,8 @@ class AsyncFrames:
             if frame is not None:
                 return frame
             left = deadline - time.monotonic()
-            away = self._source.mailbox.away
-            if left <= 0 and not away:
-                raise self._source.reader.nothing_came("frame", self._timeout_s)
+            if left <= 0 and not self._connection.frames.away:
+                raise self._connection.nothing_came("frame", self._timeout_s)
             # Not asyncio.wait_for(): up to Python 3.11 it loses a cancellation that arrives together with a frame.
             timer = asyncio.get_running_loop().call_later(left if left > 0 else 1.0, self._event.set)
             try:
@@ -284,7 +270,7 @@ class FrameCallback:
 
     def __init__(
         self,
-        source: Source,
+        connection: Connection,
         callback: Callable[[Frame], None],
         on_end: Callable[[Exception], None] | None = None,
         *,
@@ -298,12 +284,10 @@ class FrameCallback:
         if on_end is not None:
             function("on_end", on_end)
         self._keep = keep
-        self._consumer = Consumer(source)
+        self._consumer = Consumer(connection)
         self._callback, self._on_end = callback, on_end
         self._closed = False
-        self._thread = _CallbackThread(
-            target=self._run, name=f"ohmskin callback {source.reader.port_name}", daemon=True
-        )
+        self._thread = _CallbackThread(target=self._run, name=f"ohmskin callback {connection.port_name}", daemon=True)
         self._thread.start()
 
     @property
@@ -354,28 +338,29 @@ class _CallbackThread(threading.Thread):
     """A thread in which a callback runs."""
 
 
-class ConvertedFrames:
-    """Passes every converted frame to a recorder, in order, whoever asked for the conversion."""
+def follower(connection: Connection, receive: Callable[[Frame], None]) -> Callable[[RawFrame, Converted], None]:
+    """A function that passes every converted frame to a recorder, in order, whoever asked for the conversion."""
+    before = _Totals()
 
-    def __init__(self, source: Source, receive: Callable[[Frame], None]) -> None:
-        self._source, self._receive = source, receive
-        self._before = _Totals()
+    def converted(raw: RawFrame, measurement: Converted) -> None:
+        nonlocal before
+        frame, before = _frame(raw, measurement, before, connection), _Totals.of(raw, measurement.estimator_starts)
+        receive(frame)
 
-    def converted(self, raw: RawFrame, measurement: Converted) -> None:
-        """Take the next converted frame."""
-        before, self._before = self._before, _Totals.of(raw, measurement.estimator_starts)
-        self._receive(_frame(raw, measurement, before, self._source))
+    return converted
 
 
-def frames_since(source: Source, monotonic_s: float) -> list[Frame]:
+def frames_since(connection: Connection, monotonic_s: float) -> list[Frame]:
     """The frames that came after this time, in order, as :meth:`.Skin.frames_since`."""
-    if source.eager:
-        source.reader.poll()
-    frames, told = [], _Totals()
-    for raw, measurement in source.converter.measured_since(monotonic_s):
+    if not connection.frames.lossless:
+        connection.poll()
+    frames, before = [], _Totals()
+    for raw in connection.frames.converted_since(monotonic_s):
+        measurement = raw.converted
+        assert measurement is not None
         if raw.monotonic_time > monotonic_s:
-            frames.append(_frame(raw, measurement, told, source))
-        told = _Totals.of(raw, measurement.estimator_starts)
+            frames.append(_frame(raw, measurement, before, connection))
+        before = _Totals.of(raw, measurement.estimator_starts)
     return frames
 
 
@@ -395,9 +380,9 @@ class _Totals:
         return cls(frame.index, frame.lost, frame.overruns, frame.reconnects, frame.reboots, estimator_starts)
 
 
-def _frame(raw: RawFrame, measurement: Converted, before: _Totals, source: Source) -> Frame:
+def _frame(raw: RawFrame, measurement: Converted, before: _Totals, connection: Connection) -> Frame:
     """The frame for a reader whose totals up to now are ``before``."""
-    contacts, view = source.converter.contacts, measurement.view
+    contacts, view = connection.frames.converter.contacts, measurement.view
     lost_before = None if raw.lost is None else raw.lost - (before.lost or 0)
     skipped_before = raw.index - before.index - 1
     overrun = raw.overruns > before.overruns
@@ -425,5 +410,5 @@ def _frame(raw: RawFrame, measurement: Converted, before: _Totals, source: Sourc
         measurement.rest_counts,
         measurement.pressure_std,
         partial(contacts.of, view),
-        source.reader.now,
+        connection.now,
     )

@@ -71,6 +71,8 @@ class RecordedSettings:
     calibration: Calibration | None = None
     board_file: Mapping[str, Any] | None = None
     """tables of the BOARD.toml; None: the family is known by its name"""
+    simulated: bool = False
+    """the board's time was a simulation's"""
     introduction: bytes = b""
     """packets in which the board has identified and described itself before the recording began"""
 
@@ -85,6 +87,7 @@ class RecordedSettings:
             "estimator": self.estimator,
             "calibration": None if self.calibration is None else self.calibration.as_toml(),
             "board_file": None if self.board_file is None else json.dumps(self.board_file),
+            "simulated": "yes" if self.simulated else None,
             "introduction": base64.b64encode(self.introduction).decode(),
         }
         known |= {name: " ".join(float(value).hex() for value in values) for name, values in numbers.items()}
@@ -114,6 +117,7 @@ class RecordedSettings:
             accuracy=accuracy[0] if accuracy else None,
             calibration=None if calibration is None else Calibration.from_toml(calibration, f"{path}: calibration"),
             board_file=_board_tables(metadata, path),
+            simulated=metadata.get("simulated") == "yes",
             introduction=_introduction(metadata, path),
         )
 
@@ -172,6 +176,7 @@ class ReplayPort:
         self.name = str(path)
         self.settings, self.rest_changes, self.arrivals, self.seconds = _survey(self.path, progress)
         """settings of the skin; its tares; number of arrivals; duration in s"""
+        self.is_simulated = self.settings.simulated
         self._speed = speed
         self._items = _items(self.path)
         self._next: Arrival | LinkError | None = None

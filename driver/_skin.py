@@ -19,18 +19,20 @@ from ..common.progress import Progress, silent
 from ..common.text import printable
 from ..errors import InputError, LinkEnded, LinkError
 from ..wire import Description, Identity, Order
-from ._consumer import AsyncFrames, Consumer, ConvertedFrames, FrameCallback, Source, frames_since
-from ._convert import Converted
+from ._connection import await_free
+from ._consumer import AsyncFrames, Consumer, FrameCallback, follower, frames_since
+from ._convert import Converter
+from ._converted import Converted
 from ._discover import LONGEST_SEARCH_S, find_board
 from ._frame import Frame
-from ._opening import Link, Opening, SkinSettings
+from ._options import Options, SkinSettings
 from ._orders import Answer
 from ._port import Arrival, BytePort
 from ._port_names import has_gone, is_unpaced, refuse_missing, usb_serial_number
-from ._reader import await_free
 from ._reconnect import PortFinder
 from ._recording import Recording
 from ._replay import RecordedSettings, ReplayPort
+from ._set_up import begin, connect
 from ._statistics import LinkStatistics
 from ._stream import RawFrame
 from ._tare import KNOWN_DRIFT, SPREAD, Tare
@@ -76,67 +78,66 @@ class Skin:
 
         """
         try:
-            opening = Opening.of(**settings)
+            options = Options.of(**settings)
         except BaseException:
             port.close()
             raise
-        self._begin(port, opening, reopen, record, overwrite=overwrite)
+        self._begin(port, options, reopen, record, overwrite=overwrite)
 
     def _begin(
         self,
         port: BytePort,
-        opening: Opening,
+        options: Options,
         reopen: Callable[[], BytePort] | None,
         record: str | Path | None,
         *,
         overwrite: bool,
     ) -> None:
         """Identify the board as asked; on failure the port is closed."""
-        self._timeout = opening.timeout_s
+        settings = replace(options.settings, simulated=getattr(port, "is_simulated", False))
+        self._timeout = options.timeout_s
         self._recorder: Recording | None = None
         self._followers: dict[Recording, Callable[[RawFrame, Converted], None]] = {}
         """recordings in progress -> the function that gives them converted frames"""
         try:
-            link = Link(port, opening, reopen)
+            self._connection = connect(port, options, reopen)
             if record is not None:
-                self._recorder = link.record(record, overwrite=overwrite)
+                self._recorder = Recording(record, settings.as_metadata(), overwrite=overwrite)
         except BaseException:
             port.close()
             raise
+        if self._recorder is not None:
+            self._follow_bytes(self._recorder)
         try:
-            self._converter = link.introduce()
+            begin(self._connection, port, options)
             if self._recorder is not None:
                 self._recorder.keep()
         except BaseException:
-            link.reader.stop()
+            self._connection.stop()
             if self._recorder is not None:
                 self._recorder.discard()
             raise
-        self._reader, self._mailbox, self._counters = link.reader, link.mailbox, link.counters
-        self.settings = opening.settings
+        self._frames = self._connection.frames
+        self.settings = settings
         """settings with which the skin was opened, for recordings"""
-        self.family = opening.family
+        self.family = options.family
         self.cell = self._converter.cell
         """model of the skin's material; None: not known, pressures are NaN"""
-        self.calibration = opening.settings.calibration
+        self.calibration = settings.calibration
         """rest resistances and gains of the cells; None: all cells are as the cell model says"""
         self.recorded_s = port.seconds if isinstance(port, ReplayPort) else None
         """duration of the recording in s; None: the board is live"""
-        self._source = Source(
-            link.reader,
-            link.mailbox,
-            self._converter,
-            link.counters,
-            newest_only=opening.delivery == "newest",
-            eager=opening.delivery != "lossless",
-        )
-        self._consumer = Consumer(self._source, after=0)
+        self._consumer = Consumer(self._connection, after=0)
         self._callbacks: list[FrameCallback] = []
-        self._tares = Tares(self._converter, self._consumer, self.calibration)
+        self._tares = Tares(self._frames, self._consumer, self.calibration)
         if self._recorder is not None:
             self._follow_frames(self._recorder)
         _OPEN_HERE.add(self)
-        weakref.finalize(self, self._reader.forget).atexit = False
+        weakref.finalize(self, self._connection.forget).atexit = False
+
+    @property
+    def _converter(self) -> Converter:
+        return self._connection.frames.converter
 
     @classmethod
     def open(
@@ -180,19 +181,20 @@ class Skin:
         played = ReplayPort(name, speed, progress) if name is not None and name.endswith(".mcap") else None
         # All errors in the arguments are reported before anybody waits for a board or for the compiler.
         if played is not None:
-            asked = Opening.of(recorded=played.settings, recording=played.name, serial_number=serial_number, **settings)
+            asked = Options.of(recorded=played.settings, recording=played.name, serial_number=serial_number, **settings)
         elif speed is not None:
             raise InputError(f"speed is {speed}, but only a recording (a file that ends in .mcap) has one")
         else:
             if name is not None and is_unpaced(name) and settings.get("delivery") is None:
                 settings["delivery"] = "lossless"
-            asked = Opening.of(serial_number=serial_number, **settings)
+            asked = Options.of(serial_number=serial_number, **settings)
         if record is not None:
             Recording.check(record, overwrite=overwrite)
         if played is None:
             finder = _finder(name, asked, baudrate)
             began_s = monotonic()
-            compiled.load()  # while no frames come
+            if not compiled.compile_aside():
+                compiled.load()  # while no frames come
             if has_gone(finder.name):
                 raise LinkError(
                     f"{finder.name}: the port has gone in the {monotonic() - began_s:.0f} s in which machine code was "
@@ -204,8 +206,8 @@ class Skin:
         skin = cls.__new__(cls)
         skin._begin(opened, asked, reopen, record, overwrite=overwrite)
         if finder is not None:
-            introduction = skin._reader.introduction
-            finder.board_is_numbered = lambda: bool(introduction.serial_number)
+            handshake = skin._connection.handshake
+            finder.board_is_numbered = lambda: bool(handshake.serial_number)
             skin._must_be(serial_number)
         return skin
 
@@ -224,17 +226,17 @@ class Skin:
     @property
     def serial_number(self) -> str:
         """The board's serial number; empty if the board does not send one."""
-        return self._reader.introduction.serial_number
+        return self._connection.handshake.serial_number
 
     @property
     def identity(self) -> Identity | None:
         """The board's identity packet; None if the board does not send one."""
-        return self._reader.introduction.identity
+        return self._connection.handshake.identity
 
     @property
     def description(self) -> Description | None:
         """The board's data sheet; None when it was not needed, or the family has none."""
-        return self._reader.introduction.description
+        return self._connection.handshake.description
 
     @property
     def knows_circuit(self) -> bool:
@@ -259,7 +261,7 @@ class Skin:
     @property
     def port_name(self) -> str:
         """Name of the port; after a reconnection, of the one where the board is now."""
-        return self._reader.port_name
+        return self._connection.port_name
 
     @property
     def pitch_m(self) -> float:
@@ -278,13 +280,13 @@ class Skin:
     @property
     def away(self) -> str | None:
         """Why the port is lost, while the driver tries to open it again; None: the port is there."""
-        return self._mailbox.away
+        return self._frames.away
 
     def __repr__(self) -> str:
         """Port, array, and state of the link, as a notebook shows a skin."""
         rows, columns = self.shape
         number = f", serial number {printable(self.serial_number)}" if self.serial_number else ""
-        state = "over" if self._mailbox.end is not None else "open" if self.away is None else "away"
+        state = "over" if self._frames.end is not None else "open" if self.away is None else "away"
         return f"<Skin {self.port_name}: {rows} x {columns} cells{number}; {state}>"
 
     def __reduce__(self) -> NoReturn:
@@ -307,7 +309,7 @@ class Skin:
         """
         for callback in self._callbacks:
             callback.end()
-        self._reader.stop()
+        self._connection.stop()
         for callback in self._callbacks:
             callback.close()
         self._callbacks.clear()
@@ -319,12 +321,11 @@ class Skin:
     def _disown(self) -> None:
         """In a forked process: tell every reader that the skin belongs to the parent process."""
         self._tares.disown()
-        self._converter.disown()
         for recording in self._followers:
             recording.disown()
         self._callbacks.clear()
         self._followers.clear()
-        self._reader.disown()
+        self._connection.disown()
 
     def __iter__(self) -> Iterator[Frame]:
         return self
@@ -345,11 +346,11 @@ class Skin:
 
     def __aiter__(self) -> AsyncIterator[Frame]:
         """The frames from now on, for ``async for``; ends and raises as iteration does."""
-        return AsyncFrames(self._source, self._timeout, keep=self)
+        return AsyncFrames(self._connection, self._timeout, keep=self)
 
     def frames(self) -> Iterator[Frame]:
         """An iterator with a place of its own, from now on: frames that other readers take do not go missing here."""
-        return self._follow(Consumer(self._source))
+        return self._follow(Consumer(self._connection))
 
     def _follow(self, consumer: Consumer) -> Iterator[Frame]:
         try:
@@ -406,9 +407,9 @@ class Skin:
             LinkEnded, LinkError: as for :meth:`read`, where there is no such frame.
 
         """
-        frames = frames_since(self._source, number("monotonic_time", monotonic_time, "s"))
-        if not frames and self._mailbox.end is not None:
-            raise copy.copy(self._mailbox.end)
+        frames = frames_since(self._connection, number("monotonic_time", monotonic_time, "s"))
+        if not frames and self._frames.end is not None:
+            raise copy.copy(self._frames.end)
         return frames
 
     def on_frame(
@@ -430,7 +431,7 @@ class Skin:
             InputError: ``callback`` or ``on_end`` is no function.
 
         """
-        made = FrameCallback(self._source, callback, on_end, keep=self)
+        made = FrameCallback(self._connection, callback, on_end, keep=self)
         # Dropping callbacks that have ended releases the objects to which they refer.
         self._callbacks = [earlier for earlier in self._callbacks if not earlier.is_over] + [made]
         return made
@@ -443,7 +444,7 @@ class Skin:
 
         """
         function("tap", tap)
-        self._reader.taps.append(tap)
+        self._connection.taps.append(tap)
 
     @property
     def recorder(self) -> Recording | None:
@@ -452,7 +453,7 @@ class Skin:
 
     def settings_to_join(self) -> RecordedSettings:
         """The settings for a recording that begins now, with what the board has said of itself."""
-        return replace(self.settings, introduction=self._reader.introduction.as_bytes())
+        return replace(self.settings, introduction=self._connection.handshake.as_bytes())
 
     def attach(self, recording: Recording) -> None:
         """Begin a recording here; :class:`Recorder` calls this.
@@ -463,35 +464,37 @@ class Skin:
             LinkError: the skin has come to its end, or is closed.
 
         """
-        with self._reader.between_arrivals():
-            if self._mailbox.end is not None:
-                raise copy.copy(self._mailbox.end)
-            newest = self._mailbox.newest
+        with self._connection.between_arrivals():
+            if self._frames.end is not None:
+                raise copy.copy(self._frames.end)
+            newest = self._frames.newest
             if newest is not None:
-                self._converter.measure(newest)
-            recording.begin_after(self._counters.frames, self._converter.rest)
-            if self._reader.away:
+                self._frames.measure(newest)
+            recording.begin_after(self._frames.counters.frames, self._converter.rest)
+            if self._connection.away:
                 recording.port_gone()
-            self._reader.taps.append(recording.arrived)
-            self._reader.on_gone.append(recording.port_gone)
+            self._follow_bytes(recording)
             self._follow_frames(recording)
 
     def detach(self, recording: Recording) -> None:
         """End a recording here; a recording that is not attached is left alone."""
-        with self._reader.between_arrivals():
-            told = self._followers.pop(recording, None)
-            if told is None:
+        with self._connection.between_arrivals():
+            follow = self._followers.pop(recording, None)
+            if follow is None:
                 return
-            self._reader.taps.remove(recording.arrived)
-            self._reader.on_gone.remove(recording.port_gone)
+            self._connection.taps.remove(recording.arrived)
+            self._connection.on_gone.remove(recording.port_gone)
             self._converter.on_rest.remove(recording.rest_changed)
-            self._converter.on_converted.remove(told)
+            self._frames.on_converted.remove(follow)
+
+    def _follow_bytes(self, recording: Recording) -> None:
+        self._connection.taps.append(recording.arrived)
+        self._connection.on_gone.append(recording.port_gone)
 
     def _follow_frames(self, recording: Recording) -> None:
-        told = ConvertedFrames(self._source, recording.frame).converted
-        self._followers[recording] = told
+        self._followers[recording] = follower(self._connection, recording.frame)
         self._converter.on_rest.append(recording.rest_changed)
-        self._converter.on_converted.append(told)
+        self._frames.on_converted.append(self._followers[recording])
 
     def request(self, order: Order, *, period_us: int = 0, timeout: float | None = None) -> Answer | None:
         """Give the board an order of its protocol, and return its answer. After STOP no frames come until START.
@@ -520,13 +523,13 @@ class Skin:
         if self.recorded_s is not None:
             raise InputError(f"{self.port_name}: a recording takes no orders")
         limit_s = self._timeout if timeout is None else number("timeout", timeout, "s")
-        return self._reader.order(order, limit_s, period_us=period_us)
+        return self._connection.order(order, limit_s, period_us=period_us)
 
     def stats(self) -> LinkStatistics:
         """Statistics of the link: frames received and lost, and their ages."""
-        clock = self._reader.stream.clock
-        return self._counters.snapshot(
-            skipped=self._converter.skipped, drift_ppm=clock.drift_ppm, clock_steps=clock.steps
+        clock = self._connection.stream.clock
+        return self._frames.counters.snapshot(
+            skipped=self._frames.skipped, drift_ppm=clock.drift_ppm, clock_steps=clock.steps
         )
 
     def tare(
@@ -559,7 +562,7 @@ class Skin:
         return self._tares.take(
             count("frames", frames),
             self._timeout,
-            serial_number=lambda: self._reader.serial_number(0.0),
+            serial_number=lambda: self._connection.serial_number(0.0),
             board=self.port_name,
             drift=positive("drift", drift),
             spread=positive("spread", spread),
@@ -586,7 +589,7 @@ class Skin:
         """
         given = None if tare is None else loaded("tare", tare, Tare)
         compared = given is not None and bool(given.serial_number)
-        number = self._reader.serial_number(self._timeout) if compared else ""
+        number = self._connection.serial_number(self._timeout) if compared else ""
         self._tares.use(given, serial_number=number)
 
     def undo_tare(self) -> Tare | None:
@@ -594,7 +597,7 @@ class Skin:
         return self._tares.undo()
 
 
-def _finder(port: str | None, asked: Opening, baudrate: int | None) -> PortFinder:
+def _finder(port: str | None, asked: Options, baudrate: int | None) -> PortFinder:
     """Finder of the board's port, by name or by serial number; errors as for :meth:`Skin.open`."""
     family = asked.family
     if baudrate is not None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..errors import ProtocolError
 from ..wire import Flag, FramePacket
 from ._clock import ClockMap, Pace
+from ._converted import Converted
 from ._port import Arrival
 from ._spacing import ArrivalTimes
 from ._statistics import Counters
@@ -58,6 +59,8 @@ class RawFrame:
     """total"""
     absent: tuple[int, ...] = ()
     """cells, counted row by row, of which the board has sent no count"""
+    converted: Converted | None = None
+    """None: not converted yet, skipped, or it does not fit the design; written by :class:`._frames.Frames` only"""
 
 
 class _Succession(enum.Enum):

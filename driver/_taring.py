@@ -12,8 +12,8 @@ from ..circuits import Reason
 from ..errors import InputError
 from ._calibration import Calibration
 from ._consumer import Consumer
-from ._convert import Converter
 from ._frame import Frame
+from ._frames import Frames
 from ._plain import tare_of_counts
 from ._tare import EarlierRest, RestReadings, Tare
 
@@ -21,16 +21,17 @@ from ._tare import EarlierRest, RestReadings, Tare
 class Tares:
     """The tares that a skin has used since it was opened; the last one is in use. Safe for threads."""
 
-    def __init__(self, converter: Converter, consumer: Consumer, calibration: Calibration | None) -> None:
+    def __init__(self, frames: Frames, consumer: Consumer, calibration: Calibration | None) -> None:
         """Begin without a tare.
 
         Args:
-            converter: uses the rest resistances.
+            frames: converts with the rest resistances.
             consumer: the place of the skin's own reader in the stream.
             calibration: rest resistances from before any tare.
 
         """
-        self._converter, self._consumer, self._calibration = converter, consumer, calibration
+        self._frames, self._converter = frames, frames.converter
+        self._consumer, self._calibration = consumer, calibration
         self._used: list[Tare | None] = [None]
         self._lock = threading.Lock()
 
@@ -114,7 +115,7 @@ class Tares:
 
     def _apply(self, tared: Sequence[int] = ()) -> None:
         tare = self.in_use
-        self._converter.use_rest(None if tare is None else tare.rest)
+        self._frames.use_rest(None if tare is None else tare.rest)
         self._consumer.forget(tared)
 
     def _next_frames(self, frames: int, timeout_s: float) -> tuple[list[Frame], list[int]]:

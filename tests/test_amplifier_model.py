@@ -216,6 +216,38 @@ def test_a_model_that_contains_itself_is_refused(folder: Path) -> None:
         _design(folder, 'file = "opa.lib", subcircuit = "A"')
 
 
+@pytest.mark.parametrize(("depth", "fan"), [(5, 10), (40, 2), (1500, 3)])
+def test_a_model_that_grows_without_end_is_refused_before_it_runs(depth: int, fan: int, folder: Path) -> None:
+    """1.2 kB of nested subcircuits would take ngspice gigabytes."""
+    head = ".SUBCKT OPA INP INN VCC VEE OUT\nE1 OUT 0 INP INN 1e5\nX1 INP L0\n.ENDS\n"
+    calls = {d: "".join(f"X{k} A L{d + 1}\n" for k in range(fan)) for d in range(depth)} | {depth: "R1 A 0 1e9\n"}
+    levels = [f".SUBCKT L{d} A\n{body}.ENDS\n" for d, body in calls.items()]
+    (folder / "opa.lib").write_text(head + "".join(levels))
+    with pytest.raises(InputError, match="statements; expected at most 20000"):
+        _design(folder, 'file = "opa.lib", subcircuit = "OPA"')
+    (folder / "opa.lib").write_text(head + "".join(levels[-3:]).replace(f"L{depth - 2}", "L0"))
+    assert _design(folder, 'file = "opa.lib", subcircuit = "OPA"').readout.amplifier_model is not None
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (".FUNC F(X) {X+X}\nBX Q 0 V={" + 40 * "F(" + "1" + 40 * ")" + "}\nRX Q 0 1", "of memory"),
+        ("BX X 0 V={SIN(6.28e12*TIME)}\nRX X Y 1k\nCX Y 0 1p", "of memory|s of processor time"),
+    ],
+)
+def test_a_model_decides_neither_memory_nor_time(
+    more: str, said: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    need(spice.command_available())
+    monkeypatch.setattr("ohmskin.circuits.spice._ngspice.MOST_MEMORY", 2**28)
+    monkeypatch.setattr("ohmskin.circuits.spice._ngspice.LEAST_LIMIT_S", 5)
+    monkeypatch.setattr("ohmskin.circuits.spice._ngspice.LIMIT_PER_CARD_S", 0)
+    (folder / "opa.lib").write_text(MODEL.replace("\xe9", "").replace("\xb5", "").replace("Rin", more + "\nRin", 1))
+    with pytest.raises(SolverError, match=said):
+        spice.dynamic_reading(_design(folder), CELLS, 0, period=1.0, analyses=["transient"])
+
+
 def test_supply_pins_need_a_supply(folder: Path) -> None:
     design = _design(folder).replace(readout={"supply": (float("-inf"), float("inf"))})
     with pytest.raises(InputError, match="rails: not given"):
@@ -280,7 +312,6 @@ RQ VCC VEE 1Meg
 .ENDS* next part
 \x1a"""
 """A DOS end of file, text behind .ENDS, a slash in the name, and a resistor without noise."""
-NEVER_ENDING = "BX X 0 V={SIN(6.28e12*TIME)}\nRX X Y 1k\nCX Y 0 1p"
 
 
 def _published(tmp_path: Path, *, warm: str = "", more: str = "") -> Design:
@@ -324,15 +355,6 @@ def test_parameters_that_the_simulator_drops_decide_nothing(tmp_path: Path) -> N
         assert f"ngspice does not know {name}" in result.why
         assert result.measurement is not None
         assert result.measurement.value == pytest.approx(24.91e-6, rel=1e-3)
-
-
-def test_a_hopeless_run_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    need(spice.command_available())
-    monkeypatch.setattr("ohmskin.circuits.spice._ngspice.LEAST_LIMIT_S", 1)
-    monkeypatch.setattr("ohmskin.circuits.spice._ngspice.LIMIT_PER_CARD_S", 0)
-    design = _published(tmp_path, more=NEVER_ENDING)
-    with pytest.raises(SolverError, match="s of processor time"):
-        spice.dynamic_reading(design, np.full((2, 2), 1e4), 0, period=1.0, analyses=["transient"])
 
 
 @pytest.mark.parametrize(

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import subprocess
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from needs import need
 
-from ohmskin.circuits import Design, scan
+from ohmskin.circuits import Design, Reason, adc_codes, ideal_volts, live_recovery, recover, scan, volts_of_codes
 from ohmskin.circuits.spice import command_available, netlist, run_control
+from ohmskin.common.config import parse
+from ohmskin.errors import InputError, SolverError
+from ohmskin.wire import read_description, write_description
 
 GROUNDED = ["V1 line 0 0"]
 NEGATIVE = ["V1 line 0 -1"]
@@ -136,3 +140,200 @@ def test_the_netlist_of_a_step_has_the_parts(kind: str) -> None:
     limit = 1e-3 if kind in DIODES else 1e-6
     volts = [step[f"volts_{j}"] for j in range(4)]
     np.testing.assert_allclose(volts, scan(design, CELLS).volts[2], rtol=limit, atol=limit * 1e-3)
+
+
+@pytest.mark.parametrize("shared", [1, 4])
+def test_a_diode_at_each_cell(shared: int) -> None:
+    """Against a netlist of its own, in which the diode and the cell of each crosspoint are in series."""
+    need(command_available())
+    tables = board(DRIVER, PULL, LOAD, shared_by=shared) | {"crosspoint": {"parts": [f"D1 row cell {D}"]}}
+    design = Design.model_validate({"array": {"rows": 4, "columns": 4, "row_lead": 6.0, "column_lead": 9.0}} | tables)
+    volts = scan(design, CELLS).volts
+    for row in range(4):
+        for turn in range(shared):
+            lines = [f".model d D({D})", *(f"Ra{i} r{i} re{i} 6\nRb{i} c{i} ce{i} 9" for i in range(4))]
+            lines += [
+                f"D{i}{j} r{i} x{i}{j} d\nRc{i}{j} x{i}{j} c{j} {CELLS[i, j]}" for i in range(4) for j in range(4)
+            ]
+            read = [j for j in range(4) if j % shared == turn]
+            for i in range(4):
+                lines += _renamed(DRIVER if i == row else PULL, f"re{i}", {"0"})
+                lines += _renamed(LOAD if i in read else [], f"ce{i}", {"0"})
+            text = "\n".join(
+                ["* step", *lines, ".options reltol=1e-9", ".control", "op", "print all", "quit", ".endc", ".end"]
+            )
+            said = subprocess.run(
+                ["ngspice", "-b"], input=text, capture_output=True, text=True, timeout=60, check=False
+            )
+            values = dict(line.split(" = ") for line in said.stdout.splitlines() if line.startswith("ce"))
+            np.testing.assert_allclose(volts[row, read], [float(values[f"ce{j}"]) for j in read], rtol=1e-3)
+    step = run_control(netlist(design, CELLS, 1))
+    np.testing.assert_allclose([step[f"volts_{j}"] for j in range(4)], volts[1], rtol=1e-4)
+    with pytest.raises(SolverError, match="parts at each cell"):
+        recover(design, volts)
+    with pytest.raises(InputError, match="crosspoint: expected lines without resistance"):
+        design.replace(array={"row_segment": 1.0})
+
+
+UNDETERMINED = {
+    "sampled without a load": "nothing loads the columns",
+    "a strip as a potentiometer": "nothing loads the columns",
+    "a clamp at each column": "70 ohm while it is selected",
+    "current-driven rows": "a current source while it is selected",
+    "rows driven by a divider": "2500 ohm while it is selected",
+    "a current mirror": "70 ohm while it is selected",
+    "a current sensed by a transresistance": "70 ohm while it is selected",
+}
+
+
+SEVERAL_ANSWERS = {"multiplexer in groups, others low"}
+"""boards whose idle columns conduct better than those that are read: live readings need not be valid"""
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_cells_are_recovered_or_the_reason_is_given(kind: str) -> None:
+    design = designed(kind)
+    volts = scan(design, CELLS).volts
+    adc = {"bits": 16, "range": (float(volts.min()) - 0.1, float(volts.max()) + 0.1)}
+    digitised = design.replace(adc=adc)
+    if kind in UNDETERMINED:
+        for attempt in (lambda: recover(design, volts), lambda: live_recovery(digitised)):
+            with pytest.raises((InputError, SolverError), match=UNDETERMINED[kind]):
+                attempt()
+        return
+    np.testing.assert_allclose(recover(design, volts).resistance, CELLS, rtol=1e-8)
+    live = live_recovery(digitised)
+    for _ in range(3):
+        reading = live(volts_of_codes(digitised, adc_codes(digitised, volts)))
+    right = np.abs(reading.resistance / CELLS - 1)
+    if kind in SEVERAL_ANSWERS:
+        assert right.max() < 1e-3
+        assert (reading.valid | (reading.reason == Reason.UNCERTAIN)).all()
+    else:
+        assert reading.valid.all()
+        assert (right <= reading.uncertainty).all()
+
+
+def test_a_second_set_of_cells_gives_the_readings_of_a_weakly_driven_row() -> None:
+    """Why such boards are refused: Newton's method from elsewhere finds another answer."""
+    design = Design.model_validate(
+        {"array": {"rows": 2, "columns": 1}} | board(["V1 s 0 1", "R1 s line 1k"], GROUNDED, ["R1 line 0 1k"])
+    )
+    # G1 = a / (...): the readings of (G, G) fall again once the cells conduct better than the row's source.
+    read = [scan(design, np.full((2, 1), ohm)).volts[0, 0] for ohm in (1e1, 5e2, 1e5)]
+    assert read[1] > read[0]
+    assert read[1] > read[2]
+
+
+@pytest.mark.parametrize("kind", ["a diode in each driven row", "rows driven by a divider", "a Sallen-Key filter"])
+def test_one_cell_alone_reads_as_its_apparent_resistance(kind: str) -> None:
+    design = designed(kind, rows=1, columns=1, row_lead=0.0, column_lead=0.0)
+    for ohm in (50.0, 1e3, 4.7e4, 1e6):
+        assert scan(design, [[ohm]]).resistance[0, 0] == pytest.approx(ohm, rel=1e-4)
+        assert ideal_volts(design, [[ohm]])[0, 0] == pytest.approx(scan(design, [[ohm]]).volts[0, 0], rel=1e-3)
+    assert scan(design, [[np.inf]]).resistance[0, 0] > 1e8
+
+
+@pytest.mark.parametrize(
+    ("tables", "message"),
+    [
+        ({"column_end": {"parts": ["R1 line 0 x"]}}, r"column_end.parts: card 0: 'x' is no value"),
+        ({"column_end": {"parts": ["Q1 a b c"]}}, r"'Q1 a b c' is no part; expected R, C, L"),
+        ({"column_end": {"parts": [".include /etc/passwd"]}}, "is no part"),
+        ({"column_end": {"parts": ["R1 line 0 1k", "R1 line 0 2k"]}}, "there is a R1 already"),
+        ({"column_end": {"parts": ["F1 line 0 V1 2"]}}, "F1 is controlled by V1, which is no part"),
+        ({"column_end": {"parts": ["D1 line 0 whatever"]}}, "no such diode; expected IS="),
+        ({"column_end": {"parts": LOAD, "idle": LOAD}}, "idle has no effect with shared_by = 1"),
+        ({"column_end": {"parts": LOAD, "tolerance": {"R2": 0.1}}}, "tolerance.R2: no such part; expected one of R1"),
+        ({"column_end": {"parts": LOAD}, "readout": {"idle_columns": "load"}}, "readout.idle_columns has no effect"),
+        (
+            {"row_end": {"selected": DRIVER, "idle": []}, "drive": {"idle_rows": "float"}},
+            "drive.idle_rows has no effect",
+        ),
+        ({"column_end": {"parts": {"file": "a.cir", "subcircuit": "B"}}}, "names a file; only a file of your own"),
+        ({"column_end": {"parts": LOAD}, "readout": {"circuit": "voltage-feedback"}}, "senses columns and drives rows"),
+    ],
+)
+def test_what_a_design_may_not_say(tables: dict[str, Any], message: str) -> None:
+    readout = {"circuit": "voltage-divider", "reference_resistance": 1e3} | tables.get("readout", {})
+    whole = {"array": {"rows": 2, "columns": 2}, "drive": {"voltage": 1.0}} | tables | {"readout": readout}
+    with pytest.raises(InputError, match=message):
+        parse(whole, Design, source="design.toml")
+
+
+def test_ends_that_contradict_themselves_are_refused() -> None:
+    for parts, why in ((["V1 line 0 1", "V2 line 0 2"], "contradict"), (["R1 line 0 1k", "C1 line out 1n"], "no path")):
+        design = Design.model_validate({"array": {"rows": 2, "columns": 2}} | board(DRIVER, PULL, parts))
+        with pytest.raises(InputError, match=why):
+            scan(design, np.full((2, 2), 1e3))
+
+
+def test_a_file_gives_the_same_board(tmp_path: Path) -> None:
+    (tmp_path / "ends.cir").write_text(
+        "* ends\n.subckt FILTER a b\nR1 a b\n+ 1k\nC1 b 0 10n\n.ends\n"
+        ".subckt COLUMN line out ; the load and its filter\nR1 line 0 33k\nX1 line out FILTER\n.ends\n"
+    )
+    (tmp_path / "design.toml").write_text(
+        "[array]\nrows = 4\ncolumns = 4\n[row_end]\nselected = ['V1 drive 0 3.3', 'R1 drive line 70']\n"
+        "idle = ['R9 line 0 10k']\n[column_end]\nparts = { file = 'ends.cir', subcircuit = 'COLUMN' }\n"
+        "[scan]\nrow = [{ wait = 1e-4 }]\ncolumn = [{ discharge = 2e-6 }, { read = 4 }]\n"
+    )
+    design = Design.load(tmp_path / "design.toml")
+    same = designed("divider, rows pulled down", row_lead=0.0, column_lead=0.0)
+    np.testing.assert_array_equal(scan(design, CELLS).volts, scan(same, CELLS).volts)
+    tables, _ = read_description(write_description(design.model_dump(), None))
+    assert tables is not None
+    sent = parse(tables, Design, source="a board")
+    assert sent.scan == design.scan
+    np.testing.assert_array_equal(scan(sent, CELLS).volts, scan(design, CELLS).volts)
+
+
+def test_short_names_and_their_networks_are_one_board() -> None:
+    """What [drive] and [readout] say, said again in parts."""
+    array = {"rows": 4, "columns": 4, "row_lead": 25.0, "column_lead": 25.0, "row_segment": 2.0}
+    readout = {"circuit": "inverting-amplifier", "reference_resistance": 1e3, "reference_voltage": 1.65}
+    named = {"array": array, "drive": {"voltage": -1.0}, "readout": readout | {"open_loop_gain": 1e5}}
+    amplifier = ["X1 ref line out opamp open_loop_gain=1e5", "R1 line out 1k"]
+    rows = {"row_end": {"selected": ["V1 line ref -1"], "idle": ["V1 line ref 0"]}}
+    for tables in (rows, {"column_end": {"parts": amplifier}}, rows | {"column_end": {"parts": amplifier}}):
+        design = Design.model_validate(
+            named | {"readout": readout} | tables if "column_end" in tables else named | tables
+        )
+        expected = scan(Design.model_validate(named), CELLS)
+        np.testing.assert_allclose(scan(design, CELLS).volts, expected.volts, rtol=1e-13)
+        np.testing.assert_allclose(scan(design, CELLS).resistance, expected.resistance, rtol=1e-3)  # of finite gain
+
+
+def test_outputs_stay_within_the_supply_of_their_amplifier() -> None:
+    array = {"rows": 4, "columns": 4, "row_lead": 25.0}
+    readout = {"circuit": "inverting-amplifier", "reference_resistance": 4e3, "supply": [-0.5, 1.2]}
+    named = Design.model_validate({"array": array, "drive": {"voltage": -1.0}, "readout": readout})
+    design = named.replace(reference={"parts": ["V1 ref 0 0"]})
+    assert scan(named, CELLS).saturated.any()
+    np.testing.assert_allclose(scan(design, CELLS).volts, scan(named, CELLS).volts, atol=1e-12)
+    np.testing.assert_array_equal(scan(design, CELLS).saturated, scan(named, CELLS).saturated)
+
+
+def test_each_end_has_its_own_values() -> None:
+    design = designed("zero potential, mid-supply", row_lead=0.0, column_lead=0.0)
+    assert design.end_parts["column_end.R1"].tolist() == [2e3] * 4
+    assert design.end_parts["row_end.idle.V1"].tolist() == [1.65] * 4
+    parts = {"column_end.R1": [2e3, 2e3, 2.2e3, 2e3], "row_end.selected.V1": [0.65, 0.65, 0.65, 0.55]}
+    signal, changed = (scan(each, CELLS).volts - 1.65 for each in (design, design.with_end_parts(parts)))
+    expected = signal * np.array([1.0, 1.0, 1.1, 1.0]) * np.array([1.0, 1.0, 1.0, 1.1])[:, None]
+    np.testing.assert_allclose(changed, expected, rtol=1e-4)  # of the amplifiers' gain
+    shared = designed("multiplexer in groups, others low").end_parts
+    assert shared["column_end.parts.R1"].tolist() == [10e3, 10e3]
+    assert shared["column_end.idle.R1"].tolist() == [100.0] * 4
+
+
+def test_calls_of_subcircuits_without_parts_are_not_followed(tmp_path: Path) -> None:
+    """A thousand calls in each of eight levels would be, for ever."""
+    levels = "".join(f".subckt l{d} a\n" + f"x1 a l{d + 1}\n" * 1000 + ".ends\n" for d in range(7))
+    (tmp_path / "end.cir").write_text(f".subckt col line out\nx1 line l0\n.ends\n{levels}.subckt l7 a\n.ends\n")
+    (tmp_path / "design.toml").write_text(
+        '[array]\nrows = 1\ncolumns = 1\n[row_end]\nselected = ["V1 line 0 1"]\nidle = []\n'
+        '[column_end]\nparts = { file = "end.cir", subcircuit = "col" }\n'
+    )
+    with pytest.raises(InputError, match=r"a \.subckt without parts"):
+        Design.load(tmp_path / "design.toml")

@@ -19,10 +19,10 @@ from ohmskin.cli import run
 
 FROZEN = (
     "taps | example, 100 Hz, 12 bits, 1 mV",
-    "random | m10, 100 Hz, 12 bits, 1 mV",
+    "random | paper, 100 Hz, 12 bits, 1 mV",
     "press, opens | example, 100 Hz, 12 bits, 1 mV",
     "wavering | example, 100 Hz, 12 bits, 1 mV",
-    "slip | example, 100 Hz, 12 bits, 10 mV",
+    "hold | example, 100 Hz, 8 bits, 0.1 mV",
     "taps, mismatched | example, 100 Hz, 12 bits, 1 mV",
 )
 

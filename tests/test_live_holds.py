@@ -43,7 +43,7 @@ def shown(
     for n, frame in enumerate(codes[tare:], tare):
         reading = read(frame)
         pressure[n] = estimator.update(1.0 / rate_hz, reading)
-        std[n] = systematic.take(reading, rest_known=True)(pressure[n], estimator.std_kpa**2)
+        std[n] = systematic.take(reading, None, 0.0)(pressure[n], estimator.std_kpa**2)
     return pressure, std
 
 

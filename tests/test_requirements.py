@@ -20,6 +20,7 @@ from ohmskin.cell import Cell
 from ohmskin.circuits import Adc, Array, Design, Requirement
 from ohmskin.cli import run
 from ohmskin.common.config import parse
+from ohmskin.common.text import markdown_code
 from ohmskin.errors import InputError
 from ohmskin.verification import Outcome, default_requirements, load_requirements, verify
 
@@ -70,6 +71,21 @@ def test_too_few_boards_are_not_a_failure_and_how_many_would_do_is_said(
         assert "--samples 368 would" in (tmp_path / "out" / name).read_text()
     assert run([*arguments, "--samples", "367"]) == 3
     assert run([*arguments, "--samples", "368"]) == 0
+
+
+def test_text_of_a_file_is_text_in_every_report(tmp_path: Path) -> None:
+    """Neither HTML nor a link nor a cell of a table, wherever a pull request or a browser shows it."""
+    hostile = "<img/src=x>|[a](http://b)`*www.c.d"
+    asked = [Requirement(id="A|<b>", quantity="checks.py:f", unit=hostile, max=1.0)]
+    (tmp_path / "checks.py").write_text(f"def f(design, cell):\n    return 2.0, {hostile!r}\n")
+    report = verify(requirements=asked, folder=tmp_path, allow_code=True, title=f"<script>{hostile}")
+    summary = report.markdown()
+    shown = r"\<img/src=x\>\|\[a\](http\://b)\`\*www\.c.d"
+    assert f"# \\<script\\>{shown}: fail" in summary
+    assert r"| A\|\<b\> checks.py:f | fail |" in summary
+    assert summary.count(shown) == summary.count("img/src") >= 4  # title, limit, what was found, where
+    assert "<img" not in report.html()
+    assert markdown_code("a`<b>``") == "``` a`<b>`` ```"
 
 
 def test_a_yield_that_is_missed_fails_whatever_the_number_of_boards(tmp_path: Path) -> None:
@@ -137,7 +153,7 @@ def test_what_the_design_does_not_name_is_not_run_and_named(tmp_path: Path) -> N
     design = _design(tmp_path, text)
     report = verify(design)
     reasons = {r.requirement.quantity: r.reason for r in report.results if r.outcome is Outcome.NOT_RUN}
-    assert reasons["phase_margin"] == "missing: readout.gain_bandwidth, readout.column_capacitance"
+    assert reasons["phase_margin"] == "missing: readout.gain_bandwidth"
     assert reasons["settling_error"] == "missing: operation.frame_rate"
     assert "readout.voltage_noise" in reasons["pressure_resolution"]
     assert reasons["latency"] == "missing: operation.frame_rate"
@@ -242,7 +258,7 @@ def test_a_divider_that_has_no_time_to_settle_fails() -> None:
     settling, scan_rate = (result.measurement for result in fast.results)
     assert settling is not None
     assert scan_rate is not None
-    assert 4.7 < settling.value < 5.5
+    assert 5.0 < settling.value < 10.0  # rows that alternate leave 5 %; the worst frame is not among such
     slow = verify(design.replace(operation={"frame_rate": 0.99 * scan_rate.value}), only=["D8", "D9"])
     assert outcomes_of(slow) == {"settling_error": "pass", "fastest_scan": "pass"}
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -92,3 +95,29 @@ def test_without_the_library_the_command_reads_and_without_both_what_is_missing_
         spice_scan(amplifier(1, 1), [[1e3]])
     assert missing in str(refused.value)
     assert "apt install ngspice" in str(refused.value)
+
+
+def test_no_run_begins_with_commands_of_a_file(tmp_path: Path) -> None:
+    """ngspice runs ~/.spiceinit, libngspice that of the working folder, which may be a stranger's."""
+    need(command_available())
+    init = f"* commands\nshell touch {tmp_path}/ran\n"
+    for folder in ("home", "work"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / ".spiceinit").write_text(init)
+    program = (
+        "from ohmskin.circuits import Design, spice\n"
+        "design = Design(array={'rows': 2, 'columns': 2}, drive={'voltage': -1.0},\n"
+        "    readout={'circuit': 'inverting-amplifier', 'reference_resistance': 1e3})\n"
+        "print(spice.spice_scan(design, [[1e4] * 2] * 2)[0, 0],\n"
+        "    spice.spice_scan(design, [[1e4] * 2] * 2, spice.run_command)[0, 0])\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, "HOME": str(tmp_path / "home")},
+        cwd=tmp_path / "work",
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert [float(volts) for volts in done.stdout.split()] == pytest.approx([0.1, 0.1])
+    assert not (tmp_path / "ran").exists()

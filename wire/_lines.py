@@ -25,7 +25,7 @@ LONGEST_NUMBER = 40
 """characters of a number in a line"""
 LEAST_LINE = 1024
 """characters that a line may have at least, for boot messages"""
-MISSING = frozenset(("", "-", "nan", "null", "none", "inf", "ovf"))
+MISSING = frozenset(("", "nan", "null", "none", "inf", "ovf"))
 """what boards print in the place of a number that they do not have"""
 AMBIGUOUS = (
     "ambiguous: no end line, row number or pause shows which line is the first of a frame; "
@@ -64,6 +64,22 @@ class _LinesFrame(AnyFrame):
             raise ValueError("numbered_rows needs skip = 1 or more: the first skipped number is that of the row")
         return self
 
+    @model_validator(mode="after")
+    def _is_read_back(self) -> Self:
+        """What a board of this format sends is what its host looks for: each text in one line, nothing beside it."""
+        values = [1.0, 0.0, 2.0]
+        line, *more = _lines_of(self.line(values) + self.newline)
+        if more or self.read(line, len(values)) != values:
+            raise ValueError(
+                f"a line of this format, {self.line(values) + self.newline!r}, would not be read; expected texts of "
+                "printable ASCII without white space at the ends of a line, and a newline that adds no separator"
+            )
+        if self.end is not None:
+            line, *more = _lines_of(self.end + "\n")
+            if more or not self.is_end(line):
+                raise ValueError(f'end: {self.end!r} is no line; expected printable ASCII in one line, or ""')
+        return self
+
     @property
     def by_frames(self) -> bool:
         """Whether a line is a whole frame."""
@@ -92,8 +108,8 @@ class _LinesFrame(AnyFrame):
         """A line with these numbers, without its end."""
         raise NotImplementedError
 
-    def write(self, numbers: Numbers, layout: Layout) -> bytes:
-        """The bytes of a frame with these numbers; those that are not read are zeros."""
+    def write(self, numbers: Numbers, layout: Layout, *, sequence: int = 0, time_us: int = 0) -> bytes:
+        """The bytes of a frame with these numbers; those that are not read are zeros, such as a number or a time."""
         text = ""
         for number, row in enumerate(numbers.reshape(-1, self.cells_in_line(layout)).tolist()):
             ahead = [0 if self.by_frames else number, *[0] * (self.skip - 1)][: self.skip]
@@ -106,8 +122,8 @@ class TextFrame(_LinesFrame):
     """``[frame]`` with ``format = "text"``: numbers in lines."""
 
     format: Literal["text"]
-    separator: Annotated[str, Field(min_length=1, max_length=8, pattern=r"^[^0-9A-Za-z+\-.\r\n]+$")] | None = None
-    """between two numbers; None: any run of spaces, tabs, and , ; : |"""
+    separator: Annotated[str, Field(min_length=1, max_length=8, pattern=r"^[^0-9+\-.\r\n]+$")] | None = None
+    """between two numbers; of letters: any run of these; None: any run of spaces, tabs, and , ; : |"""
     labels: bool = False
     """each number has its name ahead, as in ``A0:512``; the names are not read"""
     prefix: Annotated[str, Field(max_length=200)] = ""
@@ -127,6 +143,8 @@ class TextFrame(_LinesFrame):
             text = _LABEL.sub("", text)
         if self.separator is None:
             words = _SEPARATORS.split(text.strip(" \t,;:|"))
+        elif self.separator.isalpha():
+            words = re.split(f"[{self.separator}\\s]+", text.strip(f" \t{self.separator}"))
         else:
             words = [word.strip() for word in text.split(self.separator)]
             if len(words) == expected + 1 and not words[-1]:
@@ -136,7 +154,8 @@ class TextFrame(_LinesFrame):
 
     def line(self, values: list[float]) -> str:
         words = [f"c{k}:{value}" for k, value in enumerate(values)] if self.labels else map(str, values)
-        return self.prefix + (" " if self.separator is None else self.separator).join(words) + self.suffix
+        between = " " if self.separator is None else self.separator[:1] if self.separator.isalpha() else self.separator
+        return self.prefix + between.join(words) + self.suffix
 
 
 class JsonFrame(_LinesFrame):
@@ -166,11 +185,21 @@ class JsonFrame(_LinesFrame):
         return self.key.split(".") if self.key else []
 
 
+def _lines_of(sent: str) -> list[str]:
+    """The lines of what is sent as a host has them."""
+    return [_text_of(line) for line in sent.encode().split(b"\n")[:-1]]
+
+
+def _text_of(line: bytes) -> str:
+    """A line as text, without white space at its ends; with U+FFFD for bytes that are none."""
+    return line.decode("ascii", errors="replace").strip(" \t\r\0")
+
+
 def _number(word: str) -> float | None:
     """The number of a word; NaN where the board has none, None where the word is none."""
     if len(word) <= LONGEST_NUMBER and _NUMBER.fullmatch(word):
         return float(word)
-    return math.nan if word.lstrip("+-").lower() in MISSING else None
+    return math.nan if word == "-" or (word.lstrip("+-").lower() in MISSING and not word.endswith("-")) else None
 
 
 def _flat(found: list[object], levels: int) -> Iterator[float]:
@@ -221,9 +250,8 @@ class TextHost(LineHost):
 
     def take(self, line: bytes, received_at: float) -> list[Event]:
         size, first, self._first = len(line) + 1, self._first, False
-        try:
-            text = line.decode("ascii").strip(" \t\r\0")
-        except UnicodeDecodeError:
+        text = _text_of(line)
+        if not text.isascii():
             self._fault = self._fault or "a line with bytes that are no text"
             return [Corrupt(size, "a line with bytes that are no text")]
         if not self._form.by_frames and self._form.is_end(text):
@@ -236,7 +264,7 @@ class TextHost(LineHost):
         numbers = self._form.read(text, self._expected)
         if numbers is None:
             self._pauses.begin()
-            if self._rows:  # as likely a damaged row as a message
+            if 0 < len(self._rows) < self._lines:  # as likely a damaged row as a message
                 self._fault = self._fault or "a line without numbers between its rows"
             return [Corrupt(size, f"a line of text: {text[:40]!r}")]
         wrong = len(numbers) != self._expected

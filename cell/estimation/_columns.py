@@ -1,8 +1,8 @@
 """Errors that the cells of a column share: estimated from the other cells of the column, and taken out of the readings.
 
 On a divider whose idle rows are driven, errors of a few readings move all conductances of a column: a reading is
-r + noise + h z, with one standard normal z for each column and frame. The filter predicts every reading, so that the
-innovations of the *other* cells of a column tell z (a scalar Kalman update for each cell, its own reading left out: that
+r + noise + h z, with one standard normal z for each column and frame. The filter predicts every reading, so that
+innovations of the *other* cells of a column tell z (a scalar Kalman update for each cell, its own reading left out: it
 would take a part of the cell's own load). Two laws keep loads out of z. An innovation counts up to
 :data:`CLIPPED` of its standard deviations (Huber 1964). And z is white from frame to frame while loads are not, so that
 the recent mean of z is no noise.
@@ -16,6 +16,8 @@ from ...common.compiled import Records, Row, loop
 from ._filter import Estimates, Watch, expects
 from ._modes import Step
 
+RARE = 2.5
+"""z beyond which a load on the whole column is likelier, and nothing is taken out of the frame"""
 CLIPPED = 3.0
 """standard deviations of an innovation"""
 WHITE = 0.1
@@ -58,12 +60,13 @@ def share_each(
                 precision += shared[i] * shared[i] / spread[i]
                 told += shared[i] * off[i] / spread[i]
         recent[k] += WHITE * (told / precision - recent[k])
+        loaded = abs(told / precision) > RARE
         for i in range(k, shared.size, columns):
             if spread[i] > 0.0:
                 others = precision - shared[i] * shared[i] / spread[i]
                 z = (told - shared[i] * off[i] / spread[i]) / others
                 lasting = shared[i] * recent[k] * (1.0 - 1.0 / others)
-                move = shared[i] * z - lasting + min(max(lasting, -held[i]), held[i])
+                move = 0.0 if loaded else shared[i] * z - lasting + min(max(lasting, -held[i]), held[i])
                 low[i] -= move
                 high[i] -= move
                 var[i] += shared[i] * shared[i] / others

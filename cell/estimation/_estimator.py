@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -138,7 +139,10 @@ class Estimator:
         return self._take(elapsed_s, conductance, own * own, half, None, None)
 
     def update(self, elapsed_s: float, measured: Measurement) -> FloatArray:
-        """As :meth:`step`, from conductances with their errors; a reading at a limit of the converter is an interval."""
+        """As :meth:`step`, from conductances with their errors; a reading at a limit of the converter is an interval.
+
+        Noise, steps and what columns share are those that the measurement states.
+        """
         if measured.conductance.shape != self.shape:
             raise InputError(f"conductance has shape {measured.conductance.shape}, expected {self.shape}")
         conductance = measured.conductance.ravel()
@@ -374,7 +378,7 @@ class Estimator:
         own = {"cells": values(self._cells), "befores": values(self._befores), "watches": values(self._watches)}
         own |= {"states": values(self._states), "memory": values(self._memory), "columns": self._columns}
         own |= {"step_std": self._step_std, "sleeps": self._sleeps, "pressure": self._pressure}
-        own |= {"variance": self._variance, "read": self._read}
+        own |= {"variance": self._variance, "read": self._read.astype(np.float64)}
         own["clock"] = np.array([self._frames, self._since_forgot_s, self.rest_error])
         own |= self._noise.state()
         return {name: np.array(value, dtype=np.float64) for name, value in own.items()}
@@ -390,7 +394,7 @@ class Estimator:
         shapes = [{name: value.shape for name, value in each.items()} for each in (expected, given)]
         if shapes[0] != shapes[1] or not np.isfinite(given["clock"]).all():
             raise InputError(f"not a saved state of this estimator for cells of shape {self.shape}")
-        records: dict[str, Records] = {"cells": self._cells, "befores": self._befores, "watches": self._watches}
+        records: dict[str, Records[Any]] = {"cells": self._cells, "befores": self._befores, "watches": self._watches}
         records |= {"states": self._states, "memory": self._memory}
         for name, kept in records.items():
             values(kept)[...] = given[name]

@@ -8,9 +8,8 @@ and a mean of the slow branch x3. A frame goes through these steps:
    way has gone unseen, and always raises r: its mean and variance are added.
 2. **Prediction** and **update**. A reading is an interval, by its quantisation step or by a limit of the converter: the
    predicted reading is conditioned on lying within it (Curry 1970). A narrow interval is the Kalman update.
-3. Bounds (the sign of the speed, loads from none to an overload) are factors of the likelihood and truncate the moments.
-4. The candidates of a mode are merged. Modes of slow motion are compared at equal variance, and evidence is forgotten
-   within seconds: modes that readings cannot tell apart keep their usual odds, as no cell is exactly the model.
+3. Bounds (the sign of the speed, loads from none to an overload) are factors of the likelihood and truncate moments.
+4. The candidates of a mode are merged. Evidence is forgotten within seconds, as no cell is exactly the model.
 
 **Bad contacts.** When a reading leaves every slow mode, the estimates from before are kept for a while without
 readings. The odds of a bad contact are followed; a reading that returns to them is far likelier than a load that does.
@@ -636,7 +635,7 @@ def step_each(
 @loop
 def settled(e: Estimates, var: float, width: float) -> bool:
     """Whether a cell is at rest, and remembers nothing that the noise does not hide."""
-    return e.w[REST] > RESTS and e.r[REST] * e.r[REST] < 1e-6 + 0.3 * (var + width * width * (1.0 / 12.0))
+    return bool(e.w[REST] > RESTS and e.r[REST] * e.r[REST] < 1e-6 + 0.3 * (var + width * width * (1.0 / 12.0)))
 
 
 @loop
@@ -646,7 +645,7 @@ def rests(watch: Watch, t: Step, low: float, high: float, var: float) -> bool:
     off = (0.5 * (low + high) - watch.centre) / std
     watch.cusum = max(watch.cusum + off - 0.5, 0.0)
     watch.centre += (off * std) * min(t.dt_s / DRIFTS_S, 1.0)
-    return abs(off) < WAKES and watch.cusum < WAKES
+    return bool(abs(off) < WAKES and watch.cusum < WAKES)
 
 
 SURPRISE = 6.0

@@ -1,10 +1,10 @@
 """Modes of the switching filter: how a load may move and for how long, and the cell's response in one time step.
 
-A mode is a phase of the material together with a kind of motion (:data:`KINDS`): a jump Markov linear system (Bar-Shalom,
-Li & Kirubarajan, *Estimation with Applications to Tracking and Navigation*, 2001, chapter 11). Every tuned number of the
-filter is in :class:`Tuning`, with its unit.
+A mode is a phase of the material together with a kind of motion (:data:`KINDS`): a jump Markov linear system
+(Bar-Shalom, Li & Kirubarajan, *Estimation with Applications to Tracking and Navigation*, 2001, chapter 11). Every tuned
+number of the filter is in :class:`Tuning`, with its unit.
 
-**Dynamics.** s is the load over full scale, r the normalised resistance, v = s'. With the gains g = full scale / modulus,
+**Dynamics.** s is the load over full scale, r the normalised resistance, v = s'. With gains g = full scale / modulus,
 
     rising phase    r' = gu v - (r - geq s)/Tu,                      gu = geq + full scale/etau2   (equation 3)
     recovery phase  r' = g1 v + (g2 s - x2)/T2 + (g3 s - x3)/T3,     x2 = r - g1 s - x3            (equation 8)
@@ -231,7 +231,7 @@ def _motion(mode: int, kind: int, dt_s: float, even: float, t: Tuning) -> tuple[
         scale = (mode - CREEP_UP) // 2
         speed = even * (t.creep_per_s, t.line_per_s, t.move_per_s)[scale]
         lasts_s = (t.creep_s, t.line_s, t.move_s)[scale]
-        gone, ramp = lag.weights(dt_s, lasts_s)
+        gone, _ = lag.weights(dt_s, lasts_s)
         z, power = dt_s / lasts_s, speed * speed
         # Integrals of the covariance; the first one cancels to z^3 2/3 in short steps.
         way = 2.0 * z - 2.0 * gone - gone * gone if z > 1e-3 else z**3 * (2.0 / 3.0)

@@ -182,6 +182,8 @@ def _bodies(
             inside = []
             bodies[words[1]] = tuple(word for word in words[2:] if "=" not in word), inside
         elif words[0] == ".ends":
+            if inside == []:  # calls of such would be followed without end, as no part comes of them
+                raise InputError(f"{where}: a .subckt without parts")
             inside = None
         elif words[0] == ".model":
             models.update(_model(line, where))
@@ -317,6 +319,7 @@ def _diode(
 ) -> tuple[tuple[str, float], ...]:
     known = DIODES | dict(models)
     name = plain[0].lower() if plain else ""
+    name = name if name in known else name.removeprefix("d")  # D1N4148 is 1N4148
     if len(plain) > 1 or (name and name not in known):
         raise InputError(
             f"{where}: '{shown}': no such diode; expected IS=, N= and RS= behind the nodes, a .model, or one of "

@@ -1,7 +1,8 @@
 """Modified nodal analysis of a line's end (Ho, Ruehli and Brennan 1975), and its exact reduction to one port.
 
 The unknowns are the potentials of the nodes and the currents of voltage sources, inductors, wires of 0 ohm and
-amplifier outputs. With the unknowns x, the equations are ``dynamic x' + static x = source``.
+amplifier outputs. Nothing moves: capacitors are open, and inductors are wires (:mod:`..timing._events` has their
+states).
 
 A linear end is, seen from its line, one straight line between voltage and current, and what the converter samples is
 affine in them (:class:`PortLaw`). We find both by Gauss-Jordan elimination in rational numbers: cards are doubles, and
@@ -12,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from fractions import Fraction
-from math import inf, isfinite, pi
+from math import inf, isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from ...common.arrays import FloatArray
 from ...errors import InputError
 from ._cards import GROUND, Card
 
-LINE, OUT = "line", "out"
+LINE, OUT, ROW, CELL = "line", "out", "row", "cell"
 
 
 class PortLaw(NamedTuple):
@@ -38,14 +39,12 @@ class PortLaw(NamedTuple):
 
 
 class Equations(NamedTuple):
-    """Equations of one end in double precision."""
+    """Equations ``static x = source`` of one end in double precision."""
 
     nodes: tuple[str, ...]
     """the first unknowns; the currents of branches follow"""
     static: FloatArray
     """(U, U) S, and dimensionless coefficients of branches"""
-    dynamic: FloatArray
-    """(U, U) F, H and s"""
     source: FloatArray
     """(U,) A and V"""
     branches: tuple[str, ...]
@@ -58,17 +57,12 @@ class Equations(NamedTuple):
         """
         system = _Stamps(cards, ports, float)
         size = system.size
-        static, dynamic, source = np.zeros((size, size)), np.zeros((size, size)), np.zeros(size)
-        for matrix, stamps in ((static, system.static), (dynamic, system.dynamic)):
-            for row, column, value in stamps:
-                matrix[row, column] += value
+        static, source = np.zeros((size, size)), np.zeros(size)
+        for row, column, value in system.static:
+            static[row, column] += value
         for row, value in system.source:
             source[row] += value
-        return cls(tuple(system.nodes), static, dynamic, source, tuple(system.branches))
-
-    def place(self, name: str) -> int:
-        """Number of a node's potential, or of a branch's current, among the unknowns."""
-        return self.nodes.index(name) if name in self.nodes else len(self.nodes) + self.branches.index(name)
+        return cls(tuple(system.nodes), static, source, tuple(system.branches))
 
 
 class _Stamps:
@@ -80,7 +74,6 @@ class _Stamps:
         self.nodes = list(dict.fromkeys(node for node in (*ports, *named) if node != GROUND))
         self.branches = [card.name for card in cards if card.kind in "vlehx" or (card.kind == "r" and card.value == 0)]
         self.static: list[tuple[int, int, Any]] = []
-        self.dynamic: list[tuple[int, int, Any]] = []
         self.source: list[tuple[int, Any]] = []
         self._at = {node: place for place, node in enumerate(self.nodes)}
         self._at |= {name: len(self.nodes) + place for place, name in enumerate(self.branches)}
@@ -102,11 +95,7 @@ class _Stamps:
                 self._add(card.name, nodes[1], -one)
         match kind:
             case "r" if card.value:
-                self._conductor(self.static, nodes, one / value)
-            case "c":
-                self._conductor(self.dynamic, nodes, value)
-            case "l":
-                self.dynamic.append((self._at[card.name], self._at[card.name], -value))
+                self._conductor(nodes, one / value)
             case "v":
                 self.source.append((self._at[card.name], value))
             case "i":
@@ -131,9 +120,6 @@ class _Stamps:
                 self._add(card.name, minus, -one)
                 if isfinite(card["open_loop_gain"]):
                     self._add(card.name, out, -one / number(card["open_loop_gain"]))
-                if isfinite(card["gain_bandwidth"]) and out != GROUND:
-                    lag = number(1.0 / (2.0 * pi * card["gain_bandwidth"]))
-                    self.dynamic.append((self._at[card.name], self._at[out], -lag))
                 self.source.append((self._at[card.name], -number(card["offset_voltage"])))
                 self._inject((minus, GROUND), number(card["bias_current"]))
 
@@ -151,12 +137,10 @@ class _Stamps:
             if node != GROUND:
                 self.source.append((self._at[node], sign * amperes))
 
-    def _conductor(self, stamps: list[tuple[int, int, Any]], nodes: tuple[str, ...], value: Any) -> None:
+    def _conductor(self, nodes: tuple[str, ...], value: Any) -> None:
         for a, b in (nodes, nodes[::-1]):
-            if a != GROUND:
-                stamps.append((self._at[a], self._at[a], value))
-                if b != GROUND:
-                    stamps.append((self._at[a], self._at[b], -value))
+            self._add(a, a, value)
+            self._add(a, b, -value)
 
 
 def port_law(cards: Iterable[Card], where: str, out: str = LINE) -> PortLaw:

@@ -8,7 +8,7 @@ current sources or a reference that the ends share, are solved node by node (:mo
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
@@ -21,6 +21,7 @@ from ...common.arrays import BoolArray, FloatArray
 from ._cards import GROUND, OPAMP, Card
 from ._equations import LINE, OUT, PortLaw, float_of, port_law
 
+_HELD = 1e-3  # of an output's slope (V/A), up to which the resistance of an end is that of a virtual ground
 REF = "ref"
 """the node of the reference voltage"""
 OPEN_OHM = 1e40
@@ -71,6 +72,8 @@ class LineEnds:
     """what holds the node ``ref``; empty: a stiff source of ``level``"""
     level: float
     """V; 0: ``ref`` is a node like any other"""
+    crosspoint: Network = ()
+    """between each row and its cells, from the node ``row`` to ``cell``; empty: nothing"""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -85,13 +88,20 @@ class LineEnds:
     @cached_property
     def is_linear(self) -> bool:
         """Whether no part has a bend."""
-        every = (*self.selected, *self.idle, *self.read, *self.unread, self.reference)
+        every = (*self.selected, *self.idle, *self.read, *self.unread, self.reference, self.crosspoint)
         return not any(is_bent(card) for network in every for card in network)
 
     @cached_property
     def is_apart(self) -> bool:
         """Whether lines feel each other by way of the grid only."""
-        return self.is_linear and not self.reference
+        return self.is_linear and not (self.reference or self.crosspoint)
+
+    def _smooth(self, network: Network) -> Network:
+        """The network with conducting diodes, amplifiers without limits, and a stiff reference."""
+        smooth = _unbent(network)
+        if any(REF in card.nodes for card in smooth) and (self.level or self.reference):
+            smooth += (Card("V.REF", (REF, GROUND), self.level),)
+        return smooth
 
     def held(self, network: Network) -> Network:
         """The network with a stiff source at its reference node, if it has one that no network holds."""
@@ -147,6 +157,29 @@ class LineEnds:
         idle_resistance = np.where(idle_resistance >= OPEN_OHM, inf, idle_resistance)
         return Columns(resistance, source, output, slope, idle_resistance, idle_source)
 
+    def ambiguity(self) -> str:
+        """Why readings do not tell the cells apart; empty: this says nothing against it.
+
+        A row that conducts better while it is idle lets several sets of cells have the same readings. Conducting diodes
+        count as wires here.
+        """
+        if self.crosspoint:
+            return "parts at each cell are not modelled in recovery"
+        ends = [_law(self._smooth(end), "column_end", self.out) for end in self.read]
+        if all(law.resistance is None for law in ends):
+            return "nothing loads the columns, so that readings tell ratios of a column's cells only; expected a load"
+        if all(law.resistance is not None and abs(law.resistance) < _HELD * abs(law.slope) for law in ends):
+            return ""  # amplifiers hold the columns, and each reading is a current
+        for i, pair in enumerate(zip(self.selected, self.idle, strict=True)):
+            on, off = (_law(self._smooth(network), "row_end").resistance for network in pair)
+            if off is not None and (on is None or abs(off) < abs(on)):
+                selected = "a current source" if on is None else f"{float_of(on):g} ohm"
+                return (
+                    f"row {i} ends in {float_of(off):g} ohm while it is idle and in {selected} while it is selected, "
+                    "so that several sets of cells can have the same readings; expected an idle end that conducts less"
+                )
+        return ""
+
     def rest(self) -> Fraction:
         """V of the first column's end without current; 0 where it takes none."""
         law = _law(self.held(self.read[0]), "column_end", self.out)
@@ -156,6 +189,20 @@ class LineEnds:
 def is_bent(card: Card) -> bool:
     """Whether the law of a part has a bend: diodes, and amplifiers with limits."""
     return card.kind == "d" or (card.kind == "x" and (isfinite(card["low"]) or isfinite(card["high"])))
+
+
+def _unbent(network: Network) -> Network:
+    """The network with its diodes conducting, and its amplifiers without limits."""
+    parts = []
+    for card in network:
+        if card.kind == "d":
+            parts.append(Card(f"R.{card.name}", card.nodes, card["rs"]))
+        elif card.kind == "x":
+            unlimited = tuple((key, value) for key, value in card.parameters if key not in {"low", "high"})
+            parts.append(replace(card, parameters=(*unlimited, ("low", -inf), ("high", inf))))
+        else:
+            parts.append(card)
+    return tuple(parts)
 
 
 @lru_cache(maxsize=4096)
@@ -191,22 +238,6 @@ def _thevenin(law: PortLaw, datum: Fraction) -> tuple[float, float, float, float
     parts = law.resistance, law.source - datum, law.output, law.slope
     resistance, source, output, slope = map(float_of, parts)
     return resistance, source, output, slope
-
-
-def with_values(network: Network, values: Mapping[str, tuple[float, ...]], lines: int) -> tuple[Network, ...]:
-    """The network of each of ``lines`` lines, with the line's own values of some parts."""
-    own = {name.upper(): each for name, each in values.items() if len(each) == lines}
-    if not own:
-        return (network,) * lines
-    return tuple(
-        tuple(replace(card, value=own[card.name][line]) if card.name in own else card for card in network)
-        for line in range(lines)
-    )
-
-
-def resistor(name: str, ohm: float, *nodes: str) -> Iterable[Card]:
-    """A resistor, or nothing if it is open."""
-    return [Card(name, nodes, ohm)] if isfinite(ohm) else []
 
 
 def amplifier(plus: str, minus: str, out: str, **keys: float) -> Card:

@@ -1,11 +1,12 @@
-"""``[row_end]``, ``[column_end]``, ``[reference]`` and ``[scan]`` of DESIGN.toml: ends of lines as small networks."""
+"""``[row_end]``, ``[column_end]``, ``[reference]``, ``[crosspoint]`` and ``[scan]`` of DESIGN.toml: small networks."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Annotated, ClassVar, Self
 
-from pydantic import Field, PlainValidator, ValidationInfo, model_validator
+from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
 from ...common.config import Finite, LocalFile, Section
 from .._spread import Spread
@@ -23,7 +24,7 @@ class CardFile(Section):
     subcircuit: Annotated[str, Field(min_length=1, max_length=100)]
 
 
-def _cards(*ports: str) -> PlainValidator:
+def _cards(*ports: str) -> BeforeValidator:
     """A list of cards, or a file with a subcircuit of these ports; as a list of cards that are written anew."""
 
     def check(value: object, info: ValidationInfo) -> tuple[str, ...]:
@@ -38,11 +39,12 @@ def _cards(*ports: str) -> PlainValidator:
             cards = parse_cards(value)
         return tuple(card.line() for card in cards)
 
-    return PlainValidator(check)
+    return BeforeValidator(check)
 
 
 OfLine = Annotated[tuple[str, ...], _cards("line")]
 OfOutput = Annotated[tuple[str, ...], _cards("line", "out")]
+OfCrosspoint = Annotated[tuple[str, ...], _cards("row", "cell")]
 OfReference = Annotated[tuple[str, ...], _cards("ref")]
 Fractions = Annotated[dict[str, Annotated[float, Field(ge=0, lt=1)]], Field(max_length=256)]
 Values = Annotated[dict[str, Annotated[tuple[Finite, ...], Field(strict=False)]], Field(max_length=256)]
@@ -68,28 +70,54 @@ class _End(Section):
         return {key: parse_cards(lines) for key, lines in lists if lines is not None}
 
     @property
-    def spreads(self) -> dict[str, Spread]:
-        """Spreads of the parts that have one, by name."""
-        names = dict.fromkeys((*self.tolerance, *self.temperature_coefficient))
+    def nominal(self) -> dict[str, float]:
+        """Values of all parts that are one number, by name; ``idle.R1`` where another list has another R1."""
+        found: dict[str, dict[str, Card]] = {}
+        for key, cards in self.networks.items():
+            for card in cards:
+                if card.has_value:
+                    found.setdefault(card.name, {})[key] = card
         return {
-            name.upper(): Spread(
-                tolerance=self.tolerance.get(name, 0.0),
-                temperature_coefficient=self.temperature_coefficient.get(name, 0.0),
-            )
-            for name in names
+            name if len(set(places.values())) == 1 else f"{key}.{name}": card.value
+            for name, places in found.items()
+            for key, card in places.items()
         }
 
     @property
-    def nominal(self) -> dict[str, float]:
-        """Values of all parts that are one number, by name."""
-        return {card.name: card.value for cards in self.networks.values() for card in cards if card.has_value}
+    def spreads(self) -> dict[str, Spread]:
+        """Spreads of the parts that have one, by the names of :attr:`nominal`."""
+
+        def of(table: Mapping[str, float], name: str) -> float:
+            return table.get(name, table.get(name.rpartition(".")[2], 0.0))
+
+        tables = self.tolerance, self.temperature_coefficient
+        found = {name: [of(table, name) for table in tables] for name in self.nominal}
+        return {
+            name: Spread(tolerance=tolerance, temperature_coefficient=per_kelvin)
+            for name, (tolerance, per_kelvin) in found.items()
+            if tolerance or per_kelvin
+        }
+
+    def lines(self, key: str, count: int) -> tuple[tuple[Card, ...], ...]:
+        """The network of each of ``count`` lines, with the line's own values of some parts."""
+        network, nominal = self.networks[key], self.nominal
+        own = {}
+        for card in network:
+            name = card.name if card.name in nominal else f"{key}.{card.name}"
+            if name in self.values:
+                own[card.name] = self.values[name]
+        return tuple(
+            tuple(replace(card, value=own[card.name][line]) if card.name in own else card for card in network)
+            for line in range(count)
+        )
 
     @model_validator(mode="after")
     def _known_parts(self) -> Self:
-        known = self.nominal
-        for key in ("tolerance", "temperature_coefficient", "values"):
+        exact = self.nominal
+        loose = exact | {name.rpartition(".")[2]: 0.0 for name in exact}
+        for key, known in (("tolerance", loose), ("temperature_coefficient", loose), ("values", exact)):
             for name in getattr(self, key):
-                if name.upper() not in known:
+                if name not in known:
                     raise ValueError(f"{key}.{name}: no such part; expected one of {', '.join(known) or 'none'}")
         return self
 
@@ -132,6 +160,14 @@ class Reference(_End):
     parts: OfReference
 
 
+class Crosspoint(_End):
+    """What lies between a row's line (the node ``row``) and each of its cells (``cell``), as a diode does."""
+
+    NETWORKS = ("parts",)
+
+    parts: OfCrosspoint
+
+
 Seconds = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
 
 
@@ -149,7 +185,7 @@ class Event(Section):
 
     @model_validator(mode="after")
     def _one(self) -> Self:
-        if len(self.model_fields_set) != 1 or getattr(self, next(iter(self.model_fields_set))) is None:
+        if sum(getattr(self, key) is not None for key in type(self).model_fields) != 1:
             raise ValueError("an event has one of the keys wait, discharge, discard and read")
         return self
 

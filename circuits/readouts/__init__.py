@@ -26,6 +26,7 @@ from ._described import DESCRIBED, DESCRIBED_INVERTING
 from ._ends import one_driven, sum_of_others, terminate
 from ._inverting_amplifier import InvertingAmplifier
 from ._linear import LinearReadout, output_rounding
+from ._nodal import System, inverted_nodes, step_system
 from ._port_law import PortLaw
 from ._quick import PortFields, QuickFields, QuickNetwork
 from ._row_amplifier import RowAmplifier
@@ -54,8 +55,11 @@ __all__ = [
     "Reading",
     "ReadoutCircuit",
     "SensitivityGroup",
+    "System",
+    "inverted_nodes",
     "one_driven",
     "output_rounding",
+    "step_system",
     "sum_of_others",
     "terminate",
 ]

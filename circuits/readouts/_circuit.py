@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from math import inf
+from math import copysign, inf
 from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -104,12 +104,16 @@ class ReadoutCircuit(ABC):
         """Bound in V (..., N, M) on output errors by a relative error of all conductances: :mod:`._rounding`."""
         return energy_bound(board, ports, relative, self.end_resistance(board))
 
-    def ends(self, board: Parts) -> Ends | None:
-        """Thevenin equivalents at the columns' ends, if all columns are read at once and no output is at a limit.
+    def read_ends(self, board: Parts) -> Ends | None:
+        """Thevenin equivalents at the columns' ends while they are read and no output is at a limit.
 
-        None for other circuits.
+        None where the end depends on other lines.
         """
         return None
+
+    def ends(self, board: Parts) -> Ends | None:
+        """:meth:`read_ends` if all columns are read at once; else None."""
+        return None if self.columns_one_by_one(board) else self.read_ends(board)
 
     def port_law(self, board: Parts, wire: FloatArray) -> PortLaw | None:
         """What a reading says of its own conductance and of its column, without supply limits: :mod:`._port_law`.
@@ -124,6 +128,11 @@ class ReadoutCircuit(ABC):
         """
         ends = self.ends(board)
         return None if ends is None else PortLaw.of_ends(ends, wire, board.drive, floating=board.floating)
+
+    def ambiguity(self, board: Parts) -> str:
+        """Why readings of such a board do not determine its cells; empty: nothing is known against it."""
+        del board
+        return ""
 
     def linear(self, board: Parts) -> LinearReadout | None:
         """The outputs as a linear function of transfer conductances; None where they are not linear."""
@@ -180,11 +189,28 @@ class ReadoutCircuit(ABC):
         """``volts`` (..., N, M) with their limits for ideal parts, which the solvers replaced by large conductances."""
         return volts
 
+    def delivered(self, board: Parts, group: SensitivityGroup, row_current: FloatArray) -> FloatArray:
+        """A (readings' rows, readings' columns) that the output of each reading's amplifier delivers into the array.
+
+        Args:
+            board: parts of the readout.
+            group: readings, with their forward fields.
+            row_current: (rows, columns or 1, N) A out of each driver in these fields.
+
+        """
+        return np.zeros((len(group.rows), len(group.columns)))
+
     # One cell alone, with ideal parts
 
     @abstractmethod
     def alone(self, board: Parts) -> Alone:
         """The output of one cell that is alone, with ideal parts."""
+
+    def domain(self, board: Parts) -> tuple[float, float]:
+        """V of the ideal circuit's output on an open cell, and on a short: the ends of what a reading can say."""
+        gain, span, rest = (float(np.mean(part)) for part in self.alone(board))
+        open_cell = board.level + rest
+        return open_cell, open_cell + gain / span if span else copysign(inf, gain)
 
     def ideal_volts(self, board: Parts, cells: FloatArray) -> FloatArray:
         """(..., N, M) V if each of the cells, in ohm, were alone and all parts ideal: the paper's equation (10)."""

@@ -11,9 +11,9 @@ remains after the last step.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
-from math import isinf, sqrt
+from math import inf, isinf, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -22,18 +22,23 @@ from scipy.constants import Boltzmann, elementary_charge
 from ...common.arrays import BoolArray, FloatArray, IntArray
 from ...errors import SolverError
 from .._parts import Parts
-from ..ends import GROUND, LINE, REF, Card, Equations, LineEnds
+from ..ends import CELL, GROUND, LINE, REF, ROW, Card, Equations, LineEnds, Network
 from ..solvers import ULP
 from ._adjoint import SensitivityGroup
 from ._circuit import Reading
 
 THERMAL_V = Boltzmann * 300.15 / elementary_charge
 """kT/q at SPICE's usual temperature, 27 degrees Celsius"""
+_CROSSPOINT = "x"
+"""first letter of the ends that are at cells"""
 _LEAK = 1e-20  # of the largest conductance, from each node to ground: sets nodes that nothing else holds
+_LOOSE = 1e-13  # of the largest conductance: the same for islands of nodes that nothing else holds
 _MOST_SIEMENS = 1e8  # stands for ideal wires and shorts within the port network
+_MOST_VOLTS = 1e10  # or A: only contradictions give so much
 _MOST_STEPS = 400
 _ONE_AT_A_TIME = 100  # steps after which the limits of amplifiers change one at a time, which cannot cycle
 _CONVERGED = 1e-11  # V, and relative; the bound includes what is left
+_STANDS, _ROUNDING = 0.5, 1e4  # steps that do not halve any more, up to so many times this, are rounding
 
 
 class _Template(NamedTuple):
@@ -44,6 +49,7 @@ class _Template(NamedTuple):
     """anode, cathode, saturation current in A, emission voltage in V"""
     limits: tuple[tuple[str, str, float, float], ...]
     """branch, output, low and high in V"""
+    end: str = ""
 
 
 @lru_cache(maxsize=4096)
@@ -62,8 +68,9 @@ def _template(network: tuple[Card, ...]) -> _Template:
             parts.append(card)
             if card.kind == "x" and not (isinf(card["low"]) and isinf(card["high"])):
                 limits.append((card.name, card.nodes[2], card["low"], card["high"]))
-    junctions = (node for anode, cathode, *_ in diodes for node in (anode, cathode))
-    named = dict.fromkeys((LINE, *(node for node in junctions if node != GROUND)))
+    ends = [] if any(ROW in card.nodes for card in network) else [LINE]
+    junctions = [node for anode, cathode, *_ in diodes for node in (anode, cathode) if node != GROUND]
+    named = dict.fromkeys((*ends, *junctions))
     return _Template(Equations.of(parts, named), tuple(diodes), tuple(limits))
 
 
@@ -80,8 +87,8 @@ class System(NamedTuple):
     """anodes, cathodes, saturation currents, emission voltages; the unknown U is ground"""
     limits: tuple[tuple[int, int, float, float], ...]
     """equation of an amplifier, unknown of its output, low and high in V"""
-    dynamic: FloatArray
-    """(U, U)"""
+    places: dict[tuple[str, str], int]
+    """unknown by the name of an end, and of its node or ``branch`` and part"""
 
 
 class Solution(NamedTuple):
@@ -97,14 +104,16 @@ class Solution(NamedTuple):
     """outputs that stand at a limit"""
 
 
-def step_system(board: Parts, ports: FloatArray, row: int, read: BoolArray) -> System:
-    """The equations while a row is selected and the columns ``read`` have their turn.
+def step_system(
+    board: Parts, ports: FloatArray, networks: Iterable[tuple[str, int, Network]], read: BoolArray
+) -> System:
+    """The equations of one state of the switches.
 
     Args:
         board: with ends.
         ports: (N + M, N + M) S of one frame.
-        row: the selected row.
-        read: (M,).
+        networks: as :meth:`.LineEnds.of_step` yields them.
+        read: (M,) columns that have their turn.
 
     """
     ends = board.line_ends
@@ -120,50 +129,76 @@ def step_system(board: Parts, ports: FloatArray, row: int, read: BoolArray) -> S
     reference = count if ends.reference else -1
     count += bool(ends.reference)
     outputs: IntArray = np.full(columns, -1)
-    located: list[tuple[_Template, IntArray, dict[str, int]]] = []
+    located: list[tuple[_Template, IntArray]] = []
+    places: dict[tuple[str, str], int] = {}
     line_at = [*range(rows), *at_end.tolist()]
-    for _, line, network in ends.of_step(row, read):
+    cells, crosspoints = _crosspoints(ends, ports)
+    for end, line, network in (*networks, *crosspoints):
         template = _template(network)
         equations = template.equations
-        known = {LINE: line_at[line]} if line < len(line_at) else {}
+        if end.startswith(_CROSSPOINT):
+            places[end, ROW] = line
+        elif line < len(line_at):
+            places[end, LINE] = line_at[line]
         if reference >= 0:
-            known[REF] = reference
-        places = []
+            places[end, REF] = reference
+        own = []
         for name in (*equations.nodes, *(f"branch {name}" for name in equations.branches)):
-            if name not in known:
-                known[name] = count
+            if (end, name) not in places:
+                places[end, name] = count
                 count += 1
-            places.append(known[name])
-        located.append((template, np.array(places, dtype=np.intp), known))
-        if rows <= line < rows + columns and read[line - rows]:
-            outputs[line - rows] = known[ends.out]
-    static, dynamic, source = np.zeros((count, count)), np.zeros((count, count)), np.zeros(count)
+            own.append(places[end, name])
+        located.append((template._replace(end=end), np.array(own, dtype=np.intp)))
+        if rows <= line < rows + columns and read[line - rows] and not end.startswith(_CROSSPOINT):
+            outputs[line - rows] = places[end, ends.out]
+    static, source = np.zeros((count, count)), np.zeros(count)
     every = np.arange(rows + columns)
     static[np.ix_(every, every)] = -ports
     static[every, every] += ports.sum(axis=1) + _LEAK * max(float(ports.max(initial=0.0)), 1e-12)
     through = np.where(np.isinf(lead[behind]), 0.0, 1.0 / lead[behind])
-    for a, b in ((rows + behind, at_end[behind]), (at_end[behind], rows + behind)):
-        np.add.at(static, (a, a), through)
-        np.add.at(static, (a, b), -through)
-    anodes, cathodes, saturation, emission = [], [], [], []
+    _join(static, rows + behind, at_end[behind], through)
+    if crosspoints:
+        at_rows, at_columns = np.nonzero(cells)
+        _join(static, at_rows, rows + at_columns, -cells[cells > 0])
+        inner = np.array([places[end, CELL] for end, *_ in crosspoints])
+        _join(static, inner, rows + at_columns, cells[cells > 0])
+    diodes: list[tuple[int, int, float, float]] = []
     limits = []
-    for template, index, known in located:
-        equations = template.equations
+    for template, index in located:
         if len(index):
-            static[np.ix_(index, index)] += equations.static
-            dynamic[np.ix_(index, index)] += equations.dynamic
-            source[index] += equations.source
-        nodes = known | {GROUND: count}
-        for anode, cathode, amperes, volts in template.diodes:
-            anodes.append(nodes[anode])
-            cathodes.append(nodes[cathode])
-            saturation.append(amperes)
-            emission.append(volts)
-        limits += [(known[f"branch {name}"], nodes[out], low, high) for name, out, low, high in template.limits]
+            static[np.ix_(index, index)] += template.equations.static
+            source[index] += template.equations.source
+
+        def node(name: str, end: str = template.end) -> int:
+            return count if name == GROUND else places[end, name]
+
+        diodes += [(node(anode), node(cathode), amperes, volts) for anode, cathode, amperes, volts in template.diodes]
+        limits += [(node(f"branch {name}"), node(out), low, high) for name, out, low, high in template.limits]
     nothing = np.flatnonzero(~static.any(axis=1))
     static[nothing, nothing] = 1e-12
-    diodes = np.array(anodes, np.intp), np.array(cathodes, np.intp), np.array(saturation), np.array(emission)
-    return System(static, source, outputs, diodes, tuple(limits), dynamic)
+    anodes, cathodes = (np.array([diode[side] for diode in diodes], np.intp) for side in (0, 1))
+    saturation, emission = (np.array([diode[side] for diode in diodes]) for side in (2, 3))
+    return System(static, source, outputs, (anodes, cathodes, saturation, emission), tuple(limits), places)
+
+
+def _join(static: FloatArray, here: IntArray, there: IntArray, conductance: FloatArray) -> None:
+    """Add conductances in S between pairs of unknowns."""
+    for a, b in ((here, there), (there, here)):
+        np.add.at(static, (a, a), conductance)
+        np.add.at(static, (a, b), -conductance)
+
+
+def _crosspoints(ends: LineEnds, ports: FloatArray) -> tuple[FloatArray, list[tuple[str, int, Network]]]:
+    """S of the cells (N, M), and the network of each that conducts, with the number of its row.
+
+    The lines have no resistance between the cells and the rows no leads: ports are joined by cells alone.
+    """
+    rows = len(ends.selected)
+    cells = ports[:rows, rows:]
+    if not ends.crosspoint:
+        return cells, []
+    places = zip(*np.nonzero(cells), strict=True)
+    return cells, [(f"{_CROSSPOINT}{i}_{j}", int(i), ends.held(ends.crosspoint)) for i, j in places]
 
 
 def solve(system: System, start: FloatArray | None = None) -> Solution:
@@ -181,7 +216,7 @@ def solve(system: System, start: FloatArray | None = None) -> Solution:
         padded = np.append(start, 0.0)
         junction = np.minimum(padded[anode] - padded[cathode], critical)
     state = [0] * len(system.limits)
-    gmin = 1e-12
+    gmin, before = 1e-12, inf
     for attempt in range(_MOST_STEPS):
         static, source = system.static.copy(), system.source.copy()
         for (equation, output, low, high), side in zip(system.limits, state, strict=True):
@@ -194,13 +229,7 @@ def solve(system: System, start: FloatArray | None = None) -> Solution:
             conductance = saturation / emission * exponential + gmin
             current = saturation * (exponential - 1.0) + gmin * junction
             _stamp(static, source, system.diodes, conductance, current - conductance * junction)
-        try:
-            inverse: FloatArray = np.linalg.inv(static).astype(np.float64, copy=False)
-        except np.linalg.LinAlgError:
-            raise SolverError(
-                "the ends of the lines leave a potential undetermined or contradict each other; expected a path for "
-                "direct current from every node to ground"
-            ) from None
+        static, inverse = inverted_nodes(static)
         unknowns = inverse @ source
         unknowns += inverse @ (source - static @ unknowns)
         padded = np.append(unknowns, 0.0)
@@ -213,16 +242,37 @@ def solve(system: System, start: FloatArray | None = None) -> Solution:
             sides = [
                 side if place == first else old for place, (side, old) in enumerate(zip(sides, state, strict=True))
             ]
-        if sides == state and moved <= _CONVERGED * (1.0 + float(np.abs(junction).max(initial=0.0))):
+        near = _CONVERGED * (1.0 + float(np.abs(junction).max(initial=0.0)))
+        if sides == state and (moved <= near or _STANDS * before <= moved <= _ROUNDING * near):
             break
-        state = sides
+        state, before = sides, moved
     else:
         raise SolverError(f"no operating point of the ends' diodes or limits was found in {_MOST_STEPS} steps")
     magnitude = np.abs(static) @ np.abs(unknowns) + np.abs(source)
     residual = np.abs(source - static @ unknowns) + (size + 3) * ULP * magnitude
     error = 2.0 * (np.abs(inverse) @ residual) + 2.0 * moved + ULP * np.abs(unknowns)
+    if np.abs(unknowns).max(initial=0.0) > _MOST_VOLTS:
+        raise SolverError(
+            "ideal sources at the ends of the lines contradict each other; expected resistances between them"
+        )
     limited = [output for (_, output, *_), side in zip(system.limits, state, strict=True) if side]
     return Solution(unknowns, inverse, error, np.array(limited, dtype=np.intp))
+
+
+def inverted_nodes(static: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Equations (U, U) and their inverse. Where nothing holds some nodes, a leak to ground that is added does.
+
+    Raises:
+        SolverError: ideal sources contradict each other.
+
+    """
+    try:
+        return static, np.linalg.inv(static).astype(np.float64, copy=False)
+    except np.linalg.LinAlgError:
+        pass
+    static = static + _LOOSE * float(np.abs(static).max()) * np.eye(len(static))
+    inverse = np.linalg.inv(static).astype(np.float64, copy=False)
+    return static, inverse
 
 
 def _stamp(
@@ -316,9 +366,11 @@ def node_groups(board: Parts, ports: FloatArray) -> Iterator[SensitivityGroup]:
 
 def _steps(board: Parts, ports: FloatArray) -> Iterator[tuple[int, BoolArray, System, Solution]]:
     start: dict[int, FloatArray] = {}
+    ends = board.line_ends
+    assert ends is not None
     for row in range(board.shape[0]):
         for turn, read in enumerate(board.turns):
-            system = step_system(board, ports, row, read)
+            system = step_system(board, ports, ends.of_step(row, read), read)
             found = solve(system, start.get(turn))
             start[turn] = found.unknowns
             yield row, read, system, found
@@ -331,7 +383,9 @@ def alone(ends: LineEnds, row: int, column: int, conductance: FloatArray) -> Flo
     start = None
     for siemens in conductance:
         network = np.array([[0.0, siemens], [siemens, 0.0]])
-        system = step_system(board, network, 0, np.array([True]))  # type: ignore[arg-type]  # what it needs of Parts
+        read = np.array([True])
+        networks = board.line_ends.of_step(0, read)
+        system = step_system(board, network, networks, read)  # type: ignore[arg-type]  # what it needs of Parts
         solution = solve(system, start)
         start = solution.unknowns
         found.append(solution.unknowns[system.outputs[0]])
@@ -353,4 +407,5 @@ class _One:
             shared_by=1,
             reference=ends.reference,
             level=ends.level,
+            crosspoint=ends.crosspoint,
         )

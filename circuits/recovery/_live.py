@@ -29,12 +29,15 @@ def live_recovery(design: Design, *, accuracy: float | None = None) -> LiveRecov
             :data:`._live_reading.ACCURACY`.
 
     Raises:
-        InputError: the design has no [adc], the accuracy is not between 0 and 1, or the board is too large.
+        InputError: the design has no [adc], the accuracy is not between 0 and 1, the board is too large, or its
+            circuit does not determine the cells.
 
     """
     if design.adc is None:
         raise InputError("the design has no [adc] section; expected bits and range")
     board, rule = design.board, ValidityRule.of(accuracy)
+    if why := board.circuit.ambiguity(board):
+        raise InputError(f"the cells cannot be recovered from readings: {why}")
     law = board.circuit.port_law(board, np.zeros(board.shape[1]))
     if law is None:
         return FitLive(board, rule)

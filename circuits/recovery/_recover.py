@@ -97,6 +97,8 @@ class Recoverer:
         """As :func:`recover`."""
         if not least_ohm >= 0:
             raise InputError(f"least_ohm is {least_ohm}; expected ohm >= 0")
+        if why := design.board.circuit.ambiguity(design.board):
+            raise SolverError(f"the cells cannot be recovered from readings: {why}")
         self._design, self._accuracy = design, accuracy
         self._board = board = design.board
         self._independent_columns = columns_are_independent(board)

@@ -1,4 +1,8 @@
-"""The command ngspice, run on a netlist."""
+"""The command ngspice, run on a netlist: without ``.spiceinit``, and within limits of time, memory and output.
+
+A netlist may hold a maker's model, which is a program of somebody else. Its author decides neither how long the run
+takes nor how much memory or disk.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +17,30 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...common.files import size
+from ...common.system import POSIX
 from ...errors import MissingExtra, SolverError
 
-LEAST_LIMIT_S, LIMIT_PER_CARD_S = 20, 0.05
-"""of processor time for one run of the command, as a constant and by cards of the netlist; a macro-model may find no
-convergence for ever"""
+LEAST_LIMIT_S, LIMIT_PER_CARD_S, MOST_LIMIT_S = 20, 0.05, 1800
+"""of processor time for one run of the command, as a constant and by cards of the netlist, and whatever it says; a
+macro-model may find no convergence for ever"""
 _WAITING = 20.0
 """ratio of time to processor time on a busy machine, beyond which a run is given up all the same"""
+MOST_MEMORY = 2 * 2**30
+"""bytes of address space of the command; a netlist of 128 x 128 cells with segments takes 0.13 GB"""
+MOST_OUTPUT = 2**30
+"""bytes of each file that the command writes: results, and what it says"""
+MOST_SAID = 2**24
+"""bytes that are read of what it says"""
+_LIMITED = 'ulimit -t "$0"; ulimit -v "$1" 2>/dev/null; ulimit -f "$2"; shift 2; exec "$@"'
+"""for ``sh``: seconds, KiB (macOS has no such limit) and blocks of 512 bytes, then the command"""
+_ENDS = {
+    "SIGXCPU": "{limit_s} s of processor time",
+    "SIGKILL": "{limit_s} s of processor time",
+    "SIGXFSZ": "{output} of output",
+    "SIGSEGV": "its limits: it crashed",
+}
+"""by the signal that ended it"""
 COMMAND = "*# "
 """begins a line that ngspice runs, and that other simulators take for a comment"""
 Vectors = dict[str, NDArray[Any]]
@@ -44,12 +65,46 @@ def run_command(text: str) -> Vectors:
         raise MissingExtra(reason)
     with tempfile.TemporaryDirectory(prefix="ohmskin-") as folder:
         raw = Path(folder, "result.raw")
-        command = ["ngspice", "-b", "-r", str(raw)]
         # A raw file is written whatever comes of the analysis; what was said tells.
-        process = subprocess.run(command, input=text, text=True, capture_output=True, check=False, cwd=folder)
-        if "abort" in process.stderr or not raw.exists():
-            raise SolverError(f"ngspice gave no result: {gist(process.stderr)}")
+        _, said = _run(text, "-r", str(raw), folder=folder)
+        if "abort" in said or not raw.exists():
+            raise SolverError(f"ngspice gave no result: {gist(said)}")
         return _read_raw(raw.read_bytes())
+
+
+def _run(text: str, *options: str, folder: str) -> tuple[str, str]:
+    """What ngspice writes to its standard output and error about a netlist. Raises SolverError beyond the limits."""
+    # -n: no .spiceinit, whose commands could do anything.
+    command = ["ngspice", "-n", "-b", *options]
+    limit_s = round(min(LEAST_LIMIT_S + LIMIT_PER_CARD_S * text.count("\n"), MOST_LIMIT_S))
+    if POSIX:
+        command = ["sh", "-c", _LIMITED, str(limit_s), str(MOST_MEMORY // 2**10), str(MOST_OUTPUT // 512), *command]
+    out, errors = Path(folder, "stdout"), Path(folder, "stderr")
+    try:
+        with out.open("wb") as to_out, errors.open("wb") as to_errors:
+            process = subprocess.run(
+                command,
+                input=text.encode(),
+                stdout=to_out,
+                stderr=to_errors,
+                check=False,
+                timeout=_WAITING * limit_s,
+                cwd=folder,
+            )
+    except subprocess.TimeoutExpired as error:
+        raise SolverError(f"ngspice found no result within {_WAITING * limit_s:g} s") from error
+    said = []
+    for path in (out, errors):
+        with path.open("rb") as file:
+            said.append(file.read(MOST_SAID).decode(errors="replace"))
+    if re.search("out of memory|can't allocate", said[1]):
+        raise SolverError(f"ngspice found no result within {size(MOST_MEMORY)} of memory")
+    ended_by = {getattr(signal, name, None): what for name, what in _ENDS.items()}.get(-process.returncode)
+    if ended_by is not None:
+        raise SolverError(
+            f"ngspice found no result within {ended_by.format(limit_s=limit_s, output=size(MOST_OUTPUT))}"
+        )
+    return said[0], said[1]
 
 
 def run_control(text: str) -> dict[str, float]:
@@ -87,28 +142,12 @@ def simulate(text: str, *, pspice: bool = False) -> Simulated:
     """
     if reason := command_available():
         raise MissingExtra(reason)
-    command = ["ngspice", "-n", "-b"]  # -n: no .spiceinit, whose commands could change the results
-    if pspice:
-        # In this mode ngspice takes *# for a comment, but runs .control blocks.
-        command[1:1] = ["-D", "ngbehavior=psa"]
-        text = _with_control_block(text)
-    limit = round(LEAST_LIMIT_S + LIMIT_PER_CARD_S * text.count("\n"))
-    try:
-        process = subprocess.run(
-            ["sh", "-c", 'ulimit -t "$0"; exec "$@"', str(limit), *command],
-            input=text,
-            text=True,
-            errors="replace",
-            capture_output=True,
-            check=False,
-            timeout=_WAITING * limit,
-        )
-    except subprocess.TimeoutExpired as error:
-        raise SolverError(f"ngspice found no result within {_WAITING * limit:g} s") from error
-    if process.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
-        raise SolverError(f"ngspice found no result within {limit} s of processor time")
-    printed = re.findall(r"^(\w+) = (\S+)\s*$", process.stdout, flags=re.MULTILINE)
-    said = process.stderr + process.stdout
+    # In PSpice's mode ngspice takes *# for a comment, but runs .control blocks.
+    options = ["-D", "ngbehavior=psa"] if pspice else []
+    with tempfile.TemporaryDirectory(prefix="ohmskin-") as folder:
+        out, errors = _run(_with_control_block(text) if pspice else text, *options, folder=folder)
+    printed = re.findall(r"^(\w+) = (\S+)\s*$", out, flags=re.MULTILINE)
+    said = errors + out
     if not printed:
         raise SolverError(f"ngspice gave no result: {gist(said)}")
     dropped = re.findall(r"unrecognized parameter \((\w+)\) - ignored", said)

@@ -12,6 +12,7 @@ import os
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 from ...common.extras import install_command
@@ -72,11 +73,21 @@ def _library() -> Any:
             from PySpice.Spice.NgSpice.Shared import NgSpiceShared  # here, because it is optional
 
             NgSpiceShared.LIBRARY_PATH = path  # its own guess needs the library's development link
+            if not NgSpiceShared._instances:
+                _refuse_commands()
             return NgSpiceShared.new_instance()
     except ImportError as error:
         raise MissingExtra(f"PySpice is not installed: {install_command('spice')}") from error
     except OSError as error:
         raise MissingExtra(f"libngspice cannot be loaded from {path}: {error}") from error
+
+
+def _refuse_commands() -> None:
+    """MissingExtra where libngspice would run a file of commands when it starts, which no option of it prevents."""
+    for folder in (Path(), Path.home(), Path(os.environ.get("SPICE_USERINIT_DIR", ""))):
+        for name in (".spiceinit", "spice.rc"):
+            if (path := folder / name).exists():
+                raise MissingExtra(f"libngspice would run the commands in {path}; the command ngspice is kept from it")
 
 
 @contextmanager

@@ -1,0 +1,31 @@
+"""``Converted``: the values of one frame, as :class:`._convert.Converter` hands them over."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..common.arrays import BoolArray, FloatArray
+from ._contacts import PressureView
+from ._lazy import Lazy
+
+
+class Converted(NamedTuple):
+    """What a frame is converted to. Arrays are (rows, columns) and read-only."""
+
+    valid: BoolArray
+    reason: NDArray[np.int8]
+    """why a cell is not valid: a :class:`ohmskin.circuits.Reason` each"""
+    resistance: FloatArray
+    """ohm"""
+    pressure: FloatArray
+    """kPa"""
+    pressure_std: Lazy
+    """kPa"""
+    view: PressureView
+    rest_counts: FloatArray
+    """where the circuit is not known; else 0"""
+    estimator_starts: int
+    """number of times that the estimator has started without memory, up to this frame"""
