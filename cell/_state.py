@@ -15,16 +15,3 @@ class CellState(Record):
     """kPa per unit of ``level``, by which its errors enter the pressure"""
     variance_kpa2: float
     """by the uncertainty of the inversion itself"""
-
-
-class NoiseState(Record):
-    """The noise of one cell, by `estimation._noise`."""
-
-    variance: float
-    """of the cell's noise at rest"""
-    crowd: float
-    """recent fraction of outliers among the third differences"""
-    blind: float
-    """number of further frames for which the window contains a substituted reading"""
-    resolution: float
-    """standard deviation of r at rest by quantisation; 0: not known"""

@@ -36,7 +36,7 @@ ROOMS = [*MAY_IMPORT, "errors", "cli"]
 CELL_MAY_IMPORT = {
     "_state": set(),
     "materials": set(),
-    "estimation": {"_state"},
+    "estimation": {"_state", "materials"},
     "inversions": {"_state", "materials", "estimation"},
     "_cell": {"materials", "estimation", "inversions"},
     "identification": {"materials", "estimation", "inversions", "_cell"},

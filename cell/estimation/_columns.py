@@ -20,7 +20,7 @@ RARE = 2.5
 """z beyond which a load on the whole column is likelier, and nothing is taken out of the frame"""
 CLIPPED = 3.0
 """standard deviations of an innovation"""
-WHITE = 0.1
+WHITE = 0.05
 """weight of a frame in the recent mean of a column's z"""
 
 
@@ -69,4 +69,4 @@ def share_each(
                 move = 0.0 if loaded else shared[i] * z - lasting + min(max(lasting, -held[i]), held[i])
                 low[i] -= move
                 high[i] -= move
-                var[i] += shared[i] * shared[i] / others
+                var[i] += shared[i] * shared[i] * (1.0 if loaded else 1.0 / others + WHITE / (2.0 - WHITE))

@@ -95,6 +95,8 @@ class Estimator:
         """(columns,) recent mean of what columns share"""
         self._read = np.zeros(count, dtype=np.bool_)
         """(n,) whether each cell has been read"""
+        self._known = np.zeros(count, dtype=np.bool_)
+        """(n,) whether each cell was read in the last frame: what was before a gap says nothing without a memory"""
         self._sleeps = np.zeros(count)
         self._pressure, self._variance = np.full((2, count), np.nan)
         self._level_variance = np.zeros(count)
@@ -168,7 +170,8 @@ class Estimator:
             raise InputError(f"a frame follows {elapsed_s} s after the last; expected time stamps that increase")
         dt = float(elapsed_s) if self._frames else 1.0
         low, high, var, known, slope = self._readings(conductance, noise_variance, half_step, bounds)
-        new = np.flatnonzero(known & ~self._read)
+        begins = ~self._read if self.inversion.remembers else ~self._known
+        new, self._known = np.flatnonzero(known & begins), known
         if new.size:
             self._begin(new, 0.5 * (low + high)[new])
         marks = np.where(known, 1.0, np.where(self._read, 0.0, -1.0))
@@ -287,7 +290,7 @@ class Estimator:
         asleep = self._watches["asleep"] > 0.0
         self._level_variance = variance
         self._states["level"] = load * self._unit
-        return np.flatnonzero(self._read & ~asleep)
+        return np.flatnonzero((marks > 0.0) & ~asleep)
 
     def _settled(self) -> FloatArray:
         """(n,) 1 where the memory of the inversion is that of rest."""
@@ -378,7 +381,11 @@ class Estimator:
         own = {"cells": values(self._cells), "befores": values(self._befores), "watches": values(self._watches)}
         own |= {"states": values(self._states), "memory": values(self._memory), "columns": self._columns}
         own |= {"step_std": self._step_std, "sleeps": self._sleeps, "pressure": self._pressure}
-        own |= {"variance": self._variance, "read": self._read.astype(np.float64)}
+        own |= {
+            "variance": self._variance,
+            "read": self._read.astype(np.float64),
+            "known": self._known.astype(np.float64),
+        }
         own["clock"] = np.array([self._frames, self._since_forgot_s, self.rest_error])
         own |= self._noise.state()
         return {name: np.array(value, dtype=np.float64) for name, value in own.items()}
@@ -400,7 +407,8 @@ class Estimator:
             values(kept)[...] = given[name]
         if given["step_std"].any():
             self.resolve(given["step_std"].reshape(self.shape), self.rest_ohm)
-        self._columns, self._sleeps, self._read = given["columns"], given["sleeps"], given["read"] > 0
+        self._columns, self._sleeps = given["columns"], given["sleeps"]
+        self._read, self._known = given["read"] > 0, given["known"] > 0
         self._pressure, self._variance = given["pressure"], given["variance"]
         frames, self._since_forgot_s, self.rest_error = given["clock"].tolist()
         self._frames = int(frames)
