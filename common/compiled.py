@@ -268,6 +268,7 @@ class Loop(Generic[P, R]):
         own.__module__, own.__qualname__ = plain.__module__, f"{plain.__qualname__}_{self._stamp()[:16]}"
         return own
 
+    @cache  # noqa: B019 - kernels live as long as the process
     def _signature(self) -> Any:
         hints = get_type_hints(self.function, include_extras=True)
         answer = _numba_type(hints.pop("return"))
@@ -386,7 +387,9 @@ def _without_dispatcher(compiled: Any) -> Any:
     return getattr(only, "entry_point", compiled)  # no part of what Numba promises
 
 
+@cache
 def _numba_type(hint: Any) -> Any:
+    """The type that Numba has for a hint; kept, since records take it a millisecond each."""
     from numba import from_dtype, types
 
     if get_origin(hint) is Annotated:
