@@ -1,23 +1,9 @@
 """The piezoresistive cell: pressure to resistance, and back."""
 
+from typing import TYPE_CHECKING, Any
+
 from ._cell import ESTIMATORS, Cell
 from .estimation import Estimator
-from .identification import (
-    CalibrationResult,
-    Recording,
-    calibrate,
-    calibration_figure,
-    calibration_record,
-    calibration_text,
-    check_protocol,
-    check_resistances,
-    checked_recording,
-    estimate_recording,
-    protocol_load,
-    protocol_text,
-    read_recording,
-    recovery_branches,
-)
 from .materials import (
     AsymmetricModel,
     ContactModel,
@@ -27,6 +13,34 @@ from .materials import (
     Percolation,
     drifted_rest_resistance,
 )
+
+if TYPE_CHECKING:
+    from .identification import (
+        CalibrationResult,
+        Recording,
+        calibrate,
+        calibration_figure,
+        calibration_record,
+        calibration_text,
+        check_protocol,
+        check_resistances,
+        checked_recording,
+        estimate_recording,
+        protocol_load,
+        protocol_text,
+        read_recording,
+        recovery_branches,
+    )
+else:
+
+    def __getattr__(name: str) -> Any:
+        """What identifies cells, imported when it is asked for: a driver does not need it (PEP 562)."""
+        if name not in __all__:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        from . import identification
+
+        return getattr(identification, name)
+
 
 __all__ = [
     "ESTIMATORS",

@@ -17,9 +17,9 @@ from math import isinf, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from scipy.constants import Boltzmann, elementary_charge
 
 from ...common.arrays import BoolArray, FloatArray, IntArray
+from ...common.constants import BOLTZMANN, ELEMENTARY_CHARGE
 from ...errors import SolverError
 from .._parts import Parts
 from ..ends import GROUND, LINE, REF, Card, Equations, LineEnds, Network
@@ -27,7 +27,7 @@ from ..solvers import ULP
 from ._adjoint import SensitivityGroup
 from ._circuit import Reading
 
-THERMAL_V = Boltzmann * 300.15 / elementary_charge
+THERMAL_V = BOLTZMANN * 300.15 / ELEMENTARY_CHARGE
 """kT/q at SPICE's usual temperature, 27 degrees Celsius"""
 _LEAK = 1e-20  # of the largest conductance, from each node to ground: sets nodes that nothing else holds
 _LOOSE = 1e-13  # of the largest conductance: the same for islands of nodes that nothing else holds

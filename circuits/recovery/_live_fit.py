@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 
 from ...common.arrays import BoolArray, FloatArray
 from ...errors import InputError, SolverError
@@ -274,6 +273,8 @@ class FitLive:
             numpy.linalg.LinAlgError: parts of the grid have no connection.
 
         """
+        from scipy.linalg.lapack import dpotrf, dpotri
+
         cells = np.exp(-np.clip(log, -_LARGEST, _LARGEST)).reshape(self._shape)
         volts = self._quick(cells)
         slope = np.abs(self._board.circuit.log_conductance_slope(self._board, volts - self._board.level)).ravel()
@@ -295,6 +296,8 @@ class FitLive:
         std = np.sqrt(variance + (covariance * covariance) @ more)
 
         def solve(apart: FloatArray) -> FloatArray:
+            from scipy.linalg.lapack import dpotrs
+
             step: FloatArray = dpotrs(factor, jacobian.T @ (apart / self._std), lower=1)[0]
             return step
 

@@ -22,7 +22,6 @@ from math import inf, pi
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import expm
 
 from ...common.arrays import ComplexArray, FloatArray, IntArray
 from ...errors import InputError
@@ -197,6 +196,8 @@ class Circuit(NamedTuple):
 
     def after(self, deviation: FloatArray, seconds: float) -> FloatArray:
         """Deviations (S, ...) of the nodes from their settled voltages, some time after a switch has turned."""
+        from scipy.linalg import expm
+
         if not self.is_modal:
             left: FloatArray = self.back @ expm(self.matrix * seconds) @ (self.into @ deviation)
             return left

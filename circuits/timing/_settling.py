@@ -12,7 +12,6 @@ from math import inf, pi
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq, minimize_scalar
 
 from ...common.arrays import FloatArray
 from ...errors import InputError, SolverError
@@ -107,6 +106,8 @@ class Settling:
             SolverError: no period suffices, because the acquisition time is too short for the sampling capacitor.
 
         """
+        from scipy.optimize import minimize_scalar
+
         if not 0 < error < 1:
             raise InputError(f"settling error {error}: expected a fraction between 0 and 1 of the largest signal")
         briefest, unhurried = self._scan.briefest, self._scan.unhurried
@@ -161,6 +162,8 @@ _NEAR = 0.1  # of the limit; between two steps of a quarter of a radian an error
 
 def _crossing(excess: Callable[[float], float], lower: float, upper: float) -> float:
     """Time at which ``excess`` falls to zero, between ``lower`` (positive there) and ``upper`` (not positive)."""
+    from scipy.optimize import brentq
+
     fine = 1e-9 * upper
     at, beyond = float(brentq(excess, lower, upper, xtol=fine, rtol=1e-12)), fine
     while at < upper and excess(at) > 0:
