@@ -18,7 +18,7 @@ LOOP   := emulator/firmware
 # The packages below ohmskin: in a checkout src/ohmskin links to the folders at the top.
 ROOMS  := $(filter-out __pycache__,$(notdir $(patsubst %/,%,$(wildcard src/ohmskin/*/))))
 
-.PHONY: demo test test-all test-newest test-environment lint links system-demo-packages system-demo-install system-test-packages clean
+.PHONY: demo test test-all test-newest test-environment lint lock sbom links system-demo-packages system-demo-install system-test-packages clean
 
 demo: system-demo-packages $(VENV)/demo.stamp
 	@$(BIN)/ohmskin verify -o ohmskin-report; code=$$?; \
@@ -54,6 +54,27 @@ lint: $(VENV)/dev.stamp
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+# What `make demo` and `make test` install: versions and hashes, of all platforms and Pythons that pyproject.toml allows,
+# and of what builds ohmskin itself. Versions stay as they are where pyproject.toml still allows them;
+# `make lock UPGRADE=--upgrade` takes the newest. tests/test_locks.py tells a lock that is not current.
+LOCKS := locks/dev.txt locks/demo.txt
+lock: $(VENV)/dev.stamp
+	$(call compile,dev,dev)
+	$(call compile,report,demo,--constraints locks/dev.txt)
+
+define compile
+$(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"], sep="\n")' | \
+	 UV_CUSTOM_COMPILE_COMMAND="make lock" $(BIN)/uv pip compile -q pyproject.toml - --extra $(1) --universal \
+	 --python-version 3.11 --generate-hashes --no-emit-index-url --no-emit-find-links $(3) $(UPGRADE) -o locks/$(2).txt
+endef
+
+# The software bills of materials of both (CycloneDX).
+sbom: $(VENV)/dev.stamp
+	@mkdir -p build
+	for lock in $(LOCKS); do \
+	   PYTHONWARNINGS=ignore $(BIN)/cyclonedx-py requirements $$lock --pyproject pyproject.toml --output-reproducible \
+	     -o build/sbom-$$(basename $$lock .txt).cdx.json || exit 1; done
+
 # Install those of the packages $(1) that are missing.
 define install
 	@missing=""; for p in $(1); do \
@@ -85,12 +106,9 @@ $(BIN)/python:
 	   $(SUDO) apt-get update -qq && DEBIAN_FRONTEND=noninteractive $(SUDO) apt-get install -y -qq python3-venv >/dev/null; }
 	$(PYTHON) -m venv $(VENV)
 
-$(VENV)/demo.stamp: $(BIN)/python pyproject.toml | links
-	$(BIN)/pip install -q --disable-pip-version-check -e '.[report]'
-	@touch $@
-
-$(VENV)/dev.stamp: $(BIN)/python pyproject.toml | links
-	$(BIN)/pip install -q --disable-pip-version-check -e '.[dev]'
+$(VENV)/%.stamp: $(BIN)/python pyproject.toml locks/%.txt | links
+	$(BIN)/pip install -q --disable-pip-version-check --require-hashes -r locks/$*.txt
+	$(BIN)/pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@
 
 clean:

@@ -20,7 +20,7 @@ import gc
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from time import monotonic, process_time
+from time import process_time
 from types import MappingProxyType
 from typing import Any
 
@@ -59,7 +59,7 @@ CASES: tuple[tuple[str, str, int, int], ...] = (
     ("inverting-amplifier", "float", 12, 0),
 )
 """circuit, idle rows, ADC bits, saturated cells"""
-APART_S = 1e3  # from packet to packet on the port's own clock, beside which no real time counts
+APART_S = 1.0 / FRAME_RATE_HZ  # from packet to packet on the port's own clock, as on the board's
 _PROTOCOL_STEP_S = 0.05  # between the samples of the calibration
 LARGEST_FLOATING = 32  # side beyond which boards with floating rows are left out: minutes
 
@@ -276,8 +276,8 @@ def _old_objects_kept() -> Iterator[None]:
 
 
 def port_of(packets: list[bytes], board: Design) -> PacedPort:
-    """A port with the clock that real ports have: one of processor time takes ten times as long to look at."""
-    return PacedPort(packets, APART_S, board, clock=monotonic)
+    """A port whose clock stands while a frame is worked on, so that its packets come as regularly as they were sent."""
+    return PacedPort(packets, (1.0 - 1e-9) * APART_S, board, clock=float)
 
 
 @contextlib.contextmanager

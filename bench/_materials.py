@@ -125,6 +125,12 @@ def m10(load: FloatArray, dt_s: float, rng: np.random.Generator) -> FloatArray:
     return _of(model, load, dt_s)
 
 
+def contact(load: FloatArray, dt_s: float, rng: np.random.Generator) -> FloatArray:
+    """Electrodes that touch: a power law with random exponent and range, without memory."""
+    exponent, rest = rng.uniform(0.6, 1.6), np.exp(rng.uniform(np.log(5.0), np.log(300.0)))
+    return np.asarray(1.0 / (1.0 / rest + np.maximum(load, 0.0) ** exponent) / rest - 1.0)
+
+
 def _of(model: PaperModel | AsymmetricModel | M10Model, load: FloatArray, dt_s: float) -> FloatArray:
     """A forward model of the product with a full scale of 1 kPa."""
     cell = Cell(rest_resistance_ohm=1.0, full_scale_kpa=1.0, model=model)
@@ -138,6 +144,7 @@ MATERIALS: dict[str, Material] = {
     "asymmetric": asymmetric,
     "m10": m10,
     "paper": paper,
+    "contact": contact,
 }
 
 
@@ -262,6 +269,59 @@ def alike(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
     return np.concatenate([first, later]), len(first) * dt_s
 
 
+def gripping(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
+    """Presses of random height and length that waver, with short rests between."""
+    points = [(0.0, 0.0), (4.0, 0.0)]
+    while sum(seconds for seconds, _ in points) < 300.0:
+        level, wavers = rng.uniform(0.1, 1.0), rng.random() < 0.4
+        points.append((rng.uniform(0.05, 1.5), level))
+        for _ in range(rng.integers(2, 20) if wavers else 1):
+            points.append((rng.uniform(0.3, 1.0), level * (rng.uniform(0.7, 1.0) if wavers else 1.0)))
+        points += [(rng.uniform(0.05, 1.5), 0.0), (rng.exponential(1.5) + dt_s, 0.0)]
+    return _half(_along(points, dt_s), dt_s)
+
+
+def taps(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
+    """Series of short taps, half a second apart, and rests of some seconds."""
+    points = [(0.0, 0.0), (5.0, 0.0)]
+    while sum(seconds for seconds, _ in points) < 240.0:
+        for _ in range(rng.integers(1, 8)):
+            points += [(0.1, rng.uniform(0.2, 1.0)), (rng.uniform(0.05, 0.2), points[-1][1]), (0.1, 0.0), (0.4, 0.0)]
+        points.append((rng.uniform(2, 12), 0.0))
+    return _half(_along(points, dt_s), dt_s)
+
+
+def walking(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
+    """Steps of a foot, about one in 1.2 s with two humps each, and pauses of standing between."""
+    points = [(0.0, 0.0), (5.0, 0.0)]
+    while sum(seconds for seconds, _ in points) < 240.0:
+        for _ in range(rng.integers(6, 20)):
+            weight = rng.uniform(0.8, 1.0)
+            points += [
+                (0.15, weight),
+                (0.2, 0.75 * weight),
+                (0.2, 0.95 * weight),
+                (0.15, 0.0),
+                (rng.uniform(0.4, 0.6), 0.0),
+            ]
+        points += [(0.3, 0.5), (rng.uniform(2, 10), 0.5), (0.3, 0.0), (rng.uniform(1, 6), 0.0)]
+    return _half(_along(points, dt_s), dt_s)
+
+
+def steps(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
+    """Stairs of random levels that are held for 2 to 20 s."""
+    points = [(0.0, 0.0), (5.0, 0.0)]
+    while sum(seconds for seconds, _ in points) < 400.0:
+        level = 0.0 if rng.random() < 0.3 else rng.uniform(0.1, 1.0)
+        points += [(0.2, level), (rng.uniform(2, 20), level)]
+    return _half(_along(points, dt_s), dt_s)
+
+
+def _half(load: FloatArray, dt_s: float) -> tuple[FloatArray, float]:
+    """A load of which the first half is learned from."""
+    return load, 0.5 * len(load) * dt_s
+
+
 LOADS: dict[str, Load] = {
     "cyclic": cyclic,
     "one cycle": one_cycle,
@@ -273,4 +333,8 @@ LOADS: dict[str, Load] = {
     "slower": slower,
     "mostly rest": mostly_rest,
     "alike": alike,
+    "gripping": gripping,
+    "taps": taps,
+    "walking": walking,
+    "steps": steps,
 }

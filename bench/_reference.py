@@ -60,6 +60,8 @@ def reference_volts(design: Design, resistance: ArrayLike) -> FloatArray:
     cells = design.resistance(resistance)
     rows, columns = cells.shape
     volts = np.empty(cells.shape)
+    if design.is_described:
+        raise NotImplementedError("bench/_reference.py has no equations of networks; tests/test_ends.py asks ngspice")
     if design.readout.circuit not in CIRCUITS:
         raise NotImplementedError(f"bench/_reference.py has no equations of the readout '{design.readout.circuit}'")
     circuit, idle_columns = design.readout.circuit, design.readout.idle_columns

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
-from ._cell import ESTIMATORS, Cell
+from ._cell import ESTIMATORS, Calibrated, Cell
 from .estimation import Estimator
 from .materials import (
     AsymmetricModel,
@@ -41,6 +41,14 @@ else:
 
         return getattr(identification, name)
 
+
+def _learned_from_model(cell: Cell) -> Calibrated:
+    from .identification import learned_from_model
+
+    return learned_from_model(cell)
+
+
+Cell.learned_from_model = staticmethod(_learned_from_model)
 
 __all__ = [
     "ESTIMATORS",

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import importlib.resources
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal, Self, get_args
+from typing import ClassVar, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,9 +17,6 @@ from ..common.config import NotNegative, Positive, Section, load, write_toml
 from ..errors import InputError
 from .estimation import Conditions, Contact, Estimator, Inversion, Logarithm, Ratio, Scale
 from .inversions import (
-    DRIFT,
-    UNKNOWN_DRIFT,
-    AsymmetricInversion,
     EquilibriumInversion,
     Learned,
     LearnedInversion,
@@ -28,7 +26,6 @@ from .inversions import (
     StaticCurveInversion,
     SwitchedInversion,
     TurningInversion,
-    margin,
     rest_slope,
 )
 from .materials import (
@@ -45,12 +42,10 @@ from .materials import (
     resistance_on_logarithm,
 )
 
-EstimatorName = Literal["static", "paper", "inverse", "play", "distilled"]
+EstimatorName = Literal["static", "paper", "inverse", "distilled"]
 ESTIMATORS: tuple[EstimatorName, ...] = get_args(EstimatorName)
 
 
-SUREST_PERCENT = 1.0
-"""% of full scale: smaller held-out errors count as this much; presses unlike those recorded are estimated worse"""
 OPEN = 50.0
 """resistance over that under full scale, from which a contact counts as open"""
 REST_ERROR = 0.02
@@ -64,19 +59,13 @@ class Calibrated(Section):
     reason: str
     """why this estimator is the default"""
     held_out_percent: dict[EstimatorName, float]
-    """rms error on the worst fold of the recording after learning from what comes before it, % of full scale; of a
-    recording without folds, on all of it or on simulated cells, whichever is larger"""
+    """rms error on what comes after the part that was learned from, % of full scale; empty without folds: not known"""
     fold_percent: dict[EstimatorName, Numbers] = Field(default_factory=dict)
-    """the rms error on each fold, % of full scale"""
-    pressed_percent: dict[EstimatorName, float] = Field(default_factory=dict)
-    """as ``held_out_percent``, but only over samples under load: rest is easy, and may be most of a recording"""
-    drift_percent: NotNegative = 0.0
-    """mean error of the static curve under load on the fold where that error is largest, % of full scale. It measures
-    creep beyond the creep that was learned. It counts at most as three times the error of the inverse, which follows
-    the creep that its model explains"""
+    """the rms error on each fold after learning what comes right before it, % of full scale"""
+    std_kpa: NotNegative = 0.0
+    """standard deviation of the exact inverse by the error of the model, from the same errors; 0: not known"""
     seen: Seen = Seen()
     static: StaticCurve
-    play: Learned | None = None
     distilled: Learned | None = None
 
 
@@ -93,6 +82,8 @@ class Cell(Section):
     falls under load and that remembers, as of Velostat"""
     estimators: Calibrated | None = None
     """None: the cell is not calibrated, and only estimators that follow from the model are available"""
+    learned_from_model: ClassVar[Callable[[Cell], Calibrated]]
+    """makes the estimators of an uncalibrated cell; given by the face of the room, as identification is above this"""
 
     @model_validator(mode="after")
     def _one_scale(self) -> Self:
@@ -142,9 +133,9 @@ class Cell(Section):
         match self.model:
             case PaperModel():
                 return "inverse"
-            case AsymmetricModel() | M10Model() if margin(self.model, self.full_scale_kpa) > 0:
-                return "inverse"
-        return "static"
+            case ContactModel():
+                return "static"
+        return "distilled"
 
     def forward(self, shape: tuple[int, ...], *, rest_resistance_ohm: ArrayLike | None = None) -> Forward:
         """Cells of ``shape`` at rest, to be stepped through a pressure history.
@@ -219,6 +210,8 @@ class Cell(Section):
     def _inversion(self, name: str, rest_resistance_ohm: FloatArray, *, exact: bool) -> Inversion:
         """The inversion ``name`` for n cells with the resistances at rest ``rest_resistance_ohm`` (n,)."""
         model, full, learned = self.model, self.full_scale_kpa, self.estimators
+        if learned is None and name == "distilled" and isinstance(model, AsymmetricModel | M10Model):
+            learned = Cell.learned_from_model(self)
         full_r = equilibrium_gain(model, full, self.rest_resistance_ohm)
         match name:
             case "static":
@@ -233,22 +226,16 @@ class Cell(Section):
                     raise self._other_kind(name, "paper")
                 return SwitchedInversion(model, full)
             case "inverse":
-                if isinstance(model, PaperModel):
-                    return TurningInversion(model, full, exact=exact)
-                if not isinstance(model, AsymmetricModel | M10Model):
-                    raise self._other_kind(name, "paper', 'asymmetric' or 'm10")
-                return AsymmetricInversion(model, full, exact=exact)
-            case "play":
-                found = None if learned is None else learned.play
+                if not isinstance(model, PaperModel):
+                    raise self._other_kind(name, "paper")
+                return TurningInversion(model, full, exact=exact)
             case "distilled":
-                found = None if learned is None else learned.distilled
-            case _:
-                raise InputError(f"the estimator '{name}' has no case in Cell._inversion")
-        if learned is None or found is None:
-            raise InputError(
-                f"the estimator '{name}' is learned from a recording, and this cell has none: run ohmskin fit"
-            )
-        return LearnedInversion(found, learned.static, full, full_r, exact=exact)
+                if learned is None or learned.distilled is None:
+                    raise InputError(
+                        f"the estimator '{name}' is learned from a recording, and this cell has none: run ohmskin fit"
+                    )
+                return LearnedInversion(learned.distilled, learned.static, full, full_r, exact=exact)
+        raise InputError(f"the estimator '{name}' has no case in Cell._inversion")
 
     def _other_kind(self, name: str, kind: str) -> InputError:
         return InputError(f"the estimator '{name}' inverts a cell of kind '{kind}'; this one is '{self.model.kind}'")
@@ -261,11 +248,8 @@ class Cell(Section):
         learned = self.estimators
         if learned is None:
             return Conditions(noise=noise)
-        errors = learned.held_out_percent | learned.pressed_percent
-        percent = errors.get(name) if name in ("paper", "inverse") else None  # type: ignore[call-overload]
-        least = max(SUREST_PERCENT, UNKNOWN_DRIFT * learned.drift_percent)
         return Conditions(
-            model_std_kpa=0.0 if percent is None else DRIFT * max(percent, least) / 100 * self.full_scale_kpa,
+            model_std_kpa=learned.std_kpa if name in ("paper", "inverse") else 0.0,
             noise=(learned.seen.noise or None) if noise is None else noise,
             speed_kpa_per_s=learned.seen.speed_kpa_per_s,
             longest_load_s=learned.seen.longest_load_s,

@@ -132,6 +132,8 @@ def _checked(values: AnyArray, name: str, stored: Stored, path: str | Path) -> A
         if text.nbytes and (text.view(np.uint32) > sys.maxunicode).any():
             raise InputError(f"{path}: '{name}' has letters that are none")
         return values
+    if values.dtype.kind == "f":  # a half holds no limit
+        values = values.astype(np.float64, copy=False)
     kept = (values >= stored.least) & (values <= stored.most)
     if stored.kind == "whole numbers":
         kept &= (values >= -_MOST_WHOLE) & (values <= _MOST_WHOLE) & (values == np.floor(values))

@@ -5,6 +5,9 @@ cell after the other. It is a function with type annotations under the decorator
 it, or loads the machine code that an earlier process has left in ``__pycache__`` or in the user's cache. The logger
 ``ohmskin`` warns once in a process that has to compile.
 
+A live stream need not wait for the compiler (:func:`compile_aside`): another process compiles, and kernels run as plain
+Python until then.
+
 Without machine code (:data:`SWITCH` or Numba's own :data:`NUMBA_SWITCH`) the same functions run as plain Python: the
 same numbers, about a thousand times as slowly, for debugging and for tests. Kernels round as written: sums, products,
 quotients and square roots follow IEEE 754 in the order of the source, and dividing by zero gives an infinity or NaN.
@@ -18,10 +21,13 @@ import builtins
 import hashlib
 import logging
 import os
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
+from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import (
     TYPE_CHECKING,
@@ -38,6 +44,7 @@ from typing import (
 )
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .arrays import BoolArray, CodeArray, FloatArray, IntArray
 
@@ -63,6 +70,8 @@ _OFF, _CHECKED = ("0", "no", "off", "false"), "checked"
 _log = logging.getLogger("ohmskin")
 _lock = threading.RLock()
 _offered: list[Loop[..., Any]] = []
+_aside = threading.Event()
+"""set while another process compiles, and kernels run as plain Python"""
 _waiting: list[Loop[..., Any]] = []
 """kernels that are being compiled, or that wait for the compiler"""
 
@@ -76,6 +85,8 @@ R = TypeVar("R")
 # Arrays whose elements are contiguous in memory, row after row.
 Row = Annotated[FloatArray, "float64[::1]"]
 Rows = Annotated[FloatArray, "float64[:, ::1]"]
+Blocks = Annotated[FloatArray, "float64[:, :, ::1]"]
+Reasons = Annotated[NDArray[np.int8], "int8[:, ::1]"]
 Places = Annotated[IntArray, "intp[::1]"]
 Flags = Annotated[BoolArray, "boolean[::1]"]
 FlagRows = Annotated[BoolArray, "boolean[:, ::1]"]
@@ -175,7 +186,7 @@ def is_kept() -> bool:
     Otherwise no folder can be written to: neither ``__pycache__`` beside the modules nor one in the user's cache.
     """
     try:
-        _numba().njit(cache=True)(_numba_type)  # compiles nothing yet, but looks for the folder
+        _numba().njit(cache=True)(_switch)  # compiles nothing yet, but looks for the folder
     except Exception:  # as in `Loop._compile`
         return False
     return True
@@ -213,6 +224,8 @@ class Loop(Generic[P, R]):
         """
         if why_not() is not None:
             self.code = self.unchecked = self.function
+        elif _aside.is_set():
+            self.code = self.unchecked = self.plain()
         elif self._compiled is None:
             _waiting.append(self)
             try:
@@ -236,6 +249,25 @@ class Loop(Generic[P, R]):
         self.load()
         return self.unchecked(*args, **kwargs)
 
+    @cache  # noqa: B019 - kernels live as long as the process
+    def plain(self) -> Callable[P, R]:
+        """The function as plain Python, and all that it calls."""
+        function = cast(FunctionType, self.function)
+        helpers = {name: value.plain() for name, value in self._globals().items() if isinstance(value, Loop)}
+        names = {**function.__globals__, **helpers}
+        return cast("Callable[P, R]", FunctionType(function.__code__, names, function.__name__, function.__defaults__))
+
+    def is_on_disk(self) -> bool:
+        """Whether machine code of this function is kept, as far as the name of a file tells."""
+        named = FunctionType(cast(FunctionType, self.function).__code__, {}, self.function.__name__)
+        named.__module__, named.__qualname__ = self.function.__module__, self._own_name()
+        folder = _numba().njit(cache=True)(named).stats.cache_path
+        return any(Path(folder).glob(f"*{self._own_name()}-*.nbc"))
+
+    def _use(self, compiled: Any) -> None:
+        self.code = compiled
+        self.unchecked = compiled if _switch() == _CHECKED else _without_dispatcher(compiled)
+
     def _compile(self) -> Any:
         """The function as Numba compiled it, for calls and for other kernels, kept on disk if there is a place."""
         if self._compiled is None:
@@ -245,8 +277,8 @@ class Loop(Generic[P, R]):
                 compiled = self._compiled_by_numba(keep=False)
             if not compiled.stats.cache_hits:
                 _tell_of_the_wait()
-            self.code = compiled
-            self.unchecked = compiled if _switch() == _CHECKED else _without_dispatcher(compiled)
+            if not _aside.is_set():
+                self._use(compiled)
             self._compiled = compiled  # last: other threads take it for a sign that the others are there
         return self._compiled
 
@@ -265,8 +297,11 @@ class Loop(Generic[P, R]):
         own = FunctionType(
             plain.__code__, {**plain.__globals__, **helpers}, plain.__name__, plain.__defaults__, plain.__closure__
         )
-        own.__module__, own.__qualname__ = plain.__module__, f"{plain.__qualname__}_{self._stamp()[:16]}"
+        own.__module__, own.__qualname__ = plain.__module__, self._own_name()
         return own
+
+    def _own_name(self) -> str:
+        return f"{cast(FunctionType, self.function).__qualname__}_{self._stamp()[:16]}"
 
     @cache  # noqa: B019 - kernels live as long as the process
     def _signature(self) -> Any:
@@ -327,6 +362,65 @@ def _tell_of_the_wait() -> None:
         _log.warning("ohmskin compiles for this machine, only this once: %s of processor time", WAIT)
     else:
         _log.warning("ohmskin compiles, as no folder can keep machine code: %s; see `ohmskin doctor`", WAIT)
+
+
+def compile_aside() -> bool:
+    """Let another process compile the kernels of all imported modules; until then they run as plain Python.
+
+    Returns:
+        Whether that is so: not where kernels are switched off, kept on disk, or cannot be kept there.
+    """
+    if why_not() is not None or _aside.is_set() or not is_kept():
+        return _aside.is_set()
+    with _lock:
+        missing = [each for each in _offered if each._compiled is None]
+        if all(each.is_on_disk() for each in missing):
+            return False
+        try:
+            process = subprocess.Popen(
+                [sys.executable, "-c", _PROGRAM, *dict.fromkeys(each.__module__ for each in missing)],
+                cwd=Path(__file__).parent,
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,
+            )
+        except OSError:
+            return False
+        _aside.set()
+        for each in missing:
+            each.load()
+    _log.warning("ohmskin compiles for this machine, only this once; frames come slowly until then, %s", WAIT)
+    threading.Thread(target=_await, args=(process, missing), name="ohmskin compiler", daemon=True).start()
+    return True
+
+
+def is_aside() -> bool:
+    """Whether another process compiles at present, and kernels run as plain Python."""
+    return _aside.is_set()
+
+
+_PROGRAM = """\
+import importlib, sys
+from ohmskin.common import compiled
+for name in sys.argv[1:]:
+    importlib.import_module(name)
+compiled.load()
+"""
+"""what the other process does; it goes on if this one ends, so that the next one finds all"""
+
+
+def _await(process: subprocess.Popen[bytes], missing: list[Loop[..., Any]]) -> None:
+    """Take the machine code when it is there; where the other process has failed, compile it here."""
+    process.wait()
+    for each in missing:
+        with _lock:
+            each._compile()
+    for each in missing:
+        with _lock:
+            each._use(each._compile())
+    _aside.clear()
 
 
 def loop(function: Callable[P, R]) -> Loop[P, R]:

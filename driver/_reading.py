@@ -8,11 +8,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from ..circuits import Design, LiveReading, Reason, adc_error, live_recovery, noise, volts_of_codes
+from ..circuits import Design, Measured, Reason, adc_error, live_recovery, noise, volts_of_codes
 from ..common.arrays import BoolArray, FloatArray
 from ..common.compiled import Rows, loop
 from ..common.measurement import STEP_STD, Measurement
-from ..common.noise import NoiseEstimate, constant_part
+from ..common.noise import NoiseEstimate
 from ..errors import InputError, ProtocolError, SolverError
 
 _FIRST_GUARD = 12  # codes, guard band at a limit of the swing in the first frame, whose noise is unknown
@@ -22,10 +22,8 @@ _GUARD = 6.0  # standard deviations of the noise, guard band: within it an outpu
 _JUMP = 1.0 / 16.0  # of the converter's codes, from one frame to the next: a larger change of a reading is a jump
 _ALIKE = 1.5  # ratio of noises up to which the judgement of a reading stays about the same
 _NEGLIGIBLE = 0.05  # ADC steps of noise that are negligible beside the half step
-_MOST_NOISE = 0.95  # relative uncertainty, three standard deviations of noise, of a reading that an average can use
-_MOST_STEPS = 0.1  # relative uncertainty by ADC steps, likewise; averaging does not reduce it
 _STEP_OVER_STD = 2.0 / STEP_STD  # of an error that is evenly distributed over one step
-_UNSETTLED, _UNCERTAIN, _NO_CURRENT = (int(why) for why in (Reason.UNSETTLED, Reason.UNCERTAIN, Reason.NO_CURRENT))
+_UNSETTLED, _NO_CURRENT = int(Reason.UNSETTLED), int(Reason.NO_CURRENT)
 _ASSUMED = 0.5  # ADC steps of noise before anything is measured
 
 
@@ -54,10 +52,10 @@ class CountReader:
             raise ProtocolError("the board's design has no [adc]; counts mean nothing without one")
         self._design, self._accuracy = design, accuracy
         self._shape = design.array.shape
-        self._sensed = design.board.shape[0]  # readings of a column
         self._codes = 2**adc.bits
-        self._most_noise = _MOST_NOISE if accuracy is None else 0.0
         self._recover = live_recovery(design, accuracy=accuracy)
+        scales = self._recover.scales_columns
+        self._measured = Measured(adc.step, design.board.shape[0], scales_columns=scales, averages=accuracy is None)
         self._step, self._lowest_volts = adc.step, float(volts_of_codes(design, np.zeros(1, dtype=np.int64))[0])
         # As arrays: NumPy converts a float to an array in every call, which takes as long as a small operation.
         low, high = design.readout.supply
@@ -68,13 +66,14 @@ class CountReader:
         self._design_noise = _noise_of(design)  # V
         assumed = 0.0 if self._design_noise else _ASSUMED * adc.step
         self._noise = NoiseEstimate(math.prod(self._shape), quantum=adc.step, assumed=assumed)
+        self._buffer, self._each = np.empty(self._shape), self._noise.each.reshape(self._shape)
         self._guard, self._usual_codes = 0, self._usual_within(0)  # of the last frame, and the codes within its limits
         self._silent = 0  # cells whose readings stood at a limit in the last frame, and could not change
         self._limited: BoolArray | None = None  # cells that counted as limited in the last frame
         self._in_doubt = False  # some of them may have left the limit; one more frame decides
         self._resolution = *(np.zeros(self._shape),) * 3, self._recover.scales_columns
         self._counts = b""
-        self._measurement: Measurement | None = None
+        self._kept: Measurement | None = None
         self._judged_with = 0.0  # V, noise in the uncertainties of the last reading
 
     def _codes_within(self, low: float, high: float) -> tuple[float, float]:
@@ -116,12 +115,6 @@ class CountReader:
         volts: FloatArray = counts.astype(np.float64, order="C") * self._step + self._lowest_volts
         return volts
 
-    def _volts_and_extremes(self, counts: NDArray[np.integer]) -> tuple[FloatArray, float, float]:
-        """The middle of each code in V, the least count and the largest one."""
-        volts = counts.astype(np.float64, order="C")
-        least, most = _middle_of_codes.unchecked(volts, self._step, self._lowest_volts)
-        return volts, least, most
-
     def __call__(self, counts: NDArray[np.integer]) -> Measurement:
         """The conductances behind ``counts`` (rows, columns).
 
@@ -134,20 +127,62 @@ class CountReader:
             ProtocolError: the counts are not of this design: another shape, or beyond its ADC.
 
         """
-        same = counts.tobytes()
-        if self._measurement is not None and same == self._counts and self._judged_with <= self._alike_noise:
-            last = self._noise.last
-            assert last is not None
-            self._noise.update(last, self._silent)
-            return self._measurement
         if counts.shape != self._shape:
             sent, expected = "{} x {}".format(*counts.shape), "{} x {}".format(*self._shape)
             raise ProtocolError(f"the board sends {sent} cells; its design has {expected}")
-        found = self._read(counts)
+        volts = self._buffer
+        volts[...] = counts
+        least, most = _middle_of_codes.unchecked(volts, self._step, self._lowest_volts)
+        noise = self._noise.update(volts.reshape(-1), self._silent)
+        noise = max(noise, self._design_noise)
+        guard = math.ceil(_GUARD * noise / self._step)  # codes
+        if self._noise.frames < _MEASURED and not self._design_noise:
+            first = _FIRST_GUARD if self._noise.frames == 1 else 0
+            guard = max(guard, first, math.ceil(_FINE_GUARD * self._codes))
+        if guard != self._guard:
+            self._guard, self._usual_codes = guard, self._usual_within(guard)
+        lowest, highest = self._usual_codes
+        jumped = self._jumped_to_limit(least, most)
+        self._silent, self._in_doubt = 0, False
+        if jumped or most >= highest or least < lowest or self._limited is not None:
+            return self._read_limited(counts, most, noise, jumped=jumped)
+        usual = self._recover.usual if self._noise.frames > 1 else None  # the first frame tells the resolution
+        found = None if usual is None else usual(volts, noise, *self._noise_of_each)
+        return self._recovered(counts, noise, None, None) if found is None else found
+
+    def _read_limited(self, counts: NDArray[np.integer], most: float, noise: float, *, jumped: bool) -> Measurement:
+        """The conductances of a frame with readings that are or may be at a limit; ``most`` is its largest count."""
+        if most >= self._codes:
+            bits = self._codes.bit_length() - 1
+            raise ProtocolError(f"the board sends a count of {most:.0f}; its ADC has {bits} bits")
+        limited, under_range = self._limited_and_under_range(counts, self._buffer, self._guard, jumped=jumped)
+        return self._recovered(counts, noise, limited, under_range)
+
+    def _recovered(
+        self, counts: NDArray[np.integer], noise: float, limited: BoolArray | None, under_range: BoolArray | None
+    ) -> Measurement:
+        """The conductances of any frame, by the whole circuit; arguments as of :class:`ohmskin.circuits.LiveRecovery`.
+
+        The last result holds while the same counts come, until the noise is another.
+        """
+        same = counts.tobytes()
+        if self._kept is not None and same == self._counts and self._judged_with <= self._alike_noise:
+            return self._kept
+        self._judged_with = noise
+        try:
+            found = self._recover(self._buffer, limited, noise, faint=under_range)
+        except SolverError:
+            return Measurement.unknown(counts.shape, Reason.UNSOLVED)
+        reason = found.reason if under_range is None else np.where(under_range, _NO_CURRENT, found.reason)
+        usual, each = self._noise_of_each
+        made = self._measured(found, reason, each, usual)
+        own, _, every, _ = found.errors
+        by_step = self._step / _STEP_OVER_STD
+        self._resolution = own * by_step, found.resistance, every * by_step, self._recover.scales_columns
         # Cells that are unsettled, or judged before the noise was measured, may change with another frame like this.
-        final = self._noise.frames > 1 and not (self._in_doubt or (found.reason == _UNSETTLED).any())
-        self._counts, self._measurement = same, found if final else None
-        return found
+        final = self._noise.frames > 1 and not (self._in_doubt or (reason == _UNSETTLED).any())
+        self._counts, self._kept = same, made if final else None
+        return made
 
     def _within_limits(self, guard: int) -> tuple[float, float]:
         """The first code within the limits and the first one beyond, with a guard band of ``guard`` codes."""
@@ -221,76 +256,12 @@ class CountReader:
             came = came | self._limited
         return came & _outside(counts, *self._within_limits(guard))
 
-    def _read(self, counts: NDArray[np.integer]) -> Measurement:
-        volts, least, most = self._volts_and_extremes(counts)
-        self._noise.update(volts.ravel(), self._silent)
-        noise = self._judged_with = self.noise_volts
-        guard = math.ceil(_GUARD * noise / self._step)  # codes
-        if self._noise.frames < _MEASURED and not self._design_noise:
-            first = _FIRST_GUARD if self._noise.frames == 1 else 0
-            guard = max(guard, first, math.ceil(_FINE_GUARD * self._codes))
-        if guard != self._guard:
-            self._guard, self._usual_codes = guard, self._usual_within(guard)
-        lowest, highest = self._usual_codes
-        limited = under_range = None
-        self._silent, self._in_doubt, jumped = 0, False, self._jumped_to_limit(least, most)
-        if jumped or most >= highest or least < lowest or self._limited is not None:
-            if most >= self._codes:
-                bits = self._codes.bit_length() - 1
-                raise ProtocolError(f"the board sends a count of {most:.0f}; its ADC has {bits} bits")
-            limited, under_range = self._limited_and_under_range(counts, volts, guard, jumped=jumped)
-        try:
-            found = self._recover(volts, limited, noise, faint=under_range)
-        except SolverError:
-            return Measurement.unknown(counts.shape, Reason.UNSOLVED)
-        return self._measured(found, under_range)
-
-    def _measured(self, found: LiveReading, under_range: BoolArray | None) -> Measurement:
-        """The conductances of a recovered frame and their errors, as far as they are known."""
-        made = Measurement.unknown(found.reason.shape)
-        reason = found.reason if under_range is None else np.where(under_range, _NO_CURRENT, found.reason)
-        made.reason[...], made.uncertainty[...] = reason, found.uncertainty
-        if found.bounds is not None:
-            made.least[...], made.greatest[...] = found.bounds
-        own, column, every, alike = found.errors
-        told = np.isfinite(every)
-        if not told.any():
-            return made
-        own, column, every = (np.where(told, part, 0.0) for part in (own, column, every))
-        each, usual = self._noise_of_each
-        half_step = 0.5 * self._step * constant_part(usual / self._step)
-        others = np.sqrt(np.maximum(every**2 - own**2, 0.0))
-        step, shared = half_step * np.hypot(own, alike * others), np.zeros(own.shape)
-        if self._recover.scales_columns:
-            step, shared = half_step * own, half_step * alike * column
-            # A cell's own error is also one of those that scale its column.
-            column = np.copysign(np.sqrt(column**2 + 2.0 * own * np.abs(column) / math.sqrt(self._sensed)), column)
-        else:
-            column = np.zeros(own.shape)
-        by_step = self._step / _STEP_OVER_STD
-        self._resolution = own * by_step, found.resistance, every * by_step, self._recover.scales_columns
-        valid, uncertain = reason == 0, reason == _UNCERTAIN
-        if self._most_noise:  # what only noise keeps from being valid serves for estimation
-            lasting = np.hypot(step, shared) <= _MOST_STEPS
-            valid |= uncertain & (found.uncertainty <= self._most_noise) & lasting
-        with np.errstate(divide="ignore"):
-            conductance = 1.0 / found.resistance
-        known = valid & np.isfinite(conductance)
-        size = np.where(known, conductance, 0.0)
-        made.conductance[known] = conductance[known]
-        alone = np.minimum(own**2, every**2 - column**2)
-        rest = np.maximum(every**2 - column**2 - alone, 0.0)
-        made.noise_variance[...] = size**2 * (alone * each**2 + rest * usual**2)
-        made.column_std[...] = size * column * usual
-        made.half_step[...], made.column_half_step[...] = size * step, size * shared
-        made.least[known], made.greatest[known] = 0.0, np.inf
-        return made
-
     @property
-    def _noise_of_each(self) -> tuple[FloatArray, float]:
-        """V, standard deviation of each reading (rows, columns), best guess, and of the usual one; without steps."""
-        each = np.maximum(self._noise.each.reshape(self._shape), self._design_noise)
-        return each, max(self._noise.usual, self._design_noise)
+    def _noise_of_each(self) -> tuple[float, FloatArray]:
+        """V, standard deviation of the usual reading, best guess, and of each one (rows, columns)."""
+        if not self._design_noise:
+            return self._noise.usual, self._each
+        return max(self._noise.usual, self._design_noise), np.maximum(self._each, self._design_noise)
 
     @property
     def resolution(self) -> tuple[FloatArray, FloatArray, FloatArray, bool]:

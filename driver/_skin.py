@@ -193,7 +193,8 @@ class Skin:
         if played is None:
             finder = _finder(name, asked, baudrate)
             began_s = monotonic()
-            compiled.load()  # while no frames come
+            if not compiled.compile_aside():
+                compiled.load()  # while no frames come
             if has_gone(finder.name):
                 raise LinkError(
                     f"{finder.name}: the port has gone in the {monotonic() - began_s:.0f} s in which machine code was "

@@ -70,7 +70,135 @@ def reasons(events: list[Event]) -> list[str]:
 A, B = [[1, 2, 3], [4, 5, 6]], [[7, 8, 9], [10, 11, 12]]
 
 
+# Blocks
+
+
+def blocks(*block: dict[str, Any], rows: int = 2, columns: int = 3, bits: int = 8, **keys: Any) -> Family:
+    return described({"format": "binary", "block": list(block), **keys}, rows, columns, bits)
+
+
+@given(
+    repeat=st.integers(1, 4),
+    count=st.integers(1, 5),
+    word=st.sampled_from(["uint8", "uint16le", "uint16be", "int32be", "float32le"]),
+    place=st.sampled_from(["", "index uint8", "index uint16be 1", "start uint16le"]),
+    number=st.sampled_from(["", "number uint8", "number uint32le"]),
+    clock=st.sampled_from(["", "time_us uint32be", "time_ms uint16le"]),
+    check=st.sampled_from(["", "sum8", "crc16", "crc32"]),
+    tail=st.sampled_from(["", "const 0x0D 0x0A"]),
+    cut=st.integers(1, 60),
+    seed=st.integers(0, 2**32),
+)
+def test_what_a_described_board_writes_its_host_reads(
+    repeat: int, count: int, word: str, place: str, number: str, clock: str, check: str, tail: str, cut: int, seed: int
+) -> None:
+    """Whatever the fields, and however the bytes are cut; the stream is joined in the middle of a frame."""
+    inner = ["const 0xAA 0x55", place, clock, "skip 1", f"cells {word} {count}", number, check, tail]
+    block = {"fields": [one for one in inner if one], "repeat": repeat}
+    # Blocks that say no place look alike: only a header ahead of them shows where a frame begins.
+    head = [] if place or repeat == 1 else [{"fields": ["const 0xFE 0xFD 0xFC"]}]
+    family = blocks(*head, block, rows=repeat, columns=count, bits=7)
+    assert (family.has_sequence, family.has_device_time) == (bool(number), bool(clock))
+    board, rng = board_protocol(family), np.random.default_rng(seed)
+    sent = [
+        FramePacket.of(rng.integers(0, 100, (repeat, count)), sequence=k, time_us=1000 * k) for k in range(300, 306)
+    ]
+    written = [board.frame(frame) for frame in sent]
+    stream = b"".join(written)[len(written[0]) // 2 :]
+    events = heard(family, *(stream[k : k + cut] for k in range(0, len(stream), cut)))
+    found = [event for event in events if isinstance(event, FramePacket)]
+    assert [one.counts.tolist() for one in found] == [one.counts.tolist() for one in sent[-len(found) :]]
+    assert len(found) >= 4
+    if number:
+        assert np.diff([one.sequence or 0 for one in found]).tolist() == [1] * (len(found) - 1)
+    if clock:
+        assert np.diff([one.time_us or 0 for one in found]).tolist() == [1000] * (len(found) - 1)
+
+
+def test_packets_of_a_frame_are_placed_by_what_they_say() -> None:
+    """Literal bytes: start, two cells, number of the packet, "wr". A lost packet costs its frame."""
+    family = blocks({"fields": ["start uint16le", "cells uint8 2", "number uint16be", "const 0x77 0x72"], "repeat": 3})
+    packets = [bytes((2 * j, 0, 10 * k + j, 20 + j, 0, 3 * k + j)) + b"wr" for k in range(4) for j in range(3)]
+    events = heard(family, *packets)
+    assert frames(events) == [[[10 * k, 20, 10 * k + 1], [21, 10 * k + 2, 22]] for k in range(4)]
+    assert [event.sequence for event in events if isinstance(event, FramePacket)] == [0, 1, 2, 3]
+    del packets[4]
+    assert frames(heard(family, *packets)) == [[[0, 20, 1], [21, 2, 22]], *frames(events)[2:]]
+
+
+def test_a_modbus_answer_is_one_block() -> None:
+    body, crc = bytes.fromhex("01 04 06 00 01 00 02 00 03"), 0xFFFF
+    for byte in body:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ 0xA001 if crc & 1 else crc >> 1
+    answer = body + crc.to_bytes(2, "little")
+    family = described(
+        {"format": "binary", "block": [{"fields": ["const 0x01 0x04 0x06", "cells uint16be 3", "crc16"]}]},
+        1,
+        3,
+        12,
+        poll="?",
+    )
+    assert frames(heard(family, answer[:4], answer[4:])) == [[[1, 2, 3]]]
+    assert frames(heard(family, answer[:-1] + bytes([answer[-1] ^ 1]))) == []
+
+
+def test_a_map_places_each_number() -> None:
+    family = text(map=[5, 3, 1, 4, 2, 0])
+    assert frames(heard(family, b"cut\n", b"1 2 3 4 5 6\n")) == [[[6, 3, 5], [2, 4, 1]]]
+    board = board_protocol(family)
+    sent = board.frame(FramePacket.of(np.array([[6, 3, 5], [2, 4, 1]])))
+    assert sent == b"1 2 3 4 5 6\r\n"
+
+
+@pytest.mark.parametrize(
+    ("frame", "message"),
+    [
+        ({"block": [{"fields": ["cells uint8 5"]}]}, "5 cells in a frame; expected 6"),
+        ({"block": [{"fields": ["cell uint8 6"]}]}, "'cell uint8 6' is no field"),
+        ({"block": [{"fields": ["const 0x100"]}]}, "no whole number from 0 to 255"),
+        ({"block": [{"fields": ["cells uint8 3", "cells uint16le 3"]}]}, "expected one word for all"),
+        (
+            {"block": [{"fields": ["cells uint8 6"], "repeat": 65536}, {"fields": ["skip 1048576"]}]},
+            "more than 1048576",
+        ),
+        ({"block": [{"fields": ["cells uint8 6"]}], "word": "uint8"}, "word stands in place of [[frame.block]]"),
+        ({}, "word is missing"),
+        ({"word": "uint8", "map": [0, 1, 2, 3, 4, 4]}, "each place from 0 to 5 once"),
+    ],
+)
+def test_fields_that_fit_no_frame_are_refused(frame: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError) as refused:
+        described({"format": "binary", **frame})
+    assert message in str(refused.value)
+
+
 # Lines
+
+
+@pytest.mark.parametrize(
+    ("end", "sent"),
+    [
+        ("", b"1 2 3\r\n4 5 6\r\nsum of all\r\n\r\n"),
+        ("", b"frame\r\n1 2 3\r\n4 5 6\r\n\r\n"),
+        ("matrix", b"centre\r\nmatrix\r\n1 2 3\r\n4 5 6\r\n"),
+        ("", b"1 2 3\r\n4 5 6\r\n-------\r\n\r\n"),
+        ("---", b"1 2 3\r\n4 5 6\r\n-------\r\n\r\n"),
+    ],
+)
+def test_text_beside_the_rows_of_a_frame_costs_nothing(end: str, sent: bytes) -> None:
+    """The first frame is the one that the host joins."""
+    assert frames(heard(text("row-per-line", end=end), *[sent] * 5)) == [A] * 4
+
+
+def test_text_between_the_rows_of_a_frame_may_be_a_damaged_row() -> None:
+    good, damaged = b"1 2 3\r\n4 5 6\r\n\r\n", b"1 2 3\r\n4 x 6\r\n4 5 6\r\n\r\n"
+    assert frames(heard(text("row-per-line", end=""), good, damaged, good, damaged)) == [A]
+
+
+def test_letters_separate_numbers() -> None:
+    assert frames(heard(text(separator="xz"), b"cut\n", b"1x2x3xz4x5x6x\r\n")) == [A]
 
 
 def test_numbers_with_any_separator_in_a_line() -> None:

@@ -51,11 +51,11 @@ def test_what_was_found_can_be_read_by_a_program(steps: Path, capsys: pytest.Cap
     assert exponent["value"] == pytest.approx(0.9, abs=0.05)
     assert found["estimator"] == "static"
     folds = found["fold_percent"]["static"]
-    assert len(folds) == len(found["fits"][0]["folds"]) > 1
-    assert max(folds) == pytest.approx(found["held_out_percent"]["static"])
+    assert len(folds) == len(found["folds_s"]) > 1
+    assert min(folds) <= found["held_out_percent"]["static"] < 1.5 * max(folds)
     assert run(["fit", str(steps)]) == 0
     printed = next(line for line in capsys.readouterr().out.splitlines() if line.split()[:1] == ["static"])
-    assert [float(word) for word in printed.split()[1:]] == pytest.approx(folds, abs=0.051)
+    assert [float(word) for word in printed.split()[1 : 1 + len(folds)]] == pytest.approx(folds, abs=0.051)
 
 
 def test_a_place_that_cannot_be_written_is_refused_before_the_fit(
@@ -83,7 +83,7 @@ def test_faults_are_one_line(steps: Path, tmp_path: Path, capsys: pytest.Capture
         (["fit", str(flat), "-o", str(tmp_path / "none.toml")], "pressure_kpa stays at 0"),
         (["estimate", str(steps), "--cell", str(tmp_path / "no.toml"), "-o", str(out)], "no.toml"),
         (["estimate", str(steps), "--cell", str(cell), "-o", str(out), "--estimator", "magic"], "no estimator 'magic'"),
-        (["estimate", str(steps), "--cell", str(cell), "-o", str(out), "--estimator", "play"], "run ohmskin fit"),
+        (["estimate", str(steps), "--cell", str(cell), "-o", str(out), "--estimator", "distilled"], "run ohmskin fit"),
     ):
         assert run(arguments) == 2
         error = capsys.readouterr().err

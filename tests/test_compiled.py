@@ -326,3 +326,38 @@ def test_no_machine_code_of_the_working_folder_is_run(monkeypatch: pytest.Monkey
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     compiled.is_kept()
     assert numba.config.CACHE_DIR == ""
+
+
+ASIDE = """
+    import sys, time
+    sys.path.insert(0, {folder!r})
+    from ohmskin.common import compiled
+    from some_loops import doubled, twice_doubled
+    began = compiled.compile_aside()
+    print(began, doubled.code is doubled.plain(), twice_doubled(4.0))
+    until = time.monotonic() + 300.0
+    while compiled.is_aside() and time.monotonic() < until:
+        time.sleep(0.05)
+    print(doubled.code is doubled.machine_code() is not doubled.plain(), twice_doubled(4.0))
+"""
+
+
+@pytest.mark.slow
+def test_another_process_compiles_while_kernels_run_as_plain_python(some_loops: Path) -> None:
+    text = (some_loops / "some_loops.py").read_text()
+    (some_loops / "some_loops.py").write_text(
+        text + "@loop\ndef twice_doubled(x: float) -> float:\n    return doubled(doubled(x))\n"
+    )
+    program = ASIDE.format(folder=str(some_loops))
+    assert _run(program, told=1) == "True True 16.0\nTrue 16.0\n"
+    assert _run(program, told=0) == "False False 16.0\nTrue 16.0\n"
+    assert _run(program, OHMSKIN_COMPILED="off") == "False False 16.0\nFalse 16.0\n"
+
+
+@pytest.mark.slow
+def test_where_no_other_process_can_compile_this_one_does(some_loops: Path) -> None:
+    program = ASIDE.format(folder=str(some_loops)).replace(
+        "began =", "compiled._PROGRAM = 'raise SystemExit(1)'; began ="
+    )
+    program = program.replace(", twice_doubled\n", "\n").replace("twice_doubled", "doubled")
+    assert _run(program, told=2) == "True True 8.0\nTrue 8.0\n"

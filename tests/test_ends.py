@@ -225,6 +225,7 @@ def test_a_file_gives_the_same_board(tmp_path: Path) -> None:
     (tmp_path / "design.toml").write_text(
         "[array]\nrows = 4\ncolumns = 4\n[row_end]\nselected = ['V1 drive 0 3.3', 'R1 drive line 70']\n"
         "idle = ['R9 line 0 10k']\n[column_end]\nparts = { file = 'ends.cir', subcircuit = 'COLUMN' }\n"
+        "[scan]\nrow = [{ wait = 1e-4 }]\ncolumn = [{ discharge = 2e-6 }, { read = 4 }]\n"
     )
     design = Design.load(tmp_path / "design.toml")
     same = designed("divider, rows pulled down", row_lead=0.0, column_lead=0.0)
@@ -232,6 +233,7 @@ def test_a_file_gives_the_same_board(tmp_path: Path) -> None:
     tables, _ = read_description(write_description(design.model_dump(), None))
     assert tables is not None
     sent = parse(tables, Design, source="a board")
+    assert sent.scan == design.scan
     np.testing.assert_array_equal(scan(sent, CELLS).volts, scan(design, CELLS).volts)
 
 

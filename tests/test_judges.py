@@ -19,7 +19,7 @@ from ohmskin.cli import run
 
 FROZEN = (
     "taps | example, 100 Hz, 12 bits, 1 mV",
-    "random | m10, 100 Hz, 12 bits, 1 mV",
+    "random | paper, 100 Hz, 12 bits, 1 mV",
     "press, opens | example, 100 Hz, 12 bits, 1 mV",
     "wavering | example, 100 Hz, 12 bits, 1 mV",
     "slip | example, 100 Hz, 12 bits, 10 mV",

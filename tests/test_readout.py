@@ -59,6 +59,17 @@ def test_faults(seed: int) -> None:
     assert_reads_as_the_reference(design, cells)
 
 
+@pytest.mark.parametrize("circuit", CIRCUITS)
+def test_readings_lie_between_those_of_an_open_cell_and_a_short(circuit: str) -> None:
+    design = amplifier(1, 1, reference_voltage=1.65).with_circuit(circuit)
+    low, high = sorted(design.board.circuit.domain(design.board))
+    assert 1.65 in (low, high)
+    for ohm in (1e-9, 1e3, 1e12):
+        assert low - 1e-9 <= float(scan(design, [[ohm]]).volts[0, 0]) <= high + 1e-9
+    ideal = design.board.circuit.ideal_volts(design.board, np.array([[np.inf, 1e-12]]))
+    assert np.isinf(high - low) or np.ptp(ideal) == pytest.approx(high - low)
+
+
 def saturating_design(seed: int, circuit: str) -> tuple[Design, np.ndarray]:
     """Narrow rails and large offsets."""
     rng = np.random.default_rng(seed)

@@ -66,7 +66,7 @@ class Source(ABC):
             "board": skin.family.name,
             "serial_number": skin.serial_number,
             "firmware": "" if identity is None else identity.firmware,
-            "circuit": skin.design.readout.circuit if skin.knows_circuit else None,
+            "circuit": skin.design.board.circuit.name if skin.knows_circuit else None,
             "reasons": [reason.name.lower().replace("_", " ") for reason in Reason],
             "live": self.live,
         }

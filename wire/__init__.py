@@ -5,6 +5,7 @@ native format is in ``docs/wire.md``; the other families, the boards that a BOAR
 and the helpers for a family of one's own (:class:`LineHost`, :class:`FixedLengthHost` ...) are in ``docs/boards.md``.
 """
 
+from ._blocks import WORDS
 from ._board_file import BoardFile
 from ._checksums import CHECKSUMS
 from ._choice import board_family, board_protocol, host_protocol, known_family
@@ -30,7 +31,6 @@ from ._packets import (
     Status,
 )
 from ._protocol import BoardProtocol, Family, HostProtocol, Layout
-from ._words import WORDS
 from .boards import BOARDS
 
 __all__ = [

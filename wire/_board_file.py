@@ -14,10 +14,11 @@ from pydantic import Field, model_validator
 
 from ..common.config import LocalFile, Section, load, parse
 from ..errors import InputError
+from ._blocks import WORDS
 from ._framing import DescribedBoard, StartTable
 from ._lines import JsonFrame, TextFrame, TextHost
 from ._protocol import Family, HostProtocol, Layout
-from ._words import WORDS, BinaryFrame, BinaryHost, CobsHost
+from ._words import BinaryFrame, BinaryHost, CobsHost
 
 MOST_CELLS = 256 * 256
 MOST_LINES = 1024
@@ -57,15 +58,23 @@ class BoardFile(Section):
             raise ValueError(f"board: {board.rows} x {board.columns} cells; expected at most {MOST_CELLS}")
         if frame.range is not None and not frame.range[0] < frame.range[1]:
             raise ValueError(f"frame.range: expected the smaller number first (got {list(frame.range)})")
-        word = frame.word if isinstance(frame, BinaryFrame) else "float64le"
-        if frame.range is not None and not WORDS[word].holds(*frame.range, steps=2**board.bits - 1):
+        cells = board.rows * board.columns
+        if frame.map is not None:
+            turned = frame.order != "row-major" or frame.flip_rows or frame.flip_columns
+            if turned or sorted(frame.map) != list(range(cells)):
+                raise ValueError(f"frame.map: expected each place from 0 to {cells - 1} once, and no order or flips")
+        sent = frame.cells_sent if isinstance(frame, BinaryFrame) else None
+        if sent is not None and sent != cells:
+            raise ValueError(f"frame.block: {sent} cells in a frame; expected {cells}, {board.rows} x {board.columns}")
+        word = frame.cell_word if isinstance(frame, BinaryFrame) else WORDS["float64le"]
+        if frame.range is not None and not word.holds(*frame.range, steps=2**board.bits - 1):
             raise ValueError(
-                f"frame.range: a {word} cannot tell 2^{board.bits} numbers in {list(frame.range)} apart; "
+                f"frame.range: a {word.name} cannot tell 2^{board.bits} numbers in {list(frame.range)} apart; "
                 "expected fewer board.bits, or another range"
             )
-        if isinstance(frame, BinaryFrame) and frame.range is None and board.bits > WORDS[frame.word].bits:
+        if isinstance(frame, BinaryFrame) and frame.range is None and board.bits > word.bits:
             raise ValueError(
-                f"board.bits: a {frame.word} has {WORDS[frame.word].bits} bits for counts; expected no more, "
+                f"board.bits: a {word.name} has {word.bits} bits for counts; expected no more, "
                 f"or a frame.range (got {board.bits})"
             )
         return self
@@ -103,8 +112,8 @@ class BoardFile(Section):
             board=self._device,
             layout=Layout(board.rows, board.columns, board.bits),
             baud_rate=board.baudrate,
-            has_sequence=False,
-            has_device_time=False,
+            has_sequence=isinstance(frame, BinaryFrame) and frame.template(1).number is not None,
+            has_device_time=isinstance(frame, BinaryFrame) and frame.template(1).time is not None,
             has_description=False,
             polled=bool(start.poll),
             dtr=start.dtr,

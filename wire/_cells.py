@@ -26,6 +26,8 @@ class AnyFrame(Section):
     flip_columns: bool = False
     invert: bool = False
     """counts fall with pressure: they are turned over before anything else sees them"""
+    map: Annotated[tuple[int, ...], Field(strict=False, max_length=2**16)] | None = None
+    """place in the array, counted row by row, of each number sent, in place of order and flips"""
     range: Annotated[tuple[Finite, Finite], Field(strict=False)] | None = None
     """numbers that stand for count 0 and for the largest count; None: the numbers are the counts"""
     invalid: Literal["mark", "drop"] = "mark"
@@ -36,6 +38,10 @@ class AnyFrame(Section):
         shape, largest = (layout.rows, layout.columns), 2**layout.adc_bits - 1
         index = np.arange(shape[0] * shape[1])
         grid = index.reshape(shape) if self.order == "row-major" else index.reshape(shape[::-1]).T
+        if self.map is not None:
+            grid = np.empty(index.size, dtype=index.dtype)
+            grid[list(self.map)] = index
+            grid = grid.reshape(shape)
         grid = grid[:: -1 if self.flip_rows else 1, :: -1 if self.flip_columns else 1]
         lowest, highest = (0.0, float(largest)) if self.range is None else self.range
         step = (highest - lowest) / largest
@@ -68,12 +74,16 @@ class Cells:
         """Whether each of these numbers stands for a count."""
         return bool(self._good(self._scaled(numbers)).all())
 
-    def event(self, numbers: Numbers, size: int) -> FramePacket | Corrupt:
+    def event(
+        self, numbers: Numbers, size: int, *, sequence: int | None = None, time_us: int | None = None
+    ) -> FramePacket | Corrupt:
         """The frame of (cells,) numbers in the order sent, NaN where one is missing.
 
         Args:
             numbers: as they were sent.
             size: bytes of the frame on the line.
+            sequence: number of the frame; None: it has none.
+            time_us: on the board's clock; None: it tells none.
 
         """
         scaled = self._scaled(numbers[self.place])
@@ -91,7 +101,12 @@ class Cells:
             counts = np.uint16(self.largest) - counts
         if absent:
             counts[list(absent)] = 0
-        return FramePacket.of(counts.reshape(self.shape), sequence=None, time_us=None, absent=absent)
+        return FramePacket.of(
+            counts.reshape(self.shape),
+            sequence=None if sequence is None else sequence % 2**32,
+            time_us=time_us,
+            absent=absent,
+        )
 
     def numbers(self, frame: FramePacket) -> Numbers:
         """The (cells,) numbers that a board sends for ``frame``, in the order sent."""

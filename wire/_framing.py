@@ -11,7 +11,7 @@ from pydantic import Field
 
 from ..common.config import Section
 from ..errors import InputError
-from ._cells import Byte, Cells, Numbers
+from ._cells import Byte, Cells
 from ._packets import BadCommand, Command, Corrupt, Event, FramePacket, Order
 from ._protocol import BoardProtocol, Family, HostProtocol, Layout
 
@@ -171,7 +171,7 @@ class DescribedBoard(BoardProtocol):
     """Board end of a format that BOARD.toml describes: waits for the bytes that start it, or ask for each frame."""
 
     def __init__(
-        self, write: Callable[[Numbers, Layout], bytes], cells: Cells, start: StartTable, family: Family, layout: Layout
+        self, write: Callable[..., bytes], cells: Cells, start: StartTable, family: Family, layout: Layout
     ) -> None:
         super().__init__(family, layout)
         self._write, self._cells = write, cells
@@ -192,4 +192,7 @@ class DescribedBoard(BoardProtocol):
         return commands
 
     def frame(self, frame: FramePacket) -> bytes:
-        return self._write(self._cells.numbers(frame), self.layout) if self._started else b""
+        if not self._started:
+            return b""
+        numbers = self._cells.numbers(frame)
+        return self._write(numbers, self.layout, sequence=frame.sequence or 0, time_us=frame.time_us or 0)

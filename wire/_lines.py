@@ -25,7 +25,7 @@ LONGEST_NUMBER = 40
 """characters of a number in a line"""
 LEAST_LINE = 1024
 """characters that a line may have at least, for boot messages"""
-MISSING = frozenset(("", "-", "nan", "null", "none", "inf", "ovf"))
+MISSING = frozenset(("", "nan", "null", "none", "inf", "ovf"))
 """what boards print in the place of a number that they do not have"""
 AMBIGUOUS = (
     "ambiguous: no end line, row number or pause shows which line is the first of a frame; "
@@ -108,8 +108,8 @@ class _LinesFrame(AnyFrame):
         """A line with these numbers, without its end."""
         raise NotImplementedError
 
-    def write(self, numbers: Numbers, layout: Layout) -> bytes:
-        """The bytes of a frame with these numbers; those that are not read are zeros."""
+    def write(self, numbers: Numbers, layout: Layout, *, sequence: int = 0, time_us: int = 0) -> bytes:
+        """The bytes of a frame with these numbers; those that are not read are zeros, such as a number or a time."""
         text = ""
         for number, row in enumerate(numbers.reshape(-1, self.cells_in_line(layout)).tolist()):
             ahead = [0 if self.by_frames else number, *[0] * (self.skip - 1)][: self.skip]
@@ -122,8 +122,8 @@ class TextFrame(_LinesFrame):
     """``[frame]`` with ``format = "text"``: numbers in lines."""
 
     format: Literal["text"]
-    separator: Annotated[str, Field(min_length=1, max_length=8, pattern=r"^[^0-9A-Za-z+\-.\r\n]+$")] | None = None
-    """between two numbers; None: any run of spaces, tabs, and , ; : |"""
+    separator: Annotated[str, Field(min_length=1, max_length=8, pattern=r"^[^0-9+\-.\r\n]+$")] | None = None
+    """between two numbers; of letters: any run of these; None: any run of spaces, tabs, and , ; : |"""
     labels: bool = False
     """each number has its name ahead, as in ``A0:512``; the names are not read"""
     prefix: Annotated[str, Field(max_length=200)] = ""
@@ -143,6 +143,8 @@ class TextFrame(_LinesFrame):
             text = _LABEL.sub("", text)
         if self.separator is None:
             words = _SEPARATORS.split(text.strip(" \t,;:|"))
+        elif self.separator.isalpha():
+            words = re.split(f"[{self.separator}\\s]+", text.strip(f" \t{self.separator}"))
         else:
             words = [word.strip() for word in text.split(self.separator)]
             if len(words) == expected + 1 and not words[-1]:
@@ -152,7 +154,8 @@ class TextFrame(_LinesFrame):
 
     def line(self, values: list[float]) -> str:
         words = [f"c{k}:{value}" for k, value in enumerate(values)] if self.labels else map(str, values)
-        return self.prefix + (" " if self.separator is None else self.separator).join(words) + self.suffix
+        between = " " if self.separator is None else self.separator[:1] if self.separator.isalpha() else self.separator
+        return self.prefix + between.join(words) + self.suffix
 
 
 class JsonFrame(_LinesFrame):
@@ -196,7 +199,7 @@ def _number(word: str) -> float | None:
     """The number of a word; NaN where the board has none, None where the word is none."""
     if len(word) <= LONGEST_NUMBER and _NUMBER.fullmatch(word):
         return float(word)
-    return math.nan if word.lstrip("+-").lower() in MISSING else None
+    return math.nan if word == "-" or (word.lstrip("+-").lower() in MISSING and not word.endswith("-")) else None
 
 
 def _flat(found: list[object], levels: int) -> Iterator[float]:
@@ -261,7 +264,7 @@ class TextHost(LineHost):
         numbers = self._form.read(text, self._expected)
         if numbers is None:
             self._pauses.begin()
-            if self._rows:  # as likely a damaged row as a message
+            if 0 < len(self._rows) < self._lines:  # as likely a damaged row as a message
                 self._fault = self._fault or "a line without numbers between its rows"
             return [Corrupt(size, f"a line of text: {text[:40]!r}")]
         wrong = len(numbers) != self._expected

@@ -17,16 +17,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Annotated, Literal, Self
 
 import numpy as np
 from cobs import cobs
 from pydantic import Field, model_validator
 
+from ._blocks import MOST_BLOCKS, WORDS, Block, Template, Word, template, usual
 from ._cells import AnyFrame, Byte, Cells, Numbers, Pauses
-from ._checksums import CHECKSUMS, Checksum
+from ._checksums import CHECKSUMS
 from ._framing import StartTable, require
 from ._packets import Corrupt, Event, Order
 from ._protocol import Family, HostProtocol, Layout
@@ -38,50 +37,13 @@ AMBIGUOUS_HEADER = "ambiguous header: cells look like one, and no frame is known
 AMBIGUOUS_PHASE = "ambiguous: no header and no pause shows where a frame begins; counted from the first byte"
 
 
-@dataclass(frozen=True)
-class Word:
-    """A kind of number on the line."""
-
-    dtype: np.dtype[np.generic]
-    bits: int
-    """for counts; a float has those of its mantissa, less those that text of 15 digits lacks"""
-
-    def holds(self, low: float, high: float, *, steps: int) -> bool:
-        """Whether the word can hold so many even steps from ``low`` to ``high``."""
-        step = (high - low) / steps
-        if self.dtype.kind == "f":
-            return step > 2.0 ** (2 - self.bits) * max(abs(low), abs(high))
-        limits = np.iinfo(self.dtype)  # type: ignore[type-var]  # its kind is not f
-        return bool(limits.min <= low and high <= limits.max and step >= 1.0)
-
-
-WORDS = {
-    name: Word(np.dtype(code), bits)
-    for name, code, bits in (
-        ("uint8", "u1", 8),
-        ("int8", "i1", 7),
-        ("uint16le", "<u2", 16),
-        ("uint16be", ">u2", 16),
-        ("int16le", "<i2", 15),
-        ("int16be", ">i2", 15),
-        ("uint32le", "<u4", 32),
-        ("uint32be", ">u4", 32),
-        ("int32le", "<i4", 31),
-        ("int32be", ">i4", 31),
-        ("float32le", "<f4", 24),
-        ("float32be", ">f4", 24),
-        ("float64le", "<f8", 49),
-        ("float64be", ">f8", 49),
-    )
-}
-"""by name"""
-
-
 class BinaryFrame(AnyFrame):
     """``[frame]`` with ``format = "binary"``: header, bytes before, words, bytes after, checksum, trailer."""
 
     format: Literal["binary"]
-    word: Literal[tuple(WORDS)]  # type: ignore[valid-type]  # a list of names that is in one place only
+    word: Literal["", *WORDS] = ""  # type: ignore[valid-type]  # a list of names that is in one place only
+    block: Annotated[tuple[Block, ...], Field(strict=False, max_length=MOST_BLOCKS)] = ()
+    """the fields of a frame in the order sent, in place of word, header, before, after, checksum and trailer"""
     header: Annotated[tuple[Byte, ...], Field(strict=False, max_length=64)] = ()
     trailer: Annotated[tuple[Byte, ...], Field(strict=False, max_length=64)] = ()
     framing: Literal["none", "cobs"] = "none"
@@ -95,6 +57,14 @@ class BinaryFrame(AnyFrame):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
+        if self.block:
+            others = ("word", "header", "trailer", "before", "after", "checksum", "checksum_of")
+            given = next((key for key in others if key in self.model_fields_set), None)
+            if given is not None:
+                raise ValueError(f"{given} stands in place of [[frame.block]]; expected one of them")
+            self.template(0)  # which says what does not fit
+        elif not self.word:
+            raise ValueError("word is missing; expected the kind of number of each cell, or [[frame.block]]")
         if self.framing == "cobs" and (self.header or self.trailer):
             raise ValueError('framing = "cobs" stands in place of header and trailer; expected none of them')
         if self.checksum == "none" and self.checksum_of != "payload":
@@ -103,80 +73,49 @@ class BinaryFrame(AnyFrame):
             raise ValueError("a checksum alone does not show where a frame begins; expected a header or framing")
         return self
 
-    @cached_property
-    def _word(self) -> Word:
-        return WORDS[self.word]
-
-    @cached_property
-    def _check(self) -> Checksum | None:
-        return CHECKSUMS.get(self.checksum)
-
-    @cached_property
-    def mark(self) -> bytes:
-        """The header."""
-        return bytes(self.header)
-
-    @cached_property
-    def end_mark(self) -> bytes:
-        """The trailer."""
-        return bytes(self.trailer)
+    def template(self, cells: int) -> Template:
+        """The layout of a frame; ``cells`` is their number where no block says it."""
+        if self.block:
+            return template([(block.parsed, block.repeat) for block in self.block])
+        return usual(self, cells)
 
     @property
-    def proves(self) -> bool:
-        """Whether the checksum can hardly be right by chance: one of one byte agrees with one stretch in 256."""
-        return self._check is not None and self._check.size > 1
+    def cell_word(self) -> Word:
+        """The kind of number of the cells."""
+        return self.template(1).word
+
+    @property
+    def cells_sent(self) -> int | None:
+        """Cells in a frame; None: as many as the array has."""
+        if not self.block:
+            return None
+        made = self.template(0)
+        return made.offsets.size // made.word.dtype.itemsize
 
     def require(self, family: Family, layout: Layout) -> None:
         """Refuse counts that do not fit into the words. Raises InputError."""
-        require(family, layout, [], range(1, 17 if self.range is not None else min(self._word.bits, 16) + 1))
+        most = 16 if self.range is not None else min(self.cell_word.bits, 16)
+        require(family, layout, [], range(1, most + 1))
 
-    def size(self, cells: int) -> int:
-        """Bytes of a frame of so many cells."""
-        return self._begin + cells * self._word.dtype.itemsize + self._tail
-
-    @cached_property
-    def _begin(self) -> int:
-        """Place of the first word."""
-        return len(self.header) + self.before
-
-    @cached_property
-    def _tail(self) -> int:
-        """Bytes behind the words."""
-        return self.after + (0 if self._check is None else self._check.size) + len(self.trailer)
-
-    def numbers(self, frame: bytes) -> Numbers:
-        """The numbers in the bytes of a frame."""
-        words = np.frombuffer(frame[self._begin : len(frame) - self._tail], dtype=self._word.dtype)
-        return words.astype(np.float64)
-
-    def fault(self, frame: bytes) -> str:
-        """Why bytes of the right length, with the header at their head, are no frame; empty if they are one."""
-        if not frame.endswith(self.end_mark):
-            return f"no {self.end_mark.hex(' ').upper()} at the end of a frame"
-        if self._check is not None:
-            end = len(frame) - len(self.trailer)
-            at = end - self._check.size
-            if self._check.of(self._covered(frame[:at])) != frame[at:end]:
-                return "the checksum does not match"
-        return ""
-
-    def _covered(self, head: bytes) -> bytes:
-        """The bytes that the checksum is of, in those ahead of it."""
-        match self.checksum_of:
-            case "frame":
-                return head
-            case "body":
-                return head[len(self.header) :]
-            case _:
-                return head[self._begin : len(head) - self.after]
-
-    def write(self, numbers: Numbers, layout: Layout) -> bytes:
+    def write(self, numbers: Numbers, layout: Layout, *, sequence: int = 0, time_us: int = 0) -> bytes:
         """The bytes of a frame with these numbers; those that are not read are zeros."""
-        rounded = numbers if self._word.dtype.kind == "f" else np.rint(numbers)
-        head = self.mark + bytes(self.before) + rounded.astype(self._word.dtype).tobytes() + bytes(self.after)
-        check = b"" if self._check is None else self._check.of(self._covered(head))
-        frame = head + check + self.end_mark
+        frame = self.template(numbers.size).write(numbers, sequence=sequence, time_us=time_us)
         return bytes(cobs.encode(frame)) + b"\0" if self.framing == "cobs" else frame
+
+
+class Unwrapped:
+    """A number that begins again after some steps, without these jumps."""
+
+    def __init__(self) -> None:
+        self._last: int | None = None
+
+    def of(self, read: tuple[int, int] | None) -> int | None:
+        """The number behind the value and the period that were read; None: none was."""
+        if read is None:
+            return None
+        value, period = read
+        self._last = value if self._last is None else self._last + (value - self._last) % period
+        return self._last
 
 
 class _WordHost(HostProtocol):
@@ -184,12 +123,19 @@ class _WordHost(HostProtocol):
 
     def __init__(self, form: BinaryFrame, cells: Cells, start: StartTable, family: Family, layout: Layout) -> None:
         super().__init__(family, layout)
-        self._form, self._cells, self._start = form, cells, start
-        self._size = form.size(cells.count)
+        self._form, self._cells, self._start = form.template(cells.count), cells, start
+        self._size = self._form.size
         self._buffer = bytearray()
+        self._count, self._clock = Unwrapped(), Unwrapped()
+        """number of the frame and the board's time, which fields of few bytes begin again and again"""
 
     def request(self, order: Order, *, period_us: int = 0) -> bytes:
         return self._start.order(order)
+
+    def _event(self, frame: bytes, numbers: Numbers, size: int) -> Event:
+        """The event of a good frame of ``size`` bytes on the line."""
+        sequence, time_us = self._count.of(self._form.sequence(frame)), self._clock.of(self._form.time_us(frame))
+        return self._cells.event(numbers, size, sequence=sequence, time_us=time_us)
 
 
 class CobsHost(_WordHost):
@@ -220,7 +166,7 @@ class CobsHost(_WordHost):
         fault = self._form.fault(frame)
         if fault:
             return Corrupt(len(stretch), fault)
-        return self._cells.event(self._form.numbers(frame), len(stretch) + 1)
+        return self._event(frame, self._form.numbers(frame), len(stretch) + 1)
 
 
 class BinaryHost(_WordHost):
@@ -232,11 +178,12 @@ class BinaryHost(_WordHost):
         """the bytes at the head of the buffer follow a good frame"""
         self._last: Numbers | None = None
         """numbers of the last good frame"""
-        self._pauses = None if form.header or form.trailer or family.polled else Pauses(self._size)
+        marked = self._form.mark or self._form.end_mark
+        self._pauses = None if marked or family.polled else Pauses(self._size)
         self._placed = False
 
     def request(self, order: Order, *, period_us: int = 0) -> bytes:
-        if order is Order.ONE_FRAME and not self._form.header:
+        if order is Order.ONE_FRAME and not self._form.mark:
             self._buffer.clear()  # the rest of an earlier reply; the next begins with its first word
         return super().request(order, period_us=period_us)
 
@@ -326,7 +273,7 @@ class BinaryHost(_WordHost):
         while True:
             at = self._buffer.find(self._form.mark, at + 1)
             if at < 0:
-                return self._skip(max(len(self._buffer) - len(self._form.header) + 1, 1), reason)
+                return self._skip(max(len(self._buffer) - len(self._form.mark) + 1, 1), reason)
             if at + self._size > len(self._buffer) or not self._fault(at):
                 return self._skip(at, reason)
 
@@ -362,7 +309,7 @@ class BinaryHost(_WordHost):
         """Places within the first frame's length at which a frame may begin."""
         mark, shift = self._form.mark, 0
         if not mark:
-            mark, shift = self._form.end_mark, self._size - len(self._form.trailer)
+            mark, shift = self._form.end_mark, self._size - len(self._form.end_mark)
         at = self._buffer.find(mark, shift)
         while 0 <= at - shift < self._size:
             yield at - shift
@@ -382,10 +329,11 @@ class BinaryHost(_WordHost):
         return float(np.nansum(apart))
 
     def _take(self) -> Event:
-        self._last = self._form.numbers(bytes(self._buffer[: self._size]))
+        frame = bytes(self._buffer[: self._size])
+        self._last = self._form.numbers(frame)
         self._in_step = True
         del self._buffer[: self._size]
-        return self._cells.event(self._last, self._size)
+        return self._event(frame, self._last, self._size)
 
     def _skip(self, size: int, reason: str, *, in_step: bool = False) -> Corrupt:
         self._in_step = in_step

@@ -3,15 +3,17 @@
 ====================  ==========================================================================================
 :mod:`._calibrate`    the whole calibration; :mod:`._report` prints and draws the results
 :mod:`._recording`    recordings and their checks; :mod:`._protocol`: the presses to apply
-:mod:`._identify`     fits every kind of cell in :mod:`._kinds` to a recording
-:mod:`._training`     trains estimators on the recording and on simulated cells
-:mod:`._choice`       chooses the default estimator by cross-validation on the :mod:`._folds`
+:mod:`._identify`     fits the :mod:`._kinds` of cell to a recording, by :mod:`._projection`
+:mod:`._training`     trains the distilled estimator on the recording and on simulated cells; :mod:`._curves`: without
+                      memory
+:mod:`._held_out`     the choice among estimators and their deviations, by errors on the :mod:`._folds`
 ====================  ==========================================================================================
 """
 
 from ._calibrate import CalibrationResult, calibrate, estimate_recording
 from ._folds import folds
-from ._identify import fits
+from ._from_model import learned_from_model
+from ._identify import Task, find_drift, fits
 from ._protocol import check_protocol, protocol_load, protocol_text
 from ._recording import Recording, check_resistances, checked_recording, read_recording
 from ._recovery_curve import recovery_branches
@@ -21,6 +23,7 @@ from ._report import calibration_figure, calibration_record, calibration_text
 __all__ = [
     "CalibrationResult",
     "Recording",
+    "Task",
     "calibrate",
     "calibration_figure",
     "calibration_record",
@@ -29,8 +32,10 @@ __all__ = [
     "check_resistances",
     "checked_recording",
     "estimate_recording",
+    "find_drift",
     "fits",
     "folds",
+    "learned_from_model",
     "protocol_load",
     "protocol_text",
     "read_recording",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,45 +13,44 @@ from ...common.progress import Progress, silent
 from ...errors import InputError
 from .._cell import Calibrated, Cell, EstimatorName
 from ..estimation import Estimator, longest_s
-from ..inversions import DRIFT, Seen
-from ..inversions import margin as inverse_margin
-from ..materials import AsymmetricModel, M10Model, Model, resistance_on_logarithm, simulate
-from . import _choice as choice
+from ..inversions import Learned, LearnedInversion, Seen, StaticCurve
+from ..materials import M10Model, PaperModel, equilibrium_gain, resistance_on_logarithm, simulate
 from . import _training as training
-from ._fitted import Fit, Parameter, no_simulation
-from ._fold_errors import FoldErrors, Regimes, best_share, mixed
-from ._folds import Fold, folds, strokes
-from ._identify import contact_fit, falls, fits
+from ._curves import CURVES, CurveName, answers, static_curve
+from ._fitted import Fit, Parameter
+from ._folds import Fold, folds, pressing, strokes
+from ._held_out import Judged, best_share, by_fold, conformal, growth, mixed, pooled_rms, representative
+from ._identify import Task, falls, find_drift, fit_contact, fits
+from ._kinds import M10
 from ._recording import Recording
-from ._remarks import remarks
+from ._remarks import clock_shift_s, remarks
 
 MOST_SAMPLES, ENOUGH_SAMPLES, SAMPLES_PER_STROKE = 6000, 1500, 30.0
 """largest number of samples for training; a longer recording is thinned. Of a recording that is longer than the second
 number, a short stroke of the load (the lower quartile) keeps the third number of samples"""
 FOLD_CELLS = 32
 """simulated cells for training before each fold; a third of the number for the final estimators"""
-SIMPLER_TEACHES = 0.7
-"""fraction of the richer kind's held-out error; a simpler kind with less error is simulated for training instead"""
-MOST_DRIFT_MISSED = 3.0
-"""largest drift after the recording that an inverse may miss, over its held-out error"""
-BREAKING_EXPLAINS = 0.5
-"""a cell is believed to have chains that break if m10 with them has less than this fraction of the error without"""
-MEMORY_EXPLAINS = 0.8
-"""fraction of the static curve's error on its worst fold, below which a cell whose resistance falls has a memory"""
-NEARLY_UNLOADED = 0.05
-"""share of full scale, and of the samples, under which a cell counts as about at rest"""
-KINDS = 3
-"""progress steps of the fit"""
-
-
-FALLING = (
-    "the resistance falls under load, and no model with memory on a logarithmic scale is surely better: the cell is "
-    "taken for a contact without memory, and creep and hysteresis are not made up for"
-)
-LOGARITHMIC = "the resistance falls under load: the model is one of r = ln(R0/R)/log_span"
+EXPLAINS = 0.7
+"""fraction of a standard deviation that the best curve may leave of the load, or the best model of the resistance"""
+PAPER_TEACHES = 0.5
+"""fraction of the other kind's error, below which the paper's kind is simulated for training. It switches at every
+change of direction, and learned maps follow such switches badly"""
+MODEL_EXACT = 0.005
+"""held-out error of a model beyond noise, over the range of r, below which its map is followed beyond what was read"""
+ONE_PRESS = 1.6
+"""path of the load, over full scale, from which a recording without folds shows a memory"""
 RANGE_ON_LOGARITHM = 0.6
 """range of r in a recording on a logarithmic scale. Noise is taken to be proportional to (1 + r)^2, so that a smaller
 range has less of it under load; relative noise is constant on this scale"""
+FALLING = (
+    "the resistance falls under load, and no estimator with memory is better: the cell is taken for a contact without "
+    "memory, and creep and hysteresis are not made up for"
+)
+LOGARITHMIC = "the resistance falls under load: the model is one of r = ln(R0/R)/log_span"
+NOT_KNOWN = (
+    "how the estimator errs on other presses is not known, as no whole press is left to judge by: the deviation is the "
+    "width of the static curve's own residual"
+)
 
 
 @dataclass(frozen=True)
@@ -61,17 +60,19 @@ class CalibrationResult:
     cell: Cell
     recording: Recording
     fits: tuple[Fit, ...]
-    """the chosen kind first"""
+    """the kind of the cell first"""
     folds: tuple[Fold, ...]
     """test folds in the time of the recording; training used the part before each fold"""
-    inverse_margin: float | None
-    """least slope of a fast step over that at equilibrium: the exact inverse is safe if positive; None: no inverse"""
+    curve: CurveName
+    """kind of the static curve"""
+    growth: float = 1.0
+    """factor by which the deviation exceeds that on the folds, see :func:`._held_out.growth`"""
     remarks: tuple[str, ...] = ()
     """limits of the recording, and suspicious properties"""
 
     @property
     def fit(self) -> Fit:
-        """The fit of the chosen kind."""
+        """The fit of the cell's kind."""
         return self.fits[0]
 
 
@@ -80,10 +81,10 @@ def calibrate(
 ) -> CalibrationResult:
     """Identify the cell of a recording and calibrate its estimators.
 
-    Kinds of models and estimators are compared by rolling-origin cross-validation. The recording is cut into folds that
-    each hold a whole press. Fits and training use the part before a fold, and the worst fold counts. The final model
-    and estimators are then fitted to the whole recording. A recording of fewer than three presses has no folds: an
-    information criterion then decides between the kinds, and simulated cells between the estimators. Deterministic.
+    Estimators are compared by rolling-origin cross-validation. The recording is cut into folds that each hold a whole
+    press. Fits and training use the part before a fold, and the estimator with the least error on this and all later
+    folds is chosen. The same errors determine the deviations. The final model and estimators are then fitted to the
+    whole recording. A recording of fewer than three presses has no folds, and its report says so. Deterministic.
 
     Args:
         recording: presses and releases of one cell.
@@ -91,52 +92,215 @@ def calibrate(
         progress: called after each step.
 
     Raises:
-        InputError: the resistance does not follow the pressure, or no model of any kind fits.
+        InputError: the resistance does not follow the pressure, or the recording is too short.
     """
     clean = recording.without_sparks
     full = float(np.quantile(clean.pressure_kpa, 0.999)) if full_scale_kpa is None else full_scale_kpa
     if not 0 < full < np.inf:
         raise InputError(f"full scale is {full} kPa; expected more than 0")
-    thin = _thinned(clean, full)
-    parts, steps = folds(thin, full), itertools.count(1)
+    parts, steps = folds(_thinned(clean, full), full), itertools.count(1)
 
     def tell(what: str) -> None:
-        progress(next(steps), KINDS + len(parts) + 1, what)
+        progress(next(steps), len(parts) + 4, what)
 
-    if falls(thin, full):
-        return _calibrated_falling(recording, thin, parts, full, tell)
-    return _calibrated(recording, thin, parts, full, tell)
+    if not falls(clean):
+        return _calibrated(recording, clean, parts, full, tell)
+    # A cell whose resistance falls is calibrated on a logarithmic scale. If it has no memory there, it is a contact.
+    light = clean.pressure_kpa <= max(0.05 * full, float(np.quantile(clean.pressure_kpa, 0.05)))
+    unit = float(np.median(clean.resistance_ohm[light]))
+    span = float(np.ptp(np.percentile(np.log(clean.resistance_ohm), [0.5, 99.5]))) / RANGE_ON_LOGARITHM
+    scaled = replace(clean, resistance_ohm=unit * (1.0 + np.maximum(np.log(unit / clean.resistance_ohm) / span, -0.9)))
+    found = _calibrated(recording, scaled, parts, full, tell)
+    assert found.cell.estimators is not None
+    if found.cell.estimators.default != "static":
+        return _in_ohms(found, unit, span)
+    return _contact(found, clean)
 
 
-def _calibrated_falling(
-    recording: Recording, thin: Recording, parts: tuple[Fold, ...], full: float, tell: Callable[[str], None]
+def _calibrated(
+    recording: Recording, clean: Recording, parts: tuple[Fold, ...], full: float, tell: Callable[[str], None]
 ) -> CalibrationResult:
-    """Calibrate a cell whose resistance falls under load: with memory on a logarithmic scale, if that is surely better.
+    """Calibrate a cell whose readings rise under load by ``clean``, those of ``recording`` or a scale of them."""
+    task = Task.of(clean, full)
+    found = tuple(fits(task, parts, tell))
+    teacher = _teacher(found)
+    cell = Cell(rest_resistance_ohm=found[0].rest_resistance_ohm, full_scale_kpa=full, model=found[0].model)
+    thin = _thinned(clean, full)
+    seen = _seen(thin, full)
+    whole = _normalised(thin, cell, teacher)
+    _check_follows(recording, found, whole)
+    places = np.searchsorted(thin.time_s, [fold.start_s for fold in parts] + [fold.end_s for fold in parts[-1:]])
+    trials = _Trials(cell, whole, places.tolist())
+    for place, fold in enumerate(parts):
+        trials.add_curves(place, whole.until(fold.start_s))
+        trials.add_distilled(place, replace(whole, simulation=teacher.simulate_folds[place]).until(fold.start_s))
+        tell("learned before a fold, and judged on it and on later ones")
+    if isinstance(cell.model, PaperModel):
+        trials.add_inverses(thin, found[0])
+    curve = min(CURVES, key=lambda name: pooled_rms(representative(trials.curves[name]))) if parts else _best_fit(whole)
+    static = static_curve(curve, whole.r, whole.load)
+    simulated = training.variations(whole, np.random.default_rng(0))
+    final = training.distilled(whole, simulated)
+    beyond = _beyond_noise(teacher, thin) < MODEL_EXACT
+    final = final.replace(beyond_recorded=beyond)
+    estimators, grown = _stated(trials.judged(curve), static, final, whole, full)
+    tell("learned from all")
+    presses = float(pressing(thin, full)[-1]) / 2
+    m10 = next(fit.model for fit in found if isinstance(fit.model, M10Model))
+    times = np.array([getattr(m10, name) for name in M10.times])
+    said = remarks(recording, full, presses, varied=strokes(thin, full).vary, drift=find_drift(task, times))
+    tell("examined")
+    notes = tuple(said) if parts else (NOT_KNOWN, *said)
+    cell = cell.replace(estimators=estimators.replace(seen=seen))
+    return CalibrationResult(cell, recording, found, parts, curve, grown, notes)
 
-    Otherwise it is a contact.
-    """
-    contact = contact_fit(thin, full)
-    simple = _calibrated_contact(
-        Cell(rest_resistance_ohm=contact.rest_resistance_ohm, full_scale_kpa=full, model=contact.model), thin
+
+class _Trials:
+    """Held-out errors of all estimators: after learning what comes before a fold, on this fold and on later ones."""
+
+    def __init__(self, cell: Cell, whole: training.NormalisedRecording, places: list[int]) -> None:
+        """``places``: first sample of each fold, and the end of the last."""
+        self._cell, self._whole, self._places = cell, whole, places
+        self.curves: dict[CurveName, list[Judged]] = {name: [] for name in CURVES}
+        self.distilled: list[Judged] = []
+        self.inverse: list[Judged] = []
+
+    def _judge(self, before: int, *answer: FloatArray) -> list[Judged]:
+        """Errors of an answer (n,) to the whole recording, with what it expects and what lies beyond its knowledge."""
+        nothing = np.zeros_like(answer[0])
+        load, (expected, beyond) = answer[0], answer[1:] or (nothing, nothing)
+        found = []
+        for fold in range(before, len(self._places) - 1):
+            part = slice(self._places[fold], self._places[fold + 1])
+            found.append(Judged(before, fold, (load - self._whole.load)[part], expected[part], beyond[part]))
+        return found
+
+    def add_curves(self, before: int, first: training.NormalisedRecording) -> None:
+        """Fit each static curve to the part before a fold."""
+        for name in CURVES:
+            self.curves[name] += self._judge(before, answers(static_curve(name, first.r, first.load), self._whole.r))
+
+    def add_distilled(self, before: int, first: training.NormalisedRecording) -> None:
+        """Train the distilled map on the part before a fold."""
+        map_ = training.distilled(first, training.variations(first, np.random.default_rng(0), FOLD_CELLS))
+        curve = static_curve("cubic", first.r, first.load)
+        self.distilled += self._judge(before, *_run(map_, curve, self._cell, self._whole))
+
+    def add_inverses(self, thin: Recording, fit: Fit) -> None:
+        """Run the inverse of each model that was fitted before a fold."""
+        judged: list[Judged] = []
+        for before, made in enumerate(fit.before_folds):
+            try:
+                if made is None:
+                    return
+                cell = self._cell.replace(model=made[0], rest_resistance_ohm=made[1])
+                estimator = cell.estimator((), "inverse")
+            except InputError:
+                return  # not for these parameters
+            pressure, _ = estimate_recording(estimator, thin.time_s, thin.resistance_ohm)
+            judged += self._judge(before, pressure / cell.full_scale_kpa)
+        self.inverse = judged
+
+    def judged(self, curve: CurveName) -> dict[EstimatorName, list[Judged]]:
+        """Errors of each estimator that has been judged."""
+        all_: dict[EstimatorName, list[Judged]] = {
+            "static": self.curves[curve],
+            "distilled": self.distilled,
+            "inverse": self.inverse,
+        }
+        return {name: judged for name, judged in all_.items() if judged}
+
+
+def _run(
+    map_: Learned, curve: StaticCurve, cell: Cell, whole: training.NormalisedRecording
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What a map answers to a whole recording, the error that it expects, and the deviation beyond its knowledge."""
+    full_r = equilibrium_gain(cell.model, cell.full_scale_kpa, cell.rest_resistance_ohm)
+    inversion = LearnedInversion(map_, curve, cell.full_scale_kpa, full_r, exact=False)
+    return inversion.run(np.diff(whole.time_s, prepend=whole.time_s[0]), whole.r)
+
+
+def _stated(
+    judged: dict[EstimatorName, list[Judged]],
+    static: StaticCurve,
+    final: Learned,
+    whole: training.NormalisedRecording,
+    full: float,
+) -> tuple[Calibrated, float]:
+    """The estimators with their deviations and the choice among them; and the growth of the chosen one's errors."""
+    if not judged:
+        own = np.abs(answers(static, whole.r) - whole.load)
+        _, floor = conformal([Judged(0, 0, own, np.zeros_like(own), np.zeros_like(own))])
+        remembers = float(np.sum(np.abs(np.diff(whole.load)))) >= ONE_PRESS
+        return (
+            Calibrated(
+                default="distilled" if remembers else "static",
+                reason="it is the usual one; how it errs on other presses is not known",
+                held_out_percent={},
+                static=static.replace(std_kpa=floor * full),
+                distilled=final.replace(std_factor=1e-9, std_floor=floor),
+            ),
+            1.0,
+        )
+    by_folds = {name: by_fold(parts) for name, parts in judged.items()}
+    judged = {name: representative(parts) for name, parts in judged.items()}
+    share = best_share(judged["distilled"], judged["static"])
+    judged["distilled"] = mixed(judged["distilled"], judged["static"], share)
+    percent = {name: 100 * pooled_rms(parts) for name, parts in judged.items()}
+    default = min(percent, key=lambda name: percent[name])
+    grown = {name: growth(parts) for name, parts in judged.items()}
+    factor, floor = conformal(judged["distilled"])
+    stated = {name: conformal(parts)[1] * grown[name] for name, parts in judged.items()}
+    others = ", ".join(f"{name} {value:.1f} %" for name, value in percent.items() if name != default)
+    return (
+        Calibrated(
+            default=default,
+            reason=f"{percent[default]:.1f} % of full scale on what comes after the part learned from ({others})",
+            held_out_percent=percent,
+            fold_percent=by_folds,
+            std_kpa=full * stated.get("inverse", 0.0),
+            static=static.replace(std_kpa=full * stated["static"]),
+            distilled=final.replace(
+                static_share=1 - share,
+                std_factor=max(factor * grown["distilled"], 1e-9),
+                std_floor=floor * grown["distilled"],
+            ),
+        ),
+        grown[default],
     )
-    light = thin.pressure_kpa <= max(NEARLY_UNLOADED * full, float(np.quantile(thin.pressure_kpa, NEARLY_UNLOADED)))
-    unit = float(np.median(thin.resistance_ohm[light]))
-    span = float(np.ptp(np.percentile(np.log(thin.resistance_ohm), [0.5, 99.5]))) / RANGE_ON_LOGARITHM
-    scaled = replace(thin, resistance_ohm=unit * (1.0 + np.maximum(np.log(unit / thin.resistance_ohm) / span, -0.9)))
-    try:
-        found = _calibrated(recording, scaled, parts, full, tell)
-    except InputError:
-        found = None  # no model fits
-    if found is not None:
-        learned, plain = found.cell.estimators, simple.estimators
-        assert learned is not None
-        assert plain is not None
-        least = MEMORY_EXPLAINS * plain.held_out_percent["static"]
-        if learned.default != "static" and learned.held_out_percent[learned.default] < least:
-            return _in_ohms(found, unit, span)
-    presses = float(Regimes.of(thin, full).pressing[-1]) / 2
-    said = (FALLING, *remarks(recording, full, presses, varied=True))
-    return CalibrationResult(simple, recording, (contact,), parts, None, said)
+
+
+def _best_fit(whole: training.NormalisedRecording) -> CurveName:
+    """The curve that fits a recording without folds best."""
+    return min(CURVES, key=lambda name: _own(static_curve(name, whole.r, whole.load), whole))
+
+
+def _own(curve: StaticCurve, whole: training.NormalisedRecording) -> float:
+    """What a curve leaves of the recording that it was fitted to."""
+    return float(np.std(answers(curve, whole.r) - whole.load))
+
+
+def _check_follows(recording: Recording, found: Sequence[Fit], whole: training.NormalisedRecording) -> None:
+    """InputError, naming the recording, unless a curve or a model leaves clearly less than knowing nothing.
+
+    Either has few parameters, so that what it leaves of the whole recording tells whether there is anything to learn.
+    """
+    by_curve = _own(static_curve(_best_fit(whole), whole.r, whole.load), whole) / float(np.std(whole.load))
+    by_model = min(fit.error for fit in found) * float(np.ptp(whole.r)) / float(np.std(whole.r))
+    left = min(by_curve, by_model)
+    if left < EXPLAINS:
+        return
+    question = "are the columns right, and is the noise smaller than what the load does?"
+    if shift_s := clock_shift_s(recording):
+        side = "before" if shift_s > 0 else "after"
+        question = (
+            f"but it changes {abs(shift_s):.2g} s {side} the pressure does, again and again: the clocks of the two are "
+            f"apart. Shift the times of one by {abs(shift_s):.2g} s, or let --align do so, and fit again"
+        )
+    raise InputError(
+        f"{recording.name}: the resistance does not follow the pressure: the best curve or model leaves "
+        f"{100 * left:.0f} % of its standard deviation; {question}"
+    )
 
 
 def _in_ohms(found: CalibrationResult, unit_ohm: float, span: float) -> CalibrationResult:
@@ -160,48 +324,21 @@ def _in_ohms(found: CalibrationResult, unit_ohm: float, span: float) -> Calibrat
     return replace(found, cell=cell, fits=kinds, remarks=(LOGARITHMIC, *found.remarks))
 
 
-def _calibrated(
-    recording: Recording, thin: Recording, parts: tuple[Fold, ...], full: float, tell: Callable[[str], None]
-) -> CalibrationResult:
-    """Calibrate a cell whose readings rise under load by ``thin``, the readings of ``recording`` or a scale of them."""
-    found = tuple(fits(thin, full, tell))
-    model, rest = found[0].model, found[0].rest_resistance_ohm
-    cell = Cell(rest_resistance_ohm=rest, full_scale_kpa=full, model=model)
-    samples, seen = Regimes.of(thin, full), _seen(thin, full)
-    presses = float(samples.pressing[-1]) / 2
-    inverse = inverse_margin(model, full) if isinstance(model, AsymmetricModel | M10Model) else None
-    teacher, breaks = _teacher(found), _breaks(found)
-    whole = _normalised(thin, cell, teacher)
-    judged: dict[EstimatorName, list[FoldErrors]] = {}
-    for fold, simulation in zip(parts, teacher.simulate_folds, strict=True):
-        first = replace(whole, simulation=simulation).until(fold.start_s)
-        trial = cell.replace(estimators=_learned(first, full, cells=FOLD_CELLS, breaks=breaks).replace(seen=seen))
-        for name in LEARNED:
-            judged.setdefault(name, []).append(_judge(trial, name, thin, samples, fold))
-        tell("learned before a fold, and judged on it")
-    noise = seen.noise * float(np.mean(thin.resistance_ohm) / np.ptp(thin.resistance_ohm))
-    final = _learned(whole, full, cells=training.CELLS, breaks=breaks).replace(seen=seen)
-    if parts:
-        judged |= _judge_models(cell.replace(estimators=None), found[0].before_folds, thin, samples, parts)
-    else:
-        judged = _judge_on_all(cell.replace(estimators=final), thin, samples)
-    final = _mixed(final, judged, beyond_recorded=_beyond_noise(teacher, noise) < choice.MODEL_EXACT)
-    tried = (*LEARNED, *(name for name in judged if name == "inverse"))
-    simulated_error = choice.errors_on_simulated_cells(cell.replace(estimators=final), found, tried, whole)
-    tell("learned from all")
-    evidence = choice.Evidence(
-        judged=judged,
-        simulated_error=simulated_error,
-        presses=presses,
-        strokes=strokes(thin, full),
-        unexplained=_beyond_noise(found[0], noise),
-        held_out=bool(parts),
-        least_slope=1.0 if inverse is None else inverse,
-    )
-    cell = cell.replace(estimators=_with_errors(final, evidence, whole, full))
-    drift = next(fit.drift for fit in found if fit.drift is not None)
-    said = tuple(remarks(recording, full, presses, varied=evidence.varied, drift=drift))
-    return CalibrationResult(cell, recording, found, parts, inverse, said)
+def _contact(found: CalibrationResult, clean: Recording) -> CalibrationResult:
+    """The result for a cell without memory on a logarithmic scale: a contact, read by the same curve of log(R0/R)."""
+    full, learned = found.cell.full_scale_kpa, found.cell.estimators
+    assert learned is not None
+    fit = fit_contact(clean, full)
+    rest = fit.rest_resistance_ohm
+    kind: CurveName = "monotone" if found.curve == "monotone" else "cubic"
+    curve = static_curve(kind, clean.resistance_ohm / rest - 1, clean.pressure_kpa / full, logarithmic=True)
+    kept = {
+        "held_out_percent": {name: value for name, value in learned.held_out_percent.items() if name == "static"},
+        "fold_percent": {name: value for name, value in learned.fold_percent.items() if name == "static"},
+    }
+    estimators = learned.replace(distilled=None, static=curve.replace(std_kpa=learned.static.std_kpa), **kept)
+    cell = Cell(rest_resistance_ohm=rest, full_scale_kpa=full, model=fit.model, estimators=estimators)
+    return replace(found, cell=cell, fits=(fit, *found.fits), remarks=(FALLING, *found.remarks))
 
 
 def estimate_recording(
@@ -224,41 +361,10 @@ def estimate_recording(
     return pressure, std if estimator.states_std else None
 
 
-def _teacher(found: tuple[Fit, ...]) -> Fit:
-    """The fit that is simulated for training: the richest kind with one set of states, unless it is clearly worse.
-
-    On a short recording, the errors of two kinds are often close. Training on a kind that is too simple then does more
-    harm than the superfluous parameters of a richer kind. But a kind with a much larger error on its worst fold would
-    teach its own errors. The paper's model switches at every change of direction, and learned maps follow such switches
-    badly; it is used only if it is far better.
-    """
-    smooth = next(fit for fit in found if isinstance(fit.model, M10Model))
-    plain = next(fit for fit in found if isinstance(fit.model, AsymmetricModel))
-    if plain.judged_error < SIMPLER_TEACHES * smooth.judged_error:
-        smooth = plain
-    best = min(found, key=lambda fit: fit.judged_error)
-    return best if best.judged_error < 0.5 * smooth.judged_error else smooth
-
-
-def _breaks(found: tuple[Fit, ...]) -> bool:
-    """Whether motion breaks conductive chains, that is, whether m10 fits far worse without them."""
-    errors = {fit.label: fit.error for fit in found}  # an m10 fitted with k = 0 has the label of "whole"
-    return errors.get("m10", np.inf) < BREAKING_EXPLAINS * errors.get("m10, k = 0", 0.0)
-
-
-def _learned(
-    calibration: training.NormalisedRecording, full_scale_kpa: float, *, cells: int, breaks: bool
-) -> Calibrated:
-    """All learned estimators, without error statistics; ``breaks``: conductive chains of the cell break by motion."""
-    simulated = training.variations(calibration, np.random.default_rng(0), cells)
-    return Calibrated(
-        default="distilled",
-        reason="",
-        held_out_percent={},
-        static=training.static_curve(calibration, full_scale_kpa),
-        play=training.play(calibration, simulated),
-        distilled=training.distilled(calibration, simulated, paths_s=training.PATHS_S if breaks else ()),
-    )
+def _teacher(found: Sequence[Fit]) -> Fit:
+    """The fit that is simulated for training."""
+    paper, other = sorted(found, key=lambda fit: not isinstance(fit.model, PaperModel))
+    return paper if paper.judged_error < PAPER_TEACHES * other.judged_error else other
 
 
 def _thinned(recording: Recording, full_scale_kpa: float) -> Recording:
@@ -275,6 +381,7 @@ def _thinned(recording: Recording, full_scale_kpa: float) -> Recording:
 def _normalised(recording: Recording, cell: Cell, teacher: Fit) -> training.NormalisedRecording:
     """Training data: the recording in normalised units, and a simulation of cells like those of the fit ``teacher``."""
     rest = cell.rest_resistance_ohm
+    assert teacher.simulate is not None
     return training.NormalisedRecording(
         time_s=recording.time_s,
         r=recording.resistance_ohm / rest - 1,
@@ -285,53 +392,10 @@ def _normalised(recording: Recording, cell: Cell, teacher: Fit) -> training.Norm
     )
 
 
-def _beyond_noise(fit: Fit, noise: float) -> float:
+def _beyond_noise(fit: Fit, recording: Recording) -> float:
     """Error of a fit beyond the noise of the readings, both over the range of the resistance."""
+    noise = simulate.white_noise(recording.resistance_ohm) / float(np.ptp(recording.resistance_ohm))
     return float(np.sqrt(max(fit.judged_error**2 - noise**2, 0.0)))
-
-
-def _mixed(learned: Calibrated, judged: dict[EstimatorName, list[FoldErrors]], *, beyond_recorded: bool) -> Calibrated:
-    """Mix learned maps with the static curve by weights from the folds (stacking); changes ``judged`` accordingly."""
-    for name in ("play", "distilled"):
-        share = best_share(judged[name], judged["static"])
-        judged[name] = mixed(judged[name], judged["static"], share)
-        one = getattr(learned, name).replace(static_share=1 - share, beyond_recorded=beyond_recorded)
-        learned = learned.replace(**{name: one})
-    return learned
-
-
-def _with_errors(
-    final: Calibrated, evidence: choice.Evidence, whole: training.NormalisedRecording, full_scale_kpa: float
-) -> Calibrated:
-    """Choose the default estimator, and set the error statistics of all estimators."""
-    judged = evidence.judged
-    default, reason = choice.choose(evidence)
-    pressed = {name: 100 * max(part.pressed_rms for part in of) for name, of in judged.items()}
-    pressed_drift = max(abs(float(np.mean(part.pressed))) for part in judged["static"])
-    calibrated = {
-        name: training.with_calibrated_std(
-            getattr(final, name),
-            judged[name],
-            drift=pressed_drift,
-            simulated_error=0.0 if evidence.varied else evidence.simulated_error[name],
-            most=pressed["static"] / 100,
-        )
-        for name in ("play", "distilled")
-    }
-    other_loads = training.error_on_other_loads(whole, final.static)
-    static_std = full_scale_kpa * max(DRIFT * pressed["static"] / 100, other_loads)
-    return Calibrated(
-        default=default,
-        reason=reason,
-        held_out_percent={name: evidence.expected_percent(name) for name in judged},
-        fold_percent={name: tuple(evidence.percent(name)) for name in judged},
-        pressed_percent=pressed,
-        # An inverse follows the drift that its model explains; its errors on the folds show how well.
-        drift_percent=min(100 * pressed_drift, MOST_DRIFT_MISSED * pressed.get("inverse", np.inf)),
-        seen=final.seen,
-        static=final.static.replace(std_kpa=max(final.static.std_kpa, static_std)),
-        **calibrated,
-    )
 
 
 def _seen(recording: Recording, full_scale_kpa: float) -> Seen:
@@ -345,96 +409,3 @@ def _seen(recording: Recording, full_scale_kpa: float) -> Seen:
         speed_kpa_per_s=float(np.sqrt(np.mean((later - load) ** 2))),
         longest_load_s=longest_s(time, load / full_scale_kpa),
     )
-
-
-LEARNED: tuple[EstimatorName, ...] = ("static", "play", "distilled")
-FROM_MODEL: tuple[EstimatorName, ...] = ("paper", "inverse")
-
-
-def _judge(cell: Cell, name: EstimatorName, recording: Recording, samples: Regimes, fold: Fold) -> FoldErrors:
-    """Held-out errors of an estimator trained before the fold, run as in use: with smoothing, and sleep at rest."""
-    until = int(np.searchsorted(recording.time_s, fold.end_s))
-    part = slice(int(np.searchsorted(recording.time_s, fold.start_s)), until)
-    estimator = cell.estimator((), name)
-    pressure, std = estimate_recording(estimator, recording.time_s[:until], recording.resistance_ohm[:until])
-    error = (pressure - recording.pressure_kpa[:until])[part] / cell.full_scale_kpa
-    stated = np.full(error.shape, np.inf) if std is None else std[part] / cell.full_scale_kpa
-    return FoldErrors(fold, error, stated, samples.part(part))
-
-
-def _all_of(recording: Recording) -> Fold:
-    return Fold(float(recording.time_s[0]), float(recording.time_s[-1]) + recording.step_s)
-
-
-def _judge_on_all(cell: Cell, recording: Recording, samples: Regimes) -> dict[EstimatorName, list[FoldErrors]]:
-    """Errors of all estimators on the whole recording, which they have learned."""
-    every = _all_of(recording)
-    judged = {name: [_judge(cell, name, recording, samples, every)] for name in LEARNED}
-    model = cell.model, cell.rest_resistance_ohm
-    return judged | _judge_models(cell.replace(estimators=None), (model,), recording, samples, (every,))
-
-
-def _judge_models(
-    cell: Cell,
-    before_folds: tuple[tuple[Model, float] | None, ...],
-    recording: Recording,
-    samples: Regimes,
-    parts: tuple[Fold, ...],
-) -> dict[EstimatorName, list[FoldErrors]]:
-    """Errors of estimators that follow from the model alone; ``before_folds``: as fitted before each fold.
-
-    An estimator is left out unless the fits before all folds allow it.
-    """
-    judged: dict[EstimatorName, list[FoldErrors]] = {}
-    for name in FROM_MODEL:
-        pairs = []
-        for fold, before in zip(parts, before_folds, strict=True):
-            try:
-                if before is not None:
-                    model, rest = before
-                    trial = cell.replace(model=model, rest_resistance_ohm=rest)
-                    pairs.append(_judge(trial, name, recording, samples, fold))
-            except InputError:
-                break  # not for this kind of cell, or these parameters
-        if len(pairs) == len(parts) and _has(cell, name):
-            judged[name] = pairs
-    return judged
-
-
-def _has(cell: Cell, name: EstimatorName) -> bool:
-    """Whether the estimator ``name`` exists for a cell."""
-    try:
-        cell.estimator((), name)
-    except InputError:
-        return False
-    return True
-
-
-def _calibrated_contact(cell: Cell, recording: Recording) -> Cell:
-    """Calibrate a contact, which has no memory: the only estimator is a cubic in log(R0/R)."""
-    r, load = recording.resistance_ohm / cell.rest_resistance_ohm - 1, recording.pressure_kpa / cell.full_scale_kpa
-
-    whole = training.NormalisedRecording(recording.time_s, r, load, cell.rest_resistance_ohm, no_simulation, 0.0)
-    samples = Regimes.of(recording, cell.full_scale_kpa)
-    held_out, parts = folds(recording, cell.full_scale_kpa), []
-    for fold in held_out or (_all_of(recording),):
-        before = whole.until(fold.start_s) if held_out else whole
-        first = training.static_curve(before, cell.full_scale_kpa, logarithmic=True)
-        part = slice(*np.searchsorted(recording.time_s, (fold.start_s, fold.end_s)).tolist())
-        error = np.clip(first.load(r[part]), first.limits.lowest, first.limits.highest) - load[part]
-        parts.append(FoldErrors(fold, error, np.full(error.shape, np.inf), samples.part(part)))
-    percent = max(100 * part.rms for part in parts)
-    pressed = max(100 * part.pressed_rms for part in parts)
-    curve = training.static_curve(whole, cell.full_scale_kpa, logarithmic=True)
-    std = max(curve.std_kpa, DRIFT * pressed / 100 * cell.full_scale_kpa)
-    estimators = Calibrated(
-        default="static",
-        reason=f"a contact without memory; {percent:.1f} % of full scale on "
-        + (f"the worst of {len(parts)} folds" if held_out else "all of the recording"),
-        held_out_percent={"static": percent},
-        fold_percent={"static": tuple(100 * part.rms for part in parts)},
-        pressed_percent={"static": pressed},
-        seen=_seen(recording, cell.full_scale_kpa),
-        static=curve.replace(std_kpa=std),
-    )
-    return cell.replace(estimators=estimators)

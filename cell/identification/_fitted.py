@@ -8,16 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...common.arrays import FloatArray
-from ..materials import M10Model, Model
+from ..materials import Model
 
 Simulation = Callable[[np.random.Generator, FloatArray, float], FloatArray]
 """(rng, load, dt_s) to resistance (n, m) in ohm: cells like the identified one, with random deviations of the
 parameters, under loads (n, m)"""
-
-
-def no_simulation(rng: np.random.Generator, load: FloatArray, dt_s: float) -> FloatArray:
-    """Of a contact, of which nothing is learned from simulations."""
-    raise AssertionError("a contact is not simulated")
 
 
 @dataclass(frozen=True)
@@ -41,36 +36,23 @@ class Fit:
     parameters: tuple[Parameter, ...]
     error: float
     """rms residual of the resistance over its range, on the fitted data"""
-    fold_errors: tuple[float, ...]
+    fold_errors: tuple[float, ...] = ()
     """rms prediction error over the same range on each fold, after fitting the part before the fold"""
-    simulate: Simulation = no_simulation
-    """simulates cells like the identified one"""
+    simulate: Simulation | None = None
+    """simulates cells like the identified one; None: a contact, from which nothing is learned by simulation"""
     simulate_folds: tuple[Simulation, ...] = ()
     """the same for the fit before each fold"""
-    independent: float = np.inf
-    """number of independent samples that the residual amounts to"""
-    penalty: float = 1.0
-    """factor on :attr:`error` by which an information criterion (BIC) counts the parameters"""
     before_folds: tuple[tuple[Model, float] | None, ...] = ()
     """model and R0 in ohm as fitted before each fold; None: the parameters make no valid cell"""
-    drift: Drift | None = None
-    """drift of R0; only in the fit of the richest kind, else None"""
-
-    @property
-    def label(self) -> str:
-        """Name of the kind in reports. m10 is fitted with and without chains that break; "k = 0" is without."""
-        unbroken = isinstance(self.model, M10Model) and self.model.k == 0
-        return "m10, k = 0" if unbroken else self.model.kind
-
-    @property
-    def held_out_error(self) -> float:
-        """The largest of the fold errors; NaN without any."""
-        return max(self.fold_errors, default=np.nan)
+    penalty: float = 1.0
+    """factor on :attr:`error` by which an information criterion (BIC) counts the parameters"""
 
     @property
     def judged_error(self) -> float:
-        """By which kinds are compared: the held-out error, or without folds the error on what was fitted, penalised."""
-        return self.held_out_error if self.fold_errors else self.error * self.penalty
+        """By which kinds are compared: the rms held-out error, or without folds the error on the fit, penalised."""
+        if not self.fold_errors:
+            return self.error * self.penalty
+        return float(np.sqrt(np.mean(np.square(self.fold_errors))))
 
 
 @dataclass(frozen=True)

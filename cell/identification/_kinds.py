@@ -1,14 +1,8 @@
-"""Parametrisations of the cell models for least squares: free parameters, bounds, starts, and simulation of each kind.
-
-Three kinds are nested: asymmetric branches; then with a curved static response and slow charging ("whole"); then with
-conductive chains that break ("m10"). The solution of one kind can therefore start the next. The paper's model is not
-part of this nesting.
-"""
+"""The kinds of cell as separable models: responses to unit gains, and what gains and time constants make of a model."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
 
 import numpy as np
 from pydantic import ValidationError
@@ -16,178 +10,156 @@ from pydantic import ValidationError
 from ...common.arrays import FloatArray
 from ...errors import InputError
 from ..inversions import play_follow
-from ..materials import M10_PARAMETERS, AsymmetricModel, M10Model, Model, PaperModel, simulate
+from ..materials import M10_PARAMETERS, M10Model, Model, PaperModel, simulate
+from ._projection import Group, Kind, Solution
 
-INSTANT_S, RISE2_S = 0.05, 1.0
-"""charging time constants in seconds: of a branch that charges at once, and the usual one of the slow branch"""
-DRIFTS = 1.0
-"""bound of a fitted drift over the recording, over R0, in either direction"""
-
-
-@dataclass(frozen=True)
-class Kind:
-    """A kind of model as a least-squares problem: free parameters, bounds, starts."""
-
-    kind: str
-    names: tuple[str, ...]
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-    starts: tuple[tuple[float, ...], ...]
-    """the first holds the usual values for this range of r, and is the centre of the prior"""
-    size: float
-    """range of r in the recording"""
-    fixed: tuple[float, ...] = ()
-    """values of :data:`..materials.M10_PARAMETERS`; NaN where a free parameter stands. (): the paper's model"""
-    begun: int = 0
-    """number of parameters, after the named ones, for the initial memory of branches and chains"""
-    drifts: bool = False
-    """whether the last named parameter is a drift of R0 over the recording, over R0"""
-
-    def felt(self, load: FloatArray) -> FloatArray:
-        """The load (n,) or (n, m) as :meth:`run` takes it, (n, 1) or (n, m), for any number of parameter sets."""
-        columns = load[:, None] if load.ndim == 1 else load
-        if self.fixed:
-            return columns
-        return play_follow(columns, 4 * simulate.white_noise(columns[:, 0]))  # noise would switch the phase
-
-    def run(self, parameters: FloatArray, load: FloatArray, dt_s: float) -> FloatArray:
-        """r (n, m), without the offset of R0, for ``parameters`` (p, m) under a load as :meth:`felt`."""
-        named, begun = parameters[: len(self.names) - self.drifts], parameters[len(self.names) :]
-        if not self.fixed:
-            r = simulate.paper(named, load, dt_s)
-        else:
-            full = np.repeat(np.array(self.fixed)[:, None], parameters.shape[1], axis=1)
-            full[np.isnan(self.fixed)] = named
-            memory = np.zeros((3, parameters.shape[1]))
-            memory[: self.begun] = begun
-            r = simulate.m10(full, load, dt_s, memory)
-        if not self.drifts:
-            return r
-        # Relative to the initial R0, of cells whose R0 changes linearly.
-        return np.asarray((1 + r) * (1 + np.linspace(0, 1, len(r))[:, None] * parameters[len(named)]) - 1)
-
-    def drifting(self) -> Kind:
-        """The same kind with a drift of R0 as one more parameter, after the named ones."""
-        return replace(
-            self,
-            names=(*self.names, "drift"),
-            low=(*self.low, -DRIFTS),
-            high=(*self.high, DRIFTS),
-            starts=tuple((*start, 0.0) for start in self.starts),
-            drifts=True,
-        )
+FLATTEST = 0.1
+"""least slope dr/ds of the equilibrium curve at all loads s, over the range of r: the inverse needs a rising curve"""
+LEAST_GAIN = 1e-4
+"""least gain of a branch of the paper's model, over the range of r"""
 
 
-Richer = Callable[[tuple[float, ...]], tuple[float, ...]]
-"""converts a solution to the parameters of the next, richer kind"""
-FREE = np.nan
+def _m10(columns: Mapping[str, FloatArray | float], load: FloatArray, dt_s: float) -> FloatArray:
+    """r (n, m) of kind m10 with these parameters, others 0 or of no effect."""
+    count = max(np.size(value) for value in columns.values())
+    values = np.ones((len(M10_PARAMETERS), count))
+    for place, name in enumerate(M10_PARAMETERS):
+        values[place] = columns.get(name, 1.0 if name.endswith("_s") else 0.0)
+    return simulate.m10(values, load[:, None], dt_s)
 
 
-def asymmetric_kind(start: tuple[float, ...], size: float, begun: bool) -> Kind:
-    g1, g2, g3, t2, t3 = start
-    return Kind(
-        kind="asymmetric",
-        names=("gain1", "gain2", "fall2_s", "gain3", "fall3_s"),
-        low=(1e-4 * size, 1e-4 * size, 0.2, 1e-4 * size, 3.0),
-        high=(5 * size, 5 * size, 100.0, 5 * size, 3000.0),
-        starts=((0.5 * size, 0.4 * size, 5.0, 0.1 * size, 100.0), (g1, g2, t2, g3, t3)),
-        size=size,
-        fixed=(FREE, 0.0, FREE, INSTANT_S, FREE, FREE, INSTANT_S, FREE, 0.0, INSTANT_S),
-        begun=2 if begun else 0,
+def _equilibrium(times_s: FloatArray, load: FloatArray, dt_s: float) -> FloatArray:
+    """Responses to the slopes of the equilibrium curve at no load and at full scale, between which it is straight."""
+    pair = np.stack([load - load**2 / 2, load**2 / 2], axis=1)
+    return np.repeat(pair[:, None, :], max(times_s.shape[1], 1), axis=1)
+
+
+def _branch(times_s: FloatArray, load: FloatArray, dt_s: float) -> FloatArray:
+    """Response of a branch, less its equilibrium."""
+    return np.asarray(
+        (_m10({"alpha1": 1.0, "rise1_s": times_s[0], "fall1_s": times_s[1]}, load, dt_s) - load[:, None])[..., None]
     )
 
 
-def whole_kind(start: tuple[float, ...], size: float, begun: bool) -> Kind:
-    """The kind m10 without chains that break (k = 0)."""
-    g1, g2, g3, t2, t3 = start
-    return Kind(
-        kind="whole",
-        names=M10_PARAMETERS[:-2],
-        low=(-2 * size, -2 * size, 1e-4 * size, 0.02, 0.2, 1e-4 * size, 0.02, 3.0),
-        high=(4 * size, 2 * size, 5 * size, 20.0, 100.0, 5 * size, 3000.0, 3000.0),
-        starts=(
-            (0.5 * size, 0.0, 0.3 * size, 0.4, 5.0, 0.2 * size, RISE2_S, 100.0),
-            (g1, -0.05 * size, g2, 0.1, t2, g3, INSTANT_S, t3),
-            (0.7 * size, 0.0, 0.2 * size, 3.0, 3.0, 0.2 * size, 60.0, 60.0),
+def _chains(times_s: FloatArray, load: FloatArray, dt_s: float) -> FloatArray:
+    """Response of conductive chains that motion breaks."""
+    return _m10({"k": 1.0, "tau_s": times_s[0]}, load, dt_s)[..., None]
+
+
+M10 = Kind(
+    name="m10",
+    gains=("rest_slope", "full_slope", "alpha1", "alpha2", "k"),
+    least=(FLATTEST, FLATTEST, 0.0, 0.0, 0.0),
+    fixed=_equilibrium,
+    groups=(
+        Group(("rise1_s", "fall1_s"), ((0.03, 0.3, 2.0), (0.4, 1.5, 5.0, 20.0)), _branch),
+        Group(("rise2_s", "fall2_s"), ((0.05, 1.0, 15.0, 100.0), (10.0, 60.0, 300.0)), _branch),
+        Group(("tau_s",), ((2.0, 10.0, 50.0),), _chains),
+    ),
+    usual_s=(0.4, 5.0, 1.0, 100.0, 30.0),
+    low_s=(0.02, 0.2, 0.02, 3.0, 1.0),
+    high_s=(20.0, 100.0, 3000.0, 3000.0, 300.0),
+)
+
+
+def _paper(times_s: FloatArray, load: FloatArray, dt_s: float) -> FloatArray:
+    """Responses to the gains of the three branches and to that of the overshoot.
+
+    The model is linear in them, but simulated with all of them above 0: each response is a difference from that to 1.
+    """
+    fall2, fall3, settle = times_s
+    responses = []
+    for more in (None, 0, 1, 2, 3):
+        gains = np.ones((4, times_s.shape[1]))
+        if more is not None:
+            gains[more] += 1.0
+        overshoot = gains[3] / gains[:3].sum(axis=0)
+        parameters = np.stack([gains[0], gains[1], fall2, gains[2], fall3, overshoot, settle])
+        responses.append(simulate.paper(parameters, load[:, None], dt_s))
+    return np.stack([one - responses[0] for one in responses[1:]], axis=2)
+
+
+def _nothing(times_s: FloatArray, load: FloatArray, dt_s: float) -> FloatArray:
+    return np.zeros((len(load), max(times_s.shape[1], 1), 0))
+
+
+def _without_noise(load: FloatArray) -> FloatArray:
+    """The load behind a play: noise would switch the phase of the paper's model."""
+    return play_follow(load[:, None], 4 * simulate.white_noise(load))[:, 0]
+
+
+PAPER = Kind(
+    name="paper",
+    gains=("gain1", "gain2", "gain3", "overshoot"),
+    least=(LEAST_GAIN,) * 4,
+    fixed=_nothing,
+    groups=(
+        Group(
+            ("fall2_s", "fall3_s", "settle_s"),
+            ((0.5, 2.0, 8.0, 30.0), (10.0, 40.0, 150.0, 600.0), (0.3, 1.5, 6.0, 25.0)),
+            _paper,
         ),
-        size=size,
-        fixed=(*[FREE] * 8, 0.0, 30.0),
-        begun=2 if begun else 0,
-    )
+    ),
+    usual_s=(5.0, 100.0, 5.0),
+    low_s=(0.2, 3.0, 0.1),
+    high_s=(100.0, 3000.0, 300.0),
+    felt=_without_noise,
+)
 
 
-def m10_kind(start: tuple[float, ...], size: float, begun: bool) -> Kind:
-    whole = whole_kind(start, size, begun)
-    _, graphical, slow = whole.starts
-    return replace(
-        whole,
-        kind="m10",
-        names=M10_PARAMETERS,
-        low=(*whole.low, 1e-4 * size, 1.0),
-        high=(*whole.high, 3 * size, 300.0),
-        starts=(
-            (0.35 * size, -0.6 * size, size, 0.4, 5.0, 0.2 * size, RISE2_S, 100.0, 0.2 * size, 30.0),
-            (*graphical, 0.1 * size, 5.0),
-            (*slow, 0.01 * size, 30.0),
-        ),
-        fixed=(FREE,) * 10,
-        begun=3 if begun else 0,
-    )
+def parameters(solution: Solution) -> dict[str, float]:
+    """Parameters of the model's simulation by name, for r over the R0 of the recording: of m10, or of the paper's."""
+    times = dict(zip(solution.kind.times, map(float, solution.times_s), strict=True))
+    gains = dict(zip(solution.kind.gains, map(float, solution.gains), strict=True))
+    if solution.kind is M10:
+        rest, full = gains.pop("rest_slope"), gains.pop("full_slope")
+        return {"a": rest - gains["alpha1"] - gains["alpha2"], "b": (full - rest) / 2} | gains | times
+    gains["overshoot"] /= gains["gain1"] + gains["gain2"] + gains["gain3"]
+    return gains | times
 
 
-def paper_kind(start: tuple[float, ...], size: float) -> Kind:
-    g1, g2, g3, t2, t3 = start
-    return Kind(
-        kind="paper",
-        names=simulate.PAPER_PARAMETERS,
-        low=(1e-4 * size, 1e-4 * size, 0.2, 1e-4 * size, 3.0, 1e-3, 0.1),
-        high=(5 * size, 5 * size, 100.0, 5 * size, 3000.0, 3.0, 300.0),
-        starts=((0.5 * size, 0.4 * size, 5.0, 0.1 * size, 100.0, 0.2, 5.0), (g1, g2, t2, g3, t3, 0.2, 5.0)),
-        size=size,
-    )
-
-
-def asymmetric_as_whole(solution: tuple[float, ...]) -> tuple[float, ...]:
-    """The same cell as parameters of "whole": no curvature, and both branches charge at once."""
-    a, alpha1, fall1, alpha2, fall2, *recording = solution
-    return a, 0.0, alpha1, INSTANT_S, fall1, alpha2, INSTANT_S, fall2, *recording
-
-
-def whole_as_m10(solution: tuple[float, ...], size: float) -> tuple[float, ...]:
-    """The same cell as parameters of "m10": hardly any chain breaks."""
-    count = len(M10_PARAMETERS) - 2
-    *branches, offset = solution[count:]
-    return *solution[:count], 1e-3 * size, 30.0, *branches, *[0.0] * (len(branches) // 2), offset
-
-
-def with_drift(solution: tuple[float, ...], count: int, share: float) -> tuple[float, ...]:
-    """A solution with the drift ``share`` inserted after its ``count`` named parameters."""
-    return *solution[:count], share, *solution[count:]
-
-
-def model_of(kind: str, found: FloatArray, full_scale_kpa: float) -> Model:
+def model_of(solution: Solution, full_scale_kpa: float) -> Model:
     """The model section of CELL.toml; gains are divided by 1 + offset, since r refers to the corrected R0.
 
     Raises InputError if the parameters make no valid model.
     """
-    unit = 1 + found[-1]
+    unit, found = 1.0 + solution.offset, parameters(solution)
     try:
-        if kind in ("m10", "whole"):
-            count = len(M10_PARAMETERS) - (2 if kind == "whole" else 0)
-            values = dict(zip(M10_PARAMETERS[:count], map(float, found), strict=False))
-            values.setdefault("k", 0.0)
-            for name in ("a", "b", "alpha1", "alpha2", "k"):
-                values[name] /= unit
-            return M10Model.model_validate(values)
-        g1, g2, t2, g3, t3 = found[:5]
-        (g2, t2), (g3, t3) = sorted(((g2, t2), (g3, t3)), key=lambda branch: branch[1])
-        e1, e2, e3 = (float(full_scale_kpa * unit / gain) for gain in (g1, g2, g3))
-        burgers = {"e1_kpa": e1, "e2_kpa": e2, "e3_kpa": e3, "eta2_kpa_s": e2 * float(t2), "eta3_kpa_s": e3 * float(t3)}
-        if kind == "asymmetric":
-            return AsymmetricModel.model_validate(burgers | {"rise_s": INSTANT_S})
+        if solution.kind is M10:
+            scaled = {name: found[name] / unit for name in ("a", "b", "alpha1", "alpha2", "k")}
+            return M10Model.model_validate(found | scaled)
+        branches = sorted((found[f"fall{n}_s"], found[f"gain{n}"]) for n in (2, 3))
+        (t2, g2), (t3, g3) = branches
+        e1, e2, e3 = (full_scale_kpa * unit / gain for gain in (found["gain1"], g2, g3))
         eu1 = 1 / (1 / e1 + 1 / e2 + 1 / e3)
-        etau2 = eu1 / float(found[5])
-        rising = {"eu1_kpa": eu1, "etau2_kpa": etau2, "eu2_kpa_per_s": etau2 / float(found[6])}
-        return PaperModel.model_validate(burgers | rising)
+        etau2 = eu1 / found["overshoot"]
+        return PaperModel(
+            e1_kpa=e1,
+            e2_kpa=e2,
+            e3_kpa=e3,
+            eta2_kpa_s=e2 * t2,
+            eta3_kpa_s=e3 * t3,
+            eu1_kpa=eu1,
+            etau2_kpa=etau2,
+            eu2_kpa_per_s=etau2 / found["settle_s"],
+        )
     except ValidationError as error:
-        raise InputError(f"no {kind} cell fits the recording: {error.errors()[0]['msg']}") from error
+        raise InputError(f"no {solution.kind.name} cell fits the recording: {error.errors()[0]['msg']}") from error
+
+
+def simulated(
+    solution: Solution, rest_ohm: float, rng: np.random.Generator, load: FloatArray, dt_s: float
+) -> FloatArray:
+    """Resistance (n, m) of cells like the identified one, with random deviations of 6 % in gains, 12 % in times."""
+    found = parameters(solution)
+    cells = load.shape[1]
+    jittered = {}
+    for name, value in found.items():
+        noise = rng.standard_normal(cells)
+        jittered[name] = value * (np.exp(0.12 * noise) if name.endswith("_s") else 1 + 0.06 * noise)
+    if solution.kind is M10:
+        r = simulate.m10(np.stack([jittered[name] for name in M10_PARAMETERS]), load, dt_s)
+    else:
+        felt = play_follow(load, 4 * simulate.white_noise(load[:, 0]))
+        r = simulate.paper(np.stack([jittered[name] for name in simulate.PAPER_PARAMETERS]), felt, dt_s)
+    return np.asarray(rest_ohm * (1 + solution.offset + r))

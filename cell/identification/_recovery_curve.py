@@ -6,7 +6,6 @@ import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray
 from ...errors import InputError
-from ._recording import Recording
 
 
 def recovery_branches(
@@ -42,14 +41,3 @@ def _line(t: FloatArray, y: FloatArray, where: BoolArray) -> tuple[float, float]
     if not slope < 0:
         raise InputError("the recovery curve does not decay")
     return float(np.exp(log_gain)), float(-1 / slope)
-
-
-def longest_recovery(recording: Recording, full_scale_kpa: float) -> slice | None:
-    """The samples of the longest period without load after a press, beginning with the last loaded sample."""
-    idle = np.abs(recording.pressure_kpa) < 0.05 * full_scale_kpa
-    edges = np.flatnonzero(np.diff(idle.astype(int), prepend=0, append=0))
-    runs = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if a > 0 and b - a > 20]
-    if not runs:
-        return None
-    start, stop = max(runs, key=lambda run: recording.time_s[run[1] - 1] - recording.time_s[run[0]])
-    return slice(int(start) - 1, int(stop))

@@ -78,7 +78,7 @@ def remarks(
     elif gap_s > clear_s:
         yield (
             f"the resistance was not read for {gap_s:.3g} s of {length_s:.3g} s: models of the cell follow the load of "
-            "that time, but play and distilled learn nothing from it"
+            "that time, but the learned map learns nothing from it"
         )
     highest = float(recording.pressure_kpa.max())
     if highest > 1.2 * full_scale_kpa:

@@ -17,21 +17,17 @@ KPA_PER_PSI, KPA_PER_BAR = 6.894757, 100.0
 
 
 def calibration_text(calibration: CalibrationResult) -> str:
-    """The report as text: kind, parameters with standard errors, safety of the exact inverse, folds, estimators."""
+    """The report as text: kind, parameters with standard errors, folds, estimators."""
     cell, fit = calibration.cell, calibration.fit
-    assert cell.estimators is not None
+    estimators = cell.estimators
+    assert estimators is not None
     lines = [
         f"cell of kind {cell.model.kind}{_scale(cell)}, R0 = {cell.rest_resistance_ohm:.6g} ohm, "
         f"full scale {_in_units(cell.full_scale_kpa)}",
-        "error of r, % of its range, on what was fitted / "
-        + (
-            "on each fold after fitting what comes before it:"
-            if calibration.folds
-            else "the same with the penalty of BIC, which chooses, as no whole press is left to judge by:"
-        ),
+        "error of r, % of its range, on what was fitted / on each fold after fitting what comes before it:",
         *(
-            f"  {other.label:<11} {100 * other.error:5.1f} / "
-            f"{_percents(other.fold_errors or (other.judged_error,), 100)}" + ("  <- chosen" if other is fit else "")
+            f"  {other.model.kind:<11} {100 * other.error:5.2f} / {_percents(other.fold_errors, 100) or 'no folds'}"
+            + ("  <- chosen" if other is fit else "")
             for other in calibration.fits
         ),
         "parameters (gains: r at full scale):",
@@ -47,19 +43,24 @@ def calibration_text(calibration: CalibrationResult) -> str:
     slow = [p.name for p in fit.parameters if p.name.endswith("_s") and not p.identified]
     if slow:
         lines.append(f"time constants this recording cannot tell: {', '.join(slow)}")
-    if calibration.inverse_margin is not None:
-        safe = calibration.inverse_margin > 0
-        lines.append(
-            f"exact inverse: {'safe' if safe else 'not safe, two loads can give one resistance'} "
-            f"(least slope of a fast step {calibration.inverse_margin:.2g} of that at equilibrium)"
-        )
     spans = ", ".join(
         f"{n} from {fold.start_s:.4g} to {fold.end_s:.4g} s" for n, fold in enumerate(calibration.folds, 1)
     )
-    lines.append(f"folds: {spans or 'none'}")
-    lines.append(f"error of the estimators on {'the same folds' if spans else 'all of it'}, % of full scale:")
-    lines += [f"  {name:<11} {_percents(values)}" for name, values in cell.estimators.fold_percent.items()]
-    lines.append(f"estimator: {cell.estimators.default}, because of {cell.estimators.reason}")
+    lines.append(f"folds: {spans or 'none'}; static curve: {calibration.curve}")
+    if spans:
+        lines.append(
+            "error on each fold after learning what comes before it, % of full scale / pooled with later folds:"
+        )
+    lines += [
+        f"  {name:<11} {_percents(values)} / {estimators.held_out_percent[name]:5.1f}"
+        for name, values in estimators.fold_percent.items()
+    ]
+    lines.append(f"estimator: {estimators.default}, because of {estimators.reason}")
+    if calibration.growth > 1.0:
+        lines.append(
+            f"errors grow with the time since calibration: by {100 * (calibration.growth - 1):.0f} % within a time as "
+            "long as the recording, which the deviation includes"
+        )
     lines += [f"note: {remark}" for remark in calibration.remarks]
     return "\n".join(lines)
 
@@ -94,16 +95,15 @@ def calibration_record(calibration: CalibrationResult) -> dict[str, Any]:
         "fits": [
             {
                 "kind": fit.model.kind,
-                "label": fit.label,
                 "error": fit.error,
-                "held_out_error": fit.held_out_error,
                 "judged_error": fit.judged_error,
                 "folds": list(fit.fold_errors),
             }
             for fit in calibration.fits
         ],
         "parameters": [asdict(parameter) for parameter in calibration.fit.parameters],
-        "inverse_margin": calibration.inverse_margin,
+        "curve": calibration.curve,
+        "growth": calibration.growth,
         "folds_s": [[fold.start_s, fold.end_s] for fold in calibration.folds],
         "remarks": list(calibration.remarks),
         "estimator": cell.estimators.default,

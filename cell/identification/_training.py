@@ -15,40 +15,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...common.arrays import FloatArray
-from ..inversions import BEYOND, DRIFT, UNKNOWN_DRIFT, Bank, Learned, Limits, Reached, StaticCurve, Terms
+from ..inversions import BEYOND, Bank, Learned, Limits, Reached, Terms
 from ..materials import simulate
 from ._fitted import Simulation
-from ._fold_errors import FoldErrors
 
 LAGS_S = (0.5, 2.0, 8.0, 30.0, 120.0)
 """time constants of the distilled estimator; longer lags would only remember how the recording began"""
-PATHS_S = (5.0, 20.0, 80.0)
+PATHS_S = (1.0, 5.0, 20.0, 80.0)
 """time constants of path lengths in the distilled estimator, for cells whose conductive chains break by motion and heal
 in seconds to minutes"""
+PLAYS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
+"""half widths of the plays, over the range of r"""
 SMOOTHING_S = 0.1
-DIRECTIONS = 600
+DIRECTIONS, RIDGE = 600, 1.5e-5
 CELLS, SECONDS = 96, 400.0
-STATIC_CELLS = 12
-"""simulated cells for the error of a static curve at other speeds"""
 MOST_STEPS, FEWEST_SAMPLES = 50000, 500
 """largest number of time steps of a recording on the grid of the simulations; least number of samples of a simulated
 cell"""
 R0_ERROR = 0.03
 """relative standard deviation of R0 in training. It is larger than the error of an R0 that has just been measured
 (``REST_ERROR``): R0 drifts after a calibration, and no stated deviation includes this drift"""
-CREEP = 0.08
+CREEP = 0.04
 """contribution to r, over its range, of creep that is too slow for the recording and of loads before it"""
 CREEP_LENGTH = (0.08, 1.33)
 """range of the time constants of such creep, over the length of the recording"""
-CALIBRATION_FOLDS = 2
-"""number of folds, counted from the last, on which the standard deviations of learned estimators are calibrated"""
-NARROWEST, WIDEST = 0.5, 3.0
-"""limits of the factor by which held-out folds change a learned standard deviation"""
-FLOOR, SUREST = 0.5, 0.02
-"""least standard deviation: over the rms error of a fold, and as normalised load"""
 AT_REST = 3.0
 """weight in the regression of a cell that has always read R0, whose load is 0"""
-UNEXPLAINED = ((3.0, 0.5), (60.0, 0.7))
+UNEXPLAINED = ((3.0, 0.75), (60.0, 1.0))
 """correlation times in seconds of the simulated model error, and the fraction of its standard deviation with each"""
 OUTLIERS = 1e-3
 """fraction of the rows at either end that the range of a feature excludes"""
@@ -106,43 +99,6 @@ class Rows:
     simulated_load: FloatArray
 
 
-def cubic(x: FloatArray, load: FloatArray) -> np.polynomial.Polynomial:
-    """The cubic of ``x`` (n,) that fits ``load`` (n,) best by least squares."""
-    # With few different readings the cubic is not unique, and the minimum-norm one is found; `full` avoids a warning.
-    polynomial, _ = np.polynomial.Polynomial.fit(x, load, 3, full=True)
-    return polynomial
-
-
-def static_curve(calibration: NormalisedRecording, full_scale_kpa: float, *, logarithmic: bool = False) -> StaticCurve:
-    """The cubic of r (or of log(R0/R)) that fits the recording best by least squares."""
-    r, load = calibration.r, calibration.load
-    x = -np.log(np.maximum(1 + r, 1e-6)) if logarithmic else r
-    coefficients = cubic(x, load).convert().coef
-    curve = StaticCurve(
-        coefficients=tuple(map(float, coefficients)),
-        logarithmic=logarithmic,
-        limits=calibration.limits,
-        std_kpa=1.0,
-        reached=_reached(x[:, None]),
-    )
-    error = np.clip(curve.load(r), curve.limits.lowest, curve.limits.highest) - load
-    std = max(float(np.sqrt(np.mean(error**2))), 1e-6) * full_scale_kpa
-    return curve.replace(std_kpa=std)
-
-
-def error_on_other_loads(calibration: NormalisedRecording, curve: StaticCurve) -> float:
-    """Rms error of a static curve, as normalised load, under loads and speeds that the recording lacks.
-
-    The identified cell is simulated under random ramps and holds. A static curve ignores the memory of the cell.
-    """
-    rng = np.random.default_rng(0)
-    dt = max(float(np.median(np.diff(calibration.time_s))), calibration.seconds / MOST_STEPS)
-    load = simulate.random_loads(rng, max(round(SECONDS / dt), FEWEST_SAMPLES), STATIC_CELLS, dt)
-    r = calibration.simulation(rng, load, dt) / calibration.rest_resistance_ohm - 1
-    error = np.clip(curve.load(r), curve.limits.lowest, curve.limits.highest) - load
-    return float(np.sqrt(np.mean(error**2)))
-
-
 def variations(
     calibration: NormalisedRecording, rng: np.random.Generator, cells: int = CELLS
 ) -> tuple[FloatArray, FloatArray, float]:
@@ -178,15 +134,26 @@ def disturbed(
     return np.asarray((1 + r) * (1 + R0_ERROR * rng.standard_normal(cells)) - 1)
 
 
-def rows(calibration: NormalisedRecording, bank: Bank, simulated: tuple[FloatArray, FloatArray, float]) -> Rows:
+def rows(
+    calibration: NormalisedRecording, bank: Bank, simulated: tuple[FloatArray, FloatArray, float], *, exact: bool
+) -> Rows:
     """Features of the recording, and thinned features of the simulated cells.
 
     The recording enters in several versions: unchanged, with a lower and a higher R0, and with additional slow creep.
+    ``exact``: only unchanged.
     """
     load, r, dt = simulated
     steps = np.diff(calibration.time_s, prepend=calibration.time_s[0])
     found = bank.run(np.full(len(r), dt), r)
     thin = max(1, round(load.size / ROWS))
+    if exact:
+        real = bank.run(steps, calibration.r[:, None])
+        return Rows(
+            real=real.reshape(-1, bank.count),
+            real_load=calibration.load,
+            simulated=found[::thin].reshape(-1, bank.count),
+            simulated_load=load[::thin].ravel(),
+        )
     shifts = 1 + R0_ERROR * np.array([-1.5, 0.0, 0.0, 1.5])
     slow = calibration.seconds * np.array([0.133, 0.667])
     lagged = np.repeat(calibration.load[:, None], len(slow), axis=1)
@@ -213,15 +180,16 @@ def learn(
     directions: int,
     ridge: float,
     seed: int,
+    exact: bool = False,
 ) -> Learned:
     """Ridge regression of the load, then of its absolute error, on the terms of :class:`..inversions.Learned`.
 
     ``plays`` are half widths over the range of r. The scale of the standard deviation is preliminary; see
-    :func:`with_calibrated_std`.
+    :func:`._held_out.conformal`.
     """
     widths = tuple(float(width) * calibration.spread for width in plays)
     bank = Bank(smoothing_s=SMOOTHING_S, lags_s=lags_s, plays=widths, paths_s=paths_s)
-    data = rows(calibration, bank, simulated)
+    data = rows(calibration, bank, simulated, exact=exact)
     mean = data.simulated.mean(axis=0)
     scale = np.maximum(data.simulated.std(axis=0), 1e-6 * max(calibration.spread, 1e-9))
     terms = Terms(mean, scale, seed, directions, np.float32)  # cosines cost most; sums are in float64
@@ -292,60 +260,24 @@ def _squares(blocks: Sequence[Single]) -> FloatArray:
     return np.asarray(np.triu(upper) + np.triu(upper, 1).T)
 
 
-def play(calibration: NormalisedRecording, simulated: tuple[FloatArray, FloatArray, float]) -> Learned:
-    """A Prandtl-Ishlinskii inverse: linear regression on ten play operators and a cubic."""
-    plays = tuple(np.linspace(0.03, 0.6, 10))
-    return learn(calibration, simulated, lags_s=(), plays=plays, directions=0, ridge=1e-4, seed=0)
-
-
 def distilled(
     calibration: NormalisedRecording,
     simulated: tuple[FloatArray, FloatArray, float],
     *,
-    paths_s: tuple[float, ...] = (),
-    seed: int = 1,
+    exact: bool = False,
 ) -> Learned:
-    """The inverse of the identified model, distilled into a regression on lags, plays, paths and cosines of these."""
-    plays = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
+    """The inverse of the identified model, distilled into a regression on lags, plays, paths and cosines of these.
+
+    ``exact``: the model is taken to be right, and R0 to be known.
+    """
     return learn(
         calibration,
         simulated,
         lags_s=LAGS_S,
-        plays=plays,
-        paths_s=paths_s,
+        plays=PLAYS,
+        paths_s=PATHS_S,
         directions=DIRECTIONS,
-        ridge=5e-5,
-        seed=seed,
+        ridge=RIDGE,
+        seed=1,
+        exact=exact,
     )
-
-
-def with_calibrated_std(
-    learned: Learned, judged: Sequence[FoldErrors], *, drift: float, simulated_error: float, most: float
-) -> Learned:
-    """``learned`` with a standard deviation calibrated on held-out folds (split conformal prediction by regime).
-
-    The deviation is the learned one times a factor, but at least a floor. Factor and floor are chosen such that 95 % of
-    the errors lie within two deviations, before the final multiplication by ``DRIFT``. This holds for each of the last
-    :data:`CALIBRATION_FOLDS` folds, and separately at rest, under a held load, and under a changing load, so that long
-    rests do not mask errors under presses. Earlier folds are left out, since too little training data may precede them.
-    If a factor of :data:`WIDEST` is not enough, the floor rises. The floor never exceeds ``most``.
-
-    Args:
-        learned: the estimator.
-        judged: held-out errors fold by fold, with the deviations that ``learned`` states so far.
-        drift: mean error of the static curve on the fold where that error is largest, normalised load. The estimator
-            compensates this drift by its memory, but cannot know a drift that outlasts the recording.
-        simulated_error: rms error on simulated cells under random loads, normalised load, if the recorded presses are
-            few or all alike, and thus represent no others; else 0.
-        most: largest floor, normalised load: the rms error of the static curve.
-    """
-    last = judged[-CALIBRATION_FOLDS:]
-    regimes = [part for fold in last for part in fold.regimes()]
-    floor = max(FLOOR * max(fold.pressed_rms for fold in last), UNKNOWN_DRIFT * drift, SUREST)
-    needed = [np.where(error > 2 * floor, error / (2 * np.maximum(std, 1e-9)), 0.0) for error, std in regimes]
-    widen = float(np.clip(max(np.quantile(factor, 0.95, method="higher") for factor in needed), NARROWEST, WIDEST))
-    for error, std in regimes:
-        if np.mean(error <= 2 * np.maximum(widen * std, floor)) < 0.95:
-            floor = max(floor, float(np.quantile(error, 0.95, method="higher")) / 2)
-    floor = max(min(max(floor, simulated_error), most), SUREST)
-    return learned.replace(std_factor=learned.std_factor * DRIFT * widen, std_floor=DRIFT * floor)

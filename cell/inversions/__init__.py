@@ -1,13 +1,12 @@
 """Inverse models from resistance to pressure: one :class:`..estimation.Inversion` for each material and method.
 
 =========================  =====================================================================================
-:mod:`._static`            without memory: the equilibrium curve of a model, or the calibrated cubic
+:mod:`._static`            without memory: the equilibrium curve of a model, or the calibrated curve
 :mod:`._paper`             the paper's cell, and the paper's own estimator (P8), the baseline
 :mod:`._linear_models`     the two linear models of the paper's cell, discretised and inverted
 :mod:`._hypotheses`        the frame of the paper's cell: two hypotheses about its last turning point
 :mod:`._sequential_tests`  tests on means of its readings: rest, release, onset of a load
 :mod:`._tremor_path`       the error that a tremor within the noise leaves in it, by its path length
-:mod:`._step_inverse`      ``asymmetric`` and ``m10`` cells, by the equation of a step
 :mod:`._learned`           linear maps of the memories in :mod:`._features`, as calibration learned them
 =========================  =====================================================================================
 
@@ -17,8 +16,6 @@ Kernels decide, cell by cell; the classes hold constants. The states are in :mod
 from ._features import Bank, play_follow
 from ._learned import (
     BEYOND,
-    DRIFT,
-    UNKNOWN_DRIFT,
     Learned,
     LearnedInversion,
     Limits,
@@ -30,13 +27,9 @@ from ._learned import (
 )
 from ._paper import SwitchedInversion, TurningInversion
 from ._static import EquilibriumInversion, StaticCurveInversion, rest_slope
-from ._step_inverse import AsymmetricInversion, margin
 
 __all__ = [
     "BEYOND",
-    "DRIFT",
-    "UNKNOWN_DRIFT",
-    "AsymmetricInversion",
     "Bank",
     "EquilibriumInversion",
     "Learned",
@@ -50,7 +43,6 @@ __all__ = [
     "SwitchedInversion",
     "Terms",
     "TurningInversion",
-    "margin",
     "play_follow",
     "rest_slope",
 ]

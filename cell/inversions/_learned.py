@@ -23,10 +23,6 @@ Positives = Annotated[tuple[Positive, ...], Field(strict=False, max_length=64)]
 
 CLIP = 3.5
 """standard deviations at which a feature is clipped, since nothing was learned beyond"""
-DRIFT = 1.5
-"""factor on the standard deviation of held-out data at calibration, since creep goes on for hours after it"""
-UNKNOWN_DRIFT = 0.6
-"""standard deviation of the drift after calibration, over the drift during it"""
 STEEPER = 2.0
 """largest slope of load over resistance outside the recording, over the mean slope"""
 SATURATED = 5.0
@@ -39,8 +35,6 @@ CREDIBLE = 3.0
 """largest distance of a credible reading from the readings learned from, over their range"""
 STILL = 0.01
 """a cell is estimated afresh when a feature has moved by this many standard deviations since the last time"""
-POINTS = 1025
-"""of a tabulated static curve"""
 BLOCK = 512
 """cells mapped at once, so that the cosines stay in the processor's cache"""
 
@@ -87,64 +81,61 @@ class Reached(Section):
 
 
 class StaticCurve(Section):
-    """A cubic from the reading to the load: of r, or of log(R0/R) where contact dominates."""
+    """A monotone curve from the reading to the load: of r, or of log(R0/R) where contact dominates."""
 
-    coefficients: Numbers
-    """of the powers 0, 1, ... of the reading"""
+    readings: Numbers
+    """increasing; the curve is straight between them, and beyond"""
+    loads: Numbers
+    """of the readings"""
     logarithmic: bool = False
     limits: Limits
     std_kpa: Positive
-    reached: Reached
-    """range of the reading that the curve was fitted to"""
+
+    @model_validator(mode="after")
+    def _is_monotone(self) -> Self:
+        if len(self.readings) != len(self.loads) or len(self.readings) < 2:
+            raise ValueError(f"{len(self.readings)} readings and {len(self.loads)} loads; expected as many, at least 2")
+        if not (np.diff(self.readings) > 0).all():
+            raise ValueError("readings must increase")
+        steps = np.diff(self.loads)
+        if not ((steps >= 0).all() or (steps <= 0).all()):
+            raise ValueError("loads must rise, or fall, all along")
+        return self
 
     def load(self, r: FloatArray) -> FloatArray:
         """The normalised load for a normalised resistance, not limited; a straight line beyond what was recorded."""
         x = self.reading(r)
-        # A cubic may turn back, above all beyond the readings it was fitted to: an overload would then read as no load.
-        low, high = self.reached.lowest[0], self.reached.highest[0]
-        reading, load = _monotone(self.coefficients, low, high)
-        slope = (load[-1] - load[0]) / max(high - low, 1e-12)
-        return np.asarray(np.interp(x, reading, load) + slope * (x - _clip(x, low, high)))
+        reading, load = _row(self.readings), _row(self.loads)
+        return np.asarray(np.interp(x, reading, load) + self._slope * (x - _clip(x, reading[0], reading[-1])))
 
     def doubt(self, r: FloatArray) -> FloatArray:
         """Standard deviation, as normalised load, that readings beyond the range of the recording add.
 
-        Towards more load it grows with the slope of the cubic at that end: where readings saturate, they tell little.
+        Towards more load it grows with the slope of the curve at that end: where readings saturate, they tell little.
         """
-        x, low, high = self.reading(r), self.reached.lowest[0], self.reached.highest[0]
-        mean, slope = _end_slopes(self.coefficients, low, high)
-        more, less = (x - high, low - x) if mean > 0 else (low - x, x - high)
-        return np.asarray(STEEPER * (slope * np.maximum(more, 0.0) + abs(mean) * np.maximum(less, 0.0)))
+        x, reading, load = self.reading(r), _row(self.readings), _row(self.loads)
+        mean = self._slope
+        at_end = (load[-1] - load[-2]) / (reading[-1] - reading[-2]) if mean > 0 else 0.0
+        if mean <= 0:
+            at_end = (load[1] - load[0]) / (reading[1] - reading[0])
+        slope = min(max(abs(at_end), abs(mean)), SATURATED * abs(mean))
+        above, below = np.maximum(x - reading[-1], 0.0), np.maximum(reading[0] - x, 0.0)
+        more, less = (above, below) if mean > 0 else (below, above)
+        return np.asarray(STEEPER * (slope * more + abs(mean) * less))
 
-    def prepare(self) -> None:
-        """Tabulate the curve now, since the first :meth:`load` takes as long as many frames."""
-        self.load(np.zeros(1))
+    @property
+    def range(self) -> tuple[float, float]:
+        """Least and largest reading that the curve was fitted to."""
+        return self.readings[0], self.readings[-1]
+
+    @property
+    def _slope(self) -> float:
+        """Mean slope."""
+        return (self.loads[-1] - self.loads[0]) / (self.readings[-1] - self.readings[0])
 
     def reading(self, r: FloatArray) -> FloatArray:
-        """The argument of the cubic: r, or log(R0/R)."""
+        """The argument of the curve: r, or log(R0/R)."""
         return -np.log(np.maximum(1 + r, 1e-6)) if self.logarithmic else r
-
-
-@lru_cache(maxsize=256)
-def _monotone(coefficients: tuple[float, ...], low: float, high: float) -> tuple[FloatArray, FloatArray]:
-    """Readings (:data:`POINTS`,) from ``low`` to ``high``, and loads of the monotone curve closest to a cubic there.
-
-    This is isotonic regression, in the direction in which the cubic goes from one end to the other.
-    """
-    from scipy.optimize import isotonic_regression
-
-    cubic, reading = np.polynomial.Polynomial(coefficients), np.linspace(low, high, POINTS)
-    load = cubic(reading)
-    return reading, isotonic_regression(load, increasing=bool(load[-1] >= load[0])).x
-
-
-@lru_cache(maxsize=256)
-def _end_slopes(coefficients: tuple[float, ...], low: float, high: float) -> tuple[float, float]:
-    """Mean slope of a cubic from ``low`` to ``high``, and the size of its slope at the end with more load, limited."""
-    cubic = np.polynomial.Polynomial(coefficients)
-    mean = (cubic(high) - cubic(low)) / max(high - low, 1e-12)
-    slope = np.clip(abs(cubic.deriv()(high if mean > 0 else low)), abs(mean), SATURATED * abs(mean))
-    return float(mean), float(slope)
 
 
 @lru_cache(maxsize=256)
@@ -246,13 +237,12 @@ def _followed_between(learned: Learned, curve: StaticCurve) -> tuple[FloatArray,
     """
     low, high = (limit.copy() for limit in learned.reached.limits)
     if not learned.beyond_recorded:
-        low[0], high[0] = max(low[0], curve.reached.lowest[0]), min(high[0], curve.reached.highest[0])
+        low[0], high[0] = max(low[0], curve.range[0]), min(high[0], curve.range[1])
     return low, high
 
 
-def credible_range(reached: Reached) -> tuple[float, float]:
+def credible_range(low: float, high: float) -> tuple[float, float]:
     """Range of credible r: up to :data:`CREDIBLE` times the range of the readings learned from, beyond this range."""
-    low, high = reached.lowest[0], reached.highest[0]
     span = CREDIBLE * max(high - low, 1e-9)
     return max(low - span, -1.0), high + span
 
@@ -264,7 +254,6 @@ class LearnedInversion(Inversion):
         self, learned: Learned, curve: StaticCurve, full_scale_kpa: float, full_scale_r: float, *, exact: bool
     ) -> None:
         self.learned, self._curve, self._bank = learned, curve, learned.bank
-        curve.prepare()
         self.memory = _memory_of(self._bank.rows, self._bank.count)
         self._terms = Terms(
             np.array(learned.mean), np.array(learned.scale), learned.seed, learned.directions, np.float32
@@ -273,7 +262,7 @@ class LearnedInversion(Inversion):
         self._slope = math.copysign(1 / max(abs(full_scale_r), 1e-9), full_scale_r)
         """normalised load per r, at equilibrium"""
         self._within = _followed_between(learned, curve)
-        credible = credible_range(learned.reached)
+        credible = credible_range(learned.reached.lowest[0], learned.reached.highest[0])
         super().__init__(full_scale_kpa, full_scale_r, credible=credible, exact=exact)
 
     def begin(self, cells: Records[CellState], memory: Records[Record], places: IntArray, r: FloatArray) -> None:
@@ -306,29 +295,37 @@ class LearnedInversion(Inversion):
 
     def _map(self, standardised: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Normalised load and its standard deviation (m,) for standardised features (m, count)."""
+        load, expected, beyond = self.parts(standardised * self._terms.scale + self._terms.mean)
+        std = np.maximum(expected * self.learned.std_factor, self.learned.std_floor)
+        return load, np.hypot(std, beyond)
+
+    def parts(self, features: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Normalised loads (m,) of features (m, count), the errors expected, and the deviation beyond what is known."""
         learned, curve = self.learned, self._curve
-        features = standardised * self._terms.scale + self._terms.mean
         reading, (low, high) = features[:, 0], self._within
-        inside, beyond = self._terms.standardised(_clip(features, low, high)), learned.reached.excess(features)
-        found = np.empty((len(standardised), 2))
+        inside, outside = self._terms.standardised(_clip(features, low, high)), learned.reached.excess(features)
+        found = np.empty((len(features), 2))
         for start in range(0, len(found), BLOCK):
             block = slice(start, start + BLOCK)
             found[block] = self._terms(inside[block]) @ self._weights
-        load, std = found[:, 0], np.maximum(found[:, 1] * learned.std_factor, learned.std_floor)
-        load += self._slope * (reading - _clip(reading, low[0], high[0]))
+        load = found[:, 0] + self._slope * (reading - _clip(reading, low[0], high[0]))
         if learned.static_share:
-            load += self._static_share(reading) * (curve.load(reading) - load)
-        std = np.hypot(std, np.maximum(STEEPER * beyond * abs(self._slope), curve.doubt(reading)))
-        std = np.hypot(std, STEEPER * np.maximum(load - learned.limits.highest / BEYOND, 0.0))
-        return _clip(load, learned.limits.lowest, learned.limits.highest), std
+            load = load + self._static_share(reading) * (curve.load(reading) - load)
+        beyond = np.maximum(STEEPER * outside * abs(self._slope), curve.doubt(reading))
+        beyond = np.hypot(beyond, STEEPER * np.maximum(load - learned.limits.highest / BEYOND, 0.0))
+        return _clip(load, learned.limits.lowest, learned.limits.highest), found[:, 1], beyond
+
+    def run(self, dt_s: FloatArray, r: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """:meth:`parts` of a whole recording (n,) that starts from a long-held reading."""
+        return self.parts(self._bank.run(dt_s, r[:, None])[:, 0])
 
     def _static_share(self, reading: FloatArray) -> FloatArray | float:
         """Weight of the static curve; it fades beyond the recorded readings if the map is followed there."""
-        learned, recorded = self.learned, self._curve.reached
+        learned, (low, high) = self.learned, self._curve.range
         if not learned.beyond_recorded:
             return learned.static_share
-        fades = FADES * max(recorded.highest[0] - recorded.lowest[0], 1e-9)
-        return learned.static_share * np.maximum(1 - recorded.excess(reading[:, None]) / fades, 0.0)
+        beyond = np.abs(reading - _clip(reading, low, high))
+        return learned.static_share * np.maximum(1 - beyond / (FADES * max(high - low, 1e-9)), 0.0)
 
 
 @cache

@@ -1,4 +1,4 @@
-"""Estimators without memory: the equilibrium curve of a model, or the calibrated cubic, inverted (isotonic lookup)."""
+"""Estimators without memory: the equilibrium curve of a model, or the calibrated curve."""
 
 from __future__ import annotations
 
@@ -139,16 +139,15 @@ class EquilibriumInversion(Inversion):
 
 
 class StaticCurveInversion(Inversion):
-    """The calibrated cubic, without memory."""
+    """The calibrated curve, without memory."""
 
     memory = Record
 
     def __init__(self, curve: StaticCurve, full_scale_kpa: float, full_scale_r: float, *, exact: bool) -> None:
         self.curve = curve
-        curve.prepare()
         self.remembers = not curve.logarithmic  # the curve of a contact is logarithmic
         # A contact may be open at rest.
-        credible = (-1.0, np.inf) if curve.logarithmic else credible_range(curve.reached)
+        credible = (-1.0, np.inf) if curve.logarithmic else credible_range(*curve.range)
         super().__init__(full_scale_kpa, full_scale_r, credible=credible, exact=exact)
 
     def begin(self, cells: Records[CellState], memory: Records[Record], places: IntArray, r: FloatArray) -> None:

@@ -317,6 +317,7 @@ def _diode(
 ) -> tuple[tuple[str, float], ...]:
     known = DIODES | dict(models)
     name = plain[0].lower() if plain else ""
+    name = name if name in known else name.removeprefix("d")  # D1N4148 is 1N4148
     if len(plain) > 1 or (name and name not in known):
         raise InputError(
             f"{where}: '{shown}': no such diode; expected IS=, N= and RS= behind the nodes, a .model, or one of "

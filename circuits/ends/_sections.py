@@ -176,7 +176,7 @@ class Event(Section):
 
     @model_validator(mode="after")
     def _one(self) -> Self:
-        if len(self.model_fields_set) != 1 or getattr(self, next(iter(self.model_fields_set))) is None:
+        if sum(getattr(self, key) is not None for key in type(self).model_fields) != 1:
             raise ValueError("an event has one of the keys wait, discharge, discard and read")
         return self
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from math import inf
+from math import copysign, inf
 from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -104,12 +104,16 @@ class ReadoutCircuit(ABC):
         """Bound in V (..., N, M) on output errors by a relative error of all conductances: :mod:`._rounding`."""
         return energy_bound(board, ports, relative, self.end_resistance(board))
 
-    def ends(self, board: Parts) -> Ends | None:
-        """Thevenin equivalents at the columns' ends, if all columns are read at once and no output is at a limit.
+    def read_ends(self, board: Parts) -> Ends | None:
+        """Thevenin equivalents at the columns' ends while they are read and no output is at a limit.
 
-        None for other circuits.
+        None where the end depends on other lines.
         """
         return None
+
+    def ends(self, board: Parts) -> Ends | None:
+        """:meth:`read_ends` if all columns are read at once; else None."""
+        return None if self.columns_one_by_one(board) else self.read_ends(board)
 
     def port_law(self, board: Parts, wire: FloatArray) -> PortLaw | None:
         """What a reading says of its own conductance and of its column, without supply limits: :mod:`._port_law`.
@@ -190,6 +194,12 @@ class ReadoutCircuit(ABC):
     @abstractmethod
     def alone(self, board: Parts) -> Alone:
         """The output of one cell that is alone, with ideal parts."""
+
+    def domain(self, board: Parts) -> tuple[float, float]:
+        """V of the ideal circuit's output on an open cell, and on a short: the ends of what a reading can say."""
+        gain, span, rest = (float(np.mean(part)) for part in self.alone(board))
+        open_cell = board.level + rest
+        return open_cell, open_cell + gain / span if span else copysign(inf, gain)
 
     def ideal_volts(self, board: Parts, cells: FloatArray) -> FloatArray:
         """(..., N, M) V if each of the cells, in ohm, were alone and all parts ideal: the paper's equation (10)."""

@@ -19,11 +19,13 @@ A stream, in bounded time per frame, begins with :func:`live_recovery` in :mod:`
 says of its own conductance and of its column (:meth:`..readouts.ReadoutCircuit.port_law`):
 
 ============================  =====================================================================================
-:mod:`._live_law`             the stages of a frame
+:mod:`._usual_frames`         most frames, in one kernel
+:mod:`._live_law`             the stages of all others
 :mod:`._law`                  cells by Kirchhoff's laws of columns and rows, in closed form
 :mod:`._law_errors`           their errors by quantisation and noise
 :mod:`._factors`              everything beyond these laws, as one factor for each cell
 :mod:`._enclosure`            cells beside others whose readings do not determine them
+:mod:`._measured`             all as measurements in siemens
 ============================  =====================================================================================
 
 Dividers with floating rows, where all cells take part in every reading: :mod:`._live_fit`, with :mod:`._node_blocks`
@@ -34,6 +36,7 @@ and :mod:`._port_derivatives` on large arrays and :mod:`._sheet_model` for a con
 from ._conditioning import Conditioning, conditioning
 from ._live import live_recovery
 from ._live_reading import Errors, LiveReading, LiveRecovery, Reason, ValidityRule
+from ._measured import Measured
 from ._recover import Recoverer, recover
 from ._recovered import Recovery, Status
 
@@ -42,6 +45,7 @@ __all__ = [
     "Errors",
     "LiveReading",
     "LiveRecovery",
+    "Measured",
     "Reason",
     "Recoverer",
     "Recovery",

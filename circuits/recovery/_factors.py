@@ -22,7 +22,7 @@ EVALUATIONS, FIRST_EVALUATIONS = 4, 30
 """of the full model in one frame, and in the first one of all"""
 OPEN = 1e-14
 """S, of an open cell in the model"""
-_FRESH = 0.2  # share of an uncertainty that a factor may be off by
+FRESH = 0.2  # share of an uncertainty that a factor may be off by
 _ROUGHLY = 0.5  # share of the law's error that a cell may be off by which is not valid and only loads others
 _LEAST_FACTOR, _MOST_FACTOR = 0.2, 5.0  # beyond, a difference takes the place of the factor
 _STRIDE = 1.0  # of the logarithm of a cell that is not valid, half of which a step takes
@@ -51,11 +51,11 @@ class Factors:
 
         """
         self._law, self._coupling_at, self._evaluations = law, coupling, evaluations
-        self._rho, self._added, self._any_added = np.ones(shape), np.zeros(shape), False
-        self._base: FloatArray | None = None
-        self._beyond, self._coupling = np.zeros(shape), np.zeros(shape[1])
-        self._row_sums, self._column_sums = np.ones(shape[0]), np.ones(shape[1])
-        self._astray, self._begun = True, False
+        self.rho, self._added, self.any_added = np.ones(shape), np.zeros(shape), False
+        self.base: FloatArray | None = None
+        self.beyond, self.coupling = np.zeros(shape), np.zeros(shape[1])
+        self.row_sums, self.column_sums = np.ones(shape[0]), np.ones(shape[1])
+        self.astray, self._begun = True, False
         self.renewed = False
         """whether the last frame has made the factors anew"""
 
@@ -80,38 +80,36 @@ class Factors:
 
         """
         cells, self.renewed = self.estimate(by_law), False
-        if self._base is not None and not self._astray:
-            self._coupling = np.maximum(self._coupling, self._coupling_at(np.maximum(cells, 0.0)))
+        if self.base is not None and not self.astray:
+            self.coupling = np.maximum(self.coupling, self._coupling_at(np.maximum(cells, 0.0)))
             allowed = uncertainty(cells)
             matters = allowed <= limit
-            if not (
-                (self.moved(grown * np.abs(cells - self._base), cells, matters) > _FRESH * allowed) & matters
-            ).any():
+            if not ((self.moved(grown * np.abs(cells - self.base), cells, matters) > FRESH * allowed) & matters).any():
                 return cells, True
         self.renewed = True
         return self._renewed(cells, by_law, uncertainty, error, counted, limit, grown)
 
     def estimate(self, by_law: FloatArray) -> FloatArray:
         """Cells in S by the present factors."""
-        cells: FloatArray = self._rho * by_law
-        if self._any_added:
+        cells: FloatArray = self.rho * by_law
+        if self.any_added:
             cells += self._added
         return cells
 
     def moved(self, change: FloatArray, cells: FloatArray, matters: BoolArray) -> FloatArray:
         """Relative change of ``cells`` by their factors, to first order, by a ``change`` in S of these; 0 at first."""
-        if self._base is None:
+        if self.base is None:
             return np.zeros(change.shape)
         off, differs = np.empty(change.shape), self._added != 0.0
-        if self._any_added:
+        if self.any_added:
             matters = matters & ~differs
-        sums = self._row_sums, self._column_sums
-        move.unchecked(change, self._base, self._beyond, self._coupling, *sums, matters, np.empty(change.shape[1]), off)
+        sums = self.row_sums, self.column_sums
+        move.unchecked(change, self.base, self.beyond, self.coupling, *sums, matters, np.empty(change.shape[1]), off)
         # What passes beside a cell does not fall with it.
         least = np.maximum(cells, OPEN)
-        off += self._beyond * change * np.maximum(1.0 / least - 1.0 / self._base, 0.0)
-        if self._any_added:
-            most = np.maximum(self._base, np.abs(self._added))
+        off += self.beyond * change * np.maximum(1.0 / least - 1.0 / self.base, 0.0)
+        if self.any_added:
+            most = np.maximum(self.base, np.abs(self._added))
             off = np.where(differs, off * np.maximum(most / least, 1.0), off)
         return off
 
@@ -133,7 +131,7 @@ class Factors:
             try:
                 again = self._law(cells)
             except (SolverError, np.linalg.LinAlgError):
-                self._base, self._astray = None, True
+                self.base, self.astray = None, True
                 return cells, False
             new = self._correct(cells, again, by_law)
             allowed = uncertainty(new)
@@ -141,29 +139,29 @@ class Factors:
             change = np.abs(np.maximum(new, OPEN) - cells)  # a negative reading is that of an open cell
             off = self.moved(change * counted * grown, new, matters)
             loads = change > _ROUGHLY * np.minimum(error, 1.0) * np.maximum(np.abs(by_law), cells)
-            if not (counted & np.where(matters, off > _FRESH * allowed, loads)).any():
-                self._astray = not matters.any()
+            if not (counted & np.where(matters, off > FRESH * allowed, loads)).any():
+                self.astray = not matters.any()
                 return new, True
             log = np.log(cells)
             step = np.log(np.maximum(new, 1e-3 * cells)) - log
             further = np.where(matters, accelerated(log, step, before, matters), 0.5 * np.clip(step, -_STRIDE, _STRIDE))
             before.append((log, step))
             cells = np.where(counted, np.exp(np.clip(log + further, *_EXPONENTS)), new)
-        self._astray = True
+        self.astray = True
         return cells, False
 
     def _correct(self, cells: FloatArray, again: FloatArray, by_law: FloatArray) -> FloatArray:
         """Make the factors at ``cells``, of which the law makes ``again`` in the model; the corrected cells."""
         ratio = cells / np.where(again > 0.0, again, inf)
         usual = (ratio > _LEAST_FACTOR) & (ratio < _MOST_FACTOR) & (by_law > 0.0)
-        self._rho, self._added = np.where(usual, ratio, 1.0), np.where(usual, 0.0, cells - again)
-        self._any_added = not usual.all()
-        self._base, self._beyond = cells, np.abs(self._rho - 1.0)
-        if self._any_added:  # the law is as steep there as beside other cells
-            self._beyond[~usual] = self._beyond.max()
-        self._row_sums, self._column_sums = cells.sum(axis=1), cells.sum(axis=0)
-        self._coupling = self._coupling_at(cells)
-        corrected: FloatArray = self._rho * by_law + self._added
+        self.rho, self._added = np.where(usual, ratio, 1.0), np.where(usual, 0.0, cells - again)
+        self.any_added = not usual.all()
+        self.base, self.beyond = cells, np.abs(self.rho - 1.0)
+        if self.any_added:  # the law is as steep there as beside other cells
+            self.beyond[~usual] = self.beyond.max()
+        self.row_sums, self.column_sums = cells.sum(axis=1), cells.sum(axis=0)
+        self.coupling = self._coupling_at(cells)
+        corrected: FloatArray = self.rho * by_law + self._added
         return corrected
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import hypot, inf, nan, sqrt
+from math import hypot, nan, sqrt
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -15,10 +15,8 @@ from ._law import Law, Ports
 from ._law_kernels import errors_of, relative_to
 from ._live_reading import SIGMAS, Errors
 
-_ALIKE = 2.0  # measured where cells at rest are alike; 1.8 in a pressed column of equal cells
-_BY_STEPS, _BY_NOISE = 4.5, 3.5  # standard deviations of other readings' steps and noise that are covered
-_FOLLOWS = 0.15  # share of a row's drive that a follower's own error may reach
-_WITHIN = 3.0  # errors of a reading, from the upper end of what it can be, within which it tells nothing
+ALIKE = 2.0  # measured where cells at rest are alike; 1.8 in a pressed column of equal cells
+BY_STEPS, BY_NOISE = 4.5, 3.5  # standard deviations of other readings' steps and noise that are covered
 
 
 class Steps(NamedTuple):
@@ -65,8 +63,8 @@ class LawErrors:
             unknown: (N, M) readings that state bounds only.
 
         """
-        self._cells, self._steps = ports.cells, steps
-        by_steps, by_noise = steps.random * _BY_STEPS / sqrt(3.0), _BY_NOISE * noise
+        self.cells, self._steps = ports.cells, steps
+        by_steps, by_noise = steps.random * BY_STEPS / sqrt(3.0), BY_NOISE * noise
         random = hypot(by_steps, by_noise)
         self.error = steps.half + SIGMAS * noise
         """V, of a reading"""
@@ -75,7 +73,7 @@ class LawErrors:
         self.of_left, self.column_open = np.empty((2, columns))
         self.of_sums, self.row_open = np.empty((2, rows))
         middle = np.full(columns, nan)
-        if steps.alike and 3.0 * rows > _BY_STEPS**2 and noise <= steps.half:
+        if steps.alike and 3.0 * rows > BY_STEPS**2 and noise <= steps.half:
             middle = np.sort(volts, axis=0)[rows // 2]
         self.opens: bool = errors_of.unchecked(
             *(volts, middle, *law.law, law.lead, law.present, law.nowhere if unknown is None else unknown),
@@ -85,10 +83,6 @@ class LawErrors:
             *(self.of_driven, own_per_volt, beside, self.own, self.linear, self._std),
             *(self.of_left, self.column_open, self.of_sums, self.row_open, np.empty((3, columns))),
         )
-        if law.ties_down:
-            tied = law.may_tie_down(ports, self.of_left)
-            if tied.any():
-                self.opens, self.of_left[tied], self.column_open[tied] = True, inf, inf
         apart = law.apart(ports)
         self.apart: FloatArray | float = 1.0 if apart is None else apart
         """factor by which errors grow where bridges mix two lines"""
@@ -96,21 +90,11 @@ class LawErrors:
             self.own, self.linear, self._std = self.own * apart, self.linear * apart, self._std * apart
             own_per_volt, beside = own_per_volt * apart, beside * apart
         self._of_own, self._of_column = own_per_volt, beside
-        self.at_end: BoolArray | None = None
-        """readings within their error of a short's; None: there are none"""
-        if law.follows:
-            at_end = law.at_end(ports, _WITHIN * self.error)
-            lost = law.may_follow(ports, volts, self.error, _FOLLOWS) | at_end
-            if at_end.any():
-                lost |= at_end.any(axis=0) & law.feeds(ports, volts, _FOLLOWS)
-            if lost.any():
-                self.at_end = at_end if at_end.any() else None
-                self.opens, self.linear = True, np.where(lost, inf, self.linear)
 
     def relative(self, cells: FloatArray) -> FloatArray:
         """Relative uncertainty (N, M) of ``cells`` in S, which the laws gave before they were corrected."""
         uncertainty = np.empty(cells.shape)
-        of_law = self._cells, self.own, self.linear, self.column_open, self.row_open
+        of_law = self.cells, self.own, self.linear, self.column_open, self.row_open
         relative_to.unchecked(cells, *of_law, uncertainty)
         return uncertainty
 
@@ -121,4 +105,4 @@ class LawErrors:
             turn(np.multiply(each, grown, out=np.zeros(each.shape), where=each != 0.0))
             for each in (np.abs(self._of_own), self._of_column, self._std)
         )
-        return Errors(own, column, every, _ALIKE if self._steps.alike else 1.0)
+        return Errors(own, column, every, ALIKE if self._steps.alike else 1.0)

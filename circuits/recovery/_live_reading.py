@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ...common.arrays import BoolArray, FloatArray
 from ...common.checks import number
+from ...common.measurement import Measurement
 from ...errors import InputError
 
 ACCURACY = 0.5
@@ -65,6 +66,8 @@ class ValidityRule:
     """A cell is valid if the relative uncertainty of its conductance is at most ``limit``."""
 
     limit: float = ACCURACY
+    averages: bool = True
+    """whether noisy readings serve for estimation, valid or not: where nobody asked for an accuracy"""
 
     def __post_init__(self) -> None:
         """Raises InputError if the limit is not between 0 and 1."""
@@ -76,7 +79,7 @@ class ValidityRule:
     @classmethod
     def of(cls, accuracy: float | None) -> ValidityRule:
         """The rule for an accuracy that a user asks for; None: :data:`ACCURACY`."""
-        return cls() if accuracy is None else cls(accuracy)
+        return cls() if accuracy is None else cls(accuracy, averages=False)
 
     def accepts(self, uncertainty: FloatArray) -> BoolArray:
         """Where a relative uncertainty is at most the limit."""
@@ -154,9 +157,19 @@ def undetermined(reason: NDArray[np.int8]) -> LiveReading:
     return LiveReading(np.full(reason.shape, np.nan), np.zeros(reason.shape, dtype=np.bool_), reason, lambda: unknown)
 
 
+class UsualReading(Protocol):
+    """Measures frames that hold nothing unusual, at a fraction of the cost; see :mod:`._usual_frames`."""
+
+    def __call__(self, volts: FloatArray, surely: float, usual: float, noise: FloatArray) -> Measurement | None:
+        """The measurement of a frame; None if it is to be recovered."""
+        ...
+
+
 class LiveRecovery(Protocol):
     """Live recovery of one board, called with one frame after the other."""
 
+    usual: UsualReading | None
+    """for frames without readings at a limit, if this circuit has such a way"""
     scales_columns: bool
     """whether errors of readings scale all conductances of their column by one factor. This is so in dividers whose
     idle rows are driven: all readings of a column together determine the drive that is left for it"""

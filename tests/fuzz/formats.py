@@ -16,6 +16,7 @@ import re
 import struct
 import tomllib
 import warnings
+import zipfile
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -29,15 +30,25 @@ from pydantic import BaseModel
 
 from ohmskin.bench._reference import Indeterminate, reference_volts
 from ohmskin.cell import Cell
-from ohmskin.circuits import Design, scan
+from ohmskin.circuits import AmplifierModel, Design, scan
 from ohmskin.cli import run
+from ohmskin.common.config import parse
 from ohmskin.common.tables import read_cells, read_columns
 from ohmskin.common.text import one_line
-from ohmskin.driver import ReplayPort, Skin
-from ohmskin.emulator import Scene
-from ohmskin.errors import InputError, LinkEnded, LinkError, OhmskinError, SolverError
+from ohmskin.driver import Calibration, ReplayPort, Skin, Tare
+from ohmskin.emulator import Recording as Recorded
+from ohmskin.emulator import Scene, Truth
+from ohmskin.errors import InputError, LinkEnded, LinkError, OhmskinError, ProtocolError, SolverError
 from ohmskin.kicad import Imported, differences, import_design, read_netlist, to_netlist
-from ohmskin.wire import BoardFile, FramePacket, Order, board_protocol, host_protocol
+from ohmskin.wire import (
+    BoardFile,
+    FramePacket,
+    Order,
+    board_protocol,
+    host_protocol,
+    read_description,
+    write_description,
+)
 
 from .mutations import mutated
 
@@ -61,11 +72,17 @@ class Format:
     valid: Callable[[random.Random], bytes]
     judge: Judge
     text: bool = True
+    inside: Callable[[random.Random, bytes], bytes] | None = None
+    """mutates what is packed in the input, whose checksums hold afterwards"""
 
     def case(self, rng: random.Random) -> bytes:
         """A mutated input; now and then a valid one."""
         data = self.valid(rng)
-        return data if rng.random() < 0.05 else mutated(rng, data, text=self.text)
+        if rng.random() < 0.05:
+            return data
+        if self.inside is not None and rng.random() < 0.7:
+            return self.inside(rng, data)
+        return mutated(rng, data, text=self.text)
 
 
 def _read(path: Path, read: Callable[[Path], Any]) -> Any:
@@ -542,6 +559,232 @@ _DESIGN: dict[str, Any] = {
 }
 
 
+# --- arrays -----------------------------------------------------------------------------------------------------------
+
+
+def _npz(arrays: Mapping[str, Any]) -> bytes:
+    out = io.BytesIO()
+    np.savez(out, **arrays)
+    return out.getvalue()
+
+
+def _tare(rng: random.Random) -> bytes:
+    cells = np.array([rng.uniform(5e3, 2e4) for _ in range(math.prod(SHAPE))]).reshape(SHAPE)
+    arrays = {"rest_resistance_ohm": cells, "measured": cells < 1.9e4, "std_ohm": 0.001 * cells, "wall_time": 1.7e9}
+    return _npz(
+        arrays
+        | {"frames": 20, "lost": -1, "serial_number": "A1", "remarks": np.array(["one"][: rng.randrange(2)], str)}
+    )
+
+
+def _truth(rng: random.Random) -> bytes:
+    frames = rng.randrange(1, 5)
+    cells = np.array([rng.uniform(0, 15) for _ in range(frames * math.prod(SHAPE))]).reshape(frames, *SHAPE)
+    times = 0.01 * np.arange(frames)
+    arrays = {
+        "sequence": np.arange(frames),
+        "time_s": times,
+        "pressure_kpa": cells,
+        "pitch_mm": 4.0,
+        "full_scale_kpa": 15.5,
+    }
+    return _npz(arrays | {"time": times, "pressure": cells, "valid": cells < 14.0})
+
+
+def _odd(rng: random.Random, array: Any) -> Any:
+    """An array that is none of what the reader expects, or hardly any."""
+    kinds = (np.float16, ">f8", np.complex128, np.int8, np.uint64, bool, "U3", "M8[s]", "S4", [("a", "<f8")], "O")
+    shapes = ((), (0,), (1,), (3,), (4, 3), SHAPE, (1, *SHAPE), (2, 2, 2, 2))
+    values = (0, 1, -1, np.nan, np.inf, 1e308, 5e-324, 2**63 - 1, 1e30, 255)
+    if rng.random() < 0.5:
+        odd = np.array(array)
+        if odd.size and odd.dtype.kind == "f":
+            odd.flat[rng.randrange(odd.size)] = rng.choice(values)
+        return odd
+    with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):
+        try:
+            return np.full(rng.choice(shapes), rng.choice(values)).astype(rng.choice(kinds))
+        except (TypeError, ValueError, OverflowError):
+            return np.zeros(rng.choice(shapes))
+
+
+def _inside_npz(rng: random.Random, data: bytes) -> bytes:
+    """Other arrays, or mutated bytes of one, in an archive that is sound itself."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    for name in rng.sample(list(members), rng.choice((1, 1, 2))):
+        content = members.pop(name)
+        match rng.randrange(6):
+            case 0:
+                continue  # it is missing
+            case 1:
+                members[name.removesuffix(".npy")] = content
+                continue
+            case 2 | 3:
+                out = io.BytesIO()
+                np.save(out, _odd(rng, np.load(io.BytesIO(content))))
+                content = out.getvalue()
+            case _:
+                content = mutated(rng, content, text=rng.random() < 0.3)
+        members[name] = content
+    out = io.BytesIO()
+    packing = rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2))
+    with zipfile.ZipFile(out, "w", packing) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    return out.getvalue()
+
+
+def _same_arrays(path: Path, found: Mapping[str, Any]) -> None:
+    """What NumPy's own reader makes of the file."""
+    with np.load(path, allow_pickle=False) as arrays:
+        for name, array in found.items():
+            assert array.shape == arrays[name].shape, name
+            assert np.array_equal(array, arrays[name], equal_nan=array.dtype.kind == "f"), name
+
+
+def _judge_tare(data: bytes, rng: random.Random, folder: Path) -> str:
+    path = folder / "tare.npz"
+    path.write_bytes(data)
+    tare = _read(path, Tare.load)
+    if tare is None:
+        return REFUSED
+    _same_arrays(path, {name: getattr(tare, name) for name in ("rest_resistance_ohm", "measured", "std_ohm")})
+    assert tare.measured.shape == tare.std_ohm.shape == tare.rest.shape
+    assert np.isfinite(tare.rest).all(), "a rest that is no number"
+    assert not (tare.std_ohm < 0).any()
+    assert one_line(repr(tare)).isprintable()
+    tare.save(folder / "again.npz")
+    assert Tare.load(folder / "again.npz").remarks == tare.remarks
+    return ACCEPTED
+
+
+def _judge_truth(data: bytes, rng: random.Random, folder: Path) -> str:
+    path = folder / "truth.npz"
+    path.write_bytes(data)
+    truth, taken = _read(path, Truth.load), _read(path, Recorded.load)
+    design = {"array": {"rows": SHAPE[0], "columns": SHAPE[1]}, "drive": {"voltage": -1.0}, "adc": _DESIGN["adc"]}
+    skin = {"design": {**design, "readout": _DESIGN["readout"]}}
+    scene = _read(path, lambda path: _shown(skin, path))
+    if scene is not None:
+        pressure = scene.pressure_kpa(0.013)
+        assert pressure.shape == SHAPE
+        assert (pressure >= 0).all(), "pressure is negative or NaN"
+    if truth is None and taken is None and scene is None:
+        return REFUSED
+    for found, names in ((truth, ("sequence", "time_s", "pressure_kpa")), (taken, ("sequence", "time", "pressure"))):
+        if found is not None:
+            _same_arrays(path, {name: getattr(found, name) for name in names})
+            assert len({len(getattr(found, name)) for name in names}) == 1
+    return ACCEPTED
+
+
+def _shown(skin: Mapping[str, Any], path: Path) -> Scene:
+    """A scene that shows the file as a movie."""
+    tables = {"skin": skin, "movie": {"file": path.name}}
+    return Scene.from_tables(tables, source=str(path), directory=path.parent)
+
+
+# --- models of amplifiers ---------------------------------------------------------------------------------------------
+
+
+def _model_text(rng: random.Random) -> bytes:
+    """A maker's model with what makers use."""
+    return b"""* an amplifier
+.SUBCKT OPA IN+ IN- V+ V- OUT PARAMS: A0=1e5
++ GBW=1e6
+.PARAM RX={2*10k}
+.FUNC LIM(X,A) {MIN(MAX(X,-A),A)}
+.MODEL QUIET RES(T_ABS=-273.15)
+RIN IN+ IN- 10Meg
+G1 0 P VALUE={LIM(V(IN+,IN-),1)*A0}
+R1 P 0 1 ; a comment
+C1 P 0 {A0/(6.2832*GBW)}
+RN P Q QUIET {RX}
+X1 P OUT V+ V- BUF
+.ENDS OPA
+.SUBCKT BUF IN OUT V+ V-
+E1 M 0 IN 0 1
+R2 M OUT 50
+D1 OUT V+ DX
+.MODEL DX D(IS=1e-14)
+.ENDS
+.END
+"""
+
+
+def _judge_model(data: bytes, rng: random.Random, folder: Path) -> str:
+    """No line that is a command, reads a file, or begins one of ngspice's blocks gets into a netlist."""
+    path = folder / "opa.lib"
+    path.write_bytes(data)
+    tables = {"file": "opa.lib", "subcircuit": "OPA"}
+    model = _read(path, lambda path: parse(tables, AmplifierModel, source=str(path), folder=folder))
+    if model is None:
+        return REFUSED
+    first = [line.split()[0].lower() for line in model.text.splitlines()]
+    assert all(word[0] in "bcdefghijklmqrstvwxz" or word in _MODEL_CARDS for word in first), "another card"
+    assert not re.search(r"(?i)\bfile\s*=|`", model.text)
+    assert model.text.isascii()
+    assert all(line.isprintable() for line in model.text.splitlines())
+    assert len(first) <= 20_000
+    return ACCEPTED
+
+
+_MODEL_CARDS = {".subckt", ".ends", ".model", ".param", ".params", ".func", ".if", ".elseif", ".else", ".endif"}
+
+
+# --- calibrations and descriptions ------------------------------------------------------------------------------------
+
+
+def _calibration_text(rng: random.Random) -> bytes:
+    shape = (2, 3)
+    calibration = Calibration(
+        rest_ohm=np.full(shape, 1e4),
+        gain=np.full(shape, 1.1),
+        gain_std=np.full(shape, 0.01),
+        rest_std_kpa=np.full(shape, 0.02),
+        residual_kpa=np.full(shape, 0.1),
+        calibrated=np.ones(shape, bool),
+        loads_kpa=(5.0, 10.0),
+        presses=12,
+        serial_number="A1",
+        design_hash="0",
+        cell_hash="1",
+        date="2026-01-01T00:00:00+00:00",
+    )
+    return calibration.as_toml().encode()
+
+
+def _judge_calibration(data: bytes, rng: random.Random, folder: Path) -> str:
+    path = folder / "skin.toml"
+    path.write_bytes(data)
+    found = _read(path, Calibration.load)
+    if found is None:
+        return REFUSED
+    cells = _tables(data)["cells"]
+    for name in ("rest_ohm", "gain", "gain_std"):
+        assert getattr(found, name).tolist() == cells[name], name
+    assert one_line(repr(found)).isprintable()
+    return ACCEPTED
+
+
+def _described(rng: random.Random) -> bytes:
+    return write_description(tomllib.loads(_design_text(rng).decode()), _cell(rng))
+
+
+def _judge_described(data: bytes, rng: random.Random, folder: Path) -> str:
+    """A board's description is a design and a cell of values only, or an error of ours."""
+    try:
+        tables, cell = read_description(data)
+        design = None if tables is None else parse(tables, Design, source="design")
+        _ = None if cell is None else parse(cell, Cell, source="cell")
+    except (InputError, ProtocolError) as refusal:
+        message = one_line(str(refusal))
+        return REFUSED if message.isprintable() else message
+    assert design is None or (design.readout.amplifier_model is None and not design.requirement)
+    return ACCEPTED
+
+
 # --- the command line -------------------------------------------------------------------------------------------------
 
 CALLS = (
@@ -592,6 +835,11 @@ FORMATS = {
         Format("netlist", _netlist_text, _judge_netlist),
         Format("board", _board_text, _judge_board),
         Format("mcap", _recorded, _judge_recorded, text=False),
+        Format("tare", _tare, _judge_tare, text=False, inside=_inside_npz),
+        Format("truth", _truth, _judge_truth, text=False, inside=_inside_npz),
+        Format("model", _model_text, _judge_model),
+        Format("calibration", _calibration_text, _judge_calibration),
+        Format("described", _described, _judge_described),
         Format("call", _call, _judge_call),
     )
 }

@@ -1,0 +1,92 @@
+"""Usual frames take a short way through one kernel: it gives what the whole recovery gives, or hands the frame over."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from designs import digitised
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ohmskin.circuits import Design, adc_codes, scan
+from ohmskin.common.measurement import Measurement
+from ohmskin.driver import CountReader
+
+KINDS = "grounded", "floating", "divider", "loaded"
+
+
+def board(kind: str, bits: int, rows: int, columns: int, **readout: Any) -> Design:
+    return digitised(kind, rows, columns, bits, array={"row_lead": 5.0, "column_lead": 5.0}, readout=readout)
+
+
+def readers(design: Design, accuracy: float | None = None) -> tuple[CountReader, CountReader, list[bool]]:
+    """One that takes the short way, one that never does, and whether each frame went the short way."""
+    short, whole, went = CountReader(design, accuracy=accuracy), CountReader(design, accuracy=accuracy), []
+    way = short._recover.usual
+    assert way is not None
+
+    def noted(*frame: Any) -> Measurement | None:
+        found = way(*frame)
+        went.append(found is not None)
+        return found
+
+    short._recover.usual, whole._recover.usual = noted, None
+    return short, whole, went
+
+
+def assert_same(one: Measurement, other: Measurement) -> None:
+    np.testing.assert_array_equal(one.reason, other.reason)
+    np.testing.assert_allclose(one.block, other.block, rtol=1e-9, atol=0.0)
+
+
+@settings(max_examples=25)
+@given(
+    st.sampled_from(KINDS),
+    st.sampled_from([8, 10, 12, 16]),
+    st.integers(3, 9),
+    st.integers(2, 9),
+    st.sampled_from([None, 0.1]),
+    st.integers(0, 2**32 - 1),
+)
+def test_the_short_way_gives_what_the_whole_recovery_gives(
+    kind: str, bits: int, rows: int, columns: int, accuracy: float | None, seed: int
+) -> None:
+    """Under a finger that wanders, with noise of up to a few steps, and with open cells."""
+    design, draw = board(kind, bits, rows, columns), np.random.default_rng(seed)
+    assert design.adc is not None
+    rest, noise = 8e3 * 10 ** draw.uniform(-0.2, 0.2, (rows, columns)), draw.choice([0.1, 0.6, 3.0]) * design.adc.step
+    if draw.random() < 0.3:
+        rest[draw.integers(rows), draw.integers(columns)] = 1e9
+    short, whole, _ = readers(design, accuracy)
+    at, row, column = draw.uniform(0, [rows, columns]), *np.indices((rows, columns))
+    for frame in range(14):
+        place = at + 0.3 * frame
+        cells = rest * (1.0 + 2.0 * np.exp(-((row - place[0]) ** 2 + (column - place[1]) ** 2)))
+        counts = adc_codes(design, scan(design, cells).volts + draw.normal(scale=noise, size=cells.shape))
+        short._kept = whole._kept = None  # results that are kept were judged with the noise of their time
+        assert_same(short(counts), whole(counts))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_most_frames_of_a_sound_board_go_the_short_way(kind: str) -> None:
+    design, draw = board(kind, 12, 8, 8), np.random.default_rng(1)
+    assert design.adc is not None
+    short, _, went = readers(design)
+    for frame in range(40):
+        cells = np.full((8, 8), 8e3)
+        cells[2:4, 3:5] *= 1.0 + min(max(frame - 10, 0), 10) / 10
+        short(adc_codes(design, scan(design, cells).volts + draw.normal(scale=design.adc.step, size=(8, 8))))
+    assert sum(went) >= 30
+
+
+def test_a_frame_with_a_reading_at_a_limit_goes_the_long_way() -> None:
+    design = board("grounded", 12, 6, 5, supply=(-0.2, 3.3))
+    cells, (short, whole, went) = np.full((6, 5), 8e3), readers(design)
+    for frame in range(12):
+        cells[2, 3] = 8.0 if 4 <= frame < 8 else 8e3
+        counts = adc_codes(design, scan(design, cells).volts)
+        short._kept = whole._kept = None
+        assert_same(short(counts), whole(counts))
+    assert len(went) <= 8
