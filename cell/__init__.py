@@ -16,6 +16,7 @@ from .materials import (
 
 if TYPE_CHECKING:
     from .identification import (
+        READING_NOISE,
         CalibrationResult,
         Recording,
         calibrate,
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
         protocol_text,
         read_recording,
         recovery_branches,
+        rehearsed,
     )
 else:
 
@@ -52,6 +54,7 @@ Cell.learned_from_model = staticmethod(_learned_from_model)
 
 __all__ = [
     "ESTIMATORS",
+    "READING_NOISE",
     "AsymmetricModel",
     "CalibrationResult",
     "Cell",
@@ -75,4 +78,5 @@ __all__ = [
     "protocol_text",
     "read_recording",
     "recovery_branches",
+    "rehearsed",
 ]

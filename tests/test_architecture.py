@@ -29,7 +29,7 @@ MAY_IMPORT = {
     "doctor": SHARED | {"circuits", "wire", "driver"},
     "hil": SHARED | {"circuits", "driver", "emulator"},
     "view": SHARED | {"circuits", "driver"},
-    "verification": SHARED | {"circuits", "cell", "wire", "emulator", "driver", "bench"},
+    "verification": SHARED | {"circuits", "cell", "wire", "emulator", "driver"},
 }
 ROOMS = [*MAY_IMPORT, "errors", "cli"]
 

@@ -17,10 +17,12 @@ from ._identify import Task, find_drift, fits
 from ._protocol import check_protocol, protocol_load, protocol_text
 from ._recording import Recording, check_resistances, checked_recording, read_recording
 from ._recovery_curve import recovery_branches
+from ._rehearsal import READING_NOISE, rehearsed
 from ._remarks import remarks
 from ._report import calibration_figure, calibration_record, calibration_text
 
 __all__ = [
+    "READING_NOISE",
     "CalibrationResult",
     "Recording",
     "Task",
@@ -40,5 +42,6 @@ __all__ = [
     "protocol_text",
     "read_recording",
     "recovery_branches",
+    "rehearsed",
     "remarks",
 ]

@@ -189,6 +189,17 @@ class ReadoutCircuit(ABC):
         """``volts`` (..., N, M) with their limits for ideal parts, which the solvers replaced by large conductances."""
         return volts
 
+    def delivered(self, board: Parts, group: SensitivityGroup, row_current: FloatArray) -> FloatArray:
+        """A (readings' rows, readings' columns) that the output of each reading's amplifier delivers into the array.
+
+        Args:
+            board: parts of the readout.
+            group: readings, with their forward fields.
+            row_current: (rows, columns or 1, N) A out of each driver in these fields.
+
+        """
+        return np.zeros((len(group.rows), len(group.columns)))
+
     # One cell alone, with ideal parts
 
     @abstractmethod

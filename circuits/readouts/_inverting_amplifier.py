@@ -102,6 +102,12 @@ class InvertingAmplifier(Terminated):
     def inverts(self) -> bool:
         return True
 
+    def delivered(self, board: Parts, group: SensitivityGroup, row_current: FloatArray) -> FloatArray:
+        """The current of a column's end, less the bias current, through the reference resistor."""
+        current = np.broadcast_to(group.lead_current, (len(group.rows), 1, board.shape[1]))[:, 0]
+        delivered: FloatArray = (current - board.bias)[:, group.columns]
+        return delivered
+
     def alone(self, board: Parts) -> Alone:
         return Alone(-board.drive * board.reference, 0.0)
 

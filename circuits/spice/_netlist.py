@@ -15,7 +15,7 @@ the crosspoint on a sensed line.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from math import inf, isinf
 from typing import NamedTuple
@@ -27,7 +27,7 @@ from ...common.arrays import FloatArray
 from ...errors import InputError, SolverError
 from .._board import Board
 from .._design import Design
-from ..ends import LINE, REF, LineEnds, join, spice_cards
+from ..ends import CELL, LINE, REF, ROW, LineEnds, join, spice_cards
 from ..readouts import COLUMN_INDEX, FOLLOWER, REFERENCE, ROW_INDEX, CardWriter
 
 _IDLE_COLUMNS = {"float": "are open", "ground": "stay at the reference", "load": "have a load each"}
@@ -136,8 +136,12 @@ class _Place(NamedTuple):
     """of the turn"""
     line: str
     shares_reference: bool
+    known: Mapping[str, str] = {}
+    """other nodes of the whole circuit"""
 
     def name(self, node: str) -> str:
+        if node in self.known:
+            return self.known[node]
         if node == REF and self.shares_reference:
             return f"{node}{self.mark}"
         return _marked(self.line if node == LINE else node if node == REFERENCE else f"{node}_{self.place}", self.mark)
@@ -211,6 +215,8 @@ class DeckWriter(CardWriter):
 
         if self.row is None:
             raise SolverError("networks at the lines' ends change from row to row; only a netlist of one row has them")
+        if ends.crosspoint and not self.resistance.all():
+            raise SolverError("a netlist with parts at the cells has no cell of 0 ohm; give it a resistance")
         outputs = [REFERENCE] * self.columns
         at_ends = (*map(self._driver, self.driven), *map(self.circuit.column_end, range(self.columns)))
         lines = [self.name[node] for node in at_ends]
@@ -219,12 +225,18 @@ class DeckWriter(CardWriter):
             mark = f"_t{turn}" if len(self.board.turns) > 1 else ""
             if mark:
                 cards += ["", f"* Turn {turn}: columns {', '.join(map(str, np.flatnonzero(read)))} are read."]
-            for card in self._grid():
-                name, *words = card.split(" ", 3)
-                is_part = card.startswith("R")
-                cards.append(
-                    f"{name}{mark} {_marked(words[0], mark)} {_marked(words[1], mark)} {words[2]}" if is_part else card
-                )
+            for line in self._grid():
+                if not line.startswith("R"):
+                    cards.append(line)
+                    continue
+                name, *nodes, value = line.split()
+                a, b = (_marked(node, mark) for node in nodes)
+                if ends.crosspoint and name.startswith("R_"):
+                    row, a = a, f"cell{name[1:]}{mark}"
+                    place = f"x{name[1:]}"
+                    at = _Place(place, mark, "", bool(ends.reference), {ROW: row, CELL: a})
+                    cards += spice_cards(ends.held(ends.crosspoint), at.name, f"_{place}{mark}")
+                cards.append(f"{name}{mark} {a} {b} {value}")
             cards.append("")
             islands = DisjointSet([REFERENCE])
             for _, a, b, ohm in self._resistors():
