@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
-from math import isinf, sqrt
+from math import inf, isinf, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +38,7 @@ _MOST_VOLTS = 1e10  # or A: only contradictions give so much
 _MOST_STEPS = 400
 _ONE_AT_A_TIME = 100  # steps after which the limits of amplifiers change one at a time, which cannot cycle
 _CONVERGED = 1e-11  # V, and relative; the bound includes what is left
+_STANDS, _ROUNDING = 0.5, 1e4  # steps that do not halve any more, up to so many times this, are rounding
 
 
 class _Template(NamedTuple):
@@ -215,7 +216,7 @@ def solve(system: System, start: FloatArray | None = None) -> Solution:
         padded = np.append(start, 0.0)
         junction = np.minimum(padded[anode] - padded[cathode], critical)
     state = [0] * len(system.limits)
-    gmin = 1e-12
+    gmin, before = 1e-12, inf
     for attempt in range(_MOST_STEPS):
         static, source = system.static.copy(), system.source.copy()
         for (equation, output, low, high), side in zip(system.limits, state, strict=True):
@@ -241,9 +242,10 @@ def solve(system: System, start: FloatArray | None = None) -> Solution:
             sides = [
                 side if place == first else old for place, (side, old) in enumerate(zip(sides, state, strict=True))
             ]
-        if sides == state and moved <= _CONVERGED * (1.0 + float(np.abs(junction).max(initial=0.0))):
+        near = _CONVERGED * (1.0 + float(np.abs(junction).max(initial=0.0)))
+        if sides == state and (moved <= near or _STANDS * before <= moved <= _ROUNDING * near):
             break
-        state = sides
+        state, before = sides, moved
     else:
         raise SolverError(f"no operating point of the ends' diodes or limits was found in {_MOST_STEPS} steps")
     magnitude = np.abs(static) @ np.abs(unknowns) + np.abs(source)
