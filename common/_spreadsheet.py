@@ -3,7 +3,7 @@
 =============================  ====================================================================================
 ``1,2``, ``1;2``, tab          the separator is a semicolon or a tab if the first line with data has one, else a comma;
                                a first line ``sep=;``, as spreadsheets write it, decides
-``1 2``                        spaces, if the first line with data has no other separator and only numbers
+``1 2``                        spaces, where they are allowed and the first line with data has only numbers
 ``1,5;2``                      a decimal comma, if commas do not separate fields; between tabs ``4,700`` is refused,
                                because it may be 4.7 or 4700
 ``# ...``                      a comment line
@@ -34,8 +34,9 @@ _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
 class Rows:
     """The rows of one file with the numbers of their lines."""
 
-    def __init__(self, path: str | Path, most_bytes: int) -> None:
-        self._path, self._most_bytes = path, most_bytes
+    def __init__(self, path: str | Path, most_bytes: int, *, spaces: bool = False) -> None:
+        """``spaces``: whether they may separate numbers."""
+        self._path, self._most_bytes, self._spaces = path, most_bytes, spaces
         self._separator: str | None = None
         self.cut = False
         """whether the line that was read last has no line end"""

@@ -142,7 +142,7 @@ class Table:
 
     def __init__(self, path: str | Path, *, note: Callable[[str], None] = lambda said: None) -> None:
         """Read a file. Raises InputError: unreadable, empty or ragged; ``note`` is told of a last line that is cut."""
-        self.path, self._rows = path, Rows(path, MOST_RECORDING_BYTES)
+        self.path, self._rows = path, Rows(path, MOST_RECORDING_BYTES, spaces=True)
         lines = iter(self._rows)
         number, first = next(lines)
         header = [name.strip() for name in first]
