@@ -19,20 +19,18 @@ Searches for faults, each a program: ``python -m ohmskin.bench.hunt`` holds read
 tell them at all.
 """
 
-from ._driver import NOISE, live_estimators, noisy
+from ._driver import live_estimators
 from ._estimators import INDEPENDENT, estimators
 from ._freshness import freshness
 from ._measurement import board, cells, measure, picture
 
 __all__ = [
     "INDEPENDENT",
-    "NOISE",
     "board",
     "cells",
     "estimators",
     "freshness",
     "live_estimators",
     "measure",
-    "noisy",
     "picture",
 ]

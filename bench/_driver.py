@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from ..cell import ESTIMATORS, Cell, calibrate, checked_recording, protocol_load
+from ..cell import ESTIMATORS, Cell, rehearsed
 from ..circuits import Design, adc_codes, scan_batch
 from ..common.arrays import CodeArray, FloatArray
 from ..driver import CountReader, Skin
@@ -39,8 +39,6 @@ FRAMES = 400
 FRAME_RATE_HZ = 200.0
 NOISE_STEPS = 0.5
 """standard deviation of the outputs' noise in ADC steps"""
-NOISE = 0.005
-"""standard deviation of readings of a simulated cell, relative to R0"""
 LARGEST = 256
 """side of the largest array that is driven"""
 HARD_OHM = 5.0
@@ -60,7 +58,6 @@ CASES: tuple[tuple[str, str, int, int], ...] = (
 )
 """circuit, idle rows, ADC bits, saturated cells"""
 APART_S = 1.0 / FRAME_RATE_HZ  # from packet to packet on the port's own clock, as on the board's
-_PROTOCOL_STEP_S = 0.05  # between the samples of the calibration
 LARGEST_FLOATING = 32  # side beyond which boards with floating rows are left out: minutes
 
 
@@ -131,7 +128,7 @@ def live_estimators(sizes: Iterable[int], *, learned: bool = True, frames: int =
         frames: that are measured.
 
     """
-    cell = calibrated_example() if learned else Cell.example()
+    cell = rehearsed(Cell.example()) if learned else Cell.example()
     for size in sizes:
         for name in ESTIMATORS:
             try:
@@ -185,21 +182,6 @@ def design(
 def described(board: Design) -> tuple[int, str, str, int]:
     """The fields of :class:`OnBoard`."""
     return board.array.rows, board.readout.circuit, board.drive.idle_rows, board.adc.bits if board.adc else 0
-
-
-def noisy(cell: Cell, load: FloatArray, dt_s: float, rng: np.random.Generator) -> FloatArray:
-    """Ohm (n,) of one cell under normalised loads ``dt_s`` apart, with noise of :data:`NOISE`."""
-    ohms = cell.forward(()).run(np.full(len(load), dt_s), cell.full_scale_kpa * load)
-    return ohms + NOISE * cell.rest_resistance_ohm * rng.standard_normal(len(load))
-
-
-def calibrated_example() -> Cell:
-    """The example cell as the calibration protocol finds it, with its learned estimators."""
-    time_s, load = protocol_load(_PROTOCOL_STEP_S)
-    true = Cell.example()
-    ohms = noisy(true, load, _PROTOCOL_STEP_S, np.random.default_rng(0))
-    recording = checked_recording(time_s, true.full_scale_kpa * load, ohms, name="protocol")
-    return calibrate(recording, full_scale_kpa=true.full_scale_kpa).cell
 
 
 def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frames: int) -> Row:

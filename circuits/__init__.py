@@ -10,6 +10,7 @@ from ._board import Board
 from ._design import Design
 from ._effects import Effect, effects
 from ._ideal import apparent_resistance, ideal_volts
+from ._operating import OperatingPoint, operating_point
 from ._population import Boards, PopulationReading, read_together, scan_population
 from ._readout import Readout
 from ._requirement import Conditions, Requirement
@@ -35,7 +36,17 @@ from .recovery import (
     live_recovery,
     recover,
 )
-from .timing import EventScan, Noise, Settling, Stability, Transient, noise, stability
+from .timing import (
+    BoardsInTime,
+    EventScan,
+    Noise,
+    Settling,
+    Stability,
+    Transient,
+    noise,
+    stability,
+    stability_of_boards,
+)
 
 CIRCUITS: tuple[str, ...] = tuple(_CIRCUITS)
 """Readout circuits that a design file can name"""
@@ -49,6 +60,7 @@ __all__ = [
     "BatchResult",
     "Board",
     "Boards",
+    "BoardsInTime",
     "Cells",
     "ColumnEnd",
     "Conditioning",
@@ -64,6 +76,7 @@ __all__ = [
     "LiveRecovery",
     "Measured",
     "Noise",
+    "OperatingPoint",
     "Operation",
     "PopulationReading",
     "Readout",
@@ -94,6 +107,7 @@ __all__ = [
     "interpolates",
     "live_recovery",
     "noise",
+    "operating_point",
     "read_together",
     "recover",
     "scan",
@@ -102,5 +116,6 @@ __all__ = [
     "scan_sequence",
     "sensitivity",
     "stability",
+    "stability_of_boards",
     "volts_of_codes",
 ]

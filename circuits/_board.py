@@ -19,7 +19,7 @@ from ..common.arrays import FloatArray
 from ._parts import Parts
 from ._readout import Readout
 from ._sections import Adc, Array, Drive, Fault, PerLine, Sheet
-from .ends import GROUND, REF, Card, ColumnEnd, LineEnds, Network, Reference, RowEnd, amplifier
+from .ends import GROUND, LINE, REF, Card, ColumnEnd, Crosspoint, LineEnds, Network, Reference, RowEnd, amplifier
 from .readouts import CIRCUITS, DESCRIBED, DESCRIBED_INVERTING, LinearReadout, ReadoutCircuit
 
 
@@ -118,6 +118,7 @@ class Networks(NamedTuple):
     row_end: RowEnd | None = None
     column_end: ColumnEnd | None = None
     reference: Reference | None = None
+    crosspoint: Crosspoint | None = None
 
 
 def _with_networks(board: Board, networks: Networks, *, by_nodes: bool) -> Board:
@@ -138,6 +139,8 @@ def _with_networks(board: Board, networks: Networks, *, by_nodes: bool) -> Board
         floating, pull, lead = True, inf, np.zeros(board.shape[0])
         if networks.row_end is None and board.pulled:
             lead = -board.row_lead  # among the parts of the ends
+        if networks.crosspoint is not None:
+            lead = -board.row_ohms[:, 0]
     own_lead = np.zeros_like(lead) if networks.row_end is None and columns is not None else lead
     row_ohms = board.row_ohms.copy()
     row_ohms[:, 0] += own_lead
@@ -186,7 +189,21 @@ def _line_ends(board: Board, networks: Networks) -> LineEnds:
         shared = column_end.shared_by
         read, unread = column_end.lines("parts", -(-columns // shared)), column_end.lines("idle", columns)
     reference = () if networks.reference is None else networks.reference.lines("parts", 1)[0]
-    return LineEnds(selected, idle, read, unread, shared, reference, board.level)
+    if networks.crosspoint is None:
+        return LineEnds(selected, idle, read, unread, shared, reference, board.level)
+    # The ports of a grid with ideal lines are then its cells alone, and the rows' leads are parts of their ends.
+    leads = np.zeros(rows) if board.pulled and row_end is None else board.row_ohms[:, 0]
+    selected, idle = (tuple(map(_behind_lead, ends, leads.tolist())) for ends in (selected, idle))
+    crosspoint = networks.crosspoint.lines("parts", 1)[0]
+    return LineEnds(selected, idle, read, unread, shared, reference, board.level, crosspoint)
+
+
+def _behind_lead(network: Network, ohm: float) -> Network:
+    """A row's end with the lead of its line."""
+    if not ohm or not network:
+        return network
+    inside = tuple(card.renamed(lambda node: "lead" if node == LINE else node, str) for card in network)
+    return (*inside, Card("R.LEAD", ("lead", LINE), ohm))
 
 
 def _named_rows(board: Board, ref: str) -> tuple[tuple[Network, ...], tuple[Network, ...]]:

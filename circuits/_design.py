@@ -20,13 +20,14 @@ from ._readout import PER_LINE, Readout
 from ._requirement import Requirement
 from ._sections import Adc, Array, Cells, Drive, Fault, Operation, Requirements, Sheet
 from ._spread import Spread
-from .ends import ColumnEnd, Reference, RowEnd, Scan
+from .ends import ColumnEnd, Crosspoint, Reference, RowEnd, Scan
 from .readouts import CIRCUITS
 
 _SAID_BY_COLUMN_END = (
     *("open_loop_gain", "gain_bandwidth", "offset_voltage", "bias_current", "supply", "columns", "idle_columns"),
     *("feedback_capacitance", "voltage_noise", "current_noise", "amplifier_model"),
 )
+_NETWORKS = ("row_end", "column_end", "reference", "crosspoint")
 _SAID_BY_IDLE_ROW = ("idle_rows", "idle_row_resistance")
 
 
@@ -53,6 +54,8 @@ class Design(Section):
     """networks at the columns; None: as ``[readout]`` says"""
     reference: Reference | None = None
     """network at the node ``ref``; None: a stiff source of ``readout.reference_voltage``"""
+    crosspoint: Crosspoint | None = None
+    """network between each row and its cells; None: nothing"""
     scan: Scan | None = None
     """None: the verification asks for a constant row period"""
 
@@ -126,6 +129,11 @@ class Design(Section):
                 f'{networks[0]} has no effect with readout.circuit = "{circuit.name}"; expected a circuit that senses '
                 "columns and drives rows only"
             )
+        lines = self.array.row_segment, self.array.column_segment
+        if self.crosspoint is not None and (any(map(np.any, lines)) or self.fault or self.array.sheet != "sliced"):
+            raise ValueError(
+                "crosspoint: expected lines without resistance between cells, a sliced sheet and no faults"
+            )
         keys: list[tuple[str, str, str]] = []
         if self.column_end is not None:
             keys += [("column_end", "readout", key) for key in _SAID_BY_COLUMN_END]
@@ -191,14 +199,14 @@ class Design(Section):
             found |= {f"{name}.{part}": spread for part, spread in end.spreads.items()}
         return found
 
-    def _networks(self) -> list[tuple[str, RowEnd | ColumnEnd | Reference]]:
+    def _networks(self) -> list[tuple[str, RowEnd | ColumnEnd | Reference | Crosspoint]]:
         """The sections that describe ends of lines, with their names."""
-        sections = {"row_end": self.row_end, "column_end": self.column_end, "reference": self.reference}
-        return [(name, end) for name, end in sections.items() if end is not None]
+        sections = (self.row_end, self.column_end, self.reference, self.crosspoint)
+        return [(name, end) for name, end in zip(_NETWORKS, sections, strict=True) if end is not None]
 
     def _ends_of(self, section: str, part: str) -> int:
         """How many a board has of one part of a network."""
-        if section == "reference":
+        if section in {"reference", "crosspoint"}:
             return 1
         if section == "row_end" or self.column_end is None:
             return self.array.rows
@@ -234,12 +242,16 @@ class Design(Section):
             readout |= {"columns": "parallel", "idle_columns": "float"}
         elif other.virtual_ground and self.readout.columns == "parallel":
             readout["idle_columns"] = "float"
-        return self.replace(drive=drive, readout=readout, row_end=None, column_end=None, reference=None)
+        return self.replace(
+            drive=drive, readout=readout, row_end=None, column_end=None, reference=None, crosspoint=None
+        )
 
     @cached_property
     def board(self) -> Board:
         """The design expanded into arrays, once."""
-        networks = Networks(self.row_end, self.column_end, self.reference) if self.is_described else None
+        networks = (
+            Networks(self.row_end, self.column_end, self.reference, self.crosspoint) if self.is_described else None
+        )
         return Board.of(self.array, self.sheet, self.drive, self.readout, self.adc, self.fault, networks)
 
     @cached_property
@@ -253,7 +265,7 @@ class Design(Section):
         circuit = CIRCUITS[self.readout.circuit]
         if circuit.drives_idle_lines or circuit.senses == "rows":
             raise InputError(f'readout.circuit = "{circuit.name}" has no networks at the ends of its lines')
-        networks = Networks(self.row_end, self.column_end, self.reference)
+        networks = Networks(self.row_end, self.column_end, self.reference, self.crosspoint)
         parts = self.array, self.sheet, self.drive, self.readout, self.adc, self.fault
         return Board.of(*parts, networks, by_nodes=True)
 

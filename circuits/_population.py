@@ -54,6 +54,12 @@ class Boards:
     """V of the selected row against the reference"""
     reference_voltage: FloatArray
     """V"""
+    gain_bandwidth: FloatArray
+    """Hz"""
+    column_capacitance: FloatArray
+    """F"""
+    feedback_capacitance: FloatArray
+    """F"""
 
     @classmethod
     def of(cls, design: Design) -> Self:
@@ -72,6 +78,9 @@ class Boards:
             bias_current=_each(readout.bias_current, sensed),
             voltage=_each(drive.voltage, 1),
             reference_voltage=_each(readout.reference_voltage, 1),
+            gain_bandwidth=_each(readout.gain_bandwidth, 1),
+            column_capacitance=_each(readout.column_capacitance, 1),
+            feedback_capacitance=_each(readout.feedback_capacitance, 1),
         )
 
     @property
@@ -101,11 +110,10 @@ class Boards:
             return float(line[0]) if (line == line[0]).all() else tuple(line.tolist())
 
         lines = ("row_lead", "row_segment", "column_lead", "column_segment")
-        amplifiers = ("reference_resistance", "open_loop_gain", "offset_voltage", "bias_current", "reference_voltage")
         return nominal.replace(
             array={name: pick(name) for name in lines},
             drive={"voltage": pick("voltage")},
-            readout={name: pick(name) for name in amplifiers},
+            readout={field.name: pick(field.name) for field in fields(self) if field.name not in (*lines, "voltage")},
         )
 
 
@@ -214,25 +222,61 @@ def _read(design: Design, boards: Boards, cells: FloatArray, driven: IntArray | 
     conductance = 1.0 / cells
     count = max(boards.count, len(cells))
     conductance = np.broadcast_to(conductance, (count, *cells.shape[1:]))
-    board, floats = design.board, design.board.floating
-    passed = 1.0 / (1.0 + boards.row_lead / board.pull)  # by the divider of lead and pull-down; 1 without
-    grounded = _row_ladders(conductance, boards.row_lead * passed, boards.row_segment)
-    grounded = grounded._replace(current=grounded.current * passed[..., None])
-    idle_lead = np.full_like(boards.row_lead, board.pull)
-    floating = _row_ladders(conductance, idle_lead, boards.row_segment) if floats else grounded
+    grounded, floating = _ladders(design, boards, conductance)
     volts = np.full(conductance.shape, np.nan)
     if driven is not None:
         each = np.arange(count)
         one = _only_driven(grounded, floating, np.broadcast_to(driven, count))
         seen = _down_the_columns(one, boards.column_segment, together=True)
         volts[each, driven] = _outputs(design, boards, seen)[..., 0]
-    elif floats:
+    elif design.board.floating:
         for row, seen in enumerate(_one_driven(grounded, floating, boards.column_segment)):
             volts[:, row] = _outputs(design, boards, seen)[..., 0]
     else:
         seen = _down_the_columns(grounded, boards.column_segment)
         volts[:] = _outputs(design, boards, seen).swapaxes(1, 2)
     return volts
+
+
+def column_ends(design: Design, boards: Boards, cells: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """The grids (conductances (S, G, M, M) in S, with G = N where idle rows float and else 1) and the Norton currents
+    (S, N, M) in A of the drivers as the ends of the columns see them, behind the column leads.
+
+    Args:
+        design: which parts there are.
+        boards: in line coordinates.
+        cells: (S, N, M) ohm, in line coordinates.
+
+    Returns:
+        None for designs that the elimination does not cover; not finite where parts of 0 ohm join.
+    """
+    if design.array.sheet != "sliced" or design.fault:
+        return None
+    lead = boards.column_lead
+    with np.errstate(all="ignore"):
+        grounded, floating = _ladders(design, boards, 1.0 / cells)
+        if design.board.floating:
+            steps = list(_one_driven(grounded, floating, boards.column_segment))
+        else:
+            steps = [_down_the_columns(grounded, boards.column_segment)]
+        found = []
+        for seen in steps:
+            both = np.concatenate([seen.admittance, seen.current], axis=-1)
+            found.append(_through(seen.admittance, lead, both) if lead.any() else both)
+    columns = cells.shape[-1]
+    conductance = np.stack([both[..., :columns] for both in found], axis=1)
+    current = np.concatenate([both[..., columns:] for both in found], axis=-1).swapaxes(1, 2)
+    return conductance, boards.voltage[..., None] * current
+
+
+def _ladders(design: Design, boards: Boards, conductance: FloatArray) -> tuple[_Rows, _Rows]:
+    """The row lines (S, N, ...) of selected rows, and of idle ones."""
+    board = design.board
+    passed = 1.0 / (1.0 + boards.row_lead / board.pull)  # by the divider of lead and pull-down; 1 without
+    grounded = _row_ladders(conductance, boards.row_lead * passed, boards.row_segment)
+    grounded = grounded._replace(current=grounded.current * passed[..., None])
+    idle_lead = np.full_like(boards.row_lead, board.pull)
+    return grounded, _row_ladders(conductance, idle_lead, boards.row_segment) if board.floating else grounded
 
 
 def _row_ladders(conductance: FloatArray, lead: FloatArray, segment: FloatArray) -> _Rows:

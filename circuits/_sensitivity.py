@@ -20,21 +20,19 @@ from the sum of its cells' currents. The derivatives thus exist for lines of zer
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError, SolverError
 from ._board import Board
 from ._design import Design
 from ._grid import exact_ports, grid_network
-from .readouts import SensitivityGroup
+from .readouts import Reading, SensitivityGroup
 from .solvers import Network, reduce, siemens
 
 LARGEST = 64 * 64
@@ -109,6 +107,30 @@ def sensitivity(design: Design, resistance: ArrayLike) -> Sensitivity:
 
 def board_sensitivity(board: Board, cells: FloatArray) -> Sensitivity:
     """:func:`sensitivity` in line coordinates, for checked cells (N, M) in ohm."""
+    solved = solve_fields(board, cells)
+    reading, fields = solved.reading, solved.fields
+    result = _empty(reading.volts, fields.conductance)
+    for group in solved.groups():
+        _write_derivatives(result, fields, group)
+    return result
+
+
+class SolvedFields(NamedTuple):
+    """The readings of a frame with the basis fields that all their fields are made of."""
+
+    board: Board
+    ports: FloatArray
+    """(P, P) S"""
+    reading: Reading
+    fields: BasisFields
+
+    def groups(self) -> Iterator[SensitivityGroup]:
+        """Forward and adjoint fields of all readings."""
+        return self.board.circuit.sensitivity_groups(self.board, self.ports, self.reading)
+
+
+def solve_fields(board: Board, cells: FloatArray) -> SolvedFields:
+    """Solve a frame in line coordinates, for checked cells (N, M) in ohm; errors as :func:`sensitivity`."""
     if board.continuous:
         raise InputError('sensitivities are for array.sheet = "sliced", not "continuous"')
     if cells.size > LARGEST:
@@ -122,11 +144,7 @@ def board_sensitivity(board: Board, cells: FloatArray) -> Sensitivity:
         network = _with_small_resistances(board, network, shorts)
         if joined:  # a short between two ports needs a voltage across it, which gives its current
             ports = reduce(network).value
-    fields = _BasisFields.of(board, cells, network)
-    result = _empty(reading.volts, fields.conductance)
-    for group in board.circuit.sensitivity_groups(board, ports, reading):
-        _write_derivatives(result, fields, group)
-    return result
+    return SolvedFields(board, ports, reading, BasisFields.of(board, cells, network))
 
 
 def _turned_back(found: Sensitivity) -> Sensitivity:
@@ -158,6 +176,9 @@ def _turned_back(found: Sensitivity) -> Sensitivity:
 
 def _joins_ports(network: Network, shorts: BoolArray) -> bool:
     """Whether ideal lines and shorts alone connect two ports."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     a, b = network.ends[shorts | np.isinf(network.conductance)].T
     size = len(network.place)
     links = coo_array((np.ones(len(a)), (a, b)), shape=(size, size))
@@ -185,10 +206,10 @@ def basis_drops(board: Board, cells: FloatArray) -> FloatArray:
         cells: (N, M) ohm, none of them a short.
 
     """
-    return _BasisFields.of(board, cells, grid_network(board, cells)).drops
+    return BasisFields.of(board, cells, grid_network(board, cells)).drops
 
 
-class _BasisFields(NamedTuple):
+class BasisFields(NamedTuple):
     """Basis fields: one port of the grid at 1 V and all other ports at 0 V."""
 
     drops: FloatArray
@@ -202,8 +223,11 @@ class _BasisFields(NamedTuple):
     """(ports, N, M) A: current into each crosspoint of a column line from its cell and bridges"""
 
     @classmethod
-    def of(cls, board: Board, cells: FloatArray, network: Network) -> _BasisFields:
+    def of(cls, board: Board, cells: FloatArray, network: Network) -> BasisFields:
         """Solve for the basis fields of ``network``, which is the board's grid with these cells and no shorts."""
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
         rows, columns = board.lines.row.shape
         ahead_of_cells = columns - cells.shape[1]
         cell_at = rows * columns + (rows - 1) * columns
@@ -281,6 +305,10 @@ def _sparse_potentials(a: IntArray, b: IntArray, value: FloatArray, port: IntArr
     Raises:
         SolverError: the factorisation breaks down.
     """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.sparse.linalg import splu
+
     graph = coo_array((value, (a, b)), shape=(size, size)).tocsr()
     graph = graph + graph.T
     graph.eliminate_zeros()  # zero entries would count as connections
@@ -328,7 +356,7 @@ def _empty(volts: FloatArray, conductance: FloatArray) -> Sensitivity:
     )
 
 
-def _write_derivatives(result: Sensitivity, fields: _BasisFields, group: SensitivityGroup) -> None:
+def _write_derivatives(result: Sensitivity, fields: BasisFields, group: SensitivityGroup) -> None:
     """Write the derivatives of one group of readings into ``result``."""
     at = np.ix_(group.rows, group.columns)
     forward = np.tensordot(group.forward, fields.drops, axes=1)

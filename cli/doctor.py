@@ -14,6 +14,7 @@ from ..common.files import check_writable
 from ..common.tables import write_text
 from ..common.text import one_line
 from ..doctor import (
+    START_WORDS,
     Finding,
     State,
     Traffic,
@@ -46,9 +47,16 @@ USUAL_FILE = "board.toml"
 )
 @click.option("--draft", "described", is_flag=True, help="Draft, even if the board sounds like a known family.")
 @click.option("--overwrite", is_flag=True, help="Replace BOARD.toml if it is there already.")
+@click.option("--poke", is_flag=True, help="Send a silent board what many boards wait for, without asking first.")
 @arguments.as_json("the findings")
 def command(
-    port: str | None, baud: int | None, output: Path | None, described: bool, overwrite: bool, as_json: bool
+    port: str | None,
+    baud: int | None,
+    output: Path | None,
+    described: bool,
+    overwrite: bool,
+    poke: bool,
+    as_json: bool,
 ) -> int:
     """Look at this installation and its serial ports, or at PORT alone, and say what to type to mend each problem.
 
@@ -63,7 +71,7 @@ def command(
                 raise InputError(f"{name} needs a PORT")
         findings = [*examine_installation(), *examine_ports()]
     else:
-        findings = _examine_port(port, baud, _place(output, overwrite=overwrite), described=described)
+        findings = _examine_port(port, baud, _place(output, overwrite=overwrite), described=described, poke=poke)
     if as_json:
         click.echo(json_text([asdict(finding) for finding in findings], indent=1))
     else:
@@ -85,12 +93,14 @@ def _place(output: Path | None, *, overwrite: bool) -> Path:
     return output
 
 
-def _examine_port(port: str, baud: int | None, output: Path, *, described: bool) -> list[Finding]:
+def _examine_port(port: str, baud: int | None, output: Path, *, described: bool, poke: bool) -> list[Finding]:
     """The device first; its traffic only where the device can be opened."""
     findings = [] if "://" in port else examine_device(port)
     try:
         with _progress() as tell:
-            traffic = examine_traffic(port, baud=baud, described=described, tell=tell)
+            traffic = examine_traffic(
+                port, baud=baud, described=described, poke=lambda: poke or _may_poke(port), tell=tell
+            )
     except LinkError as error:
         if any(finding.state is State.PROBLEM for finding in findings):
             return findings  # which say why it cannot be opened
@@ -117,6 +127,15 @@ def _drafted(port: str, traffic: Traffic, output: Path) -> list[Finding]:
     write_text(output, draft.toml(head))
     questions = [Finding(State.OPTIONAL, str(output), question) for question in draft.questions]
     return [replace(traffic.finding, mend=view), Finding(State.OK, str(output), "written"), *questions]
+
+
+def _may_poke(port: str) -> bool:
+    """Whether the person at the terminal lets us send words that start boards; without one it is no."""
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        return False
+    words = ", ".join(repr(word.decode()) for word in START_WORDS)
+    click.echo(f"\r\x1b[K{one_line(port)} is silent. Many boards wait for a word: {words}.", err=True)
+    return click.confirm("Send these, one after the other?", err=True)
 
 
 @contextmanager

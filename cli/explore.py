@@ -15,7 +15,7 @@ from ..common.files import check_writable, make_folder, write_together
 from ..common.text import printable
 from ..errors import MissingExtra
 from ..verification import (
-    Subject,
+    DesignUnderTest,
     Variation,
     best_carbon_black,
     carbon_black_line,
@@ -51,7 +51,7 @@ def command(
     beside = [requirement for file in requirement_files for requirement in load_requirements(file)]
     requirements = (*design.requirement, *beside) or default_requirements(design)
     check_requirements(requirements)
-    subject = Subject(design, None if cell_file is None else Cell.load(cell_file), seed=seed)
+    dut = DesignUnderTest(design, None if cell_file is None else Cell.load(cell_file), seed=seed)
     folder = None if output is None else make_folder(output)
     if folder is not None:
         check_writable(folder / "explore.csv", folder / "explore.svg")
@@ -60,21 +60,21 @@ def command(
     def tell(done: int, total: int, found: Variation) -> None:
         click.echo(f"{found.line}  ({done} of {total})")
 
-    variations = explore(subject, points=points, tell=tell)
+    variations = explore(dut, points=points, tell=tell)
     click.echo("The Pareto front:")
     for variation in sorted(variations, key=lambda v: v.reading_error_percent):
         if variation.front or not variation.changes:
             click.echo(variation.line)
     for reason in variations[0].unknown:
         click.echo(printable(reason))
-    best = best_carbon_black(subject)
+    best = best_carbon_black(dut)
     if best is not None:
         click.echo(carbon_black_line(best, variations[0]))
 
     def tell_requirement(done: int, total: int, what: str) -> None:
         click.echo(f"ohmskin: looking for remedies, {done + 1} of {total}: {what}", err=True)
 
-    for remedy in remedies(subject, requirements, progress=tell_requirement):
+    for remedy in remedies(dut, requirements, progress=tell_requirement):
         click.echo(remedy.line)
     if folder is None:
         return

@@ -92,6 +92,6 @@ class Rows:
             if text.strip():
                 if self._separator is None:
                     self._separator = next(
-                        (mark for mark in ";\t" if mark in text), " " if _SPACED.match(text) else ","
+                        (mark for mark in ";\t" if mark in text), " " if self._spaces and _SPACED.match(text) else ","
                     )
                 return

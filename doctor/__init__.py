@@ -6,10 +6,11 @@ from ._draft import Draft, draft
 from ._finding import Finding, State
 from ._guess import Chunk
 from ._installation import examine_installation
-from ._listening import Traffic, examine_traffic, has_baud_rate, judge
+from ._listening import START_WORDS, Traffic, examine_traffic, has_baud_rate, judge
 from ._serial import System, examine_device, examine_ports
 
 __all__ = [
+    "START_WORDS",
     "Chunk",
     "Draft",
     "Finding",

@@ -32,8 +32,12 @@ HALF = 0.05
 """ratio of the scatter of every other number to that of the rest, below which they are halves of longer words"""
 LEFT_OVER = 6.0
 """likelihood that a constant byte other than zero takes away where it would be a cell's"""
+ALIKE = 0.4
+"""sum of the differences of two distributions of bytes, below which they are the same up to chance"""
 MOST_TRIED = 24
 _WORDS = ("uint8", "uint16le", "uint16be", "int16le", "int16be", "uint32le", "uint32be", "float32le", "float32be")
+_PLACES = ("uint16le", "uint16be", "uint8")
+_COUNTERS = ("uint32le", "uint32be", "uint16le", "uint16be", "uint8")
 Bytes = NDArray[np.uint8]
 Likely = tuple[float, Guess]
 """how likely a guess is, and the guess"""
@@ -47,6 +51,7 @@ def binary_guesses(chunks: Sequence[Chunk]) -> Iterator[Guess]:
     for length, phase in _folds(data, chunks):
         frames = np.frombuffer(data[phase : phase + (len(data) - phase) // length * length], np.uint8)
         if len(frames) >= FEWEST_FRAMES * length:
+            yield from _sorted(_rotated_blocks(data, length, phase, chunks))
             found += _framed_guesses(frames.reshape(-1, length))
     yield from _sorted(found)
     yield from _sorted(_raw_guesses(data, chunks))
@@ -158,6 +163,106 @@ def _framed_guesses(frames: Bytes) -> Iterator[Likely]:
             yield likely + 0.1 * (header + trailer) - LEFT_OVER * (left_over - passed), guess
 
 
+def _rotated_blocks(data: bytes, length: int, phase: int, chunks: Sequence[Chunk]) -> Iterator[Likely]:
+    """Guesses for blocks that begin anywhere in the run of constant bytes at a phase, rather behind a pause.
+
+    Constant bytes may be the end of one block, upper bytes of its counter among them, and the head of the next.
+    """
+    bursts = {start % length for start in _burst_starts(chunks)}
+    for begin in range(phase, phase + MOST_AHEAD):
+        packets = np.frombuffer(data[begin : begin + (len(data) - begin) // length * length], np.uint8)
+        if len(packets) < FEWEST_FRAMES * length:
+            return
+        packets = packets.reshape(-1, length)
+        for likely, guess in _block_guesses(packets):
+            fields = guess.tables["frame"]["block"][0]["fields"]
+            counts = sum("number uint32" in one for one in fields) + 0.5 * sum("number uint16" in one for one in fields)
+            yield likely + counts + (begin % length in bursts), guess
+        if not (packets[:, 0] == packets[0, 0]).all():
+            return
+
+
+def _block_guesses(packets: Bytes) -> Iterator[Likely]:
+    """Guesses for packets that are blocks of a frame: one of their first numbers counts blocks or cells, over and over.
+
+    Ahead of that number stand constant bytes; behind the cells, at most a counter of packets and constant bytes.
+    """
+    constant = (packets == packets[0]).all(axis=0)
+    tail = int(np.argmin(constant[::-1])) if not constant.all() else 0
+    for at, name in product(range(min(MOST_AHEAD, packets.shape[1] - LEAST_FRAME)), _PLACES):
+        if not constant[:at].all():
+            break
+        cycle = _cycle(_column(packets, at, name))
+        if cycle is None:
+            continue
+        blocks, first, step = cycle
+        head = [f"const {_shown(packets[0, :at])}"] if at else []
+        begin, end = at + WORDS[name].dtype.itemsize, packets.shape[1] - tail
+        behind = []
+        # Zeros behind a counter are its upper bytes, which have not counted yet.
+        zeros = int(np.argmax(packets[0, end:] != 0)) if packets[0, end:].any() else tail
+        ends = range(end + min(zeros, 3), end - 1, -1)
+        counted = next(((one, place) for place in ends for one in _COUNTERS if _counts_up(packets, place, one)), None)
+        if counted is not None:
+            counter, end = counted
+            behind.append(f"number {counter}")
+        if end < packets.shape[1]:
+            behind.append(f"const {_shown(packets[0, end:])}")
+        end -= 0 if counted is None else WORDS[counted[0]].dtype.itemsize
+        for word in _WORDS:
+            size = WORDS[word].dtype.itemsize
+            cells = (end - begin) // size
+            if end <= begin or (end - begin) % size or step not in (1, cells):
+                continue
+            place = f"index {name} {first}" if step == 1 and cells > 1 else f"start {name}"
+            if place.startswith("start") and first:
+                continue
+            fields = [*head, place, f"cells {word} {cells}", *behind]
+            whole = len(packets) // blocks * blocks
+            grid = _column_block(packets[:whole], begin, end, word).reshape(-1, blocks * cells)
+            sides = [(blocks, cells)] if step == 1 else shapes(blocks * cells)
+            if len(grid) < FEWEST_FRAMES or not sides:
+                continue
+            frame: dict[str, Any] = {"format": "binary", "block": [{"fields": fields, "repeat": blocks}]}
+            guess = board_guess(sides[0][0], sides[0][1], frame, grid, known_shape=step == 1)
+            guess.remarks["frame.block"] = "? length and order of the words of cells, by how evenly they change"
+            yield _likelihood(grid, word), guess
+
+
+def _column(packets: Bytes, at: int, name: str) -> FloatArray:
+    """A number of each packet."""
+    return _column_block(packets, at, at + WORDS[name].dtype.itemsize, name).ravel()
+
+
+def _column_block(packets: Bytes, begin: int, end: int, name: str) -> FloatArray:
+    """(packets, numbers) in a stretch of each packet."""
+    part = np.ascontiguousarray(packets[:, begin:end])
+    with np.errstate(invalid="ignore"):
+        return part.view(WORDS[name].dtype).astype(np.float64)
+
+
+def _cycle(values: FloatArray) -> tuple[int, int, int] | None:
+    """Length, first value and step of a number that rises by equal steps and begins again; None: it does not."""
+    steps = np.diff(values)
+    falls = np.flatnonzero(steps < 0)
+    if len(falls) < 2 or (rise := float(steps[falls[0] + 1])) <= 0:
+        return None
+    length = int(falls[1] - falls[0])
+    first = float(values[falls[0] + 1])
+    expected = first + rise * np.mod(np.arange(len(values)) - falls[0] - 1, length)
+    return (length, int(first), int(rise)) if length > 1 and (values == expected).mean() > USUAL else None
+
+
+def _counts_up(packets: Bytes, end: int, name: str) -> bool:
+    """Whether the number that ends at a place rises by one from packet to packet."""
+    size = WORDS[name].dtype.itemsize
+    return end > size and bool((np.diff(_column(packets, end - size, name)) == 1).mean() > USUAL)
+
+
+def _shown(data: Bytes) -> str:
+    return " ".join(f"0x{byte:02X}" for byte in data.tolist())
+
+
 def _inner_guesses(frames: Bytes, frame: dict[str, Any], header: int) -> Iterator[Likely]:
     """Guesses for frames without their trailer: the checksum, then the words."""
     for keys, size in _checksums(frames, header):
@@ -201,6 +306,7 @@ def _word_guesses(body: Bytes, frame: dict[str, Any]) -> Iterator[Likely]:
                 numbers = part.view(word).astype(np.float64)
             likely = _likelihood(numbers, name) - 0.35 * (max(before - free, 0) + 1.5 * after) - 0.05 * before
             likely -= 3.0 * (before < counting)
+            likely -= 3.0 * (word.itemsize > 1 and _halves_alike(part))
             likely += 1.0 if sides[0][0] == sides[0][1] else 0.3 if sides[0][1] <= 2 * sides[0][0] else 0.0
             likely -= 0.8 * (cells % 2 and before + after > 0)
             keys = {"word": name} | ({"before": before} if before else {}) | ({"after": after} if after else {})
@@ -211,6 +317,12 @@ def _word_guesses(body: Bytes, frame: dict[str, Any]) -> Iterator[Likely]:
                     "bytes ahead of the cells that are not read: a counter, a length, a time"
                 )
             yield likely, guess
+
+
+def _halves_alike(part: Bytes) -> bool:
+    """Whether bytes at even and odd places have one distribution: they are cells, no halves of words."""
+    even, odd = (np.bincount(part[:, side::2].ravel(), minlength=256) for side in (0, 1))
+    return bool(np.abs(even / even.sum() - odd / odd.sum()).sum() < ALIKE)
 
 
 def _counters(body: Bytes) -> tuple[int, int]:

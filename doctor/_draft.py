@@ -58,7 +58,9 @@ class Draft:
     def summary(self) -> str:
         """The format in one line."""
         board, frame = self.guess.tables["board"], self.guess.tables["frame"]
-        kind = {"text": "lines of text", "json": "JSON documents"}.get(frame["format"], f"words {frame.get('word')}")
+        kind = {"text": "lines of text", "json": "JSON documents"}.get(
+            frame["format"], "blocks of fields" if "block" in frame else f"words {frame.get('word')}"
+        )
         rate = f", {self.rate_hz:.3g} frames/s" if math.isfinite(self.rate_hz) else ""
         return f"{board['rows']} x {board['columns']} cells in {kind}{rate}"
 
@@ -146,6 +148,8 @@ def _toml(key: str, value: Any) -> str:
             return json.dumps(value)  # a TOML basic string has the escapes of JSON
         case list() | tuple() if key in ("header", "trailer", "poll", "send"):
             return f"[{', '.join(f'0x{byte:02X}' for byte in value)}]"
+        case dict():
+            return "{ " + ", ".join(f"{name} = {_toml(name, item)}" for name, item in value.items()) + " }"
         case list() | tuple():
-            return f"[{', '.join(map(str, value))}]"
+            return f"[{', '.join(_toml(key, item) for item in value)}]"
     return str(value)

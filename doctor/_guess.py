@@ -12,6 +12,7 @@ from ..common.arrays import FloatArray
 
 USUAL_BITS = 12
 """of a converter whose largest count has not been seen: too many bits cost nothing while no circuit is known"""
+SIDES = "? bytes do not tell from which corner cells are counted: press one; flip_rows, flip_columns, order"
 MOST_APART = 4.0
 """ratio of the sides of an array that is guessed from its number of cells"""
 
@@ -46,7 +47,7 @@ def board_guess(rows: int, columns: int, frame: dict[str, Any], numbers: FloatAr
     """
     bits, span, remark = _range(numbers, frame.get("word"))
     board = {"name": "board", "rows": rows, "columns": columns, "bits": bits}
-    remarks = {"board.name": "any name", "board.bits": remark}
+    remarks = {"board.name": "any name", "board.bits": remark, "board.columns": SIDES}
     if not known_shape:
         others = ", ".join(f"{a} x {b}" for a, b in shapes(rows * columns) if (a, b) != (rows, columns))
         remarks["board.rows"] = f"? rows and columns of {rows * columns} cells" + (f": or {others}" if others else "")

@@ -35,6 +35,14 @@ MOST_CORRUPT = 0.5
 """share of the bytes that may be no part of a packet; a recording begins and ends within a packet"""
 SURE = 0.995
 """share of the bytes after the first frame in frames, from which on the format of a file is taken for right"""
+QUIET_S = 0.7
+"""without a byte, from which on a board counts as silent: a boot message may have come before"""
+START_WORDS = (
+    *(b"a", b"A", b"s", b"S", b"r", b"R", b"t", b"T", b"g", b"1", b"?", b" ", b"\r\n", b"start\n", b"START\r\n"),
+    *(b"read\n", b"READ\r\n", b"get\n", b"GET\r\n", b"trigger\n", b"TRIGGER\r\n", b"stream\n", b"begin\n", b"go\n"),
+    b"start_reading\n",
+)
+"""what public sketches wait for before they send, or before each frame"""
 SHOWN_BYTES = 16
 SHOWN_TEXT = 60
 
@@ -91,6 +99,7 @@ def examine_traffic(
     listen_s: float | None = None,
     baud: int | None = None,
     described: bool = False,
+    poke: Callable[[], bool] | None = None,
     tell: Tell = lambda text: None,
 ) -> Traffic:
     """Listen to a port, and ask where it is silent; name the family, or draft a description.
@@ -100,6 +109,7 @@ def examine_traffic(
         listen_s: how long to listen before the bytes are judged, in s; None: :data:`LISTEN_S`.
         baud: the only baud rate to try; None: all common ones, if the port has a UART.
         described: draft a description, whatever family the board sounds like.
+        poke: asked, where the port stays silent, whether :data:`START_WORDS` may be sent; None: they may not.
         tell: progress.
 
     Raises:
@@ -117,9 +127,15 @@ def examine_traffic(
             found = _listened(
                 port, line, setting, chunks, SHORT_LISTEN_S if silent else listen_s, tell, described=described
             )
-            asked = [] if chunks else _families_to_ask(port, setting)
-            for family in asked:
-                found = found or _answer(port, line, setting, family, chunks, listen_s, tell, described=described)
+            if found is None and _is_quiet(line, chunks):
+                for family in _families_to_ask(port, setting):
+                    found = found or _answer(
+                        port, line, setting, family.name, _orders(family), chunks, listen_s, tell, described=described
+                    )
+                for word in () if found is not None or poke is None or not poke() else START_WORDS:
+                    found = found or _answer(
+                        port, line, setting, repr(word.decode()), [word], chunks, listen_s, tell, described=described
+                    )
         finally:
             line.close()
         if found is not None and (found.draft is None or _shows_where_frames_begin(found.draft)):
@@ -186,34 +202,47 @@ def _listened(
     return found
 
 
+def _is_quiet(line: BytePort, chunks: Sequence[Chunk]) -> bool:
+    """Whether nothing has come lately."""
+    return not chunks or line.now() - chunks[-1].time_s > QUIET_S
+
+
+def _orders(family: Family) -> list[bytes]:
+    """What makes a board of a family send."""
+    protocol = host_protocol(family.name)
+    orders = [Order.ONE_FRAME] if family.polled else [Order.IDENTIFY, Order.START]
+    return [protocol.request(order) for order in orders]
+
+
 def _answer(
     port: str,
     line: BytePort,
     setting: _Setting,
-    family: Family,
+    name: str,
+    requests: Sequence[bytes],
     chunks: list[Chunk],
     listen_s: float,
     tell: Tell,
     *,
     described: bool,
 ) -> Traffic | None:
-    """What comes after a family's own way of asking."""
-    protocol = host_protocol(family.name)
-    orders = [Order.ONE_FRAME] * ASKED if family.polled else [Order.IDENTIFY, Order.START]
+    """What comes after a way of asking; a board that answers and is silent again is asked again."""
     answer: list[Chunk] = []
-    for order in orders:
-        line.write(protocol.request(order))
-        doing = f"{port}: silent; asking like '{family.name}' at {setting.baud_rate} baud"
-        _collect(line, listen_s / len(orders), answer, doing, tell)
-    chunks += answer
+    doing = f"{port}: silent; asking by {name} at {setting.baud_rate} baud"
+    for request in requests:
+        line.write(request)
+        _collect(line, listen_s / ASKED, answer, doing, tell)
     if not answer:
         return None
-    request = protocol.request(Order.ONE_FRAME)
+    for _ in range(ASKED):
+        line.write(requests[-1])
+        _collect(line, listen_s / ASKED, answer, doing, tell)
+    chunks += answer
     after: list[Chunk] = []
     _collect(line, listen_s, after, f"{port}: listening at {setting.baud_rate} baud", tell)
     if len(_joined(after)) > len(_joined(answer)) / 2:  # it goes on by itself: it was started, or has booted meanwhile
-        return _judged(port, setting.baud_rate, after, described=described, send=request)
-    return _judged(port, setting.baud_rate, answer, described=described, poll=request)
+        return _judged(port, setting.baud_rate, after, described=described, send=requests[-1])
+    return _judged(port, setting.baud_rate, answer, described=described, poll=requests[-1])
 
 
 def _judged(

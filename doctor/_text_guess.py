@@ -31,6 +31,8 @@ _BETWEEN = r"[\s,;:|]"
 _NUMBERS = re.compile(rf"{_BETWEEN}*{_WORD}(?:{_BETWEEN}+{_WORD})*{_BETWEEN}*$|{_WORD}?(?:\s*,\s*{_WORD}?)+$", re.I)
 """the end of a line that is numbers, with or without empty places between commas"""
 _LABEL = re.compile(r"\b[A-Za-z_]\w*\s*[:=]\s*")
+_LETTERED = re.compile(r"[+-]?\d+(?:[A-Za-z]{1,2}[+-]?\d+){3,}[A-Za-z]{0,2}")
+_LETTER = re.compile(r"[A-Za-z]+")
 _TAIL = re.compile(r"[^\w,;:|.+-]+$")
 _DIGITS = re.compile(r"\d+")
 _LIST = re.compile(r"(?<=[\[,:\s])[+-]?(nan|inf|ovf)(?=[\],\s}])", re.I)
@@ -63,6 +65,7 @@ def text_guesses(chunks: Sequence[Chunk]) -> Iterator[Guess]:
             guess.tables["frame"]["labels"] = True
             yield guess
     yield from _guesses_of(parsed)
+    yield from _lettered_guesses(lines)
     found = [_TAIL.search(line.text) for line in lines]
     tails = Counter(one[0] for one in found if one is not None)
     for tail, seen in tails.most_common(1):
@@ -71,6 +74,18 @@ def text_guesses(chunks: Sequence[Chunk]) -> Iterator[Guess]:
             for guess in _guesses_of(bare):
                 guess.tables["frame"]["suffix"] = tail
                 yield guess
+
+
+def _lettered_guesses(lines: Sequence[_Line]) -> Iterator[Guess]:
+    """Guesses for numbers with letters between them."""
+    lettered = [line for line in lines if _LETTERED.fullmatch(line.text)]
+    if 2 * len(lettered) <= sum(bool(line.text) for line in lines):
+        return
+    letters = "".join(sorted({one for line in lettered for one in line.text if one.isalpha()}))
+    bare = [_parsed(_Line(_LETTER.sub(" ", line.text), line.time_s)) for line in lettered]
+    for guess in _guesses_of(bare):
+        guess.tables["frame"]["separator"] = letters
+        yield guess
 
 
 def _guesses_of(parsed: Sequence[_Line]) -> Iterator[Guess]:

@@ -16,7 +16,7 @@ from patience import HANG_S
 
 from ohmskin.common import compiled
 from ohmskin.driver import Skin, discover
-from ohmskin.verification import _chain
+from ohmskin.verification import _pressures
 
 pytest_plugins = ["ohmskin.hil.plugin"]  # also where the installed entry point is older than the source
 
@@ -88,4 +88,4 @@ def _patient_driver() -> Iterator[None]:
 @pytest.fixture
 def quick_verification(monkeypatch: pytest.MonkeyPatch) -> None:
     """Presses are followed at 10 frames per second of board time, not 50."""
-    monkeypatch.setattr(_chain, "FASTEST_HZ", 10.0)
+    monkeypatch.setattr(_pressures, "FASTEST_HZ", 10.0)

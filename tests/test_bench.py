@@ -240,7 +240,7 @@ def test_a_frame_that_comes_while_others_are_decoded_is_the_newest() -> None:
 
 
 def test_the_command_prints_all_three(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr("ohmskin.bench._driver.calibrated_example", Cell.example)
+    monkeypatch.setattr("ohmskin.bench._driver.rehearsed", lambda cell: cell)
     monkeypatch.setattr("ohmskin.bench._worst_frames.CASES", ())
     monkeypatch.setattr("ohmskin.bench._driver.CASES", _driver.CASES[:2])
     for measured in (_driver.driver, _driver.live_estimators):

@@ -15,7 +15,7 @@ from ohmskin.common.config import parse
 PAGE = (Path(__file__).parent.parent / "docs" / "design-file.md").read_text()
 
 
-NETWORKS = {"row_end", "column_end", "reference", "scan"}
+NETWORKS = {"row_end", "column_end", "reference", "crosspoint", "scan"}
 """tables that say what others say otherwise; the page has a second design with them"""
 
 

@@ -181,7 +181,7 @@ def streamed(path: Path, count: int = 40) -> tuple[list[Chunk], list[NDArray[np.
     for k in range(count):
         hill = np.exp(-((row - rows / 2) ** 2 + (column - columns * (0.3 + 0.4 * k / count)) ** 2) / 5)
         counts = (most * (0.05 + 0.6 * hill) + rng.integers(0, max(most // 100, 3), hill.shape)).astype(np.uint16)
-        data = board.frame(FramePacket.of(counts, sequence=0, time_us=0))
+        data = board.frame(FramePacket.of(counts, sequence=k, time_us=0))
         chunks.append(Chunk(k / 30, data if k else data[len(data) // 3 :]))
         shown.append(counts)
     return chunks, shown
@@ -194,7 +194,7 @@ def test_a_description_is_drafted_from_what_a_board_sends(path: Path) -> None:
     found = draft(chunks, baudrate=9600)
     assert found is not None
     tables, given = tomllib.loads(found.toml(["a head"])), tomllib.loads(path.read_text())
-    for key in ("format", "word", "header", "end", "prefix", "key", "framing", "checksum", "separator"):
+    for key in ("format", "word", "block", "header", "end", "prefix", "key", "framing", "checksum", "separator"):
         assert tables["frame"].get(key) == given["frame"].get(key), key
     assert tables["board"]["baudrate"] == 9600
     if given["frame"].get("order") != "column-major" and path.stem != "json":  # whose sides no number shows
@@ -224,6 +224,36 @@ def test_a_draft_is_written_and_can_be_opened(
             assert skin.read().counts.shape == (8, 13)
         assert run(["doctor", port.name, "-o", "board.toml"]) == 2
     assert (tmp_path / "board.toml").read_text() == "mine"
+
+
+def test_a_silent_board_is_sent_words_only_where_that_is_allowed() -> None:
+    tables = {
+        "board": {"name": "asked", "rows": 4, "columns": 5, "bits": 10},
+        "frame": {"format": "text", "layout": "frame-per-line"},
+        "start": {"poll": "T"},
+    }
+    with Played(BoardFile.parse(tables, "here").family()) as port:
+        silent = examine_traffic(port.name, listen_s=0.25, poke=lambda: False)
+        assert silent.draft is None
+        found = examine_traffic(port.name, listen_s=0.5, poke=lambda: True).draft
+    assert found is not None
+    assert found.guess.tables["start"] == {"poll": "T"}
+    assert found.guess.tables["board"]["rows"] * found.guess.tables["board"]["columns"] == 20
+
+
+def test_bytes_are_no_halves_of_words() -> None:
+    """Cells of one byte, an even number of them: read in pairs they would be half as many words."""
+    rng = np.random.default_rng(3)
+    row, column = np.mgrid[:56, :28]
+    chunks = []
+    for k in range(30):
+        hill = np.exp(-((row - 28) ** 2 + (column - 8 - k / 3) ** 2) / 30)
+        cells = (12 + 150 * hill + rng.integers(0, 5, hill.shape)).astype(np.uint8)
+        chunks.append(Chunk(k / 20, cells.tobytes() + b"\xff\xfe\xfe\xff"))
+    found = draft(chunks, baudrate=9600)
+    assert found is not None
+    assert found.guess.tables["frame"]["word"] == "uint8"
+    assert found.guess.tables["board"]["rows"] * found.guess.tables["board"]["columns"] == 56 * 28
 
 
 def test_only_ports_with_a_uart_are_tried_at_several_baud_rates(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from needs import need
 
-from ohmskin.circuits import Design, adc_codes, live_recovery, recover, scan, volts_of_codes
+from ohmskin.circuits import Design, Reason, adc_codes, ideal_volts, live_recovery, recover, scan, volts_of_codes
 from ohmskin.circuits.spice import command_available, netlist, run_control
 from ohmskin.common.config import parse
 from ohmskin.errors import InputError, SolverError
@@ -142,6 +142,39 @@ def test_the_netlist_of_a_step_has_the_parts(kind: str) -> None:
     np.testing.assert_allclose(volts, scan(design, CELLS).volts[2], rtol=limit, atol=limit * 1e-3)
 
 
+@pytest.mark.parametrize("shared", [1, 4])
+def test_a_diode_at_each_cell(shared: int) -> None:
+    """Against a netlist of its own, in which the diode and the cell of each crosspoint are in series."""
+    need(command_available())
+    tables = board(DRIVER, PULL, LOAD, shared_by=shared) | {"crosspoint": {"parts": [f"D1 row cell {D}"]}}
+    design = Design.model_validate({"array": {"rows": 4, "columns": 4, "row_lead": 6.0, "column_lead": 9.0}} | tables)
+    volts = scan(design, CELLS).volts
+    for row in range(4):
+        for turn in range(shared):
+            lines = [f".model d D({D})", *(f"Ra{i} r{i} re{i} 6\nRb{i} c{i} ce{i} 9" for i in range(4))]
+            lines += [
+                f"D{i}{j} r{i} x{i}{j} d\nRc{i}{j} x{i}{j} c{j} {CELLS[i, j]}" for i in range(4) for j in range(4)
+            ]
+            read = [j for j in range(4) if j % shared == turn]
+            for i in range(4):
+                lines += _renamed(DRIVER if i == row else PULL, f"re{i}", {"0"})
+                lines += _renamed(LOAD if i in read else [], f"ce{i}", {"0"})
+            text = "\n".join(
+                ["* step", *lines, ".options reltol=1e-9", ".control", "op", "print all", "quit", ".endc", ".end"]
+            )
+            said = subprocess.run(
+                ["ngspice", "-b"], input=text, capture_output=True, text=True, timeout=60, check=False
+            )
+            values = dict(line.split(" = ") for line in said.stdout.splitlines() if line.startswith("ce"))
+            np.testing.assert_allclose(volts[row, read], [float(values[f"ce{j}"]) for j in read], rtol=1e-3)
+    step = run_control(netlist(design, CELLS, 1))
+    np.testing.assert_allclose([step[f"volts_{j}"] for j in range(4)], volts[1], rtol=1e-4)
+    with pytest.raises(SolverError, match="parts at each cell"):
+        recover(design, volts)
+    with pytest.raises(InputError, match="crosspoint: expected lines without resistance"):
+        design.replace(array={"row_segment": 1.0})
+
+
 UNDETERMINED = {
     "sampled without a load": "nothing loads the columns",
     "a strip as a potentiometer": "nothing loads the columns",
@@ -151,6 +184,10 @@ UNDETERMINED = {
     "a current mirror": "70 ohm while it is selected",
     "a current sensed by a transresistance": "70 ohm while it is selected",
 }
+
+
+SEVERAL_ANSWERS = {"multiplexer in groups, others low"}
+"""boards whose idle columns conduct better than those that are read: live readings need not be valid"""
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -168,8 +205,13 @@ def test_the_cells_are_recovered_or_the_reason_is_given(kind: str) -> None:
     live = live_recovery(digitised)
     for _ in range(3):
         reading = live(volts_of_codes(digitised, adc_codes(digitised, volts)))
-    assert reading.valid.all()
-    assert (np.abs(reading.resistance / CELLS - 1) <= reading.uncertainty).all()
+    right = np.abs(reading.resistance / CELLS - 1)
+    if kind in SEVERAL_ANSWERS:
+        assert right.max() < 1e-3
+        assert (reading.valid | (reading.reason == Reason.UNCERTAIN)).all()
+    else:
+        assert reading.valid.all()
+        assert (right <= reading.uncertainty).all()
 
 
 def test_a_second_set_of_cells_gives_the_readings_of_a_weakly_driven_row() -> None:
@@ -181,6 +223,15 @@ def test_a_second_set_of_cells_gives_the_readings_of_a_weakly_driven_row() -> No
     read = [scan(design, np.full((2, 1), ohm)).volts[0, 0] for ohm in (1e1, 5e2, 1e5)]
     assert read[1] > read[0]
     assert read[1] > read[2]
+
+
+@pytest.mark.parametrize("kind", ["a diode in each driven row", "rows driven by a divider", "a Sallen-Key filter"])
+def test_one_cell_alone_reads_as_its_apparent_resistance(kind: str) -> None:
+    design = designed(kind, rows=1, columns=1, row_lead=0.0, column_lead=0.0)
+    for ohm in (50.0, 1e3, 4.7e4, 1e6):
+        assert scan(design, [[ohm]]).resistance[0, 0] == pytest.approx(ohm, rel=1e-4)
+        assert ideal_volts(design, [[ohm]])[0, 0] == pytest.approx(scan(design, [[ohm]]).volts[0, 0], rel=1e-3)
+    assert scan(design, [[np.inf]]).resistance[0, 0] > 1e8
 
 
 @pytest.mark.parametrize(
@@ -274,3 +325,15 @@ def test_each_end_has_its_own_values() -> None:
     shared = designed("multiplexer in groups, others low").end_parts
     assert shared["column_end.parts.R1"].tolist() == [10e3, 10e3]
     assert shared["column_end.idle.R1"].tolist() == [100.0] * 4
+
+
+def test_calls_of_subcircuits_without_parts_are_not_followed(tmp_path: Path) -> None:
+    """A thousand calls in each of eight levels would be, for ever."""
+    levels = "".join(f".subckt l{d} a\n" + f"x1 a l{d + 1}\n" * 1000 + ".ends\n" for d in range(7))
+    (tmp_path / "end.cir").write_text(f".subckt col line out\nx1 line l0\n.ends\n{levels}.subckt l7 a\n.ends\n")
+    (tmp_path / "design.toml").write_text(
+        '[array]\nrows = 1\ncolumns = 1\n[row_end]\nselected = ["V1 line 0 1"]\nidle = []\n'
+        '[column_end]\nparts = { file = "end.cir", subcircuit = "col" }\n'
+    )
+    with pytest.raises(InputError, match=r"a \.subckt without parts"):
+        Design.load(tmp_path / "design.toml")

@@ -12,7 +12,7 @@ from verified import AMPLIFIED, complete
 
 from ohmskin.circuits import Design, Requirement
 from ohmskin.cli import run
-from ohmskin.verification import Subject, Variation, explore, prototype, remedies, verify
+from ohmskin.verification import DesignUnderTest, Variation, explore, prototype, remedies, verify
 
 
 def _scaled(design: Design, key: str, factor: float) -> Design:
@@ -57,7 +57,7 @@ def test_remedies_of_other_quantities_mend_and_not_by_more_than_needed(
 ) -> None:
     asked = (Requirement.model_validate({"id": "R", "quantity": quantity} | limits),)
     assert verify(design, requirements=asked).outcome == "fail"
-    found = {remedy.part: remedy for remedy in remedies(Subject(design), asked)}
+    found = {remedy.part: remedy for remedy in remedies(DesignUnderTest(design), asked)}
     assert parts <= set(found)
     for part, remedy in found.items():
         if part == "frames averaged":
@@ -125,12 +125,12 @@ def test_other_idle_lines_and_circuits_come_first() -> None:
         "adc": {"bits": 12, "range": [0.0, 5.0]},
         "cells": {"rest_resistance": 1e5, "full_scale_resistance": 5e3},
     }
-    subject = Subject(Design.model_validate(tables))
+    dut = DesignUnderTest(Design.model_validate(tables))
     crosstalk = Requirement(id="D1", quantity="crosstalk", max=2.0, unit="%")
-    found = [remedy for remedy in remedies(subject, (crosstalk,)) if not remedy.factor]
+    found = [remedy for remedy in remedies(dut, (crosstalk,)) if not remedy.factor]
     assert [remedy.part.split()[0] for remedy in found if remedy.kept] == ["a", "inverting"]
     for remedy in found:
         assert remedy.after < remedy.before
-    named = [variation.name for variation in explore(subject, points=4)]
+    named = [variation.name for variation in explore(dut, points=4)]
     assert named[0] == "the design itself"
     assert {remedy.part for remedy in found} <= set(named)

@@ -143,5 +143,6 @@ def test_cells_are_recovered_from_one_frame_and_from_a_stream(circuit: str, colu
     live, read = live_recovery(design), volts_of_codes(design, adc_codes(design, volts))
     for _ in range(4):
         found = live(read)
-    assert found.valid.all()
+    if (circuit, columns) != ("voltage-divider", "ground"):  # there, other cells may give the same readings
+        assert found.valid.all()
     assert (np.abs(found.resistance / cells - 1) <= found.uncertainty).all()

@@ -45,7 +45,7 @@ def shown(
         if not estimator.resolved:
             estimator.resolve(*read.resolution)
         pressure[n] = estimator.step_readings(1.0 / rate_hz, reading)
-        std[n] = systematic.take(reading, rest_known=True)(pressure[n], estimator.std_kpa**2)
+        std[n] = systematic.take(reading, None, 0.0)(pressure[n], estimator.std_kpa**2)
     return pressure, std
 
 

@@ -153,7 +153,7 @@ def test_what_the_design_does_not_name_is_not_run_and_named(tmp_path: Path) -> N
     design = _design(tmp_path, text)
     report = verify(design)
     reasons = {r.requirement.quantity: r.reason for r in report.results if r.outcome is Outcome.NOT_RUN}
-    assert reasons["phase_margin"] == "missing: readout.gain_bandwidth, readout.column_capacitance"
+    assert reasons["phase_margin"] == "missing: readout.gain_bandwidth"
     assert reasons["settling_error"] == "missing: operation.frame_rate"
     assert "readout.voltage_noise" in reasons["pressure_resolution"]
     assert reasons["latency"] == "missing: operation.frame_rate"
@@ -258,7 +258,7 @@ def test_a_divider_that_has_no_time_to_settle_fails() -> None:
     settling, scan_rate = (result.measurement for result in fast.results)
     assert settling is not None
     assert scan_rate is not None
-    assert 4.7 < settling.value < 5.5
+    assert 5.0 < settling.value < 10.0  # rows that alternate leave 5 %; the worst frame is not among such
     slow = verify(design.replace(operation={"frame_rate": 0.99 * scan_rate.value}), only=["D8", "D9"])
     assert outcomes_of(slow) == {"settling_error": "pass", "fastest_scan": "pass"}
 

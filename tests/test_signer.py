@@ -65,8 +65,7 @@ def test_pressure_is_not_judged_without_noise_and_speed(design: Design) -> None:
     for quantity in ("pressure_rmse", "pressure_peak_error"):
         result = _verified(design, quantity=quantity, max=5.0, unit="%").results[0]
         assert result.outcome == "not run"
-        for key in ("voltage_noise", "gain_bandwidth", "column_capacitance", "temperature"):
-            assert f"readout.{key}" in result.reason
+        assert "readout.gain_bandwidth" in result.reason
 
 
 def test_failed_requirement_says_the_command_to_type(design: Design) -> None:
@@ -125,7 +124,7 @@ def test_error_in_own_quantity_names_its_line(design: Design, tmp_path: Path) ->
         "def crash(design, cell):\n    return 1 / 0\n\ndef words(design, cell):\n    return 'a'\n"
     )
     asked = [Requirement(id=name, quantity=f"own.py:{name}", max=1.0) for name in ("crash", "words")]
-    crash, words = verify(design, requirements=asked, folder=tmp_path).results
+    crash, words = verify(design, requirements=asked, folder=tmp_path, allow_code=True).results
     assert crash.outcome == words.outcome == "not run"
     assert crash.reason == "own.py, line 2: ZeroDivisionError: division by zero"
     assert words.reason.startswith("function(design, cell), or the number that it returns: ValueError")

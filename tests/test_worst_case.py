@@ -90,14 +90,14 @@ def test_no_corner_of_a_small_box_is_worse(circuit: str, idle_rows: str) -> None
 
 CASES = {
     "one offset takes untouched cells beyond the reference": (
-        {"offset_voltage": 4.5e-3, "reference_resistance": 22e3, "reference_voltage": 0.5, "supply": (0.025, 3.275)},
-        {"rest_resistance": {"nominal": 60e3, "tolerance": 0.1}, "full_scale_resistance": 5e3},
+        {"offset_voltage": 5.6e-3, "reference_resistance": 26.8e3, "reference_voltage": 0.5, "supply": (0.025, 3.275)},
+        {"rest_resistance": {"nominal": 60e3, "tolerance": 0.1}, "full_scale_resistance": 6.1e3},
         -0.5,
         {"crosstalk": np.inf, "reading_error": np.inf, "gain_error": np.inf},
     ),
     "cells of their own spread saturate an output": (
-        {"offset_voltage": 4.5e-3, "reference_resistance": 24.9e3, "reference_voltage": 0.5, "supply": (0.025, 3.275)},
-        {"rest_resistance": {"nominal": 60e3, "tolerance": 0.1}, "full_scale_resistance": 5e3},
+        {"offset_voltage": 5.5e-3, "reference_resistance": 30.4e3, "reference_voltage": 0.5, "supply": (0.025, 3.275)},
+        {"rest_resistance": {"nominal": 60e3, "tolerance": 0.1}, "full_scale_resistance": 6.1e3},
         -0.52,
         {"reading_error": np.inf},
     ),
@@ -146,8 +146,7 @@ def test_page_one_says_that_a_search_is_not_complete(tmp_path: Path) -> None:
     assert crosstalk.incomplete == headroom.incomplete == "by search, all of 4 cells"
     report.write(tmp_path)
     assert (tmp_path / "report.html").read_text().count("by search, all of 4 cells") == 2
-    assert "under" in sampled.text[1]
-    assert "presses" in sampled.text[1]
+    assert "its worst cell, with the presses" in sampled.text[1]
 
 
 def test_a_drift_has_its_own_unit_whatever_the_nominal_value() -> None:
@@ -205,7 +204,8 @@ def test_currents_and_leakage_are_judged_and_bounded_by_a_solution() -> None:
     signal = np.abs(reference_volts(design, np.full((2, 2), 9.5e3))).max() / 10e3
     assert signal < output.value < 1.1 * signal
     assert 1.8 * signal < switch.value < 2.2 * signal
-    assert leakage.value == pytest.approx(100 * 1e-6 / (1.0 / (17e3 * 1.05)), rel=1e-9)
+    everything_into_one_column = 100 * 1e-6 / (1.0 / (17e3 * 1.05))
+    assert 0.5 * everything_into_one_column < leakage.value < everything_into_one_column
     named = {
         requirement.id
         for requirement in verify(design, only=["D25"]).results[0:1]

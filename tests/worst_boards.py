@@ -90,6 +90,13 @@ def random_board(seed: int, *, largest: int = 8) -> Design:
     return Design.model_validate(tables)
 
 
+def host_signal(design: Design, ohms: float) -> float:
+    """V, magnitude of the ideal circuit's signal."""
+    reference = float(np.mean(design.readout.reference_resistance))
+    amplified = design.readout.circuit.endswith("amplifier")
+    return abs(design.drive.voltage) * reference / (ohms if amplified else ohms + reference)
+
+
 @dataclass(frozen=True)
 class Drawn:
     """Boards at random places of their tolerances: values (S, lines) by key, cells (S, rows, columns) relative."""
@@ -146,9 +153,25 @@ def host_ohms(design: Design, volts: Array) -> Array:
     return ohms
 
 
+def by_share(design: Design) -> bool:
+    """Whether errors are shares of full scale: of cells that span more than a decade, here all of falling ones."""
+    assert design.cells is not None
+    return design.cells.rest_resistance > 10.0 * design.cells.full_scale_resistance
+
+
+def displayed(design: Design, ohms: Array) -> Array:
+    """What errors are judged of: ohm, or the share of full scale of a contact that loads join to the cell."""
+    if not by_share(design):
+        return ohms
+    assert design.cells is not None
+    rest, full = 1.0 / design.cells.rest_resistance, 1.0 / design.cells.full_scale_resistance
+    with np.errstate(divide="ignore"):
+        return np.asarray((np.maximum(1.0 / ohms, 0.0) - rest) / (full - rest))
+
+
 @dataclass(frozen=True)
 class Read:
-    """Outputs in V, the lowest and highest ohm that the host may read, true ohm, and what says nothing."""
+    """Outputs in V, the lowest and highest value that the host may display, the true one, and what says nothing."""
 
     output: Array
     converted: Array
@@ -174,10 +197,23 @@ def as_read(design: Design, output: Array, true: Array, errors: Array) -> Read:
         lost = lost.astype(bool) | (volts < first + step) | (volts >= last - step)
     positive = design.drive.voltage > 0
     up = positive != design.readout.circuit.endswith("amplifier")
-    signal = (volts - design.readout.reference_voltage) * (1.0 if up else -1.0)
-    lost = lost.astype(bool) | ~(signal > half)
-    ends = np.stack([host_ohms(design, volts - half), host_ohms(design, volts + half)])
-    return Read(output, volts, ends.min(axis=0), ends.max(axis=0), true, lost)
+    level, side = design.readout.reference_voltage, 1.0 if up else -1.0
+    signal = (volts - level) * side
+    full = np.inf if design.readout.circuit.endswith("amplifier") else abs(design.drive.voltage)
+    lost = lost.astype(bool) | ~(full - signal > half)
+    seen = volts
+    if by_share(design):  # the open end is the cell at rest
+        assert design.cells is not None
+        both = design.cells.rest_resistance, design.cells.full_scale_resistance
+        middle = np.mean([host_signal(design, ohms) for ohms in both])
+        lost &= signal > middle
+        seen = volts if design.adc is None else np.clip(volts, *design.adc.range)
+        seen_ends = [level + side * np.maximum(side * (seen + end - level), 0.0) for end in (-half, half)]
+    else:
+        lost |= ~(signal > half)
+        seen_ends = [volts - half, volts + half]
+    ends = np.stack([displayed(design, host_ohms(design, end)) for end in seen_ends])
+    return Read(output, volts, ends.min(axis=0), ends.max(axis=0), displayed(design, true), lost)
 
 
 def errors_of(design: Design, quantity: str, frames: list[Read]) -> Array:
@@ -189,8 +225,19 @@ def errors_of(design: Design, quantity: str, frames: list[Read]) -> Array:
     if quantity == "adc_headroom":
         assert design.adc is not None
         (low, high), step = design.adc.range, design.adc.step
-        return np.maximum(low + step - last.converted, last.converted - high + step)
-    if quantity == "reading_error":
+        below, above = low + step - last.converted, last.converted - high + step
+        if by_share(design):
+            rises = (design.drive.voltage > 0) != design.readout.circuit.endswith("amplifier")
+            return above if rises else below
+        return np.maximum(below, above)
+    if by_share(design):
+        change = last.true - first.true
+        found = {
+            "reading_error": np.maximum(last.high - last.true, last.true - last.low),
+            "crosstalk": np.maximum(last.high - first.low, first.high - last.low),
+            "gain_error": np.maximum(last.high - first.low - change, change - last.low + first.high),
+        }[quantity]
+    elif quantity == "reading_error":
         found = np.maximum(last.high / last.true - 1.0, 1.0 - last.low / last.true)
     elif quantity == "crosstalk":
         found = np.maximum(last.high / first.low - 1.0, 1.0 - last.low / first.high)
@@ -213,7 +260,7 @@ def values(design: Design, drawn: Drawn, pattern: Pressed, own: Pressed, *, reso
         resolved: whether frames with a saturated output are solved, one scan each; else that output alone is judged.
     """
     parts = {key.split(".")[1]: value for key, value in drawn.parts.items() if not key.startswith("adc.")}
-    boards, cells = Boards(**parts), design.cells
+    boards, cells = replace(Boards.of(design), **parts), design.cells
     assert cells is not None
     converter = np.zeros((len(pattern), 3))
     if design.adc is not None:

@@ -5,15 +5,14 @@
 Requirements:
 
 =======================  ==============================================================================
-:mod:`._run`             one verification: requirements and claims, in processes, kept as they come
-:mod:`._subject`         what is judged: design, cell, board under test, samples and seed
+:mod:`._run`             one verification: requirements and claims, in processes, told as they come
+:mod:`._dut`             the design under test: design, cell, board, samples and seed
 :mod:`._requirements`    requirements from files, the shipped ones, and how one is judged
-:mod:`._catalogue`       the quantities that a requirement may limit
-:mod:`._static`          quantities of settled readings
-:mod:`._dynamic`         settling, stability, noise, the line to the host
-:mod:`._chain`           pressure errors, from load to estimate
-:mod:`._stress`          voltage, current and power of parts and cells
-:mod:`._self_test`       faults that a board can tell by itself
+:mod:`._catalogue`       the quantities that a requirement may limit, one file each in :mod:`.quantities`
+:mod:`._quantity`        what a quantity states: how it is found, its limits, what mends and who checks it
+:mod:`._judging`         from a target to a measurement
+:mod:`._own_code`        quantities of a design's own
+:mod:`._pressures`       from load to estimate, end to end
 :mod:`._hardware`        the same quantities, measured on a board
 :mod:`._spice_check`     the same quantities by ngspice
 =======================  ==============================================================================
@@ -22,8 +21,10 @@ Which boards are looked at:
 
 =======================  ==============================================================================
 :mod:`._parameters`      tolerances as factors; corners and random boards made of them
-:mod:`._targets`         quantities as functions of a board and a press, for the search
-:mod:`._corner`          the one search for the worst case of any quantity
+:mod:`._box`             the box of all boards and presses
+:mod:`._search`          the one search for the worst case of any target
+:mod:`._readings`        targets of settled readings; :mod:`._scale`: the unit of their errors
+:mod:`._whole_board`     targets of whole boards: settling, scan rate, stability, operating point
 :mod:`._montecarlo`      the yield of random boards
 :mod:`._explore`         variations, their trade-off, and what would mend a requirement
 :mod:`._assumptions`     what a verdict leaves out
@@ -42,24 +43,25 @@ The report: :mod:`._report`, :mod:`._record` (its JSON), :mod:`._outcome` (what 
 :mod:`._maps` (pictures), :mod:`._units`, :mod:`._export` (tables for other programs).
 """
 
-from ._catalogue import CATALOGUE, Quantity
+from ._catalogue import CATALOGUE
+from ._dut import DesignUnderTest
 from ._explore import Remedy, Variation, best_carbon_black, carbon_black_line, explore, remedies
 from ._explore import picture as explore_picture
 from ._outcome import Outcome
+from ._quantity import Quantity
 from ._record import ReportRecord, load_record, schema
 from ._report import Report
 from ._requirements import check_requirements, default_requirements, load_requirements
 from ._run import prototype, verify
-from ._subject import Subject
 
 __all__ = [
     "CATALOGUE",
+    "DesignUnderTest",
     "Outcome",
     "Quantity",
     "Remedy",
     "Report",
     "ReportRecord",
-    "Subject",
     "Variation",
     "best_carbon_black",
     "carbon_black_line",

@@ -9,10 +9,10 @@ from . import _crosstalk as crosstalk
 from . import _material as material
 from . import _mixture as mixture
 from . import _whole_skin as skin
+from ._dut import DesignUnderTest
 from ._outcome import Finding
-from ._subject import Subject
 
-Experiment = Callable[[Subject], Finding]
+Experiment = Callable[[DesignUnderTest], Finding]
 
 
 class Statement(NamedTuple):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -10,29 +11,31 @@ from ..circuits import Array, Design, adc_codes, apparent_resistance, ideal_volt
 from ..common.arrays import BoolArray, FloatArray
 from ..emulator import spread
 from ..errors import MissingExtra
+from ._dut import DesignUnderTest
+from ._judging import worst_of
 from ._maps import heat_maps
-from ._outcome import Check, Figure, Finding, Table, does_not_apply
-from ._static import worst_of
-from ._subject import Subject
+from ._outcome import Check, Figure, Finding, Table, does_not_apply, drawn
+from .quantities.crosstalk import Crosstalk
+from .quantities.reading_error import ReadingError
 
 OPEN_DIVIDER = "divider, idle lines open"
 SMALL_SIGNAL = 1e-3  # V: below it, ngspice is compared with this instead of with the reading, which may be 0
 
 
-def grid_resistance(subject: Subject) -> Finding:
+def grid_resistance(dut: DesignUnderTest) -> Finding:
     """P11: with a plain divider the equivalent resistance of the whole grid is read."""
-    array = subject.design.array
+    array = dut.design.array
     shapes = [(2, 2), (4, 4), (8, 8), array.shape]
     worst, rows = 0.0, []
     for n, m in dict.fromkeys(shapes):
-        design = _ideal(subject.design, "voltage-divider", "float")
-        design = design.replace(array=Array(rows=n, columns=m), readout={"reference_resistance": subject.rest})
-        cells = np.full((n, m), subject.rest)
+        design = _ideal(dut.design, "voltage-divider", "float")
+        design = design.replace(array=Array(rows=n, columns=m), readout={"reference_resistance": dut.rest})
+        cells = np.full((n, m), dut.rest)
         read = scan(design, cells, method="exact").resistance
-        exact = subject.rest * (n + m - 1) / (n * m)
+        exact = dut.rest * (n + m - 1) / (n * m)
         worst = max(worst, float(np.abs(read / exact - 1).max()))
-        share = 100 * exact / subject.rest
-        rows.append([f"{n} × {m}", f"{subject.rest:.0f}", f"{read[0, 0]:.3f}", f"{exact:.3f}", f"{share:.1f} %"])
+        share = 100 * exact / dut.rest
+        rows.append([f"{n} × {m}", f"{dut.rest:.0f}", f"{read[0, 0]:.3f}", f"{exact:.3f}", f"{share:.1f} %"])
     return Finding(
         checks=[Check("uniform grid reads R (N+M-1)/(N M): worst relative deviation", worst, 1e-12)],
         text=[
@@ -44,18 +47,18 @@ def grid_resistance(subject: Subject) -> Finding:
     )
 
 
-def equation_10(subject: Subject) -> Finding:
+def equation_10(dut: DesignUnderTest) -> Finding:
     """P12: Vout = -Vin Rref / Rij."""
-    if not subject.design.board.virtual_grounds:
+    if not dut.design.board.virtual_grounds:
         return does_not_apply(
             "equation (10) is that of an amplifier on each line, not of "
-            f"{subject.design.readout.circuit} with {subject.design.readout.columns} columns"
+            f"{dut.design.readout.circuit} with {dut.design.readout.columns} columns"
         )
-    circuit = _amplifiers(subject.design)
+    circuit = _amplifiers(dut.design)
     rng = np.random.default_rng(12)
     worst = 0.0
     for _ in range(20):
-        cells = subject.rest * 10 ** rng.uniform(-1, 3, subject.design.array.shape)
+        cells = dut.rest * 10 ** rng.uniform(-1, 3, dut.design.array.shape)
         signal = scan(circuit, cells, method="exact").volts - circuit.readout.reference_voltage
         alone = ideal_volts(circuit, cells) - circuit.readout.reference_voltage
         worst = max(worst, float(np.abs(signal / alone - 1).max()))
@@ -83,8 +86,8 @@ class _Readouts:
         return float(max(changes))
 
 
-def _compared(subject: Subject) -> _Readouts:
-    design = subject.design
+def _compared(dut: DesignUnderTest) -> _Readouts:
+    design = dut.design
     patterns = _patterns(design.array.shape)
     readouts = {
         OPEN_DIVIDER: _ideal(design, "voltage-divider", "float"),
@@ -92,23 +95,24 @@ def _compared(subject: Subject) -> _Readouts:
         "amplifier, ideal parts": _amplifiers(design),
         "as designed": design,
     }
-    at_rest = np.full(design.array.shape, subject.rest)
+    at_rest = np.full(design.array.shape, dut.rest)
     true, seen = {}, {}
     for title, pressed in patterns.items():
-        cells = np.where(pressed, subject.pressed, subject.rest)
-        true[title] = np.where(pressed, 100 * (subject.pressed / subject.rest - 1), 0.0)
+        cells = np.where(pressed, dut.pressed, dut.rest)
+        true[title] = np.where(pressed, 100 * (dut.pressed / dut.rest - 1), 0.0)
         seen[title] = {name: _change(readout, at_rest, cells) for name, readout in readouts.items()}
     return _Readouts(patterns, true, seen)
 
 
-def crosstalk(subject: Subject) -> Finding:
+def crosstalk(dut: DesignUnderTest) -> Finding:
     """P13: grounded idle rows and an amplifier on each column leave no crosstalk but that of real parts."""
-    design, limits = subject.design, subject.design.requirements
-    compared = _compared(subject)
-    frames = [np.full(design.array.shape, subject.rest)]
-    frames += [np.where(pressed, subject.pressed, subject.rest) for pressed in compared.patterns.values()]
+    design, limits = dut.design, dut.design.requirements
+    compared = _compared(dut)
+    frames = [np.full(design.array.shape, dut.rest)]
+    frames += [np.where(pressed, dut.pressed, dut.rest) for pressed in compared.patterns.values()]
     scans = [scan(design, cells, method="exact") for cells in frames]
-    worst, error = (100 * worst_of(subject, name).value for name in ("crosstalk", "reading_error"))
+    targets = Crosstalk(), ReadingError()
+    worst, error = (100 * worst_of(dut, target).value for target in targets)
     ideal_parts = compared.untouched("amplifier, ideal parts")
     checks = [
         Check("crosstalk as designed, worst untouched cell", worst, limits.crosstalk_percent, "%"),
@@ -123,14 +127,14 @@ def crosstalk(subject: Subject) -> Finding:
     return Finding(
         checks=checks,
         text=[
-            f"Cells rest at {subject.rest:.0f} ohm and are pressed with {subject.full_scale_kpa:g} kPa, which raises "
-            f"them to {subject.pressed:.0f} ohm at equilibrium. Crosstalk is the change of an untouched cell's "
+            f"Cells rest at {dut.rest:.0f} ohm and are pressed with {dut.full_scale_kpa:g} kPa, which raises "
+            f"them to {dut.pressed:.0f} ohm at equilibrium. Crosstalk is the change of an untouched cell's "
             "apparent resistance, in % of its own reading. 'As designed' includes leads, segments, the amplifier's "
             "gain, offset, bias current and swing, and the ADC; the checks take the worst pattern, the worst corner of "
             "all tolerances, and the worst place within an ADC step.",
-            f"Crosstalk: {worst_of(subject, 'crosstalk').search}.",
+            f"Crosstalk: {worst_of(dut, Crosstalk()).search}.",
         ],
-        figures=[_pattern_figure(compared, title) for title in compared.patterns],
+        figures=drawn(*(partial(_pattern_figure, compared, title) for title in compared.patterns)),
     )
 
 
@@ -144,23 +148,23 @@ def _pattern_figure(compared: _Readouts, title: str) -> Figure:
     )
 
 
-def slicing(subject: Subject) -> Finding:
+def slicing(dut: DesignUnderTest) -> Finding:
     """P10: a sliced sheet isolates the cells; a continuous one still works, but they couple."""
-    array = subject.design.array
-    sliced = _amplifiers(subject.design)
+    array = dut.design.array
+    sliced = _amplifiers(dut.design)
     uncut = sliced.replace(array={"sheet": "continuous"})
     pressed = next(iter(_patterns(array.shape).values()))
-    sheet = subject.design.sheet
+    sheet = dut.design.sheet
     felt = 100 * spread(pressed.astype(np.float64), sheet.thickness / 2 / sheet.pitch)
-    forward = subject.cell.forward(array.shape)
-    load = felt / 100 * subject.full_scale_kpa
+    forward = dut.cell.forward(array.shape)
+    load = felt / 100 * dut.full_scale_kpa
     forward.step(1.0, load)
     cells = forward.step(1e6, load)
-    at_rest = np.full(array.shape, subject.rest)
-    truth = 100 * (subject.pressed / subject.rest - 1)
+    at_rest = np.full(array.shape, dut.rest)
+    truth = 100 * (dut.pressed / dut.rest - 1)
     maps = {
-        "sliced": _change(sliced, at_rest, np.where(pressed, subject.pressed, subject.rest)),
-        "uncut, electrically": _change(uncut, at_rest, np.where(pressed, subject.pressed, subject.rest)),
+        "sliced": _change(sliced, at_rest, np.where(pressed, dut.pressed, dut.rest)),
+        "uncut, electrically": _change(uncut, at_rest, np.where(pressed, dut.pressed, dut.rest)),
         "uncut, mechanically": 100 * (cells / at_rest - 1),
         "uncut, both": _change(uncut, at_rest, cells),
     }

@@ -28,19 +28,24 @@ from ..common import plots
 from ..common.arrays import BoolArray, FloatArray
 from ..common.progress import Progress, silent
 from ..errors import InputError, SolverError
-from ._dynamic import largest_settling_error, lost_frames, pressure_resolution
+from ._catalogue import CATALOGUE
+from ._dut import DesignUnderTest
+from ._judging import worst_of
 from ._outcome import DoesNotApply, Measurement, NotRun, Outcome
+from ._quantity import AVERAGING, UP, WORST
 from ._requirements import evaluate
-from ._static import TARGETS, adc_headroom, output_headroom, worst_of
-from ._subject import Subject
 from ._units import LEAST_SHOWN, UNITS, conversion, engineering
+from .quantities import adc_headroom, output_headroom
+from .quantities.crosstalk import Crosstalk
+from .quantities.lost_frames import lost_frames
+from .quantities.pressure_resolution import pressure_resolution
+from .quantities.reading_error import ReadingError
+from .quantities.settling_error import settling_error
 
 KNOWN_FRACTION = 0.015
 """carbon black by mass of the cell of the design; the paper's choice"""
 WIRING = "wiring"
 """axis of :func:`wirings`"""
-DOWN, UP = "down", "up"
-AVERAGING = "frames averaged"
 AXES: dict[str, tuple[float, ...]] = {
     "reference resistor": (0.25, 0.5, 2.0, 4.0),
     "drive voltage": (0.5, 0.8, 1.25, 2.0),
@@ -50,54 +55,6 @@ AXES: dict[str, tuple[float, ...]] = {
     "frame rate": (0.5, 2.0, 10.0, 100.0),
 }
 """Factors on the design's value; bits are added, the carbon-black fraction stands for itself."""
-READINGS = (
-    ("array.row_lead", DOWN),
-    ("array.row_segment", DOWN),
-    ("array.column_lead", DOWN),
-    ("array.column_segment", DOWN),
-    ("readout.open_loop_gain", UP),
-    ("readout.offset_voltage", DOWN),
-    ("readout.bias_current", DOWN),
-    ("readout.reference_resistance", UP),
-    ("drive.voltage", UP),
-    ("adc.offset_voltage", DOWN),
-    ("adc.gain_error", DOWN),
-    ("adc.bits", UP),
-)
-FINE = (("readout.reference_resistance", UP), ("drive.voltage", UP), ("adc.bits", UP))
-QUIET = (
-    *(("readout.voltage_noise", DOWN), ("readout.current_noise", DOWN), ("readout.feedback_capacitance", UP)),
-    *(("readout.gain_bandwidth", DOWN), ("adc.sampling_capacitance", UP), ("adc.bits", UP)),
-)
-QUICK = (
-    *(("operation.frame_rate", DOWN), ("readout.gain_bandwidth", UP), ("readout.feedback_capacitance", DOWN)),
-    *(("readout.column_capacitance", DOWN), ("readout.reference_resistance", DOWN), ("adc.bits", DOWN)),
-    *(("adc.switch_resistance", DOWN), ("adc.sampling_capacitance", DOWN), ("adc.acquisition_time", DOWN)),
-)
-SMALL = (("readout.reference_resistance", DOWN), ("drive.voltage", DOWN))
-MENDED_BY: dict[str, tuple[tuple[str, str], ...]] = {
-    **dict.fromkeys(TARGETS, READINGS),
-    "resolution": FINE,
-    "adc_range_used": FINE[:2],
-    "noise": (*QUIET, ("readout.reference_resistance", DOWN)),
-    "pressure_resolution": (*QUIET, *FINE[:2], (AVERAGING, UP)),
-    "settling_error": QUICK,
-    "fastest_scan": QUICK[1:],
-    "phase_margin": (
-        *(("readout.feedback_capacitance", UP), ("readout.column_capacitance", DOWN)),
-        *(("readout.reference_resistance", DOWN), ("readout.gain_bandwidth", DOWN)),
-    ),
-    "output_headroom": SMALL,
-    "adc_headroom": SMALL,
-    "cell_voltage": SMALL[1:],
-    "cell_power": SMALL[1:],
-    "switch_current": SMALL[1:],
-    "switch_power": (*SMALL[1:], ("array.row_lead", DOWN)),
-    "latency": (("operation.frame_rate", UP), ("operation.baudrate", UP)),
-    "lost_frames": (("operation.frame_rate", DOWN), ("operation.baudrate", UP)),
-    "valid_cells": (("adc.bits", UP), ("readout.reference_resistance", UP), ("readout.reference_resistance", DOWN)),
-}
-"""Parts that could keep a requirement if they were changed alone, by quantity, and in which direction."""
 FRACTIONS = np.geomspace(0.009, 0.06, 25)
 """carbon black by mass; below, full-scale pressure breaks the last path of many cells"""
 _BETWEEN = 9
@@ -195,7 +152,10 @@ class Remedy:
 
 
 def explore(
-    subject: Subject, *, points: int = 60, tell: Callable[[int, int, Variation], None] = lambda done, total, found: None
+    dut: DesignUnderTest,
+    *,
+    points: int = 60,
+    tell: Callable[[int, int, Variation], None] = lambda done, total, found: None,
 ) -> list[Variation]:
     """The design, each axis alone, and random combinations, ``points`` in all.
 
@@ -211,9 +171,9 @@ def explore(
     if points < 1:
         raise InputError(f"points is {points}; expected at least 1")
     found = []
-    wanted = list(_combinations(subject, points))
+    wanted = list(_combinations(dut, points))
     for number, changes in enumerate(wanted, 1):
-        found.append(_judged(subject, changes))
+        found.append(_judged(dut, changes))
         tell(number, len(wanted), found[-1])
     return [replace(v, front=bool(best)) for v, best in zip(found, pareto(_compared(found)), strict=True)]
 
@@ -224,7 +184,7 @@ def _compared(variations: list[Variation]) -> FloatArray:
     return figures[:, ~np.isnan(figures).all(axis=0)]
 
 
-def best_carbon_black(subject: Subject) -> Variation | None:
+def best_carbon_black(dut: DesignUnderTest) -> Variation | None:
     """The carbon-black fraction with the best pressure resolution through this readout, all else as it is.
 
     Searched on a grid of :data:`FRACTIONS` and then between the neighbours of the best one. Fractions whose readings
@@ -234,18 +194,18 @@ def best_carbon_black(subject: Subject) -> Variation | None:
         None where the percolation law does not apply (cells that conduct better when pressed), or where the pressure
         resolution of no fraction is known.
     """
-    if subject.pressed < subject.rest:
+    if dut.pressed < dut.rest:
         return None
-    sigma = {float(fraction): _resolution_kpa(subject, float(fraction)) for fraction in FRACTIONS}
+    sigma = {float(fraction): _resolution_kpa(dut, float(fraction)) for fraction in FRACTIONS}
     best = min(sigma, key=lambda fraction: sigma[fraction])
     if not np.isfinite(sigma[best]):
         return None
     place = list(sigma).index(best)
     low, high = FRACTIONS[max(place - 1, 0)], FRACTIONS[min(place + 1, len(FRACTIONS) - 1)]
     for fraction in np.linspace(low, high, _BETWEEN).tolist():
-        sigma[fraction] = _resolution_kpa(subject, fraction)
+        sigma[fraction] = _resolution_kpa(dut, fraction)
     for fraction in sorted((f for f in sigma if np.isfinite(sigma[f])), key=lambda fraction: sigma[fraction]):
-        found = _judged(subject, {"carbon black": fraction})
+        found = _judged(dut, {"carbon black": fraction})
         if np.isfinite(found.reading_error_percent) and np.isfinite(found.crosstalk_percent):
             return found
     return None
@@ -261,16 +221,16 @@ def carbon_black_line(best: Variation, own: Variation) -> str:
     )
 
 
-def _resolution_kpa(subject: Subject, fraction: float) -> float:
+def _resolution_kpa(dut: DesignUnderTest, fraction: float) -> float:
     """One standard deviation of pressure, kPa; inf where it is not known, or where cells open or leave a range."""
     try:
-        here = varied(subject, {"carbon black": fraction})
+        here = varied(dut, {"carbon black": fraction})
     except InputError:  # no path is left through the mixture under full-scale pressure
         return inf
     asked = Requirement(id="explore", quantity="pressure_resolution")
     for headroom in (output_headroom, adc_headroom):
         with suppress(NotRun, DoesNotApply):
-            if not headroom(here, asked, "nominal").value >= 0:
+            if not headroom.QUANTITY.compute(here, asked, WORST).value >= 0:
                 return inf
     try:
         return pressure_resolution(here, asked, "nominal").value
@@ -290,37 +250,37 @@ def pareto(figures: np.ndarray) -> BoolArray:
 
 
 def remedies(
-    subject: Subject, requirements: tuple[Requirement, ...], *, progress: Progress = silent
+    dut: DesignUnderTest, requirements: tuple[Requirement, ...], *, progress: Progress = silent
 ) -> Iterator[Remedy]:
     """For each requirement that nominal parts or the worst case do not keep: the parts that would mend it alone.
 
-    Requirements without parts in :data:`MENDED_BY`, on the yield, and on a real board have none. Each remedy is
+    Requirements on quantities that no part mends, on the yield, and on a real board have none. Each remedy is
     yielded as soon as it is found.
     """
     mendable = [requirement for requirement in requirements if may_be_mended(requirement)]
     for number, requirement in enumerate(mendable):
         progress(number, len(mendable), f"{requirement.id} {requirement.quantity}")
-        if (missed := _judge(subject, requirement)) is None or missed.kept:
+        if (missed := _judge(dut, requirement)) is None or missed.kept:
             continue
-        if requirement.quantity in TARGETS:
-            for name, design in wirings(subject).items():
-                there = _judge(replace(subject, design=design, memo={}), requirement)
+        if CATALOGUE[requirement.quantity].rewired:
+            for name, design in wirings(dut).items():
+                there = _judge(dut.with_design(design), requirement)
                 if there is not None and (there.kept or there.value < missed.value / 2):
                     values = missed.value, there.value, missed.unit
                     yield Remedy(requirement.id, name, 0.0, *values, kept=there.kept)
-        for key, direction in MENDED_BY[requirement.quantity]:
-            remedy = _remedy(subject, requirement, key, direction, missed)
+        for key, direction in CATALOGUE[requirement.quantity].mended_by:
+            remedy = _remedy(dut, requirement, key, direction, missed)
             if remedy is not None:
                 yield remedy
 
 
-def wirings(subject: Subject) -> dict[str, Design]:
+def wirings(dut: DesignUnderTest) -> dict[str, Design]:
     """The same array and converter with other idle lines or another circuit, by what is different.
 
     Amplifiers in place of a divider have the reference at the middle of the converter's range, are driven by half of
     it, and have a reference resistor with which the least resistance of a cell reaches its end.
     """
-    design, found = subject.design, dict[str, Design]()
+    design, found = dut.design, dict[str, Design]()
     circuit, readout = design.board.circuit, design.readout
     if design.drive.idle_rows != "ground":
         drive = {"idle_rows": "ground", "idle_row_resistance": inf}
@@ -335,7 +295,7 @@ def wirings(subject: Subject) -> dict[str, Design]:
     if design.adc is not None:
         low, high = design.adc.range
         half = (high - low) / 2
-        ohm = min(subject.rest, subject.pressed)
+        ohm = min(dut.rest, dut.pressed)
         grounded = design.with_circuit("inverting-amplifier").replace(
             drive={"idle_rows": "ground", "idle_row_resistance": inf, "voltage": -half},
             readout={
@@ -351,7 +311,8 @@ def wirings(subject: Subject) -> dict[str, Design]:
 
 def may_be_mended(requirement: Requirement) -> bool:
     """Whether :func:`remedies` looks for parts that keep the requirement."""
-    return requirement.quantity in MENDED_BY and requirement.method in (None, "worst-case", "nominal")
+    quantity = CATALOGUE.get(requirement.quantity)
+    return quantity is not None and bool(quantity.mended_by) and requirement.method in (None, "worst-case", "nominal")
 
 
 def picture(variations: list[Variation]) -> str:
@@ -376,16 +337,16 @@ def picture(variations: list[Variation]) -> str:
         return plots.svg(figure)
 
 
-def _combinations(subject: Subject, points: int) -> Iterator[dict[str, float | str]]:
-    absent: dict[str, Any] = {"ADC bits": subject.design.adc, "frame rate": subject.design.operation.frame_rate}
-    if subject.pressed < subject.rest:  # percolation says nothing of cells whose contacts decide
+def _combinations(dut: DesignUnderTest, points: int) -> Iterator[dict[str, float | str]]:
+    absent: dict[str, Any] = {"ADC bits": dut.design.adc, "frame rate": dut.design.operation.frame_rate}
+    if dut.pressed < dut.rest:  # percolation says nothing of cells whose contacts decide
         absent["carbon black"] = None
     axes = {axis: values for axis, values in AXES.items() if absent.get(axis, axis) is not None}
     single: list[dict[str, float | str]] = [{}]
-    single += [{WIRING: name} for name in wirings(subject)]
+    single += [{WIRING: name} for name in wirings(dut)]
     single += [{axis: value} for axis, values in axes.items() for value in values]
     yield from single[:points]
-    random = np.random.default_rng(subject.seed)
+    random = np.random.default_rng(dut.seed)
     seen: list[dict[str, float | str]] = []
     for _ in range(_TRIES * points):  # a design with few axes may have fewer combinations than points
         if len(single) + len(seen) >= points:
@@ -397,12 +358,12 @@ def _combinations(subject: Subject, points: int) -> Iterator[dict[str, float | s
             yield changes
 
 
-def varied(subject: Subject, changes: Mapping[str, float | str]) -> Subject:
-    """The subject with some axes changed."""
-    design, cells = subject.design, None
+def varied(dut: DesignUnderTest, changes: Mapping[str, float | str]) -> DesignUnderTest:
+    """The design under test with some axes changed."""
+    design, cells = dut.design, None
     for axis, value in changes.items():
         if isinstance(value, str):
-            design = wirings(subject)[value]
+            design = wirings(dut)[value]
             continue
         match axis:
             case "reference resistor":
@@ -419,28 +380,28 @@ def varied(subject: Subject, changes: Mapping[str, float | str]) -> Subject:
                 rate = min(design.operation.frame_rate * value, FASTEST_STATED_HZ)
                 design = design.replace(operation={"frame_rate": rate})
             case "carbon black":
-                law = Percolation(KNOWN_FRACTION, subject.rest, subject.pressed / subject.rest - 1)
+                law = Percolation(KNOWN_FRACTION, dut.rest, dut.pressed / dut.rest - 1)
                 rest = float(law.rest_resistance(value))
                 change = float(np.asarray(law.sensitivities(np.array([value])))[0])
                 cells = {
                     "rest_resistance": rest,
                     "full_scale_resistance": rest * (1 + change),
-                    "full_scale_kpa": subject.full_scale_kpa,
+                    "full_scale_kpa": dut.full_scale_kpa,
                 }
     if cells is not None:
         spread = {} if design.cells is None else dict(design.cells.spread)
         design = design.replace(cells=cells | {"spread": spread})
-        return Subject(design, None, subject.target, subject.seed, subject.samples)
-    return Subject(design, subject.given_cell, subject.target, subject.seed, subject.samples)
+        return DesignUnderTest(design, None, dut.target, dut.seed, dut.samples)
+    return DesignUnderTest(design, dut.given_cell, dut.target, dut.seed, dut.samples)
 
 
-def _judged(subject: Subject, changes: dict[str, float | str]) -> Variation:
-    here = varied(subject, changes)
-    error, crosstalk = (_value(here, quantity) for quantity in ("reading_error", "crosstalk"))
+def _judged(dut: DesignUnderTest, changes: dict[str, float | str]) -> Variation:
+    here = varied(dut, changes)
+    error, crosstalk = (100 * worst_of(here, target).value for target in (ReadingError(), Crosstalk()))
     unknown: list[str] = []
     asked = Requirement(id="explore", quantity="pressure_resolution")
     kpa = _known(lambda: pressure_resolution(here, asked, "nominal"), "resolution", unknown)
-    settling = _known(lambda: largest_settling_error(here, asked), "settling", unknown)
+    settling = _known(lambda: settling_error(here, asked, WORST), "settling", unknown)
     rate = here.design.operation.frame_rate
     if rate is not None and _known(lambda: lost_frames(here, asked, "nominal"), "", []) > 0:
         settling = inf
@@ -456,57 +417,41 @@ def _known(quantity: Callable[[], Measurement], name: str, unknown: list[str]) -
         return nan
 
 
-def _value(subject: Subject, quantity: str) -> float:
-    """Worst case in %."""
-    return 100 * worst_of(subject, quantity).value
-
-
 class _Judged(NamedTuple):
     value: float
     unit: str
     kept: bool
 
 
-def _judge(subject: Subject, requirement: Requirement) -> _Judged | None:
+def _judge(dut: DesignUnderTest, requirement: Requirement) -> _Judged | None:
     """The quantity of a requirement, and whether it keeps the limits; None where it has no value."""
-    if requirement.quantity in (*TARGETS, "settling_error"):  # without the figures of a report
-        low, high = requirement.min, requirement.max
-        try:
-            if requirement.quantity in TARGETS:
-                value = _value(subject, requirement.quantity)
-            else:
-                value = largest_settling_error(subject, requirement).value
-        except (NotRun, InputError, SolverError):
-            return None
-        kept = (low is None or value >= low) and (high is None or value <= high)
-        return _Judged(value, "%", bool(kept and np.isfinite(value)))
-    result = evaluate(subject, requirement, {})
+    result = evaluate(dut, requirement, {})
     if result.measurement is None:
         return None
     return _Judged(result.measurement.value, result.unit, result.outcome is Outcome.PASS)
 
 
-def _remedy(subject: Subject, requirement: Requirement, key: str, direction: str, missed: _Judged) -> Remedy | None:
+def _remedy(dut: DesignUnderTest, requirement: Requirement, key: str, direction: str, missed: _Judged) -> Remedy | None:
     if key == AVERAGING:
         return _averaged(requirement, missed)
     section, name = key.split(".")
-    part = getattr(subject.design, section)
+    part = getattr(dut.design, section)
     if part is None or getattr(part, name) is None:
         return None
     if key == "adc.bits":
-        return _more_bits(subject, requirement, missed) if direction == UP else None
+        return _more_bits(dut, requirement, missed) if direction == UP else None
     value = np.asarray(getattr(part, name), dtype=np.float64)
     if not value.any() or not np.isfinite(value).all():
         return None
 
     def at(factor: float) -> _Judged | None:
         try:
-            changed = _scaled(subject.design, key, factor)
+            changed = _scaled(dut.design, key, factor)
         except InputError:  # beyond what a design may say
             return None
-        return _judge(replace(subject, design=changed, memo={}), requirement)
+        return _judge(dut.with_design(changed), requirement)
 
-    reading = requirement.quantity in TARGETS
+    reading = CATALOGUE[requirement.quantity].rewired
     strides = (_FARTHEST,) if reading else _STRIDES
     if reading and direction == UP and key != "readout.open_loop_gain":
         strides = (_FARTHEST_READING,)
@@ -532,17 +477,17 @@ def _remedy(subject: Subject, requirement: Requirement, key: str, direction: str
     return Remedy(requirement.id, key, factor, missed.value, after.value, missed.unit, shown)
 
 
-def _more_bits(subject: Subject, requirement: Requirement, missed: _Judged) -> Remedy | None:
-    adc = subject.design.adc
+def _more_bits(dut: DesignUnderTest, requirement: Requirement, missed: _Judged) -> Remedy | None:
+    adc = dut.design.adc
     assert adc is not None
 
     @cache
     def at(bits: int) -> _Judged | None:
-        changed = subject.design.replace(adc={"bits": bits})
-        return _judge(replace(subject, design=changed, memo={}), requirement)
+        changed = dut.design.replace(adc={"bits": bits})
+        return _judge(dut.with_design(changed), requirement)
 
     # Each look at a reading is a search for a corner; a coarser converter does not help where the finest does not.
-    if requirement.quantity in TARGETS and ((finest := at(MOST_BITS)) is None or not finest.kept):
+    if CATALOGUE[requirement.quantity].rewired and ((finest := at(MOST_BITS)) is None or not finest.kept):
         return None
     for bits in range(adc.bits + 1, MOST_BITS + 1):
         there = at(bits)

@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 from scipy import signal
 
-from ..bench import NOISE
-from ..cell import Cell, ContactModel, PaperModel, estimate_recording, recovery_branches
+from ..cell import READING_NOISE, Cell, ContactModel, PaperModel, estimate_recording, recovery_branches
 from ..common import plots
 from ..common.arrays import FloatArray
 from ..errors import InputError
-from ._chain import one_cell_read
+from ._dut import DesignUnderTest, once
 from ._outcome import Check, Figure, Finding, Table
-from ._subject import Subject
+from ._pressures import one_cell_read
 
 STEP_KPA = 15.5  # 10.0 N on one square inch (V.A)
 RATE_HZ = 50.0
@@ -25,17 +24,17 @@ SETTLED_S = 1e-6  # time before the first sample in which the first pressure is 
 PAPERS = "the paper's"
 
 
-def electrodes(subject: Subject) -> Finding:
+def electrodes(dut: DesignUnderTest) -> Finding:
     """P2: bonded cells rise and remember, touching ones fall and do not."""
     contact = Cell(
-        rest_resistance_ohm=subject.rest * 20,
-        full_scale_kpa=subject.full_scale_kpa,
-        model=ContactModel(full_scale_resistance_ohm=subject.rest),
+        rest_resistance_ohm=dut.rest * 20,
+        full_scale_kpa=dut.full_scale_kpa,
+        model=ContactModel(full_scale_resistance_ohm=dut.rest),
     )
     time_s, pressure = pressed([(5, STEP_KPA, 20.0)], 60.0)
-    bonded_ohm, contact_ohm = (respond(cell, time_s, pressure) for cell in (subject.cell, contact))
+    bonded_ohm, contact_ohm = (respond(cell, time_s, pressure) for cell in (dut.cell, contact))
     released = time_s > 25 + 5 * EDGE_S
-    loads = np.geomspace(0.05, 1.0, 20) * subject.full_scale_kpa
+    loads = np.geomspace(0.05, 1.0, 20) * dut.full_scale_kpa
     ohms = contact.forward(loads.shape).step(1.0, loads)
     slope = float(np.polyfit(np.log(loads), np.log(1 / ohms - 1 / contact.rest_resistance_ohm), 1)[0])
     with plots.drawing(1, 2) as (figure, (panels,)):
@@ -77,12 +76,12 @@ def electrodes(subject: Subject) -> Finding:
     )
 
 
-def strain(subject: Subject) -> Finding:
+def strain(dut: DesignUnderTest) -> Finding:
     """P3: the normalised change r = (R - R0)/R0 is proportional to stress in each phase, whatever R0."""
     time_s, pressure = pressed([(1, 1.0, 5.0)], 30.0)
     scales = np.array([0.1, 0.5, 1.0])
     rests = np.array([1e2, 1e4, 1e6])
-    cell = subject.cell
+    cell = dut.cell
     unit = respond(cell, time_s, pressure) / cell.rest_resistance_ohm - 1
     worst_scale = max(
         float(np.abs((respond(cell, time_s, k * pressure) / cell.rest_resistance_ohm - 1) / k - unit).max())
@@ -99,13 +98,13 @@ def strain(subject: Subject) -> Finding:
     )
 
 
-def rising(subject: Subject) -> Finding:
+def rising(dut: DesignUnderTest) -> Finding:
     """P4: equation (3) in its corrected form."""
-    model = _paper_model(subject)
+    model = _paper_model(dut)
     (numerator, denominator), edge = model.rising_transfer_function(), 1e-3
     time_s = np.r_[0.0, edge + np.linspace(0.0, 8 * model.tu_s, 400)]
     pressure = np.minimum(time_s / edge, 1.0) * STEP_KPA
-    r = respond(subject.cell, time_s, pressure) / subject.rest - 1
+    r = respond(dut.cell, time_s, pressure) / dut.rest - 1
     grid = np.arange(0.0, time_s[-1], edge)  # lsim takes evenly spaced, piecewise-linear inputs
     _, filtered, _ = signal.lsim((numerator, denominator), np.minimum(grid / edge, 1.0) * STEP_KPA, grid)
     expected = np.interp(time_s, grid, filtered)
@@ -134,15 +133,15 @@ def rising(subject: Subject) -> Finding:
     )
 
 
-def recovery(subject: Subject) -> Finding:
+def recovery(dut: DesignUnderTest) -> Finding:
     """P5: the augmented Burgers model, (4)-(7) and (8)."""
-    model = _paper_model(subject)
+    model = _paper_model(dut)
     numerator, denominator = model.transfer_function()
     omega = np.geomspace(1e-5, 1e3, 400)
     _, printed = signal.freqs(numerator, denominator, omega)
     s = 1j * omega
     summed = 1 / model.e1_kpa + 1 / (model.eta2_kpa_s * s + model.e2_kpa) + 1 / (model.eta3_kpa_s * s + model.e3_kpa)
-    time_s, r = _release(subject)
+    time_s, r = _release(dut)
     branches = {
         "elastic, 1/E1": np.zeros_like(time_s),
         f"T2 = {model.t2_s:.3g} s": np.exp(-time_s / model.t2_s) / model.e2_kpa,
@@ -170,11 +169,11 @@ def recovery(subject: Subject) -> Finding:
     )
 
 
-def identification(subject: Subject) -> Finding:
+def identification(dut: DesignUnderTest) -> Finding:
     """P6: the coefficients read from a recovery curve, equation (9)."""
-    model = _paper_model(subject)
+    model = _paper_model(dut)
     time_s = np.linspace(0.0, 3 * model.t3_s, 600)  # five minutes of the example cell, as a person would record it
-    r = np.interp(time_s, *_release(subject))
+    r = np.interp(time_s, *_release(dut))
     recorded = np.r_[STEP_KPA * model.gain_per_kpa, r]
     moments = np.r_[0.0, 1e-3 + time_s]
     rng = np.random.default_rng(6)
@@ -229,10 +228,10 @@ def _branches_figure(time_s: FloatArray, r: FloatArray, branches: Sequence[float
         return Figure(plots.svg(figure), "The recovery curve taken apart, as in Fig. 8.")
 
 
-def recovery_times(subject: Subject) -> Finding:
+def recovery_times(dut: DesignUnderTest) -> Finding:
     """P7: 25 s to 95 %, 5 minutes to full recovery."""
-    time_s, r = _release(subject)
-    left = r / (STEP_KPA * _paper_model(subject).gain_per_kpa)
+    time_s, r = _release(dut)
+    left = r / (STEP_KPA * _paper_model(dut).gain_per_kpa)
     to_95 = float(np.interp(-0.05, -left, time_s))
     at_5_minutes = float(100 * np.interp(300.0, time_s, left))
     return Finding(
@@ -245,14 +244,14 @@ def recovery_times(subject: Subject) -> Finding:
     )
 
 
-def inverse_filter(subject: Subject) -> Finding:
+def inverse_filter(dut: DesignUnderTest) -> Finding:
     """P8: the paper's estimator, its switch, and what its thresholds are worth."""
-    model = _paper_model(subject)
+    model = _paper_model(dut)
     time_s, pressure = pressed([(2, STEP_KPA, 15.0)], 60.0)
-    ohms = respond(subject.cell, time_s, pressure)
-    estimates = side_by_side(subject, time_s, ohms)
-    rising_per_s, falling_per_s = model.thresholds_per_s(subject.full_scale_kpa)
-    slope = np.gradient(ohms / subject.rest, time_s)
+    ohms = respond(dut.cell, time_s, pressure)
+    estimates = side_by_side(dut, time_s, ohms)
+    rising_per_s, falling_per_s = model.thresholds_per_s(dut.full_scale_kpa)
+    slope = np.gradient(ohms / dut.rest, time_s)
     with plots.drawing(2, 1, height=4.2, sharex=True) as (figure, axes):
         top, below = axes[:, 0]
         top.plot(time_s, slope, lw=1)
@@ -263,10 +262,10 @@ def inverse_filter(subject: Subject) -> Finding:
         )
         draw(below, time_s, pressure, estimates)
         picture = plots.svg(figure)
-    settling = model.settling_slope_per_s(subject.full_scale_kpa)
+    settling = model.settling_slope_per_s(dut.full_scale_kpa)
     return Finding(
         checks=[
-            Check("RMSE without noise", rmse(estimates[PAPERS], pressure, subject), 2.0, "% of full scale"),
+            Check("RMSE without noise", rmse(estimates[PAPERS], pressure, dut), 2.0, "% of full scale"),
             Check(
                 "recovery threshold over the settling slope of a held load",
                 -falling_per_s / settling,
@@ -296,17 +295,17 @@ class _Press:
     """share of readings beyond the converter's range, or of outputs at a limit"""
 
 
-def steps(subject: Subject) -> Finding:
+def steps(dut: DesignUnderTest) -> Finding:
     """P9: one 15.5 kPa step, then three in a row, through the readout as designed."""
-    found = _presses(subject)
-    limit = subject.design.requirements.pressure_rmse_percent
+    found = _presses(dut)
+    limit = dut.design.requirements.pressure_rmse_percent
     checks = []
     for title, press in found.items():
         checks.append(Check(f"{title}: readings lost to a limit", 100 * press.lost, 0.0, "%"))
         for label, kpa in press.estimates.items():
-            error = rmse(kpa, press.pressure, subject)
+            error = rmse(kpa, press.pressure, dut)
             checks.append(Check(f"{title}, {label}: RMSE", error, limit, "% of full scale"))
-            peak = 100 * float(np.abs(kpa - press.pressure).max()) / subject.full_scale_kpa
+            peak = 100 * float(np.abs(kpa - press.pressure).max()) / dut.full_scale_kpa
             checks.append(Check(f"{title}, {label}: peak error", peak, 8 * limit, "% of full scale"))
     return Finding(
         checks=checks,
@@ -315,13 +314,13 @@ def steps(subject: Subject) -> Finding:
             "settling of its frame rate and its converter; R0 is the median of the first "
             "four seconds. Presses and releases take 0.1 s. The paper's estimator knows the cell's parameters to the "
             "letter; ours is what `ohmskin fit` chooses and finds in a recording of the calibration protocol with "
-            f"{100 * NOISE:g} % noise. `ohmskin bench --estimators` has them on a material that no model describes."
+            f"{100 * READING_NOISE:g} % noise. `ohmskin bench --estimators` has them on a material without a model."
         ],
         figures=[_press_figure(found)],
     )
 
 
-def _presses(subject: Subject) -> dict[str, _Press]:
+def _presses(dut: DesignUnderTest) -> dict[str, _Press]:
     presses = {
         "one step": ([(5.0, STEP_KPA, 20.0)], 90.0),
         "three steps": ([(5.0 + 25.0 * k, STEP_KPA, 12.0) for k in range(3)], 110.0),
@@ -329,10 +328,10 @@ def _presses(subject: Subject) -> dict[str, _Press]:
     found = {}
     for title, (profile, duration) in presses.items():
         time_s, pressure = pressed(profile, duration)
-        true_ohm = respond(subject.cell, time_s, pressure)
-        read_ohm, lost = one_cell_read(subject, true_ohm)
+        true_ohm = respond(dut.cell, time_s, pressure)
+        read_ohm, lost = one_cell_read(dut, true_ohm)
         zero = float(np.median(read_ohm[time_s < 4.0]))  # R0 as a user has it: read at rest, by the same readout
-        found[title] = _Press(time_s, pressure, true_ohm, read_ohm, side_by_side(subject, time_s, read_ohm, zero), lost)
+        found[title] = _Press(time_s, pressure, true_ohm, read_ohm, side_by_side(dut, time_s, read_ohm, zero), lost)
     return found
 
 
@@ -347,23 +346,23 @@ def _press_figure(found: dict[str, _Press]) -> Figure:
         return Figure(plots.svg(figure), "One press of 15.5 kPa (Fig. 10) and three in a row with creep (Fig. 11).")
 
 
-def _paper_model(subject: Subject) -> PaperModel:
-    if not isinstance(subject.cell.model, PaperModel):
-        raise InputError(f"this experiment needs a cell of kind 'paper', got '{subject.cell.model.kind}'")
-    return subject.cell.model
+def _paper_model(dut: DesignUnderTest) -> PaperModel:
+    if not isinstance(dut.cell.model, PaperModel):
+        raise InputError(f"this experiment needs a cell of kind 'paper', got '{dut.cell.model.kind}'")
+    return dut.cell.model
 
 
-def _release(subject: Subject) -> tuple[FloatArray, FloatArray]:
+def _release(dut: DesignUnderTest) -> tuple[FloatArray, FloatArray]:
     """r (samples,) after a release within 1 ms from equilibrium, at ``time_s`` after it."""
-    model = _paper_model(subject)
-    forward = subject.cell.forward((1,))
+    model = _paper_model(dut)
+    forward = dut.cell.forward((1,))
     load = np.array([STEP_KPA])
     forward.step(1.0, load)
     forward.step(1e3 * model.t3_s, load)
     first = forward.step(1e-3, np.zeros(1))
     time_s = np.r_[0.0, np.geomspace(1e-2, max(300.0, 10 * model.t3_s), 600)]
     samples = [first] + [forward.step(dt, np.zeros(1)) for dt in np.diff(time_s)]
-    return time_s, np.array(samples)[:, 0] / subject.rest - 1
+    return time_s, np.array(samples)[:, 0] / dut.rest - 1
 
 
 def pressed(presses: list[tuple[float, float, float]], duration_s: float) -> tuple[FloatArray, FloatArray]:
@@ -386,22 +385,23 @@ def respond(cell: Cell, time_s: FloatArray, pressure: FloatArray, rest: FloatArr
 
 
 def side_by_side(
-    subject: Subject, time_s: FloatArray, ohms: FloatArray, rest: float | None = None
+    dut: DesignUnderTest, time_s: FloatArray, ohms: FloatArray, rest: float | None = None
 ) -> dict[str, FloatArray]:
-    """kPa (samples,) by label, from a reading of the subject's cell; ``rest`` replaces R0.
+    """kPa (samples,) by label, from a reading of the design's cell; ``rest`` replaces R0.
 
-    Several experiments look at the same press. The estimates of a reading are therefore kept with the subject.
+    Several experiments look at the same press, whose estimates are worked out once.
     """
-    reading = ("side by side", time_s.tobytes(), ohms.tobytes(), rest)
-    if reading not in subject.memo:
-        subject.memo[reading] = _side_by_side(subject, time_s, ohms, rest)
-    return dict(subject.memo[reading])
+    return dict(_side_by_side(dut, tuple(time_s.tolist()), tuple(ohms.tolist()), rest))
 
 
-def _side_by_side(subject: Subject, time_s: FloatArray, ohms: FloatArray, rest: float | None) -> dict[str, FloatArray]:
+@once
+def _side_by_side(
+    dut: DesignUnderTest, time_s: tuple[float, ...], ohms: tuple[float, ...], rest: float | None
+) -> dict[str, FloatArray]:
+    times, readings = np.array(time_s), np.array(ohms)
     return {
-        PAPERS: estimate(subject.cell, "paper", time_s, ohms, rest),
-        f"ours ({subject.ours})": estimate(subject.calibrated, subject.ours, time_s, ohms, rest),
+        PAPERS: estimate(dut.cell, "paper", times, readings, rest),
+        f"ours ({dut.ours})": estimate(dut.calibrated, dut.ours, times, readings, rest),
     }
 
 
@@ -410,9 +410,9 @@ def estimate(cell: Cell, name: str, time_s: FloatArray, ohms: FloatArray, rest: 
     return estimate_recording(cell.estimator((), name, rest_resistance_ohm=rest), time_s, ohms)[0]
 
 
-def rmse(estimate: FloatArray, truth: FloatArray, subject: Subject) -> float:
+def rmse(estimate: FloatArray, truth: FloatArray, dut: DesignUnderTest) -> float:
     """% of full scale."""
-    return float(100 * np.sqrt(np.mean((estimate - truth) ** 2)) / subject.full_scale_kpa)
+    return float(100 * np.sqrt(np.mean((estimate - truth) ** 2)) / dut.full_scale_kpa)
 
 
 def draw(panel: Any, time_s: FloatArray, pressure: FloatArray, estimates: Mapping[str, FloatArray]) -> None:

@@ -9,8 +9,8 @@ from ..circuits import Design, adc_codes, clipped, noise, scan
 from ..common import plots
 from ..common.arrays import FloatArray
 from ..errors import InputError
+from ._dut import DesignUnderTest
 from ._outcome import Check, Figure, Finding, does_not_apply
-from ._subject import Subject
 
 KNOWN = 0.015  # the fraction that the paper chose, and that the shipped example cell stands for
 FRACTIONS = np.array([0.0112, 0.0125, 0.015, 0.02, 0.025, 0.03, 0.04, 0.05])
@@ -18,15 +18,13 @@ CURVE = np.geomspace(FRACTIONS[0], FRACTIONS[-1], 30)
 LOADS = np.linspace(0.0, 1.0, 6)
 
 
-def fraction(subject: Subject) -> Finding:
+def fraction(dut: DesignUnderTest) -> Finding:
     """Sensitivity and resolution against the carbon-black fraction."""
-    if not subject.design.board.circuit.virtual_ground or subject.design.adc is None:
+    if not dut.design.board.circuit.virtual_ground or dut.design.adc is None:
         return does_not_apply("this study needs a design with amplifiers that hold their lines, and an [adc]")
-    law = Percolation(KNOWN, subject.rest, subject.pressed / subject.rest - 1)
-    fixed, chosen = (np.array([_resolution(subject, law, f, choose=choose) for f in CURVE]) for choose in (False, True))
-    eight, free = (
-        np.array([_resolution(subject, law, f, choose=choose) for f in FRACTIONS]) for choose in (False, True)
-    )
+    law = Percolation(KNOWN, dut.rest, dut.pressed / dut.rest - 1)
+    fixed, chosen = (np.array([_resolution(dut, law, f, choose=choose) for f in CURVE]) for choose in (False, True))
+    eight, free = (np.array([_resolution(dut, law, f, choose=choose) for f in FRACTIONS]) for choose in (False, True))
     if np.isnan(eight).all():
         raise InputError("every mixture drives an output of this design into its supply at some load")
     best = float(FRACTIONS[np.nanargmin(eight)])
@@ -89,15 +87,15 @@ def _picture(law: Percolation, fixed: FloatArray, chosen: FloatArray, eight: Flo
         return plots.svg(figure)
 
 
-def _resolution(subject: Subject, law: Percolation, f: float, *, choose: bool) -> float:
+def _resolution(dut: DesignUnderTest, law: Percolation, f: float, *, choose: bool) -> float:
     """Standard deviation of one reading in % of full scale pressure, at the worst load; NaN where a reading saturates.
 
     With ``choose`` the reference resistor is scaled with R0, which keeps the output at rest where it is.
     """
     ohms = law.resistance(f, LOADS)
-    design = subject.design
+    design = dut.design
     if choose:
-        reference = np.asarray(design.readout.reference_resistance) * (ohms[0] / subject.rest)
+        reference = np.asarray(design.readout.reference_resistance) * (ohms[0] / dut.rest)
         value = tuple(reference.tolist()) if reference.ndim else float(reference)
         design = design.replace(readout={"reference_resistance": value})
     slope = np.gradient(ohms, LOADS)

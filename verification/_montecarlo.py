@@ -1,25 +1,36 @@
 """Monte Carlo analysis: how many of the boards that will be built keep a limit (production yield).
 
+Each board is judged as the worst-case search judges its corners, by the same target, over all cells that the search
+covers. The derivatives that name the search's corners rank every cell, sign and press pattern for each board; those
+that promise most are solved, until none that is left promises more than what was found.
+
 The boards are drawn in blocks of :data:`BLOCK`. Each block has a random stream of its own, made of the seed and the
 block's number, and is computed in one piece. The samples are therefore the same, bit for bit, whatever the number of
-processes, the order in which blocks are done, or an interruption in between. Each board is judged as the worst-case
-search judges its corners, by the same target, under presses that this search has found to be hard.
+processes, the order in which blocks are done, or an interruption in between.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf
 
 import numpy as np
 from scipy.stats import beta
 
-from ..common.arrays import FloatArray
-from ._targets import Box, Corners, Press, Target, values_of_boards
+from ..common.arrays import FloatArray, IntArray
+from ._box import Box, Corners
+from ._readings import ReadingTarget, named_corners
+from ._search import WorstCase
 
 BLOCK = 100
 CONFIDENCE = 0.95
 MOST_BOARDS = 10_000_000
+TOGETHER, MOST_TRIES = 4, 12
+"""cells and presses of a board that are solved at once, and so many times at most"""
+_ROOM = 0.02
+"""relative error of a value to first order, within which a candidate may still be the worst"""
+_FOUND = 4  # presses of the search's own worst corners under which every board is judged
 
 
 def blocks(samples: int) -> int:
@@ -27,41 +38,82 @@ def blocks(samples: int) -> int:
     return -(-samples // BLOCK)
 
 
-def _drawn(box: Box, seed: int, block: int) -> FloatArray:
-    """Coordinates (boards, D) of one block of boards, their cells at rest."""
-    random = np.random.default_rng(np.random.SeedSequence([seed, block]))
-    factors = box.factors.sample(random, BLOCK)
-    scale = random.uniform(-1.0, 1.0, (BLOCK, box.cells))
-    return np.concatenate([factors, np.full(scale.shape, -1.0), scale], axis=1)
+@dataclass(frozen=True)
+class Sampler:
+    """What judges random boards, made once from the worst-case search of the same quantity."""
 
+    target: ReadingTarget
+    box: Box
+    found: Corners
+    """judged cells and presses of the search's worst corners"""
+    named: Corners
+    """(K) judged cells, signs and presses that derivatives name"""
+    fixed: FloatArray
+    """(K,) their values on nominal boards, to first order"""
+    slopes: FloatArray
+    """(K, F + cells) by the factors and by the deviations of the cells"""
 
-def sample_block(target: Target, box: Box, presses: Sequence[Press], seed: int, block: int) -> FloatArray:
-    """One block of boards: the largest value of the target under any of the presses, (boards,).
+    @classmethod
+    def of(cls, worst: WorstCase) -> Sampler:
+        """The judge of a quantity's boards."""
+        box, target = worst.box, worst.target
+        assert isinstance(target, ReadingTarget)
+        parts, cells = len(box.factors), box.cells
+        pressed = slice(parts, parts + cells)
+        fixed, slopes = [], []
+        named = named_corners(target, box)
+        for number, one in enumerate(named):
+            state = 2.0 * (number // 2) - 1.0  # at rest and pressed, of two signs each
+            moved = (one.slopes[:, pressed] * (one.corners.x[:, pressed] - state)).sum(axis=1)
+            fixed.append(np.nan_to_num(one.centre + moved, nan=inf))
+            slopes.append(np.nan_to_num(np.delete(one.slopes, np.r_[pressed], axis=1)))
+        _, first = np.unique(
+            np.stack([worst.others.row, worst.others.column, worst.others.sign.astype(np.intp)]),
+            axis=1,
+            return_index=True,
+        )
+        return cls(
+            target,
+            box,
+            worst.others.some(np.sort(first)[:_FOUND]),
+            Corners.joined([one.corners for one in named]),
+            np.concatenate(fixed),
+            np.concatenate(slopes),
+        )
 
-    Args:
-        target: what is judged.
-        box: the design, its tolerances and its cells.
-        presses: under which each board is judged.
-        seed: of the run.
-        block: number of the block, from 0.
+    def block(self, seed: int, block: int) -> FloatArray:
+        """The largest value (boards,) of the target over all cells and presses, of one block of boards."""
+        random = np.random.default_rng(np.random.SeedSequence([seed, block]))
+        factors = self.box.factors.sample(random, BLOCK)
+        return self.judged(np.concatenate([factors, random.uniform(-1.0, 1.0, (BLOCK, self.box.cells))], axis=1))
 
-    """
-    values, _ = values_of_boards(target, box, _drawn(box, seed, block), presses)
-    worst: FloatArray = values.max(axis=1)
-    return worst
+    def judged(self, boards: FloatArray) -> FloatArray:
+        """As :meth:`block`, of boards with factors and deviations of cells (S, F + cells)."""
+        own = np.tile(np.arange(len(self.found)), (len(boards), 1))
+        best: FloatArray = self._solved(boards, self.found, own).max(axis=1)
+        promised = self.fixed + boards @ self.slopes.T
+        count = min(TOGETHER * MOST_TRIES, promised.shape[1])
+        order = np.argsort(-promised, axis=1, kind="stable")[:, :count]
+        for first in range(0, count, TOGETHER):
+            chosen = order[:, first : first + TOGETHER]
+            next_value = np.take_along_axis(promised, chosen[:, :1], axis=1)[:, 0]
+            open_ones = np.isfinite(best)
+            worth = np.where(open_ones, best, 0.0) * (1.0 - _ROOM)
+            active = np.flatnonzero(open_ones & ((next_value > worth) | (first == 0)))
+            if not len(active):
+                break
+            solved = self._solved(boards[active], self.named, chosen[active])
+            best[active] = np.maximum(best[active], solved.max(axis=1))
+        return best
 
-
-def worst_board(target: Target, box: Box, presses: Sequence[Press], seed: int, values: FloatArray) -> Corners:
-    """Where the largest of the values of all blocks is: one board, its press and its judged cell."""
-    block, number = divmod(int(np.argmax(values)), BLOCK)
-    x = _drawn(box, seed, block)[number : number + 1]
-    found, places = values_of_boards(target, box, x, presses)
-    worst = int(np.argmax(found[0]))
-    place = int(places[0, worst])
-    sign, cell = (1.0, place) if place >= 0 else (-1.0, -1 - place)
-    row, column = divmod(cell, box.design.array.columns)
-    x[0, len(box.factors) : len(box.factors) + box.cells] = 2.0 * presses[worst][0].ravel() - 1.0
-    return Corners(np.array([row]), np.array([column]), np.array([sign]), x)
+    def _solved(self, boards: FloatArray, corners: Corners, chosen: IntArray) -> FloatArray:
+        """(S, T) the target of each board at T of the corners' cells and presses."""
+        parts, cells = len(self.box.factors), self.box.cells
+        which = chosen.ravel()
+        some = corners.some(which)
+        own = np.repeat(boards, chosen.shape[1], axis=0)
+        x = np.concatenate([own[:, :parts], some.x[:, parts : parts + cells], own[:, parts:]], axis=1)
+        return self.target.evaluate(self.box, some.at(x)).reshape(chosen.shape)
 
 
 def proportion_bounds(kept: int, count: int) -> tuple[float, float]:

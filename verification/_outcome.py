@@ -15,17 +15,22 @@ from __future__ import annotations
 
 import math
 import traceback
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 
 from ..circuits import Requirement
+from ..errors import MissingExtra
 from ._record import CornerRecord
 from ._units import engineering
 
 _LARGEST_SHARE = 1000
 """% of a limit beyond which a margin's share is not told exactly"""
+
+
+STOPPED = "the run was stopped before"
+"""why something was not run"""
 
 
 class Outcome(StrEnum):
@@ -95,6 +100,14 @@ class Figure:
 
     svg: str
     caption: str
+
+
+def drawn(*draw: Callable[[], Figure]) -> list[Figure]:
+    """The pictures that these functions draw; none without matplotlib, whose absence costs no verdict."""
+    try:
+        return [each() for each in draw]
+    except MissingExtra:
+        return []
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,8 @@ from ..circuits import Requirement
 from ..common.files import read_bytes
 from ..common.text import one_line, shortened
 from ..errors import InputError
+from ._dut import DesignUnderTest
 from ._outcome import Measurement, NotRun
-from ._subject import Subject
 
 MOST_BYTES = 2**20
 """size limit of a file of Python"""
@@ -78,12 +78,12 @@ class OwnFunction:
         """Of the file, in hexadecimal."""
         return hashlib.sha256(self.text).hexdigest()
 
-    def measure(self, subject: Subject, unit: str) -> Measurement:
+    def measure(self, dut: DesignUnderTest, unit: str) -> Measurement:
         """``function(design, cell)``: a number, or a number and a place. Raises NotRun."""
         if not self.allowed:
             known = f"{self.path.name} (SHA-256 {self.sha256})"
             raise NotRun(f"{known} is the design's own code; it runs with --allow-code (allow_code=True)")
-        answer = self._answer(pickle.dumps((str(self.path), self.text, self.name, subject.design, subject.cell)))
+        answer = self._answer(pickle.dumps((str(self.path), self.text, self.name, dut.design, dut.cell)))
         if answer.reason:
             raise NotRun(answer.reason)
         said = f"as {self.quantity} says (SHA-256 {self.sha256})"

@@ -35,8 +35,11 @@ SECTION = {
     "bias_current": "readout",
     "voltage": "drive",
     "reference_voltage": "readout",
+    **dict.fromkeys(("gain_bandwidth", "column_capacitance", "feedback_capacitance"), "readout"),
 }
 """The parts of :class:`ohmskin.circuits.Boards`, and the section of DESIGN.toml that each is in."""
+IN_TIME = ("readout.gain_bandwidth", "readout.column_capacitance", "readout.feedback_capacitance")
+"""Parts that settled readings do not depend on."""
 CONVERTER = ("offset_voltage", "gain_error", "inl_steps")
 """Errors of the converter, in the order of the columns of :attr:`Population.converter`."""
 MAXIMA = ("readout.offset_voltage", "readout.bias_current", *(f"adc.{name}" for name in CONVERTER))
@@ -115,7 +118,7 @@ class Factors:
             for factor, column in _of_part(key, value, spread, drifts, shared=_is_shared(design, key)):
                 found.append(factor)
                 columns.append((key, column))
-            if spread.temperature_coefficient and (low or high) and key not in MAXIMA:
+            if spread.temperature_coefficient and (low or high) and key not in MAXIMA and np.isfinite(value).all():
                 slope = spread.temperature_coefficient * value
                 centre[key] = centre[key] + slope * (low + high) / 2
                 drift[key] = slope * (high - low) / 2
@@ -158,14 +161,6 @@ class Factors:
         other, nominal = self.tied[key]
         follows: FloatArray = self.matrix[other] / nominal
         return own - follows if key == RATIOMETRIC else own + self.centre[key][:, None] * follows
-
-    def largest(self, key: str) -> FloatArray:
-        """(L,) bound on the magnitude of one part's value."""
-        bound: FloatArray = np.abs(self.centre[key]) + np.abs(self.matrix[key]).sum(axis=1)
-        if key in self.tied:
-            other, nominal = self.tied[key]
-            bound = bound * self.largest(other) / abs(nominal)
-        return bound
 
     def population(self, factors: FloatArray) -> Population:
         """The boards of factors (S, F)."""

@@ -28,6 +28,7 @@ from ..common.text import markdown, markdown_code, printable
 from ..errors import MissingExtra, OhmskinError
 from ._assumptions import Assumptions, assumptions_of
 from ._catalogue import CATALOGUE
+from ._dut import DesignUnderTest, everything_of
 from ._explore import may_be_mended
 from ._export import export_samples
 from ._outcome import Claim, Figure, Measurement, Outcome, Result, Table, worst
@@ -44,7 +45,6 @@ from ._record import (
     number,
 )
 from ._schematic import schematic
-from ._subject import Subject, everything_of
 from ._units import PREFIXED, UNITS, engineering
 
 EXIT_CODES = {Outcome.PASS: 0, Outcome.FAIL: 1, Outcome.NOT_RUN: 3, Outcome.NOT_APPLICABLE: 3}
@@ -68,7 +68,7 @@ class Report:
     """What a verification run found, and on what."""
 
     title: str
-    subject: Subject
+    dut: DesignUnderTest
     results: list[Result]
     """of the requirements"""
     claims: list[Claim]
@@ -83,17 +83,19 @@ class Report:
     """the limits are the shipped defaults, not the user's"""
     changes: list[ChangeRecord] = field(default_factory=list)
     """against an older report"""
+    stopped: bool = False
+    """the run was stopped; what was not run until then says so"""
     explore_command: str = ""
     """that says which single parts mend failed requirements; empty: the design has no file"""
     finished: datetime = field(default_factory=lambda: datetime.now(UTC))
 
     @property
     def design(self) -> Design:
-        return self.subject.design
+        return self.dut.design
 
     @property
     def target(self) -> str:
-        return self.subject.target
+        return self.dut.target
 
     @property
     def outcome(self) -> Outcome:
@@ -198,7 +200,7 @@ class Report:
     @cached_property
     def netlist(self) -> str:
         """One scan step as a SPICE deck, in time where the design has dynamic parts; empty where it has no netlist."""
-        cells = np.full(self.design.array.shape, self.subject.rest)
+        cells = np.full(self.design.array.shape, self.dut.rest)
         for write in (spice.dynamic_netlist, spice.netlist):
             try:
                 return write(self.design, cells, 0)
@@ -239,14 +241,14 @@ class Report:
             seconds=round(self.seconds, 3),
             command=printable(self.command),
             target=self.target,
-            seed=self.subject.seed,
-            samples=self.subject.samples,
+            seed=self.dut.seed,
+            samples=self.dut.samples,
             design_sha256=self.design_sha256,
             cell_sha256=self.cell_sha256,
             run_sha256=self.fingerprint,
-            cell_source=self.subject.cell_source,
+            cell_source=self.dut.cell_source,
             design=jsonable(self.design.model_dump(mode="python")),
-            cell=jsonable(self.subject.cell.model_dump(mode="python")),
+            cell=jsonable(self.dut.cell.model_dump(mode="python")),
             environment=environment(),
             requirements=[_requirement_record(result) for result in self.results],
             not_judged=self.not_judged,
@@ -276,7 +278,7 @@ class Report:
 
     @property
     def cell_sha256(self) -> str:
-        return fingerprint(self.subject.cell)
+        return fingerprint(self.dut.cell)
 
     def junit(self) -> str:
         """One case per requirement and per check, with values as properties and times; what was not run is skipped."""
@@ -321,7 +323,7 @@ class Report:
             f"# {markdown(self.title)}: {self.outcome}",
             "",
             f"{self.count('pass')} pass, {self.count('fail')} fail, {self.count('not run')} not run, "
-            f"{self.count('does not apply')} do not apply. Design {self.design_sha256[:12]}, seed {self.subject.seed}, "
+            f"{self.count('does not apply')} do not apply. Design {self.design_sha256[:12]}, seed {self.dut.seed}, "
             f"ohmskin {__version__}.",
             "",
             "| requirement | outcome | limit | measured | margin | where, or why |",

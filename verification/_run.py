@@ -1,8 +1,8 @@
 """Run every requirement and every experiment, whatever happens to any of them.
 
-Each one is a task of its own: a function of the subject that shares nothing with the others. Tasks run in this process,
-in worker processes, or in any executor of ``concurrent.futures``, with the same numbers. What a task found is stored as
-soon as it is there, so that an interrupted run goes on where it stopped.
+Each one is a task of its own: a function of the design under test that shares nothing with the others. Tasks run in
+this process, in worker processes, or in any executor of ``concurrent.futures``, with the same numbers. What a task
+finds is told and stored as soon as it is there: an interrupted run leaves its report, and goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import dataclasses
 import importlib.resources
 import json
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
 from contextlib import suppress
 from functools import partial
@@ -32,21 +32,24 @@ from ..common.tables import write_text
 from ..common.workers import in_processes
 from ..driver import Skin
 from ..errors import InputError, OhmskinError
-from ._catalogue import HARDWARE, SAMPLED, WORST
+from ._catalogue import CATALOGUE
 from ._claims import STATEMENTS, Statement
-from ._hardware import twins
-from ._montecarlo import BLOCK, blocks, sample_block
-from ._outcome import Claim, Finding, Result, defect, not_run
+from ._dut import SAMPLES, SEED, DesignUnderTest, everything_of, keep
+from ._montecarlo import BLOCK, Sampler, blocks
+from ._outcome import STOPPED, Claim, Finding, NotRun, Result, defect, not_run
 from ._own_code import Allowing, OwnFunction, read_own_functions
+from ._quantity import HARDWARE, SAMPLED
+from ._reading_errors import judged_by, sampler_of, samples_of
 from ._report import Report
-from ._requirements import check_requirements, default_requirements, evaluate
-from ._static import TARGETS, box_of, keep_samples, presses_of
-from ._subject import SAMPLES, SEED, Subject, everything_of
-from ._targets import Press
+from ._requirements import (
+    check_requirements,
+    default_requirements,
+    evaluate,
+    stopped_result,
+    twins,
+)
 
 NO_PORT = ("emulated", "firmware")
-_SEARCHED = (None, WORST, SAMPLED)
-"""methods of a requirement that rest on the worst-case search of its quantity"""
 ON_TARGET = ("P14",)
 """claims that talk to the target of the run"""
 
@@ -73,12 +76,12 @@ class Task(NamedTuple):
 class Work(NamedTuple):
     """What the tasks of one run have in common."""
 
-    subject: Subject
+    dut: DesignUnderTest
     requirements: tuple[Requirement, ...]
     own: Mapping[str, OwnFunction]
     """functions of the design's own, by quantity"""
-    presses: tuple[tuple[str, list[Press]], ...] = ()
-    """of the Monte Carlo analysis, by quantity"""
+    samplers: tuple[tuple[int, Sampler], ...] = ()
+    """what judges random boards, by the number of a requirement that asks for it first"""
 
 
 def verify(
@@ -104,6 +107,7 @@ def verify(
     command: str = "ohmskin verify",
     progress: Progress = silent,
     announce: Callable[[str], None] = lambda said: None,
+    tell: Callable[[Result | Claim], None] = lambda found: None,
 ) -> Report:
     """Verify a design against its requirements, and on request against the paper's claims.
 
@@ -130,6 +134,10 @@ def verify(
         command: what the report says makes it again.
         progress: told of each task that is done.
         announce: told, before anything is computed, which files of the design's own are run.
+        tell: called with each result as soon as it is there.
+
+    Returns:
+        The report. After a :class:`KeyboardInterrupt` it holds what was found until then (:attr:`Report.stopped`).
 
     Raises:
         InputError: bad requirements, an unknown id, no samples.
@@ -141,35 +149,37 @@ def verify(
         with Skin.open(target, board=board, baudrate=baud) as skin:
             next(skin)
     start = time.perf_counter()
-    subject = Subject(prototype() if design is None else design, cell, target, seed, samples, jig, board, baud)
-    wanted = tuple(requirements if requirements is not None else subject.design.requirement)
-    wanted = wanted or default_requirements(subject.design)
+    dut = DesignUnderTest(prototype() if design is None else design, cell, target, seed, samples, jig, board, baud)
+    wanted = tuple(requirements if requirements is not None else dut.design.requirement)
+    wanted = wanted or default_requirements(dut.design)
     check_requirements(wanted)
-    wanted = twins(subject, wanted)
+    wanted = twins(dut, wanted)
     with_paper = design is None and requirements is None if paper is None else paper
     statements = list(STATEMENTS if with_paper else ())
     wanted, statements = _chosen(wanted, statements, tuple(only))
     own = read_own_functions(wanted, folder or Path(), allow_code)
     for path, sha256 in {function.path: function.sha256 for function in own.values() if function.allowed}.items():
         announce(f"the design's own code is run: {path}, SHA-256 {sha256}")
-    work = Work(subject, wanted, own)
+    work = Work(dut, wanted, own)
     memory = _Store(store, _fingerprint(work))
     if target != "emulated":  # another board may answer at the same port by now
-        _subjects.pop(memory.fingerprint, None)
-    results = _compute(work, statements, memory, jobs, executor, progress)
+        _known.pop(memory.fingerprint, None)
+    results, stopped = _compute(work, statements, memory, jobs, executor, progress, tell)
     name = title or ("the paper's 4 × 4 prototype" if design is None else "readout design")
     report = Report(
         title=name,
-        subject=subject,
+        dut=dut,
         results=[found for found in results if isinstance(found, Result)],
         claims=[found for found in results if isinstance(found, Claim)],
         seconds=time.perf_counter() - start,
         command=command,
         fingerprint=memory.fingerprint,
         require_all=require_all,
-        judged_by_default=requirements is None and not subject.design.requirement,
+        judged_by_default=requirements is None and not dut.design.requirement,
+        stopped=stopped,
     )
-    memory.clear()
+    if not stopped:
+        memory.clear()
     return report
 
 
@@ -196,102 +206,131 @@ def _compute(
     jobs: int,
     executor: Executor | None,
     progress: Progress,
-) -> list[Result | Claim]:
-    """All results in order; those stored are not computed again."""
-    sampled = {r.quantity for r in work.requirements if r.method == SAMPLED and r.quantity in TARGETS}
-    # The presses of the boards come from the worst-case search here, whose own requirement then costs nothing more, and
-    # which the worst board may have to correct.
-    last = [number for number, r in enumerate(work.requirements) if r.quantity in sampled and r.method in _SEARCHED]
+    tell: Callable[[Result | Claim], None],
+) -> tuple[list[Result | Claim], bool]:
+    """All results in order, and whether the run was stopped; those stored are not computed again."""
     names = [statement.id for statement in STATEMENTS]
-    tasks = [
-        Task(f"requirement-{number}", f"{r.id} {r.quantity}", "requirement", number)
-        for number, r in enumerate(work.requirements)
-        if number not in last
+    sampled = [number for number, r in enumerate(work.requirements) if r.method == SAMPLED]
+    requirements = [
+        Task(f"requirement-{n}", f"{r.id} {r.quantity}", "requirement", n) for n, r in enumerate(work.requirements)
     ]
+    tasks = [task for task in requirements if task.number not in sampled]
     tasks += [Task(f"claim-{s.id}", f"{s.id} {s.title}", "claim", names.index(s.id)) for s in statements]
-    if sampled:
-        work = work._replace(presses=tuple((name, presses_of(work.subject, name)) for name in sorted(sampled)))
-        tasks += [
-            Task(f"samples-{k}", f"boards {k * BLOCK + 1} to {(k + 1) * BLOCK}", "samples", k)
-            for k in range(blocks(work.subject.samples))
-        ]
-    found = _run_all(work, tasks, memory, jobs, executor, progress)
-    for quantity, _ in work.presses:
-        parts = [found[f"samples-{k}"][quantity] for k in range(blocks(work.subject.samples))]
-        keep_samples(work.subject, quantity, np.concatenate(parts))
-    for number in last:
-        found[f"requirement-{number}"] = evaluate(work.subject, work.requirements[number], work.own)
-    ordered = [found[f"requirement-{number}"] for number in range(len(work.requirements))]
-    return ordered + [found[f"claim-{statement.id}"] for statement in statements]
+    found: dict[str, Any] = {}
+    stopped = False
+    try:
+        _run_all(work, tasks, found, memory, jobs, executor, progress, tell)
+        if sampled:
+            work = work._replace(samplers=tuple(_samplers(work, sampled)))
+            count = blocks(work.dut.samples) if work.samplers else 0
+            boards = [
+                Task(f"samples-{k}", f"boards {k * BLOCK + 1} to {(k + 1) * BLOCK}", "samples", k) for k in range(count)
+            ]
+            _run_all(work, boards, found, memory, jobs, executor, progress, tell)
+            for number, sampler in work.samplers:
+                values = np.concatenate([found[task.key][str(number)] for task in boards])
+                share = judged_by(work.requirements[number])
+                keep(work.dut, samples_of, (sampler.target, share), values)
+            last = [requirements[number] for number in sampled]
+            _run_all(work, last, found, memory, 1, None, progress, tell)
+    except KeyboardInterrupt:
+        stopped = True
+    results = [found.get(task.key) or stopped_result(work.requirements[task.number]) for task in requirements]
+    stood = not_run("experiment", STOPPED)
+    claims = [found.get(f"claim-{s.id}") or Claim(s.id, s.title, s.where, s.says, stood) for s in statements]
+    return [*results, *claims], stopped
+
+
+def _samplers(work: Work, sampled: list[int]) -> Iterator[tuple[int, Sampler]]:
+    """What judges the boards of each yield that is asked for, once for each quantity and unit."""
+    seen = set()
+    for number in sampled:
+        requirement = work.requirements[number]
+        target, share = CATALOGUE[requirement.quantity].sampled, judged_by(requirement)
+        if target is None or (target, share) in seen:
+            continue
+        seen.add((target, share))
+        try:
+            yield number, sampler_of(work.dut, target, share)
+        except NotRun:
+            continue
 
 
 def _run_all(
-    work: Work, tasks: list[Task], memory: _Store, jobs: int, executor: Executor | None, progress: Progress
-) -> dict[str, Any]:
-    found = {task.key: value for task in tasks if (value := memory.load(task)) is not None}
-    left = [task for task in tasks if task.key not in found]
-    done = len(found)
+    work: Work,
+    tasks: list[Task],
+    found: dict[str, Any],
+    memory: _Store,
+    jobs: int,
+    executor: Executor | None,
+    progress: Progress,
+    tell: Callable[[Result | Claim], None],
+) -> None:
+    """Fill ``found`` with what the tasks find, and with what was stored of them."""
+    done = 0
 
-    def tell(item: tuple[Task, Any]) -> None:
+    def take(item: tuple[Task, Any], *, stored: bool = False) -> None:
         nonlocal done
         task, value = item
         found[task.key] = value
-        memory.save(task, value)
         done += 1
-        progress(done, len(tasks), task.what)
+        if not stored:
+            memory.save(task, value)
+            progress(done, len(tasks), task.what)
+        if isinstance(value, Result | Claim):
+            tell(value)
 
+    for task in tasks:
+        if (value := memory.load(task)) is not None:
+            take((task, value), stored=True)
+    left = [task for task in tasks if task.key not in found]
     run = partial(_do, work)
     # A port has one owner: what is measured on the board is measured here, one after the other.
-    in_processes(run, [task for task in left if _on_board(work, task)], jobs=1, done=tell)
+    in_processes(run, [task for task in left if _on_board(work, task)], jobs=1, done=take)
     apart = [task for task in left if not _on_board(work, task)]
     if executor is None:
-        in_processes(run, apart, jobs=jobs, done=tell)
+        in_processes(run, apart, jobs=jobs, done=take)
     else:
         futures = [executor.submit(run, task) for task in apart]
         for future in as_completed(futures):
-            tell(future.result())
-    return found
+            take(future.result())
 
 
 def _on_board(work: Work, task: Task) -> bool:
     """Whether a task talks to the target of the run."""
-    if work.subject.target == "emulated":
+    if work.dut.target == "emulated":
         return False
     if task.kind == "requirement":
         return work.requirements[task.number].method == HARDWARE
     return task.kind == "claim" and STATEMENTS[task.number].id in ON_TARGET
 
 
-_subjects: dict[str, Subject] = {}
-"""In each process: the subject with the intermediate results that earlier tasks have left."""
+_known: dict[str, DesignUnderTest] = {}
+"""In each process: the design under test with the intermediate results that earlier tasks have left."""
 
 
 def _do(work: Work, task: Task) -> tuple[Task, Any]:
     """One task, in whatever process."""
-    subject = _subjects.setdefault(_fingerprint(work), work.subject)
-    if len(_subjects) > 4:  # a long-lived worker serves many runs
-        _subjects.clear()
+    dut = _known.setdefault(_fingerprint(work), work.dut)
+    if len(_known) > 4:  # a long-lived worker serves many runs
+        _known.clear()
     if task.kind == "samples":
-        box = box_of(subject)
-        return task, {
-            quantity: sample_block(TARGETS[quantity], box, presses, subject.seed, task.number).tolist()
-            for quantity, presses in work.presses
-        }
+        return task, {str(number): sampler.block(dut.seed, task.number).tolist() for number, sampler in work.samplers}
     if task.kind == "requirement":
-        return task, evaluate(subject, work.requirements[task.number], work.own)
-    return task, _claim(subject, STATEMENTS[task.number])
+        return task, evaluate(dut, work.requirements[task.number], work.own)
+    return task, _claim(dut, STATEMENTS[task.number])
 
 
-def _claim(subject: Subject, statement: Statement) -> Claim:
+def _claim(dut: DesignUnderTest, statement: Statement) -> Claim:
     start = time.perf_counter()
-    finding = _finding(subject, statement)
+    finding = _finding(dut, statement)
     seconds = time.perf_counter() - start
     return Claim(statement.id, statement.title, statement.where, statement.says, finding, seconds)
 
 
-def _finding(subject: Subject, statement: Statement) -> Finding:
+def _finding(dut: DesignUnderTest, statement: Statement) -> Finding:
     try:
-        return statement.experiment(subject)
+        return statement.experiment(dut)
     except OhmskinError as error:
         return not_run("experiment", f"{type(error).__name__}: {error}")
     except Exception as error:  # a defect in one experiment must not cost the report of the others
@@ -300,17 +339,17 @@ def _finding(subject: Subject, statement: Statement) -> Finding:
 
 def _fingerprint(work: Work) -> str:
     """SHA-256 of everything that the numbers depend on."""
-    subject = work.subject
+    dut = work.dut
     told = {
         "version": __version__,
-        "design": everything_of(subject.design),
-        "cell": subject.cell.model_dump(),
+        "design": everything_of(dut.design),
+        "cell": dut.cell.model_dump(),
         "requirements": [requirement.model_dump(mode="python") for requirement in work.requirements],
         "own code": {quantity: function.allowed and function.sha256 for quantity, function in work.own.items()},
-        "target": subject.target,
-        "jig": None if subject.jig is None else subject.jig.tolist(),
-        "seed": subject.seed,
-        "samples": subject.samples,
+        "target": dut.target,
+        "jig": None if dut.jig is None else dut.jig.tolist(),
+        "seed": dut.seed,
+        "samples": dut.samples,
     }
     return fingerprint(told)
 

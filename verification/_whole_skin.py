@@ -24,11 +24,11 @@ from ..emulator.firmware import (
 )
 from ..emulator.firmware import BoardSettings as FirmwareSettings
 from ..errors import InputError
-from ._chain import contacts, runs
-from ._dynamic import fastest_scan
+from ._dut import DesignUnderTest
 from ._maps import heat_maps
 from ._outcome import Check, Figure, Finding, NotRun, Table, not_run
-from ._subject import Subject
+from ._pressures import contacts, runs
+from .quantities import fastest_scan
 
 RATE_HZ = 50.0
 SECONDS = 26.0
@@ -70,21 +70,21 @@ class _Received:
         ]
 
 
-def whole_skin(subject: Subject) -> Finding:
+def whole_skin(dut: DesignUnderTest) -> Finding:
     """P14: several contacts at once, their places and pressures, in real time."""
-    match subject.target:
+    match dut.target:
         case "emulated":
-            return _emulated(subject)
+            return _emulated(dut)
         case "firmware":
-            return _firmware(subject)
+            return _firmware(dut)
         case _:
-            return _hardware(subject)
+            return _hardware(dut)
 
 
-def _emulated(subject: Subject) -> Finding:
+def _emulated(dut: DesignUnderTest) -> Finding:
     """The chain in board time for the pressures; a board on a pseudo-terminal for packets, driver and places."""
-    limit = subject.design.requirements.pressure_rmse_percent
-    operated = subject.at_rate(RATE_HZ)
+    limit = dut.design.requirements.pressure_rmse_percent
+    operated = dut.at_rate(RATE_HZ)
     histories = runs(operated)
     rmse, peak = (100 * max(found) for found in zip(*((h.rmse()[0], h.peak()[0]) for h in histories), strict=True))
     lost = 100 * max(float(history.lost.mean()) for history in histories)
@@ -108,31 +108,33 @@ def _emulated(subject: Subject) -> Finding:
             "comparison. Time is the board's: this machine's speed decides nothing.",
         ],
         figures=[
-            _traces(received, subject.full_scale_kpa),
-            _snapshot(received, subject.full_scale_kpa),
+            _traces(received, dut.full_scale_kpa),
+            _snapshot(received, dut.full_scale_kpa),
         ],
     )
 
 
-def _fast_enough(subject: Subject) -> list[Check]:
+def _fast_enough(dut: DesignUnderTest) -> list[Check]:
     """The fastest scan that settles to a quarter of an ADC step; nothing where the design does not say enough."""
     try:
-        found = fastest_scan(subject, Requirement(id="P14", quantity="fastest_scan", min=RATE_HZ), "worst-case")
+        found = fastest_scan.QUANTITY.compute(
+            dut, Requirement(id="P14", quantity="fastest_scan", min=RATE_HZ), "worst-case"
+        )
     except NotRun:
         return []
     return [Check("fastest scan settled to 1/4 ADC step", found.value, RATE_HZ, "frames/s", at_least=True)]
 
 
-def _receive(scene: Scene, subject: Subject, *, engine: EngineName, count: int) -> _Received:
+def _receive(scene: Scene, dut: DesignUnderTest, *, engine: EngineName, count: int) -> _Received:
     """Frames of an emulated board on a pseudo-terminal, beside the truth that it writes."""
-    full = subject.full_scale_kpa
+    full = dut.full_scale_kpa
     with tempfile.TemporaryDirectory() as folder:
         truth_file = Path(folder) / "truth.npz"
         port = PtyPort()
         # The board lives a little longer than what the host takes, so that it never waits for a last frame.
         with (
             running(scene, port, engine=engine, clock="fast", duration_s=(count + 50) / RATE_HZ, truth=truth_file),
-            Skin.open(port.name, cell=subject.cell, delivery="lossless", timeout=PATIENCE_S) as skin,
+            Skin.open(port.name, cell=dut.cell, delivery="lossless", timeout=PATIENCE_S) as skin,
         ):
             frames = list(islice(skin, count))
         truth = read_arrays(truth_file, _TRUE, what="truth file", most_bytes=_MOST_BYTES)
@@ -141,13 +143,13 @@ def _receive(scene: Scene, subject: Subject, *, engine: EngineName, count: int) 
     known = [place[frame.sequence] for frame in frames if frame.sequence is not None]
     applied = truth["pressure_kpa"][known]
     estimate = np.array([frame.pressure for frame in frames])
-    sent = adc_codes(subject.design, truth["volts"][known])
+    sent = adc_codes(dut.design, truth["volts"][known])
     unlike = sum(int((frame.counts != codes).sum()) for frame, codes in zip(frames, sent, strict=True))
     wrong = np.isnan(estimate) | ((estimate > TOUCHED * full) != (applied > TOUCHED * full))
     return _Received(scene, frames, applied, unlike, float(wrong[_settled(applied, full)].mean()))
 
 
-def _firmware(subject: Subject) -> Finding:
+def _firmware(dut: DesignUnderTest) -> Finding:
     """P14 on the reference board's own program, on an emulated processor in the modelled circuit.
 
     Besides frames and pressures it has the reading error of too short a dwell, as the program makes it.
@@ -156,17 +158,17 @@ def _firmware(subject: Subject) -> Finding:
     if reason is not None:
         return not_run("board firmware", reason)
     try:
-        scene = _scene(subject, _brief_contacts(subject.design.array.shape, subject.full_scale_kpa), noise=0.0)
+        scene = _scene(dut, _brief_contacts(dut.design.array.shape, dut.full_scale_kpa), noise=0.0)
         usual = check_scene(scene).dwell_us
     except (InputError, ValueError) as error:
         return not_run("board firmware", f"no firmware for this design: {str(error).splitlines()[-1]}")
-    curve = [dwell_error(subject.design, FirmwareSettings(dwell_us=dwell)) for dwell in sorted({*DWELLS_US, usual})]
+    curve = [dwell_error(dut.design, FirmwareSettings(dwell_us=dwell)) for dwell in sorted({*DWELLS_US, usual})]
     own = next(point for point in curve if point.dwell_us == usual)
     apart = max(abs(point.measured_steps - point.predicted_steps) for point in curve) / curve[0].predicted_steps
-    received = _receive(scene, subject, engine="firmware", count=FIRMWARE_FRAMES)
-    estimate, full = np.array([frame.pressure for frame in received.frames]), subject.full_scale_kpa
+    received = _receive(scene, dut, engine="firmware", count=FIRMWARE_FRAMES)
+    estimate, full = np.array([frame.pressure for frame in received.frames]), dut.full_scale_kpa
     rmse = 100 * np.sqrt(np.mean((estimate - received.applied) ** 2, axis=0)).max() / full
-    limit = subject.design.requirements.pressure_rmse_percent
+    limit = dut.design.requirements.pressure_rmse_percent
     return Finding(
         checks=[
             *received.checks(FIRMWARE_FRAMES, "counts that differ from what was converted"),
@@ -201,9 +203,9 @@ def _brief_contacts(shape: tuple[int, int], full: float) -> list[Contact]:
     return [Contact(cells=[(0, 0)], load_kpa=step), Contact(rectangle=beside, load_kpa=ramp)]
 
 
-def _hardware(subject: Subject) -> Finding:
+def _hardware(dut: DesignUnderTest) -> Finding:
     """What can be said of a real board without knowing what presses on it."""
-    with Skin.open(subject.target, board=subject.board, baudrate=subject.baud, delivery="every") as skin:
+    with Skin.open(dut.target, board=dut.board, baudrate=dut.baud, delivery="every") as skin:
         if not skin.family.has_device_time:
             raise NotRun(f"a board '{skin.family.name}' numbers no frames and tells no times")
         start = time.perf_counter()
@@ -219,16 +221,16 @@ def _hardware(subject: Subject) -> Finding:
             Check("device time goes forward: shortest step", float(steps.min()), 1e-6, "s", at_least=True),
             Check("applied pressures", None, 0.0, reason="not known for a real board"),
         ],
-        text=[f"200 frames from {subject.target} in {elapsed:.1f} s."],
+        text=[f"200 frames from {dut.target} in {elapsed:.1f} s."],
     )
 
 
-def _scene(subject: Subject, pressing: list[Contact], noise: float) -> Scene:
-    """A skin of the subject's cells under some contacts, read with ``noise`` in ADC steps."""
-    if subject.design.adc is None:
+def _scene(dut: DesignUnderTest, pressing: list[Contact], noise: float) -> Scene:
+    """A skin of the design's cells under some contacts, read with ``noise`` in ADC steps."""
+    if dut.design.adc is None:
         raise InputError("the design has no [adc] section; a board sends counts")
-    board = BoardSettings(frame_rate=RATE_HZ, noise=noise * subject.design.adc.step)
-    return Scene(skin=SkinSettings(design=subject.design, cell=subject.cell), board=board, contact=pressing)
+    board = BoardSettings(frame_rate=RATE_HZ, noise=noise * dut.design.adc.step)
+    return Scene(skin=SkinSettings(design=dut.design, cell=dut.cell), board=board, contact=pressing)
 
 
 def _settled(applied: FloatArray, full: float) -> BoolArray:

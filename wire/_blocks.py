@@ -213,9 +213,8 @@ class Template:
     """place of each byte of the cells"""
     per_block: int = 0
     """cells of a block that has an index"""
-    number: _Numbered | None = None
-    numbered_blocks: int = 1
-    """blocks that the number counts in a frame"""
+    counters: list[_Numbered] = field(default_factory=list)
+    """number of the frame; where it repeats, of each block"""
     time: tuple[_Numbered, int] | None = None
     """and us of its unit"""
 
@@ -263,11 +262,12 @@ class Template:
 
     def sequence(self, frame: bytes) -> tuple[int, int] | None:
         """Number of the frame, and after how many it begins again; None: it has none."""
-        if self.number is None:
+        if not self.counters:
             return None
-        size = self.number.word.dtype.itemsize
-        value = int(self.number.word.read(frame[self.number.at : self.number.at + size]))
-        return value // self.numbered_blocks, max(2 ** (8 * size) // self.numbered_blocks, 1)
+        first, blocks = self.counters[0], len(self.counters)
+        size = first.word.dtype.itemsize
+        value = int(first.word.read(frame[first.at : first.at + size]))
+        return value // blocks, max(2 ** (8 * size) // blocks, 1)
 
     def time_us(self, frame: bytes) -> tuple[int, int] | None:
         """The board's time in us, and after how long it begins again; None: it has none."""
@@ -289,9 +289,9 @@ class Template:
         for k, one in enumerate(self.places):
             data = one.word.bytes_of(one.first + k * (self.per_block if self.in_cells else 1))
             frame[one.at : one.at + len(data)] = data
-        if self.number is not None:
-            data = self.number.word.bytes_of(sequence * self.numbered_blocks)
-            frame[self.number.at : self.number.at + len(data)] = data
+        for k, one in enumerate(self.counters):
+            data = one.word.bytes_of(sequence * len(self.counters) + k)
+            frame[one.at : one.at + len(data)] = data
         if self.time is not None:
             data = self.time[0].word.bytes_of(time_us // self.time[1])
             frame[self.time[0].at : self.time[0].at + len(data)] = data
@@ -315,8 +315,8 @@ def template(blocks: Sequence[tuple[Sequence[FieldText], int]]) -> Template:
         size = sum(one.size for one in fields)
         if at + size * repeat > MOST_FRAME:
             raise ValueError(f"a frame of more than {MOST_FRAME} bytes")
-        for k in range(repeat):
-            _add(made, fields, at, k, repeat, spans, words)
+        for _ in range(repeat):
+            _add(made, fields, at, spans, words)
             at += size
     if not spans:
         raise ValueError("no field has cells; expected cells WORD [COUNT]")
@@ -331,13 +331,7 @@ def template(blocks: Sequence[tuple[Sequence[FieldText], int]]) -> Template:
 
 
 def _add(
-    made: Template,
-    fields: Sequence[FieldText],
-    start: int,
-    k: int,
-    repeat: int,
-    spans: list[tuple[int, int]],
-    words: dict[str, None],
+    made: Template, fields: Sequence[FieldText], start: int, spans: list[tuple[int, int]], words: dict[str, None]
 ) -> None:
     """Add one block at a place."""
     at, leading, cells = start, start, (start, start)
@@ -355,8 +349,8 @@ def _add(
             case "index" | "start":
                 made.in_cells = one.kind == "start"
                 made.places.append(_Numbered(at, word, float(one.count)))
-            case "number" if made.number is None:
-                made.number, made.numbered_blocks = _Numbered(at, word, 0.0), repeat
+            case "number":
+                made.counters.append(_Numbered(at, word, 0.0))
             case "time_ms" | "time_us" if made.time is None:
                 made.time = _Numbered(at, word, 0.0), 1000 if one.kind == "time_ms" else 1
             case "check":

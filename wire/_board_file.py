@@ -112,7 +112,7 @@ class BoardFile(Section):
             board=self._device,
             layout=Layout(board.rows, board.columns, board.bits),
             baud_rate=board.baudrate,
-            has_sequence=isinstance(frame, BinaryFrame) and frame.template(1).number is not None,
+            has_sequence=isinstance(frame, BinaryFrame) and bool(frame.template(1).counters),
             has_device_time=isinstance(frame, BinaryFrame) and frame.template(1).time is not None,
             has_description=False,
             polled=bool(start.poll),

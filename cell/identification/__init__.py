@@ -19,10 +19,12 @@ from ._measured import Layout, Role, load_recording, read_files
 from ._protocol import check_protocol, protocol_load, protocol_text
 from ._recording import Recording, check_resistances, checked_recording, read_recording
 from ._recovery_curve import recovery_branches
+from ._rehearsal import READING_NOISE, rehearsed
 from ._remarks import remarks
 from ._report import calibration_figure, calibration_record, calibration_text
 
 __all__ = [
+    "READING_NOISE",
     "CalibrationResult",
     "Layout",
     "Recording",
@@ -46,5 +48,6 @@ __all__ = [
     "read_files",
     "read_recording",
     "recovery_branches",
+    "rehearsed",
     "remarks",
 ]

@@ -5,17 +5,18 @@
 :mod:`._equations`     modified nodal analysis, and the exact law of a linear end
 :mod:`._line_ends`     the ends of all lines of a board
 :mod:`._spice`         their cards for ngspice
-:mod:`._sections`      ``[row_end]``, ``[column_end]``, ``[reference]`` and ``[scan]``
+:mod:`._sections`      ``[row_end]``, ``[column_end]``, ``[crosspoint]``, ``[reference]``, ``[scan]``
 =====================  =================================================================
 """
 
 from ._cards import DIODES, GROUND, OPAMP, Card, parse_cards
-from ._equations import LINE, OUT, Equations, PortLaw, float_of, port_law
+from ._equations import CELL, LINE, OUT, ROW, Equations, PortLaw, float_of, port_law
 from ._line_ends import OPEN_OHM, REF, Columns, LineEnds, Network, Rows, amplifier, is_bent
-from ._sections import ColumnEnd, Event, Reference, RowEnd, Scan
+from ._sections import ColumnEnd, Crosspoint, Event, Reference, RowEnd, Scan
 from ._spice import join, spice_cards
 
 __all__ = [
+    "CELL",
     "DIODES",
     "GROUND",
     "LINE",
@@ -23,9 +24,11 @@ __all__ = [
     "OPEN_OHM",
     "OUT",
     "REF",
+    "ROW",
     "Card",
     "ColumnEnd",
     "Columns",
+    "Crosspoint",
     "Equations",
     "Event",
     "LineEnds",

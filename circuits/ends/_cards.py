@@ -182,6 +182,8 @@ def _bodies(
             inside = []
             bodies[words[1]] = tuple(word for word in words[2:] if "=" not in word), inside
         elif words[0] == ".ends":
+            if inside == []:  # calls of such would be followed without end, as no part comes of them
+                raise InputError(f"{where}: a .subckt without parts")
             inside = None
         elif words[0] == ".model":
             models.update(_model(line, where))

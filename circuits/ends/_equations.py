@@ -22,7 +22,7 @@ from ...common.arrays import FloatArray
 from ...errors import InputError
 from ._cards import GROUND, Card
 
-LINE, OUT = "line", "out"
+LINE, OUT, ROW, CELL = "line", "out", "row", "cell"
 
 
 class PortLaw(NamedTuple):

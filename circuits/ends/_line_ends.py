@@ -72,6 +72,8 @@ class LineEnds:
     """what holds the node ``ref``; empty: a stiff source of ``level``"""
     level: float
     """V; 0: ``ref`` is a node like any other"""
+    crosspoint: Network = ()
+    """between each row and its cells, from the node ``row`` to ``cell``; empty: nothing"""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -86,13 +88,13 @@ class LineEnds:
     @cached_property
     def is_linear(self) -> bool:
         """Whether no part has a bend."""
-        every = (*self.selected, *self.idle, *self.read, *self.unread, self.reference)
+        every = (*self.selected, *self.idle, *self.read, *self.unread, self.reference, self.crosspoint)
         return not any(is_bent(card) for network in every for card in network)
 
     @cached_property
     def is_apart(self) -> bool:
         """Whether lines feel each other by way of the grid only."""
-        return self.is_linear and not self.reference
+        return self.is_linear and not (self.reference or self.crosspoint)
 
     def _smooth(self, network: Network) -> Network:
         """The network with conducting diodes, amplifiers without limits, and a stiff reference."""
@@ -161,6 +163,8 @@ class LineEnds:
         A row that conducts better while it is idle lets several sets of cells have the same readings. Conducting diodes
         count as wires here.
         """
+        if self.crosspoint:
+            return "parts at each cell are not modelled in recovery"
         ends = [_law(self._smooth(end), "column_end", self.out) for end in self.read]
         if all(law.resistance is None for law in ends):
             return "nothing loads the columns, so that readings tell ratios of a column's cells only; expected a load"

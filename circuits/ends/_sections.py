@@ -1,4 +1,4 @@
-"""``[row_end]``, ``[column_end]``, ``[reference]`` and ``[scan]`` of DESIGN.toml: ends of lines as small networks."""
+"""``[row_end]``, ``[column_end]``, ``[reference]``, ``[crosspoint]`` and ``[scan]`` of DESIGN.toml: small networks."""
 
 from __future__ import annotations
 
@@ -44,6 +44,7 @@ def _cards(*ports: str) -> BeforeValidator:
 
 OfLine = Annotated[tuple[str, ...], _cards("line")]
 OfOutput = Annotated[tuple[str, ...], _cards("line", "out")]
+OfCrosspoint = Annotated[tuple[str, ...], _cards("row", "cell")]
 OfReference = Annotated[tuple[str, ...], _cards("ref")]
 Fractions = Annotated[dict[str, Annotated[float, Field(ge=0, lt=1)]], Field(max_length=256)]
 Values = Annotated[dict[str, Annotated[tuple[Finite, ...], Field(strict=False)]], Field(max_length=256)]
@@ -157,6 +158,14 @@ class Reference(_End):
     NETWORKS = ("parts",)
 
     parts: OfReference
+
+
+class Crosspoint(_End):
+    """What lies between a row's line (the node ``row``) and each of its cells (``cell``), as a diode does."""
+
+    NETWORKS = ("parts",)
+
+    parts: OfCrosspoint
 
 
 Seconds = Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]

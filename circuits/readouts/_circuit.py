@@ -104,12 +104,16 @@ class ReadoutCircuit(ABC):
         """Bound in V (..., N, M) on output errors by a relative error of all conductances: :mod:`._rounding`."""
         return energy_bound(board, ports, relative, self.end_resistance(board))
 
-    def ends(self, board: Parts) -> Ends | None:
-        """Thevenin equivalents at the columns' ends, if all columns are read at once and no output is at a limit.
+    def read_ends(self, board: Parts) -> Ends | None:
+        """Thevenin equivalents at the columns' ends while they are read and no output is at a limit.
 
-        None for other circuits.
+        None where the end depends on other lines.
         """
         return None
+
+    def ends(self, board: Parts) -> Ends | None:
+        """:meth:`read_ends` if all columns are read at once; else None."""
+        return None if self.columns_one_by_one(board) else self.read_ends(board)
 
     def port_law(self, board: Parts, wire: FloatArray) -> PortLaw | None:
         """What a reading says of its own conductance and of its column, without supply limits: :mod:`._port_law`.
@@ -184,6 +188,17 @@ class ReadoutCircuit(ABC):
     def in_the_limit(self, board: Parts, cells: FloatArray, volts: FloatArray) -> FloatArray:
         """``volts`` (..., N, M) with their limits for ideal parts, which the solvers replaced by large conductances."""
         return volts
+
+    def delivered(self, board: Parts, group: SensitivityGroup, row_current: FloatArray) -> FloatArray:
+        """A (readings' rows, readings' columns) that the output of each reading's amplifier delivers into the array.
+
+        Args:
+            board: parts of the readout.
+            group: readings, with their forward fields.
+            row_current: (rows, columns or 1, N) A out of each driver in these fields.
+
+        """
+        return np.zeros((len(group.rows), len(group.columns)))
 
     # One cell alone, with ideal parts
 

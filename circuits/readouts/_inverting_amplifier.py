@@ -26,6 +26,7 @@ from ._adjoint import SensitivityGroup, TerminatedColumns, terminated_groups
 from ._cards import CardWriter
 from ._circuit import Alone, Reading
 from ._ends import Ends, column_currents, terminate
+from ._port_law import PortLaw
 from ._terminated import Terminated
 
 SignArray = NDArray[np.int8]
@@ -62,6 +63,11 @@ class InvertingAmplifier(Terminated):
                 relative = max(relative, own)
         return Reading(volts, saturated, magnitude, cancelled, relative)
 
+    def port_law(self, board: Parts, wire: FloatArray) -> PortLaw | None:
+        if board.floating and self.columns_one_by_one(board) and board.idle_resistance.any():
+            return None  # nothing holds the idle columns
+        return PortLaw.of_ends(amplifier_ends(board), wire, board.drive, floating=board.floating)
+
     def ideal_inputs(self, board: Parts) -> BoolArray:
         ideal: BoolArray = (board.column_lead == 0) & np.isinf(board.gain)
         return ideal
@@ -95,6 +101,12 @@ class InvertingAmplifier(Terminated):
     @property
     def inverts(self) -> bool:
         return True
+
+    def delivered(self, board: Parts, group: SensitivityGroup, row_current: FloatArray) -> FloatArray:
+        """The current of a column's end, less the bias current, through the reference resistor."""
+        current = np.broadcast_to(group.lead_current, (len(group.rows), 1, board.shape[1]))[:, 0]
+        delivered: FloatArray = (current - board.bias)[:, group.columns]
+        return delivered
 
     def alone(self, board: Parts) -> Alone:
         return Alone(-board.drive * board.reference, 0.0)

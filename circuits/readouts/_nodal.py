@@ -13,22 +13,24 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
-from math import isinf, sqrt
+from math import inf, isinf, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from scipy.constants import Boltzmann, elementary_charge
 
 from ...common.arrays import BoolArray, FloatArray, IntArray
+from ...common.constants import BOLTZMANN, ELEMENTARY_CHARGE
 from ...errors import SolverError
 from .._parts import Parts
-from ..ends import GROUND, LINE, REF, Card, Equations, LineEnds, Network
+from ..ends import CELL, GROUND, LINE, REF, ROW, Card, Equations, LineEnds, Network
 from ..solvers import ULP
 from ._adjoint import SensitivityGroup
 from ._circuit import Reading
 
-THERMAL_V = Boltzmann * 300.15 / elementary_charge
+THERMAL_V = BOLTZMANN * 300.15 / ELEMENTARY_CHARGE
 """kT/q at SPICE's usual temperature, 27 degrees Celsius"""
+_CROSSPOINT = "x"
+"""first letter of the ends that are at cells"""
 _LEAK = 1e-20  # of the largest conductance, from each node to ground: sets nodes that nothing else holds
 _LOOSE = 1e-13  # of the largest conductance: the same for islands of nodes that nothing else holds
 _MOST_SIEMENS = 1e8  # stands for ideal wires and shorts within the port network
@@ -36,6 +38,7 @@ _MOST_VOLTS = 1e10  # or A: only contradictions give so much
 _MOST_STEPS = 400
 _ONE_AT_A_TIME = 100  # steps after which the limits of amplifiers change one at a time, which cannot cycle
 _CONVERGED = 1e-11  # V, and relative; the bound includes what is left
+_STANDS, _ROUNDING = 0.5, 1e4  # steps that do not halve any more, up to so many times this, are rounding
 
 
 class _Template(NamedTuple):
@@ -65,8 +68,9 @@ def _template(network: tuple[Card, ...]) -> _Template:
             parts.append(card)
             if card.kind == "x" and not (isinf(card["low"]) and isinf(card["high"])):
                 limits.append((card.name, card.nodes[2], card["low"], card["high"]))
-    junctions = (node for anode, cathode, *_ in diodes for node in (anode, cathode))
-    named = dict.fromkeys((LINE, *(node for node in junctions if node != GROUND)))
+    ends = [] if any(ROW in card.nodes for card in network) else [LINE]
+    junctions = [node for anode, cathode, *_ in diodes for node in (anode, cathode) if node != GROUND]
+    named = dict.fromkeys((*ends, *junctions))
     return _Template(Equations.of(parts, named), tuple(diodes), tuple(limits))
 
 
@@ -128,10 +132,13 @@ def step_system(
     located: list[tuple[_Template, IntArray]] = []
     places: dict[tuple[str, str], int] = {}
     line_at = [*range(rows), *at_end.tolist()]
-    for end, line, network in networks:
+    cells, crosspoints = _crosspoints(ends, ports)
+    for end, line, network in (*networks, *crosspoints):
         template = _template(network)
         equations = template.equations
-        if line < len(line_at):
+        if end.startswith(_CROSSPOINT):
+            places[end, ROW] = line
+        elif line < len(line_at):
             places[end, LINE] = line_at[line]
         if reference >= 0:
             places[end, REF] = reference
@@ -142,16 +149,19 @@ def step_system(
                 count += 1
             own.append(places[end, name])
         located.append((template._replace(end=end), np.array(own, dtype=np.intp)))
-        if rows <= line < rows + columns and read[line - rows]:
+        if rows <= line < rows + columns and read[line - rows] and not end.startswith(_CROSSPOINT):
             outputs[line - rows] = places[end, ends.out]
     static, source = np.zeros((count, count)), np.zeros(count)
     every = np.arange(rows + columns)
     static[np.ix_(every, every)] = -ports
     static[every, every] += ports.sum(axis=1) + _LEAK * max(float(ports.max(initial=0.0)), 1e-12)
     through = np.where(np.isinf(lead[behind]), 0.0, 1.0 / lead[behind])
-    for a, b in ((rows + behind, at_end[behind]), (at_end[behind], rows + behind)):
-        np.add.at(static, (a, a), through)
-        np.add.at(static, (a, b), -through)
+    _join(static, rows + behind, at_end[behind], through)
+    if crosspoints:
+        at_rows, at_columns = np.nonzero(cells)
+        _join(static, at_rows, rows + at_columns, -cells[cells > 0])
+        inner = np.array([places[end, CELL] for end, *_ in crosspoints])
+        _join(static, inner, rows + at_columns, cells[cells > 0])
     diodes: list[tuple[int, int, float, float]] = []
     limits = []
     for template, index in located:
@@ -171,6 +181,26 @@ def step_system(
     return System(static, source, outputs, (anodes, cathodes, saturation, emission), tuple(limits), places)
 
 
+def _join(static: FloatArray, here: IntArray, there: IntArray, conductance: FloatArray) -> None:
+    """Add conductances in S between pairs of unknowns."""
+    for a, b in ((here, there), (there, here)):
+        np.add.at(static, (a, a), conductance)
+        np.add.at(static, (a, b), -conductance)
+
+
+def _crosspoints(ends: LineEnds, ports: FloatArray) -> tuple[FloatArray, list[tuple[str, int, Network]]]:
+    """S of the cells (N, M), and the network of each that conducts, with the number of its row.
+
+    The lines have no resistance between the cells and the rows no leads: ports are joined by cells alone.
+    """
+    rows = len(ends.selected)
+    cells = ports[:rows, rows:]
+    if not ends.crosspoint:
+        return cells, []
+    places = zip(*np.nonzero(cells), strict=True)
+    return cells, [(f"{_CROSSPOINT}{i}_{j}", int(i), ends.held(ends.crosspoint)) for i, j in places]
+
+
 def solve(system: System, start: FloatArray | None = None) -> Solution:
     """Newton's method.
 
@@ -186,7 +216,7 @@ def solve(system: System, start: FloatArray | None = None) -> Solution:
         padded = np.append(start, 0.0)
         junction = np.minimum(padded[anode] - padded[cathode], critical)
     state = [0] * len(system.limits)
-    gmin = 1e-12
+    gmin, before = 1e-12, inf
     for attempt in range(_MOST_STEPS):
         static, source = system.static.copy(), system.source.copy()
         for (equation, output, low, high), side in zip(system.limits, state, strict=True):
@@ -212,9 +242,10 @@ def solve(system: System, start: FloatArray | None = None) -> Solution:
             sides = [
                 side if place == first else old for place, (side, old) in enumerate(zip(sides, state, strict=True))
             ]
-        if sides == state and moved <= _CONVERGED * (1.0 + float(np.abs(junction).max(initial=0.0))):
+        near = _CONVERGED * (1.0 + float(np.abs(junction).max(initial=0.0)))
+        if sides == state and (moved <= near or _STANDS * before <= moved <= _ROUNDING * near):
             break
-        state = sides
+        state, before = sides, moved
     else:
         raise SolverError(f"no operating point of the ends' diodes or limits was found in {_MOST_STEPS} steps")
     magnitude = np.abs(static) @ np.abs(unknowns) + np.abs(source)
@@ -376,4 +407,5 @@ class _One:
             shared_by=1,
             reference=ends.reference,
             level=ends.level,
+            crosspoint=ends.crosspoint,
         )

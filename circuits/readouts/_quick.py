@@ -74,59 +74,82 @@ def terminated_outputs(board: Parts, network: QuickNetwork, ends: Ends) -> Float
     return volts
 
 
-def open_column_outputs(board: Parts, network: QuickNetwork, ends: Ends) -> FloatArray:
-    """V (N, M) of ends without sources, idle columns open, by the Thevenin equivalent of each column."""
-    driven = network.driven
-    rows = len(driven)
-    if board.floating:
-        nothing = np.zeros(driven.shape[1])
-        laplacian = _floating(network, nothing)
-        # Adding a constant to all entries makes the matrix invertible, and changes no resistance between two nodes.
-        laplacian += np.trace(laplacian) / len(laplacian) ** 2
-        impedance = np.linalg.inv(laplacian)
-        own = np.diagonal(impedance)
-        inside = own[:rows, None] + own[rows:] - 2.0 * impedance[:rows, rows:]
-        source: FloatArray | float = board.drive
-    else:
-        impedance = _impedance(network, 0.0)
-        inside, source = np.diagonal(impedance), board.drive * (driven @ impedance)
-    volts: FloatArray = ends.output + ends.slope * source / (ends.resistance + board.column_lead + inside)
-    return volts
+class _Alone(NamedTuple):
+    """Norton equivalent of each column, (N, M) or (M,), while all other columns end as idle ones do."""
+
+    current: FloatArray
+    """(N, M) A into a column held at the reference"""
+    admittance: FloatArray
+    """S of the column to the reference, its lead not included"""
+    impedance: FloatArray
+    """ohm between the nodes of the base network: columns (M, M), or row terminals and columns (N + M, N + M)"""
+    own: FloatArray
+    """ohm of each column in the base network"""
+    idle: FloatArray
+    """(M,) S of the idle ends, which the base network contains"""
 
 
-def _alone(board: Parts, network: QuickNetwork, ends: Ends) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """One column of a board with pull-downs at a time, all other columns open.
+def _alone(board: Parts, network: QuickNetwork) -> _Alone:
+    """Each column alone: the base network, in which all columns end as idle ones do, without the column's idle end.
 
-    Returns:
-        Impedances (N + M, N + M) in ohm of the grid; (N, M) V/V of each column while its row is at 1 V; and (N, M) S of
-        the column with its load, for a source in series.
+    Raises:
+        numpy.linalg.LinAlgError: parts of the grid have no connection.
 
     """
     rows = len(network.driven)
-    impedance = np.asarray(np.linalg.inv(_floating(network, np.zeros(len(ends.slope)))), dtype=np.float64)
-    own = np.diagonal(impedance)
-    gain = impedance[:rows, rows:] / own[:rows, None]
-    inside = own[rows:] - gain * impedance[:rows, rows:]
-    return impedance, gain, 1.0 / (ends.resistance + board.column_lead + inside)
+    idle = 1.0 / np.maximum(board.idle_resistance + board.column_lead, _LEAST_LEAD)
+    if not board.floating:
+        impedance = _impedance(network, idle)
+        own, open_circuit = np.diagonal(impedance), board.drive * (network.driven @ impedance)
+        return _Alone(open_circuit / own, 1.0 / own - idle, impedance, own, idle)
+    laplacian = _floating(network, idle)
+    if network.to_reference is not None or idle.any():
+        impedance = np.asarray(np.linalg.inv(laplacian), dtype=np.float64)
+        gain = impedance[:rows, rows:] / np.diagonal(impedance)[:rows, None]
+        own = np.diagonal(impedance)[rows:] - gain * impedance[:rows, rows:]
+        return _Alone(board.drive * gain / own, 1.0 / own - idle, impedance, own, idle)
+    # Adding a constant to all entries makes the matrix invertible, and changes no resistance between two nodes.
+    laplacian += np.trace(laplacian) / len(laplacian) ** 2
+    impedance = np.asarray(np.linalg.inv(laplacian), dtype=np.float64)
+    diagonal = np.diagonal(impedance)
+    own = diagonal[:rows, None] + diagonal[rows:] - 2.0 * impedance[:rows, rows:]
+    return _Alone(board.drive / own, 1.0 / own, impedance, own, idle)
 
 
-def pulled_column_outputs(board: Parts, network: QuickNetwork, ends: Ends) -> FloatArray:
-    """V (N, M) of ends without sources, rows with pull-downs and idle columns open."""
-    _, gain, conductance = _alone(board, network, ends)
-    volts: FloatArray = ends.output + board.drive * ends.slope * gain * conductance
+def alone_outputs(board: Parts, network: QuickNetwork, ends: Ends) -> FloatArray:
+    """V (N, M) of columns that are read one by one; ``ends`` are those of the columns while they are read."""
+    alone, behind = _alone(board, network), ends.resistance + board.column_lead
+    current = (alone.current - ends.source * alone.admittance) / (1.0 + behind * alone.admittance)
+    volts: FloatArray = ends.output + ends.slope * current
     return volts
 
 
-def pulled_column_fields(board: Parts, network: QuickNetwork, ends: Ends) -> QuickFields:
-    """Fields of the readings of :func:`pulled_column_outputs`."""
-    impedance, gain, conductance = _alone(board, network, ends)
-    rows = len(network.driven)
+def alone_fields(board: Parts, network: QuickNetwork, ends: Ends) -> QuickFields:
+    """Fields of the readings of :func:`alone_outputs`."""
+    alone, behind = _alone(board, network), ends.resistance + board.column_lead
+    (rows, columns), impedance = network.driven.shape, alone.impedance
+    current = (alone.current - ends.source * alone.admittance) / (1.0 + behind * alone.admittance)
+    drawn = current - alone.idle * (ends.source + behind * current)  # A, beyond the idle end's
+    unit = ends.slope / (alone.own * (1.0 + behind * alone.admittance))
+    if not board.floating:
+        at_columns, selected = np.zeros((columns, rows + columns)), np.zeros((rows, rows + columns))
+        at_columns[:, rows:] = impedance
+        selected[:, rows:] = board.drive * (network.driven @ impedance)
+        selected[:, :rows].flat[:: rows + 1] = board.drive
+        one, none = np.ones((rows, columns)), np.zeros((rows, columns))
+        return QuickFields(
+            PortFields(selected, at_columns, one, -drawn),
+            PortFields(np.zeros_like(selected), at_columns, none, np.broadcast_to(unit, (rows, columns))),
+        )
     of_rows, of_columns = impedance[:rows], impedance[rows:]
-    current = board.drive * gain * conductance  # A into the load
-    into_row = (board.drive + impedance[:rows, rows:] * current) / np.diagonal(impedance)[:rows, None]
-    unit = ends.slope * conductance
+    if network.to_reference is None and not alone.idle.any():  # what enters by the row leaves by the column
+        into_row, gain = drawn, np.ones((rows, columns))
+    else:
+        own = np.diagonal(impedance)[:rows, None]
+        gain = impedance[:rows, rows:] / own
+        into_row = board.drive / own + gain * drawn
     return QuickFields(
-        PortFields(of_rows, of_columns, into_row, -current), PortFields(of_rows, of_columns, -unit * gain, unit)
+        PortFields(of_rows, of_columns, into_row, -drawn), PortFields(of_rows, of_columns, -unit * gain, unit)
     )
 
 
@@ -185,37 +208,6 @@ def terminated_fields(board: Parts, network: QuickNetwork, ends: Ends) -> QuickF
     selected = by_sources + (board.drive - by_sources[:rows, None]) * held
     return QuickFields(
         PortFields(selected, no_columns, one, none), PortFields(held, by_columns, -by_columns[:, :rows].T, one)
-    )
-
-
-def open_column_fields(board: Parts, network: QuickNetwork, ends: Ends) -> QuickFields:
-    """Fields of the readings of :func:`open_column_outputs`."""
-    driven = network.driven
-    (rows, columns), slope = driven.shape, ends.slope
-    behind = ends.resistance + board.column_lead
-    if not board.floating:
-        impedance = _impedance(network, 0.0)
-        share = 1.0 / (behind + np.diagonal(impedance))
-        at_columns, selected = np.zeros((columns, rows + columns)), np.zeros((rows, rows + columns))
-        at_columns[:, rows:] = impedance
-        open_circuit = board.drive * (driven @ impedance)
-        selected[:, rows:] = open_circuit
-        selected[:, :rows].flat[:: rows + 1] = board.drive
-        one, none = np.ones((rows, columns)), np.zeros((rows, columns))
-        return QuickFields(
-            PortFields(selected, at_columns, one, -open_circuit * share),
-            PortFields(np.zeros_like(selected), at_columns, none, one * (slope * share)),
-        )
-    laplacian = _floating(network, np.zeros(columns))
-    laplacian += np.trace(laplacian) / len(laplacian) ** 2
-    at_ports = np.asarray(np.linalg.inv(laplacian), dtype=np.float64)
-    of_rows, of_columns = at_ports[:rows], at_ports[rows:]
-    # V at the ports for 1 A from the row to the column are the difference of both.
-    own = np.diagonal(at_ports)
-    current = 1.0 / (behind + own[:rows, None] + own[rows:] - 2.0 * at_ports[:rows, rows:])
-    forward, adjoint = board.drive * current, slope * current
-    return QuickFields(
-        PortFields(of_rows, of_columns, forward, -forward), PortFields(of_rows, of_columns, -adjoint, adjoint)
     )
 
 

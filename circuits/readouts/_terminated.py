@@ -10,15 +10,13 @@ from ...common.arrays import FloatArray
 from .._parts import Parts
 from ..solvers import Lines, Wires
 from ._circuit import Reading, ReadoutCircuit
-from ._ends import Currents, Ends, column_currents, currents_in_turns, reads_alone, terminate
+from ._ends import Currents, Ends, column_currents, currents_in_turns, terminate
 from ._linear import LinearReadout
 from ._quick import (
     QuickFields,
     QuickNetwork,
-    open_column_fields,
-    open_column_outputs,
-    pulled_column_fields,
-    pulled_column_outputs,
+    alone_fields,
+    alone_outputs,
     terminated_fields,
     terminated_outputs,
 )
@@ -57,19 +55,15 @@ class Terminated(ReadoutCircuit):
 
     def quick_outputs(self, board: Parts, network: QuickNetwork) -> FloatArray | None:
         ends = self.read_ends(board)
-        if not self.columns_one_by_one(board):
-            return terminated_outputs(board, network, ends) if (ends.resistance + board.column_lead).all() else None
-        if not reads_alone(board, ends):
-            return None
-        return (pulled_column_outputs if board.pulled else open_column_outputs)(board, network, ends)
+        if self.columns_one_by_one(board):
+            return alone_outputs(board, network, ends) if _in_turns_of_one(board) else None
+        return terminated_outputs(board, network, ends) if (ends.resistance + board.column_lead).all() else None
 
     def quick_fields(self, board: Parts, network: QuickNetwork) -> QuickFields | None:
         ends = self.read_ends(board)
-        if not self.columns_one_by_one(board):
-            return terminated_fields(board, network, ends) if (ends.resistance + board.column_lead).all() else None
-        if not reads_alone(board, ends):
-            return None
-        return (pulled_column_fields if board.pulled else open_column_fields)(board, network, ends)
+        if self.columns_one_by_one(board):
+            return alone_fields(board, network, ends) if _in_turns_of_one(board) else None
+        return terminated_fields(board, network, ends) if (ends.resistance + board.column_lead).all() else None
 
     def linear(self, board: Parts) -> LinearReadout | None:
         """Linear with grounded idle rows and ends that all stand at one potential; None otherwise."""
@@ -90,3 +84,8 @@ class Terminated(ReadoutCircuit):
             lines=ended,
             wires=Wires.of(ended),
         )
+
+
+def _in_turns_of_one(board: Parts) -> bool:
+    """Whether one column is read at a time, and no idle end has a source."""
+    return board.shared_by >= board.shape[1] and not board.idle_source.any()

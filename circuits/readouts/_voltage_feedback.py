@@ -162,6 +162,14 @@ class VoltageFeedback(VoltageDivider):
     def columns_one_by_one(self, board: Parts) -> bool:
         return True
 
+    def delivered(self, board: Parts, group: SensitivityGroup, row_current: FloatArray) -> FloatArray:
+        """The follower's current into all idle rows and columns."""
+        idle_rows = row_current.sum(axis=-1) - row_current[np.arange(len(group.rows)), :, group.rows]
+        into = -group.lead_current  # out of the columns' ends into the grid
+        own = into[:, np.arange(len(group.columns)), group.columns]
+        delivered: FloatArray = idle_rows + into.sum(axis=-1) - own
+        return delivered
+
     def sensitivity_groups(self, board: Parts, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
         """Derivatives by the implicit function theorem, with the sensed column's potential V as unknown (:meth:`read`).
 

@@ -90,7 +90,8 @@ class Enclosure:
     def __init__(self, board: Board, law: Law, to_driver: FloatArray, to_end: FloatArray) -> None:
         """For a board, its laws, and the wire (N, M) in ohm between each cell and its driver, or its column's end."""
         self._board, self._law, self._lead = board, law, law.lead[:, None]
-        circuit, ends, drive = board.circuit, board.circuit.ends(board), abs(board.drive)
+        circuit, drive = board.circuit, abs(board.drive)
+        ends = circuit.read_ends(board) if circuit.has_amplifiers and not circuit.drives_idle_lines else None
         self._to_driver = to_driver.mean(axis=1, keepdims=True)
         self._short = 1.0 / (to_driver + LEAST_SHORT_OHM)  # S, of a short behind its row
         at_end = 0.0 if circuit.drives_idle_lines else circuit.end_resistance(board)
@@ -98,6 +99,9 @@ class Enclosure:
         self._behind_cell = self._behind - to_end.mean(axis=0) + to_end
         self._floating, self._follows = board.floating, circuit.drives_idle_lines
         self._divides, self._one_by_one = not circuit.has_amplifiers, circuit.columns_one_by_one(board)
+        self._idle = 1.0 / np.maximum(
+            board.idle_resistance + law.wire, LEAST_SHORT_OHM
+        )  # S (M,) of an idle column's end
         # A short while its own row is driven: S into the column's end, per volt of drive, and V of the column.
         self._saturates, self._into_end, self._column = False, self._short, np.full(board.shape, drive)
         source = np.zeros(board.shape[1])
@@ -206,8 +210,9 @@ class Enclosure:
         potential = np.abs(self._law.potential(volts))
         if self._follows:  # what the selected row drives through the leads of the idle columns
             return np.maximum(potential, self._law.wire * np.maximum(ports.driven, 0.0) * drive)
-        if self._one_by_one:  # idle columns have no load
-            potential = potential + np.abs(ports.apart) / np.maximum(sums.low, LEAST * self._short.max()) * drive
+        if self._one_by_one:  # idle columns stand where their idle ends leave them
+            behind = np.maximum(sums.low, LEAST * self._short.max()) + self._idle
+            potential = potential + np.abs(ports.apart) / behind * drive
         return np.minimum(potential, drive)
 
     def _rows(

@@ -16,8 +16,8 @@ With kappa_ij = (I' + T C' - W' D) / W (a prime is a derivative by the reading),
     D_ij  by  kappa_ij e_ij + c_ij sum_k kappa_kj e_kj,   c_ij = C_ij / W_ij / (1 - sum_k C_kj / W_kj),
     G_ij / G_ij  by  dD_ij / D_ij + rho_i sum_l dD_il,    rho_i = r_i / (1 - r_i sum_l D_il).
 
-The parts are the cell's own, its column's and its row's. Errors by which a drive may vanish are no such changes
-(:meth:`Law.in_question`, :meth:`Law.may_follow`).
+The parts are the cell's own, its column's and its row's. Where several answers give the same
+readings, :meth:`Law.answers` encloses them all.
 """
 
 from __future__ import annotations
@@ -28,17 +28,33 @@ from typing import NamedTuple
 import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray
+from .._board import Board
 from .._parts import LEAST_SHORT_OHM
 from .._sections import Fault
 from ..readouts import PortLaw
 from ..solvers import siemens
-from ._law_kernels import LEAST, columns_of, rows_of
+from ._law_kernels import LEAST, answers, columns_of, rows_of
 
-_TIES = 10.0  # cell over the usual one of its column from which on it may be a short
 _MOST_BRIDGE = 1e9  # S
+_STANDS_OUT = 10.0  # port conductance over the usual one of its column, from which on a cell may be a short
 _SHORTED = 0.3  # ohm, of all cells of a column in parallel, if they are shorts
-_TIED_DOWN = 1.1  # margin for segments
-_ROUNDS = 3  # of narrowing bounds
+
+
+def several_answers(board: Board) -> bool:
+    """Whether two sets of cells may give the same readings, however small their errors.
+
+    The determinant of the derivatives of all readings by all cells is positive for all cells where no line conducts
+    more to the reference while it is idle than while it is selected or read (``tests/test_answers.py``): then there is
+    one answer at most. An idle column that conducts more ties the rows, behind their leads, to the reference.
+    """
+    circuit = board.circuit
+    if board.line_ends is not None and board.described is None:
+        return False  # not linear: the circuit itself refuses what is ambiguous
+    more = circuit.drives_idle_lines
+    if not more and (read := circuit.read_ends(board)) is not None:
+        more = bool((board.idle_resistance < read.resistance).any())
+    leads = np.where(np.isfinite(board.row_ohms), board.row_ohms, 0.0)
+    return circuit.columns_one_by_one(board) and more and bool(leads.any())
 
 
 class Ports(NamedTuple):
@@ -72,6 +88,7 @@ class Law:
         segments: FloatArray,
         wire: FloatArray,
         beside_end: FloatArray,
+        cell_most: FloatArray,
         absent: BoolArray,
         shorts: FloatArray,
         bridges: tuple[Fault, ...],
@@ -80,7 +97,7 @@ class Law:
         one_by_one: bool,
         floating: bool,
         virtual_ground: bool,
-        grounded: bool,
+        several: bool,
     ) -> None:
         """The laws of a board.
 
@@ -90,6 +107,7 @@ class Law:
             segments: (N, M) ohm of the rows, up to the first cell and from cell to cell.
             wire: (M,) ohm, mean of each column from its cells to its end.
             beside_end: (N, M) ohm, wire from each cell to its column's end in excess of that mean.
+            cell_most: (N, M) S, largest conductance of a cell that a reading can tell from a short.
             absent: (N, M) cells that take no part.
             shorts: (N, M) S, D of complete shorts, which are known without a reading; 0 at all other cells.
             bridges: between lines.
@@ -97,7 +115,7 @@ class Law:
             one_by_one: whether idle columns carry no load.
             floating: whether idle rows float.
             virtual_ground: whether amplifiers hold the columns.
-            grounded: whether idle columns of a divider are grounded.
+            several: whether idle columns conduct more than the one that is read.
 
         """
         self.law = PortLaw(*(np.array(np.broadcast_to(part, (2, len(wire))), order="C") for part in law))
@@ -106,12 +124,10 @@ class Law:
         self.has_potential = bool(law.potential.any())
         """whether columns leave the potential of the idle lines, so that a cell depends on its whole column"""
         self.has_leads = bool(lead.any())
-        self.follows = bool(w1.any()) and self.has_potential
-        """whether a follower drives the idle lines"""
         self.cancels = virtual_ground and not floating
         """whether columns stand next to the idle lines, so that offsets alone drive currents into their shorts"""
-        self.ties_down = grounded and self.has_leads
-        """whether a short ties its row to the ground while its column is idle"""
+        self.several = several and self.has_potential
+        """whether idle columns conduct more than the one that is read, so that there may be several answers"""
         self.behind: FloatArray = np.abs((c1 - w1 * (not self.has_potential)) / i1)
         """(M,) ohm, potential of a column above the idle lines per current into its end"""
         rows, columns = absent.shape
@@ -124,7 +140,8 @@ class Law:
         self._segments, self._beside_end = (np.array(part, order="C") for part in (segments, beside_end))
         self.present = np.ascontiguousarray(~(absent | (shorts > 0.0)))
         self.nowhere = np.zeros(absent.shape, dtype=np.bool_)
-        self._shorts = np.array(shorts, order="C")
+        self._column_most: FloatArray = 1.0 / (wire + beside_end.min(axis=0) + _SHORTED)
+        self._shorts, self._cell_most = (np.array(part, order="C") for part in (shorts, cell_most))
 
     def __call__(self, volts: FloatArray, unknown: BoolArray | None = None) -> Ports:
         """The conductances behind readings (N, M) in V, of which ``unknown`` ones state bounds only."""
@@ -181,71 +198,44 @@ class Law:
                 factor[list(rows)] *= hypot(1.0, share) / max(1.0 - share**2, LEAST)
         return factor
 
-    def may_tie_down(self, ports: Ports, of_left: FloatArray) -> BoolArray:
-        """Columns (M,) with a cell that may tie its row down to a grounded idle column more than the laws count.
+    def answers(
+        self, volts: FloatArray, ports: Ports, at_limit: tuple[BoolArray, BoolArray], error: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Bounds (N, M) in S on all cells that give readings ``volts`` within their ``error`` in V.
 
-        While its column j is idle, cell (i, j) leaves row i the share x = 1 - r_i D_ij of the drive: at least that of a
-        short, and what the readings of other columns l demand, C_il / W_il <= x (1 - sum of the others' C / W). The
-        row's other cells are then D_il / x. While column j is read, they take r_i sum_l D_il / x of its drive. Where a
-        short explains all that is missing in column j, two scales give the same readings. ``of_left`` is the error of
-        what is left of the drive at the columns.
+        Where idle columns conduct more than the one that is read, another set of cells far away may give the same
+        readings. With idle columns at the potential of the idle rows, column j conducts
+
+            S_j = sum_i D_ij (1 - r_i D_ij) / (1 - r_i sum_l D_il)
+
+        to all lines, and W D = I + S C. Both are increasing in all D where C/W is positive: hence rounds that begin at
+        the bounds of the cells enclose every answer, and meet if there is only one. No cell is taken to conduct more
+        than its wires, and no column together than a short of 0.3 ohm, but cells at a limit
+        and several of one row that stand out from their columns: these may be shorts that join columns. ``at_limit``
+        has cells that conduct at least, and at most, what their readings say.
         """
-        lead, share = self.lead[:, None], np.maximum(ports.share, 0.0)
-        demanded = share / np.maximum(share + np.maximum(ports.left, 0.0), LEAST)
-        highest = np.argmax(demanded, axis=1)
-        others = np.repeat(demanded.max(axis=1)[:, None], len(self.wire), axis=1)
-        rest = demanded.copy()
-        rest[np.arange(len(rest)), highest] = 0.0
-        others[np.arange(len(rest)), highest] = rest.max(axis=1)
-        least = np.maximum(self.wire / np.maximum(lead + self.wire, LEAST), others)
-        beside = np.maximum(ports.driven, 0.0)
-        beside = beside.sum(axis=1)[:, None] - beside
-        missing = ports.apart * lead / np.maximum(1.0 - least, LEAST) + share * lead * beside / np.maximum(least, LEAST)
-        tied: BoolArray = (_TIED_DOWN * missing).max(axis=0) > ports.left - of_left
-        return tied
-
-    def may_follow(self, ports: Ports, volts: FloatArray, error: float, share: float) -> BoolArray:
-        """Cells (N, M) whose row, or column, a follower's own error may lift by this ``share`` of the drive.
-
-        Readings have an ``error`` in V. The end of a column stands e above the idle lines by the follower's error, and
-        S to all other lines: then W D = I + S e. Where e is positive, S and D may grow together, up to a short of the
-        whole skin. Where it is negative, D is at most I / W, and S at most I / -e.
-        """
-        (i0, i1), (c0, c1), _ = self.law
-        current = i0 + i1 * volts
-        above = ((c0 + c1 * volts) - self.wire * current) / ports.drive
-        most = 1.0 / (self.wire + self._beside_end.min(axis=0) + _SHORTED)
-        lead, lifts = self.lead[:, None], np.abs(above)
-        if self.lead.any() and float((self.lead * (most * lifts).sum(axis=1)).max()) > share:
-            own = np.maximum(current / ports.drive, 0.0) + error * np.abs(i1 / ports.drive)
-            most = np.minimum(most, (own / np.maximum(-above, LEAST * own)).min(axis=0))
-            for _ in range(_ROUNDS):
-                ends = own + most * np.maximum(above, 0.0)  # S, upper bounds of D between rows and columns' ends
-                nodes = ends / np.maximum(1.0 - self.wire * ends.sum(axis=0), LEAST)
-                left = np.maximum(1.0 - (lead * nodes).sum(axis=1), LEAST)[:, None]
-                most = np.minimum(most, (nodes / left).sum(axis=0))
-        lifted = (lead * most * lifts).sum(axis=1)[:, None]
-        follows: BoolArray = (lifted > share) | (np.abs(ports.share).sum(axis=0) > share)
-        # Two shorts of a row join their columns. Where the follower's error exceeds the drop along a column, they
-        # divide all other readings of both, and read like ordinary cells themselves.
-        loose = np.abs(c1 - self.wire * i1) > self.wire * np.abs(i1)
-        usual = np.sort(ports.driven, axis=0)[(len(ports.driven) - 1) // 2]
-        ties = (ports.driven > _TIES * np.maximum(usual, 0.0)) & loose
-        ties &= (np.count_nonzero(ties, axis=1) > 1)[:, None]
-        if ties.any():
-            follows = follows | ties.any(axis=0) | ties.any(axis=1)[:, None]
-        return follows
-
-    def feeds(self, ports: Ports, volts: FloatArray, share: float) -> BoolArray:
-        """Cells (N, M) of which a short elsewhere in the column may bring, or take, this ``share`` of the current."""
-        (i0, i1), (c0, c1), _ = self.law
-        above = (c0 + c1 * volts) - self.wire * (i0 + i1 * volts)
-        most = 1.0 / (self.wire + self._beside_end.min(axis=0) + _SHORTED)
-        fed: BoolArray = most * np.abs(above) > share * np.abs(i0 + i1 * volts)
-        return fed
-
-    def at_end(self, ports: Ports, error: float) -> BoolArray:
-        """Cells (N, M) of readings whose ``error`` in V may hide the whole drive of their rows."""
-        (w0, w1) = self.law.drive
-        hidden: BoolArray = (np.abs(ports.drive) < error * np.abs(w1)) | (ports.drive * w0 < 0.0)
-        return hidden
+        rows, columns = volts.shape
+        usual = np.sort(ports.driven, axis=0)[(len(volts) - 1) // 2]
+        short = ports.driven > _STANDS_OUT * np.maximum(usual, 0.0)
+        short &= (np.count_nonzero(short, axis=1) > 1)[:, None]
+        limited, faint = np.ascontiguousarray(at_limit[0] | short), np.ascontiguousarray(at_limit[1])
+        most = np.where(limited, 1.0 / LEAST_SHORT_OHM, self._cell_most)
+        below, above, low, high = np.empty((4, rows, columns))
+        sums = np.empty((3, max(rows, columns)))
+        answers.unchecked(
+            volts,
+            *self.law,
+            self.present,
+            limited,
+            faint,
+            self.lead,
+            most,
+            self._column_most,
+            error,
+            below,
+            above,
+            sums,
+            low,
+            high,
+        )
+        return low, high

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import hypot, inf, nan, sqrt
+from math import hypot, nan, sqrt
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -17,8 +17,6 @@ from ._live_reading import SIGMAS, Errors
 
 ALIKE = 2.0  # measured where cells at rest are alike; 1.8 in a pressed column of equal cells
 BY_STEPS, BY_NOISE = 4.5, 3.5  # standard deviations of other readings' steps and noise that are covered
-_FOLLOWS = 0.15  # share of a row's drive that a follower's own error may reach
-_WITHIN = 3.0  # errors of a reading, from the upper end of what it can be, within which it tells nothing
 
 
 class Steps(NamedTuple):
@@ -65,7 +63,7 @@ class LawErrors:
             unknown: (N, M) readings that state bounds only.
 
         """
-        self._cells, self._steps = ports.cells, steps
+        self.cells, self._steps = ports.cells, steps
         by_steps, by_noise = steps.random * BY_STEPS / sqrt(3.0), BY_NOISE * noise
         random = hypot(by_steps, by_noise)
         self.error = steps.half + SIGMAS * noise
@@ -85,10 +83,6 @@ class LawErrors:
             *(self.of_driven, own_per_volt, beside, self.own, self.linear, self._std),
             *(self.of_left, self.column_open, self.of_sums, self.row_open, np.empty((3, columns))),
         )
-        if law.ties_down:
-            tied = law.may_tie_down(ports, self.of_left)
-            if tied.any():
-                self.opens, self.of_left[tied], self.column_open[tied] = True, inf, inf
         apart = law.apart(ports)
         self.apart: FloatArray | float = 1.0 if apart is None else apart
         """factor by which errors grow where bridges mix two lines"""
@@ -96,21 +90,11 @@ class LawErrors:
             self.own, self.linear, self._std = self.own * apart, self.linear * apart, self._std * apart
             own_per_volt, beside = own_per_volt * apart, beside * apart
         self._of_own, self._of_column = own_per_volt, beside
-        self.at_end: BoolArray | None = None
-        """readings within their error of a short's; None: there are none"""
-        if law.follows:
-            at_end = law.at_end(ports, _WITHIN * self.error)
-            lost = law.may_follow(ports, volts, self.error, _FOLLOWS) | at_end
-            if at_end.any():
-                lost |= at_end.any(axis=0) & law.feeds(ports, volts, _FOLLOWS)
-            if lost.any():
-                self.at_end = at_end if at_end.any() else None
-                self.opens, self.linear = True, np.where(lost, inf, self.linear)
 
     def relative(self, cells: FloatArray) -> FloatArray:
         """Relative uncertainty (N, M) of ``cells`` in S, which the laws gave before they were corrected."""
         uncertainty = np.empty(cells.shape)
-        of_law = self._cells, self.own, self.linear, self.column_open, self.row_open
+        of_law = self.cells, self.own, self.linear, self.column_open, self.row_open
         relative_to.unchecked(cells, *of_law, uncertainty)
         return uncertainty
 

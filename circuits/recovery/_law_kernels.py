@@ -16,6 +16,10 @@ OPEN_SCALE, OPEN_ROW = 0.7, 0.3
 LARGEST = 50.0
 """logarithm that is as good as infinite"""
 TINY = 2.3e-308
+ROUNDS = 40
+"""of narrowing bounds on all answers"""
+SETTLED = 1e-3
+"""largest relative change of a bound in the last round"""
 
 
 @loop
@@ -298,3 +302,143 @@ def move(
         by_row = most * moved / row_sums[i]
         for j in range(columns):
             off[i, j] = by_row + in_columns[j] + min(change[i, j] / base[i, j], 1.0) * beyond[i, j]
+
+
+@loop
+def answers(
+    volts: Rows,
+    current: Rows,
+    potential: Rows,
+    driving: Rows,
+    present: FlagRows,
+    unknown: FlagRows,
+    faint: FlagRows,
+    lead: Row,
+    cell_most: Rows,
+    column_most: Row,
+    error: float,
+    below: Rows,
+    above: Rows,
+    sums: Rows,
+    low: Rows,
+    high: Rows,
+) -> None:
+    """Bounds on all cells (N, M) in S that give readings within their error, where idle columns conduct.
+
+    See :class:`Law`, method ``answers``. Each round narrows the bounds; they hold in every round.
+
+    Args:
+        volts: readings; ``current``, ``potential``, ``driving``, ``present``: as in :func:`columns_of`.
+        unknown: cells whose readings state lower bounds only, and ``faint`` ones that state upper bounds.
+        lead: (N,) ohm of the rows.
+        cell_most: S, bounds on the cells before anything is read, and ``column_most`` (M,) on all of a column together.
+        error: V, of a reading.
+        below: S, bounds of the port conductances; changed, as ``above`` and ``sums`` (3, max(N, M)).
+        low: written, and ``high``.
+    """
+    rows, columns = volts.shape
+    for i in range(rows):
+        sums[2, i] = 0.0
+        for j in range(columns):
+            below[i, j] = 0.0
+            above[i, j] = cell_most[i, j] / (1.0 + lead[i] * cell_most[i, j]) if present[i, j] else 0.0
+            most = above[i, j]
+            for side in range(2):
+                y = volts[i, j] + (2 * side - 1) * error
+                w = driving[0, j] + driving[1, j] * y
+                if w * driving[0, j] <= 0.0 or unknown[i, j]:
+                    most = math.inf
+                else:
+                    by_sum = max((potential[0, j] + potential[1, j] * y) / w, 0.0) * column_most[j]
+                    most = max(most if side else 0.0, (current[0, j] + current[1, j] * y) / w + by_sum)
+            low[i, j] = min(max(most, 0.0), above[i, j])
+            sums[2, i] += low[i, j]
+    for j in range(columns):
+        sums[0, j], sums[1, j] = 0.0, column_most[j]
+        for i in range(rows):  # two cells of a row join their columns
+            left = 1.0 - lead[i] * low[i, j]
+            passed = 1.0 - lead[i] * (sums[2, i] - low[i, j]) / left if left > LEAST else 0.0
+            sums[1, j] += low[i, j] * (1.0 / max(passed, LEAST) - 1.0)
+    for _ in range(ROUNDS):
+        moved = 0.0
+        for i in range(rows):
+            sums[2, i] = 0.0
+            for j in range(columns):
+                sums[2, i] += above[i, j]
+        for j in range(columns):
+            least, least_share, most, most_share = 0.0, 0.0, 0.0, 0.0
+            for i in range(rows):
+                if not present[i, j]:
+                    continue
+                r = lead[i]
+                # What the column's cell conducts to ground by way of its row and the other idle columns.
+                of_others = 1.0
+                for other in range(columns):
+                    if other != j:
+                        of_others += r * cell_most[i, other]
+                left = 1.0 - r * above[i, j]
+                most_passed = 1.0 - r * (sums[2, i] - above[i, j]) / left if left > LEAST else 0.0
+                most_passed = min(1.0 / max(most_passed, LEAST), of_others)
+                if unknown[i, j]:
+                    least += below[i, j]
+                    most += most_passed * above[i, j]
+                    continue
+                own, own_most = math.inf, -math.inf
+                share, share_most = math.inf, -math.inf
+                positive = True
+                for side in range(2):
+                    y = volts[i, j] + (2 * side - 1) * error
+                    w = driving[0, j] + driving[1, j] * y
+                    if w * driving[0, j] <= 0.0:
+                        positive = False
+                    else:
+                        own = min(own, (current[0, j] + current[1, j] * y) / w)
+                        own_most = max(own_most, (current[0, j] + current[1, j] * y) / w)
+                        share = min(share, (potential[0, j] + potential[1, j] * y) / w)
+                        share_most = max(share_most, (potential[0, j] + potential[1, j] * y) / w)
+                if not positive:
+                    own_most, share_most = math.inf, math.inf
+                if math.isinf(own):
+                    own, share = 0.0, 0.0
+                if not faint[i, j]:
+                    least += own * (1.0 if own > 0.0 else most_passed)
+                    least_share += share * (1.0 if share > 0.0 else most_passed)
+                if own_most > 0.0:
+                    most += own_most * most_passed
+                most_share += share_most * (most_passed if share_most > 0.0 else 1.0)
+                if share > 0.0:
+                    sums[1, j] = min(sums[1, j], max(cell_most[i, j] / (1.0 + r * cell_most[i, j]) - own, 0.0) / share)
+            if most_share < 1.0 and most < math.inf:
+                sums[1, j] = min(sums[1, j], most / (1.0 - most_share))
+            if least_share < 1.0:
+                sums[0, j] = max(sums[0, j], least / (1.0 - least_share))
+            for i in range(rows):
+                if not present[i, j]:
+                    continue
+                lowest, highest = math.inf, -math.inf
+                for side in range(2):
+                    y = volts[i, j] + (2 * side - 1) * error
+                    w = driving[0, j] + driving[1, j] * y
+                    if w * driving[0, j] <= 0.0:
+                        highest = math.inf
+                        continue
+                    own, share = (current[0, j] + current[1, j] * y) / w, (potential[0, j] + potential[1, j] * y) / w
+                    lowest = min(lowest, own + share * (sums[0, j] if share > 0.0 else sums[1, j]))
+                    highest = max(highest, own + share * (sums[1, j] if share > 0.0 else sums[0, j]))
+                if below[i, j] < lowest < math.inf and not faint[i, j]:
+                    moved = max(moved, 1.0 - below[i, j] / lowest)
+                    below[i, j] = min(lowest, above[i, j])
+                if highest < above[i, j] and not unknown[i, j]:
+                    moved = max(moved, 1.0 - max(highest, 0.0) / above[i, j])
+                    above[i, j] = max(highest, below[i, j])
+        if moved < SETTLED:
+            break
+    for i in range(rows):
+        least, most, whole = 0.0, 0.0, 1.0
+        for j in range(columns):
+            least += below[i, j]
+            most += above[i, j]
+            whole += lead[i] * cell_most[i, j]
+        for j in range(columns):
+            low[i, j] = below[i, j] / max(1.0 - lead[i] * least, LEAST)
+            high[i, j] = min(above[i, j] * min(1.0 / max(1.0 - lead[i] * most, LEAST), whole), cell_most[i, j])

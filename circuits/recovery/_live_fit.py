@@ -18,13 +18,16 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 
 from ...common.arrays import BoolArray, FloatArray
 from ...errors import InputError, SolverError
 from .._adc import adc_error
 from .._board import Board, broken_off, cell_alone
 from .._grid import exact_ports
+from .._parts import LEAST_SHORT_OHM
+from ._law import several_answers
+from ._law_errors import ALIKE, BY_NOISE, BY_STEPS
+from ._law_kernels import TINY
 from ._lines import LineResistance
 from ._live_reading import (
     DISTURBED,
@@ -40,8 +43,8 @@ from ._live_reading import (
     ValidityRule,
     undetermined,
 )
-from ._node_blocks import NodeBlocks, beyond_linear
-from ._quick_model import QuickModel
+from ._node_blocks import NodeBlocks
+from ._quick_model import QuickModel, with_resistance
 from ._sheet_model import SheetModel
 
 STEPS, FIRST_STEPS = 5, 60
@@ -50,12 +53,14 @@ RENEWALS, FIRST_RENEWALS = 2, 20
 """new derivatives in one frame, and in the first one of all"""
 LARGEST_MATRIX = 4096
 """cells up to which a matrix of all readings by all cells is made: 0.3 GB"""
+MOST_BESIDE = 256
+"""cells up to which they are one beside shorts and cells that nothing reads, which no structure fits"""
 _SMALL = 100  # cells up to which the derivatives are a matrix
 _PRIOR = 3.0  # standard deviation of a logarithm before anything is read: a factor of 20
-_ALIKE = 2.0  # as of grounded rows, see Errors
-_BY_STEPS, _BY_NOISE = 4.5, 3.5  # standard deviations by ADC steps and by noise that an uncertainty covers
+_ALIKE_ERRORS = 20.0  # inverse of the relative change of the readings' errors up to which covariances are alike
 _FITS, _NO_FIT, _MISFIT = 0.8, 3.0, 8.0  # half steps: by rounding alone, no fit yet, no cells give these readings
 _FAR, _NEAR = 0.5, 0.02  # change of a logarithm for which derivatives no longer serve, and for which new ones are alike
+_HARDLY_KNOWN = 0.15  # standard deviation of a logarithm beyond which a step does not matter
 _SETTLED = 0.3  # standard deviations, step that does not matter
 _STRIDE = 1.5  # largest step of a logarithm
 _SHORTER = 0.4  # factor on a step that leads away from the readings
@@ -64,10 +69,14 @@ _STEEPER = 3.0  # largest ratio of slopes by which derivatives are adapted
 _JUMP = 20.0  # half steps from which on closed formulas may be a nearer start
 _LEAST_READING = 0.03  # half steps: reading of the least conductance alone; below, nothing would lead back
 _LARGEST = 50.0  # logarithm that is as good as infinite
-_SHORT, _SHORT_SHARE = 8.0, 0.998  # half steps, and share of a short's reading, from which on a cell may be one
-_AS_SHORT = 0.05  # cell over the resistance of its leads, below which it is as good as a short
+_SHORT_SHARE = 0.98  # of the reading of a short, from which on a cell may be one
+_AS_SHORT = 1e3  # wires of a cell over its own resistance, from which on no reading tells it from a short
 _TIE = 0.02  # cell over the reference resistor, below which it ties lines to each other
 _NO_CELLS = "no cell resistances give these readings; check that the design is that of the board"
+_MOST_BENT = 1.5  # growth of an effect over the linear one, from which on a cell's size is open
+_OPEN_SIZE = 3.0  # most by which a conductance may be larger, from which on the scale of its column is open
+_BESIDE = 0.01  # conductance over the largest one of a column, from which on a cell of unknown size counts beside it
+_TIES = 0.1  # share of a row's drive that a cell may take, from which on it ties the row to its column
 _OFTEN = 3  # frames with readings that no cells give, after which the design is taken for wrong
 _TYPICAL = 1e-5  # S, of a cell if no reading shows a conductance
 
@@ -79,18 +88,27 @@ class _Linear(NamedTuple):
     """(n,) logarithms of the conductances"""
     solve: Callable[[FloatArray], FloatArray]
     """from readings (n,) in V to changes (n,) of the logarithms"""
-    std: FloatArray
-    """(n,) standard deviation of the logarithms by ADC steps"""
     slope: FloatArray
     """(n,) 1/V, of each logarithm by its own reading if the cell were alone"""
+    std_at: Callable[[float], FloatArray]
+    """(n,) standard deviation of the logarithms by errors so many times those of ADC steps"""
+    known: dict[float, FloatArray]
+    """results of ``std_at``"""
 
-    def distance(self, log: FloatArray) -> FloatArray:
+    def std(self, coarser: float) -> FloatArray:
+        """The same, computed once for errors that are nearly alike."""
+        kept = round(_ALIKE_ERRORS * np.log(coarser))
+        if kept not in self.known:
+            self.known[kept] = self.std_at(coarser)
+        return self.known[kept]
+
+    def distance(self, log: FloatArray, std: FloatArray) -> FloatArray:
         """(n,) change of the logarithms since then, of which their own errors do not count."""
-        return np.abs(log - self.log) / np.maximum(4.0 / _FAR * self.std, 1.0)
+        return np.abs(log - self.log) / np.maximum(4.0 / _FAR * std, 1.0)
 
 
 class FitLive:
-    """Live recovery of dividers whose rows float."""
+    """Live recovery of boards without a port law, and of single frames that their law leaves open."""
 
     scales_columns = False
     usual: UsualReading | None = None
@@ -103,18 +121,20 @@ class FitLive:
 
         """
         self._rule, self._shape, self._turn = rule, board.shape, board.turn
-        self._board = replace(board, supply=(-inf, inf), continuous=False)
+        whole = replace(board, supply=(-inf, inf), faults=tuple(map(with_resistance, board.faults)))
+        self._board = replace(whole, continuous=False)
         self._half_step = adc_error(board)
         self._std = self._half_step / sqrt(3.0)
         self._gone = broken_off(board) | np.isinf(board.series_ohms)
         for fault in board.shorts:
             self._gone[fault.place] |= fault.ohms == 0
         lines = LineResistance(self._board)
-        self._leads = lines.to_ends + board.column_lead
+        leads = np.where(np.isfinite(lines.to_ends), lines.to_ends, 0.0)
+        self._leads = leads + np.where(np.isfinite(board.column_lead), board.column_lead, 0.0)
         self._quick = QuickModel(self._board, lines)
-        self._sheet = SheetModel(replace(board, supply=(-inf, inf)), self._quick) if board.continuous else None
+        self._sheet = SheetModel(whole, self._quick) if board.continuous else None
         self._model = self._quick if self._sheet is None else self._sheet
-        cells = board.shape[0] * board.shape[1]
+        self._cells = cells = board.shape[0] * board.shape[1]
         nodes = NodeBlocks(self._board, self._quick, self._std) if cells > _SMALL else None
         self._nodes = nodes if nodes is not None and nodes.applies else None
         if cells > LARGEST_MATRIX and self._nodes is None:
@@ -123,17 +143,20 @@ class FitLive:
                 f"{LARGEST_MATRIX} cells, and the array has {cells}; expected a smaller array, or no such fault"
             )
         self._shunt = np.zeros(board.shape)
-        for fault in board.shorts:
-            self._shunt[fault.place] += 1.0 / fault.ohms if fault.ohms > 0 else 0.0
+        for fault in self._board.shorts:
+            self._shunt[fault.place] += 1.0 / fault.ohms
         ideal, most = (
             np.abs(board.circuit.ideal_volts(board, ohms) - board.level)
-            for ohms in (self._leads, board.row_ohms[:, :1] + board.column_lead)
+            for ohms in (self._leads, np.zeros(board.shape))
         )
-        self._short, self._most = np.where(self._gone, inf, ideal), np.where(self._gone, inf, most)  # V, of a short
+        self._short, self._full = np.where(self._gone, inf, ideal), most  # V, of a short with and without leads
         per_volt = np.abs(board.circuit.conductance_slope(board, np.zeros(board.shape)))
         self._least = np.log(_LEAST_READING * self._half_step * per_volt).ravel()
+        self._most = np.log(_AS_SHORT / (self._leads + LEAST_SHORT_OHM)).ravel()
+        self._several = several_answers(board)
         self._log: FloatArray | None = None
         self._linear: _Linear | None = None
+        self._read: FloatArray = np.ones(cells)
         self._damping, self._astray, self._in_vain, self._begun = 1.0, False, 0, False
 
     @np.errstate(divide="ignore", invalid="ignore", over="ignore")
@@ -145,25 +168,42 @@ class FitLive:
         *,
         faint: BoolArray | None = None,
     ) -> LiveReading:
-        """As :class:`.LiveRecovery`. A cell that may be a short, or is hidden, changes all others."""
+        """As :class:`.LiveRecovery`."""
         turn = self._turn
-        volts = np.ascontiguousarray(turn(volts))
+        at_limit, under = (None if cells is None else turn(cells) for cells in (limited, faint))
+        return self.read(np.ascontiguousarray(turn(volts)), at_limit, under, noise)
+
+    def read(
+        self,
+        volts: FloatArray,
+        limited: BoolArray | None,
+        faint: BoolArray | None,
+        noise: float,
+        start: FloatArray | None = None,
+    ) -> LiveReading:
+        """The same in line coordinates, beginning at conductances ``start`` (N, M) in S if they fit better.
+
+        A reading that says no more than a bound does not count. A reading at a limit that no cell can pass, as a
+        divider's at the drive, is one like any other.
+        """
         signal, error = np.abs(volts - self._board.level), self._half_step + SIGMAS * noise
-        short = signal >= np.minimum(self._short - _SHORT * error, _SHORT_SHARE * self._short)
+        unread = self._gone.copy()
         if limited is not None:
-            short |= turn(limited)
+            unread |= limited & (signal + error < self._full)
         if faint is not None:  # a reading near zero is one like any other
-            short |= turn(faint) & (signal > error)
-        if short.any() or self._gone.any():
-            self._in_vain = self._in_vain + 1 if (signal > self._most + _SHORT * error).any() else 0
-            if self._in_vain > _OFTEN:  # no way between two lines conducts better than a short of their own
-                raise SolverError(_NO_CELLS)
-            return self._nothing(DISTURBED, short)
-        coarser = hypot(1.0, noise / self._std)
-        found = self._fit(volts.ravel(), coarser)
+            unread |= faint & (signal > error)
+        small = self._cells <= MOST_BESIDE
+        short = signal >= _SHORT_SHARE * self._short
+        if (unread.any() and not small) or (self._nodes is not None and short.any()):
+            return self._nothing(DISTURBED, unread | short)
+        read: FloatArray = np.where(unread.ravel(), 0.0, 1.0)
+        if self._linear is not None and (read != self._read).any():
+            self._linear = None
+        self._read = read
+        found = self._fit(volts.ravel(), hypot(1.0, noise / self._std), start)
         if found is None:
-            return self._nothing(UNSETTLED)
-        return self._reading(signal, error, noise, *found)
+            return self._nothing(DISTURBED if short.any() else UNSETTLED, unread | short)
+        return self._reading(signal, error, noise, *found, unread)
 
     def _closed_start(self, volts: FloatArray) -> FloatArray:
         """Logarithms (n,) as if each cell were alone."""
@@ -172,50 +212,59 @@ class FitLive:
         apparent = cell_alone(self._board, apparent, self._shunt)
         conducting = apparent[apparent > 0.0]
         typical = float(np.median(conducting)) if conducting.size else _TYPICAL
-        start: FloatArray = np.log(np.where(apparent > 1e-3 * typical, apparent, 0.1 * typical)).ravel()
+        alone = np.log(np.where(apparent > 1e-3 * typical, apparent, 0.1 * typical)).ravel()
+        start: FloatArray = np.minimum(alone, self._most)
         return start
 
     def _at(self, log: FloatArray) -> FloatArray:
         """V (n,), readings of the model."""
-        return self._model(np.exp(-log).reshape(self._shape)).ravel()
+        volts: FloatArray = self._model(np.exp(-log).reshape(self._shape)).ravel()
+        return volts
 
     def _misfit(self, apart: FloatArray, coarser: float) -> float:
         """Half steps and noise: root mean square, or half of the largest if that is more."""
         most = float(np.abs(apart).max())
         return max(sqrt(float(apart @ apart) / len(apart)), 0.5 * most) / self._half_step / coarser
 
-    def _fit(self, volts: FloatArray, coarser: float) -> tuple[FloatArray, FloatArray, float] | None:
+    def _fit(
+        self, volts: FloatArray, coarser: float, start: FloatArray | None
+    ) -> tuple[FloatArray, FloatArray, float] | None:
         """Logarithms (n,), their standard deviation by ADC steps (n,), and the misfit; None: not settled."""
         steps, renewals = (STEPS, RENEWALS) if self._begun else (FIRST_STEPS, FIRST_RENEWALS)
         self._begun = True
-        slope = np.abs(
-            self._board.circuit.log_conductance_slope(self._board, volts.reshape(self._shape) - self._board.level)
-        ).ravel()
+        signal = volts.reshape(self._shape) - self._board.level
+        slope = np.abs(self._board.circuit.log_conductance_slope(self._board, signal)).ravel()
+
+        def off(log: FloatArray) -> FloatArray:
+            return (volts - self._at(log)) * self._read
+
+        starts = [self._closed_start(volts)]
+        if start is not None:
+            starts.insert(0, np.clip(np.log(np.maximum(start, 1e-30)).ravel(), self._least, self._most))
         try:
-            log = self._closed_start(volts) if self._log is None else self._log
-            apart = volts - self._at(log)
+            log = starts.pop(0) if self._log is None else self._log
+            apart = off(log)
             misfit = self._misfit(apart, coarser)
-            if self._log is not None and misfit > _JUMP:
-                other = self._closed_start(volts)
-                other_apart = volts - self._at(other)
+            for other in starts if misfit > _JUMP else ():
+                other_apart = off(other)
                 steps -= 1
                 if self._misfit(other_apart, coarser) < misfit:
                     log, apart, misfit = other, other_apart, self._misfit(other_apart, coarser)
             settled, before = False, inf
             while True:
                 linear = self._linear
-                if linear is None or linear.distance(log).max() > _FAR:
+                if linear is None or linear.distance(log, linear.std(coarser)).max() > _FAR:
                     if renewals == 0:
                         break
-                    linear, renewals = self._renewed(log), renewals - 1
-                step = self._step(linear, apart, slope)
-                known = linear.std * coarser <= 0.15
-                small = np.abs(step) <= np.maximum(_SETTLED * coarser * linear.std, 1e-6)
-                if misfit <= _NO_FIT and (small | ~known).all() and (misfit <= _FITS or not self._astray):
+                    self._linear, renewals = self._renewed(log), renewals - 1
+                    linear = self._linear
+                step, std = self._step(linear, apart, slope), linear.std(coarser)
+                small = (np.abs(step) <= np.maximum(_SETTLED * std, 1e-6)) | (std > _HARDLY_KNOWN)
+                if misfit <= _NO_FIT and small.all() and (misfit <= _FITS or not self._astray):
                     settled = misfit <= _NO_FIT
                     break
                 length = float(np.abs(step).max())
-                near = linear.distance(log).max() <= _NEAR
+                near = linear.distance(log, std).max() <= _NEAR
                 if length > _SLOW * before and not near and renewals and misfit > _FITS:
                     self._linear = None
                     before = inf
@@ -223,8 +272,8 @@ class FitLive:
                 if steps <= 0:
                     break
                 steps -= 1
-                trial = np.maximum(log + self._damping * step, self._least)
-                ahead = volts - self._at(trial)
+                trial = np.clip(log + self._damping * step, self._least, self._most)
+                ahead = off(trial)
                 now = self._misfit(ahead, coarser)
                 if now > max(misfit, _FITS) and ahead @ ahead > apart @ apart:
                     if not near and renewals:
@@ -239,25 +288,25 @@ class FitLive:
             self._log = self._linear = None
             return None
         if self._sheet is not None and settled:
-            settled = self._follow_sheet(log)
+            settled = self._follow_sheet(log, coarser)
         self._log, self._astray = log, not settled
         self._in_vain = self._in_vain + 1 if misfit > _MISFIT else 0
         if self._in_vain > _OFTEN:
             self._log = None
             # Cells of a few ohm tie lines to each other: then other cells, far from these, may give the readings.
-            ties = float(np.exp(-log).min()) < _TIE * float(self._board.reference.min())
+            ties = not self._read.all() or float(np.exp(-log).min()) < _TIE * float(self._board.reference.min())
             if self._in_vain > 3 * _OFTEN and not ties:
                 raise SolverError(_NO_CELLS)
         if not settled or self._linear is None:
             return None
         moved = np.exp(np.minimum(np.abs(log - self._linear.log), 1.0))
-        return log, self._linear.std * moved, misfit
+        return log, self._linear.std(coarser) * moved, misfit
 
-    def _follow_sheet(self, log: FloatArray) -> bool:
+    def _follow_sheet(self, log: FloatArray, coarser: float) -> bool:
         """Solve the continuous sheet anew if its cells have moved; False: the fit goes on in the next frame."""
         assert self._sheet is not None
         assert self._linear is not None
-        if self._sheet.serves(log, SIGMAS * self._linear.std):
+        if self._sheet.serves(log, SIGMAS * self._linear.std(coarser)):
             return True
         self._sheet.solve(log)
         return False
@@ -276,32 +325,64 @@ class FitLive:
             numpy.linalg.LinAlgError: parts of the grid have no connection.
 
         """
+        from scipy.linalg.lapack import dpotrf, dpotrs
+
         cells = np.exp(-np.clip(log, -_LARGEST, _LARGEST)).reshape(self._shape)
         volts = self._quick(cells)
         slope = np.abs(self._board.circuit.log_conductance_slope(self._board, volts - self._board.level)).ravel()
-        if self._nodes is not None:
+        if self._nodes is not None and self._read.all():
             by_nodes = self._nodes.at(cells, np.full(self._shape, _PRIOR))
-            self._linear = _Linear(log, by_nodes.solve, by_nodes.std.ravel(), slope)
-            return self._linear
+            return _Linear(log, by_nodes.solve, slope, lambda coarser: coarser * by_nodes.std.ravel(), {})
         in_series = 1.0 / (cells + self._board.series_ohms).ravel()
-        jacobian = self._derivatives(cells) * (in_series**2 * cells.ravel() / self._std)
+        jacobian = self._derivatives(cells) * (in_series**2 * cells.ravel() / self._std) * self._read[:, None]
         normal = jacobian.T @ jacobian
         normal.flat[:: len(normal) + 1] += _PRIOR**-2.0
         factor, failed = dpotrf(normal, lower=1)
         if failed:
             raise np.linalg.LinAlgError("the normal matrix is not positive definite")
-        half, _ = dpotri(factor.copy(), lower=1)
-        covariance = np.tril(half) + np.tril(half, -1).T
-        variance = np.maximum(np.diagonal(covariance), np.finfo(np.float64).tiny)
-        more = beyond_linear(np.sqrt(variance)) / variance
-        std = np.sqrt(variance + (covariance * covariance) @ more)
 
         def solve(apart: FloatArray) -> FloatArray:
             step: FloatArray = dpotrs(factor, jacobian.T @ (apart / self._std), lower=1)[0]
             return step
 
-        self._linear = _Linear(log, solve, std, slope)
-        return self._linear
+        return _Linear(log, solve, slope, lambda coarser: self._std_of(log, jacobian / coarser), {})
+
+    def _std_of(self, log: FloatArray, jacobian: FloatArray) -> FloatArray:
+        """Standard deviations (n,) of the logarithms with derivatives (n, n) in errors of a reading.
+
+        With its wire w a cell conducts between nothing and 1/w, whatever its reading: that is all that is known of it
+        before. In this range readings are nearly linear in D = G / (1 + w G). What else the cell changes grows with G
+        itself, up to a short. Infinite where cells of unknown size act together, which is beyond derivatives.
+
+        Raises:
+            numpy.linalg.LinAlgError: the derivatives are not finite.
+
+        """
+        from scipy.linalg.lapack import dtrtri
+
+        wired = np.exp(log) * (self._leads.ravel() + LEAST_SHORT_OHM)
+        prior = (1.0 + wired) * np.maximum(1.0 / wired, 1.0) / BY_STEPS
+        square = np.linalg.qr(np.concatenate([jacobian * prior, np.eye(len(log))]), mode="r")
+        inverse, failed = dtrtri(square)
+        if failed or not np.isfinite(inverse).all():
+            raise np.linalg.LinAlgError("derivatives that are not finite")
+        inverse *= prior[:, None]
+        std: FloatArray = np.sqrt(np.einsum("ij,ij->i", inverse, inverse))
+        up = BY_STEPS * std / (1.0 + wired)
+        grown = np.where(up * wired < 1.0, (1.0 + up) / np.maximum(1.0 - up * wired, TINY), inf) - 1.0
+        grown = np.minimum(grown, np.exp(self._most - log) - 1.0) / (BY_STEPS * std)
+        loose = (grown > _MOST_BENT) | (up > 1.0)
+        ties = np.count_nonzero(loose & (wired * (1.0 + up) > _TIES))
+        conductance, open_size = np.exp(log).reshape(self._shape), (loose & (up > _OPEN_SIZE)).reshape(self._shape)
+        most = np.where(open_size, conductance * (1.0 + up.reshape(self._shape)), 0.0)
+        alike = np.count_nonzero(most > _BESIDE * conductance.max(axis=0), axis=0)
+        alike *= open_size[np.argmax(conductance, axis=0), np.arange(self._shape[1])]
+        if ties > 1 or (alike > 1).any():
+            return np.full(len(std), inf)
+        bent = np.flatnonzero(grown > 1.0)
+        beside = (inverse @ inverse[bent].T) / std[bent] * np.sqrt(grown[bent] ** 2 - 1.0)
+        std = np.sqrt(std**2 + np.einsum("ij,ij->i", beside, beside))
+        return std
 
     def _derivatives(self, cells: FloatArray) -> FloatArray:
         """V/S (n, n) of all readings by all crosspoints."""
@@ -324,41 +405,50 @@ class FitLive:
         return result.reshape(size, size)
 
     def _reading(
-        self, signal: FloatArray, error: float, noise: float, log: FloatArray, std: FloatArray, misfit: float
+        self,
+        signal: FloatArray,
+        error: float,
+        noise: float,
+        log: FloatArray,
+        std: FloatArray,
+        misfit: float,
+        unread: BoolArray,
     ) -> LiveReading:
         """Values, uncertainties, validity and reasons of cells that give the readings."""
         board, shape, turn = self._board, self._shape, self._turn
         cells, std = np.exp(-log).reshape(shape), std.reshape(shape)
         slope = np.abs(board.circuit.log_conductance_slope(board, signal * np.sign(board.drive)))
         own = np.where(slope > 0.0, error * slope, 1.0)
-        sigmas = hypot(_BY_STEPS, _BY_NOISE * noise / self._std) * max(misfit, 1.0)
+        coarser = hypot(1.0, noise / self._std)
+        sigmas = hypot(BY_STEPS, BY_NOISE * noise / self._std) / coarser * max(misfit, 1.0)
         uncertainty = own + np.expm1(np.minimum(np.maximum(sigmas * std - own, 0.0), _LARGEST))
+        if self._several:
+            uncertainty = np.full(shape, inf)
         if self._sheet is not None:
             uncertainty = uncertainty + self._sheet.doubt(log)
-        valid = self._rule.accepts(uncertainty) & (signal > error)
+        known, short = ~unread & (signal > error), signal >= _SHORT_SHARE * self._short
+        valid = self._rule.accepts(uncertainty) & known
         reason: NDArray[np.int8] = np.full(shape, UNCERTAIN, dtype=np.int8)
+        if (unread | short).any():
+            reason[own < self._rule.limit] = DISTURBED
         reason[signal <= error] = NO_CURRENT
-        short = cells < _AS_SHORT * self._leads
-        if short.any():  # derivatives do not describe the currents on its lines
-            beside = short.any(axis=1, keepdims=True) | short.any(axis=0, keepdims=True)
-            valid &= ~beside
-            reason[beside] = DISTURBED
+        reason[unread | short] = SATURATED
+        reason[self._gone] = HIDDEN
         reason[valid] = 0
         total = np.where(valid | (reason == UNCERTAIN), uncertainty, inf)
         of_own = np.where(slope > 0.0, slope, inf)
-        none, every = np.zeros(shape), np.maximum(std / self._std, of_own)
+        none, every = np.zeros(shape), np.maximum(std / (coarser * self._std), of_own)
         return LiveReading(
             turn(cells),
             turn(valid),
             turn(reason),
             lambda: turn(total),
-            lambda: Errors(turn(of_own), turn(none), turn(every), _ALIKE),
+            lambda: Errors(turn(of_own), turn(none), turn(every), ALIKE),
         )
 
-    def _nothing(self, why: int, short: BoolArray | None = None) -> LiveReading:
-        """A frame that determines no cell; ``short`` (N, M): readings at a limit."""
+    def _nothing(self, why: int, limited: BoolArray) -> LiveReading:
+        """A frame that determines no cell; ``limited`` (N, M): readings at a limit."""
         reason: NDArray[np.int8] = np.full(self._shape, why, dtype=np.int8)
-        if short is not None:
-            reason[short] = SATURATED
+        reason[limited] = SATURATED
         reason[self._gone] = HIDDEN
         return undetermined(self._turn(reason))

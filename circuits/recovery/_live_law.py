@@ -20,13 +20,14 @@ from ...common.arrays import BoolArray, FloatArray
 from ...errors import SolverError
 from .._board import Board, broken_off, cell_alone
 from .._exact import read_exactly
-from .._sections import Fault
+from .._parts import LEAST_SHORT_OHM
 from ._enclosure import Enclosed, Enclosure, Unknowns
 from ._factors import EVALUATIONS, OPEN, Factors
-from ._law import Law, Ports
+from ._law import Law, Ports, several_answers
 from ._law_errors import ALIKE, LawErrors, Steps
-from ._law_kernels import LEAST
+from ._law_kernels import LEAST, OPEN_SCALE
 from ._lines import LineResistance
+from ._live_fit import MOST_BESIDE, FitLive
 from ._live_reading import (
     DISTURBED,
     HIDDEN,
@@ -39,11 +40,12 @@ from ._live_reading import (
     ValidityRule,
     undetermined,
 )
-from ._quick_model import QuickModel
+from ._quick_model import COMPLETE_SHORT, QuickModel, with_resistance
 from ._usual_frames import BEYOND, MOST_WIRE, UsualFrames
 
 _SHEET_EVALUATIONS = 1  # of a continuous sheet in a frame, a hundred times as dear as that of a sliced one
-_COMPLETE_SHORT = 1e-5  # ohm that stands for a short of 0 ohm
+_DOMINATED = 0.1  # share of the drive at a column over the largest one, up to which a cell is small beside another
+_ONE_ANSWER = 3.0  # largest over least conductance of all answers, up to which they are one within their errors
 _OFTEN = 3  # frames with readings that no cells give, after which the design is taken for wrong
 
 
@@ -52,7 +54,7 @@ class LawLive:
 
     def __init__(self, board: Board, rule: ValidityRule) -> None:
         """For a board with a converter."""
-        whole = replace(board, supply=(-inf, inf), faults=tuple(map(_with_resistance, board.faults)))
+        whole = replace(board, supply=(-inf, inf), faults=tuple(map(with_resistance, board.faults)))
         self._board = sliced = replace(whole, continuous=False)
         self._sheet = whole if board.continuous else None
         self._rule, self._turn, self._shape = rule, board.turn, board.shape
@@ -68,9 +70,9 @@ class LawLive:
         self._gone, self._hidden = hidden.copy(), hidden
         self._shorted = np.zeros(board.shape, dtype=np.bool_)
         self._shunt = np.zeros(board.shape)  # S
-        for fault, with_resistance in zip(board.shorts, sliced.shorts, strict=True):
+        for fault, present in zip(board.shorts, sliced.shorts, strict=True):
             self._shorted[fault.place] |= fault.ohms == 0
-            self._shunt[fault.place] += 1.0 / with_resistance.ohms
+            self._shunt[fault.place] += 1.0 / present.ohms
         self._gone |= self._shorted
         self._any_hidden = bool(hidden.any())
         self._present = None if not self._gone.any() else np.ascontiguousarray(~self._gone)
@@ -83,19 +85,23 @@ class LawLive:
         segments = np.where(np.isfinite(board.row_ohms), board.row_ohms, 0.0)
         for ohms in (lead, segments):  # a complete short leaves a row no drive
             ohms[self._shorted.any(axis=1)] = 0.0
-        shorts = np.where(self._shorted, 1.0 / (to_driver + _COMPLETE_SHORT), 0.0)
+        shorts = np.where(self._shorted, 1.0 / (to_driver + COMPLETE_SHORT), 0.0)
+        self._whole_wires = to_driver + to_end + column_lead
+        # An amplifier at a virtual ground stands at its limit long before a cell is as good as a short.
+        most = np.full(board.shape, 1.0 / LEAST_SHORT_OHM)
+        if board.circuit.virtual_ground:
+            most = MOST_WIRE / (self._whole_wires + LEAST_SHORT_OHM)
         bridges = tuple(fault for fault in sliced.faults if fault.bridge)
         self._law = Law(
             *(law, lead, segments, wire, to_end - to_end.mean(axis=0)),
-            *(hidden, shorts, bridges, self._steps.half),
+            *(most, hidden, shorts, bridges, self._steps.half),
             one_by_one=one_by_one,
             floating=board.floating,
             virtual_ground=board.circuit.virtual_ground,
-            grounded=one_by_one and not board.circuit.has_amplifiers and board.idle_columns == "ground",
+            several=several_answers(board),
         )
         self._enclosure = Enclosure(board, self._law, to_driver, to_end)
         self._wires = np.abs(to_driver - lead[:, None]) + np.abs(to_end - to_end.mean(axis=0))
-        self._whole_wires = to_driver + to_end + column_lead
         self._any_wire = bool(self._wires.any())
         self._model = QuickModel(sliced, lines)
         self._beside_short = self._shorted.any(axis=1, keepdims=True) & np.ones_like(self._shorted)
@@ -107,6 +113,9 @@ class LawLive:
             self._factors = Factors(board.shape, self._law_of_model, self._enclosure.coupling, evaluations)
         beside_end = np.abs(to_end - to_end.mean(axis=0)).max(axis=0)
         self._beside_law = beside_end / np.maximum(self._law.behind, beside_end + LEAST)  # share that segments change
+        self._fit = None
+        if board.circuit.mixes_cells and not self._law.several and board.shape[0] * board.shape[1] <= MOST_BESIDE:
+            self._fit = FitLive(board, rule)
         self.usual: UsualReading | None = self._usual_frames(board)
         self._impossible = 0
         self._every = np.ones(board.shape, dtype=np.bool_), np.zeros(board.shape, dtype=np.int8)
@@ -116,9 +125,8 @@ class LawLive:
     def _usual_frames(self, board: Board) -> UsualFrames | None:
         """What measures the usual frames; None if there are none on this board."""
         law, steps = self._law, self._steps
-        several = law.follows or law.ties_down  # answers
         assert board.adc is not None
-        if self._faulty or self._present is not None or not self._tells or several or board.faults:
+        if self._faulty or self._present is not None or not self._tells or law.several or board.faults:
             return None
         constants = {
             "step": board.adc.step,
@@ -153,18 +161,24 @@ class LawLive:
         if limited is not None or faint is not None:
             limited, faint = (None if cells is None else turn(cells) & ~self._gone for cells in (limited, faint))
             unknowns = Unknowns.of(self._shape, limited, faint)
-        if not self._tells:
-            return self._nothing(unknowns)
         volts = np.array(turn(volts), order="C")
+        if not self._tells:
+            return self._nothing(unknowns) if self._fit is None else self._fit.read(volts, limited, faint, noise)
         unknown = None if unknowns is None else np.ascontiguousarray(unknowns.any)
         ports = self._law(volts, unknown)
         errors = LawErrors(self._law, self._steps, ports, volts, noise, unknown)
         self._count_impossible(ports, errors, unknowns)
         cells, settled, limit = ports.cells, True, self._rule.limit
+        answers = None
+        if self._law.several:
+            at_limit = Unknowns(self._law.nowhere, self._law.nowhere) if unknowns is None else unknowns
+            answers = self._law.answers(volts, ports, at_limit, errors.error)
         opened, enclosed = unknowns is not None or errors.opens, None
+        if opened and self._fit is not None and self._factors is not None and _lone(ports, errors):
+            return self._fit.read(volts, limited, faint, noise, ports.cells)
         if self._factors is None:
             enclosed = self._enclosure(ports, errors, cells, unknowns, volts) if opened else None
-            return self._reading(errors, cells, errors.relative(cells), enclosed, unknowns, settled=True)
+            return self._reading(errors, cells, errors.relative(cells), enclosed, unknowns, answers, settled=True)
         # What others leave open is found first: factors need be no better than that.
         by_others: FloatArray | float = 0.0
         if opened:
@@ -184,10 +198,12 @@ class LawLive:
         )
         if enclosed is not None and self._factors.renewed:
             enclosed = self._enclosure(ports, errors, cells, unknowns, volts)
+        if not settled and self._fit is not None and _lone(ports, errors):
+            return self._fit.read(volts, limited, faint, noise, cells)
         uncertainty = errors.relative(cells)
         moved = self._factors.moved(np.minimum(uncertainty, 1.0) * np.abs(cells), cells, uncertainty <= limit)
         uncertainty = uncertainty + moved
-        return self._reading(errors, cells, uncertainty, enclosed, unknowns, settled=settled)
+        return self._reading(errors, cells, uncertainty, enclosed, unknowns, answers, settled=settled)
 
     def _law_of_model(self, conductance: FloatArray) -> FloatArray:
         """What the laws make of the readings of cells (N, M) in S in the full model, in S."""
@@ -214,6 +230,7 @@ class LawLive:
         uncertainty: FloatArray,
         enclosed: Enclosed | None,
         unknowns: Unknowns | None,
+        answers: tuple[FloatArray, FloatArray] | None,
         *,
         settled: bool,
     ) -> LiveReading:
@@ -227,10 +244,12 @@ class LawLive:
             uncertainty, own = uncertainty * grown, own * grown
             by_others = None if by_others is None else np.where(by_others > 0.0, by_others * grown, 0.0)
         total = uncertainty if by_others is None else uncertainty + by_others
+        if answers is not None:
+            (low, high), by_law = answers, errors.cells
+            total = np.maximum(total, np.maximum(high - by_law, by_law - low) / np.abs(by_law))
+            total = np.where(high > _ONE_ANSWER * low, inf, total)
         valid = self._rule.accepts(total)
         short = cells * self._wires > MOST_WIRE if self._any_wire else None
-        if errors.at_end is not None:
-            short = errors.at_end if short is None else short | errors.at_end
         resistance = 1.0 / np.maximum(cells, 0.0)
         usual = settled and unknowns is None and self._present is None and (short is None or not short.any())
         every = usual and np.count_nonzero(valid) == valid.size
@@ -239,7 +258,10 @@ class LawLive:
         else:
             reason = self._reasons(cells, own, total, by_others, unknowns, short, valid, settled=settled)
             total = np.where(valid | (reason == UNCERTAIN), total, inf)
-        bounds = None if enclosed is None else (turn(enclosed.least), turn(enclosed.greatest))
+        bounds = None if enclosed is None else (enclosed.least, enclosed.greatest)
+        if answers is not None:
+            bounds = answers if bounds is None else (np.maximum(bounds[0], low), np.minimum(bounds[1], high))
+        bounds = None if bounds is None else (turn(bounds[0]), turn(bounds[1]))
         return LiveReading(
             turn(resistance),
             turn(valid),
@@ -298,6 +320,12 @@ class LawLive:
         return undetermined(self._turn(reason))
 
 
-def _with_resistance(fault: Fault) -> Fault:
-    """The fault, with a resistance far below that of any wire where it has none."""
-    return fault.replace(resistance=_COMPLETE_SHORT) if fault.kind == "shorted-cell" and fault.ohms == 0 else fault
+def _lone(ports: Ports, errors: LawErrors) -> bool:
+    """Whether in each column of open scale a single cell takes nearly all of the current.
+
+    Else derivatives do not tell what the cells of the column change together, since their scale is anywhere.
+    """
+    if ports.share.shape[0] == 1:
+        return True
+    among = np.partition(ports.share[:, errors.column_open > OPEN_SCALE], -2, axis=0)
+    return bool((among[-2] <= _DOMINATED * among[-1]).all())

@@ -208,7 +208,7 @@ class NodeBlocks:
         derivatives = self._model.products(cells)
         assert derivatives is not None
         in_series = 1.0 / (cells + self._board.series_ohms)  # S of the cell and an open-cell fault
-        conductance = self._board.cell_conductance(cells)
+        conductance = self._board.cell_conductance(cells)[:, -cells.shape[1] :]  # without the pull-downs
         return NodeStep(derivatives, conductance, in_series**2 * cells, prior, self._noise)
 
 

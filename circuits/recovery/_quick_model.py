@@ -22,15 +22,23 @@ import numpy as np
 from ...common.arrays import FloatArray
 from .._board import Board
 from .._exact import read_exactly
+from .._sections import Fault
 from .._sensitivity import basis_drops
 from ..readouts import QuickFields, QuickNetwork
 from ..solvers import has_ideal_lines, port_conductances
 from ._lines import LineResistance
 from ._port_derivatives import AnyLines, Branches, IdealLines, PortDerivatives
 
+COMPLETE_SHORT = 1e-5
+"""ohm that stands for a short of 0 ohm"""
 _AT_ONCE = 4096  # derivatives that are computed together, if those of one row are fewer
 _SOME_OHM = 1e4
 _LIGHT = 0.25  # largest loss in the lines for which sweeps are accurate to a percent
+
+
+def with_resistance(fault: Fault) -> Fault:
+    """The fault, with a resistance far below that of any wire where it has none."""
+    return fault.replace(resistance=COMPLETE_SHORT) if fault.kind == "shorted-cell" and fault.ohms == 0 else fault
 
 
 class _Way(Enum):
@@ -59,7 +67,10 @@ class QuickModel:
         if self.has_network:
             # Not with the faults: an open cell alone on its line leaves it no potential.
             sound = replace(board, series_ohms=np.zeros(board.shape))
-            self.has_network = self._quick(sound.cell_conductance(np.full(board.shape, _SOME_OHM))) is not None
+            try:
+                self.has_network = self._quick(sound.cell_conductance(np.full(board.shape, _SOME_OHM))) is not None
+            except np.linalg.LinAlgError:  # a line that is cut off
+                self.has_network = False
         self.is_quick = self.is_quick and self.has_network
         self._compiled = self.is_quick and QuickNetwork.load_loops(board.shape[1])
 

@@ -15,20 +15,19 @@ the crosspoint on a sensed line.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from math import inf, isinf
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.cluster.hierarchy import DisjointSet
 
 from ...common.arrays import FloatArray
 from ...errors import InputError, SolverError
 from .._board import Board
 from .._design import Design
-from ..ends import LINE, REF, LineEnds, join, spice_cards
+from ..ends import CELL, LINE, REF, ROW, LineEnds, join, spice_cards
 from ..readouts import COLUMN_INDEX, FOLLOWER, REFERENCE, ROW_INDEX, CardWriter
 
 _IDLE_COLUMNS = {"float": "are open", "ground": "stay at the reference", "load": "have a load each"}
@@ -137,8 +136,12 @@ class _Place(NamedTuple):
     """of the turn"""
     line: str
     shares_reference: bool
+    known: Mapping[str, str] = {}
+    """other nodes of the whole circuit"""
 
     def name(self, node: str) -> str:
+        if node in self.known:
+            return self.known[node]
         if node == REF and self.shares_reference:
             return f"{node}{self.mark}"
         return _marked(self.line if node == LINE else node if node == REFERENCE else f"{node}_{self.place}", self.mark)
@@ -208,8 +211,12 @@ class DeckWriter(CardWriter):
 
     def _described_deck(self, ends: LineEnds) -> Deck:
         """The circuit of a board with networks at its lines: the whole of it once for each turn of the columns."""
+        from scipy.cluster.hierarchy import DisjointSet
+
         if self.row is None:
             raise SolverError("networks at the lines' ends change from row to row; only a netlist of one row has them")
+        if ends.crosspoint and not self.resistance.all():
+            raise SolverError("a netlist with parts at the cells has no cell of 0 ohm; give it a resistance")
         outputs = [REFERENCE] * self.columns
         at_ends = (*map(self._driver, self.driven), *map(self.circuit.column_end, range(self.columns)))
         lines = [self.name[node] for node in at_ends]
@@ -218,12 +225,18 @@ class DeckWriter(CardWriter):
             mark = f"_t{turn}" if len(self.board.turns) > 1 else ""
             if mark:
                 cards += ["", f"* Turn {turn}: columns {', '.join(map(str, np.flatnonzero(read)))} are read."]
-            for card in self._grid():
-                name, *words = card.split(" ", 3)
-                is_part = card.startswith("R")
-                cards.append(
-                    f"{name}{mark} {_marked(words[0], mark)} {_marked(words[1], mark)} {words[2]}" if is_part else card
-                )
+            for line in self._grid():
+                if not line.startswith("R"):
+                    cards.append(line)
+                    continue
+                name, *nodes, value = line.split()
+                a, b = (_marked(node, mark) for node in nodes)
+                if ends.crosspoint and name.startswith("R_"):
+                    row, a = a, f"cell{name[1:]}{mark}"
+                    place = f"x{name[1:]}"
+                    at = _Place(place, mark, "", bool(ends.reference), {ROW: row, CELL: a})
+                    cards += spice_cards(ends.held(ends.crosspoint), at.name, f"_{place}{mark}")
+                cards.append(f"{name}{mark} {a} {b} {value}")
             cards.append("")
             islands = DisjointSet([REFERENCE])
             for _, a, b, ohm in self._resistors():
@@ -302,6 +315,8 @@ class DeckWriter(CardWriter):
 
     def _merged_node_names(self) -> dict[str, str]:
         """Name of each node after parts of 0 ohm have merged nodes (union-find)."""
+        from scipy.cluster.hierarchy import DisjointSet
+
         # Merged nodes take the name of the first one added. Nodes of sources and amplifiers are therefore added first.
         joined = DisjointSet([REFERENCE])
         for node in [*map(self._driver, self.driven), *map(self.circuit.column_end, range(self.columns))]:
@@ -375,6 +390,8 @@ class DeckWriter(CardWriter):
 
         No current flows in such an island, so a tie of 1 ohm changes no reading.
         """
+        from scipy.cluster.hierarchy import DisjointSet
+
         tied = DisjointSet([REFERENCE])
         for node in self.name.values():
             tied.add(node)

@@ -2,7 +2,17 @@
 
 from ._events import EventScan
 from ._noise import Noise, noise
-from ._settling import Settling, Stability, stability
+from ._settling import BoardsInTime, Settling, Stability, stability, stability_of_boards
 from ._transient import Transient
 
-__all__ = ["EventScan", "Noise", "Settling", "Stability", "Transient", "noise", "stability"]
+__all__ = [
+    "BoardsInTime",
+    "EventScan",
+    "Noise",
+    "Settling",
+    "Stability",
+    "Transient",
+    "noise",
+    "stability",
+    "stability_of_boards",
+]

@@ -17,17 +17,18 @@ switch turns, every line and capacitor keeps its charge. Parts that a switch joi
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from math import inf, pi
+from collections.abc import Sequence
+from math import pi
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import expm
 
-from ...common.arrays import ComplexArray, FloatArray, IntArray
+from ...common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from ...errors import InputError
 from .._board import Board
+from .._design import Design
 from .._grid import exact_ports
+from .._population import Boards, column_ends
 from ..readouts import CIRCUITS, one_driven, terminate
 
 _WORST_CONDITION = 1e8
@@ -37,7 +38,7 @@ _LEAK = 1e-18
 
 
 class Circuit(NamedTuple):
-    """One state of the switches, with D states and S nodes.
+    """One state of the switches of B boards, with D states and S nodes.
 
     The nodes are the M column ends, the inverting input if one amplifier goes from column to column, the outputs of the
     A amplifiers, and the K sampling capacitors. The E right sides are the currents into the M column ends, the voltages
@@ -45,103 +46,109 @@ class Circuit(NamedTuple):
     """
 
     matrix: FloatArray
-    """(D, D) 1/s of the states"""
+    """(B, D, D) 1/s of the states"""
     entry: FloatArray
-    """(D, E) to the derivatives of the states, from the right sides"""
+    """(B, D, E) to the derivatives of the states, from the right sides"""
     into: FloatArray
-    """(D, S) to the states, from the voltages of all nodes when a switch turns"""
+    """(B, D, S) to the states, from the voltages of all nodes when a switch turns"""
     back: FloatArray
-    """(S, D) from the states to all nodes"""
+    """(B, S, D) from the states to all nodes"""
     feedthrough: FloatArray
-    """(S, E) immediate effect of the right sides on the nodes"""
+    """(B, S, E) immediate effect of the right sides on the nodes"""
     response: FloatArray
-    """(S, E) settled voltages by the right sides"""
+    """(B, S, E) settled voltages by the right sides"""
     constant: FloatArray
-    """(S,) V, settled without drive: offset and bias"""
+    """(B, S) V, settled without drive: offset and bias"""
     rest: FloatArray
-    """(S,) V with amplifiers whose outputs are at the reference"""
+    """(B, S) V with amplifiers whose outputs are at the reference"""
     rates: ComplexArray
-    """(D,) 1/s, at which the modes decay"""
+    """(B, D) 1/s, at which the modes decay"""
     left: ComplexArray
-    """(S, D) to the nodes from the modes"""
+    """(B, S, D) to the nodes from the modes"""
     right: ComplexArray
-    """(D, S) to the modes from the nodes"""
-    is_modal: bool
-    """whether ``left`` and ``right`` are accurate; if not, they are those of the states"""
+    """(B, D, S) to the modes from the nodes"""
+    is_modal: BoolArray
+    """(B,) whether ``left`` and ``right`` are accurate; if not, they are those of the states"""
 
     @classmethod
-    def of(cls, board: Board, network: FloatArray, loaded: IntArray, taps: Sequence[int]) -> Circuit:
-        """The circuit of one state of the switches.
+    def of(cls, boards: Boards, board: Board, network: FloatArray, loaded: IntArray, taps: Sequence[int]) -> Circuit:
+        """The circuits of one state of the switches.
 
         Args:
-            board: with amplifiers that hold their columns, or with loads.
-            network: (M, M) S, the grid as the column ends see it.
+            boards: their part values, in line coordinates.
+            board: which parts there are: amplifiers that hold their columns, or loads.
+            network: (B, M, M) S, the grid of each board as the column ends see it.
             loaded: columns at an amplifier, or of a divider at their loads.
             taps: (K,) for each sampling capacitor the unknown that it is connected to (a column end, or M plus the
                 number of an amplifier); -1: none.
 
         """
-        part, adc, columns = board.readout, board.adc, len(network)
+        adc, columns = board.adc, network.shape[-1]
         amplified = loaded if board.circuit.virtual_ground else loaded[:0]
         idle = np.setdiff1d(np.arange(columns), loaded)
         at_loads = loaded if not len(amplified) else idle if board.idle_columns == "load" else idle[:0]
         grounded_ends = idle if board.idle_columns == "ground" else idle[:0]
-        count, size = len(amplified), columns + len(amplified) + len(taps)
+        count, size, batch = len(amplified), columns + len(amplified) + len(taps), len(network)
         outputs, samples = np.arange(columns, columns + count), np.arange(columns + count, size)
-        slack, feedback = 1.0 / board.gain[amplified], 1.0 / board.reference[amplified]
-        lag = 0.0 if part.gain_bandwidth == inf else 1.0 / (2.0 * pi * part.gain_bandwidth)
+        slack = 1.0 / boards.open_loop_gain[:, amplified]
+        conductance = 1.0 / boards.reference_resistance
+        offset, bias = boards.offset_voltage[:, amplified], boards.bias_current[:, amplified]
+        lag = 1.0 / (2.0 * pi * boards.gain_bandwidth)  # 0: the amplifier follows at once
         ohms, farads = (adc.switch_resistance, adc.sampling_capacitance) if adc else (0.0, 0.0)
-        line = part.column_capacitance
+        line, across = boards.column_capacitance, boards.feedback_capacitance
         if not count and not ohms and not (adc and adc.acquisition_time):
-            line += farads  # each column has a capacitor of its own, without a resistance between
-        static, charge = np.zeros((size, size)), np.zeros((size, size))
-        static[:columns, :columns] = network
-        static[at_loads, at_loads] += 1.0 / board.reference[at_loads]
-        static[amplified, amplified] += feedback
-        static[amplified, outputs] -= feedback
-        static[outputs, amplified], static[outputs, outputs] = 1.0, slack
+            line = line + farads  # each column has a capacitor of its own, without a resistance between
+        static, charge = np.zeros((2, batch, size, size))
+        static[:, :columns, :columns] = network
+        static[:, at_loads, at_loads] += conductance[:, at_loads]
+        static[:, amplified, amplified] += conductance[:, amplified]
+        static[:, amplified, outputs] -= conductance[:, amplified]
+        static[:, outputs, amplified], static[:, outputs, outputs] = 1.0, slack
         ends, sampler = np.arange(columns), ohms * farads if count else farads
-        charge[ends, ends], charge[outputs, outputs], charge[samples, samples] = line, lag, sampler
-        charge[amplified, amplified] += part.feedback_capacitance
-        charge[amplified, outputs] -= part.feedback_capacitance
+        charge[:, ends, ends], charge[:, outputs, outputs], charge[:, samples, samples] = line, lag, sampler
+        charge[:, amplified, amplified] += across
+        charge[:, amplified, outputs] -= across
         inputs = amplified if count < columns else amplified[:0]
         nodes = np.concatenate([ends, inputs, outputs, samples])
-        kept = np.zeros((size, len(nodes)))  # charges that nodes bring along
-        lengths = [columns, len(inputs), count, len(samples)]
-        kept[nodes, np.arange(len(nodes))] = np.repeat([line, 0.0, lag, sampler], lengths)
+        kept = np.zeros((batch, size, len(nodes)))  # charges that nodes bring along
         first_output = columns + len(inputs)
-        kept[amplified, columns if len(inputs) else ends[:count]] += part.feedback_capacitance
-        kept[amplified, first_output + np.arange(count)] -= part.feedback_capacitance
-        follow, gather, shift = np.eye(size), np.eye(size), np.zeros((size, size))
-        given, standing, joined = np.zeros(size), np.zeros(columns), []
-        given[amplified] = -board.bias[amplified]
-        given[outputs] = standing[amplified] = board.offset[amplified] - slack * board.level
+        kept[:, ends, ends], kept[:, outputs, first_output + np.arange(count)] = line, lag
+        kept[:, samples, len(nodes) - len(samples) + np.arange(len(samples))] = sampler
+        kept[:, amplified, columns if len(inputs) else ends[:count]] += across
+        kept[:, amplified, first_output + np.arange(count)] -= across
+        follow, gather = np.broadcast_to(np.eye(size), (2, batch, size, size)).copy()
+        shift = np.zeros((size, size))
+        given, standing, joined = np.zeros((batch, size)), np.zeros((batch, columns)), []
+        given[:, amplified] = -bias
+        given[:, outputs] = standing[:, amplified] = offset - slack * boards.reference_voltage
         for sample, tap in zip(samples.tolist(), taps, strict=True):
             if tap >= 0 and count:
-                static[sample, [sample, tap]] = 1.0, -1.0
+                static[:, sample, [sample, tap]] = 1.0, -1.0
             elif tap >= 0 and ohms:
-                static[[sample, tap], [sample, tap]] += 1.0 / ohms
-                static[[sample, tap], [tap, sample]] -= 1.0 / ohms
+                static[:, [sample, tap], [sample, tap]] += 1.0 / ohms
+                static[:, [sample, tap], [tap, sample]] -= 1.0 / ohms
             elif tap >= 0:
-                follow[sample, tap] = gather[tap, sample] = 1.0
+                follow[:, sample, tap] = gather[:, tap, sample] = 1.0
                 joined.append(sample)
-        if not lag:  # u = Vos - (v + Vref)/A at once
-            follow[amplified, outputs], follow[amplified, amplified] = -slack, 0.0
+        lags = bool(lag.any())
+        if not lags:  # u = Vos - (v + Vref)/A at once
+            follow[:, amplified, outputs], follow[:, amplified, amplified] = -slack, 0.0
             shift[amplified, outputs] = 1.0
-        others = np.setdiff1d(ends, grounded_ends if lag else np.union1d(grounded_ends, amplified))
+        others = np.setdiff1d(ends, grounded_ends if lags else np.union1d(grounded_ends, amplified))
         alone = np.setdiff1d(samples, joined)
-        follow = follow[:, np.concatenate([others, outputs, alone]).astype(np.intp)]
-        gather = gather[np.concatenate([others, outputs if lag else amplified, alone]).astype(np.intp)]
+        follow = follow[:, :, np.concatenate([others, outputs, alone]).astype(np.intp)]
+        gather = gather[:, np.concatenate([others, outputs if lags else amplified, alone]).astype(np.intp)]
+        at_rest = np.zeros((batch, count + len(samples)))
         return cls._reduced(
             static=gather @ static @ follow,
             charge=gather @ charge @ follow,
             source=gather @ (np.eye(size) - static @ shift),
             jump=gather @ charge @ shift,
             kept=gather @ kept,
-            follow=follow[nodes],
+            follow=follow[:, nodes],
             shift=shift[nodes],
             given=given,
-            rest=np.concatenate([standing, standing[inputs], np.zeros(count + len(samples))]),
+            rest=np.concatenate([standing, standing[:, inputs], at_rest], axis=1),
         )
 
     @classmethod
@@ -163,23 +170,24 @@ class Circuit(NamedTuple):
         The nodes are ``follow y + shift b``. The states are ``y + charge^-1 jump b`` of the other equations, so that no
         derivative of b appears.
         """
-        one = np.eye(len(static))
-        moving, at_once = np.flatnonzero(charge.any(axis=1)), np.flatnonzero(~charge.any(axis=1))
-        instant = np.linalg.solve(static[np.ix_(at_once, at_once)], one[at_once])
-        lift = one[:, moving]
-        lift[at_once] -= instant[:, at_once] @ static[np.ix_(at_once, moving)]
-        inverse = np.linalg.inv(charge[np.ix_(moving, moving)])
-        reduce = one[moving] - static[np.ix_(moving, at_once)] @ instant
+        batch, size = static.shape[:2]
+        one, stores = np.eye(size), charge.any(axis=(0, 2))
+        moving, at_once = np.flatnonzero(stores), np.flatnonzero(~stores)
+        instant = np.linalg.solve(_block(static, at_once, at_once), one[at_once])
+        lift = np.broadcast_to(one[:, moving], (batch, size, len(moving))).copy()
+        lift[:, at_once] -= instant[:, :, at_once] @ _block(static, at_once, moving)
+        inverse = np.linalg.inv(_block(charge, moving, moving))
+        reduce = one[moving] - _block(static, moving, at_once) @ instant
         matrix = -inverse @ reduce @ static @ lift
-        leap, feed, back = inverse @ jump[moving], np.zeros((len(static), source.shape[1])), follow @ lift
-        feed[at_once] = instant @ source
+        leap, back = inverse @ jump[:, moving], follow @ lift
+        feed = np.zeros((batch, size, source.shape[-1]))
+        feed[:, at_once] = instant @ source
         fixed = static.copy()  # a capacitor that nothing is connected to counts from the reference
-        fixed[np.diag_indices(len(fixed))] += ~static.any(axis=1)
+        diagonal = np.arange(size)
+        fixed[:, diagonal, diagonal] += ~static.any(axis=2)
         response = follow @ np.linalg.solve(fixed, source) + shift
-        into = inverse @ kept[moving]
-        rates, vectors = np.linalg.eig(matrix) if len(moving) else (np.zeros(0), np.zeros((0, 0)))
-        is_modal = not len(moving) or bool(np.linalg.cond(vectors) < _WORST_CONDITION)
-        left, right = (back @ vectors, np.linalg.solve(vectors, into)) if is_modal else (back, into)
+        into = inverse @ kept[:, moving]
+        rates, left, right, is_modal = _modes(matrix, back, into)
         return cls(
             matrix=matrix,
             entry=inverse @ reduce @ source - matrix @ leap,
@@ -187,36 +195,85 @@ class Circuit(NamedTuple):
             back=back,
             feedthrough=follow @ feed + shift - back @ leap,
             response=response,
-            constant=response @ given,
+            constant=(response @ given[..., None])[..., 0],
             rest=rest,
             rates=(np.maximum(-rates.real, 0.0) - 1j * rates.imag).astype(np.complex128),
-            left=left.astype(np.complex128),
-            right=right.astype(np.complex128),
+            left=left,
+            right=right,
             is_modal=is_modal,
         )
 
-    def after(self, deviation: FloatArray, seconds: float) -> FloatArray:
-        """Deviations (S, ...) of the nodes from their settled voltages, some time after a switch has turned."""
-        if not self.is_modal:
-            left: FloatArray = self.back @ expm(self.matrix * seconds) @ (self.into @ deviation)
-            return left
-        there: FloatArray = ((self.left * np.exp(-self.rates * seconds)) @ (self.right @ deviation)).real
+    def after(self, deviation: FloatArray, seconds: FloatArray | float) -> FloatArray:
+        """Deviations (B, S, ...) of the nodes from their settled voltages, some time (B,) after a switch has turned.
+
+        Args:
+            deviation: (B or 1, S, K) V when the switch turns.
+            seconds: (B,) s, or one time for all boards.
+        """
+        from scipy.linalg import expm
+
+        passed = np.broadcast_to(np.asarray(seconds, dtype=np.float64), len(self.matrix))
+        decayed = np.exp(-self.rates * passed[:, None])
+        there: FloatArray = ((self.left * decayed[:, None]) @ (self.right @ deviation)).real
+        slow = np.flatnonzero(~self.is_modal)
+        if len(slow):
+            given = np.broadcast_to(deviation, (len(self.matrix), *deviation.shape[1:]))[slow]
+            moved = expm(self.matrix[slow] * passed[slow, None, None])
+            there[slow] = self.back[slow] @ moved @ (self.into[slow] @ given)
         return there
 
     def settled(self, current: FloatArray) -> FloatArray:
-        """Settled voltages (S,) with these currents (M,) into the column ends."""
-        volts: FloatArray = self.response[:, : len(current)] @ current + self.constant
+        """Settled voltages (B, S, ...) with these currents (B, M, ...) into the column ends."""
+        volts: FloatArray = self.response[..., : current.shape[1]] @ current + self.constant[..., None]
         return volts
 
 
-def column_networks(board: Board, cells: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """The grid as the column ends see it while each row is selected, leads included and loads not.
+def _block(matrix: FloatArray, rows: IntArray, columns: IntArray) -> FloatArray:
+    """(B, R, C) of matrices (B, ...)."""
+    return matrix[:, rows[:, None], columns]
 
-    Yields:
-        Conductance matrix (M, M) in S, the same object for rows that see the same; and the Norton currents (M,) in A of
-        the drive.
 
-    """
+def _modes(
+    matrix: FloatArray, back: FloatArray, into: FloatArray
+) -> tuple[ComplexArray, ComplexArray, ComplexArray, BoolArray]:
+    """Eigenvalues (B, D), and the modal forms of ``back`` and ``into`` where they are accurate."""
+    if not matrix.shape[-1]:
+        nothing = np.zeros(matrix.shape[:2], dtype=np.complex128)
+        return nothing, back.astype(np.complex128), into.astype(np.complex128), np.ones(len(matrix), dtype=np.bool_)
+    rates, vectors = np.linalg.eig(matrix)
+    is_modal = np.linalg.cond(vectors) < _WORST_CONDITION
+    left, right = back.astype(np.complex128), into.astype(np.complex128)
+    left[is_modal] = back[is_modal] @ vectors[is_modal]
+    right[is_modal] = np.linalg.solve(vectors[is_modal], into[is_modal])
+    return rates, left, right, is_modal
+
+
+class ColumnNetworks(NamedTuple):
+    """The grids of B boards as the column ends see them while each row is selected, leads included and loads not."""
+
+    conductance: FloatArray
+    """(B, G, M, M) S; G is 1 where all rows see the same network, else N"""
+    current: FloatArray
+    """(B, N, M) A, Norton currents of the drive"""
+
+    @classmethod
+    def of(cls, design: Design, boards: Boards, cells: FloatArray) -> ColumnNetworks:
+        """Networks of boards in line coordinates with cells (B, N, M) in ohm."""
+        together = column_ends(design, boards, cells)
+        if together is not None and all(np.isfinite(part).all() for part in together):
+            found = cls(*together)
+        else:
+            ours = boards.turned if design.board.turned else boards
+            each = [_network(ours.design(design, b).board, frame) for b, frame in enumerate(cells)]
+            found = cls(*(np.stack(parts) for parts in zip(*each, strict=True)))
+        every = np.arange(found.conductance.shape[-1])
+        leak = np.maximum(found.conductance.max(axis=(1, 2, 3)), 1.0 / boards.reference_resistance.max(axis=1))
+        found.conductance[..., every, every] += _LEAK * leak[:, None, None]
+        return found
+
+
+def _network(board: Board, cells: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """As :meth:`ColumnNetworks.of` for one board of any kind."""
     rows, columns = board.shape
     network = terminate(exact_ports(board, cells).value, rows + board.pulled, board.column_lead).value
     every = np.arange(columns)
@@ -224,20 +281,19 @@ def column_networks(board: Board, cells: FloatArray) -> Iterator[tuple[FloatArra
     def conductance(between: FloatArray, to_rows: FloatArray) -> FloatArray:
         matrix = -between
         matrix[every, every] = to_rows + between.sum(axis=1) - between[every, every]
-        matrix[every, every] += _LEAK * max(float(matrix.max()), 1.0 / float(board.reference.max()))
         return matrix
 
     if not board.floating:
         grounded = conductance(network[rows:, rows:], network[rows:, :rows].sum(axis=1))
-        for row in range(rows):
-            yield grounded, board.drive * network[row, rows:]
-        return
+        return grounded[None], board.drive * network[:rows, rows:]
+    found, currents = [], []
     for alone, _ in one_driven(network, rows):
         grounded_ends = len(alone) - columns  # the selected row, and the reference behind pull-downs
-        yield (
-            conductance(alone[grounded_ends:, grounded_ends:], alone[:grounded_ends, grounded_ends:].sum(axis=0)),
-            board.drive * alone[0, grounded_ends:],
+        found.append(
+            conductance(alone[grounded_ends:, grounded_ends:], alone[:grounded_ends, grounded_ends:].sum(axis=0))
         )
+        currents.append(board.drive * alone[0, grounded_ends:])
+    return np.stack(found), np.stack(currents)
 
 
 def sampler_delay(board: Board) -> float:

@@ -17,14 +17,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.constants import Boltzmann
-from scipy.linalg import solve_continuous_lyapunov
 
 from ...common.arrays import FloatArray, IntArray
+from ...common.constants import BOLTZMANN
 from ...errors import InputError
 from .._board import Board
 from .._design import Design
-from ._circuit import Circuit, column_networks, require_amplifiers, sampler_delay
+from .._population import Boards
+from ._circuit import Circuit, ColumnNetworks, require_amplifiers, sampler_delay
 
 _ORIGINS = ("amplifier voltage", "amplifier current", "grid", "reference resistor")
 _LEAST_INTENSITY = 1e-16
@@ -105,10 +105,10 @@ def noise(design: Design, resistance: ArrayLike) -> Noise:
     cells = board.turn(design.resistance(resistance))
     part, adc = design.readout, design.adc
     parts: dict[str, FloatArray] = {}
-    thermal_energy = Boltzmann * part.temperature  # k T, in J
+    thermal_energy = BOLTZMANN * part.temperature  # k T, in J
     if board.circuit.has_amplifiers:
         if part.voltage_noise or part.current_noise or thermal_energy:
-            parts |= _amplifier_noise(board, cells, thermal_energy)
+            parts |= _amplifier_noise(design, cells, thermal_energy)
     elif thermal_energy and not (adc and adc.sampling_capacitance):
         raise InputError(
             "noise of the resistors has no bandwidth limit and so no finite size; give adc.sampling_capacitance"
@@ -120,34 +120,36 @@ def noise(design: Design, resistance: ArrayLike) -> Noise:
     return Noise({name: board.turn(part) for name, part in parts.items()}, design.array.shape)
 
 
-def _amplifier_noise(board: Board, cells: FloatArray, thermal_energy: float) -> dict[str, FloatArray]:
+def _amplifier_noise(design: Design, cells: FloatArray, thermal_energy: float) -> dict[str, FloatArray]:
     """Standard deviations (N, M) in V by origin: amplifiers, grid and resistors.
 
     One amplifier behind a switch has long been at the column that it reads.
     """
+    board = design.board
     columns = board.shape[1]
     every = np.arange(columns)
     readings = every[:, None] if board.multiplexed else every[None]
+    boards = Boards.of(design)
+    ours = boards.turned if board.turned else boards
     parts: dict[str, FloatArray] = {}
-    known: dict[int, dict[str, FloatArray]] = {}
-    networks = [network for network, _ in column_networks(board, cells)]  # all alive: their identities differ
-    for row, network in enumerate(networks):
-        if id(network) not in known:
-            known[id(network)] = {}
-            for loaded in readings:
-                for name, variance in _variances(board, network, loaded, thermal_energy).items():
-                    known[id(network)].setdefault(name, np.zeros(columns))[loaded] = variance
-        for name, variance in known[id(network)].items():
-            parts.setdefault(name, np.zeros(board.shape))[row] = np.sqrt(variance)
+    networks = ColumnNetworks.of(design, ours, cells[None]).conductance
+    for group in range(networks.shape[1]):
+        rows = slice(None) if networks.shape[1] == 1 else group
+        for loaded in readings:
+            for name, variance in _variances(ours, board, networks[:, group], loaded, thermal_energy).items():
+                parts.setdefault(name, np.zeros(board.shape))[rows, loaded] = np.sqrt(variance)
     return parts
 
 
-def _variances(board: Board, network: FloatArray, loaded: IntArray, thermal_energy: float) -> dict[str, FloatArray]:
+def _variances(
+    boards: Boards, board: Board, network: FloatArray, loaded: IntArray, thermal_energy: float
+) -> dict[str, FloatArray]:
     """Variances in V^2 of the readings of the columns ``loaded`` (A,) at amplifiers, by the name of the noise.
 
     Args:
-        board: its amplifiers, resistors and sampling capacitors.
-        network: (M, M) S, the grid as the column ends see it.
+        boards: amplifiers and resistors of one board, in line coordinates.
+        board: which parts there are.
+        network: (1, M, M) S, the grid as the column ends see it.
         loaded: columns at an amplifier.
         thermal_energy: k T in J.
 
@@ -155,28 +157,30 @@ def _variances(board: Board, network: FloatArray, loaded: IntArray, thermal_ener
         InputError: nothing limits the bandwidth of a noise.
 
     """
-    part, columns, count = board.readout, len(network), len(loaded)
+    from scipy.linalg import solve_continuous_lyapunov
+
+    part, columns, count = board.readout, network.shape[-1], len(loaded)
     outputs = np.arange(columns, columns + count)
     samples = count if sampler_delay(board) else 0
-    circuit = Circuit.of(board, network, loaded, outputs[:samples].tolist())
-    read = len(circuit.rest) - count + np.arange(count)  # the capacitors, or the outputs
+    circuit = Circuit.of(boards, board, network, loaded, outputs[:samples].tolist())
+    read = circuit.rest.shape[1] - count + np.arange(count)  # the capacitors, or the outputs
     at_loads = np.arange(columns) if board.idle_columns == "load" else loaded
     # The intensity of white noise is its two-sided density, half the one-sided density.
-    intensities = {name: np.zeros(circuit.entry.shape[1] * np.array([1, 1])) for name in _ORIGINS}
+    intensities = {name: np.zeros(circuit.entry.shape[2] * np.array([1, 1])) for name in _ORIGINS}
     intensities["amplifier voltage"][outputs, outputs] = part.voltage_noise**2 / 2
     intensities["amplifier current"][loaded, loaded] = part.current_noise**2 / 2
-    intensities["grid"][:columns, :columns] = 2 * thermal_energy * network
+    intensities["grid"][:columns, :columns] = 2 * thermal_energy * network[0]
     intensities["reference resistor"][at_loads, at_loads] = 2 * thermal_energy / board.reference[at_loads]
     found = {}
     for name, intensity in intensities.items():
         if not (np.abs(intensity) > _LEAST_INTENSITY * thermal_energy).any():
             continue
-        if (circuit.feedthrough[read] @ intensity).any():
+        if (circuit.feedthrough[0, read] @ intensity).any():
             raise InputError(
                 f"noise of the {name} has no bandwidth limit and so no finite size; give readout.gain_bandwidth, "
                 "or adc.switch_resistance with adc.sampling_capacitance"
             )
-        covariance = solve_continuous_lyapunov(circuit.matrix, -circuit.entry @ intensity @ circuit.entry.T)
-        output = circuit.back[read]
+        covariance = solve_continuous_lyapunov(circuit.matrix[0], -circuit.entry[0] @ intensity @ circuit.entry[0].T)
+        output = circuit.back[0, read]
         found[name] = np.maximum(np.einsum("js,st,jt->j", output, covariance, output), 0.0)
     return found

@@ -1,5 +1,8 @@
 """Settling after a row switch: the error at the sample instant, the shortest row period, and amplifier stability.
 
+:class:`BoardsInTime` and :func:`stability_of_boards` serve many boards at once, :class:`Settling` and
+:func:`stability` one.
+
 After a row switch the readings approach their new values (:mod:`._repeated_scan`). Slewing and saturation are not
 linear. Slewing is not modelled; saturated frames are refused.
 """
@@ -7,19 +10,146 @@ linear. Slewing is not modelled; saturated frames are refused.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from math import inf, pi
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq, minimize_scalar
 
 from ...common.arrays import FloatArray
 from ...errors import InputError, SolverError
 from .._design import Design
+from .._population import Boards
 from .._scan import scan
-from ._circuit import column_networks, require_amplifiers
+from ._circuit import ColumnNetworks, require_amplifiers
 from ._repeated_scan import Deviations, RepeatedScan
+
+
+class BoardsInTime:
+    """The repeated scan of many boards of one design in time, each with cells of its own."""
+
+    def __init__(self, design: Design, boards: Boards, cells: FloatArray) -> None:
+        """Solve the settled frames and their dynamics.
+
+        Args:
+            design: which parts there are.
+            boards: part values of B boards, or of one.
+            cells: (B, rows, columns) ohm.
+
+        Raises:
+            InputError: a circuit whose dynamics are not modelled.
+
+        """
+        self._board = board = design.board
+        if board.circuit.has_amplifiers and not board.circuit.virtual_ground:
+            require_amplifiers(board)
+        self._scan = RepeatedScan(design, boards.turned if board.turned else boards, board.turn(cells))
+        self.briefest = self._scan.briefest
+        """shortest row period in s: the acquisitions of all columns, if one sampling capacitor serves them"""
+        self.settled: FloatArray = board.turn(self._scan.settled) + boards.reference_voltage[..., None]
+        """(B, rows, columns) V after a long time, without supply limits"""
+
+    @property
+    def takes_time(self) -> bool:
+        """Whether any reading follows its row switch with a delay."""
+        return bool((self._scan.modes().size > 0).any())
+
+    def deviations(self, period: FloatArray | float) -> Deviations:
+        """Deviations in V (B, rows, columns) from the settled readings if each row is selected for ``period`` s (B,).
+
+        Raises:
+            InputError: a period is not positive or shorter than the acquisitions of all columns.
+
+        """
+        least = float(np.min(period))
+        if not least > 0 or least < self.briefest:
+            raise InputError(
+                f"row period {least} s: expected a time above 0, and adc.acquisition_time for each column at least"
+            )
+        return Deviations(*map(self._board.turn, self._scan.deviations(period)))
+
+    def shortest_period(self, allowed: FloatArray) -> FloatArray:
+        """Shortest row period (B,) in s such that no deviation exceeds ``allowed`` V (B,), nor at any longer period.
+
+        A ringing amplifier may cross the right value much earlier; such crossings do not count. If nothing has to
+        settle, the period is the sum of all acquisitions. Infinite where no period suffices, because a shared sampling
+        capacitor cannot follow within its acquisition time.
+
+        The search starts at a period where the sum of the envelopes of all modes is within the limit. From there the
+        period decreases in steps that are short compared with the time scales of the modes that still matter. Where the
+        deviation comes near the limit, the search looks for a peak between two steps.
+        """
+        modes = self._scan.modes()
+        unhurried = self._scan.unhurried.larger.max(axis=(1, 2))
+        found = np.where(unhurried > allowed, inf, self.briefest)
+        left = (unhurried <= allowed) & (modes.slowest > 0) & np.isfinite(modes.slowest)
+        if not left.any():
+            return found
+        least = np.where(left, 1e-9 / np.where(left, modes.slowest, 1.0), 0.0)
+
+        def excess(waiting: FloatArray) -> FloatArray:
+            largest: FloatArray = self._scan.deviations(self.briefest + waiting).larger.max(axis=(1, 2))
+            return largest - allowed
+
+        room = np.where(left, allowed - unhurried, inf)
+        upper = np.maximum(modes.settled_after(room), least)
+        upper_excess = excess(upper)
+        for _ in range(60):
+            if not (late := left & (upper_excess > 0)).any():
+                break
+            upper[late] *= 2.0
+            upper_excess = excess(upper)
+        after, after_excess = upper.copy(), np.full(len(upper), inf)  # the step before the last one
+        bracket = np.zeros((2, len(upper)))
+        crosses = np.zeros(len(upper), dtype=np.bool_)
+        while left.any():
+            lower = np.maximum(upper - modes.step(upper, room), 0.0)
+            ends = lower < least
+            lower[ends] = 0.0 if self.briefest else least[ends]
+            lower_excess = excess(lower)
+            near = left & (lower_excess <= 0) & (upper_excess > -_NEAR * allowed)
+            peaks = near & (upper_excess >= np.maximum(lower_excess, after_excess))
+            top, top_excess = _peak(excess, lower, after) if peaks.any() else (upper, upper_excess)
+            over = left & (lower_excess > 0)
+            hidden = peaks & (top_excess > 0)
+            bracket[:, over] = lower[over], upper[over]
+            bracket[:, hidden] = top[hidden], after[hidden]
+            crosses |= over | hidden
+            left &= ~(over | hidden | ends)
+            after, after_excess, upper, upper_excess = upper, upper_excess, lower, lower_excess
+        if crosses.any():
+            crossing = _crossing(excess, bracket[0], bracket[1])
+            found[crosses] = (self.briefest + crossing)[crosses]
+        return found
+
+
+_NEAR = 0.1  # of the limit; between two steps of a quarter of a radian a deviation rises by less than this
+_GOLDEN = 0.6180339887498949
+_HALVINGS = 36  # of a bracket: the period is then known to 1e-11 of it
+_SECTIONS = 40  # golden sections of a peak's bracket, to 1e-8 of it
+
+
+def _peak(
+    excess: Callable[[FloatArray], FloatArray], lower: FloatArray, upper: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Where ``excess`` has its peak between two times (B,), and its value there, by golden sections."""
+    low, high = lower.copy(), upper.copy()
+    for _ in range(_SECTIONS):
+        width = _GOLDEN * (high - low)
+        rises = excess(high - width) < excess(low + width)
+        low, high = np.where(rises, high - width, low), np.where(rises, high, low + width)
+    middle = (low + high) / 2
+    return middle, excess(middle)
+
+
+def _crossing(excess: Callable[[FloatArray], FloatArray], lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Times (B,) at which ``excess`` falls to zero, between ``lower`` (positive there) and ``upper`` (not positive)."""
+    low, high = lower.copy(), upper.copy()
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        positive = excess(middle) > 0
+        low, high = np.where(positive, middle, low), np.where(positive, high, middle)
+    return high
 
 
 class Settling:
@@ -40,10 +170,10 @@ class Settling:
             SolverError: an output saturates, so that the circuit is not linear.
 
         """
-        self._board = board = design.board
-        if board.circuit.has_amplifiers and not board.circuit.virtual_ground:
-            require_amplifiers(board)
-        result = scan(design, resistance, method="exact")
+        board = design.board
+        cells = design.resistance(resistance)
+        self._in_time = BoardsInTime(design, Boards.of(design), cells[None])
+        result = scan(design, cells, method="exact")
         if result.saturated.any():
             row, column = np.argwhere(result.saturated)[0]
             raise SolverError(
@@ -55,8 +185,6 @@ class Settling:
         """V (rows, columns) after a long time"""
         self.signal = float(np.abs(self.settled - board.level).max())
         """V, the largest difference of a settled reading from the reference"""
-        self._settled = board.turn(result.volts)
-        self._scan = RepeatedScan(board, board.turn(design.resistance(resistance)))
 
     def sampled(self, period: float) -> FloatArray:
         """Readings in V (rows, columns) if each row is selected for ``period`` s.
@@ -70,7 +198,8 @@ class Settling:
             InputError: the period is not positive or shorter than the acquisitions of all columns.
 
         """
-        return self._board.turn(self._settled + self._deviations(period).repeated)
+        sampled: FloatArray = self.settled + self._in_time.deviations(period).repeated[0]
+        return sampled
 
     def sampled_from_rest(self, period: float) -> FloatArray:
         """As :meth:`sampled`, but each row follows a row without signal: outputs and capacitor at the reference.
@@ -81,7 +210,8 @@ class Settling:
             InputError: as :meth:`sampled`.
 
         """
-        return self._board.turn(self._settled + self._deviations(period).from_rest)
+        sampled: FloatArray = self.settled + self._in_time.deviations(period).from_rest[0]
+        return sampled
 
     def error(self, period: float) -> float:
         """Largest deviation from the settled readings, relative to the largest signal of the frame.
@@ -89,18 +219,13 @@ class Settling:
         This is the larger value of two scans: the repeated scan (:meth:`sampled`) and the scan from rest
         (:meth:`sampled_from_rest`). In a repeated scan of equal cells nothing has to settle.
         """
-        deviation = self._deviations(period).largest
+        deviation = float(self._in_time.deviations(period).larger.max())
         return deviation / self.signal if deviation else 0.0
 
     def shortest_period(self, error: float) -> float:
         """Shortest row period in s such that :meth:`error` stays within ``error`` for all longer periods.
 
-        A ringing amplifier may cross the right value much earlier; such crossings do not count. If nothing has to
-        settle, the period is the sum of all acquisitions: 0 without ``adc.acquisition_time``.
-
-        The search starts at a period where the sum of the envelopes of all modes is within the limit. From there the
-        period decreases in steps that are short compared with the time scales of the modes that still matter. Where the
-        error comes near the limit, the search looks for a peak between two steps.
+        See :meth:`BoardsInTime.shortest_period`.
 
         Raises:
             InputError: ``error`` is not between 0 and 1.
@@ -109,63 +234,15 @@ class Settling:
         """
         if not 0 < error < 1:
             raise InputError(f"settling error {error}: expected a fraction between 0 and 1 of the largest signal")
-        briefest, unhurried = self._scan.briefest, self._scan.unhurried
-        if unhurried > error * self.signal:
+        period = float(self._in_time.shortest_period(np.array([error * self.signal]))[0])
+        if period == inf:
             adc = self.design.adc
             assert adc is not None
             raise SolverError(
                 f"the sampling capacitor of {adc.sampling_capacitance} F cannot follow within "
                 f"adc.acquisition_time = {adc.acquisition_time} s"
             )
-        modes = self._scan.modes()
-        if not len(modes.rate):
-            return briefest
-
-        def excess(waiting: float) -> float:
-            return self.error(briefest + waiting) - error
-
-        allowed = error * self.signal - unhurried
-        slowest = float(-modes.rate.real.max())
-        upper = modes.settled_after(allowed)
-        for _ in range(60):
-            if excess(upper) <= 0:
-                break
-            upper *= 2.0
-        upper_excess = excess(upper)
-        after, after_excess = upper, inf  # the step before the last one
-        while True:
-            lower = upper - modes.step(upper, allowed)
-            if lower < 1e-9 / slowest:
-                lower = 0.0 if briefest else 1e-9 / slowest
-            lower_excess = excess(lower)
-            if lower_excess > 0:
-                return briefest + _crossing(excess, lower, upper)
-            if upper_excess > -_NEAR * error and upper_excess >= max(lower_excess, after_excess):
-                found = minimize_scalar(lambda waiting: -excess(waiting), bounds=(lower, after), method="bounded")
-                if found.fun < 0:
-                    return briefest + _crossing(excess, float(found.x), after)
-            if lower <= 1e-9 / slowest:
-                return briefest
-            after, after_excess, upper, upper_excess = upper, upper_excess, lower, lower_excess
-
-    def _deviations(self, period: float) -> Deviations:
-        if not period > 0 or period < self._scan.briefest:
-            raise InputError(
-                f"row period {period} s: expected a time above 0, and adc.acquisition_time for each column at least"
-            )
-        return self._scan.deviations(period)
-
-
-_NEAR = 0.1  # of the limit; between two steps of a quarter of a radian an error rises by less than this
-
-
-def _crossing(excess: Callable[[float], float], lower: float, upper: float) -> float:
-    """Time at which ``excess`` falls to zero, between ``lower`` (positive there) and ``upper`` (not positive)."""
-    fine = 1e-9 * upper
-    at, beyond = float(brentq(excess, lower, upper, xtol=fine, rtol=1e-12)), fine
-    while at < upper and excess(at) > 0:
-        at, beyond = min(at + beyond, upper), 2.0 * beyond
-    return at
+        return period
 
 
 @dataclass(frozen=True)
@@ -193,16 +270,25 @@ def stability(design: Design, resistance: ArrayLike) -> Stability:
         InputError: as :class:`Settling`, or ``readout.gain_bandwidth`` is infinite.
 
     """
-    board, part = design.board, design.readout
+    found = stability_of_boards(design, Boards.of(design), design.resistance(resistance)[None])
+    return Stability(*(getattr(found, field.name)[0] for field in fields(found)))
+
+
+def stability_of_boards(design: Design, boards: Boards, cells: FloatArray) -> Stability:
+    """As :func:`stability` for many boards with cells (B, rows, columns) in ohm; all results are (B, rows, columns)."""
+    board = design.board
     require_amplifiers(board)
-    if np.isinf(part.gain_bandwidth):
+    ours = boards.turned if board.turned else boards
+    speed = 2 * pi * ours.gain_bandwidth[..., None]
+    if np.isinf(speed).any():
         raise InputError("readout.gain_bandwidth is infinite: an amplifier without a pole has no phase margin")
-    networks = column_networks(board, board.turn(design.resistance(resistance)))
-    seen = np.array([np.diagonal(network) for network, _ in networks])
-    rref, slack, speed = board.reference, 1 / board.gain, 2 * pi * part.gain_bandwidth
-    slowed = part.column_capacitance + part.feedback_capacitance > 0
+    networks = ColumnNetworks.of(design, ours, board.turn(cells)).conductance
+    seen = np.diagonal(networks, axis1=-2, axis2=-1)
+    rref, slack = ours.reference_resistance[:, None], 1 / ours.open_loop_gain[:, None]
+    line, across = ours.column_capacitance[..., None], ours.feedback_capacitance[..., None]
+    slowed = bool((line + across).any())
     gain = 1 + rref * seen
-    zero, pole = rref * part.feedback_capacitance, rref * (part.column_capacitance + part.feedback_capacitance)
+    zero, pole = rref * across, rref * (line + across)
     # |A| |beta| = 1:  1 + zero^2 w^2 = (w^2/speed^2 + slack^2) (gain^2 + pole^2 w^2), in x = (w/speed)^2
     a = (pole * speed) ** 2
     b = gain**2 + (slack * pole * speed) ** 2 - (zero * speed) ** 2
@@ -217,13 +303,14 @@ def stability(design: Design, resistance: ArrayLike) -> Stability:
     with np.errstate(invalid="ignore", divide="ignore"):
         resonant = 1 / (2 * damping * np.sqrt(1 - damping**2))
     peaking = np.where(damping < np.sqrt(0.5), resonant, 1.0)
+    shape = (len(cells), *board.shape)
 
     def for_each_cell(values: FloatArray) -> FloatArray:
-        return board.turn(np.broadcast_to(values, board.shape))
+        return board.turn(np.broadcast_to(values, shape))
 
     return Stability(
         noise_gain=for_each_cell(gain),
-        crossover=for_each_cell(omega * part.gain_bandwidth),
+        crossover=for_each_cell(omega * speed / (2 * pi)),
         phase_margin=for_each_cell(180 - np.degrees(lag)),
         peaking=for_each_cell(peaking),
     )

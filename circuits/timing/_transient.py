@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 
 from ...common.arrays import FloatArray
 from .._design import Design
-from ._circuit import Circuit, column_networks, require_amplifiers, sampler_delay
+from .._population import Boards
+from ._circuit import Circuit, ColumnNetworks, require_amplifiers, sampler_delay
 
 
 class Transient:
@@ -63,12 +64,12 @@ class Transient:
         """
         self._board = board = design.board
         taps = range(board.shape[1], 2 * board.shape[1]) if sampler_delay(board) else ()
-        known: dict[int, Circuit] = {}
-        networks = [network for network, _ in column_networks(board, board.turn(design.resistance(resistance)))]
-        for network in networks:
-            if id(network) not in known:
-                known[id(network)] = Circuit.of(board, network, np.arange(board.shape[1]), taps)
-        self._circuits = [known[id(network)] for network in networks]
+        boards = Boards.of(design)
+        ours = boards.turned if board.turned else boards
+        every = np.arange(board.shape[1])
+        networks = ColumnNetworks.of(design, ours, board.turn(design.resistance(resistance))[None]).conductance
+        known = [Circuit.of(ours, board, networks[:, group], every, list(taps)) for group in range(networks.shape[1])]
+        self._circuits = known if len(known) > 1 else known * board.shape[0]
 
     def aim(self, settled: FloatArray, row: int = 0) -> None:
         """Set the outputs that the circuit approaches from now on.
@@ -88,12 +89,12 @@ class Transient:
         if seconds <= 0:
             return
         circuit, size = self._circuits[self._row], len(self._deviation)
-        nodes = np.concatenate([self._deviation, np.zeros(len(circuit.rest) - size)])
+        nodes = np.concatenate([self._deviation, np.zeros(circuit.rest.shape[1] - size)])
         capacitor, final = None, 0.0
         if self._connected is not None and sampler_delay(self._board):
             capacitor, final = size + self._connected, float(self._settled[self._connected])
             nodes[capacitor] = self._held - final
-        nodes = circuit.after(nodes, seconds)
+        nodes = circuit.after(nodes[None, :, None], seconds)[0, :, 0]
         self._deviation = nodes[:size]
         if capacitor is not None:
             self._held = float(np.clip(final + nodes[capacitor], *self._board.supply))

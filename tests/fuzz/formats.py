@@ -117,6 +117,72 @@ def _design_text(rng: random.Random) -> bytes:
     return "\n".join(lines).encode()
 
 
+def _ends_text(rng: random.Random) -> bytes:
+    """A design whose lines end in networks."""
+    column = rng.choice(
+        (
+            '"R1 line 0 33k", "R2 line out 1k", "C1 out 0 10n"',
+            '"V1 vcc 0 5", "R1 vcc line 10k"',
+            '"X1 0 line out opamp", "R1 line out 1k"',
+        )
+    )
+    return f"""[array]
+rows = {SHAPE[0]}
+columns = {SHAPE[1]}
+row_lead = 5.0
+[row_end]
+selected = ["V1 d 0 5", "D1 d line 1N4148"]
+idle = ["R1 line 0 100k"]
+tolerance = {{ R1 = 0.01 }}
+[column_end]
+parts = [{column}]
+shared_by = 1
+[scan]
+row = [{{ wait = 100e-6 }}]
+column = [{{ wait = 10e-6 }}, {{ read = 4 }}]
+[adc]
+bits = 12
+range = [0.0, 5.0]
+""".encode()
+
+
+def _judge_ends(data: bytes, rng: random.Random, folder: Path) -> str:
+    """Cards are elements with plain names and numbers, however they were written; a scan is finite or refused."""
+    path = folder / "design.toml"
+    path.write_bytes(data)
+    design = _read(path, Design.load)
+    if design is None:
+        return REFUSED
+    for end in (design.row_end, design.column_end):
+        for cards in () if end is None else (getattr(end, key) for key in end.NETWORKS):
+            for card in cards or ():
+                assert re.fullmatch(r"[A-Z][\w.]*( [\w.+\-=]+)+", card), f"a card of another kind: {card!r}"
+    if max(design.array.shape) <= 6:
+        with contextlib.suppress(InputError, SolverError):
+            assert np.isfinite(scan(design, np.full(design.array.shape, 1e4)).volts).all()
+    return ACCEPTED
+
+
+def _netlist_text(rng: random.Random) -> bytes:
+    return to_netlist(tomllib.loads((ROOT / "examples" / "board-4x4.toml").read_text())).encode()
+
+
+def _judge_netlist(data: bytes, rng: random.Random, folder: Path) -> str:
+    """A netlist of KiCad gives tables, or one message; what it proposes names no file."""
+    path = folder / "board.net"
+    path.write_bytes(data)
+    netlist = _read(path, read_netlist)
+    if netlist is None:
+        return REFUSED
+    try:
+        tables = import_design(netlist).tables
+        parse(tables, Design, source="board.net")
+    except InputError as refusal:
+        message = one_line(str(refusal))
+        return REFUSED if message.isprintable() else message
+    return ACCEPTED
+
+
 def _judge_design(data: bytes, rng: random.Random, folder: Path) -> str:
     path = folder / "design.toml"
     path.write_bytes(data)
@@ -827,6 +893,8 @@ FORMATS = {
     entry.name: entry
     for entry in (
         Format("design", _design_text, _judge_design),
+        Format("ends", _ends_text, _judge_ends),
+        Format("netlist", _netlist_text, _judge_netlist),
         Format("cell", _cell_text, _judge_cell),
         Format("scene", _scene_text, _judge_scene),
         Format("cells", _cells_text, _judge_cells),

@@ -11,14 +11,14 @@ from collections import Counter
 
 import numpy as np
 
-from ..circuits import Design, Fault, Requirement, scan
-from ..common.arrays import FloatArray
-from ..errors import InputError, SolverError
-from ._corner import first_order
-from ._outcome import Measurement, NotRun, Table
-from ._static import box_of
-from ._subject import Subject
-from ._targets import Excursion
+from ...circuits import Design, Fault, Requirement, scan
+from ...common.arrays import FloatArray
+from ...errors import InputError, SolverError
+from .._dut import DesignUnderTest
+from .._judging import box_of
+from .._outcome import DoesNotApply, Measurement, NotRun, Table
+from .._quantity import Quantity, Shipped
+from .._readings import Excursion, first_order
 
 MOST_FAULTS = 400
 """faults that are solved; of larger arrays every n-th cell is taken"""
@@ -42,27 +42,28 @@ def faults_of(design: Design) -> list[Fault]:
     return found
 
 
-def sound_interval(subject: Subject) -> tuple[FloatArray, FloatArray]:
+def sound_interval(dut: DesignUnderTest) -> tuple[FloatArray, FloatArray]:
     """Lowest and highest voltage (N, M) that a converter's code stands for, of sound boards whose cells are at rest."""
-    box = box_of(subject)
+    box = box_of(dut)
     at_rest = Excursion("voltage at rest", (0.0, 0.0), at_converter=True, at_rest=True)
     high, low = first_order(at_rest, box)
     return -low - 2 * box.half_step, high + 2 * box.half_step
 
 
-def fault_coverage(subject: Subject, requirement: Requirement, method: str) -> Measurement:
-    """Share of single faults that the self-test detects, %."""
-    design = subject.design
+def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
+    design = dut.design
     if design.fault:
         raise NotRun("the design has faults of its own; a self-test is judged on a sound one")
+    if dut.scale.open_is_rest and dut.cell.open_at_rest:
+        raise DoesNotApply("cells that are open at rest carry no current that a self-test could miss")
     try:
-        lowest_sound, highest_sound = sound_interval(subject)
+        lowest_sound, highest_sound = sound_interval(dut)
     except InputError as error:
         raise NotRun(f"no interval of a sound board: {error}") from error
     lowest, highest = _limited(design, lowest_sound), _limited(design, highest_sound)
     counts: dict[str, Counter[bool]] = {}
     missed: list[str] = []
-    cells = np.full(design.array.shape, subject.rest)
+    cells = np.full(design.array.shape, dut.rest)
     for fault in faults_of(design):
         try:
             volts = _limited(design, scan(design.replace(fault=(fault,)), cells, method="exact").volts)
@@ -92,3 +93,13 @@ def _limited(design: Design, volts: FloatArray) -> FloatArray:
     within = np.clip(volts, *design.readout.supply)
     limited: FloatArray = within if design.adc is None else np.clip(within, *design.adc.range)
     return limited
+
+
+QUANTITY = Quantity(
+    name="fault_coverage",
+    title="Fault coverage of a self-test",
+    unit="%",
+    says="Share of single faults that a self-test of the untouched skin detects, %.",
+    compute=_compute,
+    shipped=(Shipped(12, "A self-test tells broken lines and cells.", min=60.0),),
+)

@@ -1,22 +1,22 @@
-"""What all experiments work on: the design under verification, its cells, and where the board is."""
+"""The design under test: what all requirements and claims are judged on, with its cells and its board."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
-from typing import Any
+from functools import cache, cached_property, wraps
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
-import numpy as np
-
-from ..bench import noisy
-from ..cell import Cell, ContactModel, PaperModel, calibrate, checked_recording, protocol_load
+from ..cell import Cell, ContactModel, PaperModel, rehearsed
 from ..circuits import Design
 from ..common.arrays import FloatArray
 from ._parameters import NOMINAL_K, Factors
+from ._scale import DECADE, Scale, ShareScale
 
 SAMPLES = 1000
 SEED = 1
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 def everything_of(design: Design) -> dict[str, Any]:
@@ -29,7 +29,7 @@ def everything_of(design: Design) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Subject:
+class DesignUnderTest:
     """Design, cell and target of one verification run."""
 
     design: Design
@@ -45,12 +45,12 @@ class Subject:
     """family of the board at a port, or its BOARD.toml"""
     baud: int | None = None
     """baud rate of the port; None: that of the board"""
-    memo: dict[Hashable, Any] = field(default_factory=dict, compare=False, repr=False)
-    """intermediate results that several requirements share"""
+    _found: dict[Any, Any] = field(default_factory=dict, init=False, compare=False, repr=False)
+    """results of functions that are :func:`once`"""
 
     def __getstate__(self) -> dict[str, Any]:
         """Intermediate results stay in the process that worked them out."""
-        return {name: value for name, value in self.__dict__.items() if name != "factors"} | {"memo": {}}
+        return {name: value for name, value in self.__dict__.items() if name != "factors"} | {"_found": {}}
 
     @cached_property
     def cell(self) -> Cell:
@@ -73,12 +73,23 @@ class Subject:
             model = example.model.replace(**{key: getattr(example.model, key) * softer for key in keys})
         return Cell(rest_resistance_ohm=stated.rest_resistance, full_scale_kpa=full, model=model)
 
-    def at_rate(self, frame_rate: float) -> Subject:
+    def with_design(self, design: Design) -> DesignUnderTest:
+        """The same with another design."""
+        return replace(self, design=design)
+
+    def at_rate(self, frame_rate: float) -> DesignUnderTest:
         """The same with a frame rate, where the design states none."""
         if self.design.operation.frame_rate is not None:
             return self
-        stated = self.design.replace(operation={"frame_rate": frame_rate})
-        return replace(self, design=stated, memo={})
+        return self.with_design(self.design.replace(operation={"frame_rate": frame_rate}))
+
+    @cached_property
+    def hot(self) -> Design:
+        """The design at its hottest: for noise, whose temperature the ambient one stands in for."""
+        kelvin = self.design.operation.temperature_range
+        if self.design.readout.temperature or kelvin is None:
+            return self.design
+        return self.design.replace(readout={"temperature": kelvin[1]})
 
     @property
     def cell_source(self) -> str:
@@ -128,15 +139,23 @@ class Subject:
         return low * (1 - min(self.cell_spread, 0.999)), high * (1 + self.cell_spread)
 
     @cached_property
+    def share_scale(self) -> ShareScale:
+        """Errors as shares of full scale."""
+        return ShareScale.of_cell(self.cell, self.pressed, knows_pressure=self.knows_pressure)
+
+    @property
+    def scale(self) -> Scale:
+        """What errors of readings are judged in: resistance, or full scale where that spans more than a decade."""
+        low, high = sorted((self.rest, self.pressed))
+        return self.share_scale if high > DECADE * low or self.cell.open_at_rest else Scale()
+
+    @cached_property
     def factors(self) -> Factors:
         return Factors.of(self.design)
 
-    @cached_property
+    @property
     def calibrated(self) -> Cell:
-        """The cell as ``ohmskin fit`` finds it in a noisy recording of the calibration protocol.
-
-        Takes some ten seconds, once: it is kept, and goes along when the subject is pickled.
-        """
+        """The cell as ``ohmskin fit`` finds it in a noisy recording of the calibration protocol, worked out once."""
         return _calibrated(self.cell)
 
     @property
@@ -148,9 +167,30 @@ class Subject:
         return found.default if found.default in others else min(others, key=lambda name: others[name])
 
 
+def once(
+    function: Callable[Concatenate[DesignUnderTest, P], T],
+) -> Callable[Concatenate[DesignUnderTest, P], T]:
+    """A function of a design under test and hashable arguments that is worked out once for each of them.
+
+    The result is kept with the design under test, so that requirements share it in whatever order they are judged.
+    """
+
+    @wraps(function)
+    def kept(dut: DesignUnderTest, /, *args: P.args, **options: P.kwargs) -> T:
+        key = (function, args, tuple(sorted(options.items())))
+        if key not in dut._found:
+            dut._found[key] = function(dut, *args, **options)
+        found: T = dut._found[key]
+        return found
+
+    return kept
+
+
+def keep(dut: DesignUnderTest, function: Callable[..., T], args: tuple[Any, ...], value: T) -> None:
+    """The result of a function that is :func:`once`, worked out elsewhere."""
+    dut._found[function.__wrapped__, args, ()] = value  # type: ignore[attr-defined]  # set by wraps
+
+
 @cache
 def _calibrated(cell: Cell) -> Cell:
-    time_s, load = protocol_load(0.05)
-    ohms = noisy(cell, load, 0.05, np.random.default_rng(0))
-    recording = checked_recording(time_s, cell.full_scale_kpa * load, ohms, name="simulated protocol")
-    return calibrate(recording, full_scale_kpa=cell.full_scale_kpa).cell
+    return rehearsed(cell)

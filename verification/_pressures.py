@@ -12,18 +12,20 @@ from functools import cached_property
 
 import numpy as np
 
-from ..circuits import Design, Recoverer, Requirement, Status, adc_codes, apparent_resistance, noise, scan, scan_batch
+from ..circuits import Design, Recoverer, Status, apparent_resistance, noise, scan_batch
 from ..common import plots
 from ..common.arrays import BoolArray, FloatArray
-from ..driver import CountReader
 from ..emulator import Contact, Rectangle
 from ..errors import InputError, SolverError
-from ._dynamic import missing_dynamics, rate_of, settling_share
-from ._outcome import Figure, Measurement, NotRun
+from ._dut import DesignUnderTest, once
+from ._judging import box_of, worst_of
+from ._outcome import Figure, NotRun
 from ._parameters import MAXIMA, Factors
-from ._static import box_of, worst_of
-from ._subject import Subject
+from ._readings import converted, limited
 from ._units import engineering
+from .quantities.gain_error import GainError
+from .quantities.noise import noise_of
+from .quantities.settling_error import largest_signal, rate_of, settling_share
 
 SECONDS = 24.0
 FASTEST_HZ = 50.0
@@ -34,8 +36,6 @@ MOST_WORK, MOST_WORK_COUPLED = 400_000, 60_000
 hold the sensed lines, the inversion takes a dense solution per frame."""
 FRAMES_WHEN_LOST = 40
 """frames that are simulated of a board some of whose readings are lost to a limit"""
-FRAMES_TO_SETTLE = 8
-"""equal frames within which the driver's live inversion settles"""
 TOUCHED = 0.1
 """of full scale: above it a cell counts as touched"""
 
@@ -106,63 +106,69 @@ def host_design(design: Design) -> Design:
     return design.replace(**unknown)
 
 
-def runs(subject: Subject) -> list[Run]:
-    """The worst corner of the reading error, and a board drawn at random; worked out once."""
-    if "runs" not in subject.memo:
-        random = np.random.default_rng(np.random.SeedSequence([subject.seed, 1 << 20]))
-        boards = [("a board drawn at random", subject.factors.sample(random, 1)[0])]
-        try:
-            boards.insert(0, ("the worst corner of the gain error", worst_of(subject, "gain_error").factors))
-            if not len(subject.factors):
-                boards.pop()  # all boards are alike
-        except InputError:
-            pass
-        subject.memo["runs"] = [simulate(subject, name, factors) for name, factors in boards]
-    found: list[Run] = subject.memo["runs"]
-    return found
+def require_dynamics(dut: DesignUnderTest) -> None:
+    """Raise NotRun, which names what is missing, where the design does not say how noisy and how fast it is."""
+    circuit = dut.design.board.circuit
+    if circuit.virtual_ground or not circuit.has_amplifiers:  # of a follower neither is modelled
+        noise_of(dut)
+        largest_signal(dut)
 
 
-def simulate(subject: Subject, name: str, factors: FloatArray) -> Run:
+@once
+def runs(dut: DesignUnderTest) -> list[Run]:
+    """The worst corner of the gain error, and a board drawn at random; worked out once."""
+    random = np.random.default_rng(np.random.SeedSequence([dut.seed, 1 << 20]))
+    boards = [("a board drawn at random", dut.factors.sample(random, 1)[0])]
+    try:
+        boards.insert(0, ("the worst corner of the gain error", worst_of(dut, GainError()).factors))
+        if not len(dut.factors):
+            boards.pop()  # all boards are alike
+    except NotRun:
+        pass
+    return [simulate(dut, name, factors) for name, factors in boards]
+
+
+def simulate(dut: DesignUnderTest, name: str, factors: FloatArray) -> Run:
     """24 s of one board under three contacts."""
-    design, shape = subject.design, subject.design.array.shape
+    design, shape = dut.design, dut.design.array.shape
     if design.adc is None:
         raise NotRun("missing: adc.bits, adc.range")
-    if not subject.knows_pressure:
+    if not dut.knows_pressure:
         raise NotRun("missing: cells.full_scale_kpa")
-    declared = rate_of(subject)
+    declared = rate_of(dut)
     tare = design.operation.readings_per_calibration
     work = MOST_WORK if design.board.virtual_grounds else MOST_WORK_COUPLED
     rate_limit = max((work / (shape[0] * shape[1]) - tare) / SECONDS, SLOWEST_HZ)
     rate = min(declared, FASTEST_HZ, rate_limit)
     time_s = np.arange(0.0, SECONDS, 1.0 / rate)
-    random = np.random.default_rng(np.random.SeedSequence([subject.seed, 1 << 21]))
-    full = subject.full_scale_kpa
+    random = np.random.default_rng(np.random.SeedSequence([dut.seed, 1 << 21]))
+    full = dut.full_scale_kpa
     pressing = contacts(shape, full)
     coverage = [contact.coverage(shape) for contact in pressing]
     applied = np.array([sum(c.load(t) * cover for c, cover in zip(pressing, coverage, strict=True)) for t in time_s])
     applied = np.minimum(applied, full)  # contacts meet on small arrays; cells are not meant for more
-    scale = 1.0 + subject.cell_spread * random.uniform(-1.0, 1.0, shape)
-    forward = subject.cell.forward(shape, rest_resistance_ohm=subject.rest * scale)
+    scale = 1.0 + dut.cell_spread * random.uniform(-1.0, 1.0, shape)
+    forward = dut.cell.forward(shape, rest_resistance_ohm=dut.rest * scale)
     steps = np.diff(time_s, prepend=time_s[0])
     cells = forward.run(steps, applied)
     # The host tares at its own rate before anything presses, however slowly the presses are followed.
     frames = np.concatenate([np.repeat(cells[:1], tare, axis=0), cells])
-    read, beyond = _converted(subject, subject.factors, factors, frames, settling_share(subject, declared), random)
+    read, beyond = _converted(dut, dut.factors, factors, frames, settling_share(dut, declared), random)
     untouched, volts, lost = read[:tare], read[tare:], beyond[tare:]
     if lost.any():  # the intervals of cells that are not known take long, and the verdict is sure
         kept = slice(None, None, -(-len(time_s) // FRAMES_WHEN_LOST))
         time_s, applied, volts, lost = time_s[kept], applied[kept], volts[kept], lost[kept]
     recover = Recoverer(host_design(design), accuracy=1e-6)
-    rest = _rest(recover, untouched, beyond[:tare], subject.rest)
+    rest = _rest(recover, untouched, beyond[:tare], dut.rest)
     ohms = _recovered(recover, volts, lost)
-    estimator = subject.cell.estimator(shape, rest_resistance_ohm=rest)
+    estimator = dut.cell.estimator(shape, rest_resistance_ohm=rest)
     steps = np.diff(time_s, prepend=time_s[0])
     estimated = np.array([estimator.step(float(dt), frame) for dt, frame in zip(steps, ohms, strict=True)])
     return Run(name, time_s, applied, estimated, lost, full)
 
 
 def _converted(
-    subject: Subject,
+    dut: DesignUnderTest,
     parts: Factors,
     factors: FloatArray,
     cells: FloatArray,
@@ -170,20 +176,20 @@ def _converted(
     random: np.random.Generator,
 ) -> tuple[FloatArray, BoolArray]:
     """V that the codes of a real board stand for, and which readings are lost."""
-    box = box_of(subject)
     population = parts.population(factors[None])
-    board = population.boards.design(subject.design, 0)
+    board = population.boards.design(dut.hot, 0)
     adc = board.adc
     found = scan_batch(board, cells)
-    previous = np.roll(found.volts, 1, axis=2 if subject.design.board.turned else 1)
+    previous = np.roll(found.volts, 1, axis=2 if dut.design.board.turned else 1)
     volts = found.volts + share * (previous - found.volts)
     try:
-        states = [noise(board, np.full(cells.shape[1:], ohms)).before_adc for ohms in (subject.rest, subject.pressed)]
+        states = [noise(board, np.full(cells.shape[1:], ohms)).before_adc for ohms in (dut.rest, dut.pressed)]
         volts = volts + random.standard_normal(volts.shape) * np.maximum(*states)
     except (InputError, SolverError):  # no noise is given, which its own requirement says
         pass
-    volts = box.converted(volts, population.converter[0])
-    lost = found.saturated | box.clipped(volts)
+    volts = converted(board, volts, population.converter[0])
+    at_limit, box = limited(box_of(dut), volts, found.saturated), box_of(dut)
+    lost = at_limit > 0.0 if box.scale.open_is_rest else at_limit != 0.0
     if adc is None:
         return volts, lost
     codes = np.clip(np.floor((volts - adc.range[0]) / adc.step), 0, 2.0**adc.bits - 1)
@@ -210,121 +216,39 @@ def _rest(recover: Recoverer, volts: FloatArray, lost: BoolArray, data_sheet: fl
     return np.where(counted > 0, np.nansum(ohms, axis=0) / np.maximum(counted, 1), data_sheet)
 
 
-def one_cell_read(subject: Subject, ohms: FloatArray) -> tuple[FloatArray, float]:
+def one_cell_read(dut: DesignUnderTest, ohms: FloatArray) -> tuple[FloatArray, float]:
     """What the nominal board reads of one cell with this history (samples,), among cells at rest.
 
     Returns:
         Apparent ohm (samples,), and the share of readings that are lost to a limit. The frame rate is that of the
         design, or :data:`FASTEST_HZ` where the design states none.
     """
-    shape = subject.design.array.shape
+    shape = dut.design.array.shape
     place = (shape[0] // 2, shape[1] // 2)
-    cells = np.full((len(ohms), *shape), subject.rest)
+    cells = np.full((len(ohms), *shape), dut.rest)
     cells[:, *place] = ohms
-    share = settling_share(subject, subject.design.operation.frame_rate or FASTEST_HZ)
-    random = np.random.default_rng(np.random.SeedSequence([subject.seed, 1 << 22]))
-    nominal = Factors.nominal(subject.design)
-    volts, lost = _converted(subject, nominal, np.zeros(0), cells, share, random)
-    return apparent_resistance(subject.design, volts)[:, *place], float(lost[:, *place].mean())
+    share = settling_share(dut, dut.design.operation.frame_rate or FASTEST_HZ)
+    random = np.random.default_rng(np.random.SeedSequence([dut.seed, 1 << 22]))
+    nominal = Factors.nominal(dut.design)
+    volts, lost = _converted(dut, nominal, np.zeros(0), cells, share, random)
+    return apparent_resistance(dut.design, volts)[:, *place], float(lost[:, *place].mean())
 
 
-def pressure_rmse(subject: Subject, requirement: Requirement, method: str) -> Measurement:
-    """RMS error of the pressure of the worst cell while it is touched, % of full scale."""
-    rate_of(subject, requirement)
-    _need_dynamics(subject)
-    found = [(run.rmse(), run) for run in runs(subject)]
-    (error, place), run = max(found, key=lambda item: item[0][0])
-    lost = float(run.lost.mean())
-    where = f"cell {place} of {run.board}" + (f"; {100 * lost:.3g} % of all readings are lost" if lost else "")
-    return Measurement(
-        100 * error,
-        "% FS",
-        where=where,
-        confidence=f"{len(found)} boards, {len(run.time_s)} frames each, in board time",
-        text=[_what_is_in(subject)],
-        figures=[_traces(run)],
-    )
-
-
-def pressure_peak_error(subject: Subject, requirement: Requirement, method: str) -> Measurement:
-    """Largest error of the pressure of any cell at any time, % of full scale."""
-    rate_of(subject, requirement)
-    _need_dynamics(subject)
-    found = [(run.peak(), run) for run in runs(subject)]
-    (error, (frame, row, column)), run = max(found, key=lambda item: item[0][0])
-    return Measurement(
-        100 * error,
-        "% FS",
-        where=f"cell ({row}, {column}) at {engineering(float(run.time_s[frame]), 's')}, {run.board}",
-        confidence=f"{len(found)} boards, {len(run.time_s)} frames each, in board time",
-        text=[_what_is_in(subject)],
-    )
-
-
-def _need_dynamics(subject: Subject) -> None:
-    """Raise NotRun, with all missing keys, where the design does not say how noisy and how fast it is."""
-    absent = missing_dynamics(subject.design)
-    if absent:
-        raise NotRun(f"missing: {', '.join(absent)}")
-
-
-def lost_readings(subject: Subject, requirement: Requirement, method: str) -> Measurement:
-    """Share of readings beyond the converter's range or of outputs at a limit during the presses, %."""
-    found = [(100 * float(run.lost.mean()), run) for run in runs(subject)]
-    share, run = max(found, key=lambda item: item[0])
-    cells = np.argwhere(run.lost.any(axis=0))
-    places = ", ".join(f"({i}, {j})" for i, j in cells[:6].tolist())
-    return Measurement(share, "%", where=f"{len(cells)} cells of {run.board}: {places}" if len(cells) else "none")
-
-
-def valid_cells(subject: Subject, requirement: Requirement, method: str) -> Measurement:
-    """Share of cells that the driver takes for measured, at rest, pressed, and every second one pressed, %.
-
-    The board has nominal parts without offsets, which is as well as the driver can know it.
-    """
-    if subject.design.adc is None:
-        raise NotRun("missing: adc.bits, adc.range")
-    design = host_design(subject.design)
-    second = np.indices(design.array.shape).sum(axis=0) % 2 == 1
-    found = []
-    for state, pressed in (("at rest", 0.0 * second), ("every second one pressed", 1.0 * second), ("pressed", 1.0)):
-        cells = np.broadcast_to(subject.rest + (subject.pressed - subject.rest) * pressed, second.shape)
-        counts = adc_codes(design, scan(design, cells, method="exact").volts)
-        reader = CountReader(design)
-        for _ in range(FRAMES_TO_SETTLE):
-            valid = reader(counts).valid
-            if valid.all():
-                break
-        found.append((100 * float(valid.mean()), state, np.argwhere(~valid)[:4].tolist()))
-    share, state, missing = min(found)
-    places = ", ".join(f"({i}, {j})" for i, j in missing)
-    return Measurement(
-        share,
-        "%",
-        where=f"not valid, all cells {state}: {places}" if missing else "all cells are valid",
-        confidence=f"{len(found)} frames, nominal parts, without noise",
-        text=[
-            "A cell is valid if its conductance is known to 1 % or to a step of its own reading, whatever half a step "
-            "of the other readings and the cells beyond a limit make of it."
-        ],
-    )
-
-
-def _what_is_in(subject: Subject) -> str:
-    rate = rate_of(subject)
-    share = settling_share(subject, rate)
+def what_is_in(dut: DesignUnderTest) -> str:
+    rate = rate_of(dut)
+    share = settling_share(dut, rate)
     settled = (
         f"{100 * share:.2g} % of the preceding row is left in each reading" if share else "readings settle in full"
     )
     return (
         f"Declared rate {engineering(rate, 'Hz')}: {settled}. Noise, converter and parts are those of the design; the "
         "host knows nominal parts and takes each cell's resistance at rest from "
-        f"{subject.design.operation.readings_per_calibration} frames before the presses. Estimator: "
-        f"{subject.cell.default_estimator}."
+        f"{dut.design.operation.readings_per_calibration} frames before the presses. Estimator: "
+        f"{dut.cell.default_estimator}."
     )
 
 
-def _traces(run: Run) -> Figure:
+def traces(run: Run) -> Figure:
     busiest = run.applied_kpa.sum(axis=0)
     places = [np.unravel_index(k, busiest.shape) for k in np.argsort(-busiest, axis=None)[:3]]
     with plots.drawing(len(places), 1, height=0.8 + 1.2 * len(places), sharex=True) as (figure, axes):

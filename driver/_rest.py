@@ -1,0 +1,109 @@
+"""Rest resistances in use, and the doubt about them, whose one owner is :class:`Rest`.
+
+Without a tare or a calibration, the rest resistance of each cell differs from the data sheet by its manufacturing
+tolerance. The spread of the cells shows how much: it is measured while frames come, and the least value counts, since
+loads only add to it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..cell import Cell
+from ..common.arrays import FloatArray, scatter
+from ..common.measurement import STEP_STD, Measurement
+from ._calibration import Calibration
+from ._systematic import SystematicError
+from ._tare import DRIFT
+
+LOOK_EVERY, LOOK_AT = 8, 3
+"""interval in frames between two measurements of the cells' spread, and the frame of each interval that has it.
+Estimators look back at their readings in every fourth frame, from the first on; both in one frame would make it long"""
+LEAST_CELLS = 4
+"""least number of readings for a spread"""
+CAUTION = 1.17
+"""relative standard deviation, times the root of n, of a scale estimate from the median of n absolute deviations
+(normal distribution; its asymptotic efficiency is 37 %)"""
+MOST = 0.95
+"""largest relative error of a conductance by half a step that counts"""
+EXPLAINED = 0.95
+"""share of cells within half an ADC step of the data sheet from which on the spread counts as zero"""
+
+
+class Rest:
+    """Rest resistances of one skin's cells."""
+
+    def __init__(self, cell: Cell, calibration: Calibration | None, systematic: SystematicError) -> None:
+        """Begin with the values of the ``calibration``, else of the data sheet of the ``cell``."""
+        self._cell, self._calibration, self._systematic = cell, calibration, systematic
+        self.tared_ohm: FloatArray | None = None
+        """(rows, columns) by a tare; None: there is none"""
+        self.measured_spread: float | None = None
+        """relative standard deviation of the cells about the data sheet: the least value seen, enlarged by the sampling
+        error of so few cells; None: not measured yet"""
+        self._before: FloatArray | None = None
+        self._frames = 0
+
+    @property
+    def known(self) -> bool:
+        """Whether the rest resistances were measured, by a tare or a calibration."""
+        return self.tared_ohm is not None or self._calibration is not None
+
+    @property
+    def spread(self) -> float:
+        """Relative standard deviation of the values in use, as far as it is known."""
+        return 0.0 if self.known else self.measured_spread or 0.0
+
+    @property
+    def ohm(self) -> FloatArray | None:
+        """(rows, columns) values in use; None: that of the data sheet for all cells."""
+        if self.tared_ohm is None and self._calibration is not None:
+            return self._calibration.rest_ohm
+        return self.tared_ohm
+
+    @property
+    def error(self) -> float | None:
+        """Relative standard deviation that an estimator is to assume; None: what it assumes by itself."""
+        return DRIFT if self.tared_ohm is not None and self._cell.estimators is not None else None
+
+    def kpa_of(self, relative: float) -> float:
+        """The pressure that an unloaded cell shows when its rest resistance is off by ``relative``."""
+        return self._systematic.kpa_of_rest(relative)
+
+    def take(self, reading: Measurement) -> None:
+        """Measure the spread of the cells every few frames."""
+        if self.known or self.measured_spread == 0.0 or not self._systematic.tabulated:
+            return
+        self._frames += 1
+        if self._frames == 1 or self._frames % LOOK_EVERY == LOOK_AT:
+            half_steps = np.minimum(np.nan_to_num(reading.steps_std) / STEP_STD, MOST)
+            self._measure(reading.resistance, -np.log1p(-half_steps))
+
+    def _measure(self, resistance_ohm: FloatArray, half_steps: FloatArray) -> None:
+        """Measure the spread of resistances whose relative errors by half an ADC step are ``half_steps``."""
+        deviation = np.log(resistance_ohm / self._cell.rest_resistance_ohm)
+        before, self._before = self._before, deviation
+        away = np.abs(deviation)
+        sizes = _finite(away)
+        if sizes.size < LEAST_CELLS:
+            return
+        cells = sizes.size
+        if np.count_nonzero(away <= half_steps) >= EXPLAINED * cells:
+            # Equal cells would read so, too: ADC steps, which are counted separately, explain the differences.
+            self.measured_spread = 0.0
+            return
+        variance = scatter(sizes) ** 2
+        if before is not None:
+            changes = _finite(np.abs(deviation - before))
+            if changes.size >= LEAST_CELLS:
+                variance -= scatter(changes) ** 2 / 2
+        # Few cells may by chance be more alike than those of other skins.
+        spread = math.sqrt(max(variance, 0.0)) * (1.0 + CAUTION / math.sqrt(cells))
+        self.measured_spread = spread if self.measured_spread is None else min(spread, self.measured_spread)
+
+
+def _finite(sizes: FloatArray) -> FloatArray:
+    """The finite ones among absolute values."""
+    return sizes if math.isfinite(sizes.item(sizes.argmax())) else sizes[np.isfinite(sizes)]  # argmax finds NaN, too

@@ -1,0 +1,454 @@
+"""Worst-case analysis: the largest value of a target over the boards and presses of a box, found by solving them.
+
+A target is what one quantity asks of a board: an error of a reading, a settling error, a current. One search serves
+every target:
+
+1. Starts. A target names corners of the box: those of its derivatives by all parts and cells where it has any (adjoint
+   method), else patterns of presses that are hard for it. Random corners of what is worst so far are added.
+2. Every start is solved, with parts of its own. Of arrays beyond :data:`MOST_UNKNOWNS` only the cells that the
+   first-order estimate ranks highest.
+3. The worst ones are improved. The gain of flipping each coordinate to its other end is solved, or on larger arrays
+   taken from derivatives at the corner itself, or solved for the parts, the cells near the judged one and whole lines.
+   The flips that promise most are made together, as many as help. A corner is done when no flip raises its value.
+4. Line search. Along each coordinate the value is solved at points within the box, and the best of them is refined: a
+   ratio, a ringing amplifier, a power or a phase margin need not be worst at an end.
+5. The stated value is that of the target's own plain solution of the worst point.
+
+A search is not complete: a larger value may exist where two or more changes help only together. The report says so
+beside each number.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import inf
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from ..common.arrays import BoolArray, FloatArray, IntArray
+from ._box import Box, Corners
+
+LEAST_SOLVED, MOST_UNKNOWNS = 64, 256 * 256
+"""Corners are solved for every cell as long as cells times cells are no more than that, and for fewer of larger arrays;
+per sign and state."""
+MOST_WORK = 1_500_000
+"""cells that are solved, all frames of all flips together, while corners are improved"""
+MOST_FLIPS = 400_000
+"""cells of all flips of one corner, up to which flips are solved"""
+FIRST_ORDER_BEYOND = 100
+"""cells of an array beyond which corners are improved by derivatives before their flips are solved"""
+_FEWEST = 4  # corners that are improved on the largest arrays
+_RANDOM_CELLS, _RANDOM_CORNERS = 4, 16  # random corners are those of so many cells per sign, so many of each
+_ROUNDS = 30  # of improvement, at most
+_LEAST_GAIN = 1e-9  # relative: less is rounding
+_WITHOUT_INFLUENCE = 1e-10  # relative: a flip that changes the value by less changes nothing
+_LINE, _LINE_IN_TIME = 7, 41  # points of a line search along a coordinate; ringing has several peaks between two ends
+_ZOOMS = 3  # of a line search, each to the neighbours of the best point
+_LINES = 6  # line searches one after the other, at most
+_LEAST_RISE = 1e-5  # relative, of a line search
+
+
+def most_solved(shape: tuple[int, int]) -> int:
+    """Cells whose corners are solved: all up to 16 x 16, fewer of larger arrays, but at least :data:`LEAST_SOLVED`."""
+    return max(LEAST_SOLVED, MOST_UNKNOWNS // (shape[0] * shape[1]))
+
+
+class Target(ABC):
+    """A number of a board that should be small; the larger, the worse. Infinite where a reading is lost."""
+
+    name: str
+    in_time: ClassVar[bool] = False
+    """whether the number depends on bandwidth and capacitances"""
+    by_cell: ClassVar[bool] = True
+    """whether each corner judges one cell; else the board as a whole"""
+
+    @abstractmethod
+    def evaluate(self, box: Box, corners: Corners) -> FloatArray:
+        """The value (C,) at each point; -inf where the target says nothing."""
+
+    @abstractmethod
+    def starts(self, box: Box) -> Corners:
+        """Corners that are likely to be bad. Raises InputError where the design has no such analysis."""
+
+    @abstractmethod
+    def cost(self, box: Box) -> float:
+        """Effort of one corner, in cells of one frame that are read together with others."""
+
+    def gradient(self, box: Box, corner: Corners) -> FloatArray | None:
+        """Derivatives (D,) at one corner; None: flips are solved instead."""
+        return None
+
+    def stated(self, box: Box, corner: Corners) -> float:
+        """The value at one point, by the plainest way to it."""
+        return float(self.evaluate(box, corner)[0])
+
+    def place(self, box: Box, corner: Corners) -> tuple[int, int]:
+        """The cell that is worst at one point."""
+        return int(corner.row[0]), int(corner.column[0])
+
+    def frames_of(self, box: Box, corners: Corners) -> list[FloatArray]:
+        """(C, N, M) ohm of the cells in each frame."""
+        return [box.cells_of(corners.x)]
+
+    def pattern(self, box: Box, corner: Corners) -> BoolArray:
+        """(N, M) which cells are pressed at one point, in the last frame."""
+        return np.asarray(box.split(corner.x)[1][0] > 0.0)
+
+
+@dataclass(frozen=True)
+class WorstCase:
+    """Where a target is worst, and how that was found."""
+
+    target: Target
+    box: Box
+    corner: Corners
+    """one"""
+    value: float
+    """of the target; inf where a reading is lost"""
+    by_sign: FloatArray
+    """(2, N, M): the largest value that was solved for each cell, positive and negative errors; -inf where none was"""
+    solved: int
+    """points that were solved"""
+    settled: bool
+    """no change of one part or cell alone is worse"""
+    flips_solved: bool
+    """whether that was solved for every coordinate"""
+    others: Corners
+    """the worst corners that were found, the worst first"""
+
+    @cached_property
+    def cell(self) -> tuple[int, int]:
+        return self.target.place(self.box, self.corner)
+
+    @property
+    def factors(self) -> FloatArray:
+        """(F,) of the corner."""
+        found: FloatArray = self.box.split(self.corner.x)[0][0]
+        return found
+
+    @property
+    def by_cell(self) -> FloatArray:
+        """(N, M) the largest value that was solved for each cell; NaN where none was."""
+        largest = self.by_sign.max(axis=0)
+        return np.where(largest > -inf, largest, np.nan)
+
+    @property
+    def frames(self) -> list[FloatArray]:
+        """(N, M) ohm of the cells in each frame."""
+        return [frame[0] for frame in self.target.frames_of(self.box, self.corner)]
+
+    @property
+    def where(self) -> str:
+        """Cell, press and parts, in words."""
+        parts = f"; {self.box.factors.describe(self.factors)}" if len(self.box.factors) else ""
+        return f"cell {self.cell}; {self.box.in_words(self.target.pattern(self.box, self.corner))}{parts}"
+
+    @property
+    def extent(self) -> str:
+        """Which cells were searched."""
+        solved = int((~np.isnan(self.by_cell)).sum()) if self.target.by_cell else self.box.cells
+        return f"{'all' if solved == self.box.cells else solved} of {self.box.cells} cells"
+
+    @property
+    def search(self) -> str:
+        """What was searched, for the report."""
+        extent = self.extent.replace(f"all of {self.box.cells} cells", "every cell")
+        if np.isinf(self.value):
+            return f"{self.solved} corners solved, for {extent}; the first one beyond a limit ends the search"
+        state = "a corner that differs in one part or cell may still be worse"
+        if self.settled:
+            state = "no part or cell alone makes it worse" + ("" if self.flips_solved else ", of those looked at")
+        return f"{self.solved} corners and points between them solved, for {extent}; {state}"
+
+    @property
+    def incomplete(self) -> str:
+        """What page one says beside the number; empty for a limit that is certainly missed."""
+        return "" if np.isinf(self.value) else f"by search, {self.extent}"
+
+    @cached_property
+    def by_part(self) -> dict[str, float]:
+        """The worst value with each kind of part over its tolerance alone, the others nominal; presses are free."""
+        box, names = self.box, [factor.key for factor in self.box.factors.factors]
+        of_cells = ["cells.rest_resistance"] if box.cell_spread else []
+        starts = Corners.joined([self.corner, self.others.some(slice(0, _FEWEST))])
+        values = {}
+        for kind in ["nominal parts", *dict.fromkeys(names), *of_cells]:
+            free = np.ones(box.size, dtype=np.bool_)
+            free[: len(names)] = [name == kind for name in names]
+            free[-box.cells :] = kind == "cells.rest_resistance"
+            search = _Search(self.target, box, free)
+            search.climbs = 2
+            search.solve(starts.at(np.where(free, starts.x, 0.0)))
+            values[kind] = min(search.finished().value, self.value)
+        return values
+
+
+def worst_case(target: Target, box: Box, starts: Sequence[Corners] = ()) -> WorstCase:
+    """Search the box for the largest value of a target over all cells.
+
+    Args:
+        target: what is to be large.
+        box: what is searched.
+        starts: further corners to start from.
+
+    Raises:
+        InputError: the design has no such analysis, as a continuous sheet or an array of more than 64 x 64 cells.
+    """
+    search = _Search(target, box)
+    search.solve(Corners.joined([target.starts(box), *starts]))
+    random = np.random.default_rng(0)
+    worst = search.worst(2 * _RANDOM_CELLS if target.by_cell else 1)
+    search.solve(worst.at(random.choice([-1.0, 1.0], (len(worst), _RANDOM_CORNERS, box.size))))
+    return search.finished()
+
+
+class _Search:
+    """Corners that were solved so far, with their values."""
+
+    def __init__(self, target: Target, box: Box, free: BoolArray | None = None) -> None:
+        self.target, self.box = target, box
+        self.free = box.free(in_time=target.in_time)
+        if free is not None:
+            self.free &= free
+        self.by_sign = np.full((2, *box.shape), -inf)
+        self.solved = 0
+        self.parts: list[tuple[Corners, FloatArray]] = []
+        flips = max(int(self.free.sum()), 1) * target.cost(box)
+        self.exact = flips <= MOST_FLIPS
+        most = 64 if target.by_cell else _FEWEST
+        self.climbs = int(np.clip(MOST_WORK // (3 * flips), 2 * _FEWEST if target.by_cell else 1, most))
+
+    def solve(self, corners: Corners) -> FloatArray:
+        """Solve corners and keep them; returns their values."""
+        corners = replace(corners, x=np.where(self.free, corners.x, 0.0))  # what does not count is nominal
+        values = self.evaluate(corners)
+        self.parts.append((corners, values))
+        return values
+
+    def evaluate(self, corners: Corners) -> FloatArray:
+        """As :meth:`solve`, but only the value of each cell is kept."""
+        values = self.target.evaluate(self.box, corners)
+        self.solved += len(values)
+        np.maximum.at(self.by_sign, ((corners.sign < 0).astype(np.intp), corners.row, corners.column), values)
+        return values
+
+    def worst(self, count: int) -> Corners:
+        """The worst corner of each cell and sign, of so many of them; of whole boards the worst ones that differ."""
+        corners = Corners.joined([part for part, _ in self.parts])
+        values = np.concatenate([value for _, value in self.parts])
+        order = np.argsort(-values, kind="stable")
+        order = order[values[order] > -inf]
+        keys = np.stack([corners.row, corners.column, corners.sign.astype(np.intp)], axis=1)[order]
+        if not self.target.by_cell:
+            keys = np.sign(corners.x[order]).astype(np.intp)
+        _, first = np.unique(keys, axis=0, return_index=True)
+        return corners.some(order[np.sort(first)][:count])
+
+    def finished(self) -> WorstCase:
+        """Improve the worst corners; the verdict."""
+        known = Corners.joined([part for part, _ in self.parts])
+        values = np.concatenate([value for _, value in self.parts])
+        settled = False
+        flat = values.max() == values.min()  # nothing settles, nothing flows
+        if not np.isposinf(values.max()) and not flat:
+            starts = self.worst(self.climbs)
+            if self.target.by_cell:
+                starts = Corners.joined([starts, known.some(np.argsort(-values, kind="stable")[: self.climbs // 4])])
+            climbed = self._climbed(starts)
+            best = np.argsort(-climbed.values, kind="stable")[: 2 if self.target.in_time else 1]
+            refined = self._refined(climbed.some(best))
+            known = Corners.joined([refined.corners, climbed.corners, known])
+            values = np.concatenate([refined.values, climbed.values, values])
+            settled = bool(refined.settled[0])
+        order = np.argsort(-values, kind="stable")
+        best_corner = known.some(order[:1])
+        if np.isfinite(values[order[0]]):
+            best_corner = self._plain(best_corner, float(values[order[0]]))
+        stated = self.target.stated(self.box, best_corner)
+        return WorstCase(
+            target=self.target,
+            box=self.box,
+            corner=best_corner,
+            value=stated,
+            by_sign=np.minimum(self.by_sign, stated),
+            solved=self.solved,
+            settled=settled,
+            flips_solved=self.exact,
+            others=known.some(order[: 32 * _FEWEST]),
+        )
+
+    def _plain(self, corner: Corners, value: float) -> Corners:
+        """The corner with those parts at their nominal values that have no influence on it."""
+        parts = len(self.box.factors)
+        if not parts:
+            return corner
+        x = np.repeat(corner.x, parts, axis=0)
+        each = np.arange(parts)
+        x[each, each] = np.where(x[each, each] > 0, -1.0, 1.0)
+        small = _WITHOUT_INFLUENCE * max(abs(value), 1e-12)
+        without = np.abs(self.evaluate(corner.at(x[None])) - value) <= small
+        plainer = corner.x.copy()
+        plainer[0, :parts] = np.where(without, 0.0, plainer[0, :parts])
+        again = self.evaluate(corner.at(plainer))
+        return corner.at(plainer) if again[0] >= value - small else corner
+
+    def _climbed(self, corners: Corners) -> _Climbed:
+        """All corners improved: by derivatives first on larger arrays."""
+        values = self.evaluate(corners)
+        if self.exact and (self.box.cells <= FIRST_ORDER_BEYOND or not self.target.by_cell):
+            return self._climb(corners, values, exact=True)
+        found = self._climb(corners, values, exact=False)
+        if not self.exact:
+            return found
+        best = np.argsort(-found.values, kind="stable")[:1]
+        return self._climb(found.corners.some(best), found.values[best], exact=True)
+
+    def _climb(self, corners: Corners, values: FloatArray, *, exact: bool) -> _Climbed:
+        """Flip the coordinates that raise the value, for all corners side by side, until none does."""
+        corners, values = replace(corners, x=corners.x.copy()), values.copy()
+        settled = ~np.isfinite(values)
+        for _ in range(_ROUNDS):
+            active = np.flatnonzero(~settled)
+            if not len(active):
+                break
+            for some in np.array_split(active, -(-len(active) * self.box.size**2 // (1 << 22))):
+                here = corners.some(some)
+                step = self._flipped_together if exact else self._moved_together
+                trial, best = step(here, values[some])
+                better = best > values[some] + _LEAST_GAIN * np.abs(values[some])
+                corners.x[some[better]], values[some[better]] = trial[better], best[better]
+                settled[some] = ~better | np.isinf(best)
+        return _Climbed(corners, values, settled)
+
+    def _flipped_together(self, corners: Corners, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The best of each corner with its 1, 2, 4, ... most promising flips; coordinates (C, D) and values (C,)."""
+        gains = np.full(corners.x.shape, -inf)
+        free = np.flatnonzero(self.free)
+        x = np.repeat(corners.x[:, None], len(free), axis=1)
+        each = np.arange(len(free))
+        x[:, each, free] = np.where(x[:, each, free] > 0, -1.0, 1.0)
+        gains[:, free] = self.evaluate(corners.at(x)).reshape(len(corners), -1) - values[:, None]
+        helpful = (gains > _LEAST_GAIN * np.abs(values)[:, None]).sum(axis=1)
+        order = np.argsort(-gains, axis=1, kind="stable")
+        counts = _doubling(int(helpful.max(initial=0)))
+        rank = np.empty_like(order)
+        np.put_along_axis(rank, order, np.arange(order.shape[1])[None].repeat(len(order), axis=0), axis=1)
+        flips = rank[:, None] < np.minimum(counts[None, :], helpful[:, None])[..., None]
+        x = np.where(flips, np.where(corners.x > 0, -1.0, 1.0)[:, None], corners.x[:, None])
+        found = self.evaluate(corners.at(x)).reshape(len(corners), -1)
+        best = found.argmax(axis=1)
+        rows = np.arange(len(corners))
+        return x[rows, best], found[rows, best]
+
+    def _moved_together(self, corners: Corners, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """As :meth:`_flipped_together`, by derivatives, or by flips of parts, near cells and lines."""
+        found_x, found = corners.x.copy(), values.copy()
+        for number in range(len(corners)):
+            corner, value = corners.some(slice(number, number + 1)), float(values[number])
+            slopes = self.target.gradient(self.box, corner)
+            other = np.where(corner.x[0] > 0, -1.0, 1.0)
+            if slopes is not None:
+                gains = np.where(self.free, slopes * (other - corner.x[0]), -inf)
+                order = np.argsort(-gains, kind="stable")[: int((gains > _LEAST_GAIN * abs(value)).sum())]
+                ends = np.broadcast_to(other, (len(order), len(other)))
+                masks = np.eye(len(other), dtype=np.bool_)[order]
+            else:
+                masks, ends = self._moves(corner)
+                gains = self.evaluate(corner.at(np.where(masks, ends, corner.x)[None])) - value
+                order = np.argsort(-gains, kind="stable")[: int((gains > _LEAST_GAIN * abs(value)).sum())]
+                masks, ends = masks[order], ends[order]
+            if not len(order):
+                continue
+            x = corner.x[0].copy()
+            trials, counts = [], _doubling(len(order))
+            for count in range(1, len(order) + 1):
+                x = np.where(masks[count - 1], ends[count - 1], x)
+                if count in counts:
+                    trials.append(x)
+            together = np.stack(trials)
+            reached = self.evaluate(corner.at(together[None]))
+            best = int(reached.argmax())
+            if reached[best] > value:
+                found_x[number], found[number] = together[best], reached[best]
+        return found_x, found
+
+    def _moves(self, corner: Corners) -> tuple[BoolArray, FloatArray]:
+        """Coordinates (K, D) that are moved together, and where to: single ones near the judged cell, and lines."""
+        near = np.flatnonzero(self.free & self.box.near(*self.target.place(self.box, corner)))
+        singles = np.eye(self.box.size, dtype=np.bool_)[near]
+        flipped = np.broadcast_to(np.where(corner.x[0] > 0, -1.0, 1.0), singles.shape)
+        lines = self.box.lines() & self.free
+        ones = np.ones(lines.shape)
+        return np.concatenate([singles, lines, lines]), np.concatenate([flipped, ones, -ones])
+
+    def _refined(self, found: _Climbed) -> _Climbed:
+        """Line searches within the box from each of some corners, and flips from where they lead."""
+        corners, values, settled = found.corners, found.values.copy(), found.settled.copy()
+        parts = []
+        for number in range(len(corners)):
+            corner, value = corners.some(slice(number, number + 1)), float(values[number])
+            for _ in range(_LINES):
+                if np.isinf(value):
+                    break
+                x, best = self._line_search(corner, value)
+                rises = best > value + _LEAST_RISE * max(abs(value), 1e-12)
+                if not rises:
+                    break
+                corner, value = corner.at(x[None]), best
+                again = self._climb(corner, np.array([value]), exact=self.exact)
+                corner, value = again.corners, float(again.values[0])
+            parts.append(corner)
+            values[number] = value
+        return _Climbed(Corners.joined(parts), values, settled)
+
+    def _line_search(self, corner: Corners, value: float) -> tuple[FloatArray, float]:
+        """The best point (D,) that differs from a corner in one coordinate, and its value."""
+        looked_at = self.free.copy()
+        if self.box.cells > FIRST_ORDER_BEYOND or not self.exact:
+            looked_at &= self.box.near(*self.target.place(self.box, corner))
+        free, parts = np.flatnonzero(looked_at), len(self.box.factors)
+        fine = [k for k in free if self.target.in_time and k < parts and self.box.factors.factors[k].line is None]
+        best_x, best = corner.x[0], value
+        for coordinates, points in ((fine, _LINE_IN_TIME), ([k for k in free if k not in fine], _LINE)):
+            if not coordinates:
+                continue
+            grid = np.linspace(-1.0, 1.0, points)
+            x = np.repeat(corner.x, len(coordinates) * points, axis=0)
+            place = np.repeat(coordinates, points)
+            x[np.arange(len(x)), place] = np.tile(grid, len(coordinates))
+            reached = self.evaluate(corner.at(x[None]))
+            top = int(reached.argmax())
+            at, width = float(x[top, place[top]]), 2.0 / (points - 1)
+            for _ in range(_ZOOMS):
+                if np.isinf(reached[top]):
+                    break
+                near = np.clip(np.linspace(at - width, at + width, _LINE), -1.0, 1.0)
+                x = np.repeat(x[[top]], _LINE, axis=0)
+                x[:, place[top]] = near
+                reached, place, top = self.evaluate(corner.at(x[None])), np.repeat(place[top], _LINE), 0
+                top = int(reached.argmax())
+                at, width = float(near[top]), 2.0 * width / (_LINE - 1)
+            if reached[top] > best:
+                best_x, best = x[top], float(reached[top])
+        return best_x, best
+
+
+class _Climbed(NamedTuple):
+    """How far the starts of a search have come."""
+
+    corners: Corners
+    values: FloatArray
+    settled: BoolArray
+    """(C,) whether nothing that was tried last is worse"""
+
+    def some(self, which: IntArray) -> _Climbed:
+        return _Climbed(self.corners.some(which), self.values[which], self.settled[which])
+
+
+def _doubling(count: int) -> IntArray:
+    """0, 1, 2, 4, ... up to a count, and the count itself."""
+    return np.array([0, *(1 << k for k in range(count.bit_length())), count], dtype=np.intp)

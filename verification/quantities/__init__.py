@@ -1,0 +1,1 @@
+"""The quantities that a requirement may limit, one per module, each with its entry of the catalogue."""

@@ -1,0 +1,44 @@
+"""Headroom of the converter: how far converted voltages stay from the ends of its range."""
+
+from __future__ import annotations
+
+from ...circuits import Requirement, scan
+from .._dut import DesignUnderTest
+from .._hardware import Readings, true_cells
+from .._judging import excursion_of, headroom
+from .._outcome import Measurement, NotRun
+from .._quantity import DOWN, Quantity, Shipped
+from .._units import engineering
+
+
+def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
+    if dut.design.adc is None or (excursion := excursion_of(dut, "converter")) is None:
+        raise NotRun("missing: adc.bits, adc.range")
+    limits = "without its first and last code the converter takes"
+    return headroom(dut, excursion, "Converted voltages range", limits)
+
+
+def _measured(dut: DesignUnderTest, readings: Readings) -> Measurement:
+    adc = dut.design.adc
+    assert adc is not None
+    lowest, highest = float(readings.volts.min()), float(readings.volts.max())
+    nominal = scan(dut.design, true_cells(dut)).volts
+    simulated = min(nominal.min() - adc.range[0] - adc.step, adc.range[1] - adc.step - nominal.max())
+    return Measurement(
+        min(lowest - adc.range[0] - adc.step, adc.range[1] - adc.step - highest),
+        "V",
+        where=f"readings from {engineering(lowest, 'V')} to {engineering(highest, 'V')}",
+        text=[f"Simulated with nominal parts: {engineering(float(simulated), 'V')}."],
+    )
+
+
+QUANTITY = Quantity(
+    name="adc_headroom",
+    title="Headroom of the converter",
+    unit="V",
+    says="Smallest distance of a converted voltage from the ends of the converter's range, V.",
+    compute=_compute,
+    shipped=(Shipped(5, "No reading leaves the converter's range.", min=0.0),),
+    mended_by=(("readout.reference_resistance", DOWN), ("drive.voltage", DOWN)),
+    measured=_measured,
+)

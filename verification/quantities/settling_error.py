@@ -1,0 +1,142 @@
+"""Settling error: what is left of the readings before in a reading at the declared frame rate."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...circuits import Boards, BoardsInTime, Requirement, Settling, ideal_volts, scan_batch
+from ...common import plots
+from ...errors import InputError, SolverError
+from .._dut import DesignUnderTest, once
+from .._judging import measured, worst_of
+from .._outcome import Figure, Measurement, NotRun, drawn
+from .._quantity import DOWN, SPICE, UP, WORST, Quantity, Shipped
+from .._search import WorstCase
+from .._units import engineering
+from .._whole_board import SettlingTarget
+
+QUICK = (
+    ("readout.gain_bandwidth", UP),
+    ("readout.feedback_capacitance", DOWN),
+    ("readout.column_capacitance", DOWN),
+    ("readout.reference_resistance", DOWN),
+    ("adc.bits", DOWN),
+    ("adc.switch_resistance", DOWN),
+    ("adc.sampling_capacitance", DOWN),
+    ("adc.acquisition_time", DOWN),
+)
+"""parts that let readings settle sooner"""
+
+
+def rate_of(dut: DesignUnderTest, requirement: Requirement | None = None) -> float:
+    """The frame rate in Hz that is asked for. Raises NotRun where none is stated."""
+    stated = requirement.conditions.frame_rate if requirement is not None else None
+    rate = stated or dut.design.operation.frame_rate
+    if rate is None:
+        raise NotRun("missing: operation.frame_rate")
+    return rate
+
+
+@once
+def largest_signal(dut: DesignUnderTest) -> float:
+    """V: the largest difference of a reading from the reference by the circuit's law, with nominal parts.
+
+    Raises:
+        NotRun: the circuit in time is not modelled, or nothing in it takes time.
+    """
+    design = dut.design
+    cells = np.stack([np.full(design.array.shape, ohms) for ohms in (dut.rest, dut.pressed)])
+    try:
+        in_time = BoardsInTime(design, Boards.of(design), cells)
+    except (InputError, SolverError) as error:
+        raise NotRun(str(error)) from error
+    if not in_time.takes_time:
+        first = "readout.gain_bandwidth" if design.board.circuit.has_amplifiers else "readout.column_capacitance"
+        raise NotRun(f"missing: {first}, or adc.switch_resistance with adc.sampling_capacitance: nothing takes time")
+    return float(np.abs(ideal_volts(design, cells) - design.readout.reference_voltage).max())
+
+
+def worst_settling(dut: DesignUnderTest, rate: float, *, spread: bool = True) -> WorstCase:
+    """The worst settling error at a frame rate, of 1. Raises NotRun, or InputError for a period that is too short."""
+    period = 1.0 / (rate * dut.design.board.shape[0])
+    return worst_of(dut, SettlingTarget(period, largest_signal(dut)), spread=spread)
+
+
+def require_linear(dut: DesignUnderTest) -> None:
+    """Raise NotRun where the circuit in time is not modelled or not linear, or where nothing in it takes time."""
+    largest_signal(dut)
+    cells = np.stack([np.full(dut.design.array.shape, ohms) for ohms in (dut.rest, dut.pressed)])
+    if scan_batch(dut.design, cells, method="exact").saturated.any():
+        raise NotRun("settling is linear: an output saturates with nominal parts")
+
+
+def settling_error(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
+    rate = rate_of(dut, requirement)
+    require_linear(dut)
+    lines, adc = dut.design.board.shape, dut.design.adc
+    period = 1.0 / (rate * lines[0])
+    if adc is not None and period < adc.acquisition_time * lines[1]:
+        where = f"row period {engineering(period, 's')}: shorter than adc.acquisition_time for each column"
+        return Measurement(np.inf, "%", where=where)
+    found = worst_settling(dut, rate)
+    said = f"At {engineering(rate, 'Hz')} each {dut.design.board.line_kinds[0]} has {engineering(period, 's')}."
+    return replace(measured(found, 100 * found.value, "%"), text=[said])
+
+
+def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
+    found = settling_error(dut, requirement, method)
+    if not np.isfinite(found.value):
+        return found
+    rate = rate_of(dut, requirement)
+    return replace(found, figures=drawn(lambda: _figure(dut, rate, worst_settling(dut, rate))))
+
+
+def settling_share(dut: DesignUnderTest, rate: float) -> float:
+    """Share of the preceding row's reading that is left in a reading with nominal parts; 0 where nothing takes time."""
+    try:
+        return float(np.clip(worst_settling(dut, rate, spread=False).value, 0.0, 1.0))
+    except NotRun:
+        return 0.0
+    except InputError:
+        return 1.0
+
+
+def _figure(dut: DesignUnderTest, rate: float, found: WorstCase) -> Figure:
+    design = found.box.board(found.corner.x[0])
+    settling, adc = Settling(design, found.frames[0]), design.adc
+    lines, period = design.board.shape, 1.0 / (rate * design.board.shape[0])
+    shortest = max(min(0.5 * settling.shortest_period(0.5), period / 2), adc.acquisition_time * lines[1] if adc else 0)
+    periods = np.geomspace(max(shortest, 1e-9), 2 * period, 60)
+    share = settling.signal / largest_signal(dut)
+    with plots.drawing(1, 1, height=2.6) as (figure, ((panel,),)):
+        panel.loglog(1e6 * periods, [100 * share * max(settling.error(p), 1e-12) for p in periods])
+        panel.axvline(1e6 * period, color=plots.INK, lw=1, ls=":")
+        panel.text(1e6 * period, panel.get_ylim()[1], " declared", va="top", fontsize=8)
+        if adc:
+            panel.axhline(100 * adc.step / 4 / largest_signal(dut), color=plots.RED, lw=1, ls="--")
+        panel.set(title="Settling", xlabel="row period / µs", ylabel="error / % of largest signal")
+        return Figure(plots.svg(figure), "The worst frame on the worst board. Dashed: a quarter of an ADC step.")
+
+
+QUANTITY = Quantity(
+    name="settling_error",
+    title="Settling error",
+    unit="%",
+    says="Largest deviation of a sampled reading from the settled one at the declared rate, % of the largest signal.",
+    compute=_compute,
+    methods=(WORST, SPICE),
+    shipped=(
+        Shipped(8, "Readings settle at the declared frame rate.", max=1.0),
+        Shipped(
+            22,
+            "The maker's model settles at the declared rate.",
+            max=1.0,
+            method=SPICE,
+            applies=lambda design: design.readout.amplifier_model is not None,
+        ),
+    ),
+    mended_by=(("operation.frame_rate", DOWN), *QUICK),
+    analysis="transient",
+)
