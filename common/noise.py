@@ -27,7 +27,6 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.special import chdtri
 
 from .arrays import BoolArray, FloatArray
 from .compiled import Record, Records, Row, Rows, loop, values, zeros
@@ -282,6 +281,8 @@ def _few_at_most(most: int) -> FloatArray:
     The first is the relative error by which an estimate from so many changes may be too small (chi-square below its
     :data:`DOUBT` quantile), the second the :data:`RARE` quantile of chi-square.
     """
+    from scipy.special import chdtri
+
     changes = np.arange(most + 1.0)
     changes[0] = 1.0
     return np.array([np.sqrt(changes / chdtri(changes, 1.0 - DOUBT)) - 1.0, chdtri(changes, 1.0 - RARE)])

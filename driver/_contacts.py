@@ -20,7 +20,6 @@ import threading
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import ndimage
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
 from ._bridging import bridge
@@ -176,6 +175,8 @@ class ContactTracker:
         self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray, missing: BoolArray | None
     ) -> tuple[IntArray, list[Patch]]:
         """(rows, columns) for each cell the number of its patch, from 1 (0: none), and the patches."""
+        from scipy import ndimage
+
         full, touched = self.full_scale_kpa, self._labels > 0
         excess = pressure_kpa - self._drift_kpa
         stated_kpa, std_kpa = std_kpa, np.where(std_kpa > 0, std_kpa, 0.0)  # an unknown deviation counts as 0
@@ -238,6 +239,8 @@ class ContactTracker:
         self, time_s: float, found: IntArray, kept: BoolArray, excess: FloatArray, std_kpa: FloatArray
     ) -> None:
         """Drop new patches within one row or column that may be electrical faults; ``kept`` (labels,) is changed."""
+        from scipy import ndimage
+
         fresh = kept.copy()
         fresh[found[self._labels > 0]] = False
         if not fresh.any():
@@ -330,6 +333,8 @@ def _together(excess: FloatArray, std_kpa: FloatArray) -> BoolArray:
     What most cells of a column have in common is taken out before: an error of the sum of a divider's readings moves
     a whole column.
     """
+    from scipy import ndimage
+
     known = np.where(np.isfinite(excess), excess, 0.0)
     usual = np.partition(known, (len(known) - 1) // 2, axis=0)[(len(known) - 1) // 2]
     own = known - np.maximum(usual, 0.0)

@@ -17,16 +17,16 @@ from math import inf, isinf, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from scipy.constants import Boltzmann, elementary_charge
 
 from ...common.arrays import BoolArray, FloatArray, IntArray
+from ...common.constants import BOLTZMANN, ELEMENTARY_CHARGE
 from ...errors import SolverError
 from ..solvers import ULP
 from ._cards import GROUND, Card
 from ._equations import CELL, LINE, ROW, Equations
 from ._line_ends import REF, LineEnds, Network
 
-THERMAL_V = Boltzmann * 300.15 / elementary_charge
+THERMAL_V = BOLTZMANN * 300.15 / ELEMENTARY_CHARGE
 """kT/q at SPICE's usual temperature, 27 degrees Celsius"""
 _CROSSPOINT = "x"
 """first letter of the ends that are at cells"""

@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpotrf, dpotrs, dtrtri
 
 from ...common.arrays import BoolArray, FloatArray
 from ...errors import InputError, SolverError
@@ -326,6 +325,8 @@ class FitLive:
             numpy.linalg.LinAlgError: parts of the grid have no connection.
 
         """
+        from scipy.linalg.lapack import dpotrf, dpotrs
+
         cells = np.exp(-np.clip(log, -_LARGEST, _LARGEST)).reshape(self._shape)
         volts = self._quick(cells)
         slope = np.abs(self._board.circuit.log_conductance_slope(self._board, volts - self._board.level)).ravel()
@@ -357,6 +358,8 @@ class FitLive:
             numpy.linalg.LinAlgError: the derivatives are not finite.
 
         """
+        from scipy.linalg.lapack import dtrtri
+
         wired = np.exp(log) * (self._leads.ravel() + LEAST_SHORT_OHM)
         prior = (1.0 + wired) * np.maximum(1.0 / wired, 1.0) / BY_STEPS
         square = np.linalg.qr(np.concatenate([jacobian * prior, np.eye(len(log))]), mode="r")

@@ -21,10 +21,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.constants import Boltzmann
-from scipy.linalg import expm, solve_continuous_lyapunov
 
 from ...common.arrays import FloatArray, IntArray
+from ...common.constants import BOLTZMANN
 from ...errors import InputError, SolverError
 from .._design import Design
 from .._exact import read_exactly
@@ -59,6 +58,8 @@ class _Phase(NamedTuple):
 
     def over(self, seconds: float, size: int) -> FloatArray:
         """(size + 1, size + 1) map of all states and 1 over some time; other states keep their values."""
+        from scipy.linalg import expm
+
         own = len(self.states)
         extended = np.zeros((own + 1, own + 1))
         extended[:own, :own], extended[:own, own] = self.rate, self.drift
@@ -171,6 +172,8 @@ class EventScan:
 
     def _variance(self, phase: _Phase, count: int) -> float:
         """V^2 of the mean of ``count`` conversions, by noise."""
+        from scipy.linalg import expm, solve_continuous_lyapunov
+
         rate = phase.rate - _LEAST_RATE * np.eye(len(phase.rate))
         covariance = solve_continuous_lyapunov(rate, -phase.noise)
         later, carried = expm(rate * self.conversion_time), np.eye(len(rate))
@@ -254,7 +257,7 @@ class EventScan:
         intensity = np.array([power for _, _, power in entries])
         ports = len(self._ports)
         grid = np.diag(self._ports.sum(axis=1)) - self._ports  # Nyquist's theorem for multiports
-        grid *= 2.0 * Boltzmann * self._temperature
+        grid *= 2.0 * BOLTZMANN * self._temperature
         moved, moved_by_grid = by_nodes @ inverse @ driven + direct, (by_nodes @ inverse)[:, :ports]
         seen, seen_by_grid = sampled @ inverse @ driven, (sampled @ inverse)[:ports]
         return _Phase(
@@ -304,7 +307,7 @@ class EventScan:
     ) -> Iterator[tuple[FloatArray, FloatArray, float]]:
         """For each source what it adds to the equations (U,) and to the amplifiers' inputs (K,), and its intensity."""
         none = np.zeros(len(moving))
-        thermal = 2.0 * Boltzmann * self._temperature
+        thermal = 2.0 * BOLTZMANN * self._temperature
         for end, _, network in networks:
             for card in network:
                 if card.kind == "r" and card.value and thermal:

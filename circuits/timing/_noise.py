@@ -17,10 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.constants import Boltzmann
-from scipy.linalg import solve_continuous_lyapunov
 
 from ...common.arrays import FloatArray, IntArray
+from ...common.constants import BOLTZMANN
 from ...errors import InputError
 from .._board import Board
 from .._design import Design
@@ -106,7 +105,7 @@ def noise(design: Design, resistance: ArrayLike) -> Noise:
     cells = board.turn(design.resistance(resistance))
     part, adc = design.readout, design.adc
     parts: dict[str, FloatArray] = {}
-    thermal_energy = Boltzmann * part.temperature  # k T, in J
+    thermal_energy = BOLTZMANN * part.temperature  # k T, in J
     if board.circuit.has_amplifiers:
         if part.voltage_noise or part.current_noise or thermal_energy:
             parts |= _amplifier_noise(design, cells, thermal_energy)
@@ -158,6 +157,8 @@ def _variances(
         InputError: nothing limits the bandwidth of a noise.
 
     """
+    from scipy.linalg import solve_continuous_lyapunov
+
     part, columns, count = board.readout, network.shape[-1], len(loaded)
     outputs = np.arange(columns, columns + count)
     samples = count if sampler_delay(board) else 0
