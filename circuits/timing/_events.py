@@ -28,8 +28,7 @@ from ...errors import InputError, SolverError
 from .._design import Design
 from .._exact import read_exactly
 from .._grid import exact_ports
-from ..ends import GROUND, LINE, Card, Event, Network, Scan
-from ..readouts import inverted_nodes, step_system
+from ..ends import GROUND, LINE, Card, Event, Network, Scan, inverted_nodes, step_system
 
 CONTACT_OHM = 1e-3
 """in series with each capacitor, and of the switch that discharges the sampled node: far below any part of a board"""
@@ -219,7 +218,7 @@ class EventScan:
     def _made(self, row: int, column: int, kind: str) -> _Phase:
         read = self._board.turns[column % self._ends.shared_by]
         networks, moving = self._without_states(row, column, kind)
-        system = step_system(self._board, self._ports, networks, read)
+        system = step_system(self._ends, self._board.column_lead, self._ports, networks, read)
         size, count = len(system.source), len(moving)
         _, inverse = inverted_nodes(system.static)
 
