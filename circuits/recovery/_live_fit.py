@@ -25,7 +25,7 @@ from .._adc import adc_error
 from .._board import Board, broken_off, cell_alone
 from .._grid import exact_ports
 from .._parts import LEAST_SHORT_OHM
-from ._law import several_answers
+from ._answers import several_answers
 from ._law_errors import ALIKE, BY_NOISE, BY_STEPS
 from ._law_kernels import TINY
 from ._lines import LineResistance
