@@ -214,9 +214,11 @@ class FitLive:
         A cell changes a reading by a Moebius function of its conductance, hence most at the ends of its interval.
         """
         spread = np.zeros(log.shape)
+        if not unread.any():
+            return spread
         assert self._linear is not None
-        before = self._at(log) if unread.any() else log
-        for group in _groups(unread):
+        before, hidden = self._at(log), unread & self._gone
+        for group in [*_groups(unread & ~hidden), hidden]:  # hidden ones act together
             moved = self._at(np.where(group.ravel(), self._most, log)) - before
             spread += np.abs(self._linear.solve(moved * self._read))
         return spread
