@@ -13,7 +13,7 @@ import numpy as np
 
 from ...errors import InputError
 from .._design import Design
-from ._live_fit import MOST_BESIDE, FitLive
+from ._live_fit import FitLive
 from ._live_law import LawLive
 from ._live_reading import LiveRecovery, ValidityRule
 
@@ -21,7 +21,7 @@ from ._live_reading import LiveRecovery, ValidityRule
 def live_recovery(design: Design, *, accuracy: float | None = None) -> LiveRecovery:
     """The live recovery for a board with a converter.
 
-    :class:`.FitLive` for dividers with floating or pulled rows or with bridges, :class:`.LawLive` for all others.
+    :class:`.FitLive` for dividers with floating or pulled rows, :class:`.LawLive` for all others.
 
     Args:
         design: the board.
@@ -39,7 +39,6 @@ def live_recovery(design: Design, *, accuracy: float | None = None) -> LiveRecov
     if why := board.circuit.ambiguity(board):
         raise InputError(f"the cells cannot be recovered from readings: {why}")
     law = board.circuit.port_law(board, np.zeros(board.shape[1]))
-    joined = board.bridges and board.circuit.mixes_cells and board.shape[0] * board.shape[1] <= MOST_BESIDE
-    if law is None or joined:
+    if law is None:
         return FitLive(board, rule)
     return LawLive(board, rule)

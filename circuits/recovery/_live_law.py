@@ -168,7 +168,8 @@ class LawLive:
         if self._answers is not None:
             answers = self._answers(volts, errors.error, unknowns)
         opened, enclosed = unknowns is not None or errors.opens, None
-        if opened and self._fit is not None and self._factors is not None and _lone(ports, errors):
+        beyond = opened or bool(self._board.bridges)  # bridges mix lines beyond what factors follow
+        if beyond and self._fit is not None and self._factors is not None and _lone(ports, errors):
             return self._fit.read(volts, limited, faint, noise, ports.cells)
         if self._factors is None:
             enclosed = self._enclosure(ports, errors, cells, unknowns, volts) if opened else None

@@ -124,8 +124,9 @@ class Recoverer:
             self._unread[fault.place] |= fault.ohms == 0
             self._cut_off[fault.place] &= fault.ohms > 0
         self._model = Model(design.replace(fault=tuple(kept)))
-        lawful = several_answers(board) and board.circuit.port_law(board, np.zeros(board.shape[1])) is not None
-        self._answers = Answers(board) if lawful else None
+        # A follower leaves other answers only beside shorts.
+        several = several_answers(board) and not (board.circuit.drives_idle_lines or board.floating)
+        self._answers = Answers(board) if several else None
         self._inverter = Inverter(self._model, self._unread, accuracy)
         self._envelope = Envelope(self._model, self._unread, accuracy, self._most)
 
