@@ -383,26 +383,18 @@ class _Totals:
 
 def _frame(raw: RawFrame, measurement: Converted, before: _Totals, connection: Connection) -> Frame:
     """The frame for a reader whose totals up to now are ``before``."""
-    contacts, view = connection.frames.converter.contacts, measurement.view
-    lost_before = None if raw.lost is None else raw.lost - (before.lost or 0)
-    skipped_before = raw.index - before.index - 1
-    overrun = raw.overruns > before.overruns
-    reconnected = raw.reconnects > before.reconnects
-    rebooted = raw.reboots > before.reboots
-    estimator_restarted = measurement.estimator_starts > before.estimator_starts
-    repeated = False
     return Frame(  # by position: so many keywords take 3 us
         raw.sequence,
         raw.device_time,
         raw.host_time,
         raw.monotonic_time,
-        lost_before,
-        skipped_before,
-        overrun,
-        reconnected,
-        rebooted,
-        estimator_restarted,
-        repeated,
+        None if raw.lost is None else raw.lost - (before.lost or 0),
+        raw.index - before.index - 1,  # skipped
+        raw.overruns > before.overruns,
+        raw.reconnects > before.reconnects,
+        raw.reboots > before.reboots,
+        measurement.estimator_starts > before.estimator_starts,
+        False,  # not repeated
         raw.counts,
         measurement.valid,
         measurement.reason,
@@ -410,6 +402,6 @@ def _frame(raw: RawFrame, measurement: Converted, before: _Totals, connection: C
         measurement.pressure,
         measurement.rest_counts,
         measurement.pressure_std,
-        partial(contacts.of, view),
+        partial(connection.frames.converter.contacts.of, measurement.view),
         connection.now,
     )

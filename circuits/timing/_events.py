@@ -28,8 +28,7 @@ from ...errors import InputError, SolverError
 from .._design import Design
 from .._exact import read_exactly
 from .._grid import exact_ports
-from ..ends import GROUND, LINE, Card, Event, Network, Scan
-from ..readouts import inverted_nodes, step_system
+from ..ends import GROUND, LINE, Card, Event, Network, Scan, inverted_nodes, step_system
 
 CONTACT_OHM = 1e-3
 """in series with each capacitor, and of the switch that discharges the sampled node: far below any part of a board"""
@@ -151,7 +150,7 @@ class EventScan:
         span = float(np.ptp(self.settled)) or float(np.abs(self.settled).max()) or 1.0
         return float(np.abs(self.sampled - self.settled).max()) / span
 
-    @cached_property
+    @property
     def noise(self) -> FloatArray:
         """V (rows, columns): standard deviation of each reading by its parts, and by the converter's steps.
 
@@ -159,17 +158,25 @@ class EventScan:
             InputError: nothing limits the bandwidth of a noise, so that its variance is infinite.
 
         """
-        rows, columns = self._board.shape
-        count, step = self._events.averages, self._adc.step if self._adc else 0.0
-        variance = np.full((rows, columns), step**2 / 12.0 / count)
+        return np.hypot(self.circuit_noise, self.quantisation)
+
+    @property
+    def quantisation(self) -> FloatArray:
+        """V (rows, columns) of the mean of a reading's conversions by the converter's steps."""
+        step = self._adc.step if self._adc else 0.0
+        return np.full(self._board.shape, step / np.sqrt(12.0 * self._events.averages))
+
+    @cached_property
+    def circuit_noise(self) -> FloatArray:
+        """V (rows, columns) of it by the parts of the circuit. Raises InputError as :attr:`noise`."""
+        variance = np.zeros(self._board.shape)
         known: dict[int, float] = {}
         for phase, _, row, column, counts in self._plan():
             if counts:
                 if id(phase) not in known:
-                    known[id(phase)] = self._variance(phase, count)
-                variance[row, column] = step**2 / 12.0 / count + known[id(phase)]
-        deviation: FloatArray = np.sqrt(variance)
-        return deviation
+                    known[id(phase)] = self._variance(phase, self._events.averages)
+                variance[row, column] = known[id(phase)]
+        return np.sqrt(variance)
 
     def _variance(self, phase: _Phase, count: int) -> float:
         """V^2 of the mean of ``count`` conversions, by noise."""
@@ -219,7 +226,7 @@ class EventScan:
     def _made(self, row: int, column: int, kind: str) -> _Phase:
         read = self._board.turns[column % self._ends.shared_by]
         networks, moving = self._without_states(row, column, kind)
-        system = step_system(self._board, self._ports, networks, read)
+        system = step_system(self._ends, self._board.column_lead, self._ports, networks, read)
         size, count = len(system.source), len(moving)
         _, inverse = inverted_nodes(system.static)
 
