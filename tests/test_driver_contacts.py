@@ -451,7 +451,7 @@ def test_hysteresis_keeps_a_contact_and_makes_no_second_one() -> None:
 
 @pytest.mark.parametrize(("sigma", "peak_kpa"), [(1.0, 9.0), (3.0, 9.0), (3.0, 1.5), (4.0, 4.0)])
 def test_the_force_of_a_soft_contact_does_not_end_at_a_threshold(sigma: float, peak_kpa: float) -> None:
-    """Cells around the touched ones bear the rest of the force: what is stated is within two deviations of all of it."""
+    """Cells around the touched ones bear the rest of the force: all of it is within two deviations."""
     row, column = np.mgrid[0:32, 0:32]
     pressure = peak_kpa * np.exp(-((row - 15) ** 2 + (column - 15) ** 2) / 2 / sigma**2)
     tracker = ContactTracker((32, 32), 0.005, 15.5)
