@@ -14,13 +14,13 @@ import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray
 from .._parts import Parts
-from ..ends import OPEN_OHM, LineEnds
+from ..ends import OPEN_OHM, LineEnds, alone
 from ._adjoint import SensitivityGroup, TerminatedColumns, terminated_groups
 from ._cards import CardWriter
 from ._circuit import Alone, Reading
 from ._ends import Ends
 from ._linear import LinearReadout
-from ._nodal import alone, node_groups, read_nodes
+from ._nodal import node_groups, read_nodes
 from ._port_law import PortLaw
 from ._quick import QuickFields, QuickNetwork
 from ._terminated import Terminated

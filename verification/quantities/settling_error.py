@@ -6,7 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...circuits import Boards, BoardsInTime, Requirement, Settling, ideal_volts, scan_batch
+from ...circuits import (
+    Boards,
+    BoardsInTime,
+    Event,
+    EventScan,
+    Requirement,
+    Scan,
+    Settling,
+    ideal_volts,
+    scan_batch,
+)
 from ...common import plots
 from ...errors import InputError, SolverError
 from .._dut import DesignUnderTest, once
@@ -72,7 +82,36 @@ def require_linear(dut: DesignUnderTest) -> None:
         raise NotRun("settling is linear: an output saturates with nominal parts")
 
 
+def by_events(dut: DesignUnderTest, requirement: Requirement) -> Measurement:
+    """The largest deviation in a few frames of cells at rest and pressed, by the events of ``[scan]``.
+
+    Without ``[scan]`` a row's event is a wait for the row period. Raises NotRun where the circuit has no linear model.
+    """
+    design = dut.design
+    events = design.scan or Scan(row=(Event(wait=1.0 / (rate_of(dut, requirement) * design.array.rows)),))
+    row, column = np.indices(design.array.shape)
+    frames = {"every other row": row % 2, "every other column": column % 2, "a chequerboard": (row + column) % 2}
+    worst, where, seconds, signal = 0.0, "", 0.0, 0.0
+    for name, pressed in frames.items():
+        try:
+            timed = EventScan(design, np.where(pressed == 1, dut.pressed, dut.rest), events)
+        except (InputError, SolverError) as error:
+            raise NotRun(str(error)) from error
+        signal = max(signal, float(np.abs(timed.settled - design.board.level).max()))
+        deviation = np.abs(timed.sampled - timed.settled)
+        place, seconds = np.unravel_index(np.argmax(deviation), deviation.shape), timed.frame_time
+        if deviation[place] > worst:
+            worst, where = float(deviation[place]), f"cell {tuple(map(int, place))}; pressed: {name}"
+    said = [f"The events of a frame take {engineering(seconds, 's')}, and nominal parts settle in them."]
+    wanted = requirement.conditions.frame_rate or design.operation.frame_rate
+    if wanted and seconds * wanted > 1.0 + 1e-9:
+        return Measurement(np.inf, "%", where=f"at {engineering(wanted, 'Hz')} a frame is too short", text=said)
+    return Measurement(100 * worst / signal if signal else 0.0, "%", where=where, text=said)
+
+
 def settling_error(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
+    if dut.design.is_described or dut.design.scan is not None:
+        return by_events(dut, requirement)
     rate = rate_of(dut, requirement)
     require_linear(dut)
     lines, adc = dut.design.board.shape, dut.design.adc
@@ -87,7 +126,7 @@ def settling_error(dut: DesignUnderTest, requirement: Requirement, method: str) 
 
 def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
     found = settling_error(dut, requirement, method)
-    if not np.isfinite(found.value):
+    if not np.isfinite(found.value) or dut.design.is_described or dut.design.scan is not None:
         return found
     rate = rate_of(dut, requirement)
     return replace(found, figures=drawn(lambda: _figure(dut, rate, worst_settling(dut, rate))))
