@@ -476,6 +476,8 @@ class Watch(Record):
     since_s: float
     asleep: float
     """1 while the cell is at rest and only watched"""
+    offset: float
+    """r by drift of the rest resistance, as the cell last slept; never changes under a load"""
     centre: float
     """mean reading of a sleeping cell"""
     cusum: float
@@ -563,7 +565,7 @@ def expects(e: Estimates, watch: Watch, t: Step) -> tuple[float, float]:
         off = e.r[j] - mean
         way = t.by_move[phase_of(j)] * t.way_s[j]
         spread += e.w[j] * (e.rr[j] + off * off + way * way * (e.v[j] * e.v[j] + e.vv[j]))
-    return mean, spread
+    return mean + watch.offset, spread
 
 
 @loop
@@ -614,8 +616,9 @@ def step_each(
                 width = high[i] - low[i]
                 variance[i] = t.floor * t.floor + (var[i] + width * width * (1.0 / 12.0)) / (t.gain * t.gain)
                 continue
-            watch.asleep = 0.0
-        follow(e, before, watch, c, p, trial[0], t, known[i] > 0.0, low[i], high[i], var[i], forget)
+            watch.asleep, watch.offset = 0.0, watch.centre - e.r[REST]
+        least, most = low[i] - watch.offset, high[i] - watch.offset
+        follow(e, before, watch, c, p, trial[0], t, known[i] > 0.0, least, most, var[i], forget)
         mean = mean_of(e)
         spread = variance_of(e, mean, t)
         if watch.since_s > 0.0:
@@ -627,7 +630,7 @@ def step_each(
             if watch.odds > 0.0:
                 mean = other
         elif sleeps[i] > 0.0 and forget < 1.0 and known[i] > 0.0 and settled(e, var[i], high[i] - low[i]):
-            watch.asleep, watch.centre, watch.cusum = 1.0, e.r[REST], 0.0
+            watch.asleep, watch.centre, watch.cusum = 1.0, watch.offset + e.r[REST], 0.0
         load[i] = mean
         variance[i] = spread + t.floor * t.floor + t.relative * t.relative * mean * mean
 
