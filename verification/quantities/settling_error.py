@@ -15,7 +15,7 @@ from .._outcome import Figure, Measurement, NotRun, drawn
 from .._quantity import DOWN, SPICE, UP, WORST, Quantity, Shipped
 from .._search import WorstCase
 from .._units import engineering
-from .._whole_board import SettlingTarget
+from .._whole_board import SettlingTarget, goes_by_events, scan_in_time
 
 QUICK = (
     ("readout.gain_bandwidth", UP),
@@ -49,10 +49,14 @@ def largest_signal(dut: DesignUnderTest) -> float:
     design = dut.design
     cells = np.stack([np.full(design.array.shape, ohms) for ohms in (dut.rest, dut.pressed)])
     try:
-        in_time = BoardsInTime(design, Boards.of(design), cells)
+        if goes_by_events(design):
+            scan_in_time(design, cells[0], 1.0)
+            takes_time = True
+        else:
+            takes_time = BoardsInTime(design, Boards.of(design), cells).takes_time
     except (InputError, SolverError) as error:
         raise NotRun(str(error)) from error
-    if not in_time.takes_time:
+    if not takes_time:
         first = "readout.gain_bandwidth" if design.board.circuit.has_amplifiers else "readout.column_capacitance"
         raise NotRun(f"missing: {first}, or adc.switch_resistance with adc.sampling_capacitance: nothing takes time")
     return float(np.abs(ideal_volts(design, cells) - design.readout.reference_voltage).max())
@@ -87,7 +91,7 @@ def settling_error(dut: DesignUnderTest, requirement: Requirement, method: str) 
 
 def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
     found = settling_error(dut, requirement, method)
-    if not np.isfinite(found.value):
+    if not np.isfinite(found.value) or goes_by_events(dut.design):
         return found
     rate = rate_of(dut, requirement)
     return replace(found, figures=drawn(lambda: _figure(dut, rate, worst_settling(dut, rate))))
