@@ -39,7 +39,7 @@ MOST_WORK = 1_500_000
 """cells that are solved, all frames of all flips together, while corners are improved"""
 MOST_FLIPS = 400_000
 """cells of all flips of one corner, up to which flips are solved"""
-MOST_NEAR = 100_000
+MOST_NEAR = 200_000
 """cells of all flips near the worst cell, up to which they are solved where not all are"""
 FIRST_ORDER_BEYOND = 100
 """cells of an array beyond which corners are improved by derivatives before their flips are solved"""
