@@ -24,7 +24,7 @@ import click
 import numpy as np
 from scipy.optimize import isotonic_regression
 
-from ..cell import CalibrationResult, Cell, Recording, calibrate, checked_recording, estimate_recording
+from ..cell import CalibrationResult, Cell, calibrate, checked_recording, estimate_recording, load_recording
 from ..cell.materials import white_noise
 from ..common.arrays import FloatArray
 from ..errors import InputError
@@ -128,7 +128,7 @@ def scene(load: str, material: str, seed: int) -> Scene:
 
 def recorded(path: Path, head: float) -> Scene:
     """A recorded file, of which the share ``head`` is learned from."""
-    of = Recording.load(path)
+    of = load_recording([path])
     time = of.time_s - of.time_s[0]
     return Scene("as it is", path.stem, 0, time, of.pressure_kpa, of.resistance_ohm, head * float(time[-1]))
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
 from ..errors import SolverError
@@ -101,6 +99,9 @@ def refuse_contradictions(board: Board, cells: FloatArray) -> BoolArray | None:
         (..., N, M) outputs that parts of 0 ohm leave undetermined; None if there are none.
 
     """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     if cells.min() > _SHORT and not any(fault.ohms <= _SHORT for fault in board.faults):
         return None
     row, column = np.isinf(board.lines.row), np.isinf(board.lines.column)

@@ -11,9 +11,9 @@ from math import inf
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, PlainValidator, model_validator
-from scipy.constants import zero_Celsius
 
 from ..common.config import LEAST, MOST, Finite, NotNegative, Positive, Section
+from ..common.constants import ZERO_CELSIUS
 from ._spread import Spreadable
 
 LEAST_DRIVE_V, MOST_V, LEAST_REFERENCE_OHM = 1e-6, 1e4, 1e-6
@@ -41,7 +41,7 @@ def _per_line(expected: str, allowed: Callable[[float], bool]) -> PlainValidator
 def in_kelvin(value: float) -> float:
     """The value, unless it is so low that it must be in another unit. Raises ValueError."""
     if value < COLDEST_K:
-        raise ValueError(f"expected K, from {COLDEST_K:g} K up: {value:g} °C is {value + zero_Celsius:g} K")
+        raise ValueError(f"expected K, from {COLDEST_K:g} K up: {value:g} °C is {value + ZERO_CELSIUS:g} K")
     return value
 
 

@@ -26,9 +26,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError, SolverError
@@ -179,6 +176,9 @@ def _turned_back(found: Sensitivity) -> Sensitivity:
 
 def _joins_ports(network: Network, shorts: BoolArray) -> bool:
     """Whether ideal lines and shorts alone connect two ports."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     a, b = network.ends[shorts | np.isinf(network.conductance)].T
     size = len(network.place)
     links = coo_array((np.ones(len(a)), (a, b)), shape=(size, size))
@@ -225,6 +225,9 @@ class BasisFields(NamedTuple):
     @classmethod
     def of(cls, board: Board, cells: FloatArray, network: Network) -> BasisFields:
         """Solve for the basis fields of ``network``, which is the board's grid with these cells and no shorts."""
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
         rows, columns = board.lines.row.shape
         ahead_of_cells = columns - cells.shape[1]
         cell_at = rows * columns + (rows - 1) * columns
@@ -302,6 +305,10 @@ def _sparse_potentials(a: IntArray, b: IntArray, value: FloatArray, port: IntArr
     Raises:
         SolverError: the factorisation breaks down.
     """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.sparse.linalg import splu
+
     graph = coo_array((value, (a, b)), shape=(size, size)).tocsr()
     graph = graph + graph.T
     graph.eliminate_zeros()  # zero entries would count as connections

@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
 
-from ..cell import Cell, check_resistances, estimate_recording, read_recording
+from ..cell import Cell, check_resistances, estimate_recording, read_files
 from ..common.arrays import FloatArray
 from ..common.tables import write_columns
 from ..errors import InputError
-from . import arguments
+from . import _measured, arguments
 
 
 @click.command(epilog=arguments.example("ohmskin estimate run.csv --cell cell.toml -o out.csv"))
 @click.argument("recording", metavar="IN.csv", type=click.Path(path_type=Path))
 @click.option("--cell", "cell_file", metavar="CELL.toml", required=True, type=click.Path(path_type=Path))
 @click.option("-o", "output", metavar="OUT.csv", required=True, type=click.Path(path_type=Path))
-@click.option("--estimator", metavar="NAME", help="static, paper, inverse, play or distilled [the cell's choice].")
-def command(recording: Path, cell_file: Path, output: Path, estimator: str | None) -> None:
-    """Estimate pressure from the columns time_s,resistance_ohm of IN.csv, causally, sample by sample."""
-    columns = read_recording(recording, ("time_s", "resistance_ohm"), note=arguments.note)
+@click.option("--estimator", metavar="NAME", help="static, paper, inverse or distilled [the cell's choice].")
+@_measured.options(load=False)
+def command(recording: Path, cell_file: Path, output: Path, estimator: str | None, **given: Any) -> None:
+    """Estimate pressure from the columns time_s,resistance_ohm of IN.csv, causally, sample by sample.
+
+    Other columns are read as by ohmskin fit.
+    """
+    columns = read_files([recording], _measured.layout(given), roles=("time", "reading"), note=arguments.note)
     time, resistance = columns["time_s"], columns["resistance_ohm"]
     check_resistances(resistance, str(recording))
     cell = Cell.load(cell_file)

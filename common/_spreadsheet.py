@@ -3,6 +3,7 @@
 =============================  ====================================================================================
 ``1,2``, ``1;2``, tab          the separator is a semicolon or a tab if the first line with data has one, else a comma;
                                a first line ``sep=;``, as spreadsheets write it, decides
+``1 2``                        spaces, where they are allowed and the first line with data has only numbers
 ``1,5;2``                      a decimal comma, if commas do not separate fields; between tabs ``4,700`` is refused,
                                because it may be 4.7 or 4700
 ``# ...``                      a comment line
@@ -26,14 +27,16 @@ LONGEST_LINE = 2**20
 """bytes: 1024 numbers take 26 KiB"""
 _DECLARED = re.compile(r"sep=(.)", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"[+-]?(\d+,\d*|,\d+)(e[+-]?\d+)?", re.IGNORECASE)
+_SPACED = re.compile(r"\s*[+-]?[\d.]+(e[+-]?\d+)?( +[+-]?[\d.]+(e[+-]?\d+)?)+\s*$", re.IGNORECASE)
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
 
 
 class Rows:
     """The rows of one file with the numbers of their lines."""
 
-    def __init__(self, path: str | Path, most_bytes: int) -> None:
-        self._path, self._most_bytes = path, most_bytes
+    def __init__(self, path: str | Path, most_bytes: int, *, spaces: bool = False) -> None:
+        """``spaces``: whether they may separate numbers."""
+        self._path, self._most_bytes, self._spaces = path, most_bytes, spaces
         self._separator: str | None = None
         self.cut = False
         """whether the line that was read last has no line end"""
@@ -42,7 +45,8 @@ class Rows:
         """Yields line numbers and fields of all lines that are not blank. Raises InputError; also for an empty file."""
         lines = self._lines()
         head = list(self._up_to_data(lines))
-        reader = csv.reader(chain(head, lines), delimiter=self._separator or ",")
+        separator = self._separator or ","
+        reader = csv.reader(chain(head, lines), delimiter=separator, skipinitialspace=separator == " ")
         empty = True
         try:
             for fields in reader:
@@ -87,5 +91,7 @@ class Rows:
             yield text
             if text.strip():
                 if self._separator is None:
-                    self._separator = next((mark for mark in ";\t" if mark in text), ",")
+                    self._separator = next(
+                        (mark for mark in ";\t" if mark in text), " " if self._spaces and _SPACED.match(text) else ","
+                    )
                 return

@@ -186,7 +186,7 @@ def is_kept() -> bool:
     Otherwise no folder can be written to: neither ``__pycache__`` beside the modules nor one in the user's cache.
     """
     try:
-        _numba().njit(cache=True)(_numba_type)  # compiles nothing yet, but looks for the folder
+        _numba().njit(cache=True)(_switch)  # compiles nothing yet, but looks for the folder
     except Exception:  # as in `Loop._compile`
         return False
     return True
@@ -303,6 +303,7 @@ class Loop(Generic[P, R]):
     def _own_name(self) -> str:
         return f"{cast(FunctionType, self.function).__qualname__}_{self._stamp()[:16]}"
 
+    @cache  # noqa: B019 - kernels live as long as the process
     def _signature(self) -> Any:
         hints = get_type_hints(self.function, include_extras=True)
         answer = _numba_type(hints.pop("return"))
@@ -480,7 +481,9 @@ def _without_dispatcher(compiled: Any) -> Any:
     return getattr(only, "entry_point", compiled)  # no part of what Numba promises
 
 
+@cache
 def _numba_type(hint: Any) -> Any:
+    """The type that Numba has for a hint; kept, since records take it a millisecond each."""
     from numba import from_dtype, types
 
     if get_origin(hint) is Annotated:

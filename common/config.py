@@ -75,7 +75,7 @@ OWN_TABLES = BeforeValidator(_of_the_user)
 class Section(BaseModel):
     """One table of a configuration file: immutable, no unknown keys, no conversion of text to numbers."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    model_config = ConfigDict(defer_build=True, frozen=True, extra="forbid", strict=True)
 
     def replace(self, **changes: Any) -> Self:
         """A copy with some keys changed, validated as a whole like a file.

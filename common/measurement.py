@@ -107,8 +107,8 @@ class Measurement:
     @property
     def resistance(self) -> FloatArray:
         """Ohm; NaN where not valid."""
-        with np.errstate(divide="ignore"):
-            return np.where(self.reason == 0, 1.0 / self.block[CONDUCTANCE], np.nan)
+        ohm: FloatArray = 1.0 / np.where(self.reason == 0, self.block[CONDUCTANCE], np.nan)
+        return ohm
 
     @property
     def noise_std(self) -> FloatArray:

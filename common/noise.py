@@ -27,7 +27,6 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.special import chdtri
 
 from .arrays import BoolArray, FloatArray
 from .compiled import Record, Records, Row, Rows, loop, values, zeros
@@ -169,23 +168,14 @@ class NoiseEstimate:
         """(n,) standard deviation of each reading, best guess; renewed in place"""
         self.std = assumed
         """standard deviation of any reading, with the sampling error of few readings: rarely too small"""
+        self.usual = self.each.item(0)
+        """root of the mean variance of the readings, best guess: what counts in sums of many"""
+        self.largest_change = 0.0
+        """largest absolute change of a reading since the last frame; 0 if none is known"""
+        self.frames = 0
+        """number of frames taken"""
         self._few = _few_at_most(min(TABULATED, round(MEMORY * count)))
         """(2, k) by number of changes: sampling error, and :data:`RARE` quantile"""
-
-    @property
-    def frames(self) -> int:
-        """Number of frames taken."""
-        return int(self._board["frames"][0])
-
-    @property
-    def usual(self) -> float:
-        """Root of the mean variance of the readings, best guess: what counts in sums of many."""
-        return math.sqrt(self.each.dot(self.each) / self.each.size)
-
-    @property
-    def largest_change(self) -> float:
-        """Largest absolute change of a reading since the last frame; 0 if none is known."""
-        return float(self._board["largest"][0])
 
     @property
     def change(self) -> FloatArray:
@@ -224,8 +214,9 @@ class NoiseEstimate:
             readings = np.where(missing, self._ring[(int(self._board["stored"][0]) - 1) % KEPT], readings)
             self._readings["blind"][missing] = KEPT + 1.0
             silent += int(np.count_nonzero(missing))
-        self.std = take_frame.unchecked(
-            np.ascontiguousarray(readings),
+        self.frames += 1
+        self.std, self.usual, self.largest_change = take_frame.unchecked(
+            readings if readings.flags.c_contiguous else readings.copy(),
             *(self._ring, self._board, self._readings, self._scratch, self._few),
             *(self._quantum, self._assumed, self._expected, silent, self.each),
         )
@@ -236,7 +227,8 @@ class NoiseEstimate:
         self._board[0] = self._readings[:] = 0
         self._board["seen"], self.std = std, std
         self._board["middle"] = self._readings["variance"] = std * std
-        self.each[:] = std
+        self.each[:] = self.usual = std
+        self.frames = 0 if last is None else 1
         if last is not None:
             self._ring[0] = last
             self._board["frames"] = self._board["stored"] = 1.0
@@ -256,6 +248,8 @@ class NoiseEstimate:
         self._ring[...], values(self._board)[...] = state["noise_ring"], state["noise_board"]
         values(self._readings)[...], self.each[...] = state["noise_readings"], state["noise_each"][:-1]
         self.std = float(state["noise_each"][-1])
+        self.usual = math.sqrt(self.each.dot(self.each) / self.each.size)
+        self.frames, self.largest_change = int(self._board["frames"][0]), float(self._board["largest"][0])
 
 
 @loop
@@ -282,6 +276,8 @@ def _few_at_most(most: int) -> FloatArray:
     The first is the relative error by which an estimate from so many changes may be too small (chi-square below its
     :data:`DOUBT` quantile), the second the :data:`RARE` quantile of chi-square.
     """
+    from scipy.special import chdtri
+
     changes = np.arange(most + 1.0)
     changes[0] = 1.0
     return np.array([np.sqrt(changes / chdtri(changes, 1.0 - DOUBT)) - 1.0, chdtri(changes, 1.0 - RARE)])
@@ -300,11 +296,12 @@ def take_frame(
     expected: float,
     silent: int,
     std: Row,
-) -> float:
+) -> tuple[float, float, float]:
     """Take a frame of readings (n,); the further arguments are those of :class:`NoiseEstimate`.
 
     Returns:
-        The standard deviation of any reading; ``std`` (n,) becomes that of each.
+        The standard deviation of any reading, the root of their mean variance, and the largest change; ``std`` (n,)
+        becomes the standard deviation of each.
     """
     board, count = boards[0], readings.size
     newest, still = int(board.stored) % KEPT, board.stored > 0.0
@@ -331,7 +328,10 @@ def take_frame(
     left_open = few[0, known] if known < few.shape[1] else DEVIATIONS / math.sqrt(2.0 * known)
     if board.frames == 1.0 and board.changes == 0.0:
         left_open = 0.0
-    return board.seen + left_open * max(board.seen, assumed)
+    total = 0.0
+    for i in range(count):
+        total += std[i] * std[i]
+    return board.seen + left_open * max(board.seen, assumed), math.sqrt(total / count), board.largest
 
 
 @loop

@@ -137,6 +137,62 @@ def read_columns(
     return {name: table[:, k].copy() for k, name in enumerate((*names, LINE))}
 
 
+class Table:
+    """A CSV file with columns of any names; columns without a header are called 1, 2, ..."""
+
+    def __init__(self, path: str | Path, *, note: Callable[[str], None] = lambda said: None) -> None:
+        """Read a file. Raises InputError: unreadable, empty or ragged; ``note`` is told of a last line that is cut."""
+        self.path, self._rows = path, Rows(path, MOST_RECORDING_BYTES, spaces=True)
+        lines = iter(self._rows)
+        number, first = next(lines)
+        header = [name.strip() for name in first]
+        self.named = not all(_is_number_or_date(field) for field in header)
+        """whether the file has a header"""
+        self.header = header if self.named else [str(place + 1) for place in range(len(header))]
+        self.lines: list[int] = [] if self.named else [number]
+        self._fields: list[list[str]] = [] if self.named else [first]
+        for line, fields in lines:
+            if len(fields) < len(header) and self._rows.cut:
+                note(f"{path}: line {line} is cut off, and left out")
+                break
+            if len(fields) < len(header):
+                raise InputError(f"{path}: line {line}: {len(fields)} fields, expected {len(header)}")
+            self.lines.append(line)
+            self._fields.append(fields)
+        if not self._fields:
+            raise InputError(f"{path}: no data below the header")
+
+    def texts(self, place: int) -> list[str]:
+        """A column as it is written."""
+        return [fields[place].strip() for fields in self._fields]
+
+    def numbers(self, place: int, *, dates: bool = False) -> FloatArray:
+        """A column (n,); empty fields are NaN. ``dates``: they may be dates, which become seconds since the first one.
+
+        Raises InputError, naming the line, for a field that is neither.
+        """
+        read, found = _Dates(self.path), array("d")
+        for line, fields in zip(self.lines, self._fields, strict=True):
+            field = fields[place]
+            seconds = read.seconds(line, field) if dates and field.strip() else None
+            if seconds is not None:
+                found.append(seconds)
+            elif field.strip().upper() == OPEN:
+                found.append(math.inf)
+            else:
+                found.append(self._rows.number(line, field) if field.strip() else math.nan)
+        return np.array(found)
+
+
+def _is_number_or_date(field: str) -> bool:
+    with suppress(ValueError):
+        float(field.replace(",", ".") or "nan")
+        return True
+    with suppress(ValueError):
+        return ":" in field and bool(datetime.fromisoformat(field))
+    return False
+
+
 class _Dates:
     """Dates of one column as seconds since the first one."""
 

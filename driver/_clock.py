@@ -21,8 +21,8 @@ BUCKET_S = 0.25
 WINDOW_BUCKETS = 240
 """intervals that are kept: the line follows a changing drift, as with temperature, within a minute"""
 SHORTEST_SPAN_S, DRIFT_SPAN_S = 0.5, 5.0
-"""a line is sloped from the first of these spans on, as the worst oscillators need it; the drift is told from the
-second on"""
+"""a line is sloped from the first of these spans on, as the worst oscillators need it; the drift is reported from
+the second on"""
 LARGEST_DRIFT = 0.125
 """on-chip RC oscillators are off by up to 10 %, a drift of 1 / 0.9 - 1; the rest is for the noise of delays"""
 PACE_PAIRS, UNEVEN_PAIRS = 4, 3

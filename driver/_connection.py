@@ -426,7 +426,7 @@ class Connection:
         done, until_s = 0, time.thread_time() + LONGEST_TURN_S
         with self._reading:
             while True:
-                if self._port is None or self._is_full():
+                if self._port is None or self._is_ending or self._is_full():
                     break
                 arrival = self._port.read()
                 if not arrival.data:

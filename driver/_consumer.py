@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import copy
 import math
@@ -226,11 +225,13 @@ class AsyncFrames:
 
     def __init__(self, connection: Connection, timeout_s: float, *, keep: object = None) -> None:
         """``keep``: object protected from garbage collection while frames are taken, since the port closes with it."""
+        import asyncio  # takes a tenth of the driver's own time
+
         self._connection, self._keep = connection, keep
         self._timeout_s = timeout_s
         self._consumer = Consumer(connection)
-        self._event = asyncio.Event()
-        loop, event = asyncio.get_running_loop(), self._event
+        self._event = event = asyncio.Event()
+        self._loop = loop = asyncio.get_running_loop()
 
         def wake() -> None:
             # The loop may have ended while frames still come.
@@ -258,7 +259,7 @@ class AsyncFrames:
             if left <= 0 and not self._connection.frames.away:
                 raise self._connection.nothing_came("frame", self._timeout_s)
             # Not asyncio.wait_for(): up to Python 3.11 it loses a cancellation that arrives together with a frame.
-            timer = asyncio.get_running_loop().call_later(left if left > 0 else 1.0, self._event.set)
+            timer = self._loop.call_later(left if left > 0 else 1.0, self._event.set)
             try:
                 await self._event.wait()
             finally:
@@ -382,26 +383,18 @@ class _Totals:
 
 def _frame(raw: RawFrame, measurement: Converted, before: _Totals, connection: Connection) -> Frame:
     """The frame for a reader whose totals up to now are ``before``."""
-    contacts, view = connection.frames.converter.contacts, measurement.view
-    lost_before = None if raw.lost is None else raw.lost - (before.lost or 0)
-    skipped_before = raw.index - before.index - 1
-    overrun = raw.overruns > before.overruns
-    reconnected = raw.reconnects > before.reconnects
-    rebooted = raw.reboots > before.reboots
-    estimator_restarted = measurement.estimator_starts > before.estimator_starts
-    repeated = False
     return Frame(  # by position: so many keywords take 3 us
         raw.sequence,
         raw.device_time,
         raw.host_time,
         raw.monotonic_time,
-        lost_before,
-        skipped_before,
-        overrun,
-        reconnected,
-        rebooted,
-        estimator_restarted,
-        repeated,
+        None if raw.lost is None else raw.lost - (before.lost or 0),
+        raw.index - before.index - 1,  # skipped
+        raw.overruns > before.overruns,
+        raw.reconnects > before.reconnects,
+        raw.reboots > before.reboots,
+        measurement.estimator_starts > before.estimator_starts,
+        False,  # not repeated
         raw.counts,
         measurement.valid,
         measurement.reason,
@@ -409,6 +402,6 @@ def _frame(raw: RawFrame, measurement: Converted, before: _Totals, connection: C
         measurement.pressure,
         measurement.rest_counts,
         measurement.pressure_std,
-        partial(contacts.of, view),
+        partial(connection.frames.converter.contacts.of, measurement.view),
         connection.now,
     )

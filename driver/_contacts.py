@@ -20,7 +20,6 @@ import threading
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import ndimage
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
 from ._bridging import bridge
@@ -35,6 +34,8 @@ START_STDS, JOIN_STDS, STAY_STDS = 5.0, 2.5, 0.5
 START_SHARE, JOIN_SHARE, STAY_SHARE = 0.03, 0.0192, 0.015
 """lower bounds of these thresholds, as fractions of full scale: the standard deviation leaves out slow errors of the
 cell model"""
+RIM_SHARE = 0.005
+"""fraction of full scale, down to which the force of cells around a contact counts as its own"""
 TOGETHER_STDS = 2.0
 """a contact also begins where the mean of neighbouring cells, weighted like a fingertip, exceeds this many times the
 mean of their standard deviations. Neighbours share their history, so their errors are taken for common ones. The mean
@@ -69,7 +70,8 @@ class Contact:
     area_mm2: float
     """of the touched cells, each one pitch by one pitch"""
     force_n: float
-    """sum of pressure times cell area; cells that are not read count with the part :attr:`interpolated_n`"""
+    """sum of pressure times cell area, with the rim: loaded cells around the touched ones, down to :data:`RIM_SHARE` of
+    full scale. Cells that are not read count with the part :attr:`interpolated_n`"""
     peak_kpa: float
     """largest pressure of one cell"""
     cells: IntArray = field(compare=False)
@@ -176,6 +178,8 @@ class ContactTracker:
         self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray, missing: BoolArray | None
     ) -> tuple[IntArray, list[Patch]]:
         """(rows, columns) for each cell the number of its patch, from 1 (0: none), and the patches."""
+        from scipy import ndimage
+
         full, touched = self.full_scale_kpa, self._labels > 0
         excess = pressure_kpa - self._drift_kpa
         stated_kpa, std_kpa = std_kpa, np.where(std_kpa > 0, std_kpa, 0.0)  # an unknown deviation counts as 0
@@ -207,7 +211,8 @@ class ContactTracker:
             return none, []
         connected = np.where(kept, np.cumsum(kept), 0)[found]
         labels = part(connected, pressure_kpa, std_kpa, begins, self._labels)
-        return labels, self._measure(labels.ravel(), connected.ravel(), pressure_kpa, stated_kpa, bridged)
+        rim = _rim(labels, excess > np.maximum(RIM_SHARE * full, wake))
+        return labels, self._measure(labels.ravel(), connected.ravel(), pressure_kpa, stated_kpa, bridged, rim.ravel())
 
     def _keep_lasting(self, found: IntArray, kept: BoolArray, pressure_kpa: FloatArray) -> None:
         """Keep patches in which contacts of the last frame continue.
@@ -238,6 +243,8 @@ class ContactTracker:
         self, time_s: float, found: IntArray, kept: BoolArray, excess: FloatArray, std_kpa: FloatArray
     ) -> None:
         """Drop new patches within one row or column that may be electrical faults; ``kept`` (labels,) is changed."""
+        from scipy import ndimage
+
         fresh = kept.copy()
         fresh[found[self._labels > 0]] = False
         if not fresh.any():
@@ -262,11 +269,12 @@ class ContactTracker:
         pressure_kpa: FloatArray,
         std_kpa: FloatArray,
         bridged: BoolArray | None,
+        rim: IntArray,
     ) -> list[Patch]:
         """Centre, force, peak and spread of each labelled patch, in one pass over the touched cells.
 
         ``connected`` (cells,) are the labels before patches that touch each other were separated; ``bridged`` (rows,
-        columns) are cells whose pressures are interpolated.
+        columns) are cells whose pressures are interpolated; ``rim`` (cells,) are labels of untouched cells.
         """
         cells = np.flatnonzero(labels)
         cells = cells[np.argsort(labels[cells], kind="stable")]
@@ -280,6 +288,11 @@ class ContactTracker:
             starts,
             axis=1,
         )
+        of_rim = np.flatnonzero(rim)
+        more, more_std = (
+            np.bincount(rim[of_rim], values.ravel()[of_rim], minlength=len(ends) + 1)[1:]
+            for values in (pressure_kpa, std_kpa)
+        )
         x_mean, y_mean = x_sums / totals, y_sums / totals
         variances = (squares / totals - x_mean**2 - y_mean**2) / 2
         newton = 1e3 * self.pitch.area_m2
@@ -290,8 +303,8 @@ class ContactTracker:
             Patch(
                 x_mm=float(x_mean[k]),
                 y_mm=float(y_mean[k]),
-                force_n=newton * float(totals[k]),
-                force_std_n=newton * float(stds[k]),
+                force_n=newton * float(totals[k] + more[k]),
+                force_std_n=newton * float(stds[k] + more_std[k]),
                 peak_kpa=float(peaks[k]),
                 variance_mm2=float(variances[k]),
                 alone=bool(alone[k]),
@@ -324,12 +337,32 @@ class ContactTracker:
         return tuple(sorted(contacts, key=lambda contact: -contact.force_n))
 
 
+def _rim(labels: IntArray, loaded: BoolArray) -> IntArray:
+    """(rows, columns) number of the contact that untouched ``loaded`` cells belong to, by their distance; 0: none.
+
+    A threshold decides which cells are touched. The force of a soft contact goes on beyond it.
+    """
+    from scipy import ndimage
+
+    around = np.where(loaded & (labels == 0), 1, 0)
+    if not around.any():
+        return np.zeros_like(labels)
+    regions, count = ndimage.label(around | (labels > 0), structure=NEIGHBOURS)
+    pressed = np.zeros(count + 1, dtype=np.bool_)
+    pressed[regions[labels > 0]] = True
+    nearest = ndimage.distance_transform_edt(labels == 0, return_distances=False, return_indices=True)
+    found: IntArray = np.where((around > 0) & pressed[regions], labels[tuple(nearest)], 0)
+    return found
+
+
 def _together(excess: FloatArray, std_kpa: FloatArray) -> BoolArray:
     """(rows, columns) cells that are loaded by what their neighbours say together.
 
     What most cells of a column have in common is taken out before: an error of the sum of a divider's readings moves
     a whole column.
     """
+    from scipy import ndimage
+
     known = np.where(np.isfinite(excess), excess, 0.0)
     usual = np.partition(known, (len(known) - 1) // 2, axis=0)[(len(known) - 1) // 2]
     own = known - np.maximum(usual, 0.0)

@@ -224,6 +224,11 @@ class Converter:
         self._counters.faulty = None if cells is None else self._line_faults.remark
         return measured if cells is None else measured.without(cells, Reason.DISTURBED)
 
+    @property
+    def estimator_name(self) -> str:
+        """Name of the estimator in use; empty where there is none."""
+        return "" if self.cell is None else self._estimator_name or self.cell.default_estimator
+
     def _fresh_estimate(self) -> Estimate | None:
         if self.cell is None or self._rest is None or self._systematic is None:
             return None

@@ -54,7 +54,7 @@ CONVERTED_IN_TURN = 4
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A frame that could not be taken. Every reader is told of it once."""
+    """A frame that could not be taken. It is reported to every reader once."""
 
     number: int
     """from 1"""
@@ -357,8 +357,8 @@ class Frames:
                 self.finish(LinkError(f"frame {frame.index} could not be converted: {error!r}"))
                 raise
             self._last, self._converted = frame, self._converted + 1
-            for tell in tuple(self.on_converted):
-                tell(frame, frame.converted)
+            for receive in tuple(self.on_converted):
+                receive(frame, frame.converted)
         return True
 
     # -- the queue, with the lock held ---------------------------------------------------------------------------------

@@ -90,8 +90,8 @@ class PortFinder:
         present = self._present()
         appeared = sorted(present - self._always_there - {self.name}) if self.board_is_numbered() else []
         self._always_there &= present
-        told = self._announced.name if self._announced is not None else ""
-        names = dict.fromkeys([self.name, told, *appeared])
+        now = self._announced.name if self._announced is not None else ""
+        names = dict.fromkeys([self.name, now, *appeared])
         return [name for name in names if name and not _is_of_others(name)]
 
     def _present(self) -> set[str]:

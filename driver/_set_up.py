@@ -101,6 +101,8 @@ def _converter(connection: Connection, rest_changes: Sequence[RestChange], optio
             calibration=settings.calibration,
         )
         converter.try_out()
+        import scipy.ndimage
+        import scipy.optimize  # noqa: F401  # for contacts: the first one shall not wait for them
     except OhmskinError:
         raise
     except (ArithmeticError, LookupError, ValueError, TypeError, MemoryError, RecursionError) as error:

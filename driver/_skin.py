@@ -447,6 +447,11 @@ class Skin:
         self._connection.taps.append(tap)
 
     @property
+    def estimator_name(self) -> str:
+        """Name of the estimator that computes pressures; empty where there are none."""
+        return self._converter.estimator_name
+
+    @property
     def recorder(self) -> Recording | None:
         """The recording that the skin was opened with."""
         return self._recorder

@@ -279,15 +279,15 @@ class FrameStream:
             return arrived_s
         before, monotonic = self.clock.pace, self.clock.add(device_s, arrival.received_at)
         if self.clock.pace is not before and not self._simulated:
-            self._tell_pace()
+            self._report_pace()
         if self.clock.pace is not Pace.EVEN:
             return arrived_s
         self.counters.delays_s.append(arrival.received_at - monotonic)
         return monotonic
 
-    def _tell_pace(self) -> None:
+    def _report_pace(self) -> None:
         """Say once that the board's time is no clock's, and as long as it is none."""
-        told = self.counters.clock
+        reported = self.counters.clock
         self.counters.clock = None
         if self.clock.pace is not Pace.EVEN and self.clock.rate <= FASTEST_CLOCK:
             found = f"advances by {self.clock.rate:.2g} s in a second" if self.clock.rate else "stands"
@@ -295,7 +295,7 @@ class FrameStream:
                 f"{self.name}: the board's clock {found}, which no oscillator does: frames have the times at which "
                 "they came, and bytes that wait in buffers no longer show in their ages"
             )
-            if told is None:
+            if reported is None:
                 self.counters.notices.append(self.counters.clock)
 
     def _advance(self, time_us: int | None, monotonic: float, missing: int, *, time_runs_through: bool) -> None:

@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
 
@@ -299,6 +298,8 @@ def _nearest(x: float, y: float, numbers: set[int], patches: Sequence[Patch]) ->
 
 def _pairs(costs: FloatArray, possible: BoolArray) -> dict[int, int]:
     """Linear assignment: as many possible pairs as there can be, at the least total cost; row -> column."""
+    from scipy.optimize import linear_sum_assignment
+
     if costs.size == 1:
         return {0: 0} if possible[0, 0] else {}
     # An impossible pair costs more than all possible ones together, so it is chosen only if no possible one is left.

@@ -12,7 +12,6 @@ import math
 from itertools import product
 
 import numpy as np
-from scipy import ndimage
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
 
@@ -41,6 +40,8 @@ def part(
         (rows, columns) labels, from 1 without gaps.
 
     """
+    from scipy import ndimage
+
     height = np.where(labels > 0, pressure_kpa, -np.inf)
     summits = labels[(labels > 0) & (height >= ndimage.maximum_filter(height, 3, mode="nearest"))]
     several = (np.bincount(summits) > 1).nonzero()[0].tolist()

@@ -175,7 +175,7 @@ def test_no_module_imports_itself_by_way_of_others() -> None:
         pytest.fail(f"circle of imports: {' <- '.join(error.args[1])}")
 
 
-HEAVY = ["scipy.signal", "scipy.stats", "scipy.interpolate", "numba", "matplotlib", "pandas", "websockets", "mcap"]
+HEAVY = ["scipy", "numba", "matplotlib", "pandas", "asyncio", "websockets", "mcap", "ohmskin.cell.identification"]
 
 
 @pytest.mark.parametrize(("room", "heavy"), [("driver", HEAVY), ("cell", ["scipy", "numba", "matplotlib"])])

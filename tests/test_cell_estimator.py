@@ -422,3 +422,16 @@ def test_deviations_are_honest_by_the_judges() -> None:
     for verdict in judges.judge(judges.rows(quick=True), judges.maker(None)):
         today = verdict.row.today
         assert today is None or verdict.found.within > min(today.within, 93.0) - 3.0, verdict.row.name
+
+
+def test_a_contact_without_memory_has_no_doubt_about_its_past() -> None:
+    """First seen under a load, then released: what it was before leaves nothing."""
+    model = ContactModel(full_scale_resistance_ohm=5e3)
+    cell = Cell(rest_resistance_ohm=1e6, full_scale_kpa=100.0, model=model)
+    forward, estimator = cell.forward((2,)), cell.estimator((2,))
+    for n in range(100):
+        load = np.array([40.0 if n < 50 else 0.0, 0.0])
+        pressure = estimator.step(0.02, forward.step(0.02, load))
+        if n in (45, 95):
+            assert pressure == pytest.approx(load, abs=0.1)
+            assert (estimator.std_kpa < 0.01 * load + 0.6).all()

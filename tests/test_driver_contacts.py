@@ -447,3 +447,29 @@ def test_hysteresis_keeps_a_contact_and_makes_no_second_one() -> None:
     (before,), (after,) = track([whole, parts])
     assert after.id == before.id
     assert len(after.cells) == 9
+
+
+@pytest.mark.parametrize(("sigma", "peak_kpa"), [(1.0, 9.0), (3.0, 9.0), (3.0, 1.5), (4.0, 4.0)])
+def test_the_force_of_a_soft_contact_does_not_end_at_a_threshold(sigma: float, peak_kpa: float) -> None:
+    """Cells around the touched ones bear the rest of the force: all of it is within two deviations."""
+    row, column = np.mgrid[0:32, 0:32]
+    pressure = peak_kpa * np.exp(-((row - 15) ** 2 + (column - 15) ** 2) / 2 / sigma**2)
+    tracker = ContactTracker((32, 32), 0.005, 15.5)
+    for n in range(20):
+        (contact, *others) = tracker.update(0.02 * n, pressure, np.full((32, 32), 0.08)) or (None,)
+    assert contact is not None
+    assert not others
+    truth_n = 25e-3 * float(pressure.sum())
+    assert abs(contact.force_n - truth_n) < 2 * contact.force_std_n
+    assert contact.force_n > 0.95 * truth_n
+
+
+def test_the_rim_between_two_contacts_is_shared_out() -> None:
+    row, column = np.mgrid[0:24, 0:32]
+    one, other = (6.0 * np.exp(-((row - 12) ** 2 + (column - at) ** 2) / 2 / 2.0**2) for at in (8, 22))
+    tracker = ContactTracker((24, 32), 0.005, 15.5)
+    for n in range(20):
+        contacts = tracker.update(0.02 * n, one + other, np.full((24, 32), 0.08))
+    assert len(contacts) == 2
+    for contact in contacts:
+        assert contact.force_n == pytest.approx(25e-3 * float(one.sum()), rel=0.03)

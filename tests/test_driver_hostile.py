@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import json
 import threading
+import time
 import traceback
 from collections import defaultdict
 
 import pytest
 from boards import MemoryPort, Script, described, frame, identity, sheet
 
-from ohmskin.driver import CountReader, Skin
+from ohmskin.driver import CountReader, Delivery, Skin
+from ohmskin.driver._convert import Converter
+from ohmskin.driver._converted import Converted
+from ohmskin.driver._stream import RawFrame
 from ohmskin.errors import LinkError, OhmskinError, ProtocolError
 from ohmskin.wire import DescriptionPiece, encode
 
@@ -85,6 +89,37 @@ def test_a_flood_of_frames_leaves_turns_of_bounded_work() -> None:
     assert sum(turns) > 0
     assert max(turns) <= 6
     assert max(mine) <= 12
+
+
+class LateStart(Script):
+    """Its first order takes longer than the timeout, as where the thread that reads does not get the processor."""
+
+    def write(self, data: bytes) -> None:
+        if not self.written:
+            time.sleep(0.6)
+        super().write(data)
+
+
+def test_a_timeout_counts_from_when_the_board_was_asked() -> None:
+    with Skin(LateStart(identity(), sheet(), frame(0)), timeout=0.2) as skin:
+        assert skin.read(60.0).sequence == 0
+
+
+@pytest.mark.parametrize("how", ["newest", "every", "lossless"])
+def test_a_frame_that_waits_for_its_conversion_is_no_silence(monkeypatch: pytest.MonkeyPatch, how: Delivery) -> None:
+    """However long the first conversion takes beside other programs."""
+    convert, begun = Converter.convert, threading.Event()
+
+    def late(converter: Converter, raw: RawFrame) -> Converted:
+        begun.set()
+        time.sleep(0.5)
+        return convert(converter, raw)
+
+    monkeypatch.setattr(Converter, "convert", late)
+    with Skin(described(frame(0)), delivery=how, timeout=0.1) as skin:
+        if how != "lossless":
+            assert begun.wait(60.0)  # by the thread that reads
+        assert skin.read().sequence == 0
 
 
 def test_set_ups_that_take_too_long_leave_few_threads(monkeypatch: pytest.MonkeyPatch) -> None:

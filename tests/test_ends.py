@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from needs import need
 
-from ohmskin.circuits import Design, adc_codes, live_recovery, recover, scan, volts_of_codes
+from ohmskin.circuits import Design, Reason, adc_codes, ideal_volts, live_recovery, recover, scan, volts_of_codes
 from ohmskin.circuits.spice import command_available, netlist, run_control
 from ohmskin.common.config import parse
 from ohmskin.errors import InputError, SolverError
@@ -186,6 +186,10 @@ UNDETERMINED = {
 }
 
 
+SEVERAL_ANSWERS = {"multiplexer in groups, others low"}
+"""boards whose idle columns conduct better than those that are read: live readings need not be valid"""
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_cells_are_recovered_or_the_reason_is_given(kind: str) -> None:
     design = designed(kind)
@@ -201,8 +205,13 @@ def test_the_cells_are_recovered_or_the_reason_is_given(kind: str) -> None:
     live = live_recovery(digitised)
     for _ in range(3):
         reading = live(volts_of_codes(digitised, adc_codes(digitised, volts)))
-    assert reading.valid.all()
-    assert (np.abs(reading.resistance / CELLS - 1) <= reading.uncertainty).all()
+    right = np.abs(reading.resistance / CELLS - 1)
+    if kind in SEVERAL_ANSWERS:
+        assert right.max() < 1e-3
+        assert (reading.valid | (reading.reason == Reason.UNCERTAIN)).all()
+    else:
+        assert reading.valid.all()
+        assert (right <= reading.uncertainty).all()
 
 
 def test_a_second_set_of_cells_gives_the_readings_of_a_weakly_driven_row() -> None:
@@ -214,6 +223,15 @@ def test_a_second_set_of_cells_gives_the_readings_of_a_weakly_driven_row() -> No
     read = [scan(design, np.full((2, 1), ohm)).volts[0, 0] for ohm in (1e1, 5e2, 1e5)]
     assert read[1] > read[0]
     assert read[1] > read[2]
+
+
+@pytest.mark.parametrize("kind", ["a diode in each driven row", "rows driven by a divider", "a Sallen-Key filter"])
+def test_one_cell_alone_reads_as_its_apparent_resistance(kind: str) -> None:
+    design = designed(kind, rows=1, columns=1, row_lead=0.0, column_lead=0.0)
+    for ohm in (50.0, 1e3, 4.7e4, 1e6):
+        assert scan(design, [[ohm]]).resistance[0, 0] == pytest.approx(ohm, rel=1e-4)
+        assert ideal_volts(design, [[ohm]])[0, 0] == pytest.approx(scan(design, [[ohm]]).volts[0, 0], rel=1e-3)
+    assert scan(design, [[np.inf]]).resistance[0, 0] > 1e8
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import pytest
 
 from ohmskin.circuits import Design, Event, EventScan, Scan, Settling, noise, scan
 from ohmskin.errors import InputError, SolverError
+from ohmskin.verification import verify
 
 CELLS = np.round(10 ** np.random.default_rng(52).uniform(3, 4.7, (4, 4)))
 AMPLIFIER = {
@@ -64,7 +65,7 @@ def test_dividers_settle_as_the_named_circuit(idle: str) -> None:
 
 def described(columns: int, parts: list[str], **sections: Any) -> Design:
     ends = {"row_end": {"selected": ["V1 line 0 1"], "idle": []}, "column_end": {"parts": parts}}
-    ends["column_end"] |= sections.pop("column_end", {})
+    ends["column_end"] |= sections.pop("column_end", {})  # sections are a copy
     return Design.model_validate({"array": {"rows": 1, "columns": columns}} | ends | sections)
 
 
@@ -134,6 +135,31 @@ def test_what_has_no_linear_dynamics_is_refused() -> None:
     feedback = design.with_circuit("voltage-feedback")
     with pytest.raises(InputError, match="has no networks at the ends"):
         EventScan(feedback, [[1e3]], Scan())
+
+
+def test_requirements_in_time_follow_the_events() -> None:
+    adc = {"bits": 12, "range": (0.0, 1.0), "sampling_capacitance": 1e-11, "switch_resistance": 1e3}
+    sections = {
+        "adc": adc,
+        "readout": {"temperature": 300.0, "circuit": "voltage-divider", "reference_resistance": 1.0},
+    }
+    sections |= {"operation": {"frame_rate": 100.0}, "column_end": {"shared_by": 2}}
+    parts = ["R1 line 0 10k", "C1 line 0 1n"]
+    slow, fast = (
+        described(2, parts, scan={"column": [{"wait": wait}, {"read": 2}], "conversion_time": 1e-6}, **sections)
+        for wait in (2e-6, 2e-4)
+    )
+    for design, passes in ((slow, False), (fast, True)):
+        found = {each.requirement.id: each for each in verify(design, only=("D7", "D8", "D9")).results}
+        assert (str(found["D8"].outcome) == "pass") is passes
+        assert found["D9"].measurement is not None
+        assert found["D9"].measurement.value == pytest.approx(1.0 / EventScan(design, [[1e4, 1e4]]).frame_time)
+        assert found["D7"].measurement is not None
+    bent = described(2, [*parts, "D1 line 0"], **sections)
+    found = {each.requirement.id: each for each in verify(bent, only=("D7", "D8")).results}
+    assert {str(each.outcome) for each in found.values()} == {"not run"}
+    with pytest.raises(InputError, match=r"expected \[scan\] and EventScan"):
+        Settling(slow, [[1e4, 1e4]])
 
 
 @pytest.mark.parametrize(

@@ -110,7 +110,7 @@ def test_values_pixels_and_contacts_equal_the_frame(browser: Browser) -> None:
         assert 8.0 < frame.pressure[2, 3] < 16.0
 
         scale = page.evaluate("async () => (await import('./colours.js')).COLOURS")
-        full_scale = board.skin.cell.full_scale_kpa if board.skin.cell else math.nan
+        full_scale = page.evaluate("ohmskin.scale[1]")
         cells, marks = colours_of_cells(page, "cells"), colours_of_cells(page, "marks")
         for index, (kpa, valid) in enumerate(zip(values["pressure"], values["valid"], strict=True)):
             colours = {colour[:3] for colour in cells[index]}
@@ -214,6 +214,58 @@ def test_total_force_threshold_and_what_can_be_saved(browser: Browser) -> None:
         with page.expect_download() as told:
             page.click("#picture")
         assert told.value.path().read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_recording_is_begun_and_ended_by_a_button(
+    browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with live() as board, opened(browser, board.url) as page:
+        page.click("#record")
+        expect(page.locator("#record")).to_have_text("Stop recording")
+        expect(page.locator("#recorded")).to_contain_text("to skin-")
+        since = page.evaluate("ohmskin.frame.number")
+        until(page, "since => ohmskin.frame.number > since + 10", since)
+        page.click("#record")
+        expect(page.locator("#record")).to_have_text("Record")
+    (file,) = tmp_path.glob("skin-*.mcap")
+    with Skin.open(file) as replayed:
+        assert sum(1 for _ in replayed) >= 10
+
+
+def test_the_scale_follows_the_load_and_an_alarm_shows(browser: Browser) -> None:
+    """Without a load it ends at a fiftieth of the full scale, so that noise stays dark; it is never beyond it."""
+    with live() as board, opened(browser, board.url) as page:
+        until(page, "ohmskin.scale[1] < 1.0 && ohmskin.scale[0] === 0")
+        assert page.locator("body.alarm").count() == 0
+        page.fill("#threshold", "2")
+        board.hand.press(bump())
+        until(page, "document.body.classList.contains('alarm')")
+        until(page, "ohmskin.scale[1] >= Math.max(...ohmskin.frame.pressure)")
+        assert page.evaluate("ohmskin.scale[1] <= ohmskin.skin.full_scale_kpa")
+        page.select_option("#range", "full")
+        until(page, "ohmskin.scale[1] === ohmskin.skin.full_scale_kpa")
+        board.hand.press(0.0)
+        until(page, "!document.body.classList.contains('alarm')")
+
+
+def test_the_map_is_made_larger_and_smaller(browser: Browser) -> None:
+    with live() as board, opened(browser, board.url) as page:
+        until(page, "ohmskin.map.side > 0")
+        side = page.evaluate("ohmskin.map.side")
+        page.click("#zoom-in")
+        assert page.evaluate("ohmskin.map.side") > side
+        assert page.evaluate("document.documentElement.scrollWidth") <= page.evaluate("innerWidth")
+        page.click("#zoom-out")
+        page.click("#zoom-out")
+        assert page.evaluate("ohmskin.map.side") < side
+
+
+def test_the_page_says_which_estimator_it_is_and_why_cells_are_not_valid(browser: Browser) -> None:
+    with live(event=[SHORTED]) as board, opened(browser, board.url) as page:
+        expect(page.locator("#link")).to_contain_text(board.skin.estimator_name)
+        assert board.skin.estimator_name
+        expect(page.locator("#link")).to_contain_text("1 saturated")
 
 
 def test_tare_undo_and_a_refusal(browser: Browser) -> None:

@@ -9,7 +9,8 @@ import threading
 import time
 from dataclasses import dataclass
 
-from ..driver import Frame, Skin
+from ..common.text import printable
+from ..driver import Frame, Recorder, Skin
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ._frame_message import pack_frame
 from ._orders import FrameOrder, NextFrame
@@ -47,6 +48,9 @@ class LiveSource(Source):
         self._tares = 0
         """that can be undone"""
         self._taring = False
+        self._recorder: Recorder | None = None
+        self._recorded = ""
+        """name of the recording under way, or of the last one"""
 
     def _take_frames(self) -> None:
         number, axis = -1, TimeAxis()
@@ -89,6 +93,8 @@ class LiveSource(Source):
             "statistics": statistics(self.skin),
             "tare": None if tare is None else {"frames": tare.frames, "remarks": list(tare.remarks)},
             "undoable": self._tares > 0,
+            "recorded": printable(self._recorded),
+            "records": self._recorder is not None,
         }
 
     def _state(self) -> tuple[str, str]:
@@ -137,6 +143,25 @@ class LiveSource(Source):
         self._tares += 1
         text = f"tared over {tare.frames} frames" + ("" if tare.measured.all() else f": {tare.covers}")
         return {"kind": "tared", "text": text, "remarks": list(tare.remarks)}
+
+    async def record(self, *, on: bool) -> None:
+        """Begin a recording in the folder in which the page is served, or end it."""
+        if on == (self._recorder is not None):
+            return
+        if self._recorder is None:
+            name = time.strftime("skin-%Y%m%d-%H%M%S.mcap")
+            self._recorder = await asyncio.to_thread(Recorder, self.skin, name)
+            self._recorded = name
+        else:
+            recorder, self._recorder = self._recorder, None
+            await asyncio.to_thread(recorder.close)
+
+    def close(self) -> None:
+        """End a recording that is under way, and give back the port."""
+        if self._recorder is not None:
+            with contextlib.suppress(InputError):  # what was written can be read
+                self._recorder.close()
+        super().close()
 
     async def undo_tare(self) -> Told:
         """Go back to the tare that was in use before the last one made here."""

@@ -64,8 +64,15 @@ class UndoTare(Section):
     do: Literal["undo tare"]
 
 
+class Record(Section):
+    """Begin a recording on the machine of the page's server, or end it."""
+
+    do: Literal["record"]
+    on: bool
+
+
 FrameOrder = NextFrame | ShowTime | ShowNumber
-Order = FrameOrder | TraceCells | MakeTare | UndoTare
+Order = FrameOrder | TraceCells | MakeTare | UndoTare | Record
 _ORDERS: TypeAdapter[Order] = TypeAdapter(Annotated[Order, Field(discriminator="do")])
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from ..common.text import one_line
 from ..errors import InputError, LinkEnded, OhmskinError
-from ._orders import FrameOrder, MakeTare, NextFrame, ShowNumber, ShowTime, TraceCells, UndoTare, read_order
+from ._orders import FrameOrder, MakeTare, NextFrame, Record, ShowNumber, ShowTime, TraceCells, UndoTare, read_order
 from ._source import Source, Told
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ class Session:
                 case _:
                     self._task = asyncio.create_task(self._carry_out(order))
 
-    async def _carry_out(self, order: TraceCells | MakeTare | UndoTare) -> None:
+    async def _carry_out(self, order: TraceCells | MakeTare | UndoTare | Record) -> None:
         with contextlib.suppress(LinkEnded):
             try:
                 match order:
@@ -80,6 +80,8 @@ class Session:
                         await self._tell(await self._source.make_tare(force=order.force))
                     case UndoTare():
                         await self._tell(await self._source.undo_tare())
+                    case Record():
+                        await self._source.record(on=order.on)
             except OhmskinError as error:
                 await self._refuse(error, order.do)
 

@@ -69,6 +69,7 @@ class Source(ABC):
             "circuit": skin.design.board.circuit.name if skin.knows_circuit else None,
             "reasons": [reason.name.lower().replace("_", " ") for reason in Reason],
             "live": self.live,
+            "estimator": self.skin.estimator_name,
         }
 
     @property
@@ -107,6 +108,10 @@ class Source(ABC):
     async def undo_tare(self) -> Told:
         """Go back to the tare before, and say so; InputError where that is not possible."""
         raise InputError("a recording takes no tare")
+
+    async def record(self, *, on: bool) -> None:
+        """Begin or end a recording; InputError where that is not possible."""
+        raise InputError("a recording is not recorded again")
 
 
 class TimeAxis:

@@ -347,7 +347,7 @@ class Estimator:
         """Begin cells with their first reading, as if the load had been held for ever."""
         new = np.flatnonzero(~self._read if known is None else ~self._read & known)
         self._begin(self._cells, self._memory, new, r[new])
-        if self._memory.dtype.names:  # earlier loads matter to this inversion
+        if self._memory.dtype.names and self.inversion.remembers:  # earlier loads matter to this inversion
             self._gaps.doubt(new, UNKNOWN_PAST * np.abs(self._cells["pressure_kpa"][new]))
         self._sleep.mean[new] = r[new]
         self._read[new] = self._sleep.awake[new] = self._stale = True

@@ -22,8 +22,10 @@ MOST_REPEATED = 0.01
 """largest share of rows that may repeat the time of the row before, as clocks of coarse steps do"""
 LONGEST_PRESS_S = 3600.0
 """median length of a press beyond which the time column can hardly be in seconds"""
-PRESSURES_KPA, RESISTANCES_OHM = (0.01, 1e4), (0.1, 1e10)
+PRESSURES_KPA, RESISTANCES_OHM = (0.01, 2e3), (0.1, 1e10)
 """accepted ranges of the largest pressure and of the median resistance; values outside must be in another unit"""
+MOST_COUNTS = 4095.0
+"""whole numbers up to this are perhaps counts of a converter"""
 
 
 @dataclass(frozen=True)
@@ -49,23 +51,6 @@ class Recording:
     name: str = "recording"
     applied: Applied | None = None
     """the load including rows without a resistance; None: there are no such rows"""
-
-    @classmethod
-    def load(
-        cls, path: str | Path, *, trust_units: bool = False, note: Callable[[str], None] = lambda said: None
-    ) -> Recording:
-        """Read ``time_s,pressure_kpa,resistance_ohm``; of rows without a reading (NaN, open) only the load is used.
-
-        Args:
-            path: of the file.
-            trust_units: whether numbers that look like other units are taken as they are.
-            note: told of rows that are left out.
-
-        Raises:
-            InputError: the file cannot be read, or :func:`checked_recording` refuses its content.
-        """
-        columns = read_recording(path, COLUMNS, note=note)
-        return checked_recording(*(columns[name] for name in COLUMNS), name=str(path), trust_units=trust_units)
 
     @property
     def step_s(self) -> float:
@@ -133,14 +118,24 @@ def read_recording(path: str | Path, names: Sequence[str], *, note: Callable[[st
         InputError: the file cannot be read, or times do not increase.
     """
     columns = read_columns(path, names, note=note)
-    time, line = columns[TIME], columns.pop(LINE)
+    line = columns.pop(LINE)
+    return unrepeated(str(path), columns, line, note)
+
+
+def unrepeated(
+    path: str, columns: dict[str, FloatArray], line: FloatArray | None, note: Callable[[str], None]
+) -> dict[str, FloatArray]:
+    """Columns without the few rows that repeat a time; InputError, naming the line (n,), unless times increase."""
+    time = columns[TIME]
     repeats = np.diff(time, prepend=-np.inf) == 0
     if 0 < repeats.sum() <= MOST_REPEATED * len(time):
-        first = int(line[np.argmax(repeats)])
+        at = int(np.argmax(repeats))
+        where = f"sample {at + 1}" if line is None else f"line {int(line[at])}"
         more = f", and {repeats.sum() - 1} more like it" if repeats.sum() > 1 else ""
-        note(f"{path}: line {first} repeats the time of the line before, and is left out{more}")
-        columns, line = {name: values[~repeats] for name, values in columns.items()}, line[~repeats]
-    _check_times(columns[TIME], str(path), line)
+        note(f"{path}: {where} repeats the time of the line before, and is left out{more}")
+        columns = {name: values[~repeats] for name, values in columns.items()}
+        line = None if line is None else line[~repeats]
+    _check_times(columns[TIME], path, line)
     return columns
 
 
@@ -228,10 +223,13 @@ def _check_units(recording: Recording, highest_kpa: float) -> None:
     edges = np.flatnonzero(np.diff(pressed.astype(int), prepend=0, append=0))
     time = np.append(recording.time_s, recording.time_s[-1])
     press_s = float(np.median(time[edges[1::2]] - time[edges[::2]]))
+    ohm = recording.resistance_ohm
+    whole = bool((ohm == np.round(ohm)).all()) and float(ohm.max()) <= MOST_COUNTS
     doubts = (
+        (whole, f"resistance_ohm has whole numbers up to {ohm.max():.4g}; are they counts of a converter?"),
         (press_s > LONGEST_PRESS_S, f"time_s: a press lasts {press_s:.3g} s; is it in milliseconds or microseconds?"),
         (highest_kpa < PRESSURES_KPA[0], f"pressure_kpa reaches {highest_kpa:.3g}; is it in MPa or bar?"),
-        (highest_kpa > PRESSURES_KPA[1], f"pressure_kpa reaches {highest_kpa:.3g}; is it in Pa?"),
+        (highest_kpa > PRESSURES_KPA[1], f"pressure_kpa reaches {highest_kpa:.3g}; is it in Pa, or a force?"),
         (median_ohm < RESISTANCES_OHM[0], f"resistance_ohm is about {median_ohm:.3g}; is it in kohm or Mohm?"),
         (median_ohm > RESISTANCES_OHM[1], f"resistance_ohm is about {median_ohm:.3g}; is it in mohm?"),
     )

@@ -43,10 +43,12 @@ def calibration_text(calibration: CalibrationResult) -> str:
     slow = [p.name for p in fit.parameters if p.name.endswith("_s") and not p.identified]
     if slow:
         lines.append(f"time constants this recording cannot tell: {', '.join(slow)}")
+    begun = float(calibration.recording.time_s[0])
     spans = ", ".join(
-        f"{n} from {fold.start_s:.4g} to {fold.end_s:.4g} s" for n, fold in enumerate(calibration.folds, 1)
+        f"{n} from {fold.start_s - begun:.4g} to {fold.end_s - begun:.4g} s"
+        for n, fold in enumerate(calibration.folds, 1)
     )
-    lines.append(f"folds: {spans or 'none'}; static curve: {calibration.curve}")
+    lines.append(f"folds, since the beginning: {spans or 'none'}; static curve: {calibration.curve}")
     if spans:
         lines.append(
             "error on each fold after learning what comes before it, % of full scale / pooled with later folds:"

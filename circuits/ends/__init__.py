@@ -4,6 +4,7 @@
 :mod:`._cards`         SPICE elements as values
 :mod:`._equations`     modified nodal analysis, and the exact law of a linear end
 :mod:`._line_ends`     the ends of all lines of a board
+:mod:`._nodal`         Newton's method for all ends and the grid's ports together
 :mod:`._spice`         their cards for ngspice
 :mod:`._sections`      ``[row_end]``, ``[column_end]``, ``[crosspoint]``, ``[reference]``, ``[scan]``
 =====================  =================================================================
@@ -12,6 +13,7 @@
 from ._cards import DIODES, GROUND, OPAMP, Card, parse_cards
 from ._equations import CELL, LINE, OUT, ROW, Equations, PortLaw, float_of, port_law
 from ._line_ends import OPEN_OHM, REF, Columns, LineEnds, Network, Rows, amplifier, is_bent
+from ._nodal import MOST_SIEMENS, Solution, System, alone, inverted_nodes, solve, step_system
 from ._sections import ColumnEnd, Crosspoint, Event, Reference, RowEnd, Scan
 from ._spice import join, spice_cards
 
@@ -20,6 +22,7 @@ __all__ = [
     "DIODES",
     "GROUND",
     "LINE",
+    "MOST_SIEMENS",
     "OPAMP",
     "OPEN_OHM",
     "OUT",
@@ -38,11 +41,17 @@ __all__ = [
     "RowEnd",
     "Rows",
     "Scan",
+    "Solution",
+    "System",
+    "alone",
     "amplifier",
     "float_of",
+    "inverted_nodes",
     "is_bent",
     "join",
     "parse_cards",
     "port_law",
+    "solve",
     "spice_cards",
+    "step_system",
 ]

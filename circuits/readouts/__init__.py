@@ -10,7 +10,7 @@
 :mod:`._port_law`                  what a reading says of its own conductance and of its column, for :mod:`..recovery`
 :mod:`._terminated`                columns that end in Thevenin equivalents, at once or in turns
 :mod:`._ends`                      their currents
-:mod:`._nodal`                     Newton's method for ends that are no Thevenin equivalents
+:mod:`._nodal`                     ends that are no Thevenin equivalents
 :mod:`._linear`                    outputs as a linear function of transfer conductances
 :mod:`._adjoint`                   forward and adjoint port potentials, for the derivatives of readings
 :mod:`._quick`                     outputs and their fields by plain nodal analysis, without bounds
@@ -26,7 +26,6 @@ from ._described import DESCRIBED, DESCRIBED_INVERTING
 from ._ends import one_driven, sum_of_others, terminate
 from ._inverting_amplifier import InvertingAmplifier
 from ._linear import LinearReadout, output_rounding
-from ._nodal import System, inverted_nodes, step_system
 from ._port_law import PortLaw
 from ._quick import PortFields, QuickFields, QuickNetwork
 from ._row_amplifier import RowAmplifier
@@ -55,11 +54,8 @@ __all__ = [
     "Reading",
     "ReadoutCircuit",
     "SensitivityGroup",
-    "System",
-    "inverted_nodes",
     "one_driven",
     "output_rounding",
-    "step_system",
     "sum_of_others",
     "terminate",
 ]

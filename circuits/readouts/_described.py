@@ -6,7 +6,7 @@ limited amplifiers, a reference that the ends share) are solved node by node (:m
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import lru_cache
 
@@ -14,18 +14,19 @@ import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray
 from .._parts import Parts
-from ..ends import OPEN_OHM, LineEnds
+from ..ends import OPEN_OHM, LineEnds, alone
 from ._adjoint import SensitivityGroup, TerminatedColumns, terminated_groups
 from ._cards import CardWriter
 from ._circuit import Alone, Reading
 from ._ends import Ends
 from ._linear import LinearReadout
-from ._nodal import alone, node_groups, read_nodes
+from ._nodal import node_groups, read_nodes
 from ._port_law import PortLaw
 from ._quick import QuickFields, QuickNetwork
 from ._terminated import Terminated
 
 _MOST_ATTENUATED_OHM = 1e9  # of a column's end, up to which line attenuation is of use
+_CURVE, _CURVE_POINTS = (-10.0, 2.0), 241  # logarithms of a cell's conductance in S, where diodes bend its output
 _PROBES_S = 1e-6, 1e-4  # conductances of a cell, from which its output without others follows
 
 
@@ -96,8 +97,20 @@ class Described(Terminated):
         ohms = passed * board.row_lead[:, None] + ends.resistance
         return Alone(ends.slope * (passed * board.drive - ends.source), ohms, self.at_rest(board) - board.level)
 
+    def ideal_volts(self, board: Parts, cells: FloatArray) -> FloatArray:
+        ends = board.line_ends
+        if ends is None or ends.is_linear:
+            return super().ideal_volts(board, cells)
+        with np.errstate(divide="ignore"):
+            log = np.log10(1.0 / cells)
+        lines = np.broadcast_to(np.clip(log, *_CURVE), (*np.shape(cells)[:-2], *board.shape))
+        return _each_curve(ends, lines, lambda curve, own: np.interp(own, *curve))
+
     def apparent_resistance(self, board: Parts, volts: FloatArray) -> FloatArray:
         """NaN at columns that nothing loads: one cell alone always has the same reading there."""
+        ends = board.line_ends
+        if ends is not None and not ends.is_linear:
+            return _each_curve(ends, volts, _from_curve)
         ohms = super().apparent_resistance(board, volts)
         return np.where(self.alone(board).span >= OPEN_OHM / 2, np.nan, ohms)
 
@@ -153,6 +166,49 @@ def _alone(ends: LineEnds) -> tuple[FloatArray, FloatArray, FloatArray]:
                 known[key] = _fraction(ends, row, column)
             rest[row, column], gain[row, column], span[row, column] = known[key]
     return rest, gain, span
+
+
+@lru_cache(maxsize=64)
+def _curves(ends: LineEnds) -> tuple[tuple[FloatArray, FloatArray, BoolArray], ...]:
+    """Logarithms of a cell's conductance, its output alone in V, and the crosspoints (N, M) that have this curve."""
+    rows, columns = ends.shape
+    places: dict[tuple[object, ...], BoolArray] = {}
+    for row in range(rows):
+        for column in range(columns):
+            key = ends.selected[row], ends.idle[row], ends.read[column // ends.shared_by], ends.unread[column]
+            places.setdefault(key, np.zeros((rows, columns), dtype=np.bool_))[row, column] = True
+    log = np.linspace(*_CURVE, _CURVE_POINTS)
+    found = []
+    for own in places.values():
+        row, column = (int(place) for place in np.argwhere(own)[0])
+        found.append((log, alone(ends, row, column, 10.0**log), own))
+    return tuple(found)
+
+
+def _each_curve(
+    ends: LineEnds, values: FloatArray, of: Callable[[tuple[FloatArray, FloatArray], FloatArray], FloatArray]
+) -> FloatArray:
+    """Values (..., N, M) of a function of each crosspoint's curve."""
+    found = np.empty(np.shape(values))
+    for log, volts, own in _curves(ends):
+        found[..., own] = of((log, volts), np.asarray(values)[..., own])
+    return found
+
+
+def _from_curve(curve: tuple[FloatArray, FloatArray], volts: FloatArray) -> FloatArray:
+    """Ohm of cells with these outputs; inf at or beyond the output of an open cell."""
+    from scipy.interpolate import PchipInterpolator  # takes a third of a second to load
+
+    log, known = curve
+    rising = known if known[-1] > known[0] else -known
+    wanted = volts if known[-1] > known[0] else -volts
+    steps = np.append(
+        True, np.diff(np.maximum.accumulate(rising)) > 0
+    )  # where a limit makes the curve flat, its first point
+    inverse = PchipInterpolator(rising[steps], log[steps])
+    least, most = rising[steps][[0, -1]]
+    ohms = 10.0 ** -inverse(np.clip(wanted, least, most))
+    return np.where(wanted <= least, np.inf, ohms)
 
 
 def _fraction(ends: LineEnds, row: int, column: int) -> tuple[float, float, float]:

@@ -11,7 +11,6 @@ from math import inf
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
 from ...common.arrays import FloatArray
 from .._parts import Parts
@@ -167,6 +166,8 @@ def effective_resistance(ports: FloatArray, rows: int) -> Rounded:
 
     The selected row is grounded in each step. Grounding one node for all pairs would cancel digits of nearby pairs.
     """
+    from scipy.sparse.csgraph import connected_components
+
     size = ports.shape[-1]
     result = np.empty((*ports.shape[:-2], rows, size - rows))
     flat, out = ports.reshape(-1, size, size), result.reshape(-1, rows, size - rows)

@@ -20,7 +20,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray
-from .._board import Board
+from .._board import Board, broken_off
 from .._parts import LEAST_SHORT_OHM
 from ._law import Law, Ports
 from ._law_errors import LawErrors
@@ -117,7 +117,9 @@ class Enclosure:
             else:
                 self._into_end = 1.0 / (self._lead + behind + LEAST_SHORT_OHM)
                 self._column = self._into_end * behind * drive + np.abs(source)
-        self._holds = ends is not None
+        self._holds, self._pull = ends is not None, board.pull
+        self._hidden = broken_off(board)
+        self._most_beside = 1.0 / (law.wire[:, None] + law.wire + 2.0 * LEAST_SHORT_OHM)  # S, from column to column
         apart = behind + LEAST_SHORT_OHM
         self._driven_apart = np.abs(source[:, None] - source) / (apart[:, None] + apart)  # A between joined columns
         # Share of a column's current that a joined one takes.
@@ -294,6 +296,7 @@ class Enclosure:
             share = ordinary / others
             most = np.where(limited, 1.0, sums.above / (sums.above + others))
             loose = np.where(unknown, most, np.where(np.any(unknown, axis=1, keepdims=True), share, 0.0))
+            leak = np.where(limited, 1.0 / (self._pull + 1.0 / np.maximum(sums.above, _TINY)), 0.0)
         else:
             share = np.minimum(self._to_driver * np.maximum(ports.driven, 0.0), 1.0)
             width = sums.above - sums.below
@@ -312,6 +315,8 @@ class Enclosure:
         unclear = np.where(errors.linear > _UNCLEAR, np.minimum(errors.linear, _MOST), 0.0) * ordinary
         if unclear.any():
             added += _of_idle(lifted) @ unclear + potential * (share.sum(axis=1) @ unclear)
+        if self._floating:  # a cell at a limit lets its column's potential out by its row's pull-down
+            added += potential * leak.sum(axis=0)
         # Two unknown cells of one row may join their columns: these share their currents, and what drives them apart.
         ties = unknown & (loose > _TIED)
         if (np.count_nonzero(ties, axis=1) > 1).any():
@@ -323,6 +328,11 @@ class Enclosure:
             beyond = np.where(limited, current, 0.0)  # nothing holds the column in that step
             added += current @ passes_on + current * passes_on.sum(axis=1) + beyond @ joined
             added += np.where(joined, self._driven_apart, 0.0).sum(axis=0)
+        if self._saturates and self._hidden.any() and limited.any():
+            # So may cells behind a break. An output at its supply no longer holds its column, which feeds the others.
+            beside = (self._hidden.T.astype(np.float64) @ self._hidden) * self._most_beside
+            beside.flat[:: len(beside) + 1] = 0.0
+            added += in_own_step @ beside
         return np.nan_to_num(added, posinf=np.inf)
 
 

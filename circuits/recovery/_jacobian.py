@@ -11,7 +11,6 @@ import warnings
 from math import inf
 
 import numpy as np
-from scipy.linalg import LinAlgWarning, lu_factor, lu_solve
 
 from ...common.arrays import BoolArray, FloatArray
 from ...errors import SolverError
@@ -37,6 +36,8 @@ class Factor:
             live: True for the cells of the Jacobian.
 
         """
+        from scipy.linalg import LinAlgWarning, lu_factor
+
         with np.errstate(divide="ignore"):
             found = board_sensitivity(board, 1.0 / conductance)
         used = live.ravel()
@@ -84,6 +85,8 @@ class Factor:
         return np.where(np.isfinite(size), size, inf).T.reshape(errors.shape)
 
     def _back_substitute(self, right: FloatArray) -> FloatArray:
+        from scipy.linalg import lu_solve
+
         with np.errstate(all="ignore"):
             answers: FloatArray = lu_solve(self._lu, right, check_finite=False)
         return answers

@@ -17,7 +17,7 @@ With kappa_ij = (I' + T C' - W' D) / W (a prime is a derivative by the reading),
     G_ij / G_ij  by  dD_ij / D_ij + rho_i sum_l dD_il,    rho_i = r_i / (1 - r_i sum_l D_il).
 
 The parts are the cell's own, its column's and its row's. Where several answers give the same
-readings, :meth:`Law.answers` encloses them all.
+readings, :mod:`._answers` encloses them all.
 """
 
 from __future__ import annotations
@@ -28,33 +28,13 @@ from typing import NamedTuple
 import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray
-from .._board import Board
 from .._parts import LEAST_SHORT_OHM
 from .._sections import Fault
 from ..readouts import PortLaw
 from ..solvers import siemens
-from ._law_kernels import LEAST, answers, columns_of, rows_of
+from ._law_kernels import LEAST, columns_of, rows_of
 
 _MOST_BRIDGE = 1e9  # S
-_STANDS_OUT = 10.0  # port conductance over the usual one of its column, from which on a cell may be a short
-_SHORTED = 0.3  # ohm, of all cells of a column in parallel, if they are shorts
-
-
-def several_answers(board: Board) -> bool:
-    """Whether two sets of cells may give the same readings, however small their errors.
-
-    The determinant of the derivatives of all readings by all cells is positive for all cells where no line conducts
-    more to the reference while it is idle than while it is selected or read (``tests/test_answers.py``): then there is
-    one answer at most. An idle column that conducts more ties the rows, behind their leads, to the reference.
-    """
-    circuit = board.circuit
-    if board.line_ends is not None and board.described is None:
-        return False  # not linear: the circuit itself refuses what is ambiguous
-    more = circuit.drives_idle_lines
-    if not more and (read := circuit.read_ends(board)) is not None:
-        more = bool((board.idle_resistance < read.resistance).any())
-    leads = np.where(np.isfinite(board.row_ohms), board.row_ohms, 0.0)
-    return circuit.columns_one_by_one(board) and more and bool(leads.any())
 
 
 class Ports(NamedTuple):
@@ -88,7 +68,6 @@ class Law:
         segments: FloatArray,
         wire: FloatArray,
         beside_end: FloatArray,
-        cell_most: FloatArray,
         absent: BoolArray,
         shorts: FloatArray,
         bridges: tuple[Fault, ...],
@@ -97,7 +76,6 @@ class Law:
         one_by_one: bool,
         floating: bool,
         virtual_ground: bool,
-        several: bool,
     ) -> None:
         """The laws of a board.
 
@@ -107,7 +85,6 @@ class Law:
             segments: (N, M) ohm of the rows, up to the first cell and from cell to cell.
             wire: (M,) ohm, mean of each column from its cells to its end.
             beside_end: (N, M) ohm, wire from each cell to its column's end in excess of that mean.
-            cell_most: (N, M) S, largest conductance of a cell that a reading can tell from a short.
             absent: (N, M) cells that take no part.
             shorts: (N, M) S, D of complete shorts, which are known without a reading; 0 at all other cells.
             bridges: between lines.
@@ -115,7 +92,6 @@ class Law:
             one_by_one: whether idle columns carry no load.
             floating: whether idle rows float.
             virtual_ground: whether amplifiers hold the columns.
-            several: whether idle columns conduct more than the one that is read.
 
         """
         self.law = PortLaw(*(np.array(np.broadcast_to(part, (2, len(wire))), order="C") for part in law))
@@ -126,8 +102,6 @@ class Law:
         self.has_leads = bool(lead.any())
         self.cancels = virtual_ground and not floating
         """whether columns stand next to the idle lines, so that offsets alone drive currents into their shorts"""
-        self.several = several and self.has_potential
-        """whether idle columns conduct more than the one that is read, so that there may be several answers"""
         self.behind: FloatArray = np.abs((c1 - w1 * (not self.has_potential)) / i1)
         """(M,) ohm, potential of a column above the idle lines per current into its end"""
         rows, columns = absent.shape
@@ -140,8 +114,7 @@ class Law:
         self._segments, self._beside_end = (np.array(part, order="C") for part in (segments, beside_end))
         self.present = np.ascontiguousarray(~(absent | (shorts > 0.0)))
         self.nowhere = np.zeros(absent.shape, dtype=np.bool_)
-        self._column_most: FloatArray = 1.0 / (wire + beside_end.min(axis=0) + _SHORTED)
-        self._shorts, self._cell_most = (np.array(part, order="C") for part in (shorts, cell_most))
+        self._shorts = np.array(shorts, order="C")
 
     def __call__(self, volts: FloatArray, unknown: BoolArray | None = None) -> Ports:
         """The conductances behind readings (N, M) in V, of which ``unknown`` ones state bounds only."""
@@ -197,45 +170,3 @@ class Law:
                 share = max(bridge / (bridge + max(of_row[row], LEAST)) for row in rows)
                 factor[list(rows)] *= hypot(1.0, share) / max(1.0 - share**2, LEAST)
         return factor
-
-    def answers(
-        self, volts: FloatArray, ports: Ports, at_limit: tuple[BoolArray, BoolArray], error: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """Bounds (N, M) in S on all cells that give readings ``volts`` within their ``error`` in V.
-
-        Where idle columns conduct more than the one that is read, another set of cells far away may give the same
-        readings. With idle columns at the potential of the idle rows, column j conducts
-
-            S_j = sum_i D_ij (1 - r_i D_ij) / (1 - r_i sum_l D_il)
-
-        to all lines, and W D = I + S C. Both are increasing in all D where C/W is positive: hence rounds that begin at
-        the bounds of the cells enclose every answer, and meet if there is only one. No cell is taken to conduct more
-        than its wires, and no column together than a short of 0.3 ohm, but cells at a limit
-        and several of one row that stand out from their columns: these may be shorts that join columns. ``at_limit``
-        has cells that conduct at least, and at most, what their readings say.
-        """
-        rows, columns = volts.shape
-        usual = np.sort(ports.driven, axis=0)[(len(volts) - 1) // 2]
-        short = ports.driven > _STANDS_OUT * np.maximum(usual, 0.0)
-        short &= (np.count_nonzero(short, axis=1) > 1)[:, None]
-        limited, faint = np.ascontiguousarray(at_limit[0] | short), np.ascontiguousarray(at_limit[1])
-        most = np.where(limited, 1.0 / LEAST_SHORT_OHM, self._cell_most)
-        below, above, low, high = np.empty((4, rows, columns))
-        sums = np.empty((3, max(rows, columns)))
-        answers.unchecked(
-            volts,
-            *self.law,
-            self.present,
-            limited,
-            faint,
-            self.lead,
-            most,
-            self._column_most,
-            error,
-            below,
-            above,
-            sums,
-            low,
-            high,
-        )
-        return low, high

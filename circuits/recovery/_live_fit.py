@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpotrf, dpotrs, dtrtri
 
 from ...common.arrays import BoolArray, FloatArray
 from ...errors import InputError, SolverError
@@ -26,7 +25,7 @@ from .._adc import adc_error
 from .._board import Board, broken_off, cell_alone
 from .._grid import exact_ports
 from .._parts import LEAST_SHORT_OHM
-from ._law import several_answers
+from ._answers import several_answers
 from ._law_errors import ALIKE, BY_NOISE, BY_STEPS
 from ._law_kernels import TINY
 from ._lines import LineResistance
@@ -57,6 +56,7 @@ LARGEST_MATRIX = 4096
 MOST_BESIDE = 256
 """cells up to which they are one beside shorts and cells that nothing reads, which no structure fits"""
 _SMALL = 100  # cells up to which the derivatives are a matrix
+_FEW = 4  # cells that nothing reads, up to which each is moved alone
 _PRIOR = 3.0  # standard deviation of a logarithm before anything is read: a factor of 20
 _ALIKE_ERRORS = 20.0  # inverse of the relative change of the readings' errors up to which covariances are alike
 _FITS, _NO_FIT, _MISFIT = 0.8, 3.0, 8.0  # half steps: by rounding alone, no fit yet, no cells give these readings
@@ -158,6 +158,7 @@ class FitLive:
         self._log: FloatArray | None = None
         self._linear: _Linear | None = None
         self._read: FloatArray = np.ones(cells)
+        self._pinned: FloatArray = np.zeros(board.shape)
         self._damping, self._astray, self._in_vain, self._begun = 1.0, False, 0, False
 
     @np.errstate(divide="ignore", invalid="ignore", over="ignore")
@@ -200,11 +201,27 @@ class FitLive:
         read: FloatArray = np.where(unread.ravel(), 0.0, 1.0)
         if self._linear is not None and (read != self._read).any():
             self._linear = None
-        self._read = read
+        self._read, lowest = read, self._least.reshape(self._shape)
+        self._pinned = np.where(unread & ~self._gone, self._closed_start(volts.ravel()).reshape(self._shape), lowest)
         found = self._fit(volts.ravel(), hypot(1.0, noise / self._std), start)
         if found is None:
             return self._nothing(DISTURBED if short.any() else UNSETTLED, unread | short)
-        return self._reading(signal, error, noise, *found, unread)
+        return self._reading(signal, error, noise, *found, self._spread(found[0], unread), unread)
+
+    def _spread(self, log: FloatArray, unread: BoolArray) -> FloatArray:
+        """Change (n,) of the logarithms over all conductances of the cells ``unread``, from their least to a short.
+
+        A cell changes a reading by a Moebius function of its conductance, hence most at the ends of its interval.
+        """
+        spread = np.zeros(log.shape)
+        if not unread.any():
+            return spread
+        assert self._linear is not None
+        before, hidden = self._at(log), unread & self._gone
+        for group in [*_groups(unread & ~hidden), hidden]:  # hidden ones act together
+            moved = self._at(np.where(group.ravel(), self._most, log)) - before
+            spread += np.abs(self._linear.solve(moved * self._read))
+        return spread
 
     def _closed_start(self, volts: FloatArray) -> FloatArray:
         """Logarithms (n,) as if each cell were alone."""
@@ -236,14 +253,19 @@ class FitLive:
         signal = volts.reshape(self._shape) - self._board.level
         slope = np.abs(self._board.circuit.log_conductance_slope(self._board, signal)).ravel()
 
+        pinned = self._read == 0.0
+
+        def pin(log: FloatArray) -> FloatArray:
+            return np.where(pinned, self._pinned.ravel(), log)
+
         def off(log: FloatArray) -> FloatArray:
             return (volts - self._at(log)) * self._read
 
-        starts = [self._closed_start(volts)]
+        starts = [pin(self._closed_start(volts))]
         if start is not None:
-            starts.insert(0, np.clip(np.log(np.maximum(start, 1e-30)).ravel(), self._least, self._most))
+            starts.insert(0, pin(np.clip(np.log(np.maximum(start, 1e-30)).ravel(), self._least, self._most)))
         try:
-            log = starts.pop(0) if self._log is None else self._log
+            log = starts.pop(0) if self._log is None else pin(self._log)
             apart = off(log)
             misfit = self._misfit(apart, coarser)
             for other in starts if misfit > _JUMP else ():
@@ -273,7 +295,7 @@ class FitLive:
                 if steps <= 0:
                     break
                 steps -= 1
-                trial = np.clip(log + self._damping * step, self._least, self._most)
+                trial = pin(np.clip(log + self._damping * step, self._least, self._most))
                 ahead = off(trial)
                 now = self._misfit(ahead, coarser)
                 if now > max(misfit, _FITS) and ahead @ ahead > apart @ apart:
@@ -326,6 +348,8 @@ class FitLive:
             numpy.linalg.LinAlgError: parts of the grid have no connection.
 
         """
+        from scipy.linalg.lapack import dpotrf, dpotrs
+
         cells = np.exp(-np.clip(log, -_LARGEST, _LARGEST)).reshape(self._shape)
         volts = self._quick(cells)
         slope = np.abs(self._board.circuit.log_conductance_slope(self._board, volts - self._board.level)).ravel()
@@ -333,7 +357,9 @@ class FitLive:
             by_nodes = self._nodes.at(cells, np.full(self._shape, _PRIOR))
             return _Linear(log, by_nodes.solve, slope, lambda coarser: coarser * by_nodes.std.ravel(), {})
         in_series = 1.0 / (cells + self._board.series_ohms).ravel()
-        jacobian = self._derivatives(cells) * (in_series**2 * cells.ravel() / self._std) * self._read[:, None]
+        jacobian = (
+            self._derivatives(cells) * (in_series**2 * cells.ravel() / self._std * self._read) * self._read[:, None]
+        )
         normal = jacobian.T @ jacobian
         normal.flat[:: len(normal) + 1] += _PRIOR**-2.0
         factor, failed = dpotrf(normal, lower=1)
@@ -357,6 +383,8 @@ class FitLive:
             numpy.linalg.LinAlgError: the derivatives are not finite.
 
         """
+        from scipy.linalg.lapack import dtrtri
+
         wired = np.exp(log) * (self._leads.ravel() + LEAST_SHORT_OHM)
         prior = (1.0 + wired) * np.maximum(1.0 / wired, 1.0) / BY_STEPS
         square = np.linalg.qr(np.concatenate([jacobian * prior, np.eye(len(log))]), mode="r")
@@ -368,7 +396,7 @@ class FitLive:
         up = BY_STEPS * std / (1.0 + wired)
         grown = np.where(up * wired < 1.0, (1.0 + up) / np.maximum(1.0 - up * wired, TINY), inf) - 1.0
         grown = np.minimum(grown, np.exp(self._most - log) - 1.0) / (BY_STEPS * std)
-        loose = (grown > _MOST_BENT) | (up > 1.0)
+        loose = ((grown > _MOST_BENT) | (up > 1.0)) & (self._read > 0.0)
         ties = np.count_nonzero(loose & (wired * (1.0 + up) > _TIES))
         conductance, open_size = np.exp(log).reshape(self._shape), (loose & (up > _OPEN_SIZE)).reshape(self._shape)
         most = np.where(open_size, conductance * (1.0 + up.reshape(self._shape)), 0.0)
@@ -376,7 +404,7 @@ class FitLive:
         alike *= open_size[np.argmax(conductance, axis=0), np.arange(self._shape[1])]
         if ties > 1 or (alike > 1).any():
             return np.full(len(std), inf)
-        bent = np.flatnonzero(grown > 1.0)
+        bent = np.flatnonzero((grown > 1.0) & (self._read > 0.0))
         beside = (inverse @ inverse[bent].T) / std[bent] * np.sqrt(grown[bent] ** 2 - 1.0)
         std = np.sqrt(std**2 + np.einsum("ij,ij->i", beside, beside))
         return std
@@ -409,6 +437,7 @@ class FitLive:
         log: FloatArray,
         std: FloatArray,
         misfit: float,
+        spread: FloatArray,
         unread: BoolArray,
     ) -> LiveReading:
         """Values, uncertainties, validity and reasons of cells that give the readings."""
@@ -419,6 +448,7 @@ class FitLive:
         coarser = hypot(1.0, noise / self._std)
         sigmas = hypot(BY_STEPS, BY_NOISE * noise / self._std) / coarser * max(misfit, 1.0)
         uncertainty = own + np.expm1(np.minimum(np.maximum(sigmas * std - own, 0.0), _LARGEST))
+        uncertainty += np.expm1(np.minimum(spread.reshape(shape), _LARGEST))
         if self._several:
             uncertainty = np.full(shape, inf)
         if self._sheet is not None:
@@ -449,3 +479,14 @@ class FitLive:
         reason[limited] = SATURATED
         reason[self._gone] = HIDDEN
         return undetermined(self._turn(reason))
+
+
+def _groups(unread: BoolArray) -> list[BoolArray]:
+    """The cells (N, M) that nothing reads: one by one if they are few, else by rows or by columns."""
+    if np.count_nonzero(unread) <= _FEW:
+        places = np.flatnonzero(unread)
+        return [(np.arange(unread.size) == place).reshape(unread.shape) for place in places]
+    rows, columns = np.flatnonzero(unread.any(axis=1)), np.flatnonzero(unread.any(axis=0))
+    if len(rows) <= len(columns):
+        return [unread & (np.arange(len(unread)) == row)[:, None] for row in rows]
+    return [unread & (np.arange(unread.shape[1]) == column) for column in columns]

@@ -20,10 +20,10 @@ from ...common.arrays import BoolArray, FloatArray
 from ...errors import SolverError
 from .._board import Board, broken_off, cell_alone
 from .._exact import read_exactly
-from .._parts import LEAST_SHORT_OHM
+from ._answers import MOST_WIRE, Answers, are_one, several_answers
 from ._enclosure import Enclosed, Enclosure, Unknowns
 from ._factors import EVALUATIONS, OPEN, Factors
-from ._law import Law, Ports, several_answers
+from ._law import Law, Ports
 from ._law_errors import ALIKE, LawErrors, Steps
 from ._law_kernels import LEAST, OPEN_SCALE
 from ._lines import LineResistance
@@ -41,11 +41,10 @@ from ._live_reading import (
     undetermined,
 )
 from ._quick_model import COMPLETE_SHORT, QuickModel, with_resistance
-from ._usual_frames import BEYOND, MOST_WIRE, UsualFrames
+from ._usual_frames import BEYOND, UsualFrames
 
 _SHEET_EVALUATIONS = 1  # of a continuous sheet in a frame, a hundred times as dear as that of a sliced one
 _DOMINATED = 0.1  # share of the drive at a column over the largest one, up to which a cell is small beside another
-_ONE_ANSWER = 3.0  # largest over least conductance of all answers, up to which they are one within their errors
 _OFTEN = 3  # frames with readings that no cells give, after which the design is taken for wrong
 
 
@@ -87,19 +86,15 @@ class LawLive:
             ohms[self._shorted.any(axis=1)] = 0.0
         shorts = np.where(self._shorted, 1.0 / (to_driver + COMPLETE_SHORT), 0.0)
         self._whole_wires = to_driver + to_end + column_lead
-        # An amplifier at a virtual ground stands at its limit long before a cell is as good as a short.
-        most = np.full(board.shape, 1.0 / LEAST_SHORT_OHM)
-        if board.circuit.virtual_ground:
-            most = MOST_WIRE / (self._whole_wires + LEAST_SHORT_OHM)
         bridges = tuple(fault for fault in sliced.faults if fault.bridge)
         self._law = Law(
             *(law, lead, segments, wire, to_end - to_end.mean(axis=0)),
-            *(most, hidden, shorts, bridges, self._steps.half),
+            *(hidden, shorts, bridges, self._steps.half),
             one_by_one=one_by_one,
             floating=board.floating,
             virtual_ground=board.circuit.virtual_ground,
-            several=several_answers(board),
         )
+        self._answers = Answers(sliced) if several_answers(board) and self._law.has_potential else None
         self._enclosure = Enclosure(board, self._law, to_driver, to_end)
         self._wires = np.abs(to_driver - lead[:, None]) + np.abs(to_end - to_end.mean(axis=0))
         self._any_wire = bool(self._wires.any())
@@ -114,7 +109,7 @@ class LawLive:
         beside_end = np.abs(to_end - to_end.mean(axis=0)).max(axis=0)
         self._beside_law = beside_end / np.maximum(self._law.behind, beside_end + LEAST)  # share that segments change
         self._fit = None
-        if board.circuit.mixes_cells and not self._law.several and board.shape[0] * board.shape[1] <= MOST_BESIDE:
+        if board.circuit.mixes_cells and self._answers is None and board.shape[0] * board.shape[1] <= MOST_BESIDE:
             self._fit = FitLive(board, rule)
         self.usual: UsualReading | None = self._usual_frames(board)
         self._impossible = 0
@@ -126,7 +121,7 @@ class LawLive:
         """What measures the usual frames; None if there are none on this board."""
         law, steps = self._law, self._steps
         assert board.adc is not None
-        if self._faulty or self._present is not None or not self._tells or law.several or board.faults:
+        if self._faulty or self._present is not None or not self._tells or self._answers is not None or board.faults:
             return None
         constants = {
             "step": board.adc.step,
@@ -170,11 +165,11 @@ class LawLive:
         self._count_impossible(ports, errors, unknowns)
         cells, settled, limit = ports.cells, True, self._rule.limit
         answers = None
-        if self._law.several:
-            at_limit = Unknowns(self._law.nowhere, self._law.nowhere) if unknowns is None else unknowns
-            answers = self._law.answers(volts, ports, at_limit, errors.error)
+        if self._answers is not None:
+            answers = self._answers(volts, errors.error, unknowns)
         opened, enclosed = unknowns is not None or errors.opens, None
-        if opened and self._fit is not None and self._factors is not None and _lone(ports, errors):
+        beyond = opened or bool(self._board.bridges)  # bridges mix lines beyond what factors follow
+        if beyond and self._fit is not None and self._factors is not None and _lone(ports, errors):
             return self._fit.read(volts, limited, faint, noise, ports.cells)
         if self._factors is None:
             enclosed = self._enclosure(ports, errors, cells, unknowns, volts) if opened else None
@@ -247,7 +242,7 @@ class LawLive:
         if answers is not None:
             (low, high), by_law = answers, errors.cells
             total = np.maximum(total, np.maximum(high - by_law, by_law - low) / np.abs(by_law))
-            total = np.where(high > _ONE_ANSWER * low, inf, total)
+            total = np.where(are_one(low, high), total, inf)
         valid = self._rule.accepts(total)
         short = cells * self._wires > MOST_WIRE if self._any_wire else None
         resistance = 1.0 / np.maximum(cells, 0.0)

@@ -94,20 +94,21 @@ def state_one(
         block[place, row, column] = 0.0
     if not math.isfinite(every) or not math.isfinite(conductance):
         return
-    others = math.sqrt(max(every * every - own * own, 0.0))
-    steps, shared_steps = half_step * math.hypot(own, board.alike * others), 0.0
+    squares = every * every
+    others = board.alike * board.alike * max(squares - own * own, 0.0)
+    steps, shared_steps = half_step * math.sqrt(own * own + others), 0.0
     shared = 0.0
     if board.scales_columns > 0.0:
         steps, shared_steps = half_step * own, half_step * board.alike * by_column
         # A cell's own error is also one of those that scale its column.
         size = abs(by_column)
         shared = math.copysign(math.sqrt(size * size + 2.0 * own * size / math.sqrt(sensed)), by_column)
-    lasting = math.hypot(steps, shared_steps)
     why = reason[row, column]
-    noisy = why == UNCERTAIN and board.averages > 0.0 and uncertainty <= MOST_NOISE and lasting <= MOST_STEPS
-    if why != 0 and not noisy:
-        return
-    left = max(every * every - shared * shared, 0.0)
+    if why != 0:
+        noisy = why == UNCERTAIN and board.averages > 0.0 and uncertainty <= MOST_NOISE
+        if not noisy or math.sqrt(steps * steps + shared_steps * shared_steps) > MOST_STEPS:
+            return
+    left = max(squares - shared * shared, 0.0)
     alone = min(own * own, left)
     block[CONDUCTANCE, row, column] = conductance
     block[NOISE_VARIANCE, row, column] = (

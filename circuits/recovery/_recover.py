@@ -42,6 +42,7 @@ from ...errors import InputError, SolverError
 from .._board import Board, broken_off, cell_alone
 from .._design import Design
 from ..solvers import siemens
+from ._answers import Answers, are_one, several_answers
 from ._determined import TYPICAL_CONDUCTANCE, insensitive, is_singular
 from ._envelope import MARGIN, Envelope
 from ._frame_model import Model
@@ -123,6 +124,9 @@ class Recoverer:
             self._unread[fault.place] |= fault.ohms == 0
             self._cut_off[fault.place] &= fault.ohms > 0
         self._model = Model(design.replace(fault=tuple(kept)))
+        # A follower leaves other answers only beside shorts.
+        several = several_answers(board) and not (board.circuit.drives_idle_lines or board.floating)
+        self._answers = Answers(board) if several else None
         self._inverter = Inverter(self._model, self._unread, accuracy)
         self._envelope = Envelope(self._model, self._unread, accuracy, self._most)
 
@@ -159,6 +163,10 @@ class Recoverer:
                 hidden = silent & insensitive(board, found.conductance)
                 unknown = Unknown(unknown.at_least | hidden, unknown.at_most)
                 lost = lost | hidden
+        if self._answers is not None:
+            least, greatest = self._answers(measured, self._accuracy * abs(board.drive))
+            several = ~are_one(least, greatest)
+            low, high = np.where(several, least, low), np.where(several, greatest, high)
         if unknown.any.any():
             down, up = (
                 self._envelope.distance(measured, found, unknown)

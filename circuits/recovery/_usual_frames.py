@@ -16,6 +16,7 @@ from ...common.arrays import FloatArray
 from ...common.compiled import Blocks, FlagRows, Reasons, Records, Row, Rows, loop, zeros
 from ...common.measurement import FIELDS, GREATEST, LEAST, Measurement
 from ...common.noise import constant_part, select
+from ._answers import MOST_WIRE
 from ._factors import FRESH, OPEN, Factors
 from ._law import Law
 from ._law_errors import BY_NOISE, BY_STEPS
@@ -25,8 +26,6 @@ from ._measured import Constants, state_one
 
 BEYOND = 3.0
 """errors by which a column may seem to leave less than nothing of its drive"""
-MOST_WIRE = 2.0
-"""resistance of a cell's lines over its own from which on it reads like a short"""
 ROOT_3 = math.sqrt(3.0)
 
 SHORTS, SEGMENTS, BESIDE_END, WIRES, WHOLE_WIRES, RHO, BASE, FACTOR_BEYOND = range(8)

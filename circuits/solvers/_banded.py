@@ -15,7 +15,6 @@ from functools import lru_cache
 from math import inf
 
 import numpy as np
-from scipy.linalg.lapack import dpbtrf, dtbtrs, dtrtrs
 
 from ...common.arrays import FloatArray, IntArray
 from ._elimination import ULP
@@ -40,6 +39,8 @@ def transfer(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatAr
         digits would cancel.
 
     """
+    from scipy.linalg.lapack import dpbtrf, dtbtrs, dtrtrs
+
     rows, columns = conductance.shape
     assert lines.exit is not None
     row = lines.row

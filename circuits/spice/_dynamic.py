@@ -24,9 +24,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.constants import Boltzmann, zero_Celsius
 
 from ...common.arrays import FloatArray
+from ...common.constants import BOLTZMANN, ZERO_CELSIUS
 from ...common.text import printable
 from ...errors import InputError, SolverError
 from .._amplifier_model import AmplifierModel
@@ -186,7 +186,7 @@ class _Writer:
         yield f"* ohmskin: {self.rows} driven x {self.columns} sensed lines, {driven} {selected} selected at t = 0"
         yield f"* noise and phase margin are those of {sensed} {judged}"
         yield "* ngspice -b FILE runs all analyses; LTspice opens the file"
-        yield f".temp {kelvin - zero_Celsius!r}"
+        yield f".temp {kelvin - ZERO_CELSIUS!r}"
         model = readout.amplifier_model
         # The transistors and limiters of macro-models converge to SPICE's usual tolerances, and not far below.
         yield ".options reltol=1e-6 abstol=1e-15 vntol=1e-9" if model is None else ".options reltol=1e-4"
@@ -303,7 +303,7 @@ class _Writer:
     def _noise(self, j: int, plus: str) -> Iterator[str]:
         """The amplifier's noise voltage in series with its input, and its noise current into the column."""
         readout = self.board.readout
-        thermal = 4.0 * Boltzmann * (readout.temperature or 300.0)
+        thermal = 4.0 * BOLTZMANN * (readout.temperature or 300.0)
         if readout.voltage_noise:
             yield f"Rnv{j} nv{j} 0 {readout.voltage_noise**2 / thermal!r}"
             yield f"Env{j} quiet{j} {plus} nv{j} 0 1"

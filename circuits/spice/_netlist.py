@@ -22,7 +22,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.cluster.hierarchy import DisjointSet
 
 from ...common.arrays import FloatArray
 from ...errors import InputError, SolverError
@@ -212,6 +211,8 @@ class DeckWriter(CardWriter):
 
     def _described_deck(self, ends: LineEnds) -> Deck:
         """The circuit of a board with networks at its lines: the whole of it once for each turn of the columns."""
+        from scipy.cluster.hierarchy import DisjointSet
+
         if self.row is None:
             raise SolverError("networks at the lines' ends change from row to row; only a netlist of one row has them")
         if ends.crosspoint and not self.resistance.all():
@@ -314,6 +315,8 @@ class DeckWriter(CardWriter):
 
     def _merged_node_names(self) -> dict[str, str]:
         """Name of each node after parts of 0 ohm have merged nodes (union-find)."""
+        from scipy.cluster.hierarchy import DisjointSet
+
         # Merged nodes take the name of the first one added. Nodes of sources and amplifiers are therefore added first.
         joined = DisjointSet([REFERENCE])
         for node in [*map(self._driver, self.driven), *map(self.circuit.column_end, range(self.columns))]:
@@ -387,6 +390,8 @@ class DeckWriter(CardWriter):
 
         No current flows in such an island, so a tie of 1 ohm changes no reading.
         """
+        from scipy.cluster.hierarchy import DisjointSet
+
         tied = DisjointSet([REFERENCE])
         for node in self.name.values():
             tied.add(node)

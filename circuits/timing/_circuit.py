@@ -22,7 +22,6 @@ from math import pi
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import expm
 
 from ...common.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from ...errors import InputError
@@ -211,6 +210,8 @@ class Circuit(NamedTuple):
             deviation: (B or 1, S, K) V when the switch turns.
             seconds: (B,) s, or one time for all boards.
         """
+        from scipy.linalg import expm
+
         passed = np.broadcast_to(np.asarray(seconds, dtype=np.float64), len(self.matrix))
         decayed = np.exp(-self.rates * passed[:, None])
         there: FloatArray = ((self.left * decayed[:, None]) @ (self.right @ deviation)).real

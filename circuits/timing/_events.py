@@ -21,16 +21,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.constants import Boltzmann
-from scipy.linalg import expm, solve_continuous_lyapunov
 
 from ...common.arrays import FloatArray, IntArray
+from ...common.constants import BOLTZMANN
 from ...errors import InputError, SolverError
 from .._design import Design
 from .._exact import read_exactly
 from .._grid import exact_ports
-from ..ends import GROUND, LINE, Card, Event, Network, Scan
-from ..readouts import inverted_nodes, step_system
+from ..ends import GROUND, LINE, Card, Event, Network, Scan, inverted_nodes, step_system
 
 CONTACT_OHM = 1e-3
 """in series with each capacitor, and of the switch that discharges the sampled node: far below any part of a board"""
@@ -60,6 +58,8 @@ class _Phase(NamedTuple):
 
     def over(self, seconds: float, size: int) -> FloatArray:
         """(size + 1, size + 1) map of all states and 1 over some time; other states keep their values."""
+        from scipy.linalg import expm
+
         own = len(self.states)
         extended = np.zeros((own + 1, own + 1))
         extended[:own, :own], extended[:own, own] = self.rate, self.drift
@@ -150,7 +150,7 @@ class EventScan:
         span = float(np.ptp(self.settled)) or float(np.abs(self.settled).max()) or 1.0
         return float(np.abs(self.sampled - self.settled).max()) / span
 
-    @cached_property
+    @property
     def noise(self) -> FloatArray:
         """V (rows, columns): standard deviation of each reading by its parts, and by the converter's steps.
 
@@ -158,20 +158,30 @@ class EventScan:
             InputError: nothing limits the bandwidth of a noise, so that its variance is infinite.
 
         """
-        rows, columns = self._board.shape
-        count, step = self._events.averages, self._adc.step if self._adc else 0.0
-        variance = np.full((rows, columns), step**2 / 12.0 / count)
+        return np.hypot(self.circuit_noise, self.quantisation)
+
+    @property
+    def quantisation(self) -> FloatArray:
+        """V (rows, columns) of the mean of a reading's conversions by the converter's steps."""
+        step = self._adc.step if self._adc else 0.0
+        return np.full(self._board.shape, step / np.sqrt(12.0 * self._events.averages))
+
+    @cached_property
+    def circuit_noise(self) -> FloatArray:
+        """V (rows, columns) of it by the parts of the circuit. Raises InputError as :attr:`noise`."""
+        variance = np.zeros(self._board.shape)
         known: dict[int, float] = {}
         for phase, _, row, column, counts in self._plan():
             if counts:
                 if id(phase) not in known:
-                    known[id(phase)] = self._variance(phase, count)
-                variance[row, column] = step**2 / 12.0 / count + known[id(phase)]
-        deviation: FloatArray = np.sqrt(variance)
-        return deviation
+                    known[id(phase)] = self._variance(phase, self._events.averages)
+                variance[row, column] = known[id(phase)]
+        return np.sqrt(variance)
 
     def _variance(self, phase: _Phase, count: int) -> float:
         """V^2 of the mean of ``count`` conversions, by noise."""
+        from scipy.linalg import expm, solve_continuous_lyapunov
+
         rate = phase.rate - _LEAST_RATE * np.eye(len(phase.rate))
         covariance = solve_continuous_lyapunov(rate, -phase.noise)
         later, carried = expm(rate * self.conversion_time), np.eye(len(rate))
@@ -216,7 +226,7 @@ class EventScan:
     def _made(self, row: int, column: int, kind: str) -> _Phase:
         read = self._board.turns[column % self._ends.shared_by]
         networks, moving = self._without_states(row, column, kind)
-        system = step_system(self._board, self._ports, networks, read)
+        system = step_system(self._ends, self._board.column_lead, self._ports, networks, read)
         size, count = len(system.source), len(moving)
         _, inverse = inverted_nodes(system.static)
 
@@ -255,7 +265,7 @@ class EventScan:
         intensity = np.array([power for _, _, power in entries])
         ports = len(self._ports)
         grid = np.diag(self._ports.sum(axis=1)) - self._ports  # Nyquist's theorem for multiports
-        grid *= 2.0 * Boltzmann * self._temperature
+        grid *= 2.0 * BOLTZMANN * self._temperature
         moved, moved_by_grid = by_nodes @ inverse @ driven + direct, (by_nodes @ inverse)[:, :ports]
         seen, seen_by_grid = sampled @ inverse @ driven, (sampled @ inverse)[:ports]
         return _Phase(
@@ -305,7 +315,7 @@ class EventScan:
     ) -> Iterator[tuple[FloatArray, FloatArray, float]]:
         """For each source what it adds to the equations (U,) and to the amplifiers' inputs (K,), and its intensity."""
         none = np.zeros(len(moving))
-        thermal = 2.0 * Boltzmann * self._temperature
+        thermal = 2.0 * BOLTZMANN * self._temperature
         for end, _, network in networks:
             for card in network:
                 if card.kind == "r" and card.value and thermal:

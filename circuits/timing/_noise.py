@@ -17,15 +17,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.constants import Boltzmann
-from scipy.linalg import solve_continuous_lyapunov
 
 from ...common.arrays import FloatArray, IntArray
-from ...errors import InputError
+from ...common.constants import BOLTZMANN
+from ...errors import InputError, SolverError
 from .._board import Board
 from .._design import Design
 from .._population import Boards
+from ..ends import Scan
 from ._circuit import Circuit, ColumnNetworks, require_amplifiers, sampler_delay
+from ._events import EventScan
 
 _ORIGINS = ("amplifier voltage", "amplifier current", "grid", "reference resistor")
 _LEAST_INTENSITY = 1e-16
@@ -40,7 +41,8 @@ class Noise:
     """Standard deviations by origin.
 
     The origins are "amplifier voltage", "amplifier current", "grid", "reference resistor", "sampling" and
-    "quantisation". Origins that the design does not name are missing.
+    "quantisation". Origins that the design does not name are missing. Of networks at the lines' ends and of ``[scan]``
+    they are "circuit" and "quantisation", of the mean of a reading's conversions.
     """
     shape: tuple[int, int]
 
@@ -101,12 +103,18 @@ def noise(design: Design, resistance: ArrayLike) -> Noise:
 
     """
     board = design.board
+    if design.is_described or design.scan is not None:
+        try:
+            timed = EventScan(design, resistance, design.scan or Scan())
+            return Noise({"circuit": timed.circuit_noise, "quantisation": timed.quantisation}, design.array.shape)
+        except SolverError as error:  # diodes and limits have no linear noise
+            raise InputError(str(error)) from error
     if board.circuit.has_amplifiers and not board.circuit.virtual_ground:
         require_amplifiers(board)
     cells = board.turn(design.resistance(resistance))
     part, adc = design.readout, design.adc
     parts: dict[str, FloatArray] = {}
-    thermal_energy = Boltzmann * part.temperature  # k T, in J
+    thermal_energy = BOLTZMANN * part.temperature  # k T, in J
     if board.circuit.has_amplifiers:
         if part.voltage_noise or part.current_noise or thermal_energy:
             parts |= _amplifier_noise(design, cells, thermal_energy)
@@ -158,6 +166,8 @@ def _variances(
         InputError: nothing limits the bandwidth of a noise.
 
     """
+    from scipy.linalg import solve_continuous_lyapunov
+
     part, columns, count = board.readout, network.shape[-1], len(loaded)
     outputs = np.arange(columns, columns + count)
     samples = count if sampler_delay(board) else 0

@@ -40,6 +40,8 @@ class BoardsInTime:
             InputError: a circuit whose dynamics are not modelled.
 
         """
+        if design.is_described:
+            raise InputError("networks at the lines' ends have no row period; expected [scan] and EventScan")
         self._board = board = design.board
         if board.circuit.has_amplifiers and not board.circuit.virtual_ground:
             require_amplifiers(board)

@@ -12,8 +12,8 @@ from .._hardware import Readings
 from .._judging import box_of, measured, worst_of
 from .._outcome import Measurement, NotRun
 from .._quantity import Quantity, Shipped
-from .._whole_board import SettlingTarget, goes_by_events, scan_in_time, shortest_periods
-from .settling_error import QUICK, require_linear
+from .._whole_board import SettlingTarget, goes_by_events, shortest_periods
+from .settling_error import QUICK, frame_time, require_linear
 
 MOST_SEARCHES = 4
 NEAR = 1e-3
@@ -29,15 +29,11 @@ def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Mea
         raise NotRun("missing: adc.bits, adc.range")
     if requirement.min is None and requirement.max is None:
         raise NotRun("no limit is given; missing: operation.frame_rate")
+    if design.scan is not None:
+        return Measurement(1.0 / frame_time(design), "Hz", where="by the events of [scan]")
     require_linear(dut)
     if goes_by_events(design):
-        if design.scan is None:
-            raise NotRun("missing: [scan], the events of a frame")
-        at_rest = np.full(design.array.shape, dut.rest)
-        rate = 1.0 / scan_in_time(design, at_rest, 0.0).frame_time
-        return Measurement(
-            rate, "Hz", where="by the events of [scan]", confidence="the settling error says whether readings settle"
-        )
+        raise NotRun("missing: [scan], the events of a frame")
     allowed, box = design.adc.step / 4, box_of(dut)
     starts = SettlingTarget(1.0, allowed).starts(box)
     periods = shortest_periods(box, starts, allowed)

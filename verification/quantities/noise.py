@@ -7,13 +7,12 @@ import numpy as np
 from ...circuits import Noise, Requirement
 from ...circuits import noise as noise_of_readings
 from ...common.arrays import FloatArray
-from ...errors import InputError, SolverError
+from ...errors import InputError
 from .._dut import DesignUnderTest, once
 from .._hardware import Readings
 from .._outcome import Measurement, NotRun
 from .._quantity import DOWN, NOMINAL, SPICE, UP, Quantity
 from .._units import engineering
-from .._whole_board import goes_by_events, scan_in_time
 
 QUIET = (
     ("readout.voltage_noise", DOWN),
@@ -40,11 +39,8 @@ def noise_of(dut: DesignUnderTest) -> list[tuple[str, FloatArray, Noise]]:
     for state, ohms in (("at rest", dut.rest), ("at full scale", dut.pressed)):
         cells = np.full(design.array.shape, ohms)
         try:
-            if goes_by_events(design):
-                noise = Noise({"circuit": scan_in_time(design, cells, 1.0).noise}, design.array.shape)
-            else:
-                noise = noise_of_readings(design, cells)
-        except (InputError, SolverError) as error:
+            noise = noise_of_readings(design, cells)
+        except InputError as error:
             raise NotRun(str(error)) from error
         if not noise.before_adc.any():
             keys = ["readout.temperature, or operation.temperature_range"]

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...circuits import Boards, BoardsInTime, Requirement, Settling, ideal_volts, scan_batch
+from ...circuits import Boards, BoardsInTime, Design, EventScan, Requirement, Settling, ideal_volts, scan_batch
 from ...common import plots
 from ...errors import InputError, SolverError
 from .._dut import DesignUnderTest, once
@@ -76,9 +76,23 @@ def require_linear(dut: DesignUnderTest) -> None:
         raise NotRun("settling is linear: an output saturates with nominal parts")
 
 
+def frame_time(design: Design) -> float:
+    """s of a frame by its events. Raises NotRun where the circuit has no model in time."""
+    try:
+        seconds = EventScan(design, np.full(design.array.shape, 1e4)).frame_time
+    except (InputError, SolverError) as error:
+        raise NotRun(str(error)) from error
+    if not seconds:
+        raise NotRun("the events of [scan] take no time; missing: adc.acquisition_time or scan.conversion_time")
+    return seconds
+
+
 def settling_error(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
     rate = rate_of(dut, requirement)
     require_linear(dut)
+    if dut.design.scan is not None and (seconds := frame_time(dut.design)) * rate > 1.0 + 1e-9:
+        where = f"the events of a frame take {engineering(seconds, 's')}: at {engineering(rate, 'Hz')} it is too short"
+        return Measurement(np.inf, "%", where=where)
     lines, adc = dut.design.board.shape, dut.design.adc
     period = 1.0 / (rate * lines[0])
     if adc is not None and period < adc.acquisition_time * lines[1]:

@@ -21,6 +21,9 @@ const THEMES = ["system", "light", "dark"];
 const MAP_SHARE = 0.62; // of the page's width, at most
 const BELOW_MAP = 84; // CSS pixels for the legend and the margins below the map
 const TRANSPORT = 84; // and for the controls of a recording
+const ZOOMS = [0.5, 0.7, 1, 1.4, 2, 2.8, 4];
+const LEAST_SCALE = 0.02; // of the full scale: an automatic scale ends no lower, so that noise stays dark
+const SCALE_FADES_S = 10; // an automatic scale forgets a peak in that time
 
 /** What the heat map can show: unit, values of a frame, and the upper end of the fixed scale (null: none). */
 const QUANTITIES = {
@@ -79,7 +82,7 @@ class View {
     this.skin = skin;
     write(element("source"), `${skin.source} · ${skin.rows} × ${skin.columns}`);
     document.title = `${skin.source} · ohmskin`;
-    element("pause").hidden = element("rest").hidden = !skin.live;
+    element("record").hidden = element("pause").hidden = element("rest").hidden = !skin.live;
     element("transport").hidden = skin.live;
     if (!same) {
       this.history = new History(skin.rows * skin.columns, skin.circuit === null);
@@ -98,9 +101,12 @@ class View {
   learn(status) {
     this.status = status;
     showState(status.state, status.state === "running" ? "" : status.reason);
-    if (this.skin.live) this.showTare();
+    if (this.skin.live) {
+      this.showTare();
+      this.showRecording();
+    }
     else this.transport.learn(status);
-    showPairs(element("link"), linkPairs(this.skin, status, this.cost));
+    showPairs(element("link"), linkPairs(this.skin, status, this.cost, this.frame));
     if (status.state === "decoding") this.askTraces();
     else if (!this.skin.live && !this.traced) {
       this.traced = true;
@@ -168,6 +174,7 @@ class View {
     const chosen = this.chosen.map(({ index, slot }) => ({ index, colour: this.colours.series[slot] }));
     this.map.drawMarks(frame, this.skin.pitch_mm, chosen, this.pointed);
     showContacts(frame.contacts);
+    document.body.classList.toggle("alarm", this.alarms());
     if (now - this.last.plot >= PLOT_EVERY_MS || this.hurry) {
       this.last.plot = now;
       this.drawPlot();
@@ -210,13 +217,37 @@ class View {
 
   /** Chooses the scale for the values, and draws it where it has changed. */
   drawScaleFor(quantity, values) {
-    const full = quantity.fullScale(this.skin);
-    const scale = element("auto").checked || full === null ? rangeOf(values, this.frame.valid) : [0, full];
+    const scale = this.scaleFor(quantity, values);
     const key = [quantity.unit, ...scale, this.legendWidth].join();
     if (key === this.scaleKey) return;
     this.scaleKey = key;
     this.scale = scale;
     drawScale(element("scale"), this.legendWidth, ...scale, quantity.unit, this.colours);
+  }
+
+  /** The ends of the scale: full, of the present values, or from 0 to the largest value of late. */
+  scaleFor(quantity, values) {
+    const full = quantity.fullScale(this.skin);
+    const choice = element("range").value;
+    const present = rangeOf(values, this.frame.valid);
+    if (choice === "present" || full === null) return present;
+    if (choice === "full") return [0, full];
+    const since_s = Math.max(this.frame.time_s - (this.peak?.time_s ?? 0), 0);
+    const before = this.peak?.unit === quantity.label ? this.peak.value * Math.exp(-since_s / SCALE_FADES_S) : 0;
+    const value = Math.min(Math.max(present[1], before, LEAST_SCALE * full), full);
+    this.peak = { value, time_s: this.frame.time_s, unit: quantity.label };
+    // In steps, so that the scale's numbers stand still.
+    const step = 10 ** Math.floor(Math.log10(value));
+    return [0, Math.min([1, 1.5, 2, 3, 5, 7, 10].find((times) => times * step >= value) * step, full)];
+  }
+
+  /** Whether a valid cell, or the total force where that is plotted, is above the threshold. */
+  alarms() {
+    const threshold = element("threshold").valueAsNumber;
+    if (!(threshold > 0)) return false;
+    if (this.plotsForce) return this.frame.totalForce_n > threshold;
+    const values = this.skin.circuit === null ? this.frame.change : this.frame.pressure;
+    return values.some((value, k) => this.frame.valid[k] && value > threshold);
   }
 
   drawPlot() {
@@ -304,6 +335,13 @@ class View {
     element("undo").hidden = !undoable;
   }
 
+  showRecording() {
+    const { records, recorded } = this.status;
+    element("record").ariaPressed = String(records);
+    write(element("record"), records ? "Stop recording" : "Record");
+    write(element("recorded"), recorded && (records ? `to ${recorded}` : `recorded ${recorded}`));
+  }
+
   orderTare(force) {
     element("tare").disabled = true;
     element("tare-anyway").hidden = true;
@@ -320,6 +358,8 @@ class View {
   refused({ text, order }) {
     if (order === "tare" || order === "undo tare") {
       this.answerTare(text, [], order === "tare" && text.includes("seems to be loaded"));
+    } else if (order === "record") {
+      write(element("recorded"), text);
     } else if (order === "trace") {
       setTimeout(() => this.askTraces(true), 200);
     } else if (order.startsWith("show")) {
@@ -341,13 +381,13 @@ class View {
     const known = circuit === null ? inCounts : inOhms;
     element("quantity").replaceChildren(...known.map((name) => new Option(QUANTITIES[name].label, name)));
     // The numbers of a board that nobody has described may use a small part of their range.
-    if (circuit === null) element("auto").checked = true;
+    if (circuit === null) element("range").value = "present";
   }
 
   /** Lays everything out for the room that the window has. */
   layOut() {
     if (!this.skin) return;
-    const holder = element("map").parentElement;
+    const holder = element("map").closest("section");
     const style = getComputedStyle(holder);
     const padding = parseFloat(style.paddingLeft) + parseFloat(style.paddingRight);
     const narrow = globalThis.innerWidth <= 960;
@@ -357,7 +397,9 @@ class View {
     const width = room - padding;
     const height = narrow ? 1.25 * width : Math.max(globalThis.innerHeight - above - below, 300);
     const pitch_mm = element("axes").value === "mm" ? this.skin.pitch_mm : null;
-    this.map.layOut(this.skin.rows, this.skin.columns, width, height, this.colours, { ...this.orientation, pitch_mm });
+    const zoom = ZOOMS[Number(stored("zoom", "2"))] ?? 1;
+    holder.parentElement.style.setProperty("--room", `${width}px`);
+    this.map.layOut(this.skin.rows, this.skin.columns, zoom * width, zoom * height, this.colours, { ...this.orientation, pitch_mm });
     this.legendWidth = Math.min(width - 100, this.map.cells.width / this.map.ratio - 100, 480);
     this.legendWidth = Math.max(this.legendWidth, 160);
     this.scaleKey = "";
@@ -383,7 +425,8 @@ class View {
     addEventListener("resize", () => this.layOut());
     element("pause").addEventListener("click", () => this.pause());
     element("quantity").addEventListener("change", () => this.refresh());
-    element("auto").addEventListener("change", () => this.refresh());
+    element("range").addEventListener("change", () => this.refresh());
+    element("record").addEventListener("click", () => this.connection.order({ do: "record", on: !this.status.records }));
     element("tare").addEventListener("click", () => this.orderTare(false));
     element("tare-anyway").addEventListener("click", () => this.orderTare(true));
     element("undo").addEventListener("click", () => this.connection.order({ do: "undo tare" }));
@@ -406,6 +449,12 @@ class View {
       store("mirrored", this.orientation.mirrored ? "yes" : "no");
       this.layOut();
     };
+    const zoomBy = (steps) => {
+      store("zoom", String(Math.min(Math.max(Number(stored("zoom", "2")) + steps, 0), ZOOMS.length - 1)));
+      this.layOut();
+    };
+    element("zoom-in").addEventListener("click", () => zoomBy(1));
+    element("zoom-out").addEventListener("click", () => zoomBy(-1));
     element("rotate").addEventListener("click", () => turn({ turns: (this.orientation.turns + 1) % 4 }));
     element("mirror").addEventListener("click", () => turn({ mirrored: !this.orientation.mirrored }));
     element("axes").addEventListener("change", () => {

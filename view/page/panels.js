@@ -64,10 +64,22 @@ export function showPairs(list, pairs) {
   });
 }
 
+/** How many cells are not valid, by reason. */
+function notValid(frame, reasons) {
+  const counts = new Map();
+  for (const reason of frame?.reason ?? []) if (reason) counts.set(reason, (counts.get(reason) ?? 0) + 1);
+  const texts = [...counts].sort((one, other) => other[1] - one[1]).map(([reason, n]) => `${n} ${reasons[reason] ?? "unknown"}`);
+  return texts.join(", ") || "none";
+}
+
 /** Rows of the link's panel: of the board, of the line, and of this page. */
-export function linkPairs(introduction, status, cost) {
+export function linkPairs(introduction, status, cost, frame) {
   const found = status.statistics;
-  const board = [["board", [introduction.board, introduction.serial_number].filter(Boolean).join(" ")]];
+  const board = [
+    ["board", [introduction.board, introduction.serial_number].filter(Boolean).join(" ")],
+    ...(introduction.estimator ? [["estimator", introduction.estimator]] : []),
+    ["not valid", notValid(frame, introduction.reasons)],
+  ];
   const line = [
     ["rate", `${fixed(found.rate_hz, 1)} Hz`],
     ["frames", String(found.frames)],

@@ -1,0 +1,104 @@
+"""All sets of cells that give a frame's readings, where there may be several.
+
+Idle columns that conduct more than the one that is read tie the rows, behind their leads, to the potential at which
+idle lines stand. With idle columns at that potential, column j conducts
+
+    S_j = sum_i D_ij (1 - r_i D_ij) / (1 - r_i sum_l D_il)
+
+to all other lines, and W D = I + S C (:mod:`..readouts._port_law`). D and S increase with each other where C/W is
+positive: rounds that begin at the bounds of the cells enclose every answer, and meet if there is only one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...common.arrays import BoolArray, FloatArray
+from .._board import Board, broken_off
+from .._parts import LEAST_SHORT_OHM
+from ..readouts import PortLaw
+from ._law_kernels import LEAST, answers
+from ._lines import LineResistance
+
+MOST_WIRE = 2.0
+"""resistance of a cell's lines over its own from which on it reads like a short"""
+_STANDS_OUT = 10.0  # port conductance over the usual one of its column, from which on a cell may be a short
+_SHORTED = 0.3  # ohm, of all cells of a column in parallel, if they are shorts
+_ONE = 3.0  # largest over least conductance of all answers, up to which they are one within their errors
+
+
+def several_answers(board: Board) -> bool:
+    """Whether two sets of cells may give the same readings, however small their errors.
+
+    The determinant of the derivatives of all readings by all cells is positive for all cells where no line conducts
+    more to the reference while it is idle than while it is selected or read (``tests/test_answers.py``): then there is
+    one answer at most. An idle column that conducts more ties the rows, behind their leads, to the reference.
+    """
+    circuit = board.circuit
+    if board.line_ends is not None and board.described is None:
+        return False  # not linear: the circuit itself refuses what is ambiguous
+    more = circuit.drives_idle_lines
+    if not more and (read := circuit.read_ends(board)) is not None:
+        more = bool((board.idle_resistance < read.resistance).any())
+    leads = np.where(np.isfinite(board.row_ohms), board.row_ohms, 0.0)
+    return circuit.columns_one_by_one(board) and more and bool(leads.any())
+
+
+class Answers:
+    """Bounds on all answers of one board."""
+
+    def __init__(self, board: Board) -> None:
+        """For a board with a port law."""
+        lines = LineResistance(board)
+        to_driver, to_end, column_lead = (
+            np.where(np.isfinite(ohms), ohms, 0.0) for ohms in (lines.to_driver, lines.to_end, board.column_lead)
+        )
+        wire = column_lead + to_end.mean(axis=0)
+        law = board.circuit.port_law(board, wire)
+        assert law is not None
+        self._law = PortLaw(*(np.array(np.broadcast_to(part, (2, len(wire))), order="C") for part in law))
+        self._lead = to_driver.mean(axis=1)
+        self._present = np.ascontiguousarray(~(broken_off(board) | np.isinf(board.series_ohms)))
+        self._nowhere = np.zeros(board.shape, dtype=np.bool_)
+        # An amplifier at a virtual ground stands at its limit long before a cell is as good as a short.
+        self._most = np.full(board.shape, 1.0 / LEAST_SHORT_OHM)
+        if board.circuit.virtual_ground:
+            self._most = MOST_WIRE / (to_driver + to_end + column_lead + LEAST_SHORT_OHM)
+        self._column_most = 1.0 / (column_lead + to_end.min(axis=0) + _SHORTED)
+
+    def __call__(
+        self, volts: FloatArray, error: float, at_limit: tuple[BoolArray, BoolArray] | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Bounds (N, M) in S on the cells behind readings (N, M) in V that are known within an ``error`` in V.
+
+        No cell is taken to conduct more than a short, and no column together than one of 0.3 ohm, but cells at a limit
+        and several of one row that stand out from their columns: these may be shorts that join columns.
+
+        Args:
+            volts: readings.
+            error: of each.
+            at_limit: (N, M) each, cells that conduct at least, and at most, what their readings say; None: nowhere.
+
+        """
+        law, (rows, columns) = self._law, volts.shape
+        drives = law.drive[0] + law.drive[1] * volts
+        own, share = ((part[0] + part[1] * volts) / drives for part in (law.current, law.potential))
+        driven = own + share * own.sum(axis=0) / np.maximum(1.0 - share.sum(axis=0), LEAST)
+        usual = np.sort(driven, axis=0)[(rows - 1) // 2]
+        short = driven > _STANDS_OUT * np.maximum(usual, 0.0)
+        short &= (np.count_nonzero(short, axis=1) > 1)[:, None]
+        limited, under_range = (self._nowhere, self._nowhere) if at_limit is None else at_limit
+        limited, under_range = np.ascontiguousarray(limited | short), np.ascontiguousarray(under_range)
+        most = np.where(limited, 1.0 / LEAST_SHORT_OHM, self._most)
+        below, above, low, high = np.empty((4, rows, columns))
+        flags = self._present, limited, under_range
+        priors = self._lead, most, self._column_most
+        written = below, above, np.empty((3, max(rows, columns))), low, high
+        answers.unchecked(np.ascontiguousarray(volts), *law, *flags, *priors, error, *written)
+        return low, high
+
+
+def are_one(low: FloatArray, high: FloatArray) -> BoolArray:
+    """Where bounds on all answers are so near that these differ by their errors only."""
+    one: BoolArray = high <= _ONE * low
+    return one
