@@ -25,8 +25,10 @@ from ..verification import (
     explore_picture,
     load_requirements,
     remedies,
+    with_front,
 )
 from . import arguments
+from ._dask import dask_executor, workers
 
 
 @click.command(epilog=arguments.example("ohmskin explore design.toml -o variations"))
@@ -36,6 +38,7 @@ from . import arguments
     "--requirements", "requirement_files", multiple=True, metavar="FILE", help="Requirements beside the design."
 )
 @click.option("-o", "--output", metavar="DIR", help="Write explore.csv and explore.svg here.")
+@workers
 @click.option("--points", type=click.IntRange(min=1), default=60, show_default=True, help="Variations in all.")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the random combinations.")
 def command(
@@ -43,10 +46,15 @@ def command(
     cell_file: str | None,
     requirement_files: tuple[str, ...],
     output: str | None,
+    jobs: int,
+    dask: str | None,
     points: int,
     seed: int,
 ) -> None:
-    """Vary a design: what each change buys, and what must change to keep its requirements."""
+    """Vary a design: what each change buys, and what must change to keep its requirements.
+
+    Each variation and each remedy is printed when it is known. What was found until a stop is written.
+    """
     design = Design.load(design_file)
     beside = [requirement for file in requirement_files for requirement in load_requirements(file)]
     requirements = (*design.requirement, *beside) or default_requirements(design)
@@ -55,12 +63,23 @@ def command(
     folder = None if output is None else make_folder(output)
     if folder is not None:
         check_writable(folder / "explore.csv", folder / "explore.svg")
+    click.echo(f"ohmskin: judging {points} variations", err=True)
     click.echo(Variation.HEAD)
+    found: list[Variation] = []
 
-    def tell(done: int, total: int, found: Variation) -> None:
-        click.echo(f"{found.line}  ({done} of {total})")
+    def tell(done: int, total: int, one: Variation) -> None:
+        found.append(one)
+        click.echo(f"{one.line}  ({done} of {total})")
 
-    variations = explore(dut, points=points, tell=tell)
+    try:
+        with dask_executor(jobs, dask) as executor:
+            variations = explore(dut, points=points, jobs=jobs, executor=executor, tell=tell)
+    except BaseException:
+        if folder is not None and found:
+            _write(folder, with_front(found), None)
+        raise
+    if folder is not None:
+        _write(folder, variations, None)
     click.echo("The Pareto front:")
     for variation in sorted(variations, key=lambda v: v.reading_error_percent):
         if variation.front or not variation.changes:
@@ -76,8 +95,12 @@ def command(
 
     for remedy in remedies(dut, requirements, progress=tell_requirement):
         click.echo(remedy.line)
-    if folder is None:
-        return
+    if folder is not None and best is not None:
+        _write(folder, variations, best)
+
+
+def _write(folder: Path, variations: list[Variation], best: Variation | None) -> None:
+    """Write the table and the picture."""
     contents: dict[str | Path, bytes | None] = {folder / "explore.csv": _table(variations, best).encode()}
     try:
         contents[folder / "explore.svg"] = explore_picture(variations).encode()

@@ -4,25 +4,21 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Iterator
-from concurrent.futures import Executor
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import click
 
 from ..cell import Cell
 from ..circuits import Design
-from ..common.extras import install_command
 from ..common.files import check_writable, make_folder, user_cache
 from ..common.tables import read_cells
 from ..common.text import printable
-from ..errors import InputError, MissingExtra
+from ..errors import InputError
 from ..verification import CATALOGUE, Claim, Report, Result, load_record, load_requirements, prototype, schema, verify
 from . import arguments
 from ._bar import progress_bar
+from ._dask import dask_executor, workers
 from ._streams import extra_output
 
 EXPORTS = (".parquet", ".nc", ".csv")
@@ -57,8 +53,7 @@ EXPORTS = (".parquet", ".nc", ".csv")
 @click.option("--against", metavar="OLD.json", help="Say what is better, worse, new or gone since that report.")
 @click.option("--samples", type=click.IntRange(min=1), default=1000, show_default=True, help="Monte Carlo boards.")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of all random numbers.")
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Processes side by side.")
-@click.option("--dask", metavar="ADDRESS", help="Compute on the workers of this Dask scheduler.")
+@workers
 @click.option("--export", metavar="FILE", help="The Monte Carlo boards as .parquet, .nc (xarray) or .csv.")
 @click.option(
     "--allow-code", is_flag=True, help="Run the Python files that requirements of the design name, with your rights."
@@ -101,8 +96,6 @@ def command(
         raise InputError("--jig: there is no board to carry it; expected --target firmware or a port")
     if target in ("emulated", "firmware") and (board != "ohmskin" or baud is not None):
         raise InputError(f"--board and --baud: of the board at a port; --target is {target}")
-    if dask and jobs > 1:
-        raise InputError("give --jobs or --dask, not both")
     design = None if design_file is None else Design.load(design_file)
     cell = None if cell_file is None else Cell.load(cell_file)
     requirements = [requirement for file in requirement_files for requirement in load_requirements(file)]
@@ -113,7 +106,7 @@ def command(
     check_writable(folder / "report.html", folder / "report.json", *([export] if export else []))
     click.get_current_context().with_resource(extra_output())  # the report is what counts
     own = (design.requirement if design is not None else ()) if requirements else ()
-    with _executor(dask) as executor, progress_bar("verifying") as progress:
+    with dask_executor(jobs, dask) as executor, progress_bar("verifying") as progress:
         report = verify(
             design,
             cell=cell,
@@ -214,21 +207,3 @@ def _catalogue() -> str:
     for q in CATALOGUE.values():
         lines.append(f"{q.name:<22} {q.unit:<16} {', '.join(q.methods):<36} {q.says}")
     return "\n".join(lines) + "\n"
-
-
-@contextmanager
-def _executor(address: str | None) -> Iterator[Executor | None]:
-    """An executor on the workers of a Dask scheduler, or None."""
-    if address is None:
-        yield None
-        return
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise MissingExtra(f"--dask needs Dask: {install_command('dask')}") from error
-    try:
-        client: Any = Client(address, timeout="10s", set_as_default=False)
-    except (OSError, ValueError) as error:
-        raise InputError(f"--dask {address}: no scheduler answers there: {error}") from error
-    with client:
-        yield client.get_executor(retries=3)

@@ -96,6 +96,7 @@ Codes = Annotated[CodeArray, "uint32[::1]"]
 # one that nobody may write to 0.1 us more than at another.
 FixedRow = Annotated[FloatArray, "Array(float64, 1, 'C', readonly=True)"]
 FixedRows = Annotated[FloatArray, "Array(float64, 2, 'C', readonly=True)"]
+FixedReasons = Annotated[NDArray[np.int8], "Array(int8, 2, 'C', readonly=True)"]
 FixedFlags = Annotated[BoolArray, "Array(boolean, 1, 'C', readonly=True)"]
 
 

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .arrays import BoolArray, FloatArray
+from .compiled import Blocks, FixedReasons, FlagRows, Rows, loop
 
 CONDUCTANCE, NOISE_VARIANCE, COLUMN_STD, HALF_STEP, COLUMN_HALF_STEP, LEAST, GREATEST, UNCERTAINTY = range(8)
 """places of the fields in :attr:`Measurement.block`"""
 FIELDS = 8
+NOISY = 3
+"""the :class:`ohmskin.circuits.Reason` of a cell that was read, but not as surely as was asked for"""
 STEP_STD = 3.0**-0.5
 """standard deviation of an error that is evenly distributed up to half a step, over that half step"""
 
@@ -57,37 +61,44 @@ class Measurement:
     @property
     def conductance(self) -> FloatArray:
         """NaN where only the bounds are known."""
-        return self._field(CONDUCTANCE)
+        field: FloatArray = self.block[CONDUCTANCE]
+        return field
 
     @property
     def noise_variance(self) -> FloatArray:
         """S^2, by noise that no other cell shares."""
-        return self._field(NOISE_VARIANCE)
+        field: FloatArray = self.block[NOISE_VARIANCE]
+        return field
 
     @property
     def column_std(self) -> FloatArray:
         """By noise that the cells of a column share; signed: one ``z`` moves cells by the signs of their entries."""
-        return self._field(COLUMN_STD)
+        field: FloatArray = self.block[COLUMN_STD]
+        return field
 
     @property
     def half_step(self) -> FloatArray:
         """Half a step of the ADC that noise does not randomise, as far as no other cell shares it."""
-        return self._field(HALF_STEP)
+        field: FloatArray = self.block[HALF_STEP]
+        return field
 
     @property
     def column_half_step(self) -> FloatArray:
         """Likewise, as far as the cells of a column share it; signed like :attr:`column_std`."""
-        return self._field(COLUMN_HALF_STEP)
+        field: FloatArray = self.block[COLUMN_HALF_STEP]
+        return field
 
     @property
     def least(self) -> FloatArray:
         """Lower bound on the conductance; 0 where there is none."""
-        return self._field(LEAST)
+        field: FloatArray = self.block[LEAST]
+        return field
 
     @property
     def greatest(self) -> FloatArray:
         """Upper bound on the conductance; infinity where there is none."""
-        return self._field(GREATEST)
+        field: FloatArray = self.block[GREATEST]
+        return field
 
     @property
     def uncertainty(self) -> FloatArray:
@@ -96,13 +107,25 @@ class Measurement:
         It covers half an ADC step and three standard deviations of the noise of every reading, and the influence of
         cells whose conductance is unknown.
         """
-        return self._field(UNCERTAINTY)
+        field: FloatArray = self.block[UNCERTAINTY]
+        return field
 
     @property
     def valid(self) -> BoolArray:
         """Cells whose uncertainty is at most the accuracy asked for."""
         valid: BoolArray = self.reason == 0
         return valid
+
+    def shown(self) -> tuple[BoolArray, FloatArray, BoolArray]:
+        """Where cells are valid, their resistances in ohm (NaN elsewhere), and where nothing was read."""
+        shape = self.reason.shape
+        valid, unread = np.empty((2, *shape), dtype=np.bool_)
+        ohm = np.empty(shape)
+        self.reason.setflags(write=False)
+        show_each.unchecked(self.block, self.reason, valid, unread, ohm)
+        for array in (valid, ohm):
+            array.setflags(write=False)  # half of the time that array.flags takes
+        return valid, ohm, unread
 
     @property
     def resistance(self) -> FloatArray:
@@ -130,9 +153,16 @@ class Measurement:
             np.where(cells & (self.reason == 0), other.reason, self.reason),
         )
 
-    def _field(self, place: int) -> FloatArray:
-        field: FloatArray = self.block[place]
-        return field
+
+@loop
+def show_each(block: Blocks, reason: FixedReasons, valid: FlagRows, unread: FlagRows, ohm: Rows) -> None:
+    """Write what :meth:`Measurement.shown` returns."""
+    for i in range(ohm.shape[0]):
+        for j in range(ohm.shape[1]):
+            why = reason[i, j]
+            valid[i, j] = why == 0
+            unread[i, j] = not (why == 0 or why == NOISY)  # noqa: PLR1714 - Numba knows no sets
+            ohm[i, j] = 1.0 / block[CONDUCTANCE, i, j] if why == 0 else math.nan
 
 
 _PLACES = {

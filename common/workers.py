@@ -12,7 +12,7 @@ import multiprocessing
 import os
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import TypeVar
@@ -24,9 +24,14 @@ R = TypeVar("R")
 
 
 def in_processes(
-    function: Callable[[T], R], items: Iterable[T], *, jobs: int, done: Callable[[R], None] | None = None
+    function: Callable[[T], R],
+    items: Iterable[T],
+    *,
+    jobs: int,
+    executor: Executor | None = None,
+    done: Callable[[R], None] | None = None,
 ) -> list[R]:
-    """``[function(item) for item in items]``, computed by ``jobs`` processes side by side.
+    """``[function(item) for item in items]``, computed by ``jobs`` processes side by side, or by an executor.
 
     The processes are spawned, so that a script which calls this needs ``if __name__ == "__main__":``. They ignore
     Ctrl-C; the exception that it raises in the parent ends them.
@@ -35,6 +40,7 @@ def in_processes(
         function: a function of a module; it and the items are pickled.
         items: one task each.
         jobs: 1 computes in this process.
+        executor: of somebody else's workers, such as Dask's, in place of processes here.
         done: called in the parent with each result as it arrives, for progress.
 
     Raises:
@@ -42,6 +48,11 @@ def in_processes(
 
     """
     tell = done or (lambda result: None)
+    if executor is not None:
+        futures = [executor.submit(function, item) for item in items]
+        for future in as_completed(futures):
+            tell(future.result())
+        return [future.result() for future in futures]
     if jobs == 1:
         results = []
         for item in items:
@@ -55,7 +66,7 @@ def in_processes(
     try:
         # A spawned process inherits the mask; Ctrl-C is for the parent to handle.
         with interrupts_blocked(), _imports_from_safe_places():
-            futures: list[Future[R]] = [pool.submit(function, item) for item in items]
+            futures = [pool.submit(function, item) for item in items]
         for future in as_completed(futures):
             tell(future.result())
         return [future.result() for future in futures]

@@ -41,7 +41,7 @@ CLOCK_DIGITS = 6
 """decimals of the seconds between frames: boards count microseconds. The estimator caches its work per length of step:
 that work takes a small skin as long as ten frames; sums of seconds would differ in their last digits"""
 
-_VALID, _UNCERTAIN, _UNSOLVED = int(Reason.VALID), int(Reason.UNCERTAIN), int(Reason.UNSOLVED)
+_UNSOLVED = int(Reason.UNSOLVED)
 
 
 class Converter:
@@ -178,12 +178,9 @@ class Converter:
         self._recent.append((frame.time_s, measured))
         measured = self._without_faulty_lines(frame.time_s, measured)
         reason = counters.reasons = measured.reason
-        valid, resistance = reason == 0, measured.resistance
-        for array in (valid, reason, resistance):
-            array.setflags(write=False)  # half of the time that array.flags takes
+        valid, resistance, unread = measured.shown()
         pressure, std = self._pressures(gap_s, measured)
         pressure.setflags(write=False)
-        unread = (reason != _VALID) & (reason != _UNCERTAIN)
         view = PressureView(frame.index, frame.time_s, pressure, std, unread)
         self.contacts.pass_by(view)
         return Converted(

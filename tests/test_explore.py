@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -114,6 +115,53 @@ def test_what_is_not_known_is_neither_zero_nor_left_out(tmp_path: Path, capsys: 
         rows = list(csv.DictReader(table))
     assert {row["settling_error_percent"] for row in rows} == {row["resolution_kpa"] for row in rows} == {""}
     assert "1" in {row["pareto_front"] for row in rows}
+
+
+def test_a_load_beyond_its_best_value_is_made_smaller_and_dominated_rows_are_not_on_the_front(tmp_path: Path) -> None:
+    """Cells of 500 to 200 ohm: at a load of 10 kohm the array uses 0.7 % of the converter, at sqrt(500 * 200) 10 %.
+
+    The design states no capacitance, so that settling errors are not known of any variation but the fastest.
+    """
+    file = tmp_path / "design.toml"
+    file.write_text(
+        "[array]\nrows = 2\ncolumns = 2\n[drive]\nvoltage = 3.3\n"
+        '[readout]\ncircuit = "voltage-divider"\nreference_resistance = 1e4\nidle_columns = "load"\n'
+        "[adc]\nbits = 12\nrange = [0.0, 3.3]\n"
+        "[cells]\nrest_resistance = 500.0\nfull_scale_resistance = 200.0\n[operation]\nframe_rate = 100.0\n"
+        '[[requirement]]\nid = "D6"\nquantity = "adc_range_used"\nmin = 8.0\nunit = "%"\n'
+    )
+    dut = DesignUnderTest(Design.load(file))
+    (remedy,) = [one for one in remedies(dut, dut.design.requirement) if one.part == "readout.reference_resistance"]
+    assert remedy.factor < 1.0
+    found = explore(dut, points=14)
+    best = next(one for one in found if one.changes.get("reference resistor") == pytest.approx(316 / 1e4, rel=0.01))
+    own = found[0]
+    assert best.reading_error_percent < own.reading_error_percent
+    assert best.crosstalk_percent < own.crosstalk_percent
+    assert not own.front
+    assert any(one.front for one in found)
+
+
+@pytest.mark.slow
+def test_processes_side_by_side_find_the_same() -> None:
+    dut = DesignUnderTest(prototype())
+    alone, side_by_side = (sorted(v.line for v in explore(dut, points=4, jobs=jobs)) for jobs in (1, 2))
+    assert alone == side_by_side
+
+
+def test_what_was_found_until_a_stop_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from ohmskin.cli import explore as command
+
+    def stopped(*_: object, tell: Callable[..., None], **more: object) -> list[Variation]:
+        for number, one in enumerate(explore(DesignUnderTest(prototype()), points=2), 1):
+            tell(number, 9, one)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command, "explore", stopped)
+    file = Path(__file__).parents[1] / "verification" / "prototype.toml"
+    assert run(["explore", str(file), "-o", str(tmp_path / "out")]) == 130
+    with (tmp_path / "out" / "explore.csv").open() as table:
+        assert len(list(csv.DictReader(table))) == 2
 
 
 def test_other_idle_lines_and_circuits_come_first() -> None:

@@ -45,7 +45,7 @@ The report: :mod:`._report`, :mod:`._record` (its JSON), :mod:`._outcome` (what 
 
 from ._catalogue import CATALOGUE
 from ._dut import DesignUnderTest
-from ._explore import Remedy, Variation, best_carbon_black, carbon_black_line, explore, remedies
+from ._explore import Remedy, Variation, best_carbon_black, carbon_black_line, explore, remedies, with_front
 from ._explore import picture as explore_picture
 from ._outcome import Claim, Outcome, Result
 from ._quantity import Quantity
@@ -77,4 +77,5 @@ __all__ = [
     "remedies",
     "schema",
     "verify",
+    "with_front",
 ]

@@ -14,9 +14,10 @@ and another circuit (:func:`wirings`).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from math import inf, isnan, nan
 from typing import Any, ClassVar, NamedTuple
 
@@ -27,12 +28,13 @@ from ..circuits import Design, Requirement
 from ..common import plots
 from ..common.arrays import BoolArray, FloatArray
 from ..common.progress import Progress, silent
+from ..common.workers import in_processes
 from ..errors import InputError, SolverError
 from ._catalogue import CATALOGUE
 from ._dut import DesignUnderTest
 from ._judging import worst_of
 from ._outcome import DoesNotApply, Measurement, NotRun, Outcome
-from ._quantity import AVERAGING, UP, WORST
+from ._quantity import AVERAGING, DOWN, UP, WORST
 from ._requirements import evaluate
 from ._units import LEAST_SHOWN, UNITS, conversion, engineering
 from .quantities import adc_headroom, output_headroom
@@ -155,6 +157,8 @@ def explore(
     dut: DesignUnderTest,
     *,
     points: int = 60,
+    jobs: int = 1,
+    executor: Executor | None = None,
     tell: Callable[[int, int, Variation], None] = lambda done, total, found: None,
 ) -> list[Variation]:
     """The design, each axis alone, and random combinations, ``points`` in all.
@@ -162,6 +166,8 @@ def explore(
     Args:
         subject: the design and its cell.
         points: how many variations.
+        jobs: processes side by side.
+        executor: of a cluster's workers, in their place.
         tell: called with each variation as it is found: its number, the number of all, and the variation without its
             place on the front.
 
@@ -170,12 +176,20 @@ def explore(
     """
     if points < 1:
         raise InputError(f"points is {points}; expected at least 1")
-    found = []
     wanted = list(_combinations(dut, points))
-    for number, changes in enumerate(wanted, 1):
-        found.append(_judged(dut, changes))
-        tell(number, len(wanted), found[-1])
-    return [replace(v, front=bool(best)) for v, best in zip(found, pareto(_compared(found)), strict=True)]
+    number = 0
+
+    def done(variation: Variation) -> None:
+        nonlocal number
+        number += 1
+        tell(number, len(wanted), variation)
+
+    return with_front(in_processes(partial(_judged, dut), wanted, jobs=jobs, executor=executor, done=done))
+
+
+def with_front(variations: list[Variation]) -> list[Variation]:
+    """The variations, each with its place on or behind the Pareto front of all."""
+    return [replace(v, front=bool(best)) for v, best in zip(variations, pareto(_compared(variations)), strict=True)]
 
 
 def _compared(variations: list[Variation]) -> FloatArray:
@@ -239,12 +253,15 @@ def _resolution_kpa(dut: DesignUnderTest, fraction: float) -> float:
 
 
 def pareto(figures: np.ndarray) -> BoolArray:
-    """Which rows (points, figures) no other row dominates; smaller is better. A row with NaN or inf is dominated."""
-    finite = np.isfinite(figures).all(axis=1)
-    front = finite.copy()
-    for index in np.flatnonzero(finite):
-        no_worse = (figures[finite] <= figures[index]).all(axis=1)
-        better = (figures[finite] < figures[index]).any(axis=1)
+    """Which rows (points, figures) no other row dominates; smaller is better.
+
+    A figure that is not known (NaN) of either of two rows is left out of their comparison; a row with an infinite
+    figure, or with none, is behind the front.
+    """
+    front = np.isfinite(figures).any(axis=1) & ~np.isinf(figures).any(axis=1)
+    for index in np.flatnonzero(front):
+        no_worse = ((figures <= figures[index]) | np.isnan(figures) | np.isnan(figures[index])).all(axis=1)
+        better = (figures < figures[index]).any(axis=1)
         front[index] = not (no_worse & better).any()
     return np.asarray(front)
 
@@ -268,10 +285,15 @@ def remedies(
                 if there is not None and (there.kept or there.value < missed.value / 2):
                     values = missed.value, there.value, missed.unit
                     yield Remedy(requirement.id, name, 0.0, *values, kept=there.kept)
-        for key, direction in CATALOGUE[requirement.quantity].mended_by:
-            remedy = _remedy(dut, requirement, key, direction, missed)
-            if remedy is not None:
-                yield remedy
+        ways = CATALOGUE[requirement.quantity].mended_by
+        for key in dict.fromkeys(key for key, _ in ways):
+            # The usual direction first; a part may be beyond its best value, so that the other one helps.
+            usual = [direction for named, direction in ways if named == key]
+            for direction in dict.fromkeys((*usual, UP, DOWN)):
+                remedy = _remedy(dut, requirement, key, direction, missed)
+                if remedy is not None:
+                    yield remedy
+                    break
 
 
 def wirings(dut: DesignUnderTest) -> dict[str, Design]:
@@ -344,6 +366,7 @@ def _combinations(dut: DesignUnderTest, points: int) -> Iterator[dict[str, float
     axes = {axis: values for axis, values in AXES.items() if absent.get(axis, axis) is not None}
     single: list[dict[str, float | str]] = [{}]
     single += [{WIRING: name} for name in wirings(dut)]
+    single += [{"reference resistor": factor} for factor in _widest_swing(dut)]
     single += [{axis: value} for axis, values in axes.items() for value in values]
     yield from single[:points]
     random = np.random.default_rng(dut.seed)
@@ -356,6 +379,18 @@ def _combinations(dut: DesignUnderTest, points: int) -> Iterator[dict[str, float
         if changes not in seen:
             seen.append(changes)
             yield changes
+
+
+def _widest_swing(dut: DesignUnderTest) -> list[float]:
+    """Factor on a divider's load at which its output changes most from rest to full scale.
+
+    That is the load sqrt(Rmin Rmax): the derivative of Rmax / (Rmax + R) - Rmin / (Rmin + R) by R is zero there.
+    """
+    load = dut.design.readout.reference_resistance
+    if not dut.design.board.circuit.mixes_cells or isinstance(load, tuple):
+        return []
+    factor = float(f"{(dut.rest * dut.pressed) ** 0.5 / load:.3g}")
+    return [factor] if factor != 1.0 else []
 
 
 def varied(dut: DesignUnderTest, changes: Mapping[str, float | str]) -> DesignUnderTest:

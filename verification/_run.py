@@ -12,7 +12,7 @@ import importlib.resources
 import json
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, as_completed
+from concurrent.futures import Executor
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -288,12 +288,7 @@ def _run_all(
     # A port has one owner: what is measured on the board is measured here, one after the other.
     in_processes(run, [task for task in left if _on_board(work, task)], jobs=1, done=take)
     apart = [task for task in left if not _on_board(work, task)]
-    if executor is None:
-        in_processes(run, apart, jobs=jobs, done=take)
-    else:
-        futures = [executor.submit(run, task) for task in apart]
-        for future in as_completed(futures):
-            take(future.result())
+    in_processes(run, apart, jobs=jobs, executor=executor, done=take)
 
 
 def _on_board(work: Work, task: Task) -> bool:

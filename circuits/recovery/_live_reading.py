@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...common.arrays import BoolArray, FloatArray
 from ...common.checks import number
-from ...common.measurement import Measurement
+from ...common.measurement import NOISY, Measurement
 from ...errors import InputError
 
 ACCURACY = 0.5
@@ -33,7 +33,7 @@ class Reason(IntEnum):
     """the current cannot be told from zero: an open cell, or a resistance far above the resolution of the converter"""
     SATURATED = 2
     """the output or the converter stands at a limit"""
-    UNCERTAIN = 3
+    UNCERTAIN = NOISY
     """ADC steps and noise leave the conductance less certain than the accuracy asked for"""
     DISTURBED = 4
     """cells of unknown value, at a limit or behind a fault, may shift the conductance by more than that accuracy"""
