@@ -19,8 +19,8 @@ tests, and the fallback for the designs that the elimination does not cover.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -60,6 +60,13 @@ class Boards:
     """F"""
     feedback_capacitance: FloatArray
     """F"""
+    ends: Mapping[str, FloatArray] = field(default_factory=dict)
+    """(S, L) values of the parts of networks, by the names of :attr:`.Design.end_parts`"""
+
+    @classmethod
+    def names(cls) -> tuple[str, ...]:
+        """The parts that every design has."""
+        return tuple(each.name for each in fields(cls) if each.name != "ends")
 
     @classmethod
     def of(cls, design: Design) -> Self:
@@ -81,25 +88,29 @@ class Boards:
             gain_bandwidth=_each(readout.gain_bandwidth, 1),
             column_capacitance=_each(readout.column_capacitance, 1),
             feedback_capacitance=_each(readout.feedback_capacitance, 1),
+            ends={key: values[None] for key, values in design.end_parts.items()},
         )
 
     @property
     def count(self) -> int:
         """S, or 1 if all boards are alike."""
-        return max(len(getattr(self, field.name)) for field in fields(self))
+        return max(map(len, (*(getattr(self, name) for name in self.names()), *self.ends.values())))
 
     def part(self, some: slice) -> Boards:
         """Some of the boards."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return Boards(**{name: value if len(value) == 1 else value[some] for name, value in values.items()})
+
+        def of(values: FloatArray) -> FloatArray:
+            return values if len(values) == 1 else values[some]
+
+        ends = {key: of(values) for key, values in self.ends.items()}
+        return Boards(**{name: of(getattr(self, name)) for name in self.names()}, ends=ends)
 
     @property
     def turned(self) -> Boards:
         """The same boards in line coordinates, of a circuit that drives columns."""
         other = {"row_lead": "column_lead", "row_segment": "column_segment"}
         other |= {theirs: ours for ours, theirs in other.items()}
-        names = (field.name for field in fields(self))
-        return Boards(**{name: getattr(self, other.get(name, name))[:, ::-1] for name in names})
+        return Boards(**{name: getattr(self, other.get(name, name))[:, ::-1] for name in self.names()})
 
     def design(self, nominal: Design, board: int) -> Design:
         """The design of one board."""
@@ -110,11 +121,13 @@ class Boards:
             return float(line[0]) if (line == line[0]).all() else tuple(line.tolist())
 
         lines = ("row_lead", "row_segment", "column_lead", "column_segment")
-        return nominal.replace(
+        built = nominal.replace(
             array={name: pick(name) for name in lines},
             drive={"voltage": pick("voltage")},
-            readout={field.name: pick(field.name) for field in fields(self) if field.name not in (*lines, "voltage")},
+            readout={name: pick(name) for name in self.names() if name not in (*lines, "voltage")},
         )
+        ends = {key: values[0 if len(values) == 1 else board] for key, values in self.ends.items()}
+        return built.with_end_parts(ends) if ends else built
 
 
 class PopulationReading(NamedTuple):

@@ -15,7 +15,7 @@ from ..common.files import check_writable, make_folder, user_cache
 from ..common.tables import read_cells
 from ..common.text import printable
 from ..errors import InputError
-from ..verification import CATALOGUE, Report, load_record, load_requirements, prototype, schema, verify
+from ..verification import CATALOGUE, Claim, Report, Result, load_record, load_requirements, prototype, schema, verify
 from . import arguments
 from ._bar import progress_bar
 from ._dask import dask_executor, workers
@@ -129,6 +129,7 @@ def command(
             progress=progress,
             allow_code=True if allow_code else _asked,
             announce=lambda said: click.echo(printable(said)),
+            tell=_say_result,
         )
     report = replace(report, explore_command=_explore_command(design_file, cell_file, requirement_files))
     if old is not None:
@@ -136,7 +137,7 @@ def command(
     paths, missing = report.write(folder)
     if export is not None:
         report.export(export)
-    _say(report)
+    _say_the_rest(report)
     for reason in missing:
         click.echo(f"ohmskin: {reason}", err=True)
     counts = ", ".join(f"{report.count(outcome)} {outcome}" for outcome in ("pass", "fail", "not run"))
@@ -144,6 +145,8 @@ def command(
         f"{report.outcome}: {counts}, {report.count('does not apply')} do not apply: "
         f"{paths.get('report.html', paths['report.json'])}"
     )
+    if report.interruption is not None:
+        raise report.interruption
     return report.exit_code
 
 
@@ -154,17 +157,24 @@ def _asked(path: Path, sha256: str) -> bool:
     return click.confirm(printable(f"{path}, SHA-256 {sha256}: run this code of the design?"), err=True)
 
 
-def _say(report: Report) -> None:
-    for r in report.results:
-        click.echo(printable(f"{r.requirement.id:>5}  {r.outcome:<14} {r.title}: {r.found} (required {r.limit})"))
-        if r.outcome != "pass" and r.measurement is not None and r.why:
-            click.echo(printable(f"       {'':14} {r.why}"))
-    for claim in report.claims:
-        click.echo(f"{claim.id:>5}  {claim.outcome:<14} {claim.title}")
-        for check in claim.finding.checks:
-            if check.outcome != "pass":
-                reason = check.found.splitlines()[-1] if check.found else ""
-                click.echo(printable(f"       {'':14} {check.name}: {reason}"))
+def _say_result(found: Result | Claim) -> None:
+    """One verdict, as soon as it is known."""
+    if sys.stderr.isatty():
+        click.echo("\r\x1b[K", nl=False, err=True)  # the progress bar comes again below
+    if isinstance(found, Result):
+        line = f"{found.requirement.id:>5}  {found.outcome:<14} {found.title}: {found.found} (required {found.limit})"
+        click.echo(printable(line))
+        if found.outcome != "pass" and found.measurement is not None and found.why:
+            click.echo(printable(f"       {'':14} {found.why}"))
+        return
+    click.echo(f"{found.id:>5}  {found.outcome:<14} {found.title}")
+    for check in found.finding.checks:
+        if check.outcome != "pass":
+            reason = check.found.splitlines()[-1] if check.found else ""
+            click.echo(printable(f"       {'':14} {check.name}: {reason}"))
+
+
+def _say_the_rest(report: Report) -> None:
     mended = [r.requirement.id for r in report.results if report.to_mend(r)]
     if mended:
         click.echo(printable(f"Which single part would mend {', '.join(mended)}: {report.explore_command}"))

@@ -164,6 +164,15 @@ def test_boards_of_all_options_have_no_wrong_cell(seed: int) -> None:
     assert tally.wrong == tally.failed == []
 
 
+@pytest.mark.parametrize("ohm", [0.0, 1e-6])
+def test_shorts_join_columns_of_one_amplifier_that_reads_them_in_turns(ohm: float) -> None:
+    design = divider(2, 2, 1.0, drive={"voltage": 1.0}).replace(
+        readout={"circuit": "inverting-amplifier", "columns": "multiplexed"}
+    )
+    volts = scan(design, [[ohm, ohm], [1e4, 1e4]]).volts
+    np.testing.assert_allclose(volts, [[-1e4, -1e4], [-1.9996, -1.9996]], rtol=1e-5)
+
+
 def test_the_judge_is_the_scan() -> None:
     design = divider(3, 4, 20.0, column_lead=10.0, readout={"idle_columns": "load"})
     cells = 10 ** np.random.default_rng(1).uniform(2.0, 4.0, (3, 4))

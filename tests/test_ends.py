@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,22 @@ import numpy as np
 import pytest
 from needs import need
 
-from ohmskin.circuits import Design, Reason, adc_codes, ideal_volts, live_recovery, recover, scan, volts_of_codes
+from ohmskin.circuits import (
+    Boards,
+    Design,
+    Reason,
+    adc_codes,
+    ideal_volts,
+    live_recovery,
+    recover,
+    scan,
+    scan_population,
+    volts_of_codes,
+)
 from ohmskin.circuits.spice import command_available, netlist, run_control
 from ohmskin.common.config import parse
 from ohmskin.errors import InputError, SolverError
+from ohmskin.verification import verify
 from ohmskin.wire import read_description, write_description
 
 GROUNDED = ["V1 line 0 0"]
@@ -337,3 +350,24 @@ def test_calls_of_subcircuits_without_parts_are_not_followed(tmp_path: Path) -> 
     )
     with pytest.raises(InputError, match=r"a \.subckt without parts"):
         Design.load(tmp_path / "design.toml")
+
+
+def test_boards_differ_in_the_parts_of_their_ends() -> None:
+    design = designed("divider, rows pulled down")
+    drawn = np.random.default_rng(1).uniform(0.9, 1.1, (3, 4)) * 33e3
+    boards = replace(Boards.of(design), ends={"column_end.R1": drawn})
+    found = scan_population(design, boards, CELLS[None]).volts
+    for volts, ohms in zip(found, drawn, strict=True):
+        np.testing.assert_array_equal(volts, scan(design.with_end_parts({"column_end.R1": ohms}), CELLS).volts)
+
+
+def test_the_worst_board_has_the_tolerance_of_a_networks_part() -> None:
+    """An amplifier's feedback that is 5 % low reads resistances 1 / 0.95 too high."""
+    parts = {"parts": ["X1 0 line out opamp", "R1 line out 20k"], "tolerance": {"R1": 0.05}}
+    rows = {"selected": NEGATIVE, "idle": GROUNDED}
+    tables = {"array": {"rows": 2, "columns": 2}, "row_end": rows, "column_end": parts}
+    design = Design.model_validate(tables | {"adc": {"bits": 16, "range": (0.0, 3.3)}})
+    (found,) = verify(design, only=("D2",)).results
+    assert found.measurement is not None
+    assert found.measurement.value == pytest.approx(100 * (1 / 0.95 - 1), rel=0.01)
+    assert "column_end.R1 low" in found.measurement.where

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,12 +18,12 @@ def _boards(design: Design, seed: int) -> Boards:
     """Boards whose every part differs by up to 30 % from line to line."""
     random = np.random.default_rng(seed)
     nominal = Boards.of(design)
-    values = {field.name: getattr(nominal, field.name) for field in fields(nominal)}
+    values = {name: getattr(nominal, name) for name in Boards.names()}
     if design.readout.columns == "multiplexed":  # its lines share one amplifier or load
         shared = ("reference_resistance", "open_loop_gain", "offset_voltage", "bias_current")
         values |= {name: values[name][:, :1] for name in shared}
     drawn = {name: value * random.uniform(0.7, 1.3, (COUNT, value.shape[1])) for name, value in values.items()}
-    sizes = {field.name: getattr(nominal, field.name).shape[1] for field in fields(nominal)}
+    sizes = {name: getattr(nominal, name).shape[1] for name in Boards.names()}
     return Boards(**{name: np.broadcast_to(value, (COUNT, sizes[name])) for name, value in drawn.items()})
 
 

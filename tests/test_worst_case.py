@@ -7,7 +7,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from worst_boards import CIRCUITS, QUANTITIES, asked, beaten, by_hand, drawn_by, random_board, stated, values
+from worst_boards import (
+    CIRCUITS,
+    QUANTITIES,
+    asked,
+    asked_in_time,
+    beaten,
+    beaten_in_time,
+    by_hand,
+    drawn_by,
+    random_board,
+    random_board_in_time,
+    stated,
+    values,
+)
 
 from ohmskin.bench._reference import reference_volts
 from ohmskin.circuits import Design, Requirement
@@ -43,6 +56,13 @@ def test_chance_does_not_beat_any_of_300_boards(first: int) -> None:
         assert beaten(design, seed, report) == {}, seed
         for quantity, value in stated(report).items():
             assert _agree(value, by_hand(design, quantity, report)), (seed, quantity)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_chance_beats_no_verdict_in_time_and_no_stress(seed: int) -> None:
+    design = random_board_in_time(seed)
+    report = verify(design, requirements=asked_in_time(design))
+    assert beaten_in_time(design, seed, report) == {}
 
 
 SMALL = Design.model_validate(

@@ -6,7 +6,9 @@ once. What it says of a stated corner comes from the exact nodal analysis of ``b
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ohmskin.bench._reference import reference_volts
-from ohmskin.circuits import Boards, Design, Requirement, scan_population
-from ohmskin.verification import Report
+from ohmskin.circuits import Boards, Design, Requirement, Settling, operating_point, scan_population, stability
+from ohmskin.errors import SolverError
+from ohmskin.verification import Report, verify
 
 Array = NDArray[np.float64]
 Pressed = NDArray[np.bool_]
@@ -95,6 +98,123 @@ def host_signal(design: Design, ohms: float) -> float:
     reference = float(np.mean(design.readout.reference_resistance))
     amplified = design.readout.circuit.endswith("amplifier")
     return abs(design.drive.voltage) * reference / (ohms if amplified else ohms + reference)
+
+
+def random_board_in_time(seed: int, *, largest: int = 3) -> Design:
+    """A board as above that takes time, and whose bandwidth, capacitances and temperature vary."""
+    random = np.random.default_rng([seed, 1])
+    circuit = str(random.choice(("inverting-amplifier", "row-amplifier", "voltage-divider")))
+    rows, columns = (int(n) for n in random.integers(1, largest + 1, 2))
+    rest = float(10 ** random.uniform(3.7, 5.0))
+    full = rest * float(10 ** random.uniform(-0.9, 0.4))
+
+    def part(low: float, high: float, widest: float = 0.4) -> dict[str, float]:
+        tolerance, drift = float(10 ** random.uniform(-2, np.log10(widest))), float(random.uniform(-1e-3, 1e-3))
+        return {"nominal": float(10 ** random.uniform(low, high)), "tolerance": tolerance} | (
+            {"temperature_coefficient": drift} if random.random() < 0.5 else {}
+        )
+
+    amplified = circuit.endswith("amplifier")
+    readout: dict[str, Any] = {"circuit": circuit, "column_capacitance": part(-10.5, -8.5)}
+    readout["reference_resistance"] = {"nominal": min(rest, full) if amplified else rest, "tolerance": 0.05}
+    if amplified:
+        readout |= {"open_loop_gain": 1e5, "gain_bandwidth": part(5.0, 6.7), "feedback_capacitance": part(-12, -10)}
+        if random.random() < 0.3:
+            readout |= {"columns": "multiplexed", "idle_columns": str(random.choice(["float", "ground"]))}
+    else:
+        readout["idle_columns"] = str(random.choice(["float", "load"]))
+    adc = {"bits": 12, "range": (-9.0, 9.0), "sampling_capacitance": 1e-11, "switch_resistance": 1e3}
+    if random.random() < 0.4:
+        adc["acquisition_time"] = 2e-6
+    return Design.model_validate(
+        {
+            "array": {
+                "rows": rows,
+                "columns": columns,
+                "row_lead": part(0.0, 2.3),
+                "column_lead": part(0.0, 3.0),
+            },
+            "drive": {"voltage": 1.0, "idle_rows": "float" if random.random() < 0.2 else "ground"},
+            "readout": readout,
+            "adc": adc,
+            "cells": {"rest_resistance": rest, "full_scale_resistance": full, "full_scale_kpa": 20.0},
+            "operation": {
+                "frame_rate": float(10 ** random.uniform(2.5, 3.7)),
+                "temperature_range": (273.15, 333.15),
+            },
+        }
+    )
+
+
+IN_TIME = ("settling_error", "fastest_scan", "phase_margin")
+BORNE = ("cell_voltage", "cell_power", "switch_current", "switch_power", "output_current")
+
+
+def drawn_design(design: Design, random: np.random.Generator, *, corner: bool) -> tuple[Design, Array]:
+    """One board of a design with cells anywhere in their range, or everything at an end."""
+
+    def share(size: int = 1) -> Array:
+        return random.choice([-1.0, 1.0], size) if corner else random.uniform(-1.0, 1.0, size)
+
+    low, high = design.operation.temperature_range or (298.15, 298.15)
+    kelvin = float((low + high) / 2 + share()[0] * (high - low) / 2) - 298.15
+    changes: dict[str, dict[str, Any]] = {}
+    for key, spread in design.spreads.items():
+        section, name = key.split(".")
+        value = np.asarray(getattr(getattr(design, section), name), dtype=float)
+        lines = design.array.rows if name.startswith("row_") else design.array.columns
+        if name in ("gain_bandwidth", "column_capacitance", "feedback_capacitance"):
+            lines = 1
+        elif section == "readout":
+            lines = 1 if design.board.multiplexed else design.board.shape[1]
+        found = value * (1.0 + spread.tolerance * share(lines) + spread.temperature_coefficient * kelvin)
+        changes.setdefault(section, {})[name] = float(found[0]) if lines == 1 else tuple(found.tolist())
+    cells = design.cells
+    assert cells is not None
+    press = (1.0 + share(design.array.rows * design.array.columns)) / 2.0
+    ohms = cells.rest_resistance + press * (cells.full_scale_resistance - cells.rest_resistance)
+    return design.replace(**changes), ohms.reshape(design.array.shape)
+
+
+def borne_and_in_time(design: Design, nominal: Design, cells: Array) -> dict[str, float]:
+    """What one board says of each quantity in time and of each stress, in the unit of the catalogue."""
+    assert nominal.cells is not None
+    assert nominal.adc is not None
+    point = operating_point(design, cells)
+    found = {
+        "cell_voltage": float(point.cell_voltage.max()),
+        "cell_power": float(point.cell_power.max()),
+        "switch_current": float(point.driver_current.max()),
+        "switch_power": float(point.driver_power.max()),
+        "output_current": float(point.output_current.max()),
+    }
+    settling = Settling(design, cells)
+    largest = max(host_signal(nominal, o) for o in (nominal.cells.rest_resistance, nominal.cells.full_scale_resistance))
+    period = 1.0 / (nominal.operation.frame_rate or 1.0) / nominal.board.shape[0]
+    found["settling_error"] = 100.0 * settling.error(period) * settling.signal / largest
+    with suppress(SolverError):
+        shortest = settling.shortest_period(min(nominal.adc.step / 4.0 / settling.signal, 0.5))
+        found["fastest_scan"] = 1.0 / shortest / nominal.board.shape[0]
+    if design.board.virtual_grounds:
+        found["phase_margin"] = float(np.nanmin(stability(design, cells).phase_margin))
+    return found
+
+
+def beaten_in_time(design: Design, seed: int, report: Report, count: int = 150) -> dict[str, tuple[float, float]]:
+    """Stated limits of stresses and of quantities in time that chance beats by more than :data:`ROOM`."""
+    random = np.random.default_rng([seed, 2])
+    says = {r.requirement.quantity: r.measurement.value for r in report.results if r.measurement is not None}
+    found: dict[str, tuple[float, float]] = {}
+    for number in range(count):
+        board, cells = drawn_design(design, random, corner=number % 2 == 0)
+        for quantity, value in borne_and_in_time(board, design, cells).items():
+            if quantity not in says:
+                continue
+            stated_value, least = says[quantity], quantity in ("fastest_scan", "phase_margin")
+            worse = value < stated_value / ROOM if least else value > ROOM * stated_value + 1e-9
+            if worse:
+                found[quantity] = stated_value, value
+    return found
 
 
 @dataclass(frozen=True)
@@ -353,3 +473,22 @@ def beaten(design: Design, seed: int, report: Report, count: int = 2000) -> dict
             if value > limit + (ROOM - 1.0) * abs(limit):
                 found[quantity] = limit, max(value, found.get(quantity, (0.0, -np.inf))[1])
     return found
+
+
+def asked_in_time(design: Design) -> list[Requirement]:
+    """The worst cases of a board in time, and what its parts bear."""
+    return [Requirement(id=name, quantity=name, max=1e9) for name in (*IN_TIME, *BORNE)]
+
+
+def main(first: int, last: int) -> None:
+    """Attack the verdicts of so many random boards, and print which were beaten."""
+    for seed in range(first, last):
+        design, in_time = random_board(seed), random_board_in_time(seed)
+        report = verify(design, requirements=asked(design), samples=200)
+        again = verify(in_time, requirements=asked_in_time(in_time))
+        found = beaten(design, seed, report) | beaten_in_time(in_time, seed, again, count=1000)
+        print(seed, design.readout.circuit, in_time.readout.circuit, found or "not beaten", flush=True)
+
+
+if __name__ == "__main__":  # python tests/worst_boards.py FIRST LAST
+    main(*map(int, sys.argv[1:3]))

@@ -47,7 +47,7 @@ from ._catalogue import CATALOGUE
 from ._dut import DesignUnderTest
 from ._explore import Remedy, Variation, best_carbon_black, carbon_black_line, explore, remedies, with_front
 from ._explore import picture as explore_picture
-from ._outcome import Outcome
+from ._outcome import Claim, Outcome, Result
 from ._quantity import Quantity
 from ._record import ReportRecord, load_record, schema
 from ._report import Report
@@ -56,12 +56,14 @@ from ._run import prototype, verify
 
 __all__ = [
     "CATALOGUE",
+    "Claim",
     "DesignUnderTest",
     "Outcome",
     "Quantity",
     "Remedy",
     "Report",
     "ReportRecord",
+    "Result",
     "Variation",
     "best_carbon_black",
     "carbon_black_line",

@@ -193,14 +193,14 @@ def slicing(dut: DesignUnderTest) -> Finding:
             "half the sheet's thickness. The geometry of the strips is the project's own. With virtual grounds on all "
             "idle lines little current goes sideways; what couples the cells of an uncut sheet is mostly the load."
         ],
-        figures=[
-            Figure(
+        figures=drawn(
+            lambda: Figure(
                 heat_maps(
                     maps, label="change of resistance / %", limit=truth, marked=pressed, values="{:.2f}", size=2.0
                 ),
                 "One cell pressed (outlined): change of each cell's apparent resistance.",
             )
-        ],
+        ),
     )
 
 

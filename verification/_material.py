@@ -14,7 +14,7 @@ from ..common import plots
 from ..common.arrays import FloatArray
 from ..errors import InputError
 from ._dut import DesignUnderTest, once
-from ._outcome import Check, Figure, Finding, Table
+from ._outcome import Check, Figure, Finding, Table, drawn
 from ._pressures import one_cell_read
 
 STEP_KPA = 15.5  # 10.0 N on one square inch (V.A)
@@ -37,14 +37,17 @@ def electrodes(dut: DesignUnderTest) -> Finding:
     loads = np.geomspace(0.05, 1.0, 20) * dut.full_scale_kpa
     ohms = contact.forward(loads.shape).step(1.0, loads)
     slope = float(np.polyfit(np.log(loads), np.log(1 / ohms - 1 / contact.rest_resistance_ohm), 1)[0])
-    with plots.drawing(1, 2) as (figure, (panels,)):
-        for panel, title, values in zip(
-            panels, ("electrodes cast in", "electrodes touching"), (bonded_ohm, contact_ohm), strict=True
-        ):
-            panel.plot(time_s, values / 1e3)
-            panel.axvspan(5, 25, color=plots.INK, alpha=0.06, lw=0)
-            panel.set(title=title, xlabel="time / s", ylabel="resistance / kΩ", ylim=(0, None))
-        picture = plots.svg(figure)
+
+    def picture() -> str:
+        with plots.drawing(1, 2) as (figure, (panels,)):
+            for panel, title, values in zip(
+                panels, ("electrodes cast in", "electrodes touching"), (bonded_ohm, contact_ohm), strict=True
+            ):
+                panel.plot(time_s, values / 1e3)
+                panel.axvspan(5, 25, color=plots.INK, alpha=0.06, lw=0)
+                panel.set(title=title, xlabel="time / s", ylabel="resistance / kΩ", ylim=(0, None))
+            return plots.svg(figure)
+
     rise = 100 * (np.median(bonded_ohm[(time_s > 15) & (time_s < 25)]) / bonded_ohm[0] - 1)
     fall = 100 * (np.median(contact_ohm[(time_s > 15) & (time_s < 25)]) / contact_ohm[0] - 1)
     return Finding(
@@ -72,7 +75,7 @@ def electrodes(dut: DesignUnderTest) -> Finding:
             "remembers; touching ones show the contact, a static power law of the force (published exponents 0.7 to "
             "1.3). The contact cell's two resistances are the project's own choice."
         ],
-        figures=[Figure(picture, f"Grey: {STEP_KPA} kPa applied.")],
+        figures=drawn(lambda: Figure(picture(), f"Grey: {STEP_KPA} kPa applied.")),
     )
 
 
@@ -111,13 +114,16 @@ def rising(dut: DesignUnderTest) -> Finding:
     deviation = float(np.abs(r - expected)[time_s <= grid[-1]].max() / expected.max())
     settled = STEP_KPA / model.eu1_kpa
     printed = model.eu1_kpa / (model.eu1_kpa * model.eu2_kpa_per_s)
-    with plots.drawing(1, 1, height=2.7) as (figure, ((panel,),)):
-        panel.plot(grid, filtered, lw=4, alpha=0.3, color=plots.INK, label="equation (3), scipy.signal.lsim")
-        panel.plot(time_s, r, label="forward model")
-        panel.axhline(settled, color=plots.ORANGE, lw=1, ls="--", label="σ / Eu1")
-        panel.set(title=f"Step of {STEP_KPA} kPa", xlabel="time / s", ylabel="r", ylim=(0, None))
-        panel.legend()
-        picture = plots.svg(figure)
+
+    def picture() -> str:
+        with plots.drawing(1, 1, height=2.7) as (figure, ((panel,),)):
+            panel.plot(grid, filtered, lw=4, alpha=0.3, color=plots.INK, label="equation (3), scipy.signal.lsim")
+            panel.plot(time_s, r, label="forward model")
+            panel.axhline(settled, color=plots.ORANGE, lw=1, ls="--", label="σ / Eu1")
+            panel.set(title=f"Step of {STEP_KPA} kPa", xlabel="time / s", ylabel="r", ylim=(0, None))
+            panel.legend()
+            return plots.svg(figure)
+
     return Finding(
         checks=[
             Check("forward model against (3): worst deviation, of the peak", deviation, 1e-3),
@@ -129,7 +135,7 @@ def rising(dut: DesignUnderTest) -> Finding:
             f"up to Eu2. As printed, the gain at rest would be 1/Eu2 = {printed:.4g} instead of 1/Eu1 = "
             f"{1 / model.eu1_kpa:.4g} per kPa. The corrected form is used."
         ],
-        figures=[Figure(picture, "A jump, an overshoot, then slow settling, as in Fig. 6.")],
+        figures=drawn(lambda: Figure(picture(), "A jump, an overshoot, then slow settling, as in Fig. 6.")),
     )
 
 
@@ -148,13 +154,16 @@ def recovery(dut: DesignUnderTest) -> Finding:
         f"T3 = {model.t3_s:.3g} s": np.exp(-time_s / model.t3_s) / model.e3_kpa,
     }
     expected = STEP_KPA * sum(branches.values())
-    with plots.drawing(1, 1, height=2.7) as (figure, ((panel,),)):
-        panel.plot(time_s, r, color=plots.INK, lw=2, label="total")
-        for label, branch in branches.items():
-            panel.plot(time_s, STEP_KPA * branch, label=label)
-        panel.set(title="Release after a long hold", xlabel="time after release / s", ylabel="r", xlim=(0, 120))
-        panel.legend()
-        picture = plots.svg(figure)
+
+    def picture() -> str:
+        with plots.drawing(1, 1, height=2.7) as (figure, ((panel,),)):
+            panel.plot(time_s, r, color=plots.INK, lw=2, label="total")
+            for label, branch in branches.items():
+                panel.plot(time_s, STEP_KPA * branch, label=label)
+            panel.set(title="Release after a long hold", xlabel="time after release / s", ylabel="r", xlim=(0, 120))
+            panel.legend()
+            return plots.svg(figure)
+
     return Finding(
         checks=[
             Check("(4)-(7) against (8): worst relative deviation", float(np.abs(printed / summed - 1).max()), 1e-12),
@@ -165,7 +174,7 @@ def recovery(dut: DesignUnderTest) -> Finding:
             ),
             Check("left after ten times T3, of the held value", float(abs(r[-1]) * model.eu1_kpa / STEP_KPA), 1e-4),
         ],
-        figures=[Figure(picture, "Recovery and its components in series, as in Fig. 8.")],
+        figures=drawn(lambda: Figure(picture(), "Recovery and its components in series, as in Fig. 8.")),
     )
 
 
@@ -201,7 +210,7 @@ def identification(dut: DesignUnderTest) -> Finding:
             "what is left, the elastic one from what went at once. `ohmskin fit` starts from these values and then "
             "fits all data."
         ],
-        figures=[_branches_figure(time_s, r, found["without noise"])],
+        figures=drawn(lambda: _branches_figure(time_s, r, found["without noise"])),
         tables=[
             Table(
                 ["coefficient", "true", *found],
@@ -252,16 +261,21 @@ def inverse_filter(dut: DesignUnderTest) -> Finding:
     estimates = side_by_side(dut, time_s, ohms)
     rising_per_s, falling_per_s = model.thresholds_per_s(dut.full_scale_kpa)
     slope = np.gradient(ohms / dut.rest, time_s)
-    with plots.drawing(2, 1, height=4.2, sharex=True) as (figure, axes):
-        top, below = axes[:, 0]
-        top.plot(time_s, slope, lw=1)
-        for level in (rising_per_s, falling_per_s):
-            top.axhline(level, color=plots.RED, lw=1, ls="--")
-        top.set(
-            title="Derivative of r and the thresholds", ylabel="dr/dt / s⁻¹", ylim=(5 * falling_per_s, 5 * rising_per_s)
-        )
-        draw(below, time_s, pressure, estimates)
-        picture = plots.svg(figure)
+
+    def picture() -> str:
+        with plots.drawing(2, 1, height=4.2, sharex=True) as (figure, axes):
+            top, below = axes[:, 0]
+            top.plot(time_s, slope, lw=1)
+            for level in (rising_per_s, falling_per_s):
+                top.axhline(level, color=plots.RED, lw=1, ls="--")
+            top.set(
+                title="Derivative of r and the thresholds",
+                ylabel="dr/dt / s⁻¹",
+                ylim=(5 * falling_per_s, 5 * rising_per_s),
+            )
+            draw(below, time_s, pressure, estimates)
+            return plots.svg(figure)
+
     settling = model.settling_slope_per_s(dut.full_scale_kpa)
     return Finding(
         checks=[
@@ -278,7 +292,7 @@ def inverse_filter(dut: DesignUnderTest) -> Finding:
             "are. Between the thresholds: the last model stays. The recovery threshold: it must exceed the slope at "
             "which a held load settles, σ Eu2/etau2², or holding reads as release."
         ],
-        figures=[Figure(picture, "The switch at work, as in Fig. 9. Dashed: the thresholds.")],
+        figures=drawn(lambda: Figure(picture(), "The switch at work, as in Fig. 9. Dashed: the thresholds.")),
     )
 
 
@@ -316,7 +330,7 @@ def steps(dut: DesignUnderTest) -> Finding:
             "letter; ours is what `ohmskin fit` chooses and finds in a recording of the calibration protocol with "
             f"{100 * READING_NOISE:g} % noise. `ohmskin bench --estimators` has them on a material without a model."
         ],
-        figures=[_press_figure(found)],
+        figures=drawn(lambda: _press_figure(found)),
     )
 
 

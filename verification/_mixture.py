@@ -10,7 +10,7 @@ from ..common import plots
 from ..common.arrays import FloatArray
 from ..errors import InputError
 from ._dut import DesignUnderTest
-from ._outcome import Check, Figure, Finding, does_not_apply
+from ._outcome import Check, Figure, Finding, does_not_apply, drawn
 
 KNOWN = 0.015  # the fraction that the paper chose, and that the shipped example cell stands for
 FRACTIONS = np.array([0.0112, 0.0125, 0.015, 0.02, 0.025, 0.03, 0.04, 0.05])
@@ -60,12 +60,12 @@ def fraction(dut: DesignUnderTest) -> Finding:
             f"family goes through the example cell at 1.5 %; threshold {100 * law.threshold:g} % and exponent "
             f"{law.exponent:g} are the project's own."
         ],
-        figures=[
-            Figure(
+        figures=drawn(
+            lambda: Figure(
                 _picture(law, fixed, chosen, eight),
                 "Left: percolation law, sensitivity (Fig. 3). Right: what the readout makes of it.",
             )
-        ],
+        ),
     )
 
 

@@ -14,7 +14,7 @@ the cube are the samples of the Monte Carlo analysis.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from math import erf, sqrt
 
 import numpy as np
@@ -141,6 +141,12 @@ class Factors:
         values = _nominal_values(design)
         return cls((), values, {key: np.zeros((len(value), 0)) for key, value in values.items()}, {})
 
+    @property
+    def ends(self) -> tuple[str, ...]:
+        """The parts of networks at the lines' ends."""
+        sections = {*SECTION.values(), "adc", "cells"}
+        return tuple(key for key in self.centre if key.partition(".")[0] not in sections)
+
     def __len__(self) -> int:
         return len(self.factors)
 
@@ -165,14 +171,15 @@ class Factors:
     def population(self, factors: FloatArray) -> Population:
         """The boards of factors (S, F)."""
         parts = {}
-        for field in fields(Boards):
-            values = self.values(f"{SECTION[field.name]}.{field.name}", factors)
-            parts[field.name] = np.maximum(values, 1.0) if field.name == "open_loop_gain" else values
+        for name in Boards.names():
+            values = self.values(f"{SECTION[name]}.{name}", factors)
+            parts[name] = np.maximum(values, 1.0) if name == "open_loop_gain" else values
+        ends = {key: self.values(key, factors) for key in self.ends}
         if "adc.gain_error" in self.centre:
             converter = np.concatenate([self.values(f"adc.{name}", factors) for name in CONVERTER], axis=1)
         else:
             converter = np.zeros((len(factors), len(CONVERTER)))
-        return Population(Boards(**parts), converter)
+        return Population(Boards(**parts, ends=ends), converter)
 
     def sample(self, random: np.random.Generator, count: int) -> FloatArray:
         """(S, F) random factors."""
@@ -215,9 +222,9 @@ class Factors:
         """The value of a negative part, whose "high" is its smaller magnitude; empty for others."""
         if key not in self.centre or len(self.centre[key]) > 1 or self.centre[key][0] >= 0:
             return ""
-        section, name = key.split(".")
+        section, _, name = key.partition(".")
         value = float(self.values(key, factors[None])[0, 0])
-        return f" ({engineering(value, UNITS[section].get(name, ''))})"
+        return f" ({engineering(value, UNITS.get(section, {}).get(name, ''))})"
 
 
 def _signs(lines: list[tuple[str, int]]) -> str:
@@ -265,7 +272,8 @@ def _own(width: FloatArray, *, shared: bool) -> Iterator[tuple[int | None, Float
 
 def _nominal_values(design: Design) -> dict[str, FloatArray]:
     boards = Boards.of(design)
-    values = {f"{SECTION[field.name]}.{field.name}": getattr(boards, field.name)[0] for field in fields(boards)}
+    values = {f"{SECTION[name]}.{name}": getattr(boards, name)[0] for name in Boards.names()}
+    values |= design.end_parts
     if design.adc is not None:
         values |= {f"adc.{name}": np.array([getattr(design.adc, name)]) for name in CONVERTER}
     return values

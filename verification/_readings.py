@@ -264,6 +264,10 @@ def _linearised(box: Box, factors: FloatArray, cells: FloatArray) -> _Linear:
             by_factor += by_part[name] @ matrix
         else:
             by_factor += _by_difference(box.design, population.boards, name, cells)[..., None] * matrix[0]
+    for key in box.factors.ends:
+        matrix = box.factors.slopes(key)
+        for line in np.flatnonzero(matrix.any(axis=1)).tolist():
+            by_factor += _by_end(box.design, population.boards, key, line, cells)[..., None] * matrix[line]
     converter = population.converter[0]
     volts = converted(box.design, found.volts, converter)
     if box.design.adc is not None:
@@ -271,6 +275,19 @@ def _linearised(box: Box, factors: FloatArray, cells: FloatArray) -> _Linear:
             moved = converted(box.design, found.volts, converter + unit)
             by_factor += ((moved - volts) / 1e-6)[..., None] * box.factors.slopes(f"adc.{name}")[0]
     return _Linear(found.volts, volts, by_factor, found.cells)
+
+
+def _by_end(design: Design, boards: Boards, key: str, line: int, cells: FloatArray) -> FloatArray:
+    """dV/d(part) (N, M) of one line's part of a network."""
+    value = boards.ends[key]
+    width = 1e-4 * abs(float(value[0, line])) or 1e-9
+    step = np.where(np.arange(value.shape[1]) == line, width, 0.0)
+    high, low = (
+        scan_population(design, replace(boards, ends={**boards.ends, key: value + sign * step}), cells[None]).volts[0]
+        for sign in (1.0, -1.0)
+    )
+    result: FloatArray = (high - low) / (2 * width)
+    return result
 
 
 def _by_difference(design: Design, boards: Boards, name: str, cells: FloatArray) -> FloatArray:

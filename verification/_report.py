@@ -31,7 +31,7 @@ from ._catalogue import CATALOGUE
 from ._dut import DesignUnderTest, everything_of
 from ._explore import may_be_mended
 from ._export import export_samples
-from ._outcome import Claim, Figure, Measurement, Outcome, Result, Table, worst
+from ._outcome import Claim, Figure, Measurement, Outcome, Result, Table, drawn, worst
 from ._parameters import MAXIMA
 from ._record import (
     SCHEMA_VERSION,
@@ -83,8 +83,8 @@ class Report:
     """the limits are the shipped defaults, not the user's"""
     changes: list[ChangeRecord] = field(default_factory=list)
     """against an older report"""
-    stopped: bool = False
-    """the run was stopped; what was not run until then says so"""
+    interruption: KeyboardInterrupt | None = None
+    """what stopped the run; what was not run until then says so"""
     explore_command: str = ""
     """that says which single parts mend failed requirements; empty: the design has no file"""
     finished: datetime = field(default_factory=lambda: datetime.now(UTC))
@@ -465,9 +465,9 @@ def _pictures(result: Result) -> list[Figure]:
         return []
     pictures = list(found.figures)
     if len(found.contributions) > 1:
-        pictures.append(_tornado(result, found))
+        pictures += drawn(lambda: _tornado(result, found))
     if found.samples:
-        pictures.append(_histogram(result, found))
+        pictures += drawn(lambda: _histogram(result, found))
     return pictures
 
 

@@ -137,7 +137,7 @@ def verify(
         tell: called with each result as soon as it is there.
 
     Returns:
-        The report. After a :class:`KeyboardInterrupt` it holds what was found until then (:attr:`Report.stopped`).
+        The report. After a :class:`KeyboardInterrupt` it holds what was found until then (:attr:`Report.interruption`).
 
     Raises:
         InputError: bad requirements, an unknown id, no samples.
@@ -164,7 +164,7 @@ def verify(
     memory = _Store(store, _fingerprint(work))
     if target != "emulated":  # another board may answer at the same port by now
         _known.pop(memory.fingerprint, None)
-    results, stopped = _compute(work, statements, memory, jobs, executor, progress, tell)
+    results, interruption = _compute(work, statements, memory, jobs, executor, progress, tell)
     name = title or ("the paper's 4 × 4 prototype" if design is None else "readout design")
     report = Report(
         title=name,
@@ -176,9 +176,9 @@ def verify(
         fingerprint=memory.fingerprint,
         require_all=require_all,
         judged_by_default=requirements is None and not dut.design.requirement,
-        stopped=stopped,
+        interruption=interruption,
     )
-    if not stopped:
+    if interruption is None:
         memory.clear()
     return report
 
@@ -207,8 +207,8 @@ def _compute(
     executor: Executor | None,
     progress: Progress,
     tell: Callable[[Result | Claim], None],
-) -> tuple[list[Result | Claim], bool]:
-    """All results in order, and whether the run was stopped; those stored are not computed again."""
+) -> tuple[list[Result | Claim], KeyboardInterrupt | None]:
+    """All results in order, and what stopped the run; those stored are not computed again."""
     names = [statement.id for statement in STATEMENTS]
     sampled = [number for number, r in enumerate(work.requirements) if r.method == SAMPLED]
     requirements = [
@@ -217,7 +217,7 @@ def _compute(
     tasks = [task for task in requirements if task.number not in sampled]
     tasks += [Task(f"claim-{s.id}", f"{s.id} {s.title}", "claim", names.index(s.id)) for s in statements]
     found: dict[str, Any] = {}
-    stopped = False
+    interruption = None
     try:
         _run_all(work, tasks, found, memory, jobs, executor, progress, tell)
         if sampled:
@@ -233,12 +233,12 @@ def _compute(
                 keep(work.dut, samples_of, (sampler.target, share), values)
             last = [requirements[number] for number in sampled]
             _run_all(work, last, found, memory, 1, None, progress, tell)
-    except KeyboardInterrupt:
-        stopped = True
+    except KeyboardInterrupt as stopped:
+        interruption = stopped
     results = [found.get(task.key) or stopped_result(work.requirements[task.number]) for task in requirements]
     stood = not_run("experiment", STOPPED)
     claims = [found.get(f"claim-{s.id}") or Claim(s.id, s.title, s.where, s.says, stood) for s in statements]
-    return [*results, *claims], stopped
+    return [*results, *claims], interruption
 
 
 def _samplers(work: Work, sampled: list[int]) -> Iterator[tuple[int, Sampler]]:

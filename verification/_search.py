@@ -39,6 +39,8 @@ MOST_WORK = 1_500_000
 """cells that are solved, all frames of all flips together, while corners are improved"""
 MOST_FLIPS = 400_000
 """cells of all flips of one corner, up to which flips are solved"""
+MOST_NEAR = 200_000
+"""cells of all flips near the worst cell, up to which they are solved where not all are"""
 FIRST_ORDER_BEYOND = 100
 """cells of an array beyond which corners are improved by derivatives before their flips are solved"""
 _FEWEST = 4  # corners that are improved on the largest arrays
@@ -378,12 +380,23 @@ class _Search:
 
     def _moves(self, corner: Corners) -> tuple[BoolArray, FloatArray]:
         """Coordinates (K, D) that are moved together, and where to: single ones near the judged cell, and lines."""
-        near = np.flatnonzero(self.free & self.box.near(*self.target.place(self.box, corner)))
+        near = np.flatnonzero(self._near(corner))
         singles = np.eye(self.box.size, dtype=np.bool_)[near]
         flipped = np.broadcast_to(np.where(corner.x[0] > 0, -1.0, 1.0), singles.shape)
         lines = self.box.lines() & self.free
         ones = np.ones(lines.shape)
         return np.concatenate([singles, lines, lines]), np.concatenate([flipped, ones, -ones])
+
+    def _near(self, corner: Corners) -> BoolArray:
+        """(D,) parts, and cells near the worst one; of them only that one where many cost too much."""
+        row, column = self.target.place(self.box, corner)
+        near = self.free & self.box.near(row, column)
+        if near.sum() * self.target.cost(self.box) > MOST_NEAR:
+            parts, place = len(self.box.factors), row * self.box.shape[1] + column
+            near[parts:] = False
+            near[[parts + place, parts + self.box.cells + place]] = True
+            near &= self.free
+        return near
 
     def _refined(self, found: _Climbed) -> _Climbed:
         """Line searches within the box from each of some corners, and flips from where they lead."""
@@ -409,7 +422,7 @@ class _Search:
         """The best point (D,) that differs from a corner in one coordinate, and its value."""
         looked_at = self.free.copy()
         if self.box.cells > FIRST_ORDER_BEYOND or not self.exact:
-            looked_at &= self.box.near(*self.target.place(self.box, corner))
+            looked_at = self._near(corner)
         free, parts = np.flatnonzero(looked_at), len(self.box.factors)
         fine = [k for k in free if self.target.in_time and k < parts and self.box.factors.factors[k].line is None]
         best_x, best = corner.x[0], value

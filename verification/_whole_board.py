@@ -13,7 +13,17 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..circuits import Boards, BoardsInTime, OperatingPoint, operating_point, stability_of_boards
+from ..circuits import (
+    Boards,
+    BoardsInTime,
+    Design,
+    Event,
+    EventScan,
+    OperatingPoint,
+    Scan,
+    operating_point,
+    stability_of_boards,
+)
 from ..common.arrays import FloatArray
 from ..errors import SolverError
 from ._box import Box, Corners
@@ -68,6 +78,8 @@ class InTimeTarget(WholeBoardTarget):
 
     def cost(self, box: Box) -> float:
         rows, columns = box.design.board.shape
+        if goes_by_events(box.design):
+            return 400.0 * box.cells  # a matrix exponential for each reading
         turns = columns if box.design.board.circuit.columns_one_by_one(box.design.board) else 1
         groups = rows if box.design.board.floating else 1
         return float(box.cells + 3 * groups * turns * columns**2)
@@ -103,6 +115,9 @@ class SettlingTarget(InTimeTarget):
     name: str = "settling error"
 
     def of_boards(self, box: Box, boards: Boards, cells: FloatArray) -> FloatArray:
+        if goes_by_events(box.design):
+            scans = [scan_in_time(boards.design(box.design, b), frame, self.period) for b, frame in enumerate(cells)]
+            return np.stack([np.maximum(np.abs(s.sampled - s.settled) / self.signal, SETTLED) for s in scans])
         in_time = BoardsInTime(box.design, boards, cells)
         share = np.maximum(in_time.deviations(self.period).larger / self.signal, SETTLED)
         return share * within_supply(box, in_time.settled)
@@ -167,6 +182,16 @@ class LeakageTarget(OperatingTarget):
         with np.errstate(divide="ignore", invalid="ignore"):
             share: FloatArray = self.amperes * point.leakage / np.abs(point.signal)
         return share
+
+
+def goes_by_events(design: Design) -> bool:
+    """Whether a scan is a list of events, or its ends are networks, which are followed event by event."""
+    return design.scan is not None or design.is_described
+
+
+def scan_in_time(design: Design, cells: FloatArray, period: float) -> EventScan:
+    """One frame by the events of the design, or of networks without events by a sample at the end of each period."""
+    return EventScan(design, cells, design.scan or Scan(row=(Event(wait=period),), conversion_time=0.0))
 
 
 def shortest_periods(box: Box, corners: Corners, allowed: float) -> FloatArray:

@@ -26,7 +26,7 @@ from ..emulator.firmware import BoardSettings as FirmwareSettings
 from ..errors import InputError
 from ._dut import DesignUnderTest
 from ._maps import heat_maps
-from ._outcome import Check, Figure, Finding, NotRun, Table, not_run
+from ._outcome import Check, Figure, Finding, NotRun, Table, drawn, not_run
 from ._pressures import contacts, runs
 from .quantities import fastest_scan
 
@@ -107,10 +107,10 @@ def _emulated(dut: DesignUnderTest) -> Finding:
             f"touched above {100 * TOUCHED:g} % of full scale; frames within 0.3 s of a change are left out of that "
             "comparison. Time is the board's: this machine's speed decides nothing.",
         ],
-        figures=[
-            _traces(received, dut.full_scale_kpa),
-            _snapshot(received, dut.full_scale_kpa),
-        ],
+        figures=drawn(
+            lambda: _traces(received, dut.full_scale_kpa),
+            lambda: _snapshot(received, dut.full_scale_kpa),
+        ),
     )
 
 
@@ -181,7 +181,7 @@ def _firmware(dut: DesignUnderTest) -> Finding:
             "modelled circuit answers each conversion with the voltage at its sample instant, settling after the row "
             "switch included.",
         ],
-        figures=[_traces(received, full)],
+        figures=drawn(lambda: _traces(received, full)),
         tables=[
             Table(
                 ["dwell", "largest error of the firmware", "of the settling model"],

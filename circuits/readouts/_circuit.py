@@ -169,7 +169,8 @@ class ReadoutCircuit(ABC):
         if pair is not None:
             low, high = sorted(map(board.driven_line, pair))
             return Contradiction(f"the {of_rows} drivers {low} and {high}", f"array.{of_rows}_lead")
-        pair = _same_island(columns)
+        alone = self.columns_one_by_one(board) and board.shared_by >= board.shape[1] and board.idle_resistance.all()
+        pair = None if alone else _same_island(columns)  # alone: one amplifier is connected at a time
         if pair is not None:
             low, high = sorted(map(board.sensed_line, pair))
             return Contradiction(

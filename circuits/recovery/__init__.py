@@ -25,12 +25,13 @@ says of its own conductance and of its column (:meth:`..readouts.ReadoutCircuit.
 :mod:`._law_errors`           their errors by quantisation and noise
 :mod:`._factors`              everything beyond these laws, as one factor for each cell
 :mod:`._enclosure`            cells beside others whose readings do not determine them
+:mod:`._answers`              bounds on all answers, where readings may have several
 :mod:`._measured`             all as measurements in siemens
 ============================  =====================================================================================
 
-Dividers with floating rows, where all cells take part in every reading: :mod:`._live_fit`, with :mod:`._node_blocks`
-and :mod:`._port_derivatives` on large arrays and :mod:`._sheet_model` for a continuous sheet. The model of both is
-:mod:`._quick_model`, with the shared wire of a line's cells by :mod:`._lines`.
+Single frames that the laws leave open, and dividers with floating rows, where all cells take part in every reading:
+:mod:`._live_fit`, with :mod:`._node_blocks` and :mod:`._port_derivatives` on large arrays and :mod:`._sheet_model` for
+a continuous sheet. The model of both is :mod:`._quick_model`, with the shared wire of a line's cells by :mod:`._lines`.
 """
 
 from ._conditioning import Conditioning, conditioning

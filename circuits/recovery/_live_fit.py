@@ -154,7 +154,7 @@ class FitLive:
         per_volt = np.abs(board.circuit.conductance_slope(board, np.zeros(board.shape)))
         self._least = np.log(_LEAST_READING * self._half_step * per_volt).ravel()
         self._most = np.log(_AS_SHORT / (self._leads + LEAST_SHORT_OHM)).ravel()
-        self._several = several_answers(board)
+        self._several = several_answers(board) and not board.circuit.virtual_ground
         self._log: FloatArray | None = None
         self._linear: _Linear | None = None
         self._read: FloatArray = np.ones(cells)

@@ -109,7 +109,9 @@ class LawLive:
         beside_end = np.abs(to_end - to_end.mean(axis=0)).max(axis=0)
         self._beside_law = beside_end / np.maximum(self._law.behind, beside_end + LEAST)  # share that segments change
         self._fit = None
-        if board.circuit.mixes_cells and self._answers is None and board.shape[0] * board.shape[1] <= MOST_BESIDE:
+        amplified = bool(board.bridges) and board.circuit.virtual_ground
+        fits = amplified or (board.circuit.mixes_cells and self._answers is None)
+        if fits and board.shape[0] * board.shape[1] <= MOST_BESIDE:
             self._fit = FitLive(board, rule)
         self.usual: UsualReading | None = self._usual_frames(board)
         self._impossible = 0
@@ -169,6 +171,7 @@ class LawLive:
             answers = self._answers(volts, errors.error, unknowns)
         opened, enclosed = unknowns is not None or errors.opens, None
         beyond = opened or bool(self._board.bridges)  # bridges mix lines beyond what factors follow
+        beyond = beyond and (unknowns is None or self._board.circuit.mixes_cells)
         if beyond and self._fit is not None and self._factors is not None and _lone(ports, errors):
             return self._fit.read(volts, limited, faint, noise, ports.cells)
         if self._factors is None:

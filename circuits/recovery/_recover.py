@@ -124,8 +124,9 @@ class Recoverer:
             self._unread[fault.place] |= fault.ohms == 0
             self._cut_off[fault.place] &= fault.ohms > 0
         self._model = Model(design.replace(fault=tuple(kept)))
-        # A follower leaves other answers only beside shorts.
-        several = several_answers(board) and not (board.circuit.drives_idle_lines or board.floating)
+        # A follower leaves other answers only beside shorts; of columns in groups no bounds are known.
+        several = several_answers(board) and board.shared_by >= board.shape[1]
+        several = several and not (board.circuit.drives_idle_lines or board.floating)
         self._answers = Answers(board) if several else None
         self._inverter = Inverter(self._model, self._unread, accuracy)
         self._envelope = Envelope(self._model, self._unread, accuracy, self._most)

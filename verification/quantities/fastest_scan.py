@@ -6,15 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...circuits import Design, EventScan, Requirement
-from ...errors import InputError, SolverError
+from ...circuits import Requirement
 from .._dut import DesignUnderTest
 from .._hardware import Readings
 from .._judging import box_of, measured, worst_of
 from .._outcome import Measurement, NotRun
 from .._quantity import Quantity, Shipped
-from .._whole_board import SettlingTarget, shortest_periods
-from .settling_error import QUICK, require_linear
+from .._whole_board import SettlingTarget, goes_by_events, shortest_periods
+from .settling_error import QUICK, frame_time, require_linear
 
 MOST_SEARCHES = 4
 NEAR = 1e-3
@@ -33,6 +32,8 @@ def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Mea
     if design.scan is not None:
         return Measurement(1.0 / frame_time(design), "Hz", where="by the events of [scan]")
     require_linear(dut)
+    if goes_by_events(design):
+        raise NotRun("missing: [scan], the events of a frame")
     allowed, box = design.adc.step / 4, box_of(dut)
     starts = SettlingTarget(1.0, allowed).starts(box)
     periods = shortest_periods(box, starts, allowed)
@@ -53,17 +54,6 @@ def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Mea
     if period <= 0 or found is None:
         raise NotRun("nothing limits the scan")
     return measured(replace(found, corner=corner), 1.0 / (period * design.board.shape[0]), "Hz")
-
-
-def frame_time(design: Design) -> float:
-    """s of a frame by its events. Raises NotRun where the circuit has no model in time."""
-    try:
-        seconds = EventScan(design, np.full(design.array.shape, 1e4)).frame_time
-    except (InputError, SolverError) as error:
-        raise NotRun(str(error)) from error
-    if not seconds:
-        raise NotRun("the events of [scan] take no time; missing: adc.acquisition_time or scan.conversion_time")
-    return seconds
 
 
 def _measured(dut: DesignUnderTest, readings: Readings) -> Measurement:

@@ -6,17 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...circuits import (
-    Boards,
-    BoardsInTime,
-    Event,
-    EventScan,
-    Requirement,
-    Scan,
-    Settling,
-    ideal_volts,
-    scan_batch,
-)
+from ...circuits import Boards, BoardsInTime, Design, EventScan, Requirement, Settling, ideal_volts, scan_batch
 from ...common import plots
 from ...errors import InputError, SolverError
 from .._dut import DesignUnderTest, once
@@ -25,7 +15,7 @@ from .._outcome import Figure, Measurement, NotRun, drawn
 from .._quantity import DOWN, SPICE, UP, WORST, Quantity, Shipped
 from .._search import WorstCase
 from .._units import engineering
-from .._whole_board import SettlingTarget
+from .._whole_board import SettlingTarget, goes_by_events, scan_in_time
 
 QUICK = (
     ("readout.gain_bandwidth", UP),
@@ -59,10 +49,14 @@ def largest_signal(dut: DesignUnderTest) -> float:
     design = dut.design
     cells = np.stack([np.full(design.array.shape, ohms) for ohms in (dut.rest, dut.pressed)])
     try:
-        in_time = BoardsInTime(design, Boards.of(design), cells)
+        if goes_by_events(design):
+            scan_in_time(design, cells[0], 1.0)
+            takes_time = True
+        else:
+            takes_time = BoardsInTime(design, Boards.of(design), cells).takes_time
     except (InputError, SolverError) as error:
         raise NotRun(str(error)) from error
-    if not in_time.takes_time:
+    if not takes_time:
         first = "readout.gain_bandwidth" if design.board.circuit.has_amplifiers else "readout.column_capacitance"
         raise NotRun(f"missing: {first}, or adc.switch_resistance with adc.sampling_capacitance: nothing takes time")
     return float(np.abs(ideal_volts(design, cells) - design.readout.reference_voltage).max())
@@ -82,38 +76,23 @@ def require_linear(dut: DesignUnderTest) -> None:
         raise NotRun("settling is linear: an output saturates with nominal parts")
 
 
-def by_events(dut: DesignUnderTest, requirement: Requirement) -> Measurement:
-    """The largest deviation in a few frames of cells at rest and pressed, by the events of ``[scan]``.
-
-    Without ``[scan]`` a row's event is a wait for the row period. Raises NotRun where the circuit has no linear model.
-    """
-    design = dut.design
-    events = design.scan or Scan(row=(Event(wait=1.0 / (rate_of(dut, requirement) * design.array.rows)),))
-    row, column = np.indices(design.array.shape)
-    frames = {"every other row": row % 2, "every other column": column % 2, "a chequerboard": (row + column) % 2}
-    worst, where, seconds, signal = 0.0, "", 0.0, 0.0
-    for name, pressed in frames.items():
-        try:
-            timed = EventScan(design, np.where(pressed == 1, dut.pressed, dut.rest), events)
-        except (InputError, SolverError) as error:
-            raise NotRun(str(error)) from error
-        signal = max(signal, float(np.abs(timed.settled - design.board.level).max()))
-        deviation = np.abs(timed.sampled - timed.settled)
-        place, seconds = np.unravel_index(np.argmax(deviation), deviation.shape), timed.frame_time
-        if deviation[place] > worst:
-            worst, where = float(deviation[place]), f"cell {tuple(map(int, place))}; pressed: {name}"
-    said = [f"The events of a frame take {engineering(seconds, 's')}, and nominal parts settle in them."]
-    wanted = requirement.conditions.frame_rate or design.operation.frame_rate
-    if wanted and seconds * wanted > 1.0 + 1e-9:
-        return Measurement(np.inf, "%", where=f"at {engineering(wanted, 'Hz')} a frame is too short", text=said)
-    return Measurement(100 * worst / signal if signal else 0.0, "%", where=where, text=said)
+def frame_time(design: Design) -> float:
+    """s of a frame by its events. Raises NotRun where the circuit has no model in time."""
+    try:
+        seconds = EventScan(design, np.full(design.array.shape, 1e4)).frame_time
+    except (InputError, SolverError) as error:
+        raise NotRun(str(error)) from error
+    if not seconds:
+        raise NotRun("the events of [scan] take no time; missing: adc.acquisition_time or scan.conversion_time")
+    return seconds
 
 
 def settling_error(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
-    if dut.design.is_described or dut.design.scan is not None:
-        return by_events(dut, requirement)
     rate = rate_of(dut, requirement)
     require_linear(dut)
+    if dut.design.scan is not None and (seconds := frame_time(dut.design)) * rate > 1.0 + 1e-9:
+        where = f"the events of a frame take {engineering(seconds, 's')}: at {engineering(rate, 'Hz')} it is too short"
+        return Measurement(np.inf, "%", where=where)
     lines, adc = dut.design.board.shape, dut.design.adc
     period = 1.0 / (rate * lines[0])
     if adc is not None and period < adc.acquisition_time * lines[1]:
@@ -126,7 +105,7 @@ def settling_error(dut: DesignUnderTest, requirement: Requirement, method: str) 
 
 def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
     found = settling_error(dut, requirement, method)
-    if not np.isfinite(found.value) or dut.design.is_described or dut.design.scan is not None:
+    if not np.isfinite(found.value) or goes_by_events(dut.design):
         return found
     rate = rate_of(dut, requirement)
     return replace(found, figures=drawn(lambda: _figure(dut, rate, worst_settling(dut, rate))))
