@@ -160,7 +160,7 @@ def _check_card(card: _Card, path: str) -> None:
     if not card.text.isascii() or not card.text.isprintable() or "`" in card.text:
         raise InputError(f"{where}: expected plain ASCII text outside comments, got '{shown}'")
     if first.startswith("."):
-        if first not in CARDS:
+        if first not in CARDS or first != card.text.split()[0].lower():
             raise InputError(f"{where}: '{shown}' is not part of a model; expected only {', '.join(CARDS)}")
         if first == ".model":
             _check_model_type(card, where, shown)
@@ -189,11 +189,11 @@ def _statements(content: str, path: str) -> Iterator[_Card]:
         if line.startswith("+"):
             parts.append(line[1:])
             continue
-        if parts:
-            yield _Card(start, " ".join(" ".join(parts).split()))
+        if text := " ".join(" ".join(parts).split()):
+            yield _Card(start, text)
         start, parts = number, [line]
-    if parts and " ".join(parts).split():
-        yield _Card(start, " ".join(" ".join(parts).split()))
+    if text := " ".join(" ".join(parts).split()):
+        yield _Card(start, text)
 
 
 def _check_model_type(card: _Card, where: str, shown: str) -> None:

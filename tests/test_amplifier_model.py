@@ -169,6 +169,7 @@ HOSTILE = [
     (".subckt S 1 2\nX1 1 2 S\n.ends", None),
     (".subckt S 1 2", "has no .ENDS"),
     (".ends", ".ENDS without .SUBCKT"),
+    (".func= f(x) {x}", "is not part of a model"),
     ("$CDNENCSTART_ADV2", "the model is encrypted"),
 ]
 
@@ -246,6 +247,11 @@ def test_a_model_decides_neither_memory_nor_time(
     (folder / "opa.lib").write_text(MODEL.replace("\xe9", "").replace("\xb5", "").replace("Rin", more + "\nRin", 1))
     with pytest.raises(SolverError, match=said):
         spice.dynamic_reading(_design(folder), CELLS, 0, period=1.0, analyses=["transient"])
+
+
+def test_a_continuation_of_nothing_is_nothing(folder: Path) -> None:
+    (folder / "opa.lib").write_bytes(b"+\n+ \n" + MODEL.encode("latin-1"))
+    assert _design(folder).readout.amplifier_model is not None
 
 
 def test_supply_pins_need_a_supply(folder: Path) -> None:
