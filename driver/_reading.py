@@ -179,8 +179,10 @@ class CountReader:
         own, _, every, _ = found.errors
         by_step = self._step / _STEP_OVER_STD
         self._resolution = own * by_step, found.resistance, every * by_step, self._recover.scales_columns
-        # Cells that are unsettled, or judged before the noise was measured, may change with another frame like this.
-        final = self._noise.frames > 1 and not (self._in_doubt or (reason == _UNSETTLED).any())
+        # Cells that are unsettled, or judged before the noise was measured, may change with another frame like this;
+        # so may all cells where none is known.
+        settled = not (reason == _UNSETTLED).any() and not np.isnan(found.resistance).all()
+        final = self._noise.frames > 1 and settled and not self._in_doubt
         self._counts, self._kept = same, made if final else None
         return made
 

@@ -151,6 +151,8 @@ class FitLive:
             for ohms in (self._leads, np.zeros(board.shape))
         )
         self._short, self._full = np.where(self._gone, inf, ideal), most  # V, of a short with and without leads
+        at_ends = np.abs(board.circuit.ideal_volts(board, board.row_ohms[:, :1] + board.column_lead) - board.level)
+        self._beyond = np.where(self._gone | board.circuit.virtual_ground, inf, at_ends)  # V, no cells read more
         per_volt = np.abs(board.circuit.conductance_slope(board, np.zeros(board.shape)))
         self._least = np.log(_LEAST_READING * self._half_step * per_volt).ravel()
         self._most = np.log(_AS_SHORT / (self._leads + LEAST_SHORT_OHM)).ravel()
@@ -196,7 +198,12 @@ class FitLive:
             unread |= faint & (signal > error)
         small = self._cells <= MOST_BESIDE
         short = signal >= _SHORT_SHARE * self._short
-        if (unread.any() and not small) or (self._nodes is not None and short.any()):
+        # No way between two lines conducts better than a short of their ends.
+        beyond = (signal > self._beyond + _MISFIT * error) & ~unread
+        if beyond.any() or (unread.any() and not small) or (self._nodes is not None and short.any()):
+            self._in_vain = self._in_vain + 1 if beyond.any() else 0
+            if self._in_vain > _OFTEN:
+                raise SolverError(_NO_CELLS)
             return self._nothing(DISTURBED, unread | short)
         read: FloatArray = np.where(unread.ravel(), 0.0, 1.0)
         if self._linear is not None and (read != self._read).any():
