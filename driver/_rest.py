@@ -74,7 +74,7 @@ class Rest:
 
     def take(self, reading: Measurement) -> None:
         """Measure the spread of the cells every few frames."""
-        if self.known or self.measured_spread == 0.0 or not self._systematic.tabulated:
+        if self.known or self.measured_spread == 0.0:
             return
         self._frames += 1
         if self._frames == 1 or self._frames % LOOK_EVERY == LOOK_AT:

@@ -9,7 +9,7 @@ filter sees them:
 A third error is noise that the estimator hardly measures, since only pressed cells have it: on boards whose cells share
 a current, a hard press lets the noise of all readings of the column count in each of its cells.
 
-All three are relative errors of a resistance. The slope of the cell's static curve converts them to kPa.
+All three are relative errors of a resistance. The slope of the cell's equilibrium curve converts them to kPa.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from functools import partial
 
 import numpy as np
 
-from ..cell import Cell
+from ..cell import Cell, ContactModel
 from ..common.arrays import FloatArray
 from ..common.compiled import Blocks, FixedRows, Row, Rows, loop
 from ..common.measurement import (
@@ -33,37 +33,33 @@ from ..common.measurement import (
     Measurement,
 )
 
-STEP = 5e-4
-"""relative change of a resistance over which the slope of the static curve is taken"""
-RANGE, POINTS = math.log(300.0), 4001
-"""range of the slope table, from rest to this factor (as a logarithm) up and down, and its number of points"""
 LOOK_UP = 4096
 """evenly spaced pressures of the look-up table: interpolation would take as long as everything else together"""
+STEEPEST = 20.0
+"""largest slope over the usual one, where the curve is flat"""
 MARGIN = 0.005
-"""fraction of full scale; pressures this near to the ends of the static curve, where it is cut off, are left out"""
+"""fraction of full scale, below which the slope is that of this pressure: contacts begin with a curve of their own"""
 
 
 class SystematicError:
     """Variance of pressures by errors that averaging over time does not reduce."""
 
     def __init__(self, cell: Cell) -> None:
-        """Tabulate the slope of the cell's static curve by resistance and by rest resistance."""
-        self._rest_ohm = cell.rest_resistance_ohm
-        ohms = self._rest_ohm * np.exp(np.linspace(-RANGE, RANGE, POINTS))
-        pressure = _static(cell, ohms, self._rest_ohm)
-        by_reading = np.abs(_static(cell, ohms * (1 + STEP), self._rest_ohm) - pressure) / STEP
-        by_rest = np.abs(_static(cell, ohms, self._rest_ohm * (1 + STEP)) - pressure) / STEP
-        margin = MARGIN * cell.full_scale_kpa
-        inside = np.flatnonzero((pressure > margin) & (pressure < pressure.max() - margin))
-        order = inside[np.argsort(pressure[inside])]
-        self._kpa_of_rest = float(by_rest[order[0]]) if order.size else 0.0
-        self.tabulated = order.size > 0
-        self._pressure = np.linspace(0.0, cell.full_scale_kpa, LOOK_UP)
-        self._slopes_squared = np.zeros((2, LOOK_UP))
+        """Tabulate the slope of the cell's equilibrium curve by resistance and by rest resistance."""
+        full = cell.full_scale_kpa
+        self._pressure = np.linspace(0.0, full, LOOK_UP)
+        load = np.linspace(MARGIN, 1.0, LOOK_UP)
+        ohm = cell.equilibrium_ohm(load)
+        slope = np.abs(np.gradient(np.log(ohm), full * load))
+        by_reading = 1.0 / np.maximum(slope, max(float(np.median(slope)) / STEEPEST, np.finfo(np.float64).tiny))
+        by_rest = by_reading
+        if isinstance(cell.model, ContactModel) and cell.estimators is None:  # their conductances add up
+            by_rest = by_reading * ohm / cell.rest_resistance_ohm
+        self._kpa_of_rest = float(by_rest[0])
+        self._slopes_squared = np.square(
+            [np.interp(self._pressure, full * load, each) for each in (by_reading, by_rest)]
+        )
         """kPa^2 per squared relative error: row 0 of the reading, row 1 of the rest resistance"""
-        if self.tabulated:
-            for row, slope in enumerate((by_reading, by_rest)):
-                self._slopes_squared[row] = np.interp(self._pressure, pressure[order], slope[order]) ** 2
         self._relative: FloatArray | None = None
 
     def kpa_of_rest(self, relative: float) -> float:
@@ -154,8 +150,3 @@ def add_variances(
                     place += 1
             found = relative_variance[i, j] * slopes_squared[0, place]
             variance[i, j] = math.sqrt(variance[i, j] + (found + slopes_squared[1, place] * rest_variance))
-
-
-def _static(cell: Cell, ohms: FloatArray, rest_ohm: float) -> FloatArray:
-    """Pressures of a cell that has had each of these resistances for a long time (steady state)."""
-    return cell.estimator(ohms.shape, "static", rest_resistance_ohm=rest_ohm, noise=0.0).step(1.0, ohms)
