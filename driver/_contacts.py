@@ -51,8 +51,10 @@ WAKE_SHARE, WAKE_S = 0.15, 1.0
 leaves in the estimates behind it and beside it is less, and is no contact"""
 SPARK_S, STANDS_OUT = 0.1, 8.0
 """a new patch within one row or column may be a disturbance of the converter: it is a contact in its second frame. One
-that may be a bad contact (a lone cell, or part of a line as a bad line moves it) is one after this time, unless it
-exceeds this many standard deviations, since the estimator judges such jumps itself"""
+that electrical faults may have made (:meth:`ContactTracker._may_be_fault`) is one after this time, unless it rose over
+several frames and exceeds this many standard deviations: a fault comes and goes at once"""
+AT_ONCE, ALIKE = 0.5, 0.5
+"""share of a pressure that comes with one frame in a jump; least pressure in faulty lines over their largest"""
 LONGEST_IN_LINE = 3
 """cells within one line that a stylus covers"""
 
@@ -121,6 +123,10 @@ class ContactTracker:
         self._pressed_s = np.full(shape, np.inf)
         """(rows, columns) time since which a cell shows a pressure, however uncertain; infinite for the others"""
         self._most_drift_kpa, self._drift_kpa_per_s = drift_kpa, drift_kpa / KNOWN_DRIFT * DRIFT_PER_S
+        self._step_kpa = np.zeros(shape)
+        """(rows, columns) largest rise from one frame to the next since a cell shows a pressure; 0 for the others"""
+        self._last_kpa = np.zeros(shape)
+        """(rows, columns) pressures of the last frame"""
         self._drift_kpa = np.zeros(shape)
         """(rows, columns) part of the pressure that drift may have caused"""
         self._wake_kpa = np.zeros(shape)
@@ -151,6 +157,8 @@ class ContactTracker:
         pressed = pressure_kpa > START_SHARE * self.full_scale_kpa
         # In the first frame: most likely these cells have been pressed for longer than sparks last.
         since_s = -math.inf if math.isinf(self._time_s) else time_s
+        self._step_kpa = np.where(pressed, np.maximum(self._step_kpa, pressure_kpa - self._last_kpa), 0.0)
+        self._last_kpa = np.where(np.isfinite(pressure_kpa), pressure_kpa, 0.0)
         self._pressed_s = np.where(pressed, np.minimum(self._pressed_s, since_s), np.inf)
         elapsed_s = 0.0 if math.isinf(self._time_s) else max(time_s - self._time_s, 0.0)
         self._wake_kpa *= math.exp(-elapsed_s / WAKE_S)
@@ -211,7 +219,7 @@ class ContactTracker:
             return none, []
         connected = np.where(kept, np.cumsum(kept), 0)[found]
         labels = part(connected, pressure_kpa, std_kpa, begins, self._labels)
-        rim = _rim(labels, excess > np.maximum(RIM_SHARE * full, wake))
+        rim = _rim(labels, excess > np.maximum(RIM_SHARE * full, wake), pressure_kpa)
         return labels, self._measure(labels.ravel(), connected.ravel(), pressure_kpa, stated_kpa, bridged, rim.ravel())
 
     def _keep_lasting(self, found: IntArray, kept: BoolArray, pressure_kpa: FloatArray) -> None:
@@ -242,7 +250,7 @@ class ContactTracker:
     def _drop_disturbances(
         self, time_s: float, found: IntArray, kept: BoolArray, excess: FloatArray, std_kpa: FloatArray
     ) -> None:
-        """Drop new patches within one row or column that may be electrical faults; ``kept`` (labels,) is changed."""
+        """Drop new patches that may be electrical faults; ``kept`` (labels,) is changed."""
         from scipy import ndimage
 
         fresh = kept.copy()
@@ -252,15 +260,34 @@ class ContactTracker:
         boxes = ndimage.find_objects(found)
         for label in np.flatnonzero(fresh).tolist():
             box = boxes[label - 1]
-            if min(span.stop - span.start for span in box) > 1:
-                continue
             own = found[box] == label
             lasts_s = time_s - float(self._pressed_s[box][own].min())
-            cells, along = int(own.sum()), int(box[0].stop - box[0].start == 1)
-            at_end = box[along].start == 0 or box[along].stop == self.shape[along]
             faint = not (excess[box][own] > STANDS_OUT * std_kpa[box][own]).any()
-            a_fault = self._faults_press and faint and (cells == 1 or cells > LONGEST_IN_LINE or at_end)
-            kept[label] = lasts_s > (SPARK_S if a_fault else 0.0)
+            at_once = (own & (self._step_kpa[box] > AT_ONCE * excess[box])).any()
+            if (faint or at_once) and self._may_be_fault(box, own, excess[box][own]):
+                kept[label] = lasts_s > SPARK_S
+            elif min(own.shape) == 1:
+                kept[label] = lasts_s > 0.0
+
+    def _may_be_fault(self, box: tuple[slice, ...], own: BoolArray, excess: FloatArray) -> bool:
+        """Whether cells ``own`` of ``box`` with their ``excess`` (n,) have the shape of what electrical faults move.
+
+        Whole lines move alike by a converter or a connector. What adds resistance moves cells of which no two lie side
+        by side, or a line from a crack to its end; that looks like a press only where loads add resistance.
+        """
+        sides = own.shape
+        whole = sides[0] == self.shape[0] or sides[1] == self.shape[1]
+        if whole and excess.size == sides[0] * sides[1] and excess.min() > ALIKE * excess.max():
+            return True
+        if not self._faults_press:
+            return False
+        if not ((own[1:] & own[:-1]).any() or (own[:, 1:] & own[:, :-1]).any()):
+            return True
+        if min(sides) > 1:
+            return False
+        along = int(sides[0] == 1)
+        at_end = box[along].start == 0 or box[along].stop == self.shape[along]
+        return excess.size > LONGEST_IN_LINE or at_end
 
     def _measure(
         self,
@@ -337,8 +364,10 @@ class ContactTracker:
         return tuple(sorted(contacts, key=lambda contact: -contact.force_n))
 
 
-def _rim(labels: IntArray, loaded: BoolArray) -> IntArray:
-    """(rows, columns) number of the contact that untouched ``loaded`` cells belong to, by their distance; 0: none.
+def _rim(labels: IntArray, loaded: BoolArray, pressure_kpa: FloatArray) -> IntArray:
+    """(rows, columns) number of the contact that untouched ``loaded`` cells belong to; 0: none.
+
+    It is the nearest one; of equally near ones, that with the most pressure.
 
     A threshold decides which cells are touched. The force of a soft contact goes on beyond it.
     """
@@ -350,8 +379,9 @@ def _rim(labels: IntArray, loaded: BoolArray) -> IntArray:
     regions, count = ndimage.label(around | (labels > 0), structure=NEIGHBOURS)
     pressed = np.zeros(count + 1, dtype=np.bool_)
     pressed[regions[labels > 0]] = True
-    nearest = ndimage.distance_transform_edt(labels == 0, return_distances=False, return_indices=True)
-    found: IntArray = np.where((around > 0) & pressed[regions], labels[tuple(nearest)], 0)
+    strongest = np.argsort(-np.bincount(labels.ravel(), pressure_kpa.ravel() * (labels.ravel() > 0))[1:]) + 1
+    far = [ndimage.distance_transform_edt(labels != contact) for contact in strongest.tolist()]
+    found: IntArray = np.where((around > 0) & pressed[regions], strongest[np.argmin(far, axis=0)], 0)
     return found
 
 

@@ -211,7 +211,7 @@ def test_noise_makes_no_contacts_and_a_weak_press_does_not_flicker() -> None:
     assert np.mean(present) > 0.9
 
 
-@pytest.mark.parametrize("cells", [(slice(7, 8), slice(3, 6)), (slice(2, 5), slice(9, 10)), (slice(0, 1), slice(0, 1))])
+@pytest.mark.parametrize("cells", [(slice(7, 8), slice(3, 6)), (slice(2, 5), slice(9, 10)), (slice(4, 5), slice(6, 8))])
 def test_cells_of_one_line_are_no_contact_for_a_single_frame(cells: tuple[slice, slice]) -> None:
     """An impulse of a motor disturbs readings that are converted one after another, and none in the next frame."""
     press, nothing = np.zeros((16, 16)), np.zeros((16, 16))
@@ -231,21 +231,34 @@ def test_a_held_press_of_one_line_is_a_contact_in_the_first_frame_that_is_asked_
 
 
 def when_found(
-    cells: tuple[slice, slice], std_kpa: float, lasting_s: float, *, faults_press: bool = True
+    cells: tuple[slice, slice], std_kpa: float, lasting_s: float, *, rise_s: float = 1e-3, faults_press: bool = True
 ) -> list[float]:
-    """Times after the start of a press of 2 kPa, in s, at which there is a contact, at 1000 frames per second."""
+    """Times after the start of a press, in s, at which there is a contact, at 1000 frames per second.
+
+    The press is 2 kPa after ``rise_s``.
+    """
     pressure, one = np.zeros((16, 16)), ContactTracker((16, 16), PITCH_M, FULL_KPA, faults_press=faults_press)
     pressure[cells] = 2.0
     times = np.arange(-100, round(1e3 * lasting_s)) / 1e3
-    return [t for t in times.tolist() if one.update(t, (t >= 0) * pressure, np.full((16, 16), std_kpa))]
+    shares = np.clip((times + 1e-3) / rise_s, 0.0, 1.0).tolist()
+    std = np.full((16, 16), std_kpa)
+    return [t for t, share in zip(times.tolist(), shares, strict=True) if one.update(t, share * pressure, std)]
 
 
-def test_a_lone_cell_hardly_above_its_noise_is_a_contact_when_it_has_outlasted_a_spark() -> None:
+@pytest.mark.parametrize("std_kpa", [0.02, 0.3])
+def test_a_lone_cell_that_jumps_is_a_contact_when_it_has_outlasted_a_spark(std_kpa: float) -> None:
+    """However sure its pressure is: a spark moves a reading surely."""
     lone = slice(5, 6), slice(7, 8)
-    assert when_found(lone, 0.3, 0.09) == []
-    assert 0.1 < when_found(lone, 0.3, 0.2)[0] < 0.105
-    assert when_found(lone, 0.1, 0.09)[0] < 0.005  # the estimator would have told a spark
-    assert when_found(lone, 0.3, 0.09, faults_press=False)[0] < 0.005  # a spark would be no load
+    assert when_found(lone, std_kpa, 0.09) == []
+    assert 0.1 < when_found(lone, std_kpa, 0.2)[0] < 0.105
+    assert when_found(lone, std_kpa, 0.09, faults_press=False)[0] < 0.005  # a spark would be no load
+
+
+def test_a_lone_cell_whose_pressure_rises_is_a_contact_when_it_is_sure() -> None:
+    """Sparks come at once. Hardly above its noise the cell waits all the same."""
+    lone = slice(5, 6), slice(7, 8)
+    assert when_found(lone, 0.1, 0.09, rise_s=0.02)[0] < 0.01
+    assert when_found(lone, 0.3, 0.09, rise_s=0.02) == []
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,8 @@ QUIET = 40
 def contacts_of(ohm: FloatArray, cell: Cell = EXAMPLE, dt_s: float = DT_S, noise: float = 1e-3) -> list[int]:
     """Number of contacts in each frame (frames, rows, columns), read with relative noise."""
     shape = (ohm.shape[1], ohm.shape[2])
-    estimator, tracker = cell.estimator(shape), ContactTracker(shape, 0.004, cell.full_scale_kpa)
+    estimator = cell.estimator(shape)
+    tracker = ContactTracker(shape, 0.004, cell.full_scale_kpa, faults_press=estimator.side > 0)
     random = np.random.default_rng(0)
     numbers = []
     for n, frame in enumerate(ohm * (1.0 + noise * random.standard_normal(ohm.shape))):
@@ -157,7 +158,7 @@ def test_a_tap_leaves_rest_behind_and_its_deviation_is_honest() -> None:
     error, std = np.abs(found[:, 0] - truth), found[:, 1]
     pressed = truth > 2.0
     assert np.mean(error[pressed] < 2 * std[pressed]) > 0.9
-    assert np.median(std[pressed]) < 0.1 * np.median(truth[pressed])
+    assert np.median(std[pressed]) < 0.15 * np.median(truth[pressed])
     assert np.abs(found[-10:, 0]).max() < 0.5
 
 
