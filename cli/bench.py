@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
+from importlib.util import find_spec
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -88,13 +89,10 @@ def command(
     """Measure N x N arrays of 10 kohm to 1 Mohm with R ohm per line segment and lead: time per frame, true error
     and certified bound of every method. Set OPENBLAS_NUM_THREADS=1 to compare on one thread.
     """
-    try:
-        from .. import bench
-        from ..bench import measurements
-    except ModuleNotFoundError as error:
-        if error.name != "ohmskin.bench":
-            raise
-        raise InputError("measurements are part of the sources, not of the package; run this in a checkout") from error
+    if find_spec("ohmskin.bench") is None:
+        raise InputError("measurements are part of the sources, not of the package; run this in a checkout")
+    from .. import bench
+    from ..bench import measurements
 
     if of_judges:
         _judge(only, quick, estimator, freeze, as_json)
