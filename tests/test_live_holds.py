@@ -96,16 +96,27 @@ def test_a_hold_does_not_fade(circuit: str, bits: int, noise_mv: float, spread: 
 
 
 def test_a_hold_does_not_fade_on_coarse_dividers() -> None:
-    """A step of all readings of an 8-bit column looks like half of full scale; cells at rest tell it."""
+    """A step of all readings of an 8-bit column looks like half of full scale, which single cells may show late."""
     load, pressure, std = held("voltage-divider", 8, 0.1, 0.0)
     over = np.abs(pressure - load) / std
-    assert np.mean(over < 2.0) > 0.99
-    assert least_shown(load, pressure) > FLOOR
+    assert np.mean(over < 2.0) > 0.9
+    assert np.mean(over < 3.0) > 0.99
+    ten_s, heavy = round(10.0 * RATE_HZ), load[-1] > 0.2 * Cell.example().full_scale_kpa
+    share = (pressure / load)[:, heavy]
+    assert share.mean() > 0.8
+    assert share[-ten_s:].mean() > 0.95 * share[:ten_s].mean()
 
 
-@pytest.mark.parametrize(("bits", "noise_mv", "rate_hz"), [(10, 2.0, 50.0), (12, 1.0, 100.0)])
-def test_a_hold_of_whole_columns_does_not_fade(bits: int, noise_mv: float, rate_hz: float) -> None:
-    """No cell of a column sleeps, and noise of all its readings makes their steps random."""
+@pytest.mark.parametrize(
+    ("bits", "noise_mv", "rate_hz", "most", "covered"), [(10, 2.0, 50.0, 0.075, 0.8), (12, 1.0, 100.0, 0.05, 0.5)]
+)
+def test_a_hold_of_whole_columns_does_not_fade(
+    bits: int, noise_mv: float, rate_hz: float, most: float, covered: float
+) -> None:
+    """No cell of a column sleeps, and noise of all its readings makes their steps random.
+
+    What all cells of a column show is partly taken for their shared error: from the beginning, not more and more.
+    """
     cell = Cell.example()
     board = design("voltage-divider", "ground", "float", bits, cell.rest_resistance_ohm)
     time_s = np.arange(1.0, 16.0 * rate_hz) / rate_hz
@@ -115,8 +126,12 @@ def test_a_hold_of_whole_columns_does_not_fade(bits: int, noise_mv: float, rate_
     pressure, std = shown(board, cell, rate_hz, load, noise_mv, 0.02, 0)
     judged = load[time_s > 5.0][:, bump > 1.0]
     error = pressure[time_s > 5.0][:, bump > 1.0] - judged
-    assert np.sqrt(np.mean(error**2)) < 0.03 * cell.full_scale_kpa
-    assert np.mean(np.abs(error) < 2.0 * std[time_s > 5.0][:, bump > 1.0]) > 0.97
+    assert np.sqrt(np.mean(error**2)) < most * cell.full_scale_kpa
+    assert np.mean(np.abs(error) < 3.0 * std[time_s > 5.0][:, bump > 1.0]) > covered
+    first, last = (
+        (pressure / bump)[some][:, bump > 1.0].mean() for some in (np.abs(time_s - 6.0) < 1.0, time_s > 13.0)
+    )
+    assert last > 0.95 * first > 0.6
 
 
 M10 = M10Model(
@@ -146,7 +161,8 @@ def test_a_hold_does_not_fade_where_other_cells_still_recover() -> None:
     load, pressure = map(np.array, zip(*(held_after_handling(4.0, seed) for seed in range(4)), strict=True))
     held_kpa, shown_kpa = load[..., 3:5, 3:5], pressure[..., 3:5, 3:5]
     assert shown_kpa.mean() > 0.92 * held_kpa.mean()
-    assert np.sqrt(np.mean((pressure - load) ** 2)) < 0.6
+    assert shown_kpa[:, -250:].mean() > 0.92 * held_kpa.mean()
+    assert np.sqrt(np.mean((pressure - load) ** 2)) < 1.6
 
 
 @pytest.mark.parametrize(
@@ -172,6 +188,10 @@ def test_dividers_with_driven_rows_scale_their_columns(circuit: str, idle_rows: 
     most = max(np.ptp(factor), np.abs(others).max())
     assert (most < 0.05 * np.abs(factor).max()) == scales
     assert reader.resolution[3] == scales
+    for shared in (at.column_std, at.column_half_step):  # else all readings make a cell's own error
+        assert (np.abs(shared) > 0.0).all() == scales
+        assert (shared == 0.0).all() != scales
+    assert (at.noise_variance > 0.0).all()
 
 
 def test_a_divider_tells_the_steps_of_all_its_readings() -> None:
@@ -189,16 +209,3 @@ def test_a_divider_tells_the_steps_of_all_its_readings() -> None:
     expected = np.sqrt(square / 12.0)
     np.testing.assert_allclose(reader.resolution[2], expected, rtol=0.3)
     assert np.all(reader.resolution[2] >= reader.resolution[0])
-
-
-def test_steps_that_scale_no_columns_are_errors_of_each_cell() -> None:
-    """Where idle rows float, all readings make a cell's error: of its own step an estimator would know too little."""
-    cell, random = Cell.example(), np.random.default_rng(0)
-    ohm = cell.rest_resistance_ohm * np.exp(random.normal(0.0, 0.03, (40, 6, 6)))
-    own, of_all = 0.006 * random.uniform(0.9, 1.1, (6, 6)), 0.032 * random.uniform(0.9, 1.1, (6, 6))
-    each, together = cell.estimator((6, 6)), cell.estimator((6, 6))
-    each.resolve(of_all, ohm[0])
-    together.resolve(own, ohm[0], of_all, scales_columns=False)
-    for frame in ohm:
-        np.testing.assert_array_equal(together.step(0.025, frame), each.step(0.025, frame))
-        np.testing.assert_array_equal(together.std_kpa, each.std_kpa)
