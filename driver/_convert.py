@@ -182,7 +182,6 @@ class Converter:
         if self._estimate is not None and np.isnan(pressure).any():
             beyond = valid & np.isnan(pressure)
             valid, reason = valid & ~beyond, np.where(beyond, np.int8(_BEYOND_MODEL), reason)
-            as_read = Measurement(as_read.block, np.where(beyond, np.int8(_BEYOND_MODEL), as_read.reason))
             for array in (valid, reason):
                 array.setflags(write=False)
         counters.reasons = reason
