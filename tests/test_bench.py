@@ -160,14 +160,14 @@ def test_the_emulator_is_as_near_to_the_full_physics_as_it_certifies(
 
 
 def test_every_estimator_of_the_data_sheet_is_judged_at_every_size() -> None:
-    rows = list(bench.live_estimators((3,), learned=False, frames=80))
+    rows = list(bench.live_estimators((3,), learned=False, frames=300))
     assert [row.size for row in rows] == [3, 3, 3]
     assert {row.estimator for row in rows} == {"static", "paper", "inverse"}
     default, static = (
         next(row for row in rows if part(row)) for part in (lambda r: r.is_default, lambda r: r.estimator == "static")
     )
     assert default.estimator == Cell.example().default_estimator
-    assert default.rmse_kpa < 0.2 * static.rmse_kpa
+    assert default.rmse_kpa < 0.35 * static.rmse_kpa
     assert default.rmse_kpa <= default.worst_kpa
     for row in rows:
         assert sum(row.shares) == pytest.approx(1.0)
