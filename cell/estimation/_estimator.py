@@ -82,9 +82,8 @@ class Estimator:
         if not follows_load:
             # What a cell without memory reads is over when it is over.
             bad_hz, drift = (TUNING.bad_hz, TUNING.drift) if inversion.remembers else (0.0, 0.0)
-            tuning = replace(
-                TUNING, memory=0.0, relative=0.0, drift=drift, overload=READINGS_OVERLOAD, bad_hz=bad_hz
-            )
+            none = {"memory": 0.0, "floor": 0.0, "relative": 0.0}
+            tuning = replace(TUNING, **none, drift=drift, overload=READINGS_OVERLOAD, bad_hz=bad_hz)
         self._steps = ByStep(_one_step, (self._material, tuning))
         self._cells, self._befores = zeros(Estimates, count), zeros(Estimates, count)
         self._watches = zeros(Watch, count)
@@ -309,6 +308,8 @@ class Estimator:
         if self.inversion.filtered:
             gain = states["gain_kpa"] * self._unit
             variance += np.minimum(gain * gain * self._level_variance, (UNKNOWN * full) ** 2)
+            if self.inversion.material is None:  # the filter's floor is one of loads, and r need not be linear in them
+                variance += (TUNING.floor * full) ** 2
         variance += self._conditions.model_std_kpa**2
         slopes = self._conditions.rest_slope_kpa
         if slopes is not None and self.rest_error:
