@@ -5,7 +5,7 @@ Each frame passes these steps:
 1. Readings become r, the normalised resistance or what else the cell's scale says (:mod:`._scale`): an interval, by the
    quantisation step or by a limit of the converter, and the variance of the noise. A reading counts as missing if it is
    NaN, shorted, or beyond every credible load. Without current a cell that is open at rest bears no load.
-2. Errors that the cells of a column share are taken out (:mod:`._columns`).
+2. Quantisation that the cells of a column share is taken out (:mod:`._columns`); noise that they share is noise.
 3. The filter (:mod:`._filter`, :mod:`._modes`) follows each cell: noise, bad contacts, missing readings, rest and turns
    of the load are modes or probabilities of one state.
 4. An :class:`._inversion.Inversion` makes pressures of what the filter follows, and states the error of the model.
@@ -271,14 +271,15 @@ class Estimator:
         """Let the filter take a frame; returns the cells (k,) that were awake."""
         slept = self._watches["asleep"] > 0.0
         step = self._steps.of(round(dt, 7))
-        if shared is not None and shared[0].any():
-            std, held = shared
-            both = np.copysign(np.hypot(std, STEP_STD * held), std) * slope
-            scratch = np.empty((2, low.size))
-            share_each.unchecked(
-                *(self._cells, self._watches, step, both, np.abs(held * slope), marks, self._columns),
-                *(low, high, var, scratch[0], scratch[1]),
-            )
+        if shared is not None:
+            std, steps = shared[0] * slope, shared[1] * slope
+            var += std * std
+            if steps.any():
+                scratch = np.empty((2, low.size))
+                share_each.unchecked(
+                    *(self._cells, self._watches, step, STEP_STD * steps, np.abs(steps), marks, self._columns),
+                    *(low, high, var, scratch[0], scratch[1]),
+                )
         self._since_forgot_s += dt
         forget = 1.0
         if self._since_forgot_s >= FORGET_EVERY_S:
