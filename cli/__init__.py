@@ -29,7 +29,7 @@ import click
 from click.shell_completion import shell_complete
 
 from .. import __version__
-from ..common import _signals
+from ..common import signals
 from ..common.system import ENDING_SIGNALS
 from ..common.text import one_line, shortened
 from ..errors import OhmskinError
@@ -109,16 +109,16 @@ class _LazyGroup(click.Group):
 @click.version_option(__version__, prog_name="ohmskin")
 def ohmskin() -> None:
     """Readout, emulation, driver and verification of resistive robot skins."""
-    _signals.raise_from_now_on()
+    signals.raise_from_now_on()
 
 
 def main(args: Sequence[str] | None = None) -> None:
     """Run the command line and exit."""
-    _signals.leave_at_once()
+    signals.leave_at_once()
     _streams.set_up()
     _set_up_log()
     code = run(args)
-    _signals.leave_from_now_on(code)
+    signals.leave_from_now_on(code)
     sys.exit(code)
 
 
@@ -141,7 +141,7 @@ def run(args: Sequence[str] | None = None) -> int:
     except click.exceptions.Exit as error:
         return error.exit_code
     except (KeyboardInterrupt, click.Abort) as error:
-        number = _signals.number_of(error)
+        number = signals.number_of(error)
         return _failed(ENDING_SIGNALS.get(number, "interrupted"), 128 + number, state)
     except click.ClickException as error:
         words = (shortened(word, LONGEST_WORD) for word in error.format_message().split())

@@ -4,22 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
+from importlib.util import find_spec
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import click
 
-from .. import bench
-from ..bench import _driver as of_drivers
-from ..bench import _emulator as of_boards
-from ..bench import _estimators as of_cells
-from ..bench import _fingers as of_fingers
-from ..bench import _freshness as of_skins
-from ..bench import _taps as of_taps
-from ..bench import _worst_frames as of_events
-from ..bench import harness, judges
 from ..common import tables
+from ..errors import InputError
 from . import arguments
 from ._bar import progress_bar
 from ._json import json_text
@@ -96,22 +89,25 @@ def command(
     """Measure N x N arrays of 10 kohm to 1 Mohm with R ohm per line segment and lead: time per frame, true error
     and certified bound of every method. Set OPENBLAS_NUM_THREADS=1 to compare on one thread.
     """
+    if find_spec("ohmskin.bench") is None:
+        raise InputError("measurements are part of the sources, not of the package; run this in a checkout")
+    from .. import bench
+    from ..bench import measurements
+
     if of_judges:
         _judge(only, quick, estimator, freeze, as_json)
         return
     if estimators:
-        _show([("", of_cells.estimators())], as_json)
+        _show(measurements.of_estimators(), as_json)
         return
-    if of_emulator:
-        _show([(of_boards.HEAD, of_boards.emulator(sizes))], as_json)
-        return
-    if of_driver:
-        _live_path(sizes, as_json)
-        return
-    if of_contacts:
-        measured = (of_taps.HEAD, of_taps.taps_and_faults(sizes)), (of_fingers.HEAD, of_fingers.fingers(sizes))
-        _show(measured, as_json)
-        return
+    for chosen, measure in (
+        (of_emulator, measurements.of_emulator),
+        (of_driver, measurements.of_driver),
+        (of_contacts, measurements.of_contacts),
+    ):
+        if chosen:
+            _show(measure(sizes), as_json)
+            return
     arrays = [(size, segment) for size in sizes for segment in segments]
     rows = []
     with progress_bar("measuring") as progress:
@@ -125,6 +121,8 @@ def command(
 
 def _judge(only: str, quick: bool, estimator: str | None, freeze: bool, as_json: bool) -> None:
     """Print today's and the measured figures of each row, and whether its gate holds."""
+    from ..bench import harness, judges
+
     chosen, make = judges.rows(only, quick=quick), judges.maker(estimator)
     verdicts: list[judges.Verdict] = []
 
@@ -149,20 +147,11 @@ def _judge(only: str, quick: bool, estimator: str | None, freeze: bool, as_json:
 
 def _show(measured: Sequence[tuple[str, Iterable[Any]]], as_json: bool) -> None:
     """Print measurements, which are dataclasses, as tables with a head each while they come, or as one JSON list."""
+    from ..bench import harness
+
     if as_json:
         click.echo(json_text([asdict(row) for _, rows in measured for row in rows], indent=1))
         return
     for number, (head, rows) in enumerate(measured):
         for line in chain([""] * (number > 0), harness.table(rows, head)):
             click.echo(line)
-
-
-def _live_path(sizes: tuple[int, ...], as_json: bool) -> None:
-    """Boards, sudden events, estimators, and a whole skin."""
-    measured = (
-        (of_drivers.head(), of_drivers.driver(sizes)),
-        (of_events.HEAD, of_events.worst_frames(sizes)),
-        ("the same by estimator", of_drivers.live_estimators(sizes)),
-        (of_skins.HEAD, of_skins.freshness(sizes)),
-    )
-    _show(measured, as_json)

@@ -282,9 +282,9 @@ def _hint(model: type[BaseModel], location: tuple[int | str, ...], key: str, tab
             return f"; the nearest known key, '{near[0]}', is there already"
         return f"; the nearest known key is '{near[0]}'" if near else ""
     slip = difflib.get_close_matches(key, here, n=1, cutoff=LIKELY_SLIP)
-    or_slip = f"; or is '{slip[0]}' meant?" if slip else ""
+    nearest = f"; the nearest known key is '{slip[0]}'" if slip else ""
     more = f" and {len(homes) - MOST_HOMES} other tables" if len(homes) > MOST_HOMES else ""
-    return f"; the key belongs {', '.join(homes[:MOST_HOMES])}{more}{or_slip}"
+    return f"{nearest}; the key belongs {', '.join(homes[:MOST_HOMES])}{more}"
 
 
 def _places_of(key: str, model: type[BaseModel]) -> list[str]:

@@ -30,6 +30,8 @@ _WHY_NONE = {
     "or a smaller drive voltage, lowers them",
     Reason.DISTURBED: "other cells, which stand at a limit or behind a fault, may shift their readings by more than "
     "was asked for; look for shorted cells, or take a circuit that reads each cell alone",
+    Reason.BEYOND_MODEL: "no load makes such resistances of those at rest, so there are no pressures; the tare, or the "
+    "data of the cells, are another skin's: correct them, or tare() the unloaded skin",
     Reason.UNSOLVED: "no cells give such readings; the design is not that of this board",
 }
 

@@ -41,7 +41,7 @@ CLOCK_DIGITS = 6
 """decimals of the seconds between frames: boards count microseconds. The estimator caches its work per length of step:
 that work takes a small skin as long as ten frames; sums of seconds would differ in their last digits"""
 
-_UNSOLVED = int(Reason.UNSOLVED)
+_UNSOLVED, _BEYOND_MODEL = int(Reason.UNSOLVED), int(Reason.BEYOND_MODEL)
 
 
 class Converter:
@@ -170,16 +170,24 @@ class Converter:
         counters = self._counters
         if measured.reason.flat[0] == _UNSOLVED:
             counters.unsolved += 1
-        if self._advice.frames is not None:
-            self._advice.take(measured)
+        as_read = measured
         if gap_s > KEEP_STATE_S:
             self._estimate = self._new_estimate()
             self._recent.clear()
         self._recent.append((frame.time_s, measured))
         measured = self._without_faulty_lines(frame.time_s, measured)
-        reason = counters.reasons = measured.reason
+        reason = measured.reason
         valid, resistance, unread = measured.shown()
         pressure, std = self._pressures(gap_s, measured)
+        if self._estimate is not None and np.isnan(pressure).any():
+            beyond = valid & np.isnan(pressure)
+            valid, reason = valid & ~beyond, np.where(beyond, np.int8(_BEYOND_MODEL), reason)
+            as_read = Measurement(as_read.block, np.where(beyond, np.int8(_BEYOND_MODEL), as_read.reason))
+            for array in (valid, reason):
+                array.setflags(write=False)
+        counters.reasons = reason
+        if self._advice.frames is not None:
+            self._advice.take(as_read)
         pressure.setflags(write=False)
         view = PressureView(frame.index, frame.time_s, pressure, std, unread)
         self.contacts.pass_by(view)

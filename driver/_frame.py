@@ -45,11 +45,12 @@ class Frame:
     counts: NDArray[np.uint16] = field(repr=False)
     """as the board sent them"""
     valid: BoolArray = field(repr=False)
-    """where ``resistance`` is a measurement, within the uncertainty asked for (``Skin.open(accuracy=...)``)"""
+    """where ``resistance`` is a measurement, within the uncertainty asked for (``Skin.open(accuracy=...)``), and where
+    the cells are known a ``pressure`` follows from it"""
     reason: NDArray[np.int8] = field(repr=False)
     """why a cell is not valid: a :class:`ohmskin.circuits.Reason` each, 0 for valid cells"""
     resistance: FloatArray = field(repr=False)
-    """cell resistances in ohm, corrected for the readout circuit; NaN where not valid"""
+    """cell resistances in ohm, corrected for the readout circuit; NaN where not valid, unless it is ``BEYOND_MODEL``"""
     pressure: FloatArray = field(repr=False)
     """kPa, estimated from this frame and earlier ones; where not valid the last estimate, NaN before the first"""
     rest_counts: FloatArray = field(repr=False)

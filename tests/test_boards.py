@@ -303,12 +303,12 @@ def test_the_driver_makes_pressures_of_what_the_emulator_speaks(name: str) -> No
     port, cell = PtyPort(), Cell.example()
     what = scene(skin={"design": BOARDS[name].design}, contact=[PRESS], board={"frame_rate": 40.0})
     with running(what, port, family=name), Skin.open(port.name, board=name, cell=cell, timeout=60.0) as skin:
-        taken = list(islice(skin, 12))
+        taken = list(islice(skin, 60))
     for frame in taken:
         assert (frame.sequence is not None) == BOARDS[name].has_sequence
         assert (frame.lost_before is not None) == BOARDS[name].has_sequence
         assert (frame.device_time is not None) == BOARDS[name].has_device_time
-    assert taken[-1].pressure[1, 1] > 6.0
+    assert max(frame.pressure[1, 1] for frame in taken) > 6.0
 
 
 def test_a_board_that_a_family_does_not_have_is_refused() -> None:

@@ -372,9 +372,9 @@ def test_a_resumed_calibration_equals_an_uninterrupted_one(tmp_path: Path) -> No
     assert whole.rest is not None
     one = calibrate_cells(CELL, whole.rest, whole.presses).fit
     two = calibrate_cells(CELL, saved.rest, second.presses).fit
-    # The second watch has not seen the first presses, whose memory it takes from what it knows of the cell.
-    np.testing.assert_allclose(two.gain, one.gain, rtol=1e-3)
-    np.testing.assert_allclose(two.rest_ohm, one.rest_ohm, rtol=1e-3)
+    # The spans of a press follow from loads, which an estimator that has seen no press before tells otherwise.
+    np.testing.assert_allclose(two.gain, one.gain, rtol=2e-3)
+    np.testing.assert_allclose(two.rest_ohm, one.rest_ohm, rtol=2e-3)
     with pytest.raises(
         InputError, match=r"is the progress of another calibration: its hold_s is 3\.0, this one's 4\.0"
     ):

@@ -277,7 +277,7 @@ def test_whatever_asks_to_exit_has_no_verdict(
 START = """
 import sys
 from ohmskin import __main__
-__main__._signals.leave_at_once()
+__main__.signals.leave_at_once()
 print("started", flush=True)
 sys.argv = ["ohmskin", "verify", "--help"]
 __main__.main()

@@ -221,9 +221,13 @@ def test_a_tare_can_be_taken_back_and_used_again() -> None:
         again = next(skin)
         assert skin.undo_tare() is None
         assert skin.undo_tare() is None
+    with lossless(Wire(Board(scene(contact=[]))), design=unknown_lead()) as skin:
+        never = list(islice(skin, 8))[-1]
     assert (before.pressure > 0.1).all()
     np.testing.assert_allclose(tared.pressure, 0.0, atol=1e-9)
-    np.testing.assert_allclose(undone.pressure, before.pressure)
+    assert undone.sequence == never.sequence
+    np.testing.assert_allclose(undone.pressure, never.pressure)
+    assert (undone.pressure > 0.5 * before.pressure).all()
     np.testing.assert_allclose(again.pressure, 0.0, atol=1e-9)
 
 
@@ -412,3 +416,26 @@ def test_cells_that_read_no_current_at_rest_are_tared_if_loads_lower_their_resis
         else:
             with pytest.raises(InputError, match="no cell has a valid reading"):
                 skin.tare(20)
+
+
+@pytest.mark.parametrize("times", [1e-3, 0.1, 0.5, 0.99, 1.02, 3.0, 10.0, 1e3])
+def test_valid_cells_have_a_pressure_whatever_the_tare_and_a_new_tare_mends_it(times: float) -> None:
+    """A resistance that no load makes of the one at rest stays known, and says why there is no pressure."""
+    with lossless(Wire(Board(scene(contact=[])))) as skin:
+        right = skin.tare(5)
+        rest = times * right.rest_resistance_ohm
+        skin.use_tare(replace(right, rest_resistance_ohm=rest))
+        frames = list(islice(skin, 5))
+        said = skin.stats()
+        mended = skin.tare(5, force=True)
+        after = next(skin)
+    for seen in frames:
+        assert np.isfinite(seen.pressure[seen.valid]).all()
+        assert (seen.valid == (seen.reason == 0)).all()
+        np.testing.assert_allclose(seen.resistance, right.rest_resistance_ohm, rtol=0.01)
+    assert frames[-1].valid.all() == (0.01 < times < 3.0)
+    if not frames[-1].valid.any():
+        assert said.not_valid == {"beyond_model": 6}
+    np.testing.assert_allclose(mended.rest_resistance_ohm, right.rest_resistance_ohm, rtol=0.01)
+    assert after.valid.all()
+    np.testing.assert_allclose(after.pressure, 0.0, atol=0.2)

@@ -115,9 +115,9 @@ def test_a_byte_order_mark_is_no_part_of_the_text(head: bytes, tmp_path: Path) -
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_leaves_no_partial_file(number: int, tmp_path: Path) -> None:
     code = (
-        "import signal, time; from ohmskin.common import _signals; from ohmskin.common.files import whole_file\n"
+        "import signal, time; from ohmskin.common import signals; from ohmskin.common.files import whole_file\n"
         "signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup, under which tests may run, has it ignored\n"
-        "_signals.leave_at_once(); _signals.raise_from_now_on()\n"
+        "signals.leave_at_once(); signals.raise_from_now_on()\n"
         "with whole_file('out') as file:\n"
         "    print('open', flush=True); time.sleep(60)\n"
     )

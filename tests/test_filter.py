@@ -241,10 +241,11 @@ def presses(seed: int, frames: int, cells: int, dt_s: float) -> FloatArray:
 
 @pytest.mark.parametrize(("dt_s", "noise"), [(0.005, 1e-4), (0.01, 1e-3), (0.02, 5e-3)])
 def test_errors_are_consistent_with_the_stated_deviations(dt_s: float, noise: float) -> None:
-    """Normalised squared errors (NEES) near one, and nine errors in ten within two deviations."""
-    error, std = errors(presses(1, 1200, 12, dt_s), dt_s, noise)
+    """Normalised squared errors (NEES) of loads near one, and nine errors in ten within two deviations."""
+    load = presses(1, 1200, 12, dt_s)
+    error, std = errors(load, dt_s, noise)
     late = slice(100, None)
-    assert 0.02 < np.median((error / std)[late] ** 2) < 1.0
+    assert 0.1 < np.mean((error / std)[late] ** 2, where=load[late] > 0.01) < 1.0  # cells at rest err by 0
     assert np.mean(np.abs(error) <= 2.0 * std, where=np.arange(1200)[:, None] > 100) > 0.9
     assert np.sqrt(np.mean(error[late] ** 2)) < 0.03
 

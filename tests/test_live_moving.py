@@ -15,6 +15,9 @@ import pytest
 from ohmskin.cell import Cell
 from ohmskin.circuits import Design, adc_codes, scan_batch
 from ohmskin.driver import CountReader
+from ohmskin.driver._estimate import Estimate
+from ohmskin.driver._rest import Rest
+from ohmskin.driver._systematic import SystematicError
 
 CELL = Cell.example()
 PROTOTYPE = Design.load(Path(__file__).parents[1] / "verification" / "prototype.toml")
@@ -31,6 +34,8 @@ SUBSTEPS, SEEDS = 4, (7, 8)
 SIGMA_CELLS, MEAN_KPA, SWING_KPA, BEGIN_S, PLACE_S = 0.8, 6.0, 5.0, 3.0, 2.5
 FREQUENCIES_HZ = (0.37, 0.53)
 PRESSED_KPA, REST_KPA = 0.5, 0.05
+AT_REST_KPA = 0.25
+"""root mean square of what cells show that have just been left by a finger"""
 
 
 @dataclass(frozen=True)
@@ -68,7 +73,7 @@ def fingers(shape: tuple[int, ...], time_s: np.ndarray, seed: int) -> np.ndarray
 
 
 def followed(board: Design, noise_v: float, rate_hz: float, seconds: float) -> Found:
-    """The default estimator on the emulated ``board``."""
+    """What a skin shows and states of the emulated ``board``, by the default estimator."""
     shape, dt = (board.array.rows, board.array.columns), 1.0 / rate_hz
     time_s = dt / SUBSTEPS * np.arange(1.0, round(seconds * rate_hz) * SUBSTEPS + 1)
     plays = []
@@ -77,12 +82,12 @@ def followed(board: Design, noise_v: float, rate_hz: float, seconds: float) -> F
         ohm = CELL.forward(shape).run(np.full(len(time_s), dt / SUBSTEPS), load)[SUBSTEPS - 1 :: SUBSTEPS]
         volts = scan_batch(board, ohm).volts
         codes = adc_codes(board, volts + noise_v * np.random.default_rng(seed).standard_normal(volts.shape))
-        read, estimator = CountReader(board), CELL.estimator(shape)
+        read, systematic = CountReader(board), SystematicError(CELL)
+        estimate = Estimate(CELL, shape, None, Rest(CELL, None, systematic), systematic, None)
         pressure, std = np.empty((2, *ohm.shape))
         for n, frame in enumerate(codes):
-            reading = read(frame)
-            pressure[n] = estimator.update(dt, reading)
-            std[n] = estimator.std_kpa
+            pressure[n], stated = estimate.take(dt, read(frame))
+            std[n] = stated()
         judged = slice(round(BEGIN_S * rate_hz), None)
         plays.append((load[SUBSTEPS - 1 :: SUBSTEPS][judged], pressure[judged], std[judged]))
     return Found(*(np.concatenate(parts) for parts in zip(*plays, strict=True)))
@@ -92,9 +97,9 @@ def followed(board: Design, noise_v: float, rate_hz: float, seconds: float) -> F
     ("board", "noise_v", "rate_hz", "seconds", "most_kpa"),
     [
         pytest.param(PROTOTYPE, 5e-4, 20.0, 40.0, 0.235, id="prototype"),
-        pytest.param(FINE_DIVIDER, 1e-3, 20.0, 25.0, 0.5, id="divider of 12 bits"),
-        pytest.param(DIVIDER, 4e-3, 20.0, 25.0, 1.55, id="divider of 8 bits"),
-        pytest.param(DIVIDER, 4e-3, 100.0, 12.0, 1.15, id="fast divider of 8 bits"),
+        pytest.param(FINE_DIVIDER, 1e-3, 20.0, 25.0, 0.46, id="divider of 12 bits"),
+        pytest.param(DIVIDER, 4e-3, 20.0, 25.0, 0.75, id="divider of 8 bits"),
+        pytest.param(DIVIDER, 4e-3, 100.0, 12.0, 0.54, id="fast divider of 8 bits"),
     ],
 )
 def test_wandering_fingers_are_followed(
@@ -102,14 +107,15 @@ def test_wandering_fingers_are_followed(
 ) -> None:
     """Errors are no larger than turns that are told late make them, and are stated; cells that rest show it.
 
-    Loads that still fall are taken for none else: 0.54 kPa on the divider of 12 bits, 97.5 % within two deviations.
+    Near a turn the load is among several explanations, so that errors have longer tails than a normal distribution.
     """
     found = followed(board, noise_v, rate_hz, seconds)
     pressed, rests = found.load > PRESSED_KPA, found.load < REST_KPA
     print(f"{found.rmse_kpa:.2f} kPa rms, {100 * found.within(2.0, pressed):.1f} % within 2 sd")
     assert found.rmse_kpa < most_kpa
-    assert found.within(2.0, pressed) > 0.98
-    assert found.within(2.0, rests) > 0.98
+    assert found.within(2.0, pressed) > 0.87
+    assert found.within(3.0, pressed) > 0.96
+    assert np.sqrt(np.mean((found.pressure - found.load)[rests] ** 2)) < AT_REST_KPA
 
 
 def test_a_load_that_rises_again_is_not_hidden() -> None:

@@ -14,7 +14,10 @@ from ohmskin.circuits import Design, adc_codes, scan
 from ohmskin.common.measurement import Measurement
 from ohmskin.driver import CountReader
 
-KINDS = "grounded", "floating", "divider", "loaded"
+KINDS = "grounded", "floating", "divider", "loaded", "floating rows"
+
+
+AMPLIFIED = "grounded", "floating", "floating rows"
 
 
 def board(kind: str, bits: int, rows: int, columns: int, **readout: Any) -> Design:
@@ -53,8 +56,11 @@ def assert_same(one: Measurement, other: Measurement) -> None:
 def test_the_short_way_gives_what_the_whole_recovery_gives(
     kind: str, bits: int, rows: int, columns: int, accuracy: float | None, seed: int
 ) -> None:
-    """Under a finger that wanders, with noise of up to a few steps, and with open cells."""
-    design, draw = board(kind, bits, rows, columns), np.random.default_rng(seed)
+    """Under a finger that wanders, with noise of up to a few steps, with open cells, and with lines that all differ."""
+    draw = np.random.default_rng(seed)
+    lines = rows if kind == "floating rows" else columns
+    own = {"reference_resistance": tuple((2e3 if kind in AMPLIFIED else 5e3) * draw.uniform(0.9, 1.1, lines))}
+    design = board(kind, bits, rows, columns, **own)
     assert design.adc is not None
     rest, noise = 8e3 * 10 ** draw.uniform(-0.2, 0.2, (rows, columns)), draw.choice([0.1, 0.6, 3.0]) * design.adc.step
     if draw.random() < 0.3:

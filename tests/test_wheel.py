@@ -97,8 +97,10 @@ def _run(*command: str | Path, cwd: Path | None = None, exit_code: int = 0, path
 def test_the_wheel_holds_every_file_of_every_room(wheel: Path) -> None:
     packed = set(zipfile.ZipFile(wheel).namelist())
     own = [(file, file.relative_to(PACKAGE)) for file in PACKAGE.iterdir() if file.is_file()]
-    rooms = [(file, file.relative_to(ROOT)) for room in ROOMS for file in (ROOT / room).rglob("*")]
-    assert len(ROOMS) > 10
+    packaged = [room for room in ROOMS if room != "bench"]
+    rooms = [(file, file.relative_to(ROOT)) for room in packaged for file in (ROOT / room).rglob("*")]
+    assert len(packaged) > 10
+    assert not any(name.startswith("ohmskin/bench/") for name in packed), "measurements are for a checkout"
     for file, inside in [*own, *rooms]:
         packs = file.suffix in (".py", ".toml", ".html", ".typed", ".cjs", ".hex", ".js", ".css", ".svg")
         if packs and not {"__pycache__", "node_modules"} & set(file.parts):
@@ -126,6 +128,11 @@ def _lowest_versions() -> list[str]:
         (bound,) = [clause.version for clause in requirement.specifier if clause.operator in (">=", "==")]
         lines.append(f"{requirement.name}=={bound}")
     return lines
+
+
+def test_measurements_say_that_they_need_a_checkout(clean: Path, tmp_path: Path) -> None:
+    code = "import sys; from ohmskin.cli import run; sys.stderr = sys.stdout; sys.exit(run(['bench']) - 2)"
+    assert "run this in a checkout" in _run(clean / "python", "-c", code, cwd=tmp_path)
 
 
 def test_every_command_starts(clean: Path, tmp_path: Path) -> None:

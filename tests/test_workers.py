@@ -40,9 +40,9 @@ def test_what_fails_does_not_wait_for_the_others(tmp_path: Path) -> None:
 def test_no_worker_outlives_its_parent(number: int, tmp_path: Path) -> None:
     """The parent is signalled together with its workers for Ctrl-C, as a terminal does, and alone otherwise."""
     code = (
-        "from ohmskin.common import _signals, workers; import busy\n"
+        "from ohmskin.common import signals, workers; import busy\n"
         "if __name__ == '__main__':\n"
-        "    _signals.leave_at_once(); _signals.raise_from_now_on()\n"
+        "    signals.leave_at_once(); signals.raise_from_now_on()\n"
         f"    workers.in_processes(busy.wait_long, [r'{tmp_path}/a', r'{tmp_path}/b', r'{tmp_path}/c'], jobs=2)\n"
     )
     script = tmp_path / "parent.py"

@@ -1,11 +1,13 @@
-"""Errors that the cells of a column share: estimated from the other cells of the column, and taken out of the readings.
+"""Quantisation that the cells of a column share: estimated from the other cells, and taken out of the readings.
 
-On a divider whose idle rows are driven, errors of a few readings move all conductances of a column: a reading is
-r + noise + h z, with one standard normal z for each column and frame. The filter predicts every reading, so that
-innovations of the *other* cells of a column tell z (a scalar Kalman update for each cell, its own reading left out: it
-would take a part of the cell's own load). Two laws keep loads out of z. An innovation counts up to
-:data:`CLIPPED` of its standard deviations (Huber 1964). And z is white from frame to frame while loads are not, so that
-the recent mean of z is no noise.
+On a divider whose idle rows are driven, steps of a few readings move all conductances of a column: a reading is
+r + noise + h z, with one z for each column and frame. The filter predicts every reading, so that innovations of the
+*other* cells of a column tell z (a scalar Kalman update for each cell, its own reading left out: it would take a part
+of the cell's own load). Two laws keep loads out of z. An innovation counts up to :data:`CLIPPED` of its standard
+deviations (Huber 1964). And what lasts is taken out up to the step itself only.
+
+Noise that a column shares stays in: it is white, so that the filter averages it as noise of the cell, while a finger
+that presses several cells of a column at once looks like it for as long as the filter lags.
 """
 
 from __future__ import annotations
@@ -41,8 +43,8 @@ def share_each(
 ) -> None:
     """Take what columns share out of readings between ``low`` and ``high`` (n,), and add what stays to ``var`` (n,).
 
-    ``shared`` (n,): signed standard deviation h of the shared error; ``held`` (n,): the most of it that lasts, by a
-    quantisation step; ``recent`` (columns,): mean of late z; ``off`` and ``spread`` (n,): scratch.
+    ``shared`` (n,): signed standard deviation h of the shared error; ``held`` (n,): the most of it that lasts, half a
+    step; ``recent`` (columns,): mean of late z; ``off`` and ``spread`` (n,): scratch.
     """
     columns, t = recent.size, steps[0]
     for i in range(shared.size):

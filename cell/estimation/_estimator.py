@@ -5,7 +5,7 @@ Each frame passes these steps:
 1. Readings become r, the normalised resistance or what else the cell's scale says (:mod:`._scale`): an interval, by the
    quantisation step or by a limit of the converter, and the variance of the noise. A reading counts as missing if it is
    NaN, shorted, or beyond every credible load. Without current a cell that is open at rest bears no load.
-2. Errors that the cells of a column share are taken out (:mod:`._columns`).
+2. Quantisation that the cells of a column share is taken out (:mod:`._columns`); noise that they share is noise.
 3. The filter (:mod:`._filter`, :mod:`._modes`) follows each cell: noise, bad contacts, missing readings, rest and turns
    of the load are modes or probabilities of one state.
 4. An :class:`._inversion.Inversion` makes pressures of what the filter follows, and states the error of the model.
@@ -81,8 +81,9 @@ class Estimator:
         tuning = TUNING
         if not follows_load:
             # What a cell without memory reads is over when it is over.
-            bad_hz = TUNING.bad_hz if inversion.remembers else 0.0
-            tuning = replace(TUNING, memory=0.0, relative=0.0, overload=READINGS_OVERLOAD, bad_hz=bad_hz)
+            bad_hz, drift = (TUNING.bad_hz, TUNING.drift) if inversion.remembers else (0.0, 0.0)
+            none = {"memory": 0.0, "floor": 0.0, "relative": 0.0}
+            tuning = replace(TUNING, **none, drift=drift, overload=READINGS_OVERLOAD, bad_hz=bad_hz)
         self._steps = ByStep(_one_step, (self._material, tuning))
         self._cells, self._befores = zeros(Estimates, count), zeros(Estimates, count)
         self._watches = zeros(Watch, count)
@@ -244,7 +245,8 @@ class Estimator:
         last = np.where(np.isfinite(last), last, FAR)
         if falls:  # usual loads alone are credited
             last = np.minimum(last, np.maximum(usual, first))
-        low[places], high[places], var[places] = first, last, LEAST_STD**2
+        # No load reads less than rest but for errors: as far below as above, so that the middle says nothing.
+        low[places], high[places], var[places] = np.maximum(first, -last), last, LEAST_STD**2
         known[places] = says & (first <= last) & (last > 0.0)
 
     def _begin(self, new: np.ndarray[tuple[int], np.dtype[np.intp]], r: FloatArray) -> None:
@@ -266,16 +268,18 @@ class Estimator:
         shared: tuple[FloatArray, FloatArray] | None,
         slope: FloatArray,
     ) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-        """Let the filter take a frame; returns the cells (k,) that are awake."""
+        """Let the filter take a frame; returns the cells (k,) that were awake."""
+        slept = self._watches["asleep"] > 0.0
         step = self._steps.of(round(dt, 7))
-        if shared is not None and shared[0].any():
-            std, held = shared
-            both = np.copysign(np.hypot(std, STEP_STD * held), std) * slope
-            scratch = np.empty((2, low.size))
-            share_each.unchecked(
-                *(self._cells, self._watches, step, both, np.abs(held * slope), marks, self._columns),
-                *(low, high, var, scratch[0], scratch[1]),
-            )
+        if shared is not None:
+            std, steps = shared[0] * slope, shared[1] * slope
+            var += std * std
+            if steps.any():
+                scratch = np.empty((2, low.size))
+                share_each.unchecked(
+                    *(self._cells, self._watches, step, STEP_STD * steps, np.abs(steps), marks, self._columns),
+                    *(low, high, var, scratch[0], scratch[1]),
+                )
         self._since_forgot_s += dt
         forget = 1.0
         if self._since_forgot_s >= FORGET_EVERY_S:
@@ -287,10 +291,9 @@ class Estimator:
             *(self._cells, self._befores, self._watches, *self._scratch, step, low, high, var, marks, self._sleeps),
             *(forget, load, variance),
         )
-        asleep = self._watches["asleep"] > 0.0
         self._level_variance = variance
         self._states["level"] = load * self._unit
-        return np.flatnonzero((marks > 0.0) & ~asleep)
+        return np.flatnonzero((marks > 0.0) & ~(slept & (self._watches["asleep"] > 0.0)))
 
     def _settled(self) -> FloatArray:
         """(n,) 1 where the memory of the inversion is that of rest."""
@@ -306,6 +309,8 @@ class Estimator:
         if self.inversion.filtered:
             gain = states["gain_kpa"] * self._unit
             variance += np.minimum(gain * gain * self._level_variance, (UNKNOWN * full) ** 2)
+            if self.inversion.material is None:  # the filter's floor is one of loads, and r need not be linear in them
+                variance += (TUNING.floor * full) ** 2
         variance += self._conditions.model_std_kpa**2
         slopes = self._conditions.rest_slope_kpa
         if slopes is not None and self.rest_error:

@@ -277,4 +277,4 @@ def _usual(after: FloatArray, leaves: FloatArray, shakes: float) -> FloatArray:
     chain = chain * (1.0 - begins[:, None])
     chain[:, SHAKE] += begins
     system = np.vstack([chain.T - np.eye(MODES), np.ones(MODES)])
-    return np.asarray(np.linalg.lstsq(system, np.append(np.zeros(MODES), 1.0))[0])
+    return np.asarray(np.linalg.lstsq(system, np.append(np.zeros(MODES), 1.0), rcond=None)[0])

@@ -45,6 +45,8 @@ class Reason(IntEnum):
     """no cell resistances give readings like these: the design is not that of the board"""
     MISSING = 8
     """the board sent no reading of the cell"""
+    BEYOND_MODEL = 9
+    """the resistance is known, but the cell's model knows no pressure for it: a tare or cell data of another skin"""
 
 
 NO_CURRENT, SATURATED, UNCERTAIN, DISTURBED, HIDDEN, UNSETTLED = (

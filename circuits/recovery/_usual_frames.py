@@ -171,7 +171,7 @@ def measure_usual(
             valid = uncertainty[i, j] <= board.accuracy
             if not valid and cells[i, j] * of_cells[WHOLE_WIRES, i, j] > MOST_WIRE:
                 return False
-            row, column = (j, i) if board.turned > 0.0 else (i, j)
+            row, column = (columns - 1 - j, rows - 1 - i) if board.turned > 0.0 else (i, j)
             told = uncertainty[i, j]
             reason[row, column] = 0 if valid else UNCERTAIN
             if own[i, j] >= 1.0 or not cells[i, j] > 0.0:
@@ -289,7 +289,7 @@ class UsualFrames:
         if self._factors is not None and not self._take_factors(self._factors):
             return None
         if self._turned:
-            np.copyto(self._volts, volts.T)
+            np.copyto(self._volts, volts.T[::-1, ::-1])
             volts = self._volts
         shape = noise.shape
         block, reason = np.empty((FIELDS, *shape)), np.empty(shape, dtype=np.int8)

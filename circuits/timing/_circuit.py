@@ -173,7 +173,7 @@ class Circuit(NamedTuple):
         batch, size = static.shape[:2]
         one, stores = np.eye(size), charge.any(axis=(0, 2))
         moving, at_once = np.flatnonzero(stores), np.flatnonzero(~stores)
-        instant = np.linalg.solve(_block(static, at_once, at_once), one[at_once])
+        instant = np.linalg.solve(_block(static, at_once, at_once), one[None, at_once])
         lift = np.broadcast_to(one[:, moving], (batch, size, len(moving))).copy()
         lift[:, at_once] -= instant[:, :, at_once] @ _block(static, at_once, moving)
         inverse = np.linalg.inv(_block(charge, moving, moving))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from .common import _signals
+from .common import signals
 
 
 def main() -> None:
     """Run the command line and exit. An interrupt is one line from the first moment, also while modules are loaded."""
-    _signals.leave_at_once()
+    signals.leave_at_once()
     from .cli import main as run
 
     run()
