@@ -7,7 +7,7 @@ and a line add is left out (``examples/link_latency.py`` measures a real port).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from math import inf
 from time import process_time
@@ -77,27 +77,31 @@ def freshness(sizes: Iterable[int], *, cycles: int = CYCLES) -> Iterator[Freshne
         )
 
 
-def _opened(board: Design, cells: FloatArray, frames: int, period_s: float, *, each: int = 1) -> tuple[Skin, PacedPort]:
-    """A skin whose frames come ``period_s`` apart; those with the same cells, ``each``, have a millisecond together."""
-    port = PacedPort(packets_of(board, cells, frames=frames, each=each, rate_hz=each * RATE_HZ), period_s, board)
+def _opened(
+    board: Design, cells: FloatArray, frames: int, *, each: int = 1, clock: Callable[[], float] = process_time
+) -> tuple[Skin, PacedPort]:
+    """A skin whose frames with the same cells, ``each``, come within a millisecond."""
+    rate_hz = each * RATE_HZ
+    packets = packets_of(board, cells, frames=frames, each=each, rate_hz=rate_hz)
+    port = PacedPort(packets, 1.0 / rate_hz, board, clock=clock)
     return Skin(port, design=board, cell=Cell.example(), timeout=60.0), port
 
 
 def _costs(board: Design, cells: FloatArray, cycles: int) -> tuple[float, float, float]:
     """Processor time in us per frame that comes, per frame taken, and of contacts.
 
-    A frame comes per second of the port's time, so the processor time of a cycle does not matter. Three skins take the
+    The ports' time stands while the skins work, so the processor time of a cycle does not matter. Three skins take the
     same frames and take turns, since the load of the machine changes: one as they come, one with ten others that come
     before each, one with contacts.
     """
     times = np.empty((cycles, 3))
-    kinds = [(*_opened(board, cells, step * (cycles + 2), 1.0, each=step), step) for step in (1, _BURST, 1)]
+    kinds = [_opened(board, cells, step * (cycles + 2), each=step, clock=lambda: 0.0) for step in (1, _BURST, 1)]
     with kinds[0][0], kinds[1][0], kinds[2][0] as asked:
-        kinds[2][1].work(1.0)
+        kinds[2][1].work(1.0 / RATE_HZ)
         _ = asked.latest(inf).contacts  # from now on contacts are found in every frame
         for cycle in range(cycles):
-            for kind, (skin, port, step) in enumerate(kinds):
-                port.work(step)
+            for kind, (skin, port) in enumerate(kinds):
+                port.work(1.0 / RATE_HZ)
                 began = process_time()
                 _ = skin.latest(inf).pressure_std
                 times[cycle, kind] = process_time() - began
@@ -111,7 +115,7 @@ def _ages(board: Design, cells: FloatArray, cycles: int) -> tuple[list[float], i
     """Ages in s, frames skipped, and frames in no count, of a reader who works between two frames."""
     ages, skipped, known = [], 0, 0
     sequence = -1
-    skin, port = _opened(board, cells, int(_ROOM * cycles * WORK_S * RATE_HZ), 1.0 / RATE_HZ)
+    skin, port = _opened(board, cells, int(_ROOM * cycles * WORK_S * RATE_HZ))
     with skin:
         for _ in range(cycles):
             port.work(WORK_S)

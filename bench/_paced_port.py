@@ -11,6 +11,9 @@ from ..common.arrays import CodeArray
 from ..driver import Arrival
 from ..wire import FramePacket, Identity, board_protocol
 
+_ROUNDING = 1e-6
+"""of the sum of many times, in periods"""
+
 
 class PacedPort:
     """A port in memory: the board says who it is, and packet k comes at ``k * period_s``.
@@ -49,7 +52,7 @@ class PacedPort:
         if self._introduction:
             said, self._introduction = self._introduction, b""
             return Arrival(said, now, 1e9 + now)
-        come = min(int(now / self._period_s), len(self._packets))
+        come = min(int(now / self._period_s + _ROUNDING), len(self._packets))
         data = b"".join(self._packets[self._sent : come])
         self._sent = come
         return Arrival(data, now, 1e9 + now, more=False)

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from math import inf
 
 from ..common.events import SignalSafeEvent
+from ..common.text import shortened
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ..wire import Corrupt, Description, Event, Flag, FramePacket, HostProtocol, Identity, Order
 from ._frames import Frames
@@ -60,6 +61,21 @@ def await_free(name: str) -> None:
             connection._thread.join(JOIN_S)
 
 
+SAMPLE_BYTES = 200
+"""that a message may show of bytes that are no packets"""
+SHOWN = 40
+TEXT_SHARE = 0.9
+
+
+def looks_of(data: bytes) -> str:
+    """What bytes look like, for a message: a line of text, or numbers."""
+    printable_bytes = sum(32 <= byte < 127 or byte in b"\r\n\t" for byte in data)
+    if printable_bytes > TEXT_SHARE * len(data):
+        lines = [line.strip() for line in data.decode("ascii", "replace").splitlines() if line.strip()]
+        return f"text such as {shortened(lines[-2] if len(lines) > 1 else ''.join(lines[-1:]), SHOWN)!r}"
+    return f"binary such as {data[:16].hex(' ')}"
+
+
 @dataclass
 class Absence:
     """The time from the loss of the port until the board there has proved that it is the one from before."""
@@ -97,6 +113,8 @@ class Connection:
         """set when the handshake is complete, or will never be"""
         self.frames = frames
         self.stream = FrameStream(port.name, frames.counters, simulated=getattr(port, "is_simulated", False))
+        self._sample = b""
+        """the last bytes before the first frame"""
         self.taps: list[Callable[[Arrival], None]] = []
         """called with all bytes, as they arrive: for a recorder"""
         self.on_gone: list[Callable[[], None]] = []
@@ -169,7 +187,9 @@ class Connection:
         if not self._received:
             last = self.frames.newest
             if last is None:
-                return LinkTimeout(f"{where}: the port is silent")
+                return LinkTimeout(
+                    f"{where}: the port is silent; `ohmskin doctor {self.port_name}` asks in the ways of other boards"
+                )
             return LinkTimeout(
                 f"{where}: nothing came since the last frame, {self.now() - last.monotonic_time:.3g} s ago"
             )
@@ -177,8 +197,9 @@ class Connection:
             layout = self._protocol.layout
             size = "" if self._family.has_description else f" with {layout.rows} x {layout.columns} cells"
             return ProtocolError(
-                f"{where}: {self._received} bytes came, the last of them no packet ({self._reason}); "
-                f"expected a board of family '{self._family.name}'{size}, at this baud rate"
+                f"{where}: {self._received} bytes came, {looks_of(self._sample)}, the last of them no packet "
+                f"({self._reason}); expected a board of family '{self._family.name}'{size}, at this baud rate; "
+                f"`ohmskin doctor {self.port_name}` says which board it is, or drafts its description"
             )
         return LinkTimeout(f"{where}: the board is there, but sends none")
 
@@ -434,6 +455,8 @@ class Connection:
                 self._received += len(arrival.data)
                 for tap in self.taps:
                     tap(arrival)
+                if self.frames.newest is None:
+                    self._sample = (self._sample + arrival.data)[-SAMPLE_BYTES:]
                 events = self._protocol.feed(arrival.data, arrival.received_at)
                 frames = 0
                 for event in events:

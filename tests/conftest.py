@@ -33,6 +33,8 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 LONGEST = ("test_wheel.py", "test_verification.py")
 
+_FASTEST_HZ = _pressures.FASTEST_HZ
+
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """What takes longest comes first, so that no worker is left with it while the others have nothing to do."""
@@ -89,3 +91,9 @@ def _patient_driver() -> Iterator[None]:
 def quick_verification(monkeypatch: pytest.MonkeyPatch) -> None:
     """Presses are followed at 10 frames per second of board time, not 50."""
     monkeypatch.setattr(_pressures, "FASTEST_HZ", 10.0)
+
+
+@pytest.fixture
+def presses_at_full_rate(quick_verification: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At 10 frames per second the edge of a press is a jump, which counts as a spark until the next frame."""
+    monkeypatch.setattr(_pressures, "FASTEST_HZ", _FASTEST_HZ)

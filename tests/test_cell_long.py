@@ -52,7 +52,7 @@ def test_a_week_at_rest_leaves_no_drift(make: Callable[[], Cell], name: str) -> 
     assert learned <= 2 * float(fresh.std_kpa.max(initial=0.0, where=np.isfinite(fresh.std_kpa))) + 1e-9
     press = rest * (1 + 0.5 * np.sin(np.linspace(0, np.pi, 200)) ** 2)
     for one in (estimator, fresh):  # at rest as often as the presses, so that both know the noise alike
-        for _ in range(100):
+        for _ in range(600):
             one.step(DT, rest * (1 + 0.001 * rng.standard_normal(50)))
     for reading in press:
         late, first = (one.step(DT, np.full(50, reading)) for one in (estimator, fresh))

@@ -27,7 +27,7 @@ from boards import EXAMPLES, Flow, Script, Wire, described, frame, gone, identit
 from ohmskin.circuits import Design
 from ohmskin.driver import Frame, LinkStatistics, Recorder, Skin, discover, open_port
 from ohmskin.emulator import Board, PtyPort, Rfc2217Port, TcpPort, running
-from ohmskin.errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError
+from ohmskin.errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ohmskin.wire import (
     Flag,
     FramePacket,
@@ -430,6 +430,20 @@ class TestReaders:
 
 
 class TestPorts:
+    @pytest.mark.parametrize(
+        ("data", "looks"),
+        [
+            (b"12,13,14\r\n15,16,17\r\n18,1", "text such as '15,16,17'"),
+            (bytes(range(130, 170)), "binary such as 82 83 84 85"),
+        ],
+    )
+    def test_what_is_no_packet_is_shown_with_the_command_that_goes_on(self, data: bytes, looks: str) -> None:
+        port = Script(data)
+        with pytest.raises(ProtocolError) as caught:
+            Skin(port, timeout=0.3)
+        assert looks in str(caught.value)
+        assert f"`ohmskin doctor {port.name}`" in str(caught.value)
+
     def test_too_many_open_files_are_one_message_and_leave_nothing_open(self, monkeypatch: pytest.MonkeyPatch) -> None:
         def fail() -> None:
             raise OSError(errno.EMFILE, "Too many open files")

@@ -81,8 +81,9 @@ class Estimator:
         tuning = TUNING
         if not follows_load:
             # What a cell without memory reads is over when it is over.
-            bad_hz = TUNING.bad_hz if inversion.remembers else 0.0
-            tuning = replace(TUNING, memory=0.0, floor=0.0, relative=0.0, overload=READINGS_OVERLOAD, bad_hz=bad_hz)
+            bad_hz, drift = (TUNING.bad_hz, TUNING.drift) if inversion.remembers else (0.0, 0.0)
+            none = {"memory": 0.0, "floor": 0.0, "relative": 0.0}
+            tuning = replace(TUNING, **none, drift=drift, overload=READINGS_OVERLOAD, bad_hz=bad_hz)
         self._steps = ByStep(_one_step, (self._material, tuning))
         self._cells, self._befores = zeros(Estimates, count), zeros(Estimates, count)
         self._watches = zeros(Watch, count)
@@ -244,7 +245,8 @@ class Estimator:
         last = np.where(np.isfinite(last), last, FAR)
         if falls:  # usual loads alone are credited
             last = np.minimum(last, np.maximum(usual, first))
-        low[places], high[places], var[places] = first, last, LEAST_STD**2
+        # No load reads less than rest but for errors: as far below as above, so that the middle says nothing.
+        low[places], high[places], var[places] = np.maximum(first, -last), last, LEAST_STD**2
         known[places] = says & (first <= last) & (last > 0.0)
 
     def _begin(self, new: np.ndarray[tuple[int], np.dtype[np.intp]], r: FloatArray) -> None:
@@ -266,7 +268,8 @@ class Estimator:
         shared: tuple[FloatArray, FloatArray] | None,
         slope: FloatArray,
     ) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-        """Let the filter take a frame; returns the cells (k,) that are awake."""
+        """Let the filter take a frame; returns the cells (k,) that were awake."""
+        slept = self._watches["asleep"] > 0.0
         step = self._steps.of(round(dt, 7))
         if shared is not None:
             std, steps = shared[0] * slope, shared[1] * slope
@@ -288,10 +291,9 @@ class Estimator:
             *(self._cells, self._befores, self._watches, *self._scratch, step, low, high, var, marks, self._sleeps),
             *(forget, load, variance),
         )
-        asleep = self._watches["asleep"] > 0.0
         self._level_variance = variance
         self._states["level"] = load * self._unit
-        return np.flatnonzero((marks > 0.0) & ~asleep)
+        return np.flatnonzero((marks > 0.0) & ~(slept & (self._watches["asleep"] > 0.0)))
 
     def _settled(self) -> FloatArray:
         """(n,) 1 where the memory of the inversion is that of rest."""

@@ -647,8 +647,10 @@ def rests(watch: Watch, t: Step, low: float, high: float, var: float) -> bool:
     std = math.sqrt(var + (high - low) * (high - low) * (1.0 / 12.0))
     off = (0.5 * (low + high) - watch.centre) / std
     watch.cusum = max(watch.cusum + off - 0.5, 0.0)
-    watch.centre += (off * std) * min(t.dt_s / DRIFTS_S, 1.0)
-    return bool(abs(off) < WAKES and watch.cusum < WAKES)
+    sleeps = abs(off) < WAKES and watch.cusum < WAKES
+    if sleeps and t.drift_var > 0.0:  # of readings at rest alone, and where the rest resistance drifts at all
+        watch.centre += (off * std) * min(t.dt_s / DRIFTS_S, 1.0)
+    return bool(sleeps)
 
 
 SURPRISE = 6.0
