@@ -217,7 +217,7 @@ class Estimator:
         known = exact & credible & np.isfinite(half) & np.isfinite(var)
         if bounds is not None and not exact.all():
             self._bound(np.flatnonzero(~exact), bounds, (low, high, var, known))
-        return low, high, np.where(known, var, 1.0), known, np.where(known, slope, 0.0)
+        return low, high, np.where(known, var, 1.0), known, np.where(known & exact, slope, 0.0)
 
     def _bound(
         self,
