@@ -250,6 +250,20 @@ def predict(c: Candidates, n: int, j: int, t: Step) -> None:
 
 
 @loop
+def move(c: Candidates, n: int, s: float, r: float, v: float, off: float, less: float) -> None:
+    """Move a candidate by ``off`` along (s, r, v), and take ``less`` of its variance there: an update of rank one."""
+    c.s[n] += s * off
+    c.r[n] += r * off
+    c.v[n] += v * off
+    c.ss[n] -= s * s * less
+    c.sr[n] -= s * r * less
+    c.sv[n] -= s * v * less
+    c.rr[n] -= r * r * less
+    c.rv[n] -= r * v * less
+    c.vv[n] -= v * v * less
+
+
+@loop
 def bound(c: Candidates, n: int, of_speed: bool, at: float, side: float) -> float:
     """Truncate a candidate to loads, or speeds, on one side of a bound; returns the probability of that side."""
     mean, var = (c.v[n], c.vv[n]) if of_speed else (c.s[n], c.ss[n])
@@ -273,15 +287,7 @@ def bound(c: Candidates, n: int, of_speed: bool, at: float, side: float) -> floa
     left = max(1.0 - hazard * (hazard + z), 0.02)
     s, r, v = (c.sv[n], c.rv[n], c.vv[n]) if of_speed else (c.ss[n], c.sr[n], c.sv[n])
     gain, less = side * hazard / std, (1.0 - left) / (std * std)
-    c.s[n] += s * gain
-    c.r[n] += r * gain
-    c.v[n] += v * gain
-    c.ss[n] -= s * s * less
-    c.sr[n] -= s * r * less
-    c.sv[n] -= s * v * less
-    c.rr[n] -= r * r * less
-    c.rv[n] -= r * v * less
-    c.vv[n] -= v * v * less
+    move(c, n, s, r, v, gain, less)
     return inside
 
 
@@ -307,15 +313,7 @@ def within(c: Candidates, n: int, var: float, low: float, high: float) -> None:
             off, left = shift * std, max(spread, 1e-3) * var
     s, r, v = c.sr[n] / var, c.rr[n] / var, c.rv[n] / var
     less = var - left
-    c.s[n] += s * off
-    c.r[n] += r * off
-    c.v[n] += v * off
-    c.ss[n] -= s * s * less
-    c.sr[n] -= s * r * less
-    c.sv[n] -= s * v * less
-    c.rr[n] -= r * r * less
-    c.rv[n] -= r * v * less
-    c.vv[n] -= v * v * less
+    move(c, n, s, r, v, off, less)
 
 
 @loop
