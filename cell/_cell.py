@@ -127,6 +127,12 @@ class Cell(Section):
         return rest * (1.0 + r) if self.log_span is None else resistance_on_logarithm(r, rest, self.log_span)
 
     @property
+    def rest_slope_kpa(self) -> FloatArray:
+        """(m,) pressure in kPa that a relative error of R0 looks like, at pressures spaced evenly up to full scale."""
+        parallel = isinstance(self.model, ContactModel) and self.estimators is None
+        return rest_slope(self.equilibrium_ohm, self.full_scale_kpa, parallel=parallel)
+
+    @property
     def default_estimator(self) -> str:
         """The default estimator of this cell: the one that calibration chose, else the best that its model allows."""
         if self.estimators is not None:
@@ -243,7 +249,7 @@ class Cell(Section):
 
         Only inverses get a model error: they cannot see it in their readings.
         """
-        learned, slope = self.estimators, rest_slope(self.equilibrium_ohm, self.full_scale_kpa)
+        learned, slope = self.estimators, self.rest_slope_kpa
         if learned is None:
             return Conditions(slope, noise=noise)
         return Conditions(

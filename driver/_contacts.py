@@ -23,7 +23,6 @@ import numpy as np
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
 from ._bridging import bridge
-from ._lazy import Lazy
 from ._pitch import Pitch
 from ._tare import KNOWN_DRIFT
 from ._tracks import Named, Patch, Tracks
@@ -413,7 +412,7 @@ class PressureView:
     """of the frame"""
     time_s: float
     pressure_kpa: FloatArray
-    std_kpa: Lazy
+    std_kpa: FloatArray
     unread: BoolArray
     """(rows, columns) cells without a reading in this frame"""
     contacts: tuple[Contact, ...] | None = None
@@ -452,5 +451,5 @@ class ContactsOfFrames:
         tracker = self._tracker if is_next else copy.deepcopy(self._tracker)
         if is_next:
             self._newest = view.number
-        view.contacts = tracker.update(view.time_s, view.pressure_kpa, view.std_kpa(), view.unread)
+        view.contacts = tracker.update(view.time_s, view.pressure_kpa, view.std_kpa, view.unread)
         return view.contacts

@@ -20,7 +20,6 @@ from ._calibration import Calibration
 from ._contacts import ContactsOfFrames, ContactTracker, PressureView
 from ._converted import Converted
 from ._estimate import Estimate
-from ._lazy import Lazy
 from ._line_faults import Creep, LineFaults
 from ._pitch import Pitch
 from ._plain import PlainReader
@@ -28,7 +27,6 @@ from ._reading import CountReader
 from ._rest import Rest
 from ._statistics import Counters
 from ._stream import RawFrame
-from ._systematic import SystematicError
 from ._tare import KNOWN_DRIFT, RestChange
 
 KNOWN_FRAMES = 20
@@ -83,10 +81,7 @@ class Converter:
         self._read = self._new_reader()
         self._present: NDArray[np.uint16] | None = None
         """last counts that the board has sent of each cell"""
-        self._systematic = None if cell is None else SystematicError(cell)
-        self._rest = None
-        if cell is not None and self._systematic is not None:
-            self._rest = Rest(cell, calibration, self._systematic)
+        self._rest = None if cell is None else Rest(cell, calibration)
         self.rest: FloatArray | None = None
         """(rows, columns) rest resistances by a tare, or counts where the circuit is not known; None: no tare"""
         self._advice = Advice(cell, self._rest, accuracy, counters, knows_circuit=self.design is not None)
@@ -188,6 +183,7 @@ class Converter:
         if self._advice.frames is not None:
             self._advice.take(as_read)
         pressure.setflags(write=False)
+        std.setflags(write=False)
         view = PressureView(frame.index, frame.time_s, pressure, std, unread)
         self.contacts.pass_by(view)
         return Converted(
@@ -211,11 +207,11 @@ class Converter:
         self._present = np.where(missing, frame.counts if before is None else before, frame.counts)
         return self._read(self._present).without(missing, Reason.MISSING)
 
-    def _pressures(self, gap_s: float, measured: Measurement) -> tuple[FloatArray, Lazy]:
+    def _pressures(self, gap_s: float, measured: Measurement) -> tuple[FloatArray, FloatArray]:
         """Pressures (rows, columns) in kPa and their standard deviations."""
         if self._estimate is None or self._rest is None:
             unknown = np.full(measured.reason.shape, np.nan)
-            return unknown, Lazy(unknown.copy)
+            return unknown, unknown.copy()
         self._rest.take(measured)
         return self._estimate.take(gap_s, measured)
 
@@ -233,10 +229,9 @@ class Converter:
         return "" if self.cell is None else self._estimator_name or self.cell.default_estimator
 
     def _fresh_estimate(self) -> Estimate | None:
-        if self.cell is None or self._rest is None or self._systematic is None:
+        if self.cell is None or self._rest is None:
             return None
-        beside = self._rest, self._systematic, self._calibration
-        return Estimate(self.cell, self.shape, self._estimator_name, *beside)
+        return Estimate(self.cell, self.shape, self._estimator_name, self._rest, self._calibration)
 
     def _new_estimate(self) -> Estimate | None:
         """Start the estimator and the model of line faults, for the rest resistances in use."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..circuits import Design, Measured, Reason, adc_error, live_recovery, noise, volts_of_codes
 from ..common.arrays import BoolArray, FloatArray
 from ..common.compiled import Rows, loop
-from ..common.measurement import STEP_STD, Measurement
+from ..common.measurement import Measurement
 from ..common.noise import NoiseEstimate
 from ..errors import InputError, ProtocolError, SolverError
 
@@ -22,7 +22,6 @@ _GUARD = 6.0  # standard deviations of the noise, guard band: within it an outpu
 _JUMP = 1.0 / 16.0  # of the converter's codes, from one frame to the next: a larger change of a reading is a jump
 _ALIKE = 1.5  # ratio of noises up to which the judgement of a reading stays about the same
 _NEGLIGIBLE = 0.05  # ADC steps of noise that are negligible beside the half step
-_STEP_OVER_STD = 2.0 / STEP_STD  # of an error that is evenly distributed over one step
 _UNSETTLED, _NO_CURRENT = int(Reason.UNSETTLED), int(Reason.NO_CURRENT)
 _ASSUMED = 0.5  # ADC steps of noise before anything is measured
 
@@ -71,7 +70,6 @@ class CountReader:
         self._silent = 0  # cells whose readings stood at a limit in the last frame, and could not change
         self._limited: BoolArray | None = None  # cells that counted as limited in the last frame
         self._in_doubt = False  # some of them may have left the limit; one more frame decides
-        self._resolution = *(np.zeros(self._shape),) * 3, self._recover.scales_columns
         self._counts = b""
         self._kept: Measurement | None = None
         self._judged_with = 0.0  # V, noise in the uncertainties of the last reading
@@ -146,7 +144,7 @@ class CountReader:
         self._silent, self._in_doubt = 0, False
         if jumped or most >= highest or least < lowest or self._limited is not None:
             return self._read_limited(counts, most, noise, jumped=jumped)
-        usual = self._recover.usual if self._noise.frames > 1 else None  # the first frame tells the resolution
+        usual = self._recover.usual if self._noise.frames > 1 else None
         found = None if usual is None else usual(volts, noise, *self._noise_of_each)
         return self._recovered(counts, noise, None, None) if found is None else found
 
@@ -176,9 +174,6 @@ class CountReader:
         reason = found.reason if under_range is None else np.where(under_range, _NO_CURRENT, found.reason)
         usual, each = self._noise_of_each
         made = self._measured(found, reason, each, usual)
-        own, _, every, _ = found.errors
-        by_step = self._step / _STEP_OVER_STD
-        self._resolution = own * by_step, found.resistance, every * by_step, self._recover.scales_columns
         # Cells that are unsettled, or judged before the noise was measured, may change with another frame like this;
         # so may all cells where none is known.
         settled = not (reason == _UNSETTLED).any() and not np.isnan(found.resistance).all()
@@ -264,11 +259,6 @@ class CountReader:
         if not self._design_noise:
             return self._noise.usual, self._each
         return max(self._noise.usual, self._design_noise), np.maximum(self._each, self._design_noise)
-
-    @property
-    def resolution(self) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
-        """Of the last frame, the arguments of :meth:`ohmskin.cell.Estimator.resolve`, in its order."""
-        return self._resolution
 
 
 def _resumed(

@@ -163,7 +163,7 @@ def simulate(dut: DesignUnderTest, name: str, factors: FloatArray) -> Run:
     ohms = _recovered(recover, volts, lost)
     estimator = dut.cell.estimator(shape, rest_resistance_ohm=rest)
     steps = np.diff(time_s, prepend=time_s[0])
-    estimated = np.array([estimator.step(float(dt), frame) for dt, frame in zip(steps, ohms, strict=True)])
+    estimated, _ = estimator.run(steps, ohms)
     return Run(name, time_s, applied, estimated, lost, full)
 
 

@@ -110,7 +110,7 @@ class Estimator:
         self._sleeps = np.full(count, 0.0 if inversion.exact else 1.0)
         """(n,) 1 where the memory of the inversion is that of rest"""
         self._shown = np.full((2, count), np.nan)
-        """(2, n) the last pressures in kPa, and their variances"""
+        """(2, n) the last pressures in kPa, and their standard deviations"""
         self._work = np.zeros((SCRATCH, count))
         self._state = (
             *(self._cells, self._befores, self._watches),
@@ -141,7 +141,7 @@ class Estimator:
         resistance = np.asarray(resistance_ohm, dtype=np.float64)
         if resistance.shape != self.shape:
             raise InputError(f"resistance has shape {resistance.shape}, expected {self.shape}")
-        return self._take(self._time(np.array([elapsed_s], dtype=np.float64)), self._blocks(resistance.reshape(1, -1)))
+        return self._take(elapsed_s, self._blocks(resistance.reshape(1, -1)))[0]
 
     def run(self, elapsed_s: ArrayLike, resistance_ohm: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Take frames at once: bit for bit what :meth:`step` gives for one after the other, but quicker.
@@ -165,17 +165,27 @@ class Estimator:
         return self._run(elapsed, elapsed.size, lambda frames: self._blocks(flat[frames]))
 
     def update(self, elapsed_s: float, measured: Measurement) -> FloatArray:
-        """As :meth:`step`, from conductances with their errors; a reading at a limit of the converter is an interval.
+        """The pressures (shape) of :meth:`estimate`."""
+        return self.estimate(elapsed_s, measured)[0]
+
+    def estimate(self, elapsed_s: float, measured: Measurement) -> tuple[FloatArray, FloatArray]:
+        """Take a frame of conductances with their errors; a reading at a limit of the converter is an interval.
 
         Noise, steps and what columns share are those that the measurement states.
+
+        Returns:
+            (shape) pressures, and their standard deviations in kPa.
+
+        Raises:
+            InputError: as :meth:`step`.
+
         """
         block = measured.block
         if block.shape[1:] != self.shape:
             raise InputError(f"conductance has shape {block.shape[1:]}, expected {self.shape}")
         if not block.flags.c_contiguous:
             block = block.copy()
-        dt_s = self._time(np.array([elapsed_s], dtype=np.float64))
-        return self._take(dt_s, block.reshape(1, FIELDS, self._rest_ohm.size))
+        return self._take(elapsed_s, block.reshape(1, FIELDS, self._rest_ohm.size))
 
     def run_measured(self, elapsed_s: FloatArray, blocks: FloatArray) -> tuple[FloatArray, FloatArray]:
         """As :meth:`run`, from the blocks (frames, fields, shape) of measurements."""
@@ -189,13 +199,13 @@ class Estimator:
     ) -> tuple[FloatArray, FloatArray]:
         """Take ``count`` frames, whose measurements ``blocks`` gives in order."""
         dt_s = self._time(elapsed_s)
-        pressure, variance = np.empty((2, count, self._rest_ohm.size))
+        pressure, std = np.empty((2, count, self._rest_ohm.size))
         most = max(BLOCK // self._rest_ohm.size, 1) if self._alone else 1
         for first in range(0, count, most):
             frames = slice(first, first + most)
-            self._frames(dt_s[frames], blocks(frames), pressure[frames], variance[frames])
+            self._frames(dt_s[frames], blocks(frames), pressure[frames], std[frames])
         shape = (count, *self.shape)
-        return pressure.reshape(shape), np.sqrt(variance).reshape(shape)
+        return pressure.reshape(shape), std.reshape(shape)
 
     def _time(self, elapsed_s: FloatArray) -> FloatArray:
         """(frames,) steps of time, that of the first frame any one."""
@@ -223,14 +233,15 @@ class Estimator:
         blocks[:, HALF_STEP] = steps / (STEP_STD * self._rest_ohm)
         return blocks
 
-    def _take(self, dt_s: FloatArray, block: FloatArray) -> FloatArray:
-        """The pressures (shape) of one frame (1, fields, n)."""
-        pressure = np.empty((1, self._rest_ohm.size))
-        self._frames(dt_s, block, pressure, np.empty_like(pressure))
-        return pressure.reshape(self.shape)
+    def _take(self, elapsed_s: float, block: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The pressures (shape) of one frame (1, fields, n), and their standard deviations."""
+        dt_s = self._time(np.array([elapsed_s], dtype=np.float64))
+        pressure, std = np.empty((1, self._rest_ohm.size)), np.empty((1, self._rest_ohm.size))
+        self._frames(dt_s, block, pressure, std)
+        return pressure.reshape(self.shape), std.reshape(self.shape)
 
-    def _frames(self, dt_s: FloatArray, blocks: FloatArray, pressure: FloatArray, variance: FloatArray) -> None:
-        """Take frames (frames, fields, n), and write their pressures and variances (frames, n)."""
+    def _frames(self, dt_s: FloatArray, blocks: FloatArray, pressure: FloatArray, std: FloatArray) -> None:
+        """Take frames (frames, fields, n), and write their pressures and standard deviations (frames, n)."""
         steps, which = self._steps.of(round(dt_s.item(0), 7)), _ONLY
         if dt_s.size > 1:
             rounded, which = np.unique(np.round(dt_s, 7), return_inverse=True)
@@ -243,7 +254,7 @@ class Estimator:
             self._sleeps[:] = inversion.settled(states, memory, every, band)
         status = np.empty(pressure.shape, dtype=np.int8)
         level, level_variance = np.empty((2, *pressure.shape))
-        answer = level, level_variance, pressure, variance
+        answer = level, level_variance, pressure, std
         take_frames.unchecked(*self._state, steps, which, blocks, status, *answer)
         if inversion.material is not None:
             return
@@ -257,7 +268,7 @@ class Estimator:
             inversion.advance(answers, memory, awake, float(dt_s[0]))
         slopes = self._conditions.rest_slope_kpa
         show_frames.unchecked(
-            *(status, level, level_variance, answers, states, self._settings, slopes, self._shown, pressure, variance)
+            *(status, level, level_variance, answers, states, self._settings, slopes, self._shown, pressure, std)
         )
 
     # -- what is known beside the readings -----------------------------------------------------------------------------
@@ -310,12 +321,8 @@ class Estimator:
     @property
     def std_kpa(self) -> FloatArray:
         """(shape) standard deviation of the estimate of the last step, in kPa; NaN where none can be stated."""
-        return np.asarray(np.sqrt(self.variance_of_last_step()()))
-
-    def variance_of_last_step(self) -> Callable[[], FloatArray]:
-        """A function that returns the square of :attr:`std_kpa` of the last step, at any time and in any thread."""
-        variance = self._shown[1].reshape(self.shape).copy()
-        return lambda: variance
+        std: FloatArray = self._shown[1].reshape(self.shape).copy()
+        return std
 
     @property
     def states_std(self) -> bool:

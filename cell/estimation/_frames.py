@@ -183,7 +183,7 @@ def take_frames(
     level: Rows,
     level_variance: Rows,
     pressure: Rows,
-    variance: Rows,
+    std: Rows,
 ) -> None:
     """Take frames of n cells.
 
@@ -212,7 +212,7 @@ def take_frames(
         level: (frames, n) written: what the filter follows.
         level_variance: (frames, n) written.
         pressure: (frames, n) written in kPa if the filter follows the load, else by :func:`show_frames`.
-        variance: (frames, n) likewise.
+        std: (frames, n) likewise, standard deviations.
 
     """
     settings, scale, clock = all_settings[0], scales[0], clocks[0]
@@ -236,9 +236,9 @@ def take_frames(
                 begin(cells[i], work[BEGINNING, i], settings.geq, settings.g3)
                 watch = watches[i]
                 watch.odds = watch.since_s = watch.asleep = watch.offset = watch.centre = watch.cusum = 0.0
-            std = block[COLUMN_STD, i] * work[SLOPE, i]
+            shared_std = block[COLUMN_STD, i] * work[SLOPE, i]
             held = block[COLUMN_HALF_STEP, i] * work[SLOPE, i]
-            var[i] += std * std
+            var[i] += shared_std * shared_std
             work[SHARED, i], work[HELD, i] = STEP_STD * held, abs(held)
             shares = shares or held != 0.0
             if watches[i].asleep > 0.0:
@@ -281,7 +281,7 @@ def take_frames(
             if mark[i] >= 0.0:
                 level[frame, i], level_variance[frame, i] = load[i] * settings.unit, load_var[i]
     if settings.follows > 0.0:
-        show_frames(status, level, level_variance, states, states, all_settings, slopes, shown, pressure, variance)
+        show_frames(status, level, level_variance, states, states, all_settings, slopes, shown, pressure, std)
 
 
 @loop
@@ -295,9 +295,9 @@ def show_frames(
     slopes: Row,
     shown: Rows,
     pressure: Rows,
-    variance: Rows,
+    std: Rows,
 ) -> None:
-    """Write the pressures (frames, n) of frames in kPa, and their variances.
+    """Write the pressures (frames, n) of frames in kPa, and their standard deviations.
 
     Args:
         status: (frames, n) flags, as ``level`` and ``level_variance`` of :func:`take_frames`.
@@ -307,9 +307,9 @@ def show_frames(
         states: (n,) the last answer for each cell, renewed.
         all_settings: (1,)
         slopes: (m,) kPa per relative error of R0, at pressures spaced evenly from 0 to full scale.
-        shown: (2, n) the last pressures and variances, renewed.
+        shown: (2, n) the last pressures and deviations, renewed.
         pressure: written.
-        variance: written.
+        std: written.
 
     """
     settings, cells = all_settings[0], states.size
@@ -340,8 +340,8 @@ def show_frames(
                 last = shown[0, i]
                 var = math.nan if math.isnan(last) else var + (kpa - last) * (kpa - last)
                 kpa = last
-            shown[0, i], shown[1, i] = kpa, var
-            pressure[frame, i], variance[frame, i] = kpa, var
+            shown[0, i], shown[1, i] = kpa, math.sqrt(var)
+            pressure[frame, i], std[frame, i] = kpa, shown[1, i]
 
 
 @loop

@@ -31,18 +31,21 @@ class Chains(Record):
     """r of the chains that must have broken"""
 
 
-def rest_slope(equilibrium_ohm: Callable[[FloatArray], FloatArray], full_scale_kpa: float) -> FloatArray:
+def rest_slope(
+    equilibrium_ohm: Callable[[FloatArray], FloatArray], full_scale_kpa: float, *, parallel: bool = False
+) -> FloatArray:
     """(:data:`SLOPES`,) pressure in kPa that a relative error of R0 looks like, per unit of that error.
 
     This is the slope dp/d(ln R) of the equilibrium curve, at evenly spaced pressures from 0 to full scale. It is
     limited where the curve is flat, since no estimator follows it there. ``equilibrium_ohm`` gives the resistance under
-    normalised loads (n,).
+    normalised loads (n,). ``parallel``: the load adds a conductance to 1/R0, instead of changing R0 by a factor.
     """
     load = np.linspace(0, 1, SLOPES)
     log_r = np.log(equilibrium_ohm(load))
     mean = max(abs(float(log_r[-1] - log_r[0])), 1e-9)
     slope = np.maximum(np.abs(np.gradient(log_r, load)), mean / FLAT)
-    return np.asarray(full_scale_kpa / slope)
+    share = np.exp(log_r - log_r[0]) if parallel else 1.0
+    return np.asarray(full_scale_kpa / slope * share)
 
 
 def memory_share(model: Model) -> float:
