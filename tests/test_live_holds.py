@@ -199,7 +199,8 @@ def test_a_divider_tells_the_steps_of_all_its_readings() -> None:
     expected = np.sqrt(square / 12.0)
     for _ in range(3):
         at = reader(codes)
-    np.testing.assert_allclose(at.steps_std, expected, rtol=0.3)
+    assert np.all(at.steps_std > expected)
+    assert np.all(at.steps_std < 2.0 * expected), "as much as where equal cells are rounded alike"
 
 
 def test_steps_that_scale_no_columns_are_errors_of_each_cell() -> None:

@@ -14,12 +14,13 @@ A kernel takes many frames at once (:mod:`._frames`), unless the inversion remem
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ...common.arrays import FloatArray
 from ...common.compiled import Records, values, zeros
@@ -91,7 +92,7 @@ class Estimator:
             *(unit, unit, *inversion.credible, inversion.usual_level),
             *(inversion.remembers, inversion.filtered, follows_load, material.geq, material.g3),
             *(full, UNKNOWN * full, 0.0 if follows_load else TUNING.floor * full),
-            *(conditions.model_std_kpa, conditions.rest_error, self.states_std),
+            *(conditions.model_std_kpa, conditions.rest_error, self.states_std, 0.0),
         )
         self._steps = ByStep(_one_step, (material, tuning))
         self._cells, self._befores = zeros(Estimates, count), zeros(Estimates, count)
@@ -119,6 +120,7 @@ class Estimator:
             *(self._seen, self._work, self._states, conditions.rest_slope_kpa, self._shown),
         )
         """what the kernel of frames takes before the frames themselves"""
+        self._one, self._begun = self._scratch(1), False
 
     # -- frames ------------------------------------------------------------------------------------------------------
 
@@ -185,13 +187,14 @@ class Estimator:
             raise InputError(f"conductance has shape {block.shape[1:]}, expected {self.shape}")
         if not block.flags.c_contiguous:
             block = block.copy()
+        self._settings["lasting"] = 1.0
         return self._take(elapsed_s, block.reshape(1, FIELDS, self._rest_ohm.size))
 
     def run_measured(self, elapsed_s: FloatArray, blocks: FloatArray) -> tuple[FloatArray, FloatArray]:
         """As :meth:`run`, from the blocks (frames, fields, shape) of measurements."""
         if blocks.shape != (elapsed_s.size, FIELDS, *self.shape):
             raise InputError(f"blocks have shape {blocks.shape}, expected {(elapsed_s.size, FIELDS, *self.shape)}")
-        flat = blocks.reshape(elapsed_s.size, FIELDS, self._rest_ohm.size)
+        flat, self._settings["lasting"] = blocks.reshape(elapsed_s.size, FIELDS, self._rest_ohm.size), 1.0
         return self._run(elapsed_s, elapsed_s.size, lambda frames: np.ascontiguousarray(flat[frames]))
 
     def _run(
@@ -203,13 +206,19 @@ class Estimator:
         most = max(BLOCK // self._rest_ohm.size, 1) if self._alone else 1
         for first in range(0, count, most):
             frames = slice(first, first + most)
-            self._frames(dt_s[frames], blocks(frames), pressure[frames], std[frames])
+            block = blocks(frames)
+            self._frames(dt_s[frames].tolist(), block, self._scratch(len(block)), pressure[frames], std[frames])
         shape = (count, *self.shape)
         return pressure.reshape(shape), std.reshape(shape)
 
+    def _scratch(self, frames: int) -> tuple[NDArray[np.int8], FloatArray, FloatArray]:
+        """Flags, and levels with their variances (frames, n), for the kernel to write."""
+        shape = frames, self._rest_ohm.size
+        return np.empty(shape, dtype=np.int8), np.empty(shape), np.empty(shape)
+
     def _time(self, elapsed_s: FloatArray) -> FloatArray:
         """(frames,) steps of time, that of the first frame any one."""
-        if not self._clock["frames"][0] and elapsed_s.size:
+        if not self._begun and elapsed_s.size:
             elapsed_s = elapsed_s.copy()
             elapsed_s[0] = 1.0
         wrong = ~((elapsed_s > 0.0) & (elapsed_s < np.inf))
@@ -224,7 +233,7 @@ class Estimator:
             conductance = np.where(resistance_ohm > 0.0, 1.0 / resistance_ohm, np.nan)
         if not self._scale["open_at_rest"][0]:
             conductance[conductance == 0.0] = np.nan
-        steps = self._step_std
+        steps, self._settings["lasting"] = self._step_std, 0.0
         noise = np.zeros(1) if self.inversion.exact else self._noise.run(conductance * self._rest_ohm)
         blocks = np.zeros((len(conductance), FIELDS, self._rest_ohm.size))
         blocks[:, CONDUCTANCE], blocks[:, GREATEST] = conductance, np.inf
@@ -235,16 +244,25 @@ class Estimator:
 
     def _take(self, elapsed_s: float, block: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The pressures (shape) of one frame (1, fields, n), and their standard deviations."""
-        dt_s = self._time(np.array([elapsed_s], dtype=np.float64))
-        pressure, std = np.empty((1, self._rest_ohm.size)), np.empty((1, self._rest_ohm.size))
-        self._frames(dt_s, block, pressure, std)
+        if not 0.0 < elapsed_s < math.inf or not self._begun:
+            elapsed_s = self._time(np.array([elapsed_s], dtype=np.float64)).item(0)
+        answer = np.empty((2, 1, self._rest_ohm.size))
+        pressure, std = answer
+        self._frames([elapsed_s], block, self._one, pressure, std)
         return pressure.reshape(self.shape), std.reshape(self.shape)
 
-    def _frames(self, dt_s: FloatArray, blocks: FloatArray, pressure: FloatArray, std: FloatArray) -> None:
+    def _frames(
+        self,
+        dt_s: list[float],
+        blocks: FloatArray,
+        scratch: tuple[NDArray[np.int8], FloatArray, FloatArray],
+        pressure: FloatArray,
+        std: FloatArray,
+    ) -> None:
         """Take frames (frames, fields, n), and write their pressures and standard deviations (frames, n)."""
-        steps, which = self._steps.of(round(dt_s.item(0), 7)), _ONLY
-        if dt_s.size > 1:
-            rounded, which = np.unique(np.round(dt_s, 7), return_inverse=True)
+        steps, which = self._steps.of(round(dt_s[0], 7)), _ONLY
+        if len(dt_s) > 1:
+            rounded, which = np.unique([round(each, 7) for each in dt_s], return_inverse=True)
             steps = zeros(Step, rounded.size)
             for place, each_s in enumerate(rounded.tolist()):
                 np.asarray(steps)[place] = np.asarray(self._steps.of(each_s))[0]
@@ -252,10 +270,9 @@ class Estimator:
         if not (self._alone or inversion.exact) and self._clock["since_forgot_s"][0] + dt_s[0] >= FORGET_EVERY_S:
             every, band = np.arange(self._sleeps.size), SETTLED * inversion.full_scale_r
             self._sleeps[:] = inversion.settled(states, memory, every, band)
-        status = np.empty(pressure.shape, dtype=np.int8)
-        level, level_variance = np.empty((2, *pressure.shape))
-        answer = level, level_variance, pressure, std
-        take_frames.unchecked(*self._state, steps, which, blocks, status, *answer)
+        status, level, level_variance = scratch
+        take_frames.unchecked(*self._state, steps, which, blocks, *scratch, pressure, std)
+        self._begun = True
         if inversion.material is not None:
             return
         answers = zeros(CellState, level.size) if self._alone else states
@@ -265,7 +282,7 @@ class Estimator:
             inversion.begin(answers, memory, new, self._work[BEGINNING, new] * r_unit)
         answers["level"] = level.ravel()
         if awake.size:
-            inversion.advance(answers, memory, awake, float(dt_s[0]))
+            inversion.advance(answers, memory, awake, dt_s[0])
         slopes = self._conditions.rest_slope_kpa
         show_frames.unchecked(
             *(status, level, level_variance, answers, states, self._settings, slopes, self._shown, pressure, std)
@@ -359,6 +376,7 @@ class Estimator:
         for name, kept in self._kept().items():
             kept[...] = given[name]
         self.rest_error = given["rest_error"].item()
+        self._begun = bool(self._clock["frames"][0])
         self._noise.restore(given)
 
 

@@ -67,6 +67,8 @@ class Settings(Record):
     rest_error: float
     """relative standard deviation of R0"""
     states_std: float
+    lasting: float
+    """1: the measurement says which errors no average lessens; they are stated with the load"""
 
 
 class Clock(Record):
@@ -77,11 +79,11 @@ class Clock(Record):
     since_forgot_s: float
 
 
-LOW, HIGH, VARIANCE, MARK, SLOPE, BEGINNING, SHARED, HELD, OFF, SPREAD, LOAD, LOAD_VARIANCE = range(12)
+LOW, HIGH, VARIANCE, MARK, SLOPE, BEGINNING, SHARED, HELD, LASTING, OFF, SPREAD, LOAD, LOAD_VARIANCE = range(13)
 """rows of the scratch of a frame: the reading as an interval of r, the variance of its noise, 1 where it was read (0:
-not, -1: never), dr/dG, the r with which a cell begins, what columns share and the most of it that lasts, two of
-:func:`.share_each`, and the answer"""
-SCRATCH = 12
+not, -1: never), dr/dG, the r with which a cell begins, what columns share and the most of it that lasts, the
+variance of what else lasts, two of :func:`.share_each`, and the answer"""
+SCRATCH = 13
 WAS_READ, WAS_KNOWN = 0, 1
 """rows of what is remembered of readings: 1 where a cell has ever been read, and where it was in the last frame"""
 
@@ -238,7 +240,10 @@ def take_frames(
                 watch.odds = watch.since_s = watch.asleep = watch.offset = watch.centre = watch.cusum = 0.0
             shared_std = block[COLUMN_STD, i] * work[SLOPE, i]
             held = block[COLUMN_HALF_STEP, i] * work[SLOPE, i]
+            own = math.sqrt(var[i])
             var[i] += shared_std * shared_std
+            beyond = math.sqrt(var[i]) - own  # what a column shares hardly averages: its cells move together
+            work[LASTING, i] = beyond * beyond
             work[SHARED, i], work[HELD, i] = STEP_STD * held, abs(held)
             shares = shares or held != 0.0
             if watches[i].asleep > 0.0:
@@ -280,6 +285,10 @@ def take_frames(
             level[frame, i], level_variance[frame, i] = 0.0, 0.0
             if mark[i] >= 0.0:
                 level[frame, i], level_variance[frame, i] = load[i] * settings.unit, load_var[i]
+                if settings.lasting > 0.0 and work[SLOPE, i] != 0.0:
+                    half, held = 0.5 * (high[i] - low[i]), work[HELD, i]
+                    lasting = STEP_STD * STEP_STD * (half * half + held * held) + work[LASTING, i]
+                    level_variance[frame, i] += lasting / (settings.geq * settings.geq)
     if settings.follows > 0.0:
         show_frames(status, level, level_variance, states, states, all_settings, slopes, shown, pressure, std)
 
