@@ -122,6 +122,10 @@ class Board:
         """Whether the host waits for frames."""
         return self.streaming or self._frames_wanted > 0
 
+    def prepare(self) -> None:
+        """Make ready, before a host may come, what would keep a first frame or a first press waiting."""
+        self._skin.prepare()
+
     def tick(self) -> list[bytes]:
         """Live through the next tick; the packets to send, each one whole."""
         time_us = self.next_us

@@ -113,6 +113,7 @@ def emulate(
             protocol = _protocol(options.get("family", "ohmskin"), scene)
             board = Board(scene, protocol=protocol, ahead=clock == "real", **life)
             device = Device(scene, board, seed=seed, capacity=capacity)
+        board.prepare()
         outcome = Outcome()
         pace = (_RealPace if clock == "real" else _FastPace)(device, outcome)
         session = _Session(device, port, pace, auto_reset=scene.line.auto_reset)
@@ -134,13 +135,13 @@ def emulate(
 def running(scene: Scene, port: Port, **options: Unpack[Options]) -> AbstractContextManager[None]:
     """:func:`emulate` in a thread while the block lasts: a board for a test in the same process.
 
-    The port is closed when the board's time is over or the block ends. What :func:`emulate` raises is raised at the
+    The block begins when the board is there. The port is closed when the board's time is over or the block ends. What :func:`emulate` raises is raised at the
     end of the block; only a firmware that cannot run here is refused before.
     """
     if options.get("engine") == "firmware":
         check_scene(scene)
         AVR8JS.require()
-    return in_thread(lambda stop: emulate(scene, port, stop=stop, **options), port)
+    return in_thread(lambda stop, ready: emulate(scene, port, stop=stop, ready=ready, **options), port)
 
 
 def _truth_file(path: Path, scene: Scene) -> TruthFile:

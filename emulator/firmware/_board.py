@@ -216,6 +216,10 @@ class FirmwareBoard:
         """(s, row) of each row selection of the latest whole frame."""
         return self._observer.switches
 
+    def prepare(self) -> None:
+        """Make ready, before a host may come, what would keep a first press waiting."""
+        self._circuit.prepare()
+
     def send(self, data: bytes) -> None:
         """Bytes of the host; they arrive one after the other at the speed of the line, from the next run on."""
         self._arriving += data
