@@ -50,7 +50,10 @@ class Word:
         """Whether the word can hold so many even steps from ``low`` to ``high``."""
         step = (high - low) / steps
         if self.dtype.kind == "f":
-            return step > 2.0 ** (2 - self.bits) * max(abs(low), abs(high))
+            kind, largest = np.finfo(self.dtype), max(abs(low), abs(high))  # type: ignore[type-var]  # its kind is f
+            # Numbers below the smallest normal one lie no closer than those at it.
+            apart = 2.0 ** (2 - self.bits) * max(largest, float(kind.smallest_normal))
+            return step > apart and largest <= float(kind.max)
         limits = np.iinfo(self.dtype)  # type: ignore[type-var]  # its kind is not f
         return bool(limits.min <= low and high <= limits.max and step >= 1.0)
 
