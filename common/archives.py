@@ -39,7 +39,7 @@ _PIECE = 2**20
 """bytes that are unpacked at a time"""
 _MAGIC = b"\x93NUMPY"
 _LENGTHS = {b"\x01\x00": "<H", b"\x02\x00": "<I"}
-"""of the header, by version of the format; version 3 is for names of fields beyond ASCII"""
+"""of the header, by version of the format, as NumPy reads it; version 3 is for names of fields beyond ASCII"""
 _TYPE = re.compile(r"[<>|=]?(\?|b1|[iu][1248]|f[248]|U\d{1,6})")
 _KINDS = {"numbers": "biuf", "whole numbers": "iuf", "flags": "biu", "text": "U"}
 """NumPy's letters of the types that are taken for a kind"""

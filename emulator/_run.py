@@ -135,8 +135,8 @@ def emulate(
 def running(scene: Scene, port: Port, **options: Unpack[Options]) -> AbstractContextManager[None]:
     """:func:`emulate` in a thread while the block lasts: a board for a test in the same process.
 
-    The block begins when the board is there. The port is closed when the board's time is over or the block ends. What :func:`emulate` raises is raised at the
-    end of the block; only a firmware that cannot run here is refused before.
+    The block begins when the board is there, and the port is closed when its time is over or the block ends. What
+    :func:`emulate` raises is raised at the end of the block; only a firmware that cannot run here is refused before.
     """
     if options.get("engine") == "firmware":
         check_scene(scene)

@@ -580,6 +580,10 @@ def test_a_cell_that_the_board_leaves_out_is_marked_as_missing() -> None:
         ({"frame": {"header": [1]}}, "unknown key 'frame.text.header'"),
         ({"frame": {"separator": "1"}}, "frame.text.separator"),
         ({"frame": {"range": [5.0, 5.0]}}, "the smaller number first"),
+        (
+            {"frame": {"format": "binary", "word": "float32le", "framing": "cobs", "range": [0.0, 1e-308]}},
+            "cannot tell",
+        ),
         ({"start": {"send": [256]}}, "start.send"),
         ({"frame": {"format": "binary", "word": "uint8"}, "board": {"bits": 12}}, "a uint8 has 8 bits"),
         ({"frame": {"format": "binary", "word": "uint8", "checksum": "sum8"}}, "expected a header or framing"),

@@ -50,10 +50,8 @@ class Word:
         """Whether the word can hold so many even steps from ``low`` to ``high``."""
         step = (high - low) / steps
         if self.dtype.kind == "f":
-            kind, largest = np.finfo(self.dtype), max(abs(low), abs(high))  # type: ignore[type-var]  # its kind is f
-            # Numbers below the smallest normal one lie no closer than those at it.
-            apart = 2.0 ** (2 - self.bits) * max(largest, float(kind.smallest_normal))
-            return step > apart and largest <= float(kind.max)
+            kind, largest = np.finfo(self.dtype), max(abs(low), abs(high))
+            return bool(largest <= kind.max and step > max(2.0 ** (2 - self.bits) * largest, kind.smallest_normal))
         limits = np.iinfo(self.dtype)  # type: ignore[type-var]  # its kind is not f
         return bool(limits.min <= low and high <= limits.max and step >= 1.0)
 
