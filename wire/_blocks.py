@@ -50,8 +50,9 @@ class Word:
         """Whether the word can hold so many even steps from ``low`` to ``high``."""
         step = (high - low) / steps
         if self.dtype.kind == "f":
-            kind, largest = np.finfo(self.dtype), max(abs(low), abs(high))
-            return bool(largest <= kind.max and step > max(2.0 ** (2 - self.bits) * largest, kind.smallest_normal))
+            kind = np.finfo(self.dtype)  # type: ignore[type-var]  # its kind is f
+            most, least, largest = float(kind.max), float(kind.smallest_normal), max(abs(low), abs(high))
+            return largest <= most and step > max(2.0 ** (2 - self.bits) * largest, least)
         limits = np.iinfo(self.dtype)  # type: ignore[type-var]  # its kind is not f
         return bool(limits.min <= low and high <= limits.max and step >= 1.0)
 
