@@ -155,7 +155,9 @@ def test_bridged_columns_of_loaded_dividers_are_followed_to_their_error() -> Non
     assert valid > 40
 
 
-@pytest.mark.parametrize("seed", [5, 11, 29, 47, 66, 145, 166, 194])
+@pytest.mark.parametrize(
+    "seed", [5, 11, 28, 29, 47, 66, 145, 166, 194, 3198, 100340, 100522, 100772, 100992, 101070, 101344]
+)
 def test_boards_of_all_options_have_no_wrong_cell(seed: int) -> None:
     """``python tests/option_product.py`` reads many more of them."""
     tallies = {drawn(seed)[0]: Tally()}

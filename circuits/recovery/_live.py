@@ -38,7 +38,6 @@ def live_recovery(design: Design, *, accuracy: float | None = None) -> LiveRecov
     board, rule = design.board, ValidityRule.of(accuracy)
     if why := board.circuit.ambiguity(board):
         raise InputError(f"the cells cannot be recovered from readings: {why}")
-    law = board.circuit.port_law(board, np.zeros(board.shape[1]))
-    if law is None:
+    if board.circuit.port_law(board, np.zeros(board.shape[1])) is None:
         return FitLive(board, rule)
     return LawLive(board, rule)

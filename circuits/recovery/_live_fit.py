@@ -56,7 +56,6 @@ LARGEST_MATRIX = 4096
 MOST_BESIDE = 256
 """cells up to which they are one beside shorts and cells that nothing reads, which no structure fits"""
 _SMALL = 100  # cells up to which the derivatives are a matrix
-_FEW = 4  # cells that nothing reads, up to which each is moved alone
 _PRIOR = 3.0  # standard deviation of a logarithm before anything is read: a factor of 20
 _ALIKE_ERRORS = 20.0  # inverse of the relative change of the readings' errors up to which covariances are alike
 _FITS, _NO_FIT, _MISFIT = 0.8, 3.0, 8.0  # half steps: by rounding alone, no fit yet, no cells give these readings
@@ -140,8 +139,8 @@ class FitLive:
         self._nodes = nodes if nodes is not None and nodes.applies else None
         if cells > LARGEST_MATRIX and self._nodes is None:
             raise InputError(
-                "the live recovery of boards with floating rows and bridged or broken lines is for at most "
-                f"{LARGEST_MATRIX} cells, and the array has {cells}; expected a smaller array, or no such fault"
+                "the live recovery of boards with bridged lines, or with floating rows and broken lines, is for at "
+                f"most {LARGEST_MATRIX} cells, and the array has {cells}; expected a smaller array, or no such fault"
             )
         self._shunt = np.zeros(board.shape)
         for fault in self._board.shorts:
@@ -200,7 +199,10 @@ class FitLive:
         short = signal >= _SHORT_SHARE * self._short
         # No way between two lines conducts better than a short of their ends.
         beyond = (signal > self._beyond + _MISFIT * error) & ~unread
-        if beyond.any() or (unread.any() and not small) or (self._nodes is not None and short.any()):
+        # Two cells of unknown size may join lines whose readings are then alike, whatever the other cells are.
+        several = np.count_nonzero(unread & ~self._gone) + bool(unread[self._gone].any()) > 1
+        large = not small and bool(unread.any())
+        if beyond.any() or several or large or (self._nodes is not None and short.any()):
             self._in_vain = self._in_vain + 1 if beyond.any() else 0
             if self._in_vain > _OFTEN:
                 raise SolverError(_NO_CELLS)
@@ -220,15 +222,11 @@ class FitLive:
 
         A cell changes a reading by a Moebius function of its conductance, hence most at the ends of its interval.
         """
-        spread = np.zeros(log.shape)
         if not unread.any():
-            return spread
+            return np.zeros(log.shape)
         assert self._linear is not None
-        before, hidden = self._at(log), unread & self._gone
-        for group in [*_groups(unread & ~hidden), hidden]:  # hidden ones act together
-            moved = self._at(np.where(group.ravel(), self._most, log)) - before
-            spread += np.abs(self._linear.solve(moved * self._read))
-        return spread
+        moved = self._at(np.where(unread.ravel(), self._most, log)) - self._at(log)
+        return np.abs(self._linear.solve(moved * self._read))
 
     def _closed_start(self, volts: FloatArray) -> FloatArray:
         """Logarithms (n,) as if each cell were alone."""
@@ -486,14 +484,3 @@ class FitLive:
         reason[limited] = SATURATED
         reason[self._gone] = HIDDEN
         return undetermined(self._turn(reason))
-
-
-def _groups(unread: BoolArray) -> list[BoolArray]:
-    """The cells (N, M) that nothing reads: one by one if they are few, else by rows or by columns."""
-    if np.count_nonzero(unread) <= _FEW:
-        places = np.flatnonzero(unread)
-        return [(np.arange(unread.size) == place).reshape(unread.shape) for place in places]
-    rows, columns = np.flatnonzero(unread.any(axis=1)), np.flatnonzero(unread.any(axis=0))
-    if len(rows) <= len(columns):
-        return [unread & (np.arange(len(unread)) == row)[:, None] for row in rows]
-    return [unread & (np.arange(unread.shape[1]) == column) for column in columns]
