@@ -1,8 +1,8 @@
 """Arrays from files: NumPy archives (.npz) and arrays (.npy), held against a schema before anything is unpacked.
 
-A file may come from a stranger. Its reader states what each array may be (kind, axes, range) as a :class:`Stored`. How
-large it would be follows from the headers of zip and npy, which are read first. No other module opens such files:
-``tests/test_architecture.py``. The format of .npy is in NumPy's documentation, ``numpy.lib.format``.
+A file may come from an untrusted source. Its reader states what each array may be (kind, axes, range) as a
+:class:`Stored`. How large it would be follows from the headers of zip and npy, which are read first. No other module
+opens such files: ``tests/test_architecture.py``. The format of .npy is in NumPy's documentation, ``numpy.lib.format``.
 """
 
 from __future__ import annotations

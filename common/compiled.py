@@ -163,7 +163,7 @@ def _numba() -> Any:
     """Numba, with machine code of the user's own only.
 
     Numba runs what it finds in its folder of machine code, and takes the name of that folder from a file in the working
-    folder (``.numba_config.yaml``), too, which may be a stranger's.
+    folder (``.numba_config.yaml``), too, which anybody may have written.
     """
     import numba
 

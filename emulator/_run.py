@@ -38,7 +38,7 @@ HOST_POLL_S = 0.01
 LISTENER_S = 1.0
 """fast clock: how long a host may say nothing before it is taken for a mere listener"""
 OVER_S = 1.0
-"""for how long a host behind a line that loses packets is told that no frame follows, a hundred times at most"""
+"""for how long a host behind a line that loses packets is informed that no frame follows, a hundred times at most"""
 MOST_BEHIND_S = 0.5
 """real clock: how late a board may be before its time is let go"""
 DRAIN_S = 5.0

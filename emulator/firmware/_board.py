@@ -167,7 +167,7 @@ class FirmwareBoard:
             seed: for the noise at the ADC.
             boot_id: number of this start.
             hand: presses beside the scene's contacts.
-            record: told of every frame that arrived at the serial line, as it truly was; volts are those converted.
+            record: called with every frame that arrived at the serial line, as it truly was; volts are those converted.
 
         Raises:
             InputError: no firmware fits the scene, or a setting is out of range.
