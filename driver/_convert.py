@@ -137,7 +137,10 @@ class Converter:
         self._read = self._new_reader()
 
     def _new_reader(self) -> CountReader | PlainReader:
-        return PlainReader(self.shape) if self.design is None else CountReader(self.design, accuracy=self._accuracy)
+        if self.design is None:
+            return PlainReader(self.shape)
+        lowest_ohm = None if self.cell is None else float(self.cell.equilibrium_ohm([0.0, 1.0]).min())
+        return CountReader(self.design, accuracy=self._accuracy, lowest_ohm=lowest_ohm)
 
     def use_rest(self, rest_ohm: FloatArray | None) -> None:
         """Use these rest resistances (rows, columns) from now on (None: those without a tare).

@@ -78,6 +78,7 @@ _OPEN_SIZE = 3.0  # most by which a conductance may be larger, from which on the
 _BESIDE = 0.01  # conductance over the largest one of a column, from which on a cell of unknown size counts beside it
 _TIES = 0.1  # share of a row's drive that a cell may take, from which on it ties the row to its column
 _OFTEN = 3  # frames with readings that no cells give, after which the design is taken for wrong
+_CONTRACTS = 0.5  # factor of a map that surely has one fixed point, with room for derivatives that change
 _TYPICAL = 1e-5  # S, of a cell if no reading shows a conductance
 
 
@@ -94,6 +95,8 @@ class _Linear(NamedTuple):
     """(n,) standard deviation of the logarithms by errors so many times those of ADC steps"""
     known: dict[float, FloatArray]
     """results of ``std_at``"""
+    amplified: float = inf
+    """largest sum of the derivatives of a logarithm by those of all readings, where several answers are possible"""
 
     def std(self, coarser: float) -> FloatArray:
         """The same, computed once for errors that are nearly alike."""
@@ -113,8 +116,8 @@ class FitLive:
     scales_columns = False
     usual: UsualReading | None = None
 
-    def __init__(self, board: Board, rule: ValidityRule) -> None:
-        """For a board with a converter.
+    def __init__(self, board: Board, rule: ValidityRule, least_ohm: float) -> None:
+        """For a board with a converter, whose cells have at least so many ohm, shorts apart.
 
         Raises:
             InputError: the board is too large.
@@ -154,8 +157,13 @@ class FitLive:
         self._beyond = np.where(self._gone | board.circuit.virtual_ground, inf, at_ends)  # V, no cells read more
         per_volt = np.abs(board.circuit.conductance_slope(board, np.zeros(board.shape)))
         self._least = np.log(_LEAST_READING * self._half_step * per_volt).ravel()
-        self._most = np.log(_AS_SHORT / (self._leads + LEAST_SHORT_OHM)).ravel()
+        most = _AS_SHORT / (self._leads + LEAST_SHORT_OHM)
+        if least_ohm:
+            most = np.where(self._gone, 1.0 / least_ohm, most)
+        self._most = np.log(most).ravel()
         self._several = several_answers(board) and not board.circuit.virtual_ground
+        of_row = board.shape[1] / least_ohm if least_ohm else inf
+        self._least_ohm, self._lost = least_ohm, float(np.max(lines.to_driver)) * of_row  # share of a drive, at most
         self._log: FloatArray | None = None
         self._linear: _Linear | None = None
         self._read: FloatArray = np.ones(cells)
@@ -375,7 +383,11 @@ class FitLive:
             step: FloatArray = dpotrs(factor, jacobian.T @ (apart / self._std), lower=1)[0]
             return step
 
-        return _Linear(log, solve, slope, lambda coarser: self._std_of(log, jacobian / coarser), {})
+        amplified = inf
+        if self._several and self._read.all():
+            by_logs = jacobian * (self._std / (volts - self._board.level).reshape(-1, 1))
+            amplified = float(np.abs(np.linalg.inv(by_logs)).sum(axis=1).max())
+        return _Linear(log, solve, slope, lambda coarser: self._std_of(log, jacobian / coarser), {}, amplified)
 
     def _std_of(self, log: FloatArray, jacobian: FloatArray) -> FloatArray:
         """Standard deviations (n,) of the logarithms with derivatives (n, n) in errors of a reading.
@@ -413,6 +425,18 @@ class FitLive:
         beside = (inverse @ inverse[bent].T) / std[bent] * np.sqrt(grown[bent] ** 2 - 1.0)
         std = np.sqrt(std**2 + np.einsum("ij,ij->i", beside, beside))
         return std
+
+    def _one_answer(self, log: FloatArray) -> bool:
+        """Whether no other cells give the readings, where idle columns conduct more than those that are read.
+
+        Without leads of the rows there is one answer (:func:`.several_answers`). The selected row's lead takes a share
+        of at most L of the drive; the derivative of its logarithm by those of all cells, together, is no larger. If A
+        is the largest sum of derivatives of a cell's logarithm by those of all readings, another answer lies within
+        A L, where A L < 1/2 makes the map from one's losses to the other's cells a contraction.
+        """
+        assert self._linear is not None
+        in_range = float(np.exp(log.max())) * self._least_ohm <= 1.0
+        return in_range and self._linear.amplified * self._lost < _CONTRACTS
 
     def _derivatives(self, cells: FloatArray) -> FloatArray:
         """V/S (n, n) of all readings by all crosspoints."""
@@ -454,7 +478,7 @@ class FitLive:
         sigmas = hypot(BY_STEPS, BY_NOISE * noise / self._std) / coarser * max(misfit, 1.0)
         uncertainty = own + np.expm1(np.minimum(np.maximum(sigmas * std - own, 0.0), _LARGEST))
         uncertainty += np.expm1(np.minimum(spread.reshape(shape), _LARGEST))
-        if self._several:
+        if self._several and (unread.any() or not self._one_answer(log)):
             uncertainty = np.full(shape, inf)
         if self._sheet is not None:
             uncertainty = uncertainty + self._sheet.doubt(log)
