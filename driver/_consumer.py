@@ -401,6 +401,7 @@ def _frame(raw: RawFrame, measurement: Converted, before: _Totals, connection: C
         measurement.resistance,
         measurement.pressure,
         measurement.rest_counts,
+        connection.frames.converter.geometry,
         measurement.pressure_std,
         partial(connection.frames.converter.contacts.of, measurement.view),
         connection.now,
