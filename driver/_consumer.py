@@ -402,6 +402,7 @@ def _frame(raw: RawFrame, measurement: Converted, before: _Totals, connection: C
         measurement.pressure,
         measurement.pressure_std,
         measurement.rest_counts,
+        connection.frames.converter.geometry,
         partial(connection.frames.converter.contacts.of, measurement.view),
         connection.now,
     )

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.arrays import AnyArray, BoolArray, FloatArray
+from ..common.geometry import Geometry
 from ._contacts import Contact
 
 
@@ -56,6 +57,8 @@ class Frame:
     """kPa, standard deviation of ``pressure``; NaN where the estimator states none"""
     rest_counts: FloatArray = field(repr=False)
     """counts at rest by a tare, where the board's circuit is not known; else, and without a tare, 0"""
+    geometry: Geometry = field(repr=False)
+    """places and areas of the cells, and where there is none; the same for all frames of a skin"""
     _contacts: Callable[[], tuple[Contact, ...]] = field(repr=False)
     _now: Callable[[], float] = field(repr=False)
 
@@ -94,11 +97,12 @@ class Frame:
         return _restored, (values, self._now() - time.monotonic())
 
     def as_dict(self) -> dict[str, AnyArray]:
-        """All fields as NumPy arrays: those per cell (rows, columns), the others without axes.
+        """All fields but the geometry as NumPy arrays: those per cell (rows, columns), the others without axes.
 
         What is not known is NaN. ``age`` is the age at this call.
         """
-        values: dict[str, Any] = {item.name: getattr(self, item.name) for item in fields(self) if item.name[0] != "_"}
+        names = [item.name for item in fields(self) if item.name[0] != "_" and item.name != "geometry"]
+        values: dict[str, Any] = {name: getattr(self, name) for name in names}
         for name in ("sequence", "lost_before", "device_time"):
             values[name] = np.nan if values[name] is None else float(values[name])
         values["age"] = self.age

@@ -33,13 +33,15 @@ class CountReader:
     switches, lines, finite gain, offset and bias current, to a fraction of an ADC step and at a bounded cost per frame.
     """
 
-    def __init__(self, design: Design, *, accuracy: float | None = None) -> None:
+    def __init__(self, design: Design, *, accuracy: float | None = None, lowest_ohm: float | None = None) -> None:
         """Prepare the recovery.
 
         Args:
             design: the board.
             accuracy: relative uncertainty of a conductance up to which a cell is valid; None: 0.5
                 (:class:`ohmskin.circuits.ValidityRule`).
+            lowest_ohm: the lowest resistance in the cells' range of loads; None: that of ``[cells]`` in the design
+                (:func:`ohmskin.circuits.live_recovery`).
 
         Raises:
             ProtocolError: the design has no ADC.
@@ -49,10 +51,10 @@ class CountReader:
         adc = design.adc
         if adc is None:
             raise ProtocolError("the board's design has no [adc]; counts mean nothing without one")
-        self._design, self._accuracy = design, accuracy
+        self._design, self._accuracy, self._lowest_ohm = design, accuracy, lowest_ohm
         self._shape = design.array.shape
         self._codes = 2**adc.bits
-        self._recover = live_recovery(design, accuracy=accuracy)
+        self._recover = live_recovery(design, accuracy=accuracy, lowest_ohm=lowest_ohm)
         scales = self._recover.scales_columns
         self._measured = Measured(adc.step, design.board.shape[0], scales_columns=scales, averages=accuracy is None)
         self._step, self._lowest_volts = adc.step, float(volts_of_codes(design, np.zeros(1, dtype=np.int64))[0])
@@ -106,7 +108,7 @@ class CountReader:
 
     def __reduce__(self) -> tuple[Callable[..., CountReader], tuple[object, ...]]:
         """For copy and pickle: keeps the design and the :meth:`memory`; the inversion begins anew."""
-        return _resumed, (self._design, self._accuracy, *self.memory())
+        return _resumed, (self._design, self._accuracy, self._lowest_ohm, *self.memory())
 
     def _volts(self, counts: NDArray[np.integer]) -> FloatArray:
         """The middle of each code, in V."""
@@ -262,10 +264,14 @@ class CountReader:
 
 
 def _resumed(
-    design: Design, accuracy: float | None, noise_steps: float, counts: NDArray[np.integer] | None
+    design: Design,
+    accuracy: float | None,
+    lowest_ohm: float | None,
+    noise_steps: float,
+    counts: NDArray[np.integer] | None,
 ) -> CountReader:
     """A reader that continues with the :meth:`CountReader.memory` of another one."""
-    reader = CountReader(design, accuracy=accuracy)
+    reader = CountReader(design, accuracy=accuracy, lowest_ohm=lowest_ohm)
     reader.remember(noise_steps, counts)
     return reader
 

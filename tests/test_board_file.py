@@ -334,6 +334,27 @@ def test_words_in_literal_bytes(word: str, line: bytes) -> None:
     assert sent == b"\xaa\x55\0" + line + b"\0\0"
 
 
+@given(
+    word=st.sampled_from(["float32le", "float64be", "int32le", "uint16be"]),
+    bits=st.integers(1, 16),
+    middle=st.one_of(st.floats(-1e39, 1e39), st.sampled_from([0.0, 1e-308, 1e308])),
+    width=st.floats(-320.0, 308.0).map(lambda power: 10.0**power),
+    seed=st.integers(0, 2**32),
+)
+def test_the_numbers_of_a_range_are_refused_or_told_apart(
+    word: str, bits: int, middle: float, width: float, seed: int
+) -> None:
+    """The ends lie so near to each other, or so far out, that some words hold all counts and others do not."""
+    try:
+        family = binary(word=word, bits=bits, range=[middle, middle + width], framing="cobs")
+    except InputError:
+        assert not (word.startswith("float") and 1e-30 < width < 1e30 and abs(middle) <= 10 * width)
+        return
+    counts = np.random.default_rng(seed).integers(0, 2**bits, (2, 3)).astype(np.uint16)
+    sent = board_protocol(family).frame(FramePacket.of(counts, sequence=0, time_us=0))
+    assert frames(heard(family, sent * 3))[-1] == counts.tolist()
+
+
 @pytest.mark.parametrize("name", CHECKSUMS)
 def test_the_usual_check_value_of_every_checksum(name: str) -> None:
     """Of the ASCII text "123456789", as the catalogues of CRCs list it."""
@@ -559,6 +580,10 @@ def test_a_cell_that_the_board_leaves_out_is_marked_as_missing() -> None:
         ({"frame": {"header": [1]}}, "unknown key 'frame.text.header'"),
         ({"frame": {"separator": "1"}}, "frame.text.separator"),
         ({"frame": {"range": [5.0, 5.0]}}, "the smaller number first"),
+        (
+            {"frame": {"format": "binary", "word": "float32le", "framing": "cobs", "range": [0.0, 1e-308]}},
+            "cannot tell",
+        ),
         ({"start": {"send": [256]}}, "start.send"),
         ({"frame": {"format": "binary", "word": "uint8"}, "board": {"bits": 12}}, "a uint8 has 8 bits"),
         ({"frame": {"format": "binary", "word": "uint8", "checksum": "sum8"}}, "expected a header or framing"),

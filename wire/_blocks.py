@@ -50,7 +50,9 @@ class Word:
         """Whether the word can hold so many even steps from ``low`` to ``high``."""
         step = (high - low) / steps
         if self.dtype.kind == "f":
-            return step > 2.0 ** (2 - self.bits) * max(abs(low), abs(high))
+            kind = np.finfo(self.dtype)  # type: ignore[type-var]  # its kind is f
+            most, least, largest = float(kind.max), float(kind.smallest_normal), max(abs(low), abs(high))
+            return largest <= most and step > max(2.0 ** (2 - self.bits) * largest, least)
         limits = np.iinfo(self.dtype)  # type: ignore[type-var]  # its kind is not f
         return bool(limits.min <= low and high <= limits.max and step >= 1.0)
 
