@@ -53,6 +53,8 @@ class Format:
     """what frames carry besides: "time", "number" """
     rest: float = 0.04
     noise: float = 2.0
+    least: int = 0
+    """lower counts are zeros"""
     idle: tuple[bytes, float] | None = None
     """what comes between frames now and then, and how often a frame has it ahead"""
 
@@ -311,10 +313,10 @@ def modbus_answer(v: Counts, t: float, k: int) -> bytes:
     return body + crc16(body)
 
 
-@shaped(16, 16, 254, rest=0.0, noise=0.4)
+@shaped(16, 16, 254, rest=0.0, noise=0.4, least=3)
 def runs_of_zeros(v: Counts, t: float, k: int) -> bytes:
     out, zeros = bytearray(), 0
-    for x in [*np.where(v < 3, 0, v).ravel().tolist(), None]:
+    for x in [*v.ravel().tolist(), None]:
         if x == 0 and zeros < 254:
             zeros += 1
             continue
@@ -428,7 +430,8 @@ def loads(form: Format, count: int, seed: int) -> Iterator[tuple[float, Counts]]
         x, y = (0.5 + 0.4 * np.sin(1.7 * t)) * (form.columns - 1), (0.5 + 0.4 * np.cos(2.3 * t)) * (form.rows - 1)
         bump = 0.75 * (0.6 + 0.4 * np.sin(5 * t)) * np.exp(-((column - x) ** 2 + (row - y) ** 2) / 4.0)
         noisy = (form.rest + bump) * form.top + rng.normal(0, form.noise, bump.shape)
-        yield t, np.clip(np.rint(noisy), 0, form.top).astype(np.int64)
+        counts = np.clip(np.rint(noisy), 0, form.top).astype(np.int64)
+        yield t, np.where(counts < form.least, 0, counts)
 
 
 def stream(form: Format, seed: int, *, baud: int | None = None) -> tuple[list[Chunk], list[Counts]]:

@@ -43,7 +43,9 @@ MOST_LISTS = 8
 MOST_FOUND = 2**16
 """values that a key of a JSON document may name"""
 
-_SEPARATORS = re.compile(r"[\s,;:|]+")
+_SEPARATORS = re.compile(r"[\s,;:|\[\](){}]+")
+_AROUND = " \t,;:|[](){}"
+"""separators at the ends of a list"""
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
 _LABEL = re.compile(r"\b[A-Za-z_]\w*\s*[:=]\s*")
 _BARE_NAN = re.compile(rb"(?<=[\[,:\s])[+-]?(nan|inf|ovf)(?=[\],\s}])", re.IGNORECASE)
@@ -96,7 +98,7 @@ class _LinesFrame(AnyFrame):
         found = self.read(line, len(values))
         if more or found is None or found.cells != values:
             raise ValueError(
-                f"a line of this format, {self.written(values, {}) + self.newline!r}, would not be read; expected texts of "
+                f"a line of this format, {self.written(values, {}) + self.newline!r}, would not be read; expected "
                 "printable ASCII without white space at the ends of a line, and a newline that adds no separator"
             )
         if self.end is not None:
@@ -128,7 +130,7 @@ class _LinesFrame(AnyFrame):
     @property
     def ahead(self) -> list[str]:
         """Names of the numbers ahead of the cells that no pattern names."""
-        return (["row"] if self.numbered_rows else ["skip"])[: self.skip] + ["skip"] * (self.skip - 1)
+        return [*(["row"] if self.numbered_rows else []), *["skip"] * self.skip][: self.skip]
 
     @property
     def fields(self) -> list[str]:
@@ -185,7 +187,7 @@ class TextFrame(_LinesFrame):
 
     format: Literal["text"]
     separator: Annotated[str, Field(min_length=1, max_length=8, pattern=r"^[^0-9+\-.\r\n]+$")] | None = None
-    """between two numbers; of letters: any run of these; None: any run of spaces, tabs, and , ; : |"""
+    """between two numbers; of letters: any run of these; None: any run of spaces, tabs, brackets, and , ; : |"""
     labels: bool = False
     """each number has its name ahead, as in ``A0:512``; the names are not read"""
     prefix: Annotated[str, Field(max_length=200)] = ""
@@ -246,7 +248,7 @@ class TextFrame(_LinesFrame):
         if self.labels:
             text = _LABEL.sub("", text)
         if self.separator is None:
-            words = _SEPARATORS.split(text.strip(" \t,;:|"))
+            words = _SEPARATORS.split(text.strip(_AROUND))
         elif self.separator.isalpha():
             words = re.split(f"[{self.separator}\\s]+", text.strip(f" \t{self.separator}"))
         else:

@@ -49,7 +49,7 @@ class LinePattern:
         repeated = [name for name in set(fields) - {"skip", "text"} if fields.count(name) > 1]
         if fields.count("cells") != 1 or repeated or sum(name in TIMES_US for name in fields) > 1:
             raise ValueError(f"{text!r}: expected {{cells}} once, and each other field at most once")
-        if "index" in fields and ("row" in fields or "column" in fields) or ("column" in fields and "row" not in fields):
+        if made.places not in ([], ["row"], ["row", "column"], ["index"]):
             raise ValueError(f"{text!r}: expected {{row}}, {{row}} and {{column}}, or {{index}}")
         if any(not between for between in made.parts[2:-1:2]):
             raise ValueError(f"{text!r}: nothing stands between two fields; expected a separator")

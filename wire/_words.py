@@ -1,4 +1,4 @@
-"""Frames of binary words behind a header, or between bytes that stand nowhere else (COBS, SLIP), as ``[frame]`` of BOARD.toml describes them.
+"""Frames of binary words behind a header, or between delimiters (COBS, SLIP), as ``[frame]`` of BOARD.toml has them.
 
 What shows that bytes are a frame, and where the next one begins:
 
