@@ -228,22 +228,18 @@ class FitLive:
         return self._reading(signal, error, noise, *found, self._spread(found[0], unread), unread)
 
     def bounds(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """V (N, M) of a short at each cell, and the least and greatest logarithms (N, M) of the conductances."""
+        """As :class:`._usual_fits.Fit`."""
         return self._short, self._least.reshape(self._shape), self._most.reshape(self._shape)
 
     def kept(self, noise: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
-        """What a stream goes on with, for V of noise: logarithms (n,) of the last frame's conductances, those at which
-        the derivatives were made, their regularised inverse (n, n) in 1/V, and the logarithms' standard deviations.
-
-        None where the last frame has none.
-        """
+        """As :class:`._usual_fits.Fit`."""
         linear = self._linear
         if linear is None or linear.inverse is None or self._log is None or self._astray or not self._read.all():
             return None
         return self._log, linear.log, linear.inverse, linear.std(hypot(1.0, noise / self._std))
 
     def follow(self, log: FloatArray) -> FloatArray:
-        """Go on from logarithms (n,) of a usual frame, which are returned."""
+        """As :class:`._usual_fits.Fit`."""
         self._log, self._in_vain = log, 0
         return log
 

@@ -13,7 +13,7 @@ which are updates of rank one (Sherman and Morrison 1950).
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
@@ -27,9 +27,6 @@ from ._law_errors import ALIKE, BY_NOISE, BY_STEPS
 from ._law_kernels import LARGEST
 from ._live_reading import NO_CURRENT, SIGMAS, UNCERTAIN, ValidityRule
 from ._measured import Constants, state_one
-
-if TYPE_CHECKING:
-    from ._live_fit import FitLive
 
 FAR = 0.5
 """change of a logarithm for which derivatives no longer serve"""
@@ -247,10 +244,30 @@ def measure_fitted(
     return True
 
 
-class UsualFits:
-    """Measures the usual frames of one board, beginning where its :class:`.FitLive` left off."""
+class Fit(Protocol):
+    """What :class:`._live_fit.FitLive` keeps from frame to frame; logarithms are those of the conductances in S."""
 
-    def __init__(self, board: Board, fit: FitLive, rule: ValidityRule, converter: tuple[float, float]) -> None:
+    def bounds(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """V (N, M) of a short at each cell, and the least and greatest logarithms (N, M)."""
+        ...
+
+    def kept(self, noise: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
+        """What a stream goes on with, for V of noise; None where the last frame left nothing.
+
+        Logarithms (n,) of the last frame, and those at which the derivatives were made; the regularised inverse (n, n)
+        of these in 1/V, and the standard deviations (n,) of the logarithms.
+        """
+        ...
+
+    def follow(self, log: FloatArray) -> FloatArray:
+        """Go on from logarithms (n,) of a usual frame, which are returned."""
+        ...
+
+
+class UsualFits:
+    """Measures the usual frames of one board, beginning where the last frame left off."""
+
+    def __init__(self, board: Board, fit: Fit, rule: ValidityRule, converter: tuple[float, float]) -> None:
         """For a board that :meth:`serves`; ``converter``: V, largest and standard error of a reading by its steps."""
         rows, columns = self._shape = board.shape
         assert board.adc is not None
