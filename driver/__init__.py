@@ -14,6 +14,7 @@ from ._contacts import Contact, ContactTracker
 from ._discover import FoundBoard, discover
 from ._frame import Frame
 from ._frames import Delivery
+from ._joined import JoinedSkin
 from ._messages import MESSAGE_SCHEMAS, messages_of, points_of
 from ._options import SkinSettings
 from ._port import BAUDRATE, Arrival, BytePort, SerialPort, SocketPort, open_port
@@ -39,6 +40,7 @@ __all__ = [
     "Delivery",
     "FoundBoard",
     "Frame",
+    "JoinedSkin",
     "LinkStatistics",
     "Measurement",
     "Recorder",

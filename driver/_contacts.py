@@ -18,6 +18,7 @@ import copy
 import math
 import threading
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -86,6 +87,18 @@ class Contact:
     """as x_mm and y_mm, of a skin in space; None: it is flat"""
 
 
+class Touch(NamedTuple):
+    """By what contacts are told from an untouched skin."""
+
+    full_scale_kpa: float = math.inf
+    """of the cells"""
+    drift_kpa: float = 0.0
+    """pressure of an untouched cell whose rest resistance has drifted as far as rest resistances do
+    (:data:`._tare.KNOWN_DRIFT`); 0: no drift"""
+    faults_press: bool = True
+    """True if a bad contact, which adds resistance, looks like a load; False if loads lower the resistance"""
+
+
 class ContactTracker:
     """Finds the contacts of frames and follows them from frame to frame."""
 
@@ -93,21 +106,10 @@ class ContactTracker:
         self,
         geometry: Geometry,
         full_scale_kpa: float,
-        *,
         drift_kpa: float = 0.0,
         faults_press: bool = True,
     ) -> None:
-        """Begin with an untouched skin.
-
-        Args:
-            geometry: where the cells are.
-            full_scale_kpa: of the cells.
-            drift_kpa: pressure of an untouched cell whose rest resistance has drifted as far as rest resistances do
-                (:data:`._tare.KNOWN_DRIFT`); 0: no drift.
-            faults_press: True if a bad contact, which adds resistance, looks like a load; False if loads lower the
-                resistance.
-
-        """
+        """Begin with an untouched skin; see :class:`Touch`."""
         self.geometry = geometry
         self._proximity = Proximity(geometry)
         self.shape = shape = geometry.shape

@@ -5,12 +5,12 @@ from __future__ import annotations
 import copy
 import os
 import weakref
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from time import monotonic
 from types import TracebackType
-from typing import NoReturn, Self, Unpack
+from typing import Any, NoReturn, Self, Unpack
 
 from ..circuits import Design
 from ..common import compiled
@@ -22,6 +22,7 @@ from ..errors import InputError, LinkEnded, LinkError
 from ..wire import Description, Identity, Order
 from ._connection import await_free
 from ._consumer import AsyncFrames, Consumer, FrameCallback, follower, frames_since
+from ._contacts import Touch
 from ._convert import Converter
 from ._converted import Converted
 from ._discover import LONGEST_SEARCH_S, find_board
@@ -143,7 +144,7 @@ class Skin:
     @classmethod
     def open(
         cls,
-        port: str | Path | None = None,
+        port: str | Path | Sequence[str | Path] | None = None,
         *,
         serial_number: str | None = None,
         baudrate: int | None = None,
@@ -158,7 +159,9 @@ class Skin:
         A recording supplies every setting of its skin that is not given here.
 
         Args:
-            port: name of the port; None: the port where :func:`discover` finds the board ``serial_number``.
+            port: name of the port; None: the port where :func:`discover` finds the board ``serial_number``. A list of
+                ports, or of recordings: their boards are one skin (:class:`.JoinedSkin`). A setting may then be a list,
+                too, with a value for each board.
             serial_number: that the board must have.
             baudrate: of the UART, where there is one; None: that of the family.
             record: MCAP file to record to, from the first byte; the recording ends with the skin.
@@ -175,6 +178,11 @@ class Skin:
             Also everything that :meth:`__init__` raises.
 
         """
+        if isinstance(port, list | tuple):
+            from ._joined import open_joined  # which is made of skins
+
+            given: dict[str, Any] = dict(settings, serial_number=serial_number, baudrate=baudrate, speed=speed)
+            return open_joined(port, record, overwrite=overwrite, progress=progress, **given)
         finder: PortFinder | None = None
         opened: BytePort
         reopen: Callable[[], BytePort]
@@ -225,6 +233,11 @@ class Skin:
             raise LinkError(f"{self.port_name}: board {self.serial_number} is there; expected {serial_number}")
 
     @property
+    def boards(self) -> tuple[Skin, ...]:
+        """The skin of each board: this one, unless it has several (:class:`.JoinedSkin`)."""
+        return (self,)
+
+    @property
     def serial_number(self) -> str:
         """The board's serial number; empty if the board does not send one."""
         return self._connection.handshake.serial_number
@@ -253,6 +266,22 @@ class Skin:
                 "(--design DESIGN.toml, or design = in BOARD.toml)"
             )
         return self._converter.design
+
+    @property
+    def circuit_name(self) -> str | None:
+        """Of the readout; None where it is not known."""
+        return self.design.board.circuit.name if self.knows_circuit else None
+
+    @property
+    def count_bits(self) -> int:
+        """Bits of a count."""
+        adc = self.design.adc if self.knows_circuit else None
+        return self.family.layout.adc_bits if adc is None else adc.bits
+
+    @property
+    def full_scale_kpa(self) -> float | None:
+        """Of the cells; None: not known."""
+        return None if self.cell is None else self.cell.full_scale_kpa
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -439,7 +468,7 @@ class Skin:
             InputError: ``callback`` or ``on_end`` is no function.
 
         """
-        made = FrameCallback(self._connection, callback, on_end, keep=self)
+        made = FrameCallback(Consumer(self._connection), self.port_name, callback, on_end, keep=self)
         # Dropping callbacks that have ended releases the objects to which they refer.
         self._callbacks = [earlier for earlier in self._callbacks if not earlier.is_over] + [made]
         return made
@@ -458,6 +487,11 @@ class Skin:
     def estimator_name(self) -> str:
         """Name of the estimator that computes pressures; empty where there are none."""
         return self._converter.estimator_name
+
+    @property
+    def touch(self) -> Touch:
+        """By what contacts are told from an untouched skin."""
+        return self._converter.touch
 
     @property
     def recorder(self) -> Recording | None:
