@@ -33,6 +33,7 @@ from ..circuits import Design, Reason
 from ..common.arrays import AnyArray
 from ..common.checks import number, positive
 from ..common.events import SignalSafeEvent
+from ..common.files import of_board
 from ..common.geometry import Geometry
 from ..common.progress import Progress
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError
@@ -90,12 +91,6 @@ def open_joined(
         for board in boards:
             board.close()
         raise
-
-
-def of_board(path: str | Path, board: int) -> Path:
-    """Name of the file of one board: ``skin.mcap`` is ``skin-1.mcap`` for the first."""
-    path = Path(path)
-    return path.with_name(f"{path.stem}-{board + 1}{path.suffix}")
 
 
 def joined_geometry(boards: Sequence[Geometry]) -> Geometry:
@@ -281,6 +276,13 @@ class _Stream:
     def finish(self, error: OhmskinError) -> None:
         """No frame will come any more. The first reason counts."""
         self.end = self.end or error
+        self._wake()
+
+    def close(self, error: OhmskinError) -> None:
+        """Drop the frames, and tell readers that they get no more."""
+        with self._lock:
+            self._kept.clear()
+            self.end, self._played = error, None
         self._wake()
 
     def _wake(self) -> None:
@@ -589,7 +591,7 @@ class JoinedSkin(Skin):
         for callback in self._joined_callbacks:
             callback.end()
         errors = _close(self.boards)
-        self._stream.finish(LinkEnded(f"{self.port_name}: the skin is closed"))
+        self._stream.close(LinkEnded(f"{self.port_name}: the skin is closed"))
         for callback in self._joined_callbacks:
             callback.close()
         if errors:
@@ -663,7 +665,7 @@ class JoinedSkin(Skin):
         only_counts = all(tare.rest_counts is not None for tare in tares)
         return Tare(
             rest_resistance_ohm=cells("rest_resistance_ohm", np.nan),
-            measured=cells("measured", False),
+            measured=cells("measured", True),
             std_ohm=cells("std_ohm", np.nan),
             frames=min(tare.frames for tare in tares),
             lost=_sum([tare.lost for tare in tares]),
