@@ -216,7 +216,7 @@ class ContactTracker:
         above_wake[found[excess > wake]] = True
         kept &= above_wake
         kept[0] = False
-        self._drop_disturbances(time_s, found, kept, excess, std_kpa)
+        self._drop_disturbances(found, kept, excess, std_kpa)
         connected = np.where(kept, np.cumsum(kept), 0)[found]
         contacts = int(kept.sum())
         if not contacts:
@@ -250,16 +250,14 @@ class ContactTracker:
             most = 1 if kept[patches].any() else self._fingers[contact - 1]
             kept[patches[np.argsort(-force[patches])][:most]] = True
 
-    def _drop_disturbances(
-        self, time_s: float, found: IntArray, kept: BoolArray, excess: FloatArray, std_kpa: FloatArray
-    ) -> None:
+    def _drop_disturbances(self, found: IntArray, kept: BoolArray, excess: FloatArray, std_kpa: FloatArray) -> None:
         """Drop new patches that may be electrical faults; ``kept`` (labels,) is changed."""
         fresh = kept.copy()
         fresh[found[self._labels > 0]] = False
         for label in np.flatnonzero(fresh).tolist():
             own = np.flatnonzero(found == label)
             above, std, step = excess.flat[own], std_kpa.flat[own], self._step_kpa.flat[own]
-            lasts_s = time_s - float(self._pressed_s.flat[own].min())
+            lasts_s = float((self._read_s.flat[own] - self._pressed_s.flat[own]).max())
             under_range = not (above > STANDS_OUT * std).any()
             at_once = (step > AT_ONCE * above).any()
             if (under_range or at_once) and self._may_be_fault(own, above):

@@ -1,9 +1,9 @@
 """``JoinedSkin``: the boards of one skin as one. Their frames are merged by time, and contacts go across boards.
 
 The rows of the boards stand below each other, and a board of fewer columns has no cells in the others. A joined frame
-comes as soon as every board has sent a new one, or when one sends its next before that. Cells of a board that has not
-sent since the joined frame before are not valid in it (``Reason.MISSING``) and keep their pressures. A board that has
-not sent for :data:`SILENT_S` is not waited for.
+comes as soon as every board has sent a new one, or when one sends its next before that, so that none is left out. It
+shows the newest frame of each board. A board that has not sent for :data:`SILENT_S` is not waited for, and its cells
+are not valid (``Reason.MISSING``).
 
 All boards of a computer are on its one clock (:attr:`.Frame.monotonic_time`); recordings of one skin are merged by the
 times at which their frames came, so that a replay gives the same frames each time.
@@ -52,7 +52,7 @@ from ._statistics import LinkStatistics
 from ._tare import KNOWN_DRIFT, SPREAD, Tare
 
 SILENT_S = 0.2
-"""a board that has sent no frame for longer is not waited for"""
+"""a board that has sent no frame for longer is not waited for; until then its last one counts"""
 BETWEEN_PITCHES = 3.0
 """distance of boards whose places nobody has given, in pitches: contacts do not go across"""
 SAME_PLACE_MM = 1e-3
@@ -137,7 +137,11 @@ class Joiner:
 
     def add(self, board: int, frame: Frame) -> list[Frame]:
         """The joined frames, none or more, that follow from a frame of a board."""
-        joined = [self._join()] if self._fresh[board] else []
+        waits_long = any(
+            fresh and last is not None and frame.monotonic_time - last.monotonic_time > SILENT_S
+            for fresh, last in zip(self._fresh, self._last, strict=True)
+        )
+        joined = [self._join()] if self._fresh[board] or waits_long else []
         self._last[board], self._fresh[board] = frame, True
         if all(
             fresh or last is None or frame.monotonic_time - last.monotonic_time > SILENT_S
@@ -152,18 +156,20 @@ class Joiner:
         self._number += 1
         new = [part for part, is_new in zip(parts, fresh, strict=True) if is_new and part is not None]
         newest = max(new, key=lambda frame: frame.monotonic_time)
-        reason = self._cells(parts, lambda frame: frame.reason, _MISSING, _NO_CELL)
+        reason = self._cells(parts, lambda frame: frame.reason, _MISSING, _NO_CELL).astype(np.int8)
+        old = np.zeros(reason.shape, dtype=np.bool_)
         first = 0
-        for (rows, _), is_new in zip(self._shapes, fresh, strict=True):
-            own = reason[first : first + rows]
-            if not is_new:
-                own[own != _NO_CELL] = _MISSING
+        for part, (rows, _), is_new in zip(parts, self._shapes, fresh, strict=True):
+            own = slice(first, first + rows)
+            old[own] = not is_new
+            if part is None or newest.monotonic_time - part.monotonic_time > SILENT_S:
+                reason[own][reason[own] != _NO_CELL] = _MISSING
             first += rows
-        reason = reason.astype(np.int8)
         pressure = self._cells(parts, lambda frame: frame.pressure)
         std = Lazy(lambda: self._cells(parts, lambda frame: frame.pressure_std))
         valid = reason == 0
-        view = PressureView(self._number, newest.monotonic_time, pressure, std, ~(valid | (reason == _NOISY)))
+        unread = old | ~(valid | (reason == _NOISY))
+        view = PressureView(self._number, newest.monotonic_time, pressure, std, unread)
         self._contacts.pass_by(view)
         resistance = np.where(valid, self._cells(parts, lambda frame: frame.resistance), np.nan)
         arrays = {
