@@ -41,7 +41,6 @@ from ..wire import Order
 from ._consumer import FrameCallback
 from ._contacts import ContactsOfFrames, ContactTracker, PressureView, Touch
 from ._frame import Frame
-from ._lazy import Lazy
 from ._options import QUEUE
 from ._orders import Answer
 from ._port import Arrival
@@ -166,7 +165,7 @@ class Joiner:
                 reason[own][reason[own] != _NO_CELL] = _MISSING
             first += rows
         pressure = self._cells(parts, lambda frame: frame.pressure)
-        std = Lazy(lambda: self._cells(parts, lambda frame: frame.pressure_std))
+        std = self._cells(parts, lambda frame: frame.pressure_std)
         valid = reason == 0
         unread = old | ~(valid | (reason == _NOISY))
         view = PressureView(self._number, newest.monotonic_time, pressure, std, unread)
@@ -178,6 +177,7 @@ class Joiner:
             "reason": reason,
             "resistance": resistance,
             "pressure": pressure,
+            "pressure_std": std,
             "rest_counts": self._cells(parts, lambda frame: frame.rest_counts, 0.0, 0.0),
         }
         for array in arrays.values():
@@ -195,7 +195,6 @@ class Joiner:
             estimator_restarted=any(one.estimator_restarted for one in new),
             repeated=False,
             geometry=self.geometry,
-            _std=std,
             _contacts=partial(self._contacts.of, view),
             _now=lambda: newest.monotonic_time + newest.age,
             **arrays,

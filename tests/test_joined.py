@@ -81,11 +81,10 @@ def test_a_press_across_two_boards_is_one_contact(tmp_path: Path) -> None:
 
 def frame_at(time_s: float, geometry: Geometry, kpa: float = 0.0) -> Frame:
     grid = np.full(geometry.shape, kpa)
-    from ohmskin.driver._lazy import Lazy
-
     return Frame(
-        None, None, time_s, time_s, 0, 0, False, False, False, False, False, grid.astype(np.uint16), grid == kpa,
-        np.zeros(geometry.shape, dtype=np.int8), grid + 1e3, grid, 0 * grid, geometry, Lazy(lambda: grid + 0.1),
+        None, None, time_s, time_s, 0, 0, False, False, False, False, False,
+        grid.astype(np.uint16), grid == kpa,
+        np.zeros(geometry.shape, dtype=np.int8), grid + 1e3, grid, grid + 0.1, 0 * grid, geometry,
         lambda: (), lambda: time_s,
     )  # fmt: skip
 
