@@ -27,7 +27,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ..circuits import Design, Reason
 from ..common.arrays import AnyArray
@@ -94,6 +93,8 @@ def open_joined(
 
 def joined_geometry(boards: Sequence[Geometry]) -> Geometry:
     """The places of all boards. InputError: only some have a shape or space, or cells of two are at one place."""
+    from scipy.spatial import cKDTree
+
     axes = {len(board.axes) for board in boards}
     without = [board.pitch_m is not None for board in boards]
     if len(axes) > 1 or (any(without) and not all(without)):
