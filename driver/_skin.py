@@ -1,16 +1,16 @@
-"""``Skin``: the driver's main class. It turns a board's bytes into frames of counts, ohms and kPa."""
+"""``BoardSkin``: the skin behind one board. It turns a board's bytes into frames of counts, ohms and kPa."""
 
 from __future__ import annotations
 
 import copy
 import os
 import weakref
-from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from time import monotonic
 from types import TracebackType
-from typing import Any, NoReturn, Self, Unpack
+from typing import NoReturn, Self, Unpack
 
 from ..circuits import Design
 from ..common import compiled
@@ -44,7 +44,7 @@ MAX_AGE_S = 0.5
 """default of :meth:`Skin.latest`: boards send at 10 Hz and more"""
 
 
-class Skin:
+class BoardSkin:
     """An open skin: iterate over it for its frames. Make one with :meth:`open`.
 
     A thread reads the port as long as the skin is open. :meth:`read`, :meth:`latest` and iteration share one place in
@@ -144,7 +144,7 @@ class Skin:
     @classmethod
     def open(
         cls,
-        port: str | Path | Sequence[str | Path] | None = None,
+        port: str | Path | None = None,
         *,
         serial_number: str | None = None,
         baudrate: int | None = None,
@@ -153,15 +153,13 @@ class Skin:
         speed: float | None = None,
         progress: Progress = silent,
         **settings: Unpack[SkinSettings],
-    ) -> Skin:
+    ) -> Self:
         """Open a serial device, a pty, ``socket://HOST:PORT`` or a recording (a file that ends in ``.mcap``).
 
         A recording supplies every setting of its skin that is not given here.
 
         Args:
-            port: name of the port; None: the port where :func:`discover` finds the board ``serial_number``. A list of
-                ports, or of recordings: their boards are one skin (:class:`.JoinedSkin`). A setting may then be a list,
-                too, with a value for each board.
+            port: name of the port; None: the port where :func:`discover` finds the board ``serial_number``.
             serial_number: that the board must have.
             baudrate: of the UART, where there is one; None: that of the family.
             record: MCAP file to record to, from the first byte; the recording ends with the skin.
@@ -178,11 +176,6 @@ class Skin:
             Also everything that :meth:`__init__` raises.
 
         """
-        if isinstance(port, list | tuple):
-            from ._joined import open_joined  # which is made of skins
-
-            given: dict[str, Any] = dict(settings, serial_number=serial_number, baudrate=baudrate, speed=speed)
-            return open_joined(port, record, overwrite=overwrite, progress=progress, **given)
         finder: PortFinder | None = None
         opened: BytePort
         reopen: Callable[[], BytePort]
@@ -233,7 +226,7 @@ class Skin:
             raise LinkError(f"{self.port_name}: board {self.serial_number} is there; expected {serial_number}")
 
     @property
-    def boards(self) -> tuple[Skin, ...]:
+    def boards(self) -> tuple[BoardSkin, ...]:
         """The skin of each board: this one, unless it has several (:class:`.JoinedSkin`)."""
         return (self,)
 
@@ -658,7 +651,7 @@ def _finder(port: str | None, asked: Options, baudrate: int | None) -> PortFinde
     return PortFinder(port, baudrate=baudrate or family.baud_rate, dtr=family.dtr, rts=family.rts)
 
 
-_OPEN_HERE: weakref.WeakSet[Skin] = weakref.WeakSet()
+_OPEN_HERE: weakref.WeakSet[BoardSkin] = weakref.WeakSet()
 """skins that this process has opened"""
 
 
