@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -12,21 +12,22 @@ from ._bar import progress_bar
 
 
 @contextmanager
-def played_frames(path: Path, doing: str) -> Iterator[tuple[Skin, Iterator[Frame]]]:
+def played_frames(paths: Sequence[Path], doing: str) -> Iterator[tuple[Skin, Iterator[Frame]]]:
     """A recording as an open skin, and its frames.
 
     Args:
-        path: of the recording, FILE.mcap.
+        paths: of the recording, FILE.mcap; of a skin of several boards there is one for each.
         doing: what the progress bar says.
 
     Raises:
         InputError: it is no recording.
 
     """
-    if path.suffix.lower() != ".mcap":
-        raise InputError(f"{path}: is no name of a recording; expected FILE.mcap")
+    for path in paths:
+        if path.suffix.lower() != ".mcap":
+            raise InputError(f"{path}: is no name of a recording; expected FILE.mcap")
     with progress_bar("reading") as tell:
-        skin = Skin.open(str(path), progress=tell)
+        skin = Skin.open(str(paths[0]) if len(paths) == 1 else list(map(str, paths)), progress=tell)
     with skin, progress_bar(doing) as tell:
         whole_ms = round(1e3 * (skin.recorded_s or 0.0))
 

@@ -99,22 +99,26 @@ def command(
         "family": family,
         "engine": cast("EngineName", engine),
     }
+    banners = []
     with ExitStack() as boards:
         for k, scene in enumerate(scenes[1:], start=1):
             port = PtyPort(None if link is None else of_board(link, k))
             own = options | {"seed": seed + k, "truth": None if truth is None else of_board(truth, k)}
             boards.enter_context(running(scene, port, **own))
-            click.echo(banner(scene, port, family))
-        if len(scenes) > 1:
+            banners.append(banner(scene, port, family))
+        if banners:
             link, truth = (None if name is None else of_board(name, 0) for name in (link, truth))
-        return _emulate(scenes[0], link, tcp, rfc2217, options | {"truth": truth})
+        return _emulate(scenes[0], link, tcp, rfc2217, options | {"truth": truth}, banners)
 
 
-def _emulate(scene: Scene, link: Path | None, tcp: str | None, rfc2217: str | None, options: Options) -> int:
-    """Run a board until its time is over or a signal comes; returns the exit code."""
+def _emulate(
+    scene: Scene, link: Path | None, tcp: str | None, rfc2217: str | None, options: Options, others: list[str]
+) -> int:
+    """Run a board until its time is over or a signal comes; returns the exit code. ``others``: banners of boards."""
     with stop_on_signals() as stop, _port(link, tcp, rfc2217) as port:
         family = str(options["family"])
-        told = partial(click.echo, banner(scene, port, family))  # who reads the name of the port may open it
+        banners = "\n".join([banner(scene, port, family), *others])
+        told = partial(click.echo, banners)  # who reads the name of the port may open it
         outcome = emulate(scene, port, ready=told, stop=stop, **options)
         for note in outcome.notes():
             click.echo(f"ohmskin: {note}", err=True)

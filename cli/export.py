@@ -36,9 +36,9 @@ KINDS = (".npz", *TABLES, ".nc")
 @click.command(
     epilog=arguments.example("ohmskin export press.mcap -o press.npz", "ohmskin export press.mcap -o press.nc")
 )
-@click.argument("recording", metavar="FILE.mcap", type=click.Path(path_type=Path))
+@click.argument("recordings", metavar="FILE.mcap...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("-o", "output", required=True, type=click.Path(path_type=Path), metavar="FILE.npz|.csv|.parquet|.nc")
-def command(recording: Path, output: Path) -> None:
+def command(recordings: tuple[Path, ...], output: Path) -> None:
     """Convert FILE.mcap as the driver does, and write every frame.
 
     .npz has an array for each field of a frame, with the frames along its first axis, `time`, the host's, and the
@@ -47,13 +47,14 @@ def command(recording: Path, output: Path) -> None:
     pressure_kpa_R_C, pressure_std_kpa_R_C, resistance_ohm_R_C, counts_R_C and valid_R_C for each cell; counts_R_C,
     rest_counts_R_C and valid_R_C where the board's circuit is not known. Places of a skin with a [shape] go into a
     second file beside it, .shape.csv. .nc is netCDF for xarray, with the dimensions time, row, column, units, and
-    places of the cells in mm. What is not known is empty in tables, and NaN elsewhere.
+    places of the cells in mm. Several recordings are those of the boards of one skin. What is not known is empty in
+    tables, and NaN elsewhere.
     """
     kind = output.suffix.lower()
     if kind not in KINDS:
         raise InputError(f"{output}: expected a name that ends in {', '.join(KINDS)}")
     check_writable(output)
-    with played_frames(recording, "exporting") as (skin, frames):
+    with played_frames(recordings, "exporting") as (skin, frames):
         if kind == ".nc":
             content = _as_netcdf(frames, skin)
         else:

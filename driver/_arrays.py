@@ -127,8 +127,8 @@ def _origin(skin: BoardSkin) -> dict[str, str]:
         "board": skin.family.name,
         "serial_number": skin.serial_number,
         "firmware": "" if skin.identity is None else skin.identity.firmware,
-        "design_sha256": fingerprint(skin.design) if skin.knows_circuit else "",
-        "cell_sha256": "" if skin.cell is None else fingerprint(skin.cell),
+        "design_sha256": " ".join(fingerprint(board.design) for board in skin.boards if board.knows_circuit),
+        "cell_sha256": " ".join(fingerprint(board.cell) for board in skin.boards if board.cell is not None),
         "port": skin.port_name,
     }
     return {name: value for name, value in known.items() if value}

@@ -13,7 +13,8 @@ from boards import DESIGN, PRESS, scene
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ohmskin.circuits import Reason
+from ohmskin.circuits import Reason, Shape
+from ohmskin.cli import run
 from ohmskin.common.arrays import FloatArray
 from ohmskin.common.geometry import Geometry
 from ohmskin.driver import Frame, JoinedSkin, Skin
@@ -197,3 +198,21 @@ def test_a_scene_of_several_boards_shares_its_contacts(tmp_path: Path) -> None:
     (tmp_path / "hand.toml").write_text(tables)
     with pytest.raises(InputError, match=r"contact\[0\]: on no board"):
         load_scenes(tmp_path / "hand.toml")
+
+
+def test_the_commands_take_several_boards(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["record", str(HAND), "-o", str(tmp_path / "hand.mcap"), "--duration", "0.5"]) == 0
+    files = [str(tmp_path / f"hand-{k}.mcap") for k in (1, 2)]
+    for kind in ("npz", "csv"):
+        assert run(["export", *files, "-o", str(tmp_path / f"hand.{kind}")]) == 0
+    with np.load(tmp_path / "hand.npz") as arrays:
+        assert arrays["pressure"].shape[1:] == (12, 8)
+        assert np.isfinite(arrays["place_mm"]).all(axis=-1).sum() == 83
+        assert (np.isfinite(arrays["place_mm"]).all(axis=-1) == (arrays["area_mm2"] > 0)).all()
+    head = (tmp_path / "hand.csv").read_text().partition("\n")[0].split(",")
+    assert sum(name.startswith("pressure_kpa_") for name in head) == 83
+    assert len(Shape.load(tmp_path / "hand.shape.csv").row) == 83
+    capsys.readouterr()
+    assert run(["emulate", str(HAND), "--plan"]) == 0
+    assert capsys.readouterr().out.count("cells, ") == 2
+    assert run(["emulate", str(HAND), "--tcp", ":0"]) == 2
