@@ -150,7 +150,7 @@ def test_a_bound_truncates_and_takes_the_others_along(seed: int, side: float, z:
     written(c, 0, mean, covariance)
     std = covariance[k, k] ** 0.5
     at = mean[k] - side * z * std
-    share = filters.bound(c, 0, of_speed, at, side)
+    share = filters.bound(c, 0, of_speed, at, side, 0.0)
     cut = truncnorm(*((-z, np.inf) if side > 0 else (-np.inf, z)), loc=mean[k], scale=std)
     found, left = gaussian(c, 0)
     assert share == pytest.approx(norm.cdf(z), rel=1e-9)
@@ -195,7 +195,7 @@ def test_a_cell_takes_no_part_in_what_its_column_shares_for_it() -> None:
     """Its own reading changes the corrections of the others, and none of its own; alone in a column it has none."""
     t, cells, watches = steps_of(0.01), zeros(filters.Estimates, 5), zeros(filters.Watch, 5)
     places = np.arange(5)
-    filters.begin_each(cells, places, np.zeros(5), MATERIAL.geq, MATERIAL.g3)
+    filters.begin_each(cells, places, np.zeros(5), MATERIAL.geq, MATERIAL.gu, MATERIAL.g3)
     watches["asleep"] = 1.0
 
     def corrected(reading: FloatArray) -> FloatArray:

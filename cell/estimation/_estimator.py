@@ -82,7 +82,7 @@ class Estimator:
         if not follows_load:
             # What a cell without memory reads is over when it is over.
             bad_hz, drift = (TUNING.bad_hz, TUNING.drift) if inversion.remembers else (0.0, 0.0)
-            none = {"memory": 0.0, "floor": 0.0, "relative": 0.0}
+            none = {"memory": 0.0, "floor": 0.0, "relative": 0.0, "extrapolated": 0.0}
             tuning = replace(TUNING, **none, drift=drift, overload=READINGS_OVERLOAD, bad_hz=bad_hz)
         self._steps = ByStep(_one_step, (self._material, tuning))
         self._cells, self._befores = zeros(Estimates, count), zeros(Estimates, count)
@@ -253,7 +253,7 @@ class Estimator:
         """Begin cells with their first reading, as if the load had been held for ever."""
         m = self._material
         r = np.where(np.abs(r) < 0.1 * FAR, r, 0.0)
-        begin_each.unchecked(self._cells, new, r, m.geq, m.g3)
+        begin_each.unchecked(self._cells, new, r, m.geq, m.gu, m.g3)
         self._watches[new] = zeros(Watch, 1)
         self.inversion.begin(self._states, self._memory, new, r * self._r_unit)
         self._read[new] = True

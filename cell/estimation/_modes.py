@@ -49,7 +49,7 @@ class Tuning:
     """FS/s, usual speed of loads that creep or sag; the next three: of slow, usual and fast motion"""
     line_per_s: float = 0.3
     move_per_s: float = 0.5
-    edge: float = 0.4
+    edge: float = 0.6
     """FS, usual size of a change within one frame"""
     creep_s: float = 0.8
     """s, for which such a motion lasts"""
@@ -64,7 +64,7 @@ class Tuning:
     """share of the motions that end in a hold"""
     turn: float = 0.3
     """share of the motions that turn; the others go on at another scale of speed"""
-    release: float = 0.5
+    release: float = 0.8
     """share of the falls with a hold after them that end at no load"""
     flip: float = 0.3
     """share of the holds that the other phase of the material explains"""
@@ -89,11 +89,13 @@ class Tuning:
     bad_hz: float = 0.02
     """1/s, bad contacts of a cell; and s, for which they last"""
     bad_s: float = 0.06
-    overload: float = 1.15
+    overload: float = 1.4
     """FS, heaviest load"""
     floor: float = 0.001
-    """FS, least standard deviation that is stated; and share of the load that is added"""
+    """FS, least standard deviation that is stated; and shares of the load, and of what exceeds full scale, that are
+    added: there the cell is not known"""
     relative: float = 0.012
+    extrapolated: float = 0.25
 
 
 TUNING = Tuning()
@@ -180,6 +182,7 @@ class Step(Record):
     overload: float
     floor: float
     relative: float
+    extrapolated: float
 
 
 def discretise(material: Material, dt_s: float, tuning: Tuning = TUNING) -> Step:
@@ -219,6 +222,7 @@ def discretise(material: Material, dt_s: float, tuning: Tuning = TUNING) -> Step
             "bad_ends": math.log(-math.expm1(-dt_s / t.bad_s)),
         },
         **{"bad_s": t.bad_s, "gain": m.gu, "overload": t.overload, "floor": t.floor, "relative": t.relative},
+        **{"extrapolated": t.extrapolated},
     )
 
 
