@@ -546,27 +546,27 @@ def follow(
     """Take a reading of a cell whose contact may be bad."""
     suspected = watch.since_s > 0.0
     # A load that is taken for one may lose its contact, too.
-    anew = not suspected or (watch.odds < 0.0 and jumps(before, low, high, var))
-    if known and anew and jumps(e, low, high, var):
-        copy(before, e)
-        density = advance(e, c, p, t, known, low, high, var, forget)
-        watch.odds = t.bad_prior - density
-        watch.since_s = t.dt_s if watch.odds > HOPELESS else 0.0
-        return
+    anew = known and (not suspected or watch.odds < 0.0) and jumps(e, low, high, var)
+    if anew:
+        copy(trial, e)
     density = advance(e, c, p, t, known, low, high, var, forget)
-    if not suspected:
-        return
-    advance(before, c, p, t, False, low, high, var, 1.0)
-    watch.since_s += t.dt_s
-    if known:
-        if not jumps(before, low, high, var):
-            copy(trial, before)
-            returned = advance(trial, c, p, t, known, low, high, var, 1.0)
+    if suspected:
+        advance(before, c, p, t, False, low, high, var, 1.0)
+        watch.since_s += t.dt_s
+        if known and not jumps(before, low, high, var):
+            if not anew:
+                copy(trial, before)
+            returns = before if anew else trial
+            returned = advance(returns, c, p, t, known, low, high, var, 1.0)
             if watch.odds + t.bad_ends + returned - density > 0.0:
-                copy(e, trial)
+                copy(e, returns)
                 watch.odds, watch.since_s = 0.0, 0.0
                 return
-        watch.odds -= t.dt_s / t.bad_s
+        if known:
+            watch.odds -= t.dt_s / t.bad_s
+    if anew:
+        copy(before, trial)
+        watch.odds, watch.since_s = t.bad_prior - density, t.dt_s
     if watch.odds < HOPELESS or watch.since_s > LASTING * t.bad_s:
         watch.odds, watch.since_s = 0.0, 0.0
 

@@ -64,7 +64,7 @@ class Tuning:
     """share of the motions that end in a hold"""
     turn: float = 0.3
     """share of the motions that turn; the others go on at another scale of speed"""
-    release: float = 0.8
+    release: float = 0.5
     """share of the falls with a hold after them that end at no load"""
     flip: float = 0.3
     """share of the holds that the other phase of the material explains"""
