@@ -28,8 +28,10 @@ demo: system-demo-packages $(VENV)/demo.stamp
 
 # `make test` leaves out what is marked slow; `make test-all` runs everything, for before a release.
 # Bytecode is kept, in images too that switch it off: hundreds of programs that the tests start would compile all again.
-# Three workers keep two cores busy, since tests of links wait for a sixth of their time.
-PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist worksteal
+# Three workers keep two cores busy, since tests of links wait for a sixth of their time. The order is random, by a seed
+# that is printed first and last: `make test SEED=1234` repeats it.
+PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 3 --dist worksteal \
+            $(if $(SEED),--randomly-seed=$(SEED))
 
 test: test-environment lint
 	$(PYTEST) -m 'not slow'

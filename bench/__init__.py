@@ -12,8 +12,8 @@ The live path: :mod:`._driver`, the age of frames (:mod:`._freshness`, over a :m
 :mod:`._worst_frames`; contacts of short taps, and false ones of electrical faults (:mod:`._taps`);
 contacts of fingers that move, hold or cross a dead row, and false ones of drift (:mod:`._fingers`).
 
-Searches for faults, each a program: ``python -m ohmskin.bench.hunt`` holds readings against exact rational arithmetic
-(:mod:`._reference`), with ``--live`` streams against the cells behind them (:mod:`._live_hunt`);
+Searches for faults, each a program: ``python -m ohmskin.bench.search`` holds readings against exact rational arithmetic
+(:mod:`._reference`), with ``--live`` streams against the cells behind them (:mod:`._live_search`);
 ``python -m ohmskin.bench.soak`` is an endurance test of emulator, driver, recorder and page;
 ``python -m ohmskin.bench.boards`` counts the valid cells of boards that people build, beside how well one frame can
 tell them at all.

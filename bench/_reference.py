@@ -56,7 +56,7 @@ def reference_volts(design: Design, resistance: ArrayLike) -> FloatArray:
         MissingExtra: python-flint is not installed.
     """
     if flint is None:
-        raise MissingExtra(f"the exact reference needs python-flint: {install_command('hunt')}")
+        raise MissingExtra(f"the exact reference needs python-flint: {install_command('exact')}")
     cells = design.resistance(resistance)
     rows, columns = cells.shape
     volts = np.empty(cells.shape)

@@ -1,4 +1,4 @@
-"""Detection of short taps against false alarms: contacts of a skin that is tapped, and of one whose contacts spark.
+"""Detection of short taps against false alarms: contacts of a skin that is tapped, and of one with bad contacts.
 
 Two streams of frames are made of each board, and read through a whole :class:`ohmskin.driver.Skin`, which is tared:
 

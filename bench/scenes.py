@@ -1,7 +1,7 @@
 """Scenes that estimators are judged by: loads on cells, and how a board reads them (noise, an ADC, faults).
 
 A load is simulated in steps shorter than a frame, so that it may turn, begin and end between two frames. No estimator
-is told of that. Every scene is a skin of its own and reproducible: its noise is drawn from its name.
+is informed of that. Every scene is a skin of its own and reproducible: its noise is drawn from its name.
 """
 
 from __future__ import annotations

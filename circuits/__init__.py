@@ -18,6 +18,7 @@ from ._scan import METHODS, ScanResult, scan
 from ._sections import Adc, Array, Cells, Drive, Fault, Operation, Requirements, Sheet
 from ._sensitivity import Sensitivity, sensitivity
 from ._sequence import interpolates, scan_sequence
+from ._shape import Shape
 from ._spread import Spread
 from .ends import ColumnEnd, Event, Reference, RowEnd, Scan
 from .readouts import CIRCUITS as _CIRCUITS
@@ -91,6 +92,7 @@ __all__ = [
     "ScanResult",
     "Sensitivity",
     "Settling",
+    "Shape",
     "Sheet",
     "Spread",
     "Stability",

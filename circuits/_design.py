@@ -14,11 +14,13 @@ from pydantic import Field, model_validator
 
 from ..common.arrays import FloatArray
 from ..common.config import OWN_TABLES, Section, load
+from ..common.geometry import Geometry
 from ..errors import InputError
 from ._board import Board, Networks
 from ._readout import PER_LINE, Readout
 from ._requirement import Requirement
 from ._sections import Adc, Array, Cells, Drive, Fault, Operation, Requirements, Sheet
+from ._shape import Shape
 from ._spread import Spread
 from .ends import ColumnEnd, Crosspoint, Reference, RowEnd, Scan
 from .readouts import CIRCUITS
@@ -41,6 +43,8 @@ class Design(Section):
     """None: the column outputs are not converted"""
     sheet: Sheet = Sheet()
     """geometry of the material, if array.sheet is "continuous"; a sliced one needs none"""
+    shape: Shape | None = None
+    """where the cells are; None: a rectangle with ``sheet.pitch``"""
     fault: Annotated[tuple[Fault, ...], Field(strict=False)] = ()
     requirements: Requirements = Requirements()
     requirement: Annotated[tuple[Requirement, ...], Field(strict=False, exclude=True), OWN_TABLES] = ()
@@ -89,6 +93,8 @@ class Design(Section):
                 by_row = sensed_rows if key.startswith("readout") else key.startswith("array.row")
                 line = "row" if by_row else "column"
                 raise ValueError(f"{key} has {len(value)} entries, expected one number or {lines} (one per {line})")
+        if self.shape is not None:
+            self.shape.refuse_beyond(self.array.shape)
         self._refuse_ties_to_nothing()
         self._refuse_keys_beside_networks()
         self._refuse_keys_without_effect()
@@ -186,6 +192,13 @@ class Design(Section):
     def load(cls, path: str | Path) -> Design:
         """Read DESIGN.toml; InputError with one located message if it is not a valid design."""
         return load(path, cls)
+
+    @cached_property
+    def geometry(self) -> Geometry:
+        """Where the cells are."""
+        if self.shape is not None:
+            return self.shape.geometry(self.array.shape)
+        return Geometry.rectangle(self.array.shape, (self.sheet.pitch, self.sheet.pitch))
 
     @property
     def spreads(self) -> dict[str, Spread]:

@@ -1,1 +1,1 @@
-"""What every room shares: arrays, checks, configuration, files, tables, text, plots, progress, processes."""
+"""What every package shares: arrays, checks, configuration, files, tables, text, plots, progress, processes."""

@@ -1,8 +1,8 @@
 """Arrays from files: NumPy archives (.npz) and arrays (.npy), held against a schema before anything is unpacked.
 
-A file may come from a stranger. Its reader states what each array may be (kind, axes, range) as a :class:`Stored`. How
-large it would be follows from the headers of zip and npy, which are read first. No other module opens such files:
-``tests/test_architecture.py``. The format of .npy is in NumPy's documentation, ``numpy.lib.format``.
+A file may come from an untrusted source. Its reader states what each array may be (kind, axes, range) as a
+:class:`Stored`. How large it would be follows from the headers of zip and npy, which are read first. No other module
+opens such files: ``tests/test_architecture.py``. The format of .npy is in NumPy's documentation, ``numpy.lib.format``.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ _MOST_EXPANSION = 1100
 _PIECE = 2**20
 """bytes that are unpacked at a time"""
 _MAGIC = b"\x93NUMPY"
-_LENGTHS = {1: "<H", 2: "<I"}
-"""of the header, by version of the format; version 3 is for names of fields beyond ASCII"""
+_LENGTHS = {b"\x01\x00": "<H", b"\x02\x00": "<I"}
+"""of the header, by version of the format, as NumPy reads it; version 3 is for names of fields beyond ASCII"""
 _TYPE = re.compile(r"[<>|=]?(\?|b1|[iu][1248]|f[248]|U\d{1,6})")
 _KINDS = {"numbers": "biuf", "whole numbers": "iuf", "flags": "biu", "text": "U"}
 """NumPy's letters of the types that are taken for a kind"""
@@ -225,7 +225,7 @@ class _Source:
             head = stream.read(len(_MAGIC) + 2)
             if head[:-2] != _MAGIC:
                 raise ValueError("no array of NumPy")
-            field = struct.Struct(_LENGTHS[head[-2]])
+            field = struct.Struct(_LENGTHS[head[-2:]])
             (length,) = field.unpack(stream.read(field.size))
             if length > MOST_HEADER_BYTES:
                 raise ValueError(f"a header of {length} bytes")

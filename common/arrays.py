@@ -1,4 +1,4 @@
-"""Types of numpy arrays, named once for all rooms; median and scatter of small arrays; read-only copies."""
+"""Types of numpy arrays, named once for all packages; median and scatter of small arrays; read-only copies."""
 
 from __future__ import annotations
 

@@ -88,6 +88,7 @@ Rows = Annotated[FloatArray, "float64[:, ::1]"]
 Blocks = Annotated[FloatArray, "float64[:, :, ::1]"]
 Reasons = Annotated[NDArray[np.int8], "int8[:, ::1]"]
 Places = Annotated[IntArray, "intp[::1]"]
+PlaceRows = Annotated[IntArray, "intp[:, ::1]"]
 Flags = Annotated[BoolArray, "boolean[::1]"]
 FlagRows = Annotated[BoolArray, "boolean[:, ::1]"]
 Codes = Annotated[CodeArray, "uint32[::1]"]
@@ -163,7 +164,7 @@ def _numba() -> Any:
     """Numba, with machine code of the user's own only.
 
     Numba runs what it finds in its folder of machine code, and takes the name of that folder from a file in the working
-    folder (``.numba_config.yaml``), too, which may be a stranger's.
+    folder (``.numba_config.yaml``), too, which anybody may have written.
     """
     import numba
 

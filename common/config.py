@@ -3,8 +3,8 @@
 The types and limits are declared on the models. This module reads and writes the files, and turns pydantic's
 structured errors into one line that names the file, the key and what was expected.
 
-Tables come from a file of the user's own (:func:`load`) or from a stranger: a board, a recording, the network
-(:func:`parse` without a folder). A stranger's tables are values only. A key that names a file, or that leads to code or
+Tables come from a file of the user's own (:func:`load`) or from an untrusted source: a board, a recording, the network
+(:func:`parse` without a folder). Untrusted tables are values only. A key that names a file, or that leads to code or
 to a verdict, is marked on its model (:data:`LocalFile`, :data:`OWN_TABLES`) and refused there. Models that a program
 makes in Python are its own: a :class:`~pathlib.Path` and a checked model are no text, and are taken.
 """
@@ -69,7 +69,7 @@ def _of_the_user(value: Any, info: ValidationInfo) -> Any:
 LocalFile = Annotated[Path, BeforeValidator(_located)]
 """a key that names a file; it holds the path, which starts at the folder of the file that has the key"""
 OWN_TABLES = BeforeValidator(_of_the_user)
-"""marks a list of tables that a stranger may not send"""
+"""marks a list of tables that an untrusted source may not send"""
 
 
 class Section(BaseModel):
@@ -176,7 +176,7 @@ def parse(tables: Mapping[str, Any], model: type[S], *, source: str, folder: Pat
         tables: values by key.
         model: what they must fit.
         source: names the tables in messages.
-        folder: of the user's own file that holds the tables; None: they are a stranger's, and may name no file.
+        folder: of the user's own file that holds the tables; None: they are untrusted, and may name no file.
 
     Raises:
         InputError: they do not fit. The message is one line.

@@ -56,7 +56,7 @@ def drawing(
         raise MissingExtra(f"plots need matplotlib: {install_command('report')}") from error
     colours = cycler(color=[BLUE, ORANGE, GREEN, RED, SKY, PURPLE, *_MORE])
     with mpl.rc_context():
-        mpl.rcdefaults()  # a matplotlibrc in the working folder may be a stranger's, and start LaTeX
+        mpl.rcdefaults()  # a matplotlibrc in the working folder may be anybody's, and start LaTeX
         mpl.rcParams.update(STYLE | {"axes.prop_cycle": colours})
         figure = Figure(figsize=(width, height), layout="constrained")
         yield figure, figure.subplots(rows, columns, squeeze=False, **subplots)

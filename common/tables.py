@@ -94,7 +94,7 @@ def read_columns(
     Args:
         path: of the file.
         names: of the columns.
-        note: told of a last line that was cut off while it was written, and is left out.
+        note: called with a message about a last line that was cut off while it was written, and is left out.
 
     Returns:
         The columns, and under :data:`LINE` the line of each row.
@@ -141,7 +141,7 @@ class Table:
     """A CSV file with columns of any names; columns without a header are called 1, 2, ..."""
 
     def __init__(self, path: str | Path, *, note: Callable[[str], None] = lambda said: None) -> None:
-        """Read a file. Raises InputError: unreadable, empty or ragged; ``note`` is told of a last line that is cut."""
+        """Read a file. Raises InputError: unreadable, empty or ragged; ``note`` reports a last line that is cut."""
         self.path, self._rows = path, Rows(path, MOST_RECORDING_BYTES, spaces=True)
         lines = iter(self._rows)
         number, first = next(lines)

@@ -83,7 +83,7 @@ def in_processes(
 def _imports_from_safe_places() -> Iterator[None]:
     """New Python processes import nothing from the working folder before they know this process's path.
 
-    They begin with ``python -c``, which would take a ``signal.py`` of that folder, a stranger's perhaps, for Python's.
+    They begin with ``python -c``, which would take a ``signal.py`` of that folder, anybody's perhaps, for Python's.
     """
     before = os.environ.get("PYTHONSAFEPATH")
     os.environ["PYTHONSAFEPATH"] = "1"

@@ -14,7 +14,7 @@ from ._contacts import Contact, ContactTracker
 from ._discover import FoundBoard, discover
 from ._frame import Frame
 from ._frames import Delivery
-from ._messages import MESSAGE_SCHEMAS, messages_of
+from ._messages import MESSAGE_SCHEMAS, messages_of, points_of
 from ._options import SkinSettings
 from ._port import BAUDRATE, Arrival, BytePort, SerialPort, SocketPort, open_port
 from ._reading import CountReader
@@ -52,6 +52,7 @@ __all__ = [
     "discover",
     "messages_of",
     "open_port",
+    "points_of",
     "stack",
     "to_xarray",
 ]

@@ -11,6 +11,7 @@ from .. import __version__
 from ..common.arrays import AnyArray
 from ..common.config import fingerprint
 from ..common.extras import install_command
+from ..common.geometry import Geometry
 from ..errors import InputError, MissingExtra
 from ._frame import Frame
 from ._skin import Skin
@@ -76,8 +77,9 @@ def to_xarray(frames: Iterable[Frame], skin: Skin | None = None) -> Dataset:
 
     Args:
         frames: any number, of one skin.
-        skin: source of the frames. Adds the positions of the cells in mm (``x_mm`` along ``column``, ``y_mm`` along
-            ``row``), and as attributes the board's family and serial number and hashes of design and cell.
+        skin: source of the frames. Adds the places of the cells in mm (of a rectangle ``x_mm`` along ``column``,
+            ``y_mm`` along ``row``; else these, maybe ``z_mm``, and ``area_mm2`` along both), and as attributes the
+            board's family and serial number and hashes of design and cell.
 
     Raises:
         InputError: there are no frames and no skin, or frames differ in shape.
@@ -98,10 +100,7 @@ def to_xarray(frames: Iterable[Frame], skin: Skin | None = None) -> Dataset:
     }
     attributes = {"source": f"ohmskin {__version__}"}
     if skin is not None:
-        x_m, y_m = skin.pitch_xy_m
-        for axis, dimension, count, pitch_m in (("x_mm", "column", columns, x_m), ("y_mm", "row", rows, y_m)):
-            place = {"units": "mm", "long_name": "middle of the cell, from the middle of cell (0, 0)"}
-            coordinates[axis] = (dimension, 1e3 * pitch_m * np.arange(count), place)
+        coordinates |= _places(skin.geometry)
         attributes |= _origin(skin)
     variables = {}
     for name, array in arrays.items():
@@ -109,6 +108,18 @@ def to_xarray(frames: Iterable[Frame], skin: Skin | None = None) -> Dataset:
         dimensions = ("time", "row", "column")[: array.ndim]
         variables[name] = (dimensions, array, {"units": units, "long_name": meaning})
     return Dataset(variables, coords=coordinates, attrs=attributes)
+
+
+def _places(geometry: Geometry) -> dict[str, Any]:
+    """Coordinates of the cells."""
+    meaning = {"units": "mm", "long_name": "middle of the cell"}
+    if geometry.pitch_m is not None:
+        x_mm, y_mm = geometry.places_mm[0, :, 0], geometry.places_mm[:, 0, 1]
+        return {"x_mm": ("column", x_mm, meaning), "y_mm": ("row", y_mm, meaning)}
+    both = ("row", "column")
+    found = {axis: (both, geometry.places_mm[..., k], meaning) for k, axis in enumerate(geometry.axes)}
+    area = {"units": "mm2", "long_name": "area of the cell; 0 where there is none"}
+    return found | {"area_mm2": (both, geometry.areas_mm2, area)}
 
 
 def _origin(skin: Skin) -> dict[str, str]:

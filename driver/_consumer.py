@@ -400,8 +400,9 @@ def _frame(raw: RawFrame, measurement: Converted, before: _Totals, connection: C
         measurement.reason,
         measurement.resistance,
         measurement.pressure,
-        measurement.rest_counts,
         measurement.pressure_std,
+        measurement.rest_counts,
+        connection.frames.converter.geometry,
         partial(connection.frames.converter.contacts.of, measurement.view),
         connection.now,
     )

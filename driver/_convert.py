@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..cell import Cell
 from ..circuits import Design, Reason
 from ..common.arrays import FloatArray
+from ..common.geometry import Geometry
 from ..common.measurement import Measurement
 from ..errors import InputError
 from ..wire import Layout
@@ -20,15 +21,12 @@ from ._calibration import Calibration
 from ._contacts import ContactsOfFrames, ContactTracker, PressureView
 from ._converted import Converted
 from ._estimate import Estimate
-from ._lazy import Lazy
 from ._line_faults import Creep, LineFaults
-from ._pitch import Pitch
 from ._plain import PlainReader
 from ._reading import CountReader
 from ._rest import Rest
 from ._statistics import Counters
 from ._stream import RawFrame
-from ._systematic import SystematicError
 from ._tare import KNOWN_DRIFT, RestChange
 
 KNOWN_FRAMES = 20
@@ -52,7 +50,7 @@ class Converter:
         design: Design | Layout,
         cell: Cell | None,
         estimator: str | None,
-        pitch: Pitch,
+        geometry: Geometry,
         counters: Counters,
         *,
         rest_changes: Sequence[RestChange] = (),
@@ -75,7 +73,9 @@ class Converter:
         """None: the circuit is not known"""
         self.shape = design.array.shape if isinstance(design, Design) else (design.rows, design.columns)
         self.cell = cell
-        self.pitch = pitch
+        self.geometry = geometry
+        self._holes = None if geometry.is_whole else ~geometry.exists
+        """(rows, columns) crossings without a cell; None: there are none"""
         self._estimator_name = estimator
         self._calibration = calibration
         self._counters = counters
@@ -83,10 +83,7 @@ class Converter:
         self._read = self._new_reader()
         self._present: NDArray[np.uint16] | None = None
         """last counts that the board has sent of each cell"""
-        self._systematic = None if cell is None else SystematicError(cell)
-        self._rest = None
-        if cell is not None and self._systematic is not None:
-            self._rest = Rest(cell, calibration, self._systematic)
+        self._rest = None if cell is None else Rest(cell, calibration)
         self.rest: FloatArray | None = None
         """(rows, columns) rest resistances by a tare, or counts where the circuit is not known; None: no tare"""
         self._advice = Advice(cell, self._rest, accuracy, counters, knows_circuit=self.design is not None)
@@ -106,7 +103,7 @@ class Converter:
         full_scale_kpa = np.inf if cell is None else cell.full_scale_kpa
         drift_kpa = 0.0 if self._rest is None else self._rest.kpa_of(KNOWN_DRIFT)
         faults_press = self._estimate is None or self._estimate.estimator.side > 0
-        tracker = ContactTracker(self.shape, pitch, full_scale_kpa, drift_kpa=drift_kpa, faults_press=faults_press)
+        tracker = ContactTracker(geometry, full_scale_kpa, drift_kpa=drift_kpa, faults_press=faults_press)
         self.contacts = ContactsOfFrames(tracker)
         self._last: RawFrame | None = None
         self._last_s: float | None = None
@@ -137,7 +134,10 @@ class Converter:
         self._read = self._new_reader()
 
     def _new_reader(self) -> CountReader | PlainReader:
-        return PlainReader(self.shape) if self.design is None else CountReader(self.design, accuracy=self._accuracy)
+        if self.design is None:
+            return PlainReader(self.shape)
+        lowest_ohm = None if self.cell is None else float(self.cell.equilibrium_ohm([0.0, 1.0]).min())
+        return CountReader(self.design, accuracy=self._accuracy, lowest_ohm=lowest_ohm)
 
     def use_rest(self, rest_ohm: FloatArray | None) -> None:
         """Use these rest resistances (rows, columns) from now on (None: those without a tare).
@@ -168,8 +168,6 @@ class Converter:
         self._last, self._last_s = frame, frame.time_s if self._last_s is None else self._last_s + gap_s
         measured = self._read_present(frame)
         counters = self._counters
-        if measured.reason.flat[0] == _UNSOLVED:
-            counters.unsolved += 1
         as_read = measured
         if gap_s > KEEP_STATE_S:
             self._estimate = self._new_estimate()
@@ -188,6 +186,7 @@ class Converter:
         if self._advice.frames is not None:
             self._advice.take(as_read)
         pressure.setflags(write=False)
+        std.setflags(write=False)
         view = PressureView(frame.index, frame.time_s, pressure, std, unread)
         self.contacts.pass_by(view)
         return Converted(
@@ -203,6 +202,15 @@ class Converter:
 
     def _read_present(self, frame: RawFrame) -> Measurement:
         """The reading of a frame. A cell without a count keeps its last one, as others depend on it, and is marked."""
+        measured = self._read_crossings(frame)
+        if measured.reason.flat[0] == _UNSOLVED:
+            self._counters.unsolved += 1
+        if self._holes is not None:
+            measured = measured.without(self._holes, Reason.NO_CELL)
+            measured.reason[self._holes] = Reason.NO_CELL
+        return measured
+
+    def _read_crossings(self, frame: RawFrame) -> Measurement:
         before, self._present = self._present, frame.counts
         if not frame.absent:
             return self._read(frame.counts)
@@ -211,11 +219,11 @@ class Converter:
         self._present = np.where(missing, frame.counts if before is None else before, frame.counts)
         return self._read(self._present).without(missing, Reason.MISSING)
 
-    def _pressures(self, gap_s: float, measured: Measurement) -> tuple[FloatArray, Lazy]:
+    def _pressures(self, gap_s: float, measured: Measurement) -> tuple[FloatArray, FloatArray]:
         """Pressures (rows, columns) in kPa and their standard deviations."""
         if self._estimate is None or self._rest is None:
             unknown = np.full(measured.reason.shape, np.nan)
-            return unknown, Lazy(unknown.copy)
+            return unknown, unknown.copy()
         self._rest.take(measured)
         return self._estimate.take(gap_s, measured)
 
@@ -233,10 +241,9 @@ class Converter:
         return "" if self.cell is None else self._estimator_name or self.cell.default_estimator
 
     def _fresh_estimate(self) -> Estimate | None:
-        if self.cell is None or self._rest is None or self._systematic is None:
+        if self.cell is None or self._rest is None:
             return None
-        beside = self._rest, self._systematic, self._calibration
-        return Estimate(self.cell, self.shape, self._estimator_name, *beside)
+        return Estimate(self.cell, self.shape, self._estimator_name, self._rest, self._calibration)
 
     def _new_estimate(self) -> Estimate | None:
         """Start the estimator and the model of line faults, for the rest resistances in use."""

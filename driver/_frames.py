@@ -19,6 +19,7 @@ aside when a reader waits: readers convert what is left.
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
 import time
 from collections import deque
@@ -335,18 +336,20 @@ class Frames:
 
     def _convert_up_to(self, last: int, most: int | None = None) -> bool:
         """Convert the frames up to the number ``last``, at most ``most`` of them; returns whether frames are left."""
-        done, until_s = 0, time.thread_time() + LATE_S
+        converter, done, until_s = self.converter, 0, math.inf
+        if self.newest_only and self.done + 1 < last:
+            until_s = time.thread_time() + LATE_S
         while most is None or done < most:
             with self.lock:
                 frame = self._after(self.done)
             if frame is None or frame.index > last:
                 return False
             self.done = frame.index
-            if self.newest_only and frame.index < last and time.thread_time() > until_s:
+            if until_s < math.inf and frame.index < last and time.thread_time() > until_s:
                 continue
             done += 1
             try:
-                frame.converted = self.converter.convert(frame)
+                frame.converted = converter.convert(frame)
             except ProtocolError as error:
                 self.report(error, frame.index)
                 continue
@@ -359,6 +362,8 @@ class Frames:
             self._last, self._converted = frame, self._converted + 1
             for receive in tuple(self.on_converted):
                 receive(frame, frame.converted)
+            if frame.index == last:
+                return False
         return True
 
     # -- the queue, with the lock held ---------------------------------------------------------------------------------

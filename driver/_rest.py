@@ -15,7 +15,6 @@ from ..cell import Cell
 from ..common.arrays import FloatArray, scatter
 from ..common.measurement import STEP_STD, Measurement
 from ._calibration import Calibration
-from ._systematic import SystematicError
 from ._tare import DRIFT
 
 LOOK_EVERY, LOOK_AT = 8, 3
@@ -35,9 +34,11 @@ EXPLAINED = 0.95
 class Rest:
     """Rest resistances of one skin's cells."""
 
-    def __init__(self, cell: Cell, calibration: Calibration | None, systematic: SystematicError) -> None:
+    def __init__(self, cell: Cell, calibration: Calibration | None) -> None:
         """Begin with the values of the ``calibration``, else of the data sheet of the ``cell``."""
-        self._cell, self._calibration, self._systematic = cell, calibration, systematic
+        self._cell, self._calibration = cell, calibration
+        self._kpa_at_rest = float(cell.rest_slope_kpa[0])
+        """kPa per relative error of a rest resistance"""
         self.tared_ohm: FloatArray | None = None
         """(rows, columns) by a tare; None: there is none"""
         self.measured_spread: float | None = None
@@ -70,7 +71,7 @@ class Rest:
 
     def kpa_of(self, relative: float) -> float:
         """The pressure that an unloaded cell shows when its rest resistance is off by ``relative``."""
-        return self._systematic.kpa_of_rest(relative)
+        return relative * self._kpa_at_rest
 
     def take(self, reading: Measurement) -> None:
         """Measure the spread of the cells every few frames."""

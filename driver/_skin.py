@@ -15,6 +15,7 @@ from typing import NoReturn, Self, Unpack
 from ..circuits import Design
 from ..common import compiled
 from ..common.checks import count, function, loaded, number, of_kind, path_text, positive
+from ..common.geometry import Geometry
 from ..common.progress import Progress, silent
 from ..common.text import printable
 from ..errors import InputError, LinkEnded, LinkError
@@ -264,18 +265,25 @@ class Skin:
         return self._connection.port_name
 
     @property
+    def geometry(self) -> Geometry:
+        """Places and areas of the cells, and where there is none."""
+        return self._converter.geometry
+
+    @property
     def pitch_m(self) -> float:
-        """Distance of neighbouring cells in m. InputError where cells are not square: ask for :attr:`pitch_xy_m`."""
-        x_m, y_m = self._converter.pitch
+        """Distance of neighbouring cells in m. InputError where cells are not square, or the skin is no rectangle."""
+        x_m, y_m = self.pitch_xy_m
         if x_m != y_m:
             raise InputError(f"{self.port_name}: cells of {x_m} x {y_m} m have no single pitch; use pitch_xy_m")
         return x_m
 
     @property
     def pitch_xy_m(self) -> tuple[float, float]:
-        """Distances of neighbouring cells in m along a row (x) and along a column (y)."""
-        pitch = self._converter.pitch
-        return pitch.x_m, pitch.y_m
+        """Distances of neighbouring cells in m along a row (x) and along a column (y). InputError: no rectangle."""
+        pitch = self.geometry.pitch_m
+        if pitch is None:
+            raise InputError(f"{self.port_name}: cells with a [shape] have no pitch; use geometry")
+        return pitch
 
     @property
     def away(self) -> str | None:

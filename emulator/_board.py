@@ -69,7 +69,7 @@ class Board:
             boot_id: number of this start of the board.
             duration_s: after which no frame comes any more; the one before says so.
             protocol: the board's end of the line; None: the native one.
-            record: told of every frame that the board scans.
+            record: called with every frame that the board scans.
             hand: presses beside the scene's contacts.
             ahead: compute frames ahead in a thread, for who must send each frame in time.
 
@@ -121,6 +121,10 @@ class Board:
     def wants_tick(self) -> bool:
         """Whether the host waits for frames."""
         return self.streaming or self._frames_wanted > 0
+
+    def prepare(self) -> None:
+        """Make ready, before a host may come, what would keep a first frame or a first press waiting."""
+        self._skin.prepare()
 
     def tick(self) -> list[bytes]:
         """Live through the next tick; the packets to send, each one whole."""

@@ -1,4 +1,4 @@
-"""Faults that come and go: cells that open, short or spark, lines that break or touch, a supply that sags.
+"""Faults that come and go: cells that open, short or make bad contact, lines that break or touch, a supply that sags.
 
 Events of cells change the cells' resistance, and so the truth. Events of lines and of the supply change the circuit.
 The board knows of none of them: it describes itself to the host as it was built.

@@ -16,7 +16,7 @@ import secrets
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
-from math import inf
+from math import inf, nan
 from pathlib import Path
 from typing import Any, Literal, TypedDict, Unpack
 
@@ -38,7 +38,7 @@ HOST_POLL_S = 0.01
 LISTENER_S = 1.0
 """fast clock: how long a host may say nothing before it is taken for a mere listener"""
 OVER_S = 1.0
-"""for how long a host behind a line that loses packets is told that no frame follows, a hundred times at most"""
+"""for how long a host behind a line that loses packets is informed that no frame follows, a hundred times at most"""
 MOST_BEHIND_S = 0.5
 """real clock: how late a board may be before its time is let go"""
 DRAIN_S = 5.0
@@ -113,6 +113,7 @@ def emulate(
             protocol = _protocol(options.get("family", "ohmskin"), scene)
             board = Board(scene, protocol=protocol, ahead=clock == "real", **life)
             device = Device(scene, board, seed=seed, capacity=capacity)
+        board.prepare()
         outcome = Outcome()
         pace = (_RealPace if clock == "real" else _FastPace)(device, outcome)
         session = _Session(device, port, pace, auto_reset=scene.line.auto_reset)
@@ -134,20 +135,19 @@ def emulate(
 def running(scene: Scene, port: Port, **options: Unpack[Options]) -> AbstractContextManager[None]:
     """:func:`emulate` in a thread while the block lasts: a board for a test in the same process.
 
-    The port is closed when the board's time is over or the block ends. What :func:`emulate` raises is raised at the
-    end of the block; only a firmware that cannot run here is refused before.
+    The block begins when the board is there, and the port is closed when its time is over or the block ends. What
+    :func:`emulate` raises is raised at the end of the block; only a firmware that cannot run here is refused before.
     """
     if options.get("engine") == "firmware":
         check_scene(scene)
         AVR8JS.require()
-    return in_thread(lambda stop: emulate(scene, port, stop=stop, **options), port)
+    return in_thread(lambda stop, ready: emulate(scene, port, stop=stop, ready=ready, **options), port)
 
 
 def _truth_file(path: Path, scene: Scene) -> TruthFile:
     skin = scene.skin
-    return TruthFile(
-        path, skin.design.array.shape, pitch_mm=skin.cell_pitch_mm, full_scale_kpa=skin.cell.full_scale_kpa
-    )
+    pitch_mm = skin.cell_pitch_mm if skin.design.shape is None else nan
+    return TruthFile(path, skin.design.array.shape, pitch_mm=pitch_mm, full_scale_kpa=skin.cell.full_scale_kpa)
 
 
 def _protocol(family: str | Path | Family, scene: Scene) -> BoardProtocol:

@@ -115,24 +115,27 @@ def wait_for(readable: list[HasFileno], writable: list[HasFileno], timeout_s: fl
 
 
 @contextmanager
-def in_thread(serve: Callable[[Stop], object], port: Port) -> Iterator[None]:
-    """Let ``serve`` run in a thread while the block lasts.
+def in_thread(serve: Callable[[Stop, Callable[[], None]], object], port: Port) -> Iterator[None]:
+    """Let ``serve`` run in a thread while the block lasts, which begins when ``serve`` calls its second argument.
 
     The port is closed when ``serve`` returns. What it raises is raised at the end of the block.
     """
-    stop = Stop()
+    stop, begun = Stop(), threading.Event()
     failures: list[Exception] = []
 
     def live() -> None:
         try:
             with port:
-                serve(stop)
+                serve(stop, begun.set)
         except Exception as error:
             failures.append(error)
+        finally:
+            begun.set()
 
     thread = threading.Thread(target=live, daemon=True)
     thread.start()
     try:
+        begun.wait()
         yield
     finally:
         stop.set()

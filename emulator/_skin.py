@@ -133,6 +133,10 @@ class EmulatedSkin:
         """Frames that are computed and not read."""
         return 0 if self._block is None else len(self._block) - self._place
 
+    def prepare(self) -> None:
+        """Compile, or load, what frames are computed with."""
+        self._physics.prepare()
+
     def read(self) -> tuple[FrameBlock, int]:
         """The next frame, as a block and the frame's place in it."""
         if self._block is None or self._place >= len(self._block):
@@ -220,6 +224,12 @@ class ScenePhysics:
         """An independent copy, to come back to."""
         return copy.deepcopy(self, {id(self._scene): self._scene, id(self._designs): self._designs})
 
+    def prepare(self) -> None:
+        """Let a copy live through two frames with all cells pressed, so that nothing is left to compile for a frame."""
+        trial = self.copy()
+        trial.by_hand_kpa = np.full(self._rest_ohm.size, self._scene.skin.cell.full_scale_kpa / 100.0)
+        trial.run(np.array([0, round(1e6 / self._scene.board.frame_rate)]))
+
     def run(self, time_us: IntArray) -> FrameBlock:
         """Live through frames at these times; the pressure is taken to change linearly between frames."""
         surface, resistance = self.cells(time_us)
@@ -238,6 +248,9 @@ class ScenePhysics:
                 assert event.place is not None
                 place = (slice(None), *event.place)
                 resistance[place] = event.changed_cells(time_s, resistance[place])
+        if not self._scene.skin.geometry.is_whole:  # no cell, no current
+            none = ~self._scene.skin.geometry.exists
+            surface[:, none], resistance[:, none] = 0.0, np.inf
         return surface, resistance
 
     def design(self, time_s: float) -> Design:

@@ -37,8 +37,18 @@ _FASTEST_HZ = _pressures.FASTEST_HZ
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """What takes longest comes first, so that no worker is left with it while the others have nothing to do."""
+    """What takes longest comes first, so that no worker is left with it while the others have nothing to do.
+
+    Otherwise tests run in the random order that pytest-randomly has made before; without it, in that of the files.
+    """
     items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """How to repeat the order of this run, below its failures; the head with the seed may be far above."""
+    if config.getoption("randomly_seed", None) is not None:
+        seed = config.getoption("randomly_seed")
+        terminalreporter.write_line(f"random order: repeat it by --randomly-seed={seed}, or make test SEED={seed}")
 
 
 def pytest_collection_finish() -> None:

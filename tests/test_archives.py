@@ -105,6 +105,11 @@ REFUSED = [
     ("no number", header("'<f8'", "(True, 4)", bytes(32)), "of shape (True, 4)"),
     ("another header", b"\x93NUMPY\x01\x00\x02\x00{}", "no array that can be read"),
     ("a later version", b"\x93NUMPY\x09\x00", "no array that can be read"),
+    (
+        "a version that NumPy refuses",
+        npy(np.ones((4, 4))).replace(b"NUMPY\x01\x00", b"NUMPY\x01\x01"),
+        "no array that can be read",
+    ),
     ("no header", b"hello", "no array of NumPy"),
     ("nothing", b"", "no array of NumPy"),
     ("one axis", npy(np.ones(4)), "expected numbers (rows, columns)"),

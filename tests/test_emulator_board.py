@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from boards import DESIGN, scene
@@ -127,3 +131,25 @@ def test_a_board_describes_the_pitch_that_its_scene_gives_the_cells() -> None:
     spread_out = scene(skin={"design": DESIGN, "pitch_mm": 5.0}).skin
     assert spread_out.described_design.sheet.pitch == pytest.approx(0.005)
     assert scene().skin.described_design == scene().skin.design
+
+
+def test_no_frame_waits_for_the_compiler() -> None:
+    """Before a host may come, all is compiled that frames of the scene are computed with; loads come later here."""
+    code = """
+from ohmskin.common import compiled
+from ohmskin.emulator import DEMO, Board, PairPort, Scene, Stop, emulate
+late = []
+def watch():
+    load = compiled.Loop.load
+    compiled.Loop.load = lambda kernel: (late.append(kernel.__qualname__), load(kernel))
+scene, port, stop = Scene.load(DEMO), PairPort("pair"), Stop()
+stop.set()
+emulate(scene, port, stop=stop, ready=watch)
+board = Board(scene)
+for tick in range(400):
+    board.tick()
+print(late, board.skin.block.pressure_kpa.max() > 1.0)
+"""
+    environment = {**os.environ, "OHMSKIN_COMPILED": "off"}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("[] True\n", "")

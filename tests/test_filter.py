@@ -215,8 +215,8 @@ def test_the_density_of_a_reading_is_that_of_the_mixture() -> None:
 def test_a_cell_takes_no_part_in_what_its_column_shares_for_it() -> None:
     """Its own reading changes the corrections of the others, and none of its own; alone in a column it has none."""
     t, cells, watches = steps_of(0.01), zeros(filters.Estimates, 5), zeros(filters.Watch, 5)
-    places = np.arange(5)
-    filters.begin_each(cells, places, np.zeros(5), MATERIAL.geq, MATERIAL.gu, MATERIAL.g3)
+    for each in cells:
+        filters.begin(each, 0.0, MATERIAL.geq, MATERIAL.gu, MATERIAL.g3)
     watches["asleep"] = 1.0
 
     def corrected(reading: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ohmskin.bench import _live_hunt, _live_streams
+from ohmskin.bench import _live_search, _live_streams
 from ohmskin.circuits import Design, Reason, adc_codes, live_recovery, scan
 from ohmskin.driver import CountReader, Measurement
 from ohmskin.errors import InputError
@@ -187,21 +187,21 @@ def test_noise_does_not_bring_a_saturated_output_back_to_life() -> None:
 
 
 @pytest.mark.parametrize("family", ["inverting", "row", "floating", "divider", "loaded", "open divider", "feedback"])
-def test_the_hunt_finds_nothing_in_its_first_streams(family: str) -> None:
-    """Quantised streams of random boards, with and without noise, saturated cells and faults (bench.hunt --live)."""
-    tally = _live_hunt.LiveTally()
+def test_the_search_finds_nothing_in_its_first_streams(family: str) -> None:
+    """Quantised streams of random boards, with and without noise, saturated cells and faults (bench.search --live)."""
+    tally = _live_search.LiveTally()
     for number in range(2000, 2005):
-        _live_hunt.check(family, number, tally)
+        _live_search.check(family, number, tally)
     assert tally.findings == []
     assert tally.valid > 0
 
 
-def test_the_hunt_notices_a_wrong_cell(monkeypatch: pytest.MonkeyPatch) -> None:
-    tally = _live_hunt.LiveTally()
+def test_the_search_notices_a_wrong_cell(monkeypatch: pytest.MonkeyPatch) -> None:
+    tally = _live_search.LiveTally()
     real = _live_streams.scan
     monkeypatch.setattr(_live_streams, "scan", lambda design, cells: real(design, 1.2 * cells))
     for number in range(2000, 2006):
-        _live_hunt.check("inverting", number, tally)
+        _live_search.check("inverting", number, tally)
     assert tally.count("wrong cell") >= 3
 
 

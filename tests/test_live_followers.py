@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ohmskin.bench import _live_hunt
+from ohmskin.bench import _live_search
 from ohmskin.circuits import Design, adc_codes, scan
 from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import CountReader
@@ -61,8 +61,8 @@ def test_a_skin_that_is_pressed_at_once_leaves_no_wrong_cell(seed: int) -> None:
 @pytest.mark.parametrize("number", [47110000031, 47110000048, 47110000055])
 def test_streams_of_hard_presses_that_once_had_wrong_cells(number: int) -> None:
     """Valid cells were off by factors of 27 to 2400."""
-    tally = _live_hunt.LiveTally()
-    _live_hunt.check("feedback pressed", number, tally)
+    tally = _live_search.LiveTally()
+    _live_search.check("feedback pressed", number, tally)
     assert tally.findings == []
     assert tally.valid
 

@@ -1,7 +1,7 @@
 """Streams of random boards that the live recovery once misread, most of them by a factor of two and more.
 
 Leads like the cells, shorts that join lines, offsets that push outputs below the range, noise that begins, breaks:
-readings for which two sets of cells nearly agree. ``python -m ohmskin.bench.hunt --live --show FAMILY:NUMBER``
+readings for which two sets of cells nearly agree. ``python -m ohmskin.bench.search --live --show FAMILY:NUMBER``
 shows one.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import pytest
 
-from ohmskin.bench import _live_hunt
+from ohmskin.bench import _live_search
 
 MISREAD: dict[str, tuple[int, ...]] = {
     "inverting": (
@@ -122,14 +122,14 @@ MISREAD: dict[str, tuple[int, ...]] = {
 
 @pytest.mark.parametrize(("family", "number"), [(each, number) for each in MISREAD for number in MISREAD[each]])
 def test_streams_that_were_once_misread(family: str, number: int) -> None:
-    tally = _live_hunt.LiveTally()
-    _live_hunt.check(family, number, tally)
+    tally = _live_search.LiveTally()
+    _live_search.check(family, number, tally)
     assert tally.findings == []
 
 
 @pytest.mark.parametrize(("family", "number"), [("inverting", 6120000145), ("row", 50000086)])
 def test_streams_on_which_no_iteration_comes_to_an_end_have_no_wrong_cell(family: str, number: int) -> None:
     """Shorts behind heavy leads with segments: Kirchhoff's laws without segments lead round in a circle."""
-    tally = _live_hunt.LiveTally()
-    _live_hunt.check(family, number, tally)
+    tally = _live_search.LiveTally()
+    _live_search.check(family, number, tally)
     assert tally.count("wrong cell") == tally.count("factor of two") == tally.count("unsolved") == 0

@@ -13,7 +13,7 @@ from designs import amplifier, divider
 from needs import need
 from parts_at_random import real_design
 
-from ohmskin.bench import hunt
+from ohmskin.bench import search
 from ohmskin.bench._reference import reference_volts
 from ohmskin.circuits import CIRCUITS, Design, scan
 from ohmskin.circuits.spice import command_available, frame_deck, netlist, run_control
@@ -30,7 +30,7 @@ def read_by_ngspice(design: Design, cells: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("number", range(12))
 def test_ngspice_reads_what_the_circuit_says(number: int) -> None:
-    design, cells = hunt.subject("ordinary", number)
+    design, cells = search.sample("ordinary", number)
     expected = reference_volts(design, cells)
     np.testing.assert_allclose(read_by_ngspice(design, cells), expected, rtol=1e-7, atol=1e-11)
 
@@ -70,7 +70,7 @@ def test_the_text_names_the_faults() -> None:
 @pytest.mark.parametrize("family", ["mixed lines", "faults", "one line"])
 def test_every_part_has_a_resistance(family: str, number: int) -> None:
     """ngspice takes 1 mohm for 0 and cannot read inf, so neither may be written; nor may a part bridge itself."""
-    design, cells = hunt.subject(family, number)
+    design, cells = search.sample(family, number)
     cells.flat[number % cells.size] = inf
     text = netlist(design, cells, 0).partition(".control")[0]
     parts = [line.split() for line in text.splitlines() if line.startswith("R")]

@@ -14,7 +14,7 @@ import pytest
 from designs import amplifier
 from needs import need
 
-from ohmskin.bench import hunt
+from ohmskin.bench import search
 from ohmskin.bench._reference import reference_volts
 from ohmskin.circuits import scan
 from ohmskin.circuits.spice import (
@@ -36,7 +36,7 @@ Runner = Callable[[str], dict[str, Any]]
 def test_the_sweep_agrees_with_the_reference_and_with_the_solver(family: str, number: int) -> None:
     """Random small grids of every kind."""
     need(library_available() or command_available())
-    design, cells = hunt.subject(family, number)
+    design, cells = search.sample(family, number)
     read = spice_scan(design, cells, run_command if number % 3 == 0 else run_library)
     np.testing.assert_allclose(read, reference_volts(design, cells), rtol=1e-7, atol=1e-11)
     np.testing.assert_allclose(scan(design, cells).volts, read, rtol=1e-6, atol=1e-11)

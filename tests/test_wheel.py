@@ -181,12 +181,14 @@ def test_pressures_come_without_extras(clean: Path, tmp_path: Path, compiled: st
 
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
-def test_the_command_line_works_with_the_lowest_versions_that_the_metadata_allows(clean: Path) -> None:
-    """The last test of this file, as it puts into the environment what tests need."""
+def test_the_command_line_works_with_the_lowest_versions_that_the_metadata_allows(clean: Path, tmp_path: Path) -> None:
+    """In a copy of the environment, which gets what tests need."""
     if sys.version_info[:2] != LOWEST_PYTHON:
         pytest.skip("the lowest versions are made for Python {}.{}".format(*LOWEST_PYTHON))
-    _install(clean, "hypothesis", "pytest", "pytest-timeout")
+    shutil.copytree(clean.parent, tmp_path / "copy", symlinks=True)
+    own = tmp_path / "copy" / "bin"
+    _install(own, "hypothesis", "pytest", "pytest-timeout")
     tests = [ROOT / "tests" / name for name in ("test_cli.py", "test_cell_cli.py")]
-    pytest_alone = [clean / "python", "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider"]
+    pytest_alone = [own / "python", "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider"]
     # An old matplotlib calls what a newer pyparsing deprecates.
     _run(*pytest_alone, "-W", "ignore::DeprecationWarning", *tests, cwd=ROOT)

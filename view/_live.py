@@ -126,9 +126,7 @@ class LiveSource(Source):
             await woken
         if newest.message is None:
             frame = newest.frame
-            newest.message = pack_frame(
-                frame, number=newest.number, time_s=newest.time_s, cell_area_mm2=self.cell_area_mm2, age_s=frame.age
-            )
+            newest.message = pack_frame(frame, number=newest.number, time_s=newest.time_s, age_s=frame.age)
         return newest.message
 
     async def make_tare(self, *, force: bool) -> Told:

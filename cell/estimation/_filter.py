@@ -21,7 +21,7 @@ import math
 from typing import Annotated
 
 from ...common.arrays import FloatArray
-from ...common.compiled import Places, Record, Records, Row, loop
+from ...common.compiled import Record, Records, Row, loop
 from ._modes import (
     CREEP_DOWN,
     DOWN,
@@ -99,9 +99,10 @@ NEGLIGIBLE = 1e-9
 DEEP = 8.0
 FAR = 4.0
 """standard deviations from a bound at which the bound is not felt"""
-OVERLOADS, SCARCE = 1e-3, 0.1
-"""density of loads beyond an overload, over that of others; FS beyond full scale, in which loads become rarer by a
-factor of e"""
+OVERLOADS = 1e-3
+"""density of loads beyond an overload, over that of others"""
+LEAST_LOG = -300.0
+"""of a density"""
 RESTING, REMAINS = 0.7, 0.1
 """probability that a cell begins at rest; and mean of what is left of earlier loads then, over r at full scale"""
 ROOT_HALF, DENSITY = math.sqrt(0.5), 1.0 / math.sqrt(2.0 * math.pi)
@@ -364,7 +365,7 @@ def advance(
             if over < 0.0 or over * over < FAR * FAR * c.ss[n]:
                 prior *= OVERLOADS + (1.0 - OVERLOADS) * above(over / math.sqrt(max(c.ss[n], 1e-18)))
             if c.s[n] > 1.0:
-                prior *= math.exp((1.0 - c.s[n]) / SCARCE)
+                prior *= math.exp(max((1.0 - c.s[n]) / t.scarce, LEAST_LOG))
         c.likelihood[n] = 1.0 / prior
         c.distance[n] = 0.0
         if known:
@@ -388,7 +389,7 @@ def advance(
         if j != REST:
             c.likelihood[n] *= bound(c, n, False, 0.0, 1.0, 0.0) * bound(c, n, False, t.overload, -1.0, OVERLOADS)
             if c.s[n] > 1.0:
-                c.likelihood[n] *= math.exp((1.0 - c.s[n]) / SCARCE)
+                c.likelihood[n] *= math.exp(max((1.0 - c.s[n]) / t.scarce, LEAST_LOG))
         nearest = min(nearest, c.distance[n])
     total = 0.0
     for n in range(2 * MODES):
@@ -455,13 +456,6 @@ def variance_of(e: Estimates, mean: float, t: Step) -> float:
         var += w * (e.ss[j] + off * off + swing * swing)
         total += w
     return var / total
-
-
-@loop
-def begin_each(cells: Records[Estimates], places: Places, r: Row, geq: float, gu: float, g3: float) -> None:
-    """Begin the cells at ``places`` (k,) with their first readings ``r`` (k,)."""
-    for k in range(places.size):
-        begin(cells[places[k]], r[k], geq, gu, g3)
 
 
 @loop

@@ -90,7 +90,8 @@ class Tuning:
     """1/s, bad contacts of a cell; and s, for which they last"""
     bad_s: float = 0.06
     overload: float = 1.4
-    """FS, heaviest load"""
+    """FS, heaviest usual load; and FS, in which loads beyond full scale become rarer by a factor of e"""
+    scarce: float = 0.1
     floor: float = 0.001
     """FS, least standard deviation that is stated; and shares of the load, and of what exceeds full scale, that are
     added: there the cell is not known"""
@@ -180,6 +181,7 @@ class Step(Record):
     gain: float
     """r at full scale of a slow load"""
     overload: float
+    scarce: float
     floor: float
     relative: float
     extrapolated: float
@@ -221,7 +223,14 @@ def discretise(material: Material, dt_s: float, tuning: Tuning = TUNING) -> Step
             "bad_prior": math.log(max(t.bad_hz * dt_s / (3.0 * m.geq), 1e-300)),
             "bad_ends": math.log(-math.expm1(-dt_s / t.bad_s)),
         },
-        **{"bad_s": t.bad_s, "gain": m.gu, "overload": t.overload, "floor": t.floor, "relative": t.relative},
+        **{
+            "bad_s": t.bad_s,
+            "gain": m.gu,
+            "overload": t.overload,
+            "scarce": t.scarce,
+            "floor": t.floor,
+            "relative": t.relative,
+        },
         **{"extrapolated": t.extrapolated},
     )
 

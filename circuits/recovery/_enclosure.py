@@ -87,12 +87,21 @@ class _Sums(NamedTuple):
 class Enclosure:
     """Bounds of one board's cells beside unknown ones."""
 
-    def __init__(self, board: Board, law: Law, to_driver: FloatArray, to_end: FloatArray) -> None:
-        """For a board, its laws, and the wire (N, M) in ohm between each cell and its driver, or its column's end."""
-        self._board, self._law, self._lead = board, law, law.lead[:, None]
+    def __init__(self, board: Board, law: Law, shared: FloatArray, to_driver: FloatArray, to_end: FloatArray) -> None:
+        """For a board and its laws.
+
+        Args:
+            board: the board.
+            law: its laws.
+            shared: (N, M, M) ohm of wire that two cells of a row share on the way to its driver.
+            to_driver: (N, M) ohm of wire between each cell and its row's driver.
+            to_end: (N, M) ohm of wire between each cell and its column's end.
+
+        """
+        self._board, self._law, self._shared = board, law, shared
         circuit, drive = board.circuit, abs(board.drive)
         ends = circuit.read_ends(board) if circuit.has_amplifiers and not circuit.drives_idle_lines else None
-        self._to_driver = to_driver.mean(axis=1, keepdims=True)
+        self._to_driver = to_driver
         self._short = 1.0 / (to_driver + LEAST_SHORT_OHM)  # S, of a short behind its row
         at_end = 0.0 if circuit.drives_idle_lines else circuit.end_resistance(board)
         self._behind = at_end + law.wire  # ohm (M,) that the current of a mean cell of a column passes
@@ -113,10 +122,14 @@ class Enclosure:
             self._saturates = isfinite(limit)
             if self._saturates:
                 beyond = np.abs(limit - board.level) + np.abs(board.offset)
-                self._into_end = (1.0 + beyond / drive) / (self._lead + board.reference + law.wire)
+                self._into_end = (1.0 + beyond / drive) / (to_driver + board.reference + law.wire)
             else:
-                self._into_end = 1.0 / (self._lead + behind + LEAST_SHORT_OHM)
+                self._into_end = 1.0 / (to_driver + behind + LEAST_SHORT_OHM)
                 self._column = self._into_end * behind * drive + np.abs(source)
+            if self._one_by_one:  # others are read while its column ends as idle ones do
+                into_idle = 1.0 / (to_driver + board.idle_resistance + law.wire + LEAST_SHORT_OHM)
+                whole = board.shared_by >= board.shape[1]
+                self._into_end = into_idle if whole else np.maximum(self._into_end, into_idle)
         self._holds, self._pull = ends is not None, board.pull
         self._hidden = broken_off(board)
         self._most_beside = 1.0 / (law.wire[:, None] + law.wire + 2.0 * LEAST_SHORT_OHM)  # S, from column to column
@@ -130,7 +143,7 @@ class Enclosure:
         behind: FloatArray = self._law.behind * cells.sum(axis=0)
         if self._floating:
             return behind
-        loss = float((self._lead * cells).sum(axis=1).max())
+        loss = float((self._law.lead[:, None] * cells).sum(axis=1).max())
         share: FloatArray = loss * behind / (1.0 + behind)
         return share
 
@@ -220,10 +233,9 @@ class Enclosure:
     def _rows(
         self, ports: Ports, errors: LawErrors, unknowns: Unknowns, sums: _Sums, potential: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Potential (N, 1) of each row over the drive while it is driven, and its bounds."""
+        """Potential (N, M) of a driven row at its cells over the drive, and its bounds."""
         driven = ports.driven
-        lifted = (self._lead * np.maximum(driven, 0.0) * potential).sum(axis=1)
-        row = np.clip(ports.row_left + lifted, _LEAST_LEFT, 1.0)[:, None]
+        row = np.clip(1.0 - self._lost(driven - np.maximum(driven, 0.0) * potential), _LEAST_LEFT, 1.0)
         more, less = np.maximum(sums.above - driven, 0.0), np.maximum(driven - sums.below, 0.0)
         if self._holds:
             into_end = self._into_end
@@ -231,12 +243,17 @@ class Enclosure:
                 idle = np.where(unknowns.limited, 0.0, np.maximum(driven, 0.0)).sum(axis=0)
                 into_end = np.minimum(into_end + idle, self._short)
             more = np.where(unknowns.limited, np.maximum(into_end - ports.apart, 0.0), more)
-        slack = np.where(errors.row_open > OPEN_ROW, errors.of_sums, 0.0)[:, None]
-        low = row - self._lead * (more.sum(axis=1)[:, None] + slack)
-        high = np.minimum(row + self._lead * (less.sum(axis=1)[:, None] + slack), 1.0)
+        slack = self._to_driver * np.where(errors.row_open > OPEN_ROW, errors.of_sums, 0.0)[:, None]
+        low = row - self._lost(more) - slack
+        high = np.minimum(row + self._lost(less) + slack, 1.0)
         if self._divides:  # a row stands above all columns that it feeds
             low = np.maximum(low, np.minimum(potential.max(axis=1)[:, None], row))
         return row, np.clip(low, 0.0, row), high
+
+    def _lost(self, conductance: FloatArray) -> FloatArray:
+        """Share (N, M) of a row's drive lost on the way to its cells, which conduct so many S (N, M) each."""
+        lost: FloatArray = (self._shared @ conductance[:, :, None])[..., 0]
+        return lost
 
     def _changes(
         self,
@@ -284,7 +301,7 @@ class Enclosure:
             cells: (N, M) S.
             unknowns: readings that state bounds only.
             sums: bounds of the columns.
-            raised: (N, 1) factor by which a row's cells may conduct more.
+            raised: (N, M) factor by which a row's cells may conduct more.
             potential: (N, M) V of the columns.
 
         """
@@ -300,7 +317,7 @@ class Enclosure:
         else:
             share = np.minimum(self._to_driver * np.maximum(ports.driven, 0.0), 1.0)
             width = sums.above - sums.below
-            loose = np.where(width > _LEAST_LEFT * np.abs(sums.above), np.minimum(self._lead * width, 1.0), 0.0)
+            loose = np.where(width > _LEAST_LEFT * np.abs(sums.above), np.minimum(self._to_driver * width, 1.0), 0.0)
         in_own_step = np.where(limited, self._column, 0.0)  # V: there the column may have any potential
         # Potentials (steps, rows) of the idle rows that the unknown cells may change, and what the rows then feed.
         lifted = potential @ share.T

@@ -1,6 +1,6 @@
 """Factors between the cells and what the laws of columns and rows make of their readings in the full model.
 
-G = rho law(y), with rho = G / law(F(G)) for the full model F of a board: segments, bridges, faults, sheets, currents
+G = rho law(y), with rho = G / law(F(G)) for the full model F of a board: segments, faults, sheets, currents
 that return by way of idle rows. To first order rho depends on the sums of a cell's row and column. Its error after a
 change of the cells is estimated from these sums. When the estimate exceeds a share of the uncertainty, rho is made
 anew, by a fixed-point iteration with the acceleration of Anderson (1965) of depth two and a fixed number of evaluations
@@ -66,7 +66,6 @@ class Factors:
         error: FloatArray,
         counted: BoolArray,
         limit: float,
-        grown: FloatArray | float,
     ) -> tuple[FloatArray, bool]:
         """Cells in S, and whether they have settled.
 
@@ -76,7 +75,6 @@ class Factors:
             error: relative, of ``by_law``.
             counted: cells that have readings.
             limit: uncertainty up to which cells matter.
-            grown: by how much more (N, M) than their sums changes of the cells count, where bridges mix lines.
 
         """
         cells, self.renewed = self.estimate(by_law), False
@@ -84,10 +82,10 @@ class Factors:
             self.coupling = np.maximum(self.coupling, self._coupling_at(np.maximum(cells, 0.0)))
             allowed = uncertainty(cells)
             matters = allowed <= limit
-            if not ((self.moved(grown * np.abs(cells - self.base), cells, matters) > FRESH * allowed) & matters).any():
+            if not ((self.moved(np.abs(cells - self.base), cells, matters) > FRESH * allowed) & matters).any():
                 return cells, True
         self.renewed = True
-        return self._renewed(cells, by_law, uncertainty, error, counted, limit, grown)
+        return self._renewed(cells, by_law, uncertainty, error, counted, limit)
 
     def estimate(self, by_law: FloatArray) -> FloatArray:
         """Cells in S by the present factors."""
@@ -121,7 +119,6 @@ class Factors:
         error: FloatArray,
         counted: BoolArray,
         limit: float,
-        grown: FloatArray | float,
     ) -> tuple[FloatArray, bool]:
         before: list[tuple[FloatArray, FloatArray]] = []
         evaluations = self._evaluations if self._begun else FIRST_EVALUATIONS
@@ -137,7 +134,7 @@ class Factors:
             allowed = uncertainty(new)
             matters = counted & (allowed <= limit)
             change = np.abs(np.maximum(new, OPEN) - cells)  # a negative reading is that of an open cell
-            off = self.moved(change * counted * grown, new, matters)
+            off = self.moved(change * counted, new, matters)
             loads = change > _ROUGHLY * np.minimum(error, 1.0) * np.maximum(np.abs(by_law), cells)
             if not (counted & np.where(matters, off > FRESH * allowed, loads)).any():
                 self.astray = not matters.any()

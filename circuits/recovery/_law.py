@@ -22,19 +22,14 @@ readings, :mod:`._answers` encloses them all.
 
 from __future__ import annotations
 
-from math import hypot
 from typing import NamedTuple
 
 import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray
 from .._parts import LEAST_SHORT_OHM
-from .._sections import Fault
 from ..readouts import PortLaw
-from ..solvers import siemens
 from ._law_kernels import LEAST, columns_of, rows_of
-
-_MOST_BRIDGE = 1e9  # S
 
 
 class Ports(NamedTuple):
@@ -70,7 +65,6 @@ class Law:
         beside_end: FloatArray,
         absent: BoolArray,
         shorts: FloatArray,
-        bridges: tuple[Fault, ...],
         error: float,
         *,
         one_by_one: bool,
@@ -87,7 +81,6 @@ class Law:
             beside_end: (N, M) ohm, wire from each cell to its column's end in excess of that mean.
             absent: (N, M) cells that take no part.
             shorts: (N, M) S, D of complete shorts, which are known without a reading; 0 at all other cells.
-            bridges: between lines.
             error: V, of a reading.
             one_by_one: whether idle columns carry no load.
             floating: whether idle rows float.
@@ -110,7 +103,6 @@ class Law:
         self._least_left = np.maximum(error * np.sqrt(rows) * by_reading, LEAST)
         per_reading = float(np.abs(i1 / self.law.drive[0]).max())
         self._least_row_left = np.maximum(error * np.sqrt(columns) * per_reading * self.lead, LEAST)
-        self._bridges, self._held = bridges, not floating
         self._segments, self._beside_end = (np.array(part, order="C") for part in (segments, beside_end))
         self.present = np.ascontiguousarray(~(absent | (shorts > 0.0)))
         self.nowhere = np.zeros(absent.shape, dtype=np.bool_)
@@ -146,27 +138,3 @@ class Law:
         (_, c1), (_, w1) = self.law.potential, self.law.drive
         slope: FloatArray = np.abs((c1 - w1 * ports.share) / ports.drive)
         return slope
-
-    def apart(self, ports: Ports) -> FloatArray | None:
-        """Factor (N, M) by which errors of readings grow where bridges mix two lines; None: there are no bridges.
-
-        A bridge of b siemens joins two nodes of Y siemens each. The currents of two columns follow from their
-        potentials by Y [[1 + B, -B], [-B, 1 + B]] with B = b / Y, which enlarges independent errors by the root of
-        (1 + B)^2 + B^2. Of the potential of a driven row the other one has the share A = b / (b + Y); the inverse of
-        [[1, A], [A, 1]] enlarges errors by the root of 1 + A^2, over 1 - A^2.
-        """
-        if not self._bridges:
-            return None
-        factor = np.ones(ports.driven.shape)
-        of_column = 1.0 / np.maximum(self.behind, LEAST) + ports.total
-        of_row = 1.0 / np.maximum(self.lead, LEAST) * self._held + ports.driven.sum(axis=1)
-        for fault in self._bridges:
-            (rows, columns), bridge = zip(*fault.ends, strict=True), min(float(siemens(fault.ohms)), _MOST_BRIDGE)
-            if fault.kind == "bridged-columns":
-                for column in columns:
-                    share = bridge / max(of_column[column], LEAST)
-                    factor[:, column] *= hypot(1.0 + share, share)
-            else:
-                share = max(bridge / (bridge + max(of_row[row], LEAST)) for row in rows)
-                factor[list(rows)] *= hypot(1.0, share) / max(1.0 - share**2, LEAST)
-        return factor

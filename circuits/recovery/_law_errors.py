@@ -83,12 +83,6 @@ class LawErrors:
             *(self.of_driven, own_per_volt, beside, self.own, self.linear, self._std),
             *(self.of_left, self.column_open, self.of_sums, self.row_open, np.empty((3, columns))),
         )
-        apart = law.apart(ports)
-        self.apart: FloatArray | float = 1.0 if apart is None else apart
-        """factor by which errors grow where bridges mix two lines"""
-        if apart is not None:
-            self.own, self.linear, self._std = self.own * apart, self.linear * apart, self._std * apart
-            own_per_volt, beside = own_per_volt * apart, beside * apart
         self._of_own, self._of_column = own_per_volt, beside
 
     def relative(self, cells: FloatArray) -> FloatArray:

@@ -56,7 +56,6 @@ LARGEST_MATRIX = 4096
 MOST_BESIDE = 256
 """cells up to which they are one beside shorts and cells that nothing reads, which no structure fits"""
 _SMALL = 100  # cells up to which the derivatives are a matrix
-_FEW = 4  # cells that nothing reads, up to which each is moved alone
 _PRIOR = 3.0  # standard deviation of a logarithm before anything is read: a factor of 20
 _ALIKE_ERRORS = 20.0  # inverse of the relative change of the readings' errors up to which covariances are alike
 _FITS, _NO_FIT, _MISFIT = 0.8, 3.0, 8.0  # half steps: by rounding alone, no fit yet, no cells give these readings
@@ -79,6 +78,7 @@ _OPEN_SIZE = 3.0  # most by which a conductance may be larger, from which on the
 _BESIDE = 0.01  # conductance over the largest one of a column, from which on a cell of unknown size counts beside it
 _TIES = 0.1  # share of a row's drive that a cell may take, from which on it ties the row to its column
 _OFTEN = 3  # frames with readings that no cells give, after which the design is taken for wrong
+_CONTRACTS = 0.5  # factor of a map that surely has one fixed point, with room for derivatives that change
 _TYPICAL = 1e-5  # S, of a cell if no reading shows a conductance
 
 
@@ -95,6 +95,8 @@ class _Linear(NamedTuple):
     """(n,) standard deviation of the logarithms by errors so many times those of ADC steps"""
     known: dict[float, FloatArray]
     """results of ``std_at``"""
+    amplified: float = inf
+    """largest sum of the derivatives of a logarithm by those of all readings, where several answers are possible"""
 
     def std(self, coarser: float) -> FloatArray:
         """The same, computed once for errors that are nearly alike."""
@@ -114,8 +116,8 @@ class FitLive:
     scales_columns = False
     usual: UsualReading | None = None
 
-    def __init__(self, board: Board, rule: ValidityRule) -> None:
-        """For a board with a converter.
+    def __init__(self, board: Board, rule: ValidityRule, least_ohm: float) -> None:
+        """For a board with a converter, whose cells have at least so many ohm, shorts apart.
 
         Raises:
             InputError: the board is too large.
@@ -140,8 +142,8 @@ class FitLive:
         self._nodes = nodes if nodes is not None and nodes.applies else None
         if cells > LARGEST_MATRIX and self._nodes is None:
             raise InputError(
-                "the live recovery of boards with floating rows and bridged or broken lines is for at most "
-                f"{LARGEST_MATRIX} cells, and the array has {cells}; expected a smaller array, or no such fault"
+                "the live recovery of boards with bridged lines, or with floating rows and broken lines, is for at "
+                f"most {LARGEST_MATRIX} cells, and the array has {cells}; expected a smaller array, or no such fault"
             )
         self._shunt = np.zeros(board.shape)
         for fault in self._board.shorts:
@@ -155,8 +157,13 @@ class FitLive:
         self._beyond = np.where(self._gone | board.circuit.virtual_ground, inf, at_ends)  # V, no cells read more
         per_volt = np.abs(board.circuit.conductance_slope(board, np.zeros(board.shape)))
         self._least = np.log(_LEAST_READING * self._half_step * per_volt).ravel()
-        self._most = np.log(_AS_SHORT / (self._leads + LEAST_SHORT_OHM)).ravel()
+        most = _AS_SHORT / (self._leads + LEAST_SHORT_OHM)
+        if least_ohm:
+            most = np.where(self._gone, 1.0 / least_ohm, most)
+        self._most = np.log(most).ravel()
         self._several = several_answers(board) and not board.circuit.virtual_ground
+        of_row = board.shape[1] / least_ohm if least_ohm else inf
+        self._least_ohm, self._lost = least_ohm, float(np.max(lines.to_driver)) * of_row  # share of a drive, at most
         self._log: FloatArray | None = None
         self._linear: _Linear | None = None
         self._read: FloatArray = np.ones(cells)
@@ -200,7 +207,10 @@ class FitLive:
         short = signal >= _SHORT_SHARE * self._short
         # No way between two lines conducts better than a short of their ends.
         beyond = (signal > self._beyond + _MISFIT * error) & ~unread
-        if beyond.any() or (unread.any() and not small) or (self._nodes is not None and short.any()):
+        # Two cells of unknown size may join lines whose readings are then alike, whatever the other cells are.
+        several = np.count_nonzero(unread & ~self._gone) + bool(unread[self._gone].any()) > 1
+        large = not small and bool(unread.any())
+        if beyond.any() or several or large or (self._nodes is not None and short.any()):
             self._in_vain = self._in_vain + 1 if beyond.any() else 0
             if self._in_vain > _OFTEN:
                 raise SolverError(_NO_CELLS)
@@ -220,15 +230,11 @@ class FitLive:
 
         A cell changes a reading by a Moebius function of its conductance, hence most at the ends of its interval.
         """
-        spread = np.zeros(log.shape)
         if not unread.any():
-            return spread
+            return np.zeros(log.shape)
         assert self._linear is not None
-        before, hidden = self._at(log), unread & self._gone
-        for group in [*_groups(unread & ~hidden), hidden]:  # hidden ones act together
-            moved = self._at(np.where(group.ravel(), self._most, log)) - before
-            spread += np.abs(self._linear.solve(moved * self._read))
-        return spread
+        moved = self._at(np.where(unread.ravel(), self._most, log)) - self._at(log)
+        return np.abs(self._linear.solve(moved * self._read))
 
     def _closed_start(self, volts: FloatArray) -> FloatArray:
         """Logarithms (n,) as if each cell were alone."""
@@ -377,7 +383,11 @@ class FitLive:
             step: FloatArray = dpotrs(factor, jacobian.T @ (apart / self._std), lower=1)[0]
             return step
 
-        return _Linear(log, solve, slope, lambda coarser: self._std_of(log, jacobian / coarser), {})
+        amplified = inf
+        if self._several and self._read.all():
+            by_logs = jacobian * (self._std / (volts - self._board.level).reshape(-1, 1))
+            amplified = float(np.abs(np.linalg.inv(by_logs)).sum(axis=1).max())
+        return _Linear(log, solve, slope, lambda coarser: self._std_of(log, jacobian / coarser), {}, amplified)
 
     def _std_of(self, log: FloatArray, jacobian: FloatArray) -> FloatArray:
         """Standard deviations (n,) of the logarithms with derivatives (n, n) in errors of a reading.
@@ -415,6 +425,18 @@ class FitLive:
         beside = (inverse @ inverse[bent].T) / std[bent] * np.sqrt(grown[bent] ** 2 - 1.0)
         std = np.sqrt(std**2 + np.einsum("ij,ij->i", beside, beside))
         return std
+
+    def _one_answer(self, log: FloatArray) -> bool:
+        """Whether no other cells give the readings, where idle columns conduct more than those that are read.
+
+        Without leads of the rows there is one answer (:func:`.several_answers`). The selected row's lead takes a share
+        of at most L of the drive; the derivative of its logarithm by those of all cells, together, is no larger. If A
+        is the largest sum of derivatives of a cell's logarithm by those of all readings, another answer lies within
+        A L, where A L < 1/2 makes the map from one's losses to the other's cells a contraction.
+        """
+        assert self._linear is not None
+        in_range = float(np.exp(log.max())) * self._least_ohm <= 1.0
+        return in_range and self._linear.amplified * self._lost < _CONTRACTS
 
     def _derivatives(self, cells: FloatArray) -> FloatArray:
         """V/S (n, n) of all readings by all crosspoints."""
@@ -456,7 +478,7 @@ class FitLive:
         sigmas = hypot(BY_STEPS, BY_NOISE * noise / self._std) / coarser * max(misfit, 1.0)
         uncertainty = own + np.expm1(np.minimum(np.maximum(sigmas * std - own, 0.0), _LARGEST))
         uncertainty += np.expm1(np.minimum(spread.reshape(shape), _LARGEST))
-        if self._several:
+        if self._several and (unread.any() or not self._one_answer(log)):
             uncertainty = np.full(shape, inf)
         if self._sheet is not None:
             uncertainty = uncertainty + self._sheet.doubt(log)
@@ -486,14 +508,3 @@ class FitLive:
         reason[limited] = SATURATED
         reason[self._gone] = HIDDEN
         return undetermined(self._turn(reason))
-
-
-def _groups(unread: BoolArray) -> list[BoolArray]:
-    """The cells (N, M) that nothing reads: one by one if they are few, else by rows or by columns."""
-    if np.count_nonzero(unread) <= _FEW:
-        places = np.flatnonzero(unread)
-        return [(np.arange(unread.size) == place).reshape(unread.shape) for place in places]
-    rows, columns = np.flatnonzero(unread.any(axis=1)), np.flatnonzero(unread.any(axis=0))
-    if len(rows) <= len(columns):
-        return [unread & (np.arange(len(unread)) == row)[:, None] for row in rows]
-    return [unread & (np.arange(unread.shape[1]) == column) for column in columns]

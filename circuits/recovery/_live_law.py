@@ -51,8 +51,8 @@ _OFTEN = 3  # frames with readings that no cells give, after which the design is
 class LawLive:
     """Live recovery of boards whose circuits state a :class:`..readouts.PortLaw`."""
 
-    def __init__(self, board: Board, rule: ValidityRule) -> None:
-        """For a board with a converter."""
+    def __init__(self, board: Board, rule: ValidityRule, least_ohm: float) -> None:
+        """For a board with a converter, whose cells have at least so many ohm, shorts apart."""
         whole = replace(board, supply=(-inf, inf), faults=tuple(map(with_resistance, board.faults)))
         self._board = sliced = replace(whole, continuous=False)
         self._sheet = whole if board.continuous else None
@@ -77,25 +77,31 @@ class LawLive:
         self._present = None if not self._gone.any() else np.ascontiguousarray(~self._gone)
         self._faulty = bool(self._shunt.any() or board.series_ohms.any())
         lost = hidden.any() or (board.floating and self._shorted.any())
-        self._tells = not ((board.circuit.mixes_cells or board.floating) and lost)
-        self._steps = Steps.of(board)
         one_by_one = board.circuit.columns_one_by_one(board)
+        # Cells behind a break join lines, which no current passes where all lines but the read one are held.
+        held = not (board.circuit.mixes_cells or board.floating)
+        if board.circuit.drives_idle_lines:  # as the column that is read, which the selected row is not
+            held &= bool((np.count_nonzero(hidden, axis=0) <= 1).all())
+        else:
+            held &= not (one_by_one and bool(board.idle_resistance.any()))
+        self._tells = held or not lost
+        self._steps = Steps.of(board)
         lead = to_driver.mean(axis=1)
         segments = np.where(np.isfinite(board.row_ohms), board.row_ohms, 0.0)
-        for ohms in (lead, segments):  # a complete short leaves a row no drive
+        shared = np.where(np.isfinite(lines.row), lines.row, 0.0)
+        for ohms in (lead, segments, shared):  # a complete short leaves a row no drive
             ohms[self._shorted.any(axis=1)] = 0.0
         shorts = np.where(self._shorted, 1.0 / (to_driver + COMPLETE_SHORT), 0.0)
         self._whole_wires = to_driver + to_end + column_lead
-        bridges = tuple(fault for fault in sliced.faults if fault.bridge)
         self._law = Law(
             *(law, lead, segments, wire, to_end - to_end.mean(axis=0)),
-            *(hidden, shorts, bridges, self._steps.half),
+            *(hidden, shorts, self._steps.half),
             one_by_one=one_by_one,
             floating=board.floating,
             virtual_ground=board.circuit.virtual_ground,
         )
-        self._answers = Answers(sliced) if several_answers(board) and self._law.has_potential else None
-        self._enclosure = Enclosure(board, self._law, to_driver, to_end)
+        self._answers = Answers(sliced, least_ohm) if several_answers(board) and self._law.has_potential else None
+        self._enclosure = Enclosure(board, self._law, shared, to_driver, to_end)
         self._wires = np.abs(to_driver - lead[:, None]) + np.abs(to_end - to_end.mean(axis=0))
         self._any_wire = bool(self._wires.any())
         self._model = QuickModel(sliced, lines)
@@ -109,10 +115,10 @@ class LawLive:
         beside_end = np.abs(to_end - to_end.mean(axis=0)).max(axis=0)
         self._beside_law = beside_end / np.maximum(self._law.behind, beside_end + LEAST)  # share that segments change
         self._fit = None
-        amplified = bool(board.bridges) and board.circuit.virtual_ground
-        fits = amplified or (board.circuit.mixes_cells and self._answers is None)
-        if fits and board.shape[0] * board.shape[1] <= MOST_BESIDE:
-            self._fit = FitLive(board, rule)
+        small = board.shape[0] * board.shape[1] <= MOST_BESIDE
+        mixes = (board.circuit.mixes_cells and self._answers is None) or not self._tells
+        if board.bridges or (mixes and small):
+            self._fit = FitLive(board, rule, least_ohm)
         self.usual: UsualReading | None = self._usual_frames(board)
         self._impossible = 0
         self._every = np.ones(board.shape, dtype=np.bool_), np.zeros(board.shape, dtype=np.int8)
@@ -170,10 +176,13 @@ class LawLive:
         if self._answers is not None:
             answers = self._answers(volts, errors.error, unknowns)
         opened, enclosed = unknowns is not None or errors.opens, None
-        beyond = opened or bool(self._board.bridges)  # bridges mix lines beyond what factors follow
-        beyond = beyond and (unknowns is None or self._board.circuit.mixes_cells)
-        if beyond and self._fit is not None and self._factors is not None and _lone(ports, errors):
+        bridged = bool(self._board.bridges)  # no law of single lines holds
+        if bridged and self._board.circuit.has_amplifiers and unknowns is not None and unknowns.limited.any():
+            return self._nothing(unknowns)  # an output at its supply does not hold its line, nor what is bridged to it
+        if (opened or bridged) and self._fit is not None and self._factors is not None and _lone(ports, errors):
             return self._fit.read(volts, limited, faint, noise, ports.cells)
+        if bridged:
+            return self._nothing(unknowns)
         if self._factors is None:
             enclosed = self._enclosure(ports, errors, cells, unknowns, volts) if opened else None
             return self._reading(errors, cells, errors.relative(cells), enclosed, unknowns, answers, settled=True)
@@ -192,7 +201,6 @@ class LawLive:
             errors.linear + by_others,
             counted,
             limit,
-            errors.apart,
         )
         if enclosed is not None and self._factors.renewed:
             enclosed = self._enclosure(ports, errors, cells, unknowns, volts)

@@ -167,7 +167,7 @@ class FirmwareBoard:
             seed: for the noise at the ADC.
             boot_id: number of this start.
             hand: presses beside the scene's contacts.
-            record: told of every frame that arrived at the serial line, as it truly was; volts are those converted.
+            record: called with every frame that arrived at the serial line, as it truly was; volts are those converted.
 
         Raises:
             InputError: no firmware fits the scene, or a setting is out of range.
@@ -215,6 +215,10 @@ class FirmwareBoard:
     def row_switches(self) -> list[tuple[float, int]]:
         """(s, row) of each row selection of the latest whole frame."""
         return self._observer.switches
+
+    def prepare(self) -> None:
+        """Make ready, before a host may come, what would keep a first press waiting."""
+        self._circuit.prepare()
 
     def send(self, data: bytes) -> None:
         """Bytes of the host; they arrive one after the other at the speed of the line, from the next run on."""

@@ -52,6 +52,10 @@ class ScanCircuit:
         self._transient = Transient(self._design, self.resistance_ohm)
         self._solve()
 
+    def prepare(self) -> None:
+        """Compile, or load, what the cells are computed with."""
+        self._physics.prepare()
+
     def select(self, time_s: float, rows: frozenset[int]) -> None:
         """Other rows are pulled to ground from now on; index ``rows`` of the array is the reference resistors."""
         self._advance(time_s)

@@ -1,3 +1,3 @@
 """ohmskin: readout, emulation, driver and verification of resistive robot skins."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

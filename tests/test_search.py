@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from ohmskin.bench import hunt
+from ohmskin.bench import search
 from ohmskin.bench._reference import Indeterminate, reference_volts
 from ohmskin.circuits import Design, scan, scan_batch
 from ohmskin.errors import SolverError
 
 
-@pytest.mark.parametrize("family", hunt.FAMILIES)
+@pytest.mark.parametrize("family", search.FAMILIES)
 def test_a_search_of_each_family_finds_nothing(family: str) -> None:
-    tally = hunt.Tally()
+    tally = search.Tally()
     for number in range(25):
-        hunt.check(family, number, tally)
+        search.check(family, number, tally)
     assert tally.designs == 25
     assert not tally.findings
 
@@ -98,9 +98,9 @@ def test_what_an_idle_driver_leaves_open_has_no_bound() -> None:
 
 def test_nearly_equal_sources_that_are_joined_keep_their_bound() -> None:
     """Their difference has lost digits before it meets any conductance (a finding in the family of faults)."""
-    tally = hunt.Tally()
+    tally = search.Tally()
     for number in (210000141, 210000478, 210000541):
-        hunt.check("faults", number, tally)
+        search.check("faults", number, tally)
     assert not tally.findings
 
 
@@ -110,26 +110,26 @@ def test_the_search_notices_wrong_readings(monkeypatch: pytest.MonkeyPatch) -> N
         result.volts[0, 0] *= 1.0 + 1e-6
         return result
 
-    monkeypatch.setattr(hunt, "scan", wrong)
-    tally = hunt.Tally()
+    monkeypatch.setattr(search, "scan", wrong)
+    tally = search.Tally()
     for number in range(20):
-        hunt.check("ordinary", number, tally)
+        search.check("ordinary", number, tally)
     assert len(tally.findings) > 10
     assert all("broken bound" in finding for finding in tally.findings)
 
 
 def test_the_command_prints_counts_and_shows_a_design() -> None:
-    ran = CliRunner().invoke(hunt.main, ["--seconds", "0.5", "--family", "ties"])
+    ran = CliRunner().invoke(search.main, ["--seconds", "0.5", "--family", "ties"])
     assert ran.exit_code == 0, ran.output
     assert "designs" in ran.output
-    shown = CliRunner().invoke(hunt.main, ["--show", "ties:3"])
+    shown = CliRunner().invoke(search.main, ["--show", "ties:3"])
     assert shown.exit_code == 0
     assert "cells = [[" in shown.output
 
 
 def test_the_command_shows_the_stream_of_a_live_finding() -> None:
     """It searched instead, until the time was up."""
-    shown = CliRunner().invoke(hunt.main, ["--live", "--show", "inverting:3"])
+    shown = CliRunner().invoke(search.main, ["--live", "--show", "inverting:3"])
     assert shown.exit_code == 0
     design, *frames = shown.output.splitlines()
     shape = Design.model_validate(json.loads(design)).array.shape
@@ -139,6 +139,6 @@ def test_the_command_shows_the_stream_of_a_live_finding() -> None:
         assert values is not None
         assert np.shape(json.loads(values[3])) == shape
     for wrong in ("ties:3", "inverting:x", "inverting"):
-        refused = CliRunner().invoke(hunt.main, ["--live", "--show", wrong])
+        refused = CliRunner().invoke(search.main, ["--live", "--show", wrong])
         assert refused.exit_code == 2
         assert "expected FAMILY:NUMBER" in refused.output

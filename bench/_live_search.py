@@ -1,6 +1,6 @@
 """Search for wrong live readings: quantised streams of random boards of every circuit, against the cells behind them.
 
-``python -m ohmskin.bench.hunt --live``. :mod:`._live_streams` makes each stream from a family's name and a number, and
+``python -m ohmskin.bench.search --live``. :mod:`._live_streams` makes each stream from a family's name and a number;
 the driver's :class:`.CountReader` takes the counts. Findings:
 
 * a *wrong cell*: valid, and off by more than its uncertainty (with noise: by five standard deviations, since an

@@ -1,6 +1,6 @@
 """Search for wrong readings: random designs, rich in rare parts, against exact rational arithmetic.
 
-    python -m ohmskin.bench.hunt --seconds 600 --seed 1
+    python -m ohmskin.bench.search --seconds 600 --seed 1
 
 Each design is made from a family's name and a number, so that a finding can be made again from these two. The search
 prints how many designs of each family were read, how many were refused, and the worst figures. It exits with 1 if any
@@ -30,7 +30,7 @@ import numpy as np
 from ..circuits import CIRCUITS, METHODS, Design, scan
 from ..common.arrays import FloatArray
 from ..errors import SolverError
-from . import _live_hunt, _live_streams, harness
+from . import _live_search, _live_streams, harness
 from ._reference import Indeterminate, reference_volts
 from .harness import column
 
@@ -42,7 +42,7 @@ Draw = np.random.Generator
 Tables = dict[str, Any]
 
 
-def subject(family: str, number: int) -> tuple[Design, FloatArray]:
+def sample(family: str, number: int) -> tuple[Design, FloatArray]:
     """The design and the cells (rows, columns) in ohm of one number of a family."""
     draw = np.random.default_rng([number, *family.encode()])
     shape = _shape(draw, family)
@@ -212,7 +212,7 @@ class Tally:
 
 def check(family: str, number: int, tally: Tally) -> None:
     """Read one design by one of the methods and compare."""
-    design, cells = subject(family, number)
+    design, cells = sample(family, number)
     method = [None, *METHODS][number % (1 + len(METHODS))]
     tally.designs += 1
 
@@ -271,7 +271,7 @@ def _shown(finding: str, known: Collection[str], *, live: bool) -> str:
         families = ", ".join(known)
         raise click.BadParameter(f"'{finding}'; expected FAMILY:NUMBER with one of {families}", param_hint="--show")
     if not live:
-        design, cells = subject(family, int(number))
+        design, cells = sample(family, int(number))
         return f"{_as_json(design)}\ncells = {cells.tolist()}"
     made = _live_streams.stream(family, int(number))
     if made is None:
@@ -306,7 +306,7 @@ def main(seconds: float, seed: int, family: tuple[str, ...], live: bool, show: s
         click.echo(_shown(show, known, live=live))
         return
     if live:
-        _search({name: _live_hunt.LiveTally(name) for name in family or known}, _live_hunt.check, seed, seconds)
+        _search({name: _live_search.LiveTally(name) for name in family or known}, _live_search.check, seed, seconds)
     else:
         _search({name: Tally(name) for name in family or known}, check, seed, seconds)
 
