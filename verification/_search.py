@@ -31,6 +31,7 @@ import numpy as np
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
 from ._box import Box, Corners
+from ._parameters import TEMPERATURE
 
 LEAST_SOLVED, MOST_UNKNOWNS = 64, 256 * 256
 """Corners are solved for every cell as long as cells times cells are no more than that, and for fewer of larger arrays;
@@ -170,6 +171,33 @@ class WorstCase:
     def incomplete(self) -> str:
         """What page one says beside the number; empty for a limit that is certainly missed."""
         return "" if np.isinf(self.value) else f"by search, {self.extent}"
+
+    @cached_property
+    def statistical(self) -> tuple[float, float]:
+        """Under the worst presses: the value of nominal parts, and that plus the root sum of squares of what parts add.
+
+        Temperature is the same for all parts and no chance: what it adds is added as it is (ECSS-Q-HB-30-01A).
+        """
+        box, presses = self.box, slice(len(self.box.factors), len(self.box.factors) + self.box.cells)
+        moved = box.free(in_time=self.target.in_time)
+        moved[presses] = False
+        centre = self.corner.at(np.where(moved, 0.0, self.corner.x))
+        nominal = float(self.target.evaluate(box, centre)[0])
+        if not np.isfinite(nominal):
+            return nominal, nominal
+        slopes = self.target.gradient(box, centre)
+        added = np.zeros(box.size) if slopes is None else np.where(moved, np.abs(slopes), 0.0)
+        if slopes is None:  # each part alone, to both of its ends
+            search = _Search(self.target, box, moved)
+            which = np.flatnonzero(search.free if search.exact else search._near(centre))
+            x = np.repeat(centre.x, 2 * len(which), axis=0)
+            x[np.arange(len(x)), np.repeat(which, 2)] = np.tile([-1.0, 1.0], len(which))
+            reached = self.target.evaluate(box, centre.at(x[None])).reshape(-1, 2)
+            added[which] = np.abs(reached - nominal).max(axis=1)
+        bias = np.array([factor.key == TEMPERATURE for factor in box.factors.factors], dtype=np.bool_)
+        of_parts = added[: len(box.factors)]
+        chance = np.concatenate([of_parts[~bias], added[presses.stop :]])
+        return nominal, nominal + float(of_parts[bias].sum() + np.sqrt((chance**2).sum()))
 
     @cached_property
     def by_part(self) -> dict[str, float]:

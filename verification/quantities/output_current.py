@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from ...circuits import Requirement
 from .._dut import DesignUnderTest
-from .._judging import measured, worst_of
-from .._outcome import DoesNotApply, Measurement
-from .._quantity import DOWN, Quantity, Shipped
+from .._judging import Searched
+from .._outcome import DoesNotApply
+from .._quantity import DOWN, SEARCHED, Quantity, Shipped
 from .._whole_board import OperatingTarget, sensed_line
 
 
-def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
+def _target(dut: DesignUnderTest, requirement: Requirement) -> OperatingTarget:
     if not dut.design.board.circuit.has_amplifiers:
         raise DoesNotApply(f"'{dut.design.readout.circuit}' has no amplifier that drives the array")
-    found = worst_of(dut, OperatingTarget("output_current", "output current"))
-    return measured(found, found.value, "A", where=f"{sensed_line(found.box, found.cell)}; {found.where}")
+    return OperatingTarget("output_current", "output current")
 
 
 QUANTITY = Quantity(
@@ -22,9 +21,11 @@ QUANTITY = Quantity(
     title="Current of an output",
     unit="A",
     says="Largest current that an amplifier's output delivers into the array, A.",
-    compute=_compute,
+    compute=Searched(_target, "A", line=sensed_line),
+    methods=SEARCHED,
     shipped=(
         Shipped(23, "Amplifiers can deliver their currents.", max=lambda design: design.requirements.output_current),
     ),
     mended_by=(("drive.voltage", DOWN),),
+    rates=("amplifier", "current"),
 )

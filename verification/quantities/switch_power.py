@@ -6,18 +6,17 @@ import numpy as np
 
 from ...circuits import Requirement
 from .._dut import DesignUnderTest
-from .._judging import measured, worst_of
-from .._outcome import Measurement, NotRun
-from .._quantity import DOWN, Quantity
+from .._judging import Searched
+from .._outcome import NotRun
+from .._quantity import DOWN, SEARCHED, Quantity
 from .._whole_board import OperatingTarget, driven_line
 
 
-def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
+def _target(dut: DesignUnderTest, requirement: Requirement) -> OperatingTarget:
     lead = f"{dut.design.board.line_kinds[0]}_lead"
     if not np.any(getattr(dut.design.array, lead)):
         raise NotRun(f"missing: array.{lead}")
-    found = worst_of(dut, OperatingTarget("driver_power", "switch power"))
-    return measured(found, found.value, "W", where=f"{driven_line(found.box, found.cell)}; {found.where}")
+    return OperatingTarget("driver_power", "switch power")
 
 
 QUANTITY = Quantity(
@@ -25,9 +24,8 @@ QUANTITY = Quantity(
     title="Power in a row switch",
     unit="W",
     says="Largest power in the switch and lead of a driven line, W.",
-    compute=_compute,
-    mended_by=(
-        ("drive.voltage", DOWN),
-        ("array.row_lead", DOWN),
-    ),
+    compute=Searched(_target, "W", line=driven_line),
+    methods=SEARCHED,
+    mended_by=(("drive.voltage", DOWN), ("array.row_lead", DOWN)),
+    rates=("driver", "power"),
 )
