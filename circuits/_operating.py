@@ -120,11 +120,10 @@ def operating_points(design: Design, boards: Boards, cells: FloatArray) -> Opera
     together = read_together(design) and not design.board.circuit.drives_idle_lines
     found = _Together.of(design, boards, cells) if together else None
     if found is None:
-        alone = np.arange(len(cells))
-        values = [_at_one(design, boards, cells, number) for number in alone]
+        values = [_at_one(design, boards, cells, number) for number in range(len(cells))]
         return OperatingPoint(*(np.stack([getattr(v, name) for v in values]) for name in OperatingPoint.names()))
     point, solved = found
-    for number in np.flatnonzero(~solved):
+    for number in np.flatnonzero(~solved).tolist():
         one = _at_one(design, boards, cells, number)
         for name in OperatingPoint.names():
             getattr(point, name)[number] = getattr(one, name)
@@ -134,7 +133,7 @@ def operating_points(design: Design, boards: Boards, cells: FloatArray) -> Opera
 def _at_one(design: Design, boards: Boards, cells: FloatArray, number: int) -> OperatingPoint:
     """One of several boards."""
     try:
-        return operating_point(boards.design(design, int(number)), cells[number])
+        return operating_point(boards.design(design, number), cells[number])
     except SolverError:
         (rows, columns), (driven, sensed) = design.array.shape, design.board.shape
         lines = {"driver_current": driven, "driver_power": driven}
@@ -184,9 +183,9 @@ class _Together:
         joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         low, high = design.readout.supply if board.circuit.has_amplifiers else (-np.inf, np.inf)
         volts = joined.pop("volts")
-        solved = ((volts >= low) & (volts <= high)).all(axis=(1, 2))
+        solved: BoolArray = np.asarray(((volts >= low) & (volts <= high)).all(axis=(1, 2)))
         for name, value in joined.items():
-            solved &= np.isfinite(value).all(axis=tuple(range(1, value.ndim)))
+            solved = solved & np.isfinite(value).all(axis=tuple(range(1, value.ndim)))
             joined[name] = board.turn(value) if value.ndim == 3 else value[:, :: -1 if board.turned else 1]
         return OperatingPoint(**joined), solved
 
@@ -205,7 +204,7 @@ class _Together:
             at_rest, slope = share * (level + boards.offset_voltage + lift), -share * ohms
         else:
             resistance, source, at_rest, slope = ohms, np.zeros_like(ohms), level, ohms
-        of_idle = {"float": np.inf, "ground": 0.0, "load": ohms}[board.idle_columns]
+        of_idle = ohms if board.idle_columns == "load" else np.inf if board.idle_columns == "float" else 0.0
         for read in board.turns if board.circuit.columns_one_by_one(board) else [np.ones(columns, dtype=np.bool_)]:
             tie = 1.0 / (np.where(read, resistance, of_idle) + boards.column_lead)
             behind = np.where(read, source, 0.0)
@@ -243,7 +242,10 @@ class _Together:
         }
 
     def _solved(self, steps: IntArray, tie: FloatArray, behind: FloatArray, voltage: FloatArray | None) -> _Step:
-        """Rows ``steps`` in turn at ``voltage`` (None: at 0 V), the ends at ``behind`` (B, M, 1 or S) V through ties (B, M) S."""
+        """Rows ``steps`` in turn at ``voltage`` (None: at 0 V), the ends at ``behind`` (B, M, 1 or S) V.
+
+        ``tie`` (B, M) is in S, between the last node of each column and its end.
+        """
         rows = self.conductance.shape[1]
         row = np.arange(rows)
         driven = row[:, None] == steps

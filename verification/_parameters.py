@@ -248,7 +248,7 @@ def _is_shared(design: Design, key: str) -> bool:
 def _of_part(
     key: str, value: FloatArray, spread: Spread, own: FloatArray, *, shared: bool
 ) -> Iterator[tuple[Factor, FloatArray]]:
-    """The factors of one kind of part, each with its column of the matrix (L,); ``own`` (L,) adds to each line alone."""
+    """The factors of one kind of part, each with its column of the matrix (L,); ``own`` (L,) is each line alone."""
     count = len(value)
     width = spread.tolerance * np.abs(value) + spread.deviation + own
     if spread.matching is not None:

@@ -89,6 +89,10 @@ class Target(ABC):
         """The value at one point, by the plainest way to it."""
         return float(self.evaluate(box, corner)[0])
 
+    def evaluate_at(self, box: Box, corners: Corners, place: tuple[int, int]) -> FloatArray:
+        """:meth:`evaluate` of one cell of each board, where values have one."""
+        return self.evaluate(box, corners)
+
     def place(self, box: Box, corner: Corners) -> tuple[int, int]:
         """The cell that is worst at one point."""
         return int(corner.row[0]), int(corner.column[0])
@@ -182,7 +186,7 @@ class WorstCase:
         moved = box.free(in_time=self.target.in_time)
         moved[presses] = False
         centre = self.corner.at(np.where(moved, 0.0, self.corner.x))
-        nominal = float(self.target.evaluate(box, centre)[0])
+        nominal = float(self.target.evaluate_at(box, centre, self.cell)[0])
         if not np.isfinite(nominal):
             return nominal, nominal
         slopes = self.target.gradient(box, centre)
@@ -192,8 +196,8 @@ class WorstCase:
             which = np.flatnonzero(search.free if search.exact else search._near(centre))
             x = np.repeat(centre.x, 2 * len(which), axis=0)
             x[np.arange(len(x)), np.repeat(which, 2)] = np.tile([-1.0, 1.0], len(which))
-            reached = self.target.evaluate(box, centre.at(x[None])).reshape(-1, 2)
-            added[which] = np.abs(reached - nominal).max(axis=1)
+            reached = self.target.evaluate_at(box, centre.at(x[None]), self.cell).reshape(-1, 2)
+            added[which] = np.maximum(reached.max(axis=1) - nominal, 0.0)
         bias = np.array([factor.key == TEMPERATURE for factor in box.factors.factors], dtype=np.bool_)
         of_parts = added[: len(box.factors)]
         chance = np.concatenate([of_parts[~bias], added[presses.stop :]])

@@ -57,6 +57,9 @@ class WholeBoardTarget(Target):
         with np.errstate(invalid="ignore"):
             return np.asarray(np.where(np.isnan(found), -np.inf, found).max(axis=1))
 
+    def evaluate_at(self, box: Box, corners: Corners, place: tuple[int, int]) -> FloatArray:
+        return np.asarray(self.values(box, corners.x)[:, place[0], place[1]]) if len(corners) else np.zeros(0)
+
     def place(self, box: Box, corner: Corners) -> tuple[int, int]:
         found = self.values(box, corner.x)[0]
         row, column = np.unravel_index(int(np.argmax(np.where(np.isnan(found), -np.inf, found))), found.shape)
@@ -145,6 +148,9 @@ class FrameTimeTarget(InTimeTarget):
             shortest = in_time.shortest_period(np.full(len(x), self.allowed))
             parts.append(np.where(kept, shortest * box.design.board.shape[0], -np.inf))
         return np.concatenate(parts)
+
+    def evaluate_at(self, box: Box, corners: Corners, place: tuple[int, int]) -> FloatArray:
+        return self.evaluate(box, corners)
 
     def at(self, box: Box, frame_time: float) -> SettlingTarget:
         """Deviations at one frame time, which take far less time to solve: 1 is as much as is allowed."""
