@@ -16,7 +16,7 @@ from ..errors import InputError, SolverError
 from ._box import Box, Corners
 from ._dut import DesignUnderTest, once
 from ._maps import value_map
-from ._montecarlo import CONFIDENCE, Sampler, blocks, boards_needed, proportion_bounds
+from ._montecarlo import CONFIDENCE, Sampler, blocks, blocks_beside, boards_needed, proportion_bounds
 from ._outcome import Bounds, Figure, Measurement, NotRun, drawn
 from ._parameters import Factors
 from ._quantity import NOMINAL, SAMPLED, SHARE_UNITS
@@ -149,7 +149,8 @@ def bounds_of(dut: DesignUnderTest, target: Target, show: Show, share: bool | No
     """A worst case beside the same quantity by other analyses, in the unit in which it is shown."""
     found = worst_of(dut, target, share=share)
     nominal, root_sum_square = found.statistical
-    values = sampled(dut, target, share, sampler_of(dut, target, share).blocks_beside(dut.samples))
+    sampler = sampler_of(dut, target, share)
+    values = sampled(dut, target, share, blocks_beside(target, sampler.box, sampler.tries, dut.samples))
     new = worst_of(dut, target, "new", share=share).value if dut.design.ages else None
     return Bounds(
         nominal=show(nominal),

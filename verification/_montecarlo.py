@@ -41,6 +41,11 @@ def blocks(samples: int) -> int:
     return -(-samples // BLOCK)
 
 
+def blocks_beside(target: Target, box: Box, tries: int, samples: int) -> int:
+    """Blocks of boards that are judged beside a worst case: as many as are drawn, fewer of large arrays."""
+    return min(blocks(samples), max(1, int(MOST_BESIDE / (BLOCK * tries * target.cost(box)))))
+
+
 @dataclass(frozen=True)
 class Sampler:
     """What judges random boards, made once from the worst-case search of the same quantity."""
@@ -86,10 +91,10 @@ class Sampler:
             np.concatenate(slopes),
         )
 
-    def blocks_beside(self, samples: int) -> int:
-        """Blocks of boards that are judged beside a worst case: as many as are drawn, fewer of large arrays."""
-        tries = len(self.found) + (TOGETHER if len(self.named) else 0)
-        return min(blocks(samples), max(1, int(MOST_BESIDE / (BLOCK * tries * self.target.cost(self.box)))))
+    @property
+    def tries(self) -> int:
+        """Points that a board takes at least."""
+        return len(self.found) + (TOGETHER if len(self.named) else 0)
 
     def block(self, seed: int, block: int) -> FloatArray:
         """The largest value (boards,) of the target over all cells and presses, of one block of boards."""

@@ -35,6 +35,7 @@ from ..errors import InputError, OhmskinError
 from ._catalogue import CATALOGUE
 from ._claims import STATEMENTS, Statement
 from ._dut import SAMPLES, SEED, DesignUnderTest, everything_of, keep
+from ._estimate import expected_seconds
 from ._judging import Searched, block_of, judged_by
 from ._montecarlo import BLOCK, blocks
 from ._outcome import STOPPED, Claim, DoesNotApply, Finding, NotRun, Result, defect, not_run
@@ -51,6 +52,8 @@ from ._requirements import (
 )
 from ._search import Target
 
+TOLD_FROM_S = 10.0
+"""s from which on a run says at its start how long it takes"""
 NO_PORT = ("emulated", "firmware")
 ON_TARGET = ("P14",)
 """claims that talk to the target of the run"""
@@ -133,7 +136,7 @@ def verify(
         require_all: what could not be run counts as failed.
         command: what the report says makes it again.
         progress: told of each task that is done.
-        announce: told, before anything is computed, which files of the design's own are run.
+        announce: told, before anything is computed, which files of the design's own are run, and how long it takes.
         tell: called with each result as soon as it is there.
 
     Returns:
@@ -162,6 +165,8 @@ def verify(
     for path, sha256 in {function.path: function.sha256 for function in own.values() if function.allowed}.items():
         announce(f"the design's own code is run: {path}, SHA-256 {sha256}")
     work = Work(dut, wanted, own)
+    if (seconds := expected_seconds(dut, wanted)) > TOLD_FROM_S:
+        announce(f"searches and samples take about {_rounded(seconds)} of processor time here, in {jobs} process(es)")
     memory = _Store(store, _fingerprint(work))
     if target != "emulated":  # another board may answer at the same port by now
         _known.pop(memory.fingerprint, None)
@@ -182,6 +187,12 @@ def verify(
     if interruption is None:
         memory.clear()
     return report
+
+
+def _rounded(seconds: float) -> str:
+    """A time that is known to a factor of two or three."""
+    value, unit = (seconds, "s") if seconds < 100 else (seconds / 60, "min")
+    return f"{float(f'{value:.1g}'):g} {unit}"
 
 
 def _chosen(

@@ -52,6 +52,9 @@ _WITHOUT_INFLUENCE = 1e-10  # relative: a flip that changes the value by less ch
 _LINE, _LINE_IN_TIME = 7, 41  # points of a line search along a coordinate; ringing has several peaks between two ends
 _ZOOMS = 3  # of a line search, each to the neighbours of the best point
 _LINES = 6  # line searches one after the other, at most
+_USUAL_ROUNDS, _USUAL_LINES, _BY_GRADIENT, _STARTS_WHOLE = 2.0, 1.5, 12, 26
+"""how often a search climbs and goes along lines, points that a climb by derivatives solves, and starts of targets of
+whole boards: for the expected number of points only"""
 _LEAST_RISE = 1e-5  # relative, of a line search
 
 
@@ -238,6 +241,20 @@ def worst_case(target: Target, box: Box, starts: Sequence[Corners] = ()) -> Wors
     worst = search.worst(2 * _RANDOM_CELLS if target.by_cell else 1)
     search.solve(worst.at(random.choice([-1.0, 1.0], (len(worst), _RANDOM_CORNERS, box.size))))
     return search.finished()
+
+
+def expected_points(target: Target, box: Box) -> float:
+    """About how many points a search will solve: counted from what it starts from, flips and searches along lines."""
+    search = _Search(target, box)
+    free = int(search.free.sum())
+    starts = 4 * min(most_solved(box.shape), box.cells) if target.by_cell else _STARTS_WHOLE
+    random = _RANDOM_CORNERS * (2 * _RANDOM_CELLS if target.by_cell else 1)
+    by_gradient = target.by_cell and (box.cells > FIRST_ORDER_BEYOND or not search.exact)
+    climbed = search.climbs * _USUAL_ROUNDS * (_BY_GRADIENT if by_gradient else free)
+    climbed += _USUAL_ROUNDS * free if by_gradient and search.exact is False else 0
+    coordinates = free if search.exact and box.cells <= FIRST_ORDER_BEYOND else len(box.factors) + 4 * sum(box.shape)
+    lines = _USUAL_LINES * (_LINE * coordinates + _USUAL_ROUNDS * (free if search.exact else 0))
+    return float(starts + random + climbed + lines)
 
 
 class _Search:
