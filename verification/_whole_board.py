@@ -27,8 +27,6 @@ from ..circuits import (
 )
 from ..common.arrays import FloatArray
 from ._box import Box, Corners
-from ._dut import DesignUnderTest
-from ._outcome import NotRun
 from ._search import Target
 
 MOST_SECONDS = 1.0
@@ -199,13 +197,6 @@ class OperatingTarget(WholeBoardTarget):
     def cost(self, box: Box) -> float:
         together = read_together(box.design) and not box.design.board.circuit.drives_idle_lines
         return 4.0 * box.cells if together else 400.0 + 10.0 * box.cells
-
-
-def reference_target(dut: DesignUnderTest, field: str, name: str) -> OperatingTarget:
-    """What a resistor of a sensed line bears. Raises NotRun where a network stands in its place."""
-    if dut.design.column_end is not None:
-        raise NotRun("[column_end] describes the line's end in place of readout.reference_resistance")
-    return OperatingTarget(field, name)
 
 
 @dataclass(frozen=True)
