@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+import worst_boards
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests import worst_boards
 
 from ohmskin.circuits import Boards, Design, Requirement, operating_point, operating_points
 from ohmskin.common import config
