@@ -108,11 +108,14 @@ class Shape(Section):
         lists[_AREA] = geometry.areas_mm2[rows, columns].tolist()
         return parse(lists, cls, source="shape")
 
-    def save(self, path: str | Path) -> None:
-        """Write the CSV file, bit for bit. Raises InputError."""
+    def text(self) -> str:
+        """The CSV file, bit for bit."""
         lists = {name: values for name in type(self).model_fields if (values := getattr(self, name)) is not None}
-        lines = zip(*lists.values(), strict=True)
-        write_text(path, "".join(",".join(map(str, line)) + "\n" for line in [tuple(lists), *lines]))
+        return "".join(",".join(map(str, line)) + "\n" for line in [tuple(lists), *zip(*lists.values(), strict=True)])
+
+    def save(self, path: str | Path) -> None:
+        """Write :meth:`text` to a file. Raises InputError."""
+        write_text(path, self.text())
 
 
 def columns_of(path: Path) -> dict[str, list[float] | list[int]]:

@@ -62,6 +62,10 @@ class Geometry:
         """For pickle and copy: without what follows from the places."""
         return Geometry, (self.places_mm, self.areas_mm2, self.pitch_m)
 
+    def __deepcopy__(self, memo: object) -> Geometry:
+        """Itself, as nothing in it changes."""
+        return self
+
     def __post_init__(self) -> None:
         for array in (self.places_mm, self.areas_mm2):
             array.setflags(write=False)

@@ -14,7 +14,7 @@ from ..common.extras import install_command
 from ..common.geometry import Geometry
 from ..errors import InputError, MissingExtra
 from ._frame import Frame
-from ._skin import Skin
+from ._skin import BoardSkin
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -72,7 +72,7 @@ def stack(frames: Iterable[Frame], shape: tuple[int, int] | None = None) -> dict
     }
 
 
-def to_xarray(frames: Iterable[Frame], skin: Skin | None = None) -> Dataset:
+def to_xarray(frames: Iterable[Frame], skin: BoardSkin | None = None) -> Dataset:
     """The frames as a dataset with the dimensions ``time``, ``row`` and ``column``, ready for ``to_netcdf``.
 
     Args:
@@ -122,7 +122,7 @@ def _places(geometry: Geometry) -> dict[str, Any]:
     return found | {"area_mm2": (both, geometry.areas_mm2, area)}
 
 
-def _origin(skin: Skin) -> dict[str, str]:
+def _origin(skin: BoardSkin) -> dict[str, str]:
     known = {
         "board": skin.family.name,
         "serial_number": skin.serial_number,

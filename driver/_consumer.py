@@ -12,6 +12,7 @@ import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Protocol
 
 from ..common.checks import function
 from ..errors import LinkEnded, LinkError, LinkTimeout, ProtocolError
@@ -266,29 +267,41 @@ class AsyncFrames:
                 timer.cancel()
 
 
+class Place(Protocol):
+    """A reader's place among the frames of one board (:class:`Consumer`), or of several."""
+
+    def next_frame(self, timeout_s: float) -> Frame:
+        """Wait for the next frame; errors as :meth:`Consumer.next_frame`."""
+
+    def leave(self) -> None:
+        """Take no more frames."""
+
+
 class FrameCallback:
     """Calls a function with each new frame, in a thread of its own, until :meth:`close`."""
 
     def __init__(
         self,
-        connection: Connection,
+        place: Place,
+        name: str,
         callback: Callable[[Frame], None],
         on_end: Callable[[Exception], None] | None = None,
         *,
         keep: object = None,
     ) -> None:
-        """``keep``: as for :class:`AsyncFrames`, until the calls end. InputError if a callback is no function.
+        """Begin at ``place`` in the frames of the skin ``name``. InputError if a callback is no function.
 
+        ``keep``: as for :class:`AsyncFrames`, until the calls end.
         ``on_end`` is called with the reason when no frame will come any more, or with the error of the callback.
         """
         function("callback", callback)
         if on_end is not None:
             function("on_end", on_end)
         self._keep = keep
-        self._consumer = Consumer(connection)
+        self._consumer = place
         self._callback, self._on_end = callback, on_end
         self._closed = False
-        self._thread = _CallbackThread(target=self._run, name=f"ohmskin callback {connection.port_name}", daemon=True)
+        self._thread = _CallbackThread(target=self._run, name=f"ohmskin callback {name}", daemon=True)
         self._thread.start()
 
     @property

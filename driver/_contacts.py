@@ -18,6 +18,7 @@ import copy
 import math
 import threading
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -86,6 +87,18 @@ class Contact:
     """as x_mm and y_mm, of a skin in space; None: it is flat"""
 
 
+class Touch(NamedTuple):
+    """By what contacts are told from an untouched skin."""
+
+    full_scale_kpa: float = math.inf
+    """of the cells"""
+    drift_kpa: float = 0.0
+    """pressure of an untouched cell whose rest resistance has drifted as far as rest resistances do
+    (:data:`._tare.KNOWN_DRIFT`); 0: no drift"""
+    faults_press: bool = True
+    """True if a bad contact, which adds resistance, looks like a load; False if loads lower the resistance"""
+
+
 class ContactTracker:
     """Finds the contacts of frames and follows them from frame to frame."""
 
@@ -93,21 +106,10 @@ class ContactTracker:
         self,
         geometry: Geometry,
         full_scale_kpa: float,
-        *,
         drift_kpa: float = 0.0,
         faults_press: bool = True,
     ) -> None:
-        """Begin with an untouched skin.
-
-        Args:
-            geometry: where the cells are.
-            full_scale_kpa: of the cells.
-            drift_kpa: pressure of an untouched cell whose rest resistance has drifted as far as rest resistances do
-                (:data:`._tare.KNOWN_DRIFT`); 0: no drift.
-            faults_press: True if a bad contact, which adds resistance, looks like a load; False if loads lower the
-                resistance.
-
-        """
+        """Begin with an untouched skin; see :class:`Touch`."""
         self.geometry = geometry
         self._proximity = Proximity(geometry)
         self.shape = shape = geometry.shape
@@ -214,7 +216,7 @@ class ContactTracker:
         above_wake[found[excess > wake]] = True
         kept &= above_wake
         kept[0] = False
-        self._drop_disturbances(time_s, found, kept, excess, std_kpa)
+        self._drop_disturbances(found, kept, excess, std_kpa)
         connected = np.where(kept, np.cumsum(kept), 0)[found]
         contacts = int(kept.sum())
         if not contacts:
@@ -248,16 +250,14 @@ class ContactTracker:
             most = 1 if kept[patches].any() else self._fingers[contact - 1]
             kept[patches[np.argsort(-force[patches])][:most]] = True
 
-    def _drop_disturbances(
-        self, time_s: float, found: IntArray, kept: BoolArray, excess: FloatArray, std_kpa: FloatArray
-    ) -> None:
+    def _drop_disturbances(self, found: IntArray, kept: BoolArray, excess: FloatArray, std_kpa: FloatArray) -> None:
         """Drop new patches that may be electrical faults; ``kept`` (labels,) is changed."""
         fresh = kept.copy()
         fresh[found[self._labels > 0]] = False
         for label in np.flatnonzero(fresh).tolist():
             own = np.flatnonzero(found == label)
             above, std, step = excess.flat[own], std_kpa.flat[own], self._step_kpa.flat[own]
-            lasts_s = time_s - float(self._pressed_s.flat[own].min())
+            lasts_s = float((self._read_s.flat[own] - self._pressed_s.flat[own]).max())
             under_range = not (above > STANDS_OUT * std).any()
             at_once = (step > AT_ONCE * above).any()
             if (under_range or at_once) and self._may_be_fault(own, above):

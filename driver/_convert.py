@@ -18,7 +18,7 @@ from ..errors import InputError
 from ..wire import Layout
 from ._advice import Advice
 from ._calibration import Calibration
-from ._contacts import ContactsOfFrames, ContactTracker, PressureView
+from ._contacts import ContactsOfFrames, ContactTracker, PressureView, Touch
 from ._converted import Converted
 from ._estimate import Estimate
 from ._line_faults import Creep, LineFaults
@@ -103,8 +103,8 @@ class Converter:
         full_scale_kpa = np.inf if cell is None else cell.full_scale_kpa
         drift_kpa = 0.0 if self._rest is None else self._rest.kpa_of(KNOWN_DRIFT)
         faults_press = self._estimate is None or self._estimate.estimator.side > 0
-        tracker = ContactTracker(geometry, full_scale_kpa, drift_kpa=drift_kpa, faults_press=faults_press)
-        self.contacts = ContactsOfFrames(tracker)
+        self.touch = Touch(full_scale_kpa, drift_kpa, faults_press)
+        self.contacts = ContactsOfFrames(ContactTracker(geometry, *self.touch))
         self._last: RawFrame | None = None
         self._last_s: float | None = None
         """of the last frame, on the estimator's time scale"""

@@ -46,6 +46,10 @@ class Proximity:
         self._weights[is_beside & (self.near < count)] = BESIDE
         self._waiting = np.empty(count, dtype=np.intp)
 
+    def __deepcopy__(self, memo: object) -> Proximity:
+        """Itself, as nothing in it changes that lasts."""
+        return self
+
     def label(self, wanted: BoolArray) -> tuple[IntArray, int]:
         """Connected patches of cells (rows, columns): numbers from 1 in the order of their first cells, 0 elsewhere."""
         labels = np.zeros(wanted.shape, dtype=np.intp)

@@ -1,4 +1,4 @@
-"""``Skin``: the driver's main class. It turns a board's bytes into frames of counts, ohms and kPa."""
+"""``BoardSkin``: the skin behind one board. It turns a board's bytes into frames of counts, ohms and kPa."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from ..errors import InputError, LinkEnded, LinkError
 from ..wire import Description, Identity, Order
 from ._connection import await_free
 from ._consumer import AsyncFrames, Consumer, FrameCallback, follower, frames_since
+from ._contacts import Touch
 from ._convert import Converter
 from ._converted import Converted
 from ._discover import LONGEST_SEARCH_S, find_board
@@ -43,7 +44,7 @@ MAX_AGE_S = 0.5
 """default of :meth:`Skin.latest`: boards send at 10 Hz and more"""
 
 
-class Skin:
+class BoardSkin:
     """An open skin: iterate over it for its frames. Make one with :meth:`open`.
 
     A thread reads the port as long as the skin is open. :meth:`read`, :meth:`latest` and iteration share one place in
@@ -152,7 +153,7 @@ class Skin:
         speed: float | None = None,
         progress: Progress = silent,
         **settings: Unpack[SkinSettings],
-    ) -> Skin:
+    ) -> Self:
         """Open a serial device, a pty, ``socket://HOST:PORT`` or a recording (a file that ends in ``.mcap``).
 
         A recording supplies every setting of its skin that is not given here.
@@ -225,6 +226,11 @@ class Skin:
             raise LinkError(f"{self.port_name}: board {self.serial_number} is there; expected {serial_number}")
 
     @property
+    def boards(self) -> tuple[BoardSkin, ...]:
+        """The skin of each board: this one, unless it has several (:class:`.JoinedSkin`)."""
+        return (self,)
+
+    @property
     def serial_number(self) -> str:
         """The board's serial number; empty if the board does not send one."""
         return self._connection.handshake.serial_number
@@ -253,6 +259,22 @@ class Skin:
                 "(--design DESIGN.toml, or design = in BOARD.toml)"
             )
         return self._converter.design
+
+    @property
+    def circuit_name(self) -> str | None:
+        """Of the readout; None where it is not known."""
+        return self.design.board.circuit.name if self.knows_circuit else None
+
+    @property
+    def count_bits(self) -> int:
+        """Bits of a count."""
+        adc = self.design.adc if self.knows_circuit else None
+        return self.family.layout.adc_bits if adc is None else adc.bits
+
+    @property
+    def full_scale_kpa(self) -> float | None:
+        """Of the cells; None: not known."""
+        return None if self.cell is None else self.cell.full_scale_kpa
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -439,7 +461,7 @@ class Skin:
             InputError: ``callback`` or ``on_end`` is no function.
 
         """
-        made = FrameCallback(self._connection, callback, on_end, keep=self)
+        made = FrameCallback(Consumer(self._connection), self.port_name, callback, on_end, keep=self)
         # Dropping callbacks that have ended releases the objects to which they refer.
         self._callbacks = [earlier for earlier in self._callbacks if not earlier.is_over] + [made]
         return made
@@ -458,6 +480,11 @@ class Skin:
     def estimator_name(self) -> str:
         """Name of the estimator that computes pressures; empty where there are none."""
         return self._converter.estimator_name
+
+    @property
+    def touch(self) -> Touch:
+        """By what contacts are told from an untouched skin."""
+        return self._converter.touch
 
     @property
     def recorder(self) -> Recording | None:
@@ -624,7 +651,7 @@ def _finder(port: str | None, asked: Options, baudrate: int | None) -> PortFinde
     return PortFinder(port, baudrate=baudrate or family.baud_rate, dtr=family.dtr, rts=family.rts)
 
 
-_OPEN_HERE: weakref.WeakSet[Skin] = weakref.WeakSet()
+_OPEN_HERE: weakref.WeakSet[BoardSkin] = weakref.WeakSet()
 """skins that this process has opened"""
 
 

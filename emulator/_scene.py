@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from ..cell import Cell, drifted_rest_resistance
 from ..circuits import Design
 from ..common.arrays import FloatArray, IntArray
-from ..common.config import Finite, NotNegative, Positive, Section, parse, read_toml
+from ..common.config import Finite, LocalFile, NotNegative, Positive, Section, parse, read_toml
 from ..common.geometry import Geometry
 from ..errors import InputError
 from ._contacts import Contact
@@ -235,6 +235,46 @@ class Scene(Section):
         for cells, part in parts:
             pressure[:, np.searchsorted(touched, cells)] += part
         return touched, pressure
+
+
+class SharedScene(Section):
+    """Boards of one skin, each with a scene of its own, and what presses on all of them."""
+
+    boards: Annotated[list[LocalFile], Field(min_length=1, max_length=64)]
+    """scenes, relative to the file; the cells of each board are placed by the ``[shape]`` of its design"""
+    contact: list[Contact] = Field(default_factory=list)
+    """in mm; on each board that they reach"""
+
+
+def load_scenes(path: str | Path) -> tuple[Scene, ...]:
+    """The scene of each board that a file describes: one SCENE.toml, or ``boards`` with contacts that they share.
+
+    Raises:
+        InputError: a file is at fault, or a shared contact reaches no board.
+
+    """
+    tables = read_toml(path)
+    if "boards" not in tables:
+        return (Scene.from_tables(tables, source=str(path), directory=Path(path).parent),)
+    shared = parse(tables, SharedScene, source=str(path), folder=Path(path).parent)
+    scenes = [Scene.load(file) for file in shared.boards]
+    on_each: list[list[Contact]] = [list(scene.contact) for scene in scenes]
+    for k, contact in enumerate(shared.contact):
+        reached, why = False, ""
+        for scene, contacts in zip(scenes, on_each, strict=True):
+            try:
+                contact.check(scene.skin.geometry)
+            except InputError as error:
+                why = str(error)
+            else:
+                contacts.append(contact)
+                reached = True
+        if not reached:
+            raise InputError(f"{path}: contact[{k}]: on no board: {why}")
+    found = tuple(scene.replace(contact=contacts) for scene, contacts in zip(scenes, on_each, strict=True))
+    for scene in found:
+        scene.read_files()
+    return found
 
 
 def _with_parts(tables: Mapping[str, Any], source: str, directory: Path) -> Mapping[str, Any]:

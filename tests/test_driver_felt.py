@@ -35,7 +35,7 @@ def track(
     frames: FloatArray, std_kpa: float = 0.1, step_s: float = 0.01, drift_kpa: float = 0.0
 ) -> list[tuple[Contact, ...]]:
     """Contacts of pressures (frames, rows, columns)."""
-    tracker = ContactTracker(Geometry.rectangle(frames.shape[1:], PITCH_M), FULL_KPA, drift_kpa=drift_kpa)
+    tracker = ContactTracker(Geometry.rectangle(frames.shape[1:], PITCH_M), FULL_KPA, drift_kpa)
     std = np.full(frames.shape[1:], std_kpa)
     return [tracker.update(step_s * k, frame, std) for k, frame in enumerate(frames)]
 

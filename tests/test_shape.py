@@ -251,3 +251,28 @@ def test_a_shape_file_that_is_none_is_refused(tmp_path: Path, text: str, message
     (tmp_path / "shape.csv").write_text(text)
     with pytest.raises(InputError, match=f"shape.csv: {message}"):
         Shape.load(tmp_path / "shape.csv")
+
+
+def test_a_tare_and_the_statistics_do_not_miss_holes() -> None:
+    port = PtyPort()
+    with running(shaped(HOLED), port, clock="fast"), Skin.open(port.name, delivery="lossless") as skin:
+        assert skin.tare().covers == "6 of 6 cells measured"
+        assert skin.stats().not_valid == {}
+
+
+def test_a_recording_keeps_the_shape_that_was_given(tmp_path: Path) -> None:
+    Shape.of(insole()).save(tmp_path / "shape.csv")
+    small = parse({k: [v[i] for i in (0, 2, 4)] for k, v in HOLED.items()}, Shape, source="shape")
+    file = tmp_path / "press.mcap"
+    with running(scene(), port := PtyPort(), clock="real"):
+        with pytest.raises(InputError, match="lies outside the array of 3 x 2"):
+            Skin.open(port.name, shape=tmp_path / "shape.csv")
+        with pytest.raises(InputError, match="a pitch and a shape"):
+            Skin.open(port.name, shape=small, pitch=0.01)
+        with Skin.open(port.name, shape=small, record=file) as skin:
+            skin.read()
+    with Skin.open(file) as skin:
+        np.testing.assert_array_equal(skin.geometry.places_mm, small.geometry((3, 2)).places_mm)
+        assert (skin.read().reason == Reason.NO_CELL).sum() == 3
+    with Skin.open(file, pitch=0.01) as skin:
+        assert skin.pitch_m == 0.01

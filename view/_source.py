@@ -56,8 +56,6 @@ class Source(ABC):
         """What stays as it is: array, board, cell, scales."""
         skin, identity, geometry = self.skin, self.skin.identity, self.skin.geometry
         rows, columns = skin.shape
-        adc = skin.design.adc if skin.knows_circuit else None
-        bits = skin.family.layout.adc_bits if adc is None else adc.bits
         return {
             "kind": "introduction",
             "source": printable(self.name),
@@ -65,12 +63,12 @@ class Source(ABC):
             "columns": columns,
             "pitch_mm": None if geometry.pitch_m is None else [1e3 * pitch_m for pitch_m in geometry.pitch_m],
             "cells": _cells(geometry),
-            "full_scale_kpa": None if skin.cell is None else skin.cell.full_scale_kpa,
-            "full_scale_counts": 2**bits - 1,
+            "full_scale_kpa": skin.full_scale_kpa,
+            "full_scale_counts": 2**skin.count_bits - 1,
             "board": skin.family.name,
             "serial_number": skin.serial_number,
             "firmware": "" if identity is None else identity.firmware,
-            "circuit": skin.design.board.circuit.name if skin.knows_circuit else None,
+            "circuit": skin.circuit_name,
             "reasons": [reason.name.lower().replace("_", " ") for reason in Reason],
             "live": self.live,
             "estimator": self.skin.estimator_name,

@@ -162,9 +162,13 @@ class LawLive:
         turn = self._turn
         unknowns = None
         if limited is not None or faint is not None:
-            limited, faint = (None if cells is None else turn(cells) & ~self._gone for cells in (limited, faint))
+            limited, faint = (None if cells is None else turn(cells) & ~self._shorted for cells in (limited, faint))
             unknowns = Unknowns.of(self._shape, limited, faint)
         volts = np.array(turn(volts), order="C")
+        # An output at a limit does not hold its line, nor what a bridge or hidden cells join with it.
+        joined = bool(self._board.bridges) or not self._tells
+        if joined and unknowns is not None and self._enclosure.unheld(unknowns):
+            return self._nothing(unknowns)
         if not self._tells:
             return self._nothing(unknowns) if self._fit is None else self._fit.read(volts, limited, faint, noise)
         unknown = None if unknowns is None else np.ascontiguousarray(unknowns.any)
@@ -177,8 +181,6 @@ class LawLive:
             answers = self._answers(volts, errors.error, unknowns)
         opened, enclosed = unknowns is not None or errors.opens, None
         bridged = bool(self._board.bridges)  # no law of single lines holds
-        if bridged and self._board.circuit.has_amplifiers and unknowns is not None and unknowns.limited.any():
-            return self._nothing(unknowns)  # an output at its supply does not hold its line, nor what is bridged to it
         if (opened or bridged) and self._fit is not None and self._factors is not None and _lone(ports, errors):
             return self._fit.read(volts, limited, faint, noise, ports.cells)
         if bridged:
