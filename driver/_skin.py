@@ -40,6 +40,8 @@ from ._stream import RawFrame
 from ._tare import KNOWN_DRIFT, SPREAD, Tare
 from ._taring import Tares
 
+MANY = 128
+"""default of :meth:`Skin.read_many`"""
 MAX_AGE_S = 0.5
 """default of :meth:`Skin.latest`: boards send at 10 Hz and more"""
 
@@ -405,6 +407,24 @@ class BoardSkin:
 
         """
         return self._consumer.next_frame(self._timeout if timeout is None else number("timeout", timeout, "s"))
+
+    def read_many(self, most: int = MANY, timeout: float | None = None) -> list[Frame]:
+        """Wait as :meth:`read` for the next frame, and take those after it that have come already.
+
+        These are the frames that as many calls of :meth:`read` would give, bit for bit, but they are converted at once:
+        for recordings, and for programs that look at the skin now and then.
+
+        Args:
+            most: frames, at most.
+            timeout: s, as for :meth:`read`.
+
+        Raises:
+            LinkTimeout, LinkEnded, LinkError, ProtocolError, InputError: as :meth:`read`. What came before an error is
+                returned first.
+
+        """
+        timeout_s = self._timeout if timeout is None else number("timeout", timeout, "s")
+        return self._consumer.next_frames(count("most", most), timeout_s)
 
     def latest(self, max_age: float = MAX_AGE_S, timeout: float = 0.0) -> Frame:
         """The newest frame, taken before or not, never older than ``max_age``. For control loops.

@@ -195,6 +195,9 @@ class Estimator:
         if blocks.shape != (elapsed_s.size, FIELDS, *self.shape):
             raise InputError(f"blocks have shape {blocks.shape}, expected {(elapsed_s.size, FIELDS, *self.shape)}")
         flat, self._settings["lasting"] = blocks.reshape(elapsed_s.size, FIELDS, self._rest_ohm.size), 1.0
+        if len(flat) == 1:
+            pressure, std = self._take(elapsed_s.item(0), np.ascontiguousarray(flat))
+            return pressure[None], std[None]
         return self._run(elapsed_s, elapsed_s.size, lambda frames: np.ascontiguousarray(flat[frames]))
 
     def _run(
