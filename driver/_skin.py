@@ -178,7 +178,6 @@ class BoardSkin:
             Also everything that :meth:`__init__` raises.
 
         """
-        finder: PortFinder | None = None
         opened: BytePort
         reopen: Callable[[], BytePort]
         name = None if port is None else path_text("port", port, "the name of a port or of a recording")
@@ -194,10 +193,11 @@ class BoardSkin:
             asked = Options.of(serial_number=serial_number, **settings)
         if record is not None:
             Recording.check(record, overwrite=overwrite)
-        if played is None:
-            finder = _finder(name, asked, baudrate)
-            began_s = monotonic()
-            if not compiled.compile_aside():
+        finder = _finder(name, asked, baudrate) if played is None else None
+        began_s = monotonic()
+        compiles_aside = compiled.compile_aside()
+        if finder is not None:
+            if not compiles_aside:
                 compiled.load()  # while no frames come
             if has_gone(finder.name):
                 raise LinkError(
@@ -206,6 +206,7 @@ class BoardSkin:
                 )
             opened, reopen = finder.open(), finder.open_again
         else:
+            assert played is not None
             opened, reopen = played, played.reopen
         skin = cls.__new__(cls)
         skin._begin(opened, asked, reopen, record, overwrite=overwrite)
