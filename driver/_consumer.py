@@ -408,6 +408,7 @@ class _Totals:
 
 def _frame(raw: RawFrame, measurement: Converted, before: _Totals, connection: Connection) -> Frame:
     """The frame for a reader whose totals up to now are ``before``."""
+    converter = connection.frames.converter
     return Frame(  # by position: so many keywords take 3 us
         raw.sequence,
         raw.device_time,
@@ -427,7 +428,7 @@ def _frame(raw: RawFrame, measurement: Converted, before: _Totals, connection: C
         measurement.pressure,
         measurement.pressure_std,
         measurement.rest_counts,
-        connection.frames.converter.geometry,
-        partial(connection.frames.converter.contacts.of, measurement.view),
+        converter.geometry,
+        partial(converter.contacts.of, measurement.view),
         connection.now,
     )

@@ -197,7 +197,7 @@ class Converter:
                 self._recent.clear()
             self._recent.append((frame.time_s, as_read))
             measured = self._without_faulty_lines(frame.time_s, as_read)
-            if self._rest is not None and self._estimate is not None:
+            if self._rest is not None and self._estimate is not None and not self._rest.known:
                 spread = self._rest.spread
                 self._rest.take(measured)
                 if self._rest.spread != spread:
@@ -216,7 +216,8 @@ class Converter:
         if self._estimate is None:
             pressures, stds = np.full((2, len(read), *self.shape), np.nan)
         else:
-            pressures, stds = self._estimate.take([one.gap_s for one in read], [one.measured for one in read])
+            _, gaps_s, measurements = zip(*read, strict=True)
+            pressures, stds = self._estimate.take(gaps_s, measurements)
         pressures.setflags(write=False)
         stds.setflags(write=False)
         beyond_model = self._estimate is not None and bool(np.isnan(pressures).any())

@@ -43,8 +43,8 @@ class Estimate:
             measured: of each frame.
 
         """
-        blocks = [self._seen(each) for each in measured]
-        block = blocks[0][None] if len(blocks) == 1 else np.stack(blocks)
+        first = self._seen(measured[0])
+        block = first[None] if len(measured) == 1 else np.stack([first, *map(self._seen, measured[1:])])
         pressure, std = self.estimator.run_measured(np.array(elapsed_s), block)
         if self._calibration is not None:
             pressure, std = self._calibration.applied(pressure), self._calibration.applied_std(pressure, std)

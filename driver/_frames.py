@@ -362,7 +362,8 @@ class Frames:
         """Convert frames that follow one another, up to the first that does not fit; returns whether all do."""
         self.done = frames[-1].index
         try:
-            converted = self.converter.convert(frames)
+            assert self._converter is not None
+            converted = self._converter.convert(frames)
         except OhmskinError:
             raise
         except Exception as error:
@@ -400,7 +401,7 @@ class Frames:
     def _all_after(self, index: int, last: int, most: int) -> list[RawFrame]:
         """The frames beyond ``index`` that are for readers, up to the number ``last``, and ``most`` of them."""
         first = self._after(index)
-        if first is None or first.index >= last or most == 1:
+        if first is None or first.index >= last:
             return [] if first is None or first.index > last else [first]
         place = first.index - self._kept[0].index
         return list(islice(self._kept, place, place + min(last - first.index + 1, most)))
