@@ -10,7 +10,7 @@ from ._board import Board
 from ._design import Design
 from ._effects import Effect, effects
 from ._ideal import apparent_resistance, ideal_volts
-from ._operating import OperatingPoint, operating_point
+from ._operating import OperatingPoint, operating_point, operating_points
 from ._population import Boards, PopulationReading, read_together, scan_population
 from ._readout import Readout
 from ._requirement import Conditions, Requirement
@@ -110,6 +110,7 @@ __all__ = [
     "live_recovery",
     "noise",
     "operating_point",
+    "operating_points",
     "read_together",
     "recover",
     "scan",

@@ -17,6 +17,7 @@ from ..common.config import OWN_TABLES, Section, load
 from ..common.geometry import Geometry
 from ..errors import InputError
 from ._board import Board, Networks
+from ._parts_list import BoughtParts, Document
 from ._readout import PER_LINE, Readout
 from ._requirement import Requirement
 from ._sections import Adc, Array, Cells, Drive, Fault, Operation, Requirements, Sheet
@@ -49,6 +50,10 @@ class Design(Section):
     requirements: Requirements = Requirements()
     requirement: Annotated[tuple[Requirement, ...], Field(strict=False, exclude=True), OWN_TABLES] = ()
     """for the verification only; a board does not send them, and may not"""
+    document: Annotated[Document, Field(exclude=True), OWN_TABLES] = Document()
+    """of the verification's report; a board does not send it, and may not"""
+    parts: Annotated[BoughtParts, Field(exclude=True), OWN_TABLES] = BoughtParts()
+    """part numbers and ratings, likewise"""
     cells: Cells | None = None
     """None: as in a CELL.toml, or as the shipped example cell"""
     operation: Operation = Operation()
@@ -211,6 +216,11 @@ class Design(Section):
         for name, end in self._networks():
             found |= {f"{name}.{part}": spread for part, spread in end.spreads.items()}
         return found
+
+    @property
+    def ages(self) -> bool:
+        """Whether a part has another tolerance at the end of its life."""
+        return any(any(spread.ageing) for spread in self.spreads.values())
 
     def _networks(self) -> list[tuple[str, RowEnd | ColumnEnd | Reference | Crosspoint]]:
         """The sections that describe ends of lines, with their names."""

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ..driver import Frame, Skin
-from ..errors import InputError
+from ..errors import InputError, LinkEnded
 from ._bar import progress_bar
 
 
@@ -33,9 +33,11 @@ def played_frames(paths: Sequence[Path], doing: str) -> Iterator[tuple[Skin, Ite
 
         def frames() -> Iterator[Frame]:
             first_s = None
-            for frame in skin:
-                first_s = frame.monotonic_time if first_s is None else first_s
-                tell(min(round(1e3 * (frame.monotonic_time - first_s)), whole_ms), whole_ms, "")
-                yield frame
+            with suppress(LinkEnded):
+                while True:
+                    block = skin.read_many()
+                    first_s = block[0].monotonic_time if first_s is None else first_s
+                    tell(min(round(1e3 * (block[-1].monotonic_time - first_s)), whole_ms), whole_ms, "")
+                    yield from block
 
         yield skin, frames()

@@ -98,6 +98,18 @@ class Consumer:
             if frame is not None:
                 return frame
 
+    def next_frames(self, most: int, timeout_s: float) -> list[Frame]:
+        """The next frame, and those after it that are there already, at most ``most``; raises as :meth:`next_frame`."""
+        frames, place, taken = self._frames, self._place, [self.next_frame(timeout_s, while_away=True)]
+        frames.catch_up(place.index + most - 1)
+        while len(taken) < most and not (frames.fault.number > self._faults and place.index >= frames.fault.after):
+            raw = frames.following(place.index)
+            frame = None if raw is None or raw.converted is None else self._claim(raw)
+            if frame is None:  # the next call waits for it, or says why there is none
+                break
+            taken.append(frame)
+        return taken
+
     def latest(self, max_age_s: float, timeout_s: float) -> Frame:
         """The newest frame, delivered before or not, if it is at most ``max_age_s`` old; waits for one if needed.
 
@@ -396,6 +408,7 @@ class _Totals:
 
 def _frame(raw: RawFrame, measurement: Converted, before: _Totals, connection: Connection) -> Frame:
     """The frame for a reader whose totals up to now are ``before``."""
+    converter = connection.frames.converter
     return Frame(  # by position: so many keywords take 3 us
         raw.sequence,
         raw.device_time,
@@ -415,7 +428,7 @@ def _frame(raw: RawFrame, measurement: Converted, before: _Totals, connection: C
         measurement.pressure,
         measurement.pressure_std,
         measurement.rest_counts,
-        connection.frames.converter.geometry,
-        partial(connection.frames.converter.contacts.of, measurement.view),
+        converter.geometry,
+        partial(converter.contacts.of, measurement.view),
         connection.now,
     )

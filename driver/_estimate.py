@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..cell import Cell, Estimator
@@ -25,27 +27,36 @@ class Estimate:
         self.estimator: Estimator = cell.estimator(shape, name, rest_resistance_ohm=rest.ohm, rest_error=rest.error)
         self._rest, self._calibration = rest, calibration
         self._column_steps = ColumnSteps(self.estimator.rest_ohm, self.estimator.side, rest_known=rest.known)
-        self._open_at_rest, self._known = cell.open_at_rest, rest.known
+        self._open_at_rest = cell.open_at_rest
+        self.doubt_rest()
 
-    def take(self, elapsed_s: float, measured: Measurement) -> tuple[FloatArray, FloatArray]:
-        """Pressures (rows, columns) in kPa of the next frame, and their standard deviations.
+    def doubt_rest(self) -> None:
+        """Take the present doubt of rest resistances into account."""
+        if not self._rest.known:
+            self.estimator.rest_error = self._rest.spread
+
+    def take(self, elapsed_s: Sequence[float], measured: Sequence[Measurement]) -> tuple[FloatArray, FloatArray]:
+        """Pressures (frames, rows, columns) in kPa of the next frames, and their standard deviations.
 
         Args:
-            elapsed_s: s since the frame before.
-            measured: of the frame.
+            elapsed_s: s since the frame before each.
+            measured: of each frame.
 
         """
-        estimator = self.estimator
-        if not self._known:
-            estimator.rest_error = self._rest.spread
-        conductance = self._column_steps.without(measured)
-        if self._open_at_rest:
-            conductance = np.where(measured.reason == _NO_CURRENT, 0.0, conductance)
-        seen = measured
-        if conductance.base is not measured.block:
-            seen = Measurement(measured.block.copy(), measured.reason)
-            seen.block[CONDUCTANCE] = conductance
-        pressure, std = estimator.estimate(elapsed_s, seen)
+        first = self._seen(measured[0])
+        block = first[None] if len(measured) == 1 else np.stack([first, *map(self._seen, measured[1:])])
+        pressure, std = self.estimator.run_measured(np.array(elapsed_s), block)
         if self._calibration is not None:
             pressure, std = self._calibration.applied(pressure), self._calibration.applied_std(pressure, std)
         return pressure, std
+
+    def _seen(self, measured: Measurement) -> FloatArray:
+        """The measurement (fields, rows, columns) as the estimator is to see it."""
+        conductance = self._column_steps.without(measured)
+        if self._open_at_rest:
+            conductance = np.where(measured.reason == _NO_CURRENT, 0.0, conductance)
+        if conductance.base is measured.block:
+            return measured.block
+        block = measured.block.copy()
+        block[CONDUCTANCE] = conductance
+        return block

@@ -6,6 +6,7 @@ import copy
 import weakref
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
@@ -14,11 +15,11 @@ from typing import Any, Unpack
 import numpy as np
 
 from ..circuits import Design
-from ..common.checks import number, positive
+from ..common.checks import count, number, positive
 from ..common.files import of_board
 from ..common.geometry import Geometry
 from ..common.progress import Progress, silent
-from ..errors import InputError, LinkEnded, LinkTimeout
+from ..errors import InputError, LinkEnded, LinkError, LinkTimeout
 from ..wire import Order
 from ._consumer import FrameCallback
 from ._contacts import Touch
@@ -29,7 +30,7 @@ from ._orders import Answer
 from ._port import Arrival
 from ._recording import Recording
 from ._replay import RecordedSettings
-from ._skin import MAX_AGE_S, BoardSkin
+from ._skin import MANY, MAX_AGE_S, BoardSkin
 from ._statistics import LinkStatistics
 from ._tare import KNOWN_DRIFT, SPREAD, Tare
 
@@ -269,6 +270,14 @@ class JoinedSkin(Skin):
     def read(self, timeout: float | None = None) -> Frame:
         """Wait for the next frame, as :meth:`.Skin.read`."""
         return self._place.next_frame(self._timeout if timeout is None else number("timeout", timeout, "s"))
+
+    def read_many(self, most: int = MANY, timeout: float | None = None) -> list[Frame]:
+        """The next frame, and those after it that have come already, as :meth:`.BoardSkin.read_many`."""
+        frames = [self.read(timeout)]
+        with suppress(LinkTimeout, LinkEnded, LinkError):
+            while len(frames) < count("most", most):
+                frames.append(self._place.next_frame(0.0))
+        return frames
 
     def latest(self, max_age: float = MAX_AGE_S, timeout: float = 0.0) -> Frame:
         """The newest frame, as :meth:`.Skin.latest`."""

@@ -40,6 +40,8 @@ from ._stream import RawFrame
 from ._tare import KNOWN_DRIFT, SPREAD, Tare
 from ._taring import Tares
 
+MANY = 128
+"""default of :meth:`Skin.read_many`"""
 MAX_AGE_S = 0.5
 """default of :meth:`Skin.latest`: boards send at 10 Hz and more"""
 
@@ -176,7 +178,6 @@ class BoardSkin:
             Also everything that :meth:`__init__` raises.
 
         """
-        finder: PortFinder | None = None
         opened: BytePort
         reopen: Callable[[], BytePort]
         name = None if port is None else path_text("port", port, "the name of a port or of a recording")
@@ -192,10 +193,11 @@ class BoardSkin:
             asked = Options.of(serial_number=serial_number, **settings)
         if record is not None:
             Recording.check(record, overwrite=overwrite)
-        if played is None:
-            finder = _finder(name, asked, baudrate)
-            began_s = monotonic()
-            if not compiled.compile_aside():
+        finder = _finder(name, asked, baudrate) if played is None else None
+        began_s = monotonic()
+        compiles_aside = compiled.compile_aside()
+        if finder is not None:
+            if not compiles_aside:
                 compiled.load()  # while no frames come
             if has_gone(finder.name):
                 raise LinkError(
@@ -204,6 +206,7 @@ class BoardSkin:
                 )
             opened, reopen = finder.open(), finder.open_again
         else:
+            assert played is not None
             opened, reopen = played, played.reopen
         skin = cls.__new__(cls)
         skin._begin(opened, asked, reopen, record, overwrite=overwrite)
@@ -405,6 +408,24 @@ class BoardSkin:
 
         """
         return self._consumer.next_frame(self._timeout if timeout is None else number("timeout", timeout, "s"))
+
+    def read_many(self, most: int = MANY, timeout: float | None = None) -> list[Frame]:
+        """Wait as :meth:`read` for the next frame, and take those after it that have come already.
+
+        These are the frames that as many calls of :meth:`read` would give, bit for bit, but they are converted at once:
+        for recordings, and for programs that look at the skin now and then.
+
+        Args:
+            most: frames, at most.
+            timeout: s, as for :meth:`read`.
+
+        Raises:
+            LinkTimeout, LinkEnded, LinkError, ProtocolError, InputError: as :meth:`read`. What came before an error is
+                returned first.
+
+        """
+        timeout_s = self._timeout if timeout is None else number("timeout", timeout, "s")
+        return self._consumer.next_frames(count("most", most), timeout_s)
 
     def latest(self, max_age: float = MAX_AGE_S, timeout: float = 0.0) -> Frame:
         """The newest frame, taken before or not, never older than ``max_age``. For control loops.

@@ -65,8 +65,8 @@ class RecordedSource(Source):
         axis = TimeAxis()
         while True:
             try:
-                frame = self.skin.read()
-                self._append(frame, axis.of(frame))
+                for frame in self.skin.read_many():
+                    self._append(frame, axis.of(frame))
             except LinkEnded:
                 break
             except (LinkTimeout, ProtocolError) as error:

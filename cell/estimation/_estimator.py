@@ -82,7 +82,7 @@ class Estimator:
         if material is None:
             # What a cell without memory reads is over when it is over.
             bad_hz, drift = (TUNING.bad_hz, TUNING.drift) if inversion.remembers else (0.0, 0.0)
-            none = {"memory": 0.0, "floor": 0.0, "relative": 0.0}
+            none = {"memory": 0.0, "floor": 0.0, "relative": 0.0, "extrapolated": 0.0, "scarce": math.inf}
             tuning = replace(TUNING, **none, drift=drift, overload=READINGS_OVERLOAD, bad_hz=bad_hz)
             material = Material.without_memory()
         unit = 1.0 if follows_load else inversion.side * inversion.full_scale_r
@@ -90,7 +90,7 @@ class Estimator:
         self._settings = zeros(Settings, 1)
         self._settings[0] = (
             *(unit, unit, *inversion.credible, inversion.usual_level),
-            *(inversion.remembers, inversion.filtered, follows_load, material.geq, material.g3),
+            *(inversion.remembers, inversion.filtered, follows_load, material.geq, material.gu, material.g3),
             *(full, UNKNOWN * full, 0.0 if follows_load else TUNING.floor * full),
             *(conditions.model_std_kpa, conditions.rest_error, self.states_std, 0.0),
         )
@@ -195,6 +195,9 @@ class Estimator:
         if blocks.shape != (elapsed_s.size, FIELDS, *self.shape):
             raise InputError(f"blocks have shape {blocks.shape}, expected {(elapsed_s.size, FIELDS, *self.shape)}")
         flat, self._settings["lasting"] = blocks.reshape(elapsed_s.size, FIELDS, self._rest_ohm.size), 1.0
+        if len(flat) == 1:
+            pressure, std = self._take(elapsed_s.item(0), np.ascontiguousarray(flat))
+            return pressure[None], std[None]
         return self._run(elapsed_s, elapsed_s.size, lambda frames: np.ascontiguousarray(flat[frames]))
 
     def _run(

@@ -56,7 +56,8 @@ class Settings(Record):
     follows: float
     """1: the filter follows the load itself"""
     geq: float
-    """r, and slow branch, of a load that has been held for ever"""
+    """r of full scale held for ever, and as it is reached; and the slow branch"""
+    gu: float
     g3: float
     full_kpa: float
     unknown_kpa: float
@@ -235,7 +236,7 @@ def take_frames(
         shares = False
         for i in range(rest_ohm.size):
             if status[frame, i] & BEGUN:
-                begin(cells[i], work[BEGINNING, i], settings.geq, settings.g3)
+                begin(cells[i], work[BEGINNING, i], settings.geq, settings.gu, settings.g3)
                 watch = watches[i]
                 watch.odds = watch.since_s = watch.asleep = watch.offset = watch.centre = watch.cusum = 0.0
             shared_std = block[COLUMN_STD, i] * work[SLOPE, i]
