@@ -58,6 +58,12 @@ def _in_time(design: Design) -> bool:
 
 
 EFFECTS = (
+    Effect(
+        "crossings without a cell",
+        "Every crossing has a cell, also where the [shape] has none.",
+        "all that presses change",
+        lambda design: design.shape is not None and not design.geometry.is_whole,
+    ),
     Effect("slewing", "Amplifiers follow at any rate.", "settling", _amplified),
     Effect("saturation recovery", "An amplifier leaves its limit at once.", "settling, crosstalk", _amplified),
     Effect("further amplifier poles", "Amplifiers have one pole; no model is named.", "phase margin", _one_pole),
