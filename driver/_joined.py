@@ -77,7 +77,6 @@ class Joiner:
 
     def __init__(self, boards: Sequence[Geometry], touch: Touch) -> None:
         self.geometry = joined_geometry(boards)
-        self._columns = self.geometry.shape[1]
         self._shapes = [board.shape for board in boards]
         self._contacts = ContactsOfFrames(ContactTracker(self.geometry, *touch))
         self._last: list[Frame | None] = [None] * len(boards)
@@ -162,11 +161,12 @@ class Joiner:
         none: float = np.nan,
     ) -> AnyArray:
         """(rows, columns) of all boards; ``silent`` if one has not sent yet, ``none`` where there is no cell."""
-        own = [
-            np.full(shape, silent) if part is None else values(part)
-            for part, shape in zip(parts, self._shapes, strict=True)
-        ]
-        return np.concatenate([widened(cells, self._columns, none) for cells in own])
+        found = np.full(self.geometry.shape, none)
+        first = 0
+        for part, (rows, columns) in zip(parts, self._shapes, strict=True):
+            found[first : first + rows, :columns] = silent if part is None else values(part)
+            first += rows
+        return found
 
 
 def total(numbers: Sequence[int | None]) -> int | None:
