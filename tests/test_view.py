@@ -497,7 +497,7 @@ def next_answer(socket: ClientConnection) -> Any:
         if isinstance(answer, bytes):
             return answer
         told = json.loads(answer)
-        if told["kind"] not in ("status", "introduction"):
+        if told["kind"] not in ("status", "handshake"):
             return told
 
 
@@ -525,7 +525,7 @@ def test_on_the_loopback_only_its_own_names_and_page_are_answered() -> None:
         with suppress(RemoteDisconnected):  # what older versions of websockets do
             assert status_of(url, "localhost", method="POST") == 405
         with join(url) as socket:
-            assert json.loads(socket.recv())["kind"] == "introduction"
+            assert json.loads(socket.recv())["kind"] == "handshake"
         for origin in ("http://evil.example", f"http://localhost:{port}", "null", None):
             with pytest.raises(InvalidStatus) as refused:
                 join(url, origin=origin)

@@ -15,7 +15,7 @@ from ..driver import Frame, Recorder, Skin
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ._frame_message import pack_frame
 from ._orders import FrameOrder, NextFrame
-from ._source import Source, TimeAxis, Told, statistics
+from ._source import Report, Source, TimeAxis, statistics
 
 SILENT_S = 1.0
 """a board whose last frame is older is said to be silent"""
@@ -84,7 +84,7 @@ class LiveSource(Source):
             waiting, self._waiting = self._waiting, []
         _wake(waiting)
 
-    def status(self) -> Told:
+    def status(self) -> Report:
         """State of the link, statistics, tare."""
         state, reason = self._state()
         tare = self.skin.tared
@@ -131,7 +131,7 @@ class LiveSource(Source):
             newest.message = pack_frame(frame, number=newest.number, time_s=newest.time_s, age_s=frame.age)
         return newest.message
 
-    async def make_tare(self, *, force: bool) -> Told:
+    async def make_tare(self, *, force: bool) -> Report:
         """Take the skin for unloaded now; InputError where it seems to be loaded, or while another tare is made."""
         if self._taring:
             raise InputError("a tare is being made already")
@@ -166,7 +166,7 @@ class LiveSource(Source):
                 recorder.close()
         super().close()
 
-    async def undo_tare(self) -> Told:
+    async def undo_tare(self) -> Report:
         """Go back to the tare that was in use before the last one made here."""
         if not self._tares:
             raise InputError("no tare was made here that could be undone")

@@ -21,7 +21,7 @@ from ..driver import Frame, Skin
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, ProtocolError
 from ._frame_message import HEADER, TOTAL_FORCE_AT, pack_frame
 from ._orders import FrameOrder, NextFrame, ShowTime, TraceCells
-from ._source import Source, TimeAxis, Told, statistics
+from ._source import Report, Source, TimeAxis, statistics
 
 SAME_TIME_S = 1e-6
 """a slider of a browser rounds its value a little"""
@@ -89,7 +89,7 @@ class RecordedSource(Source):
         if not number:
             self._shows.set()
 
-    def status(self) -> Told:
+    def status(self) -> Report:
         """How far the recording is decoded, and its statistics."""
         count = len(self._times_s)
         return {
@@ -123,7 +123,7 @@ class RecordedSource(Source):
         start, end = self._ends[number], self._ends[number + 1]
         return os.pread(self._file.fileno(), end - start, start)
 
-    async def trace(self, order: TraceCells) -> Told:
+    async def trace(self, order: TraceCells) -> Report:
         """Pressure of some cells, or the total force, over all that is decoded; null where a cell was not valid."""
         rows, columns = self.skin.shape
         for row, column in order.cells:
@@ -134,14 +134,14 @@ class RecordedSource(Source):
             traces.append(await asyncio.to_thread(self._trace_of_force, order.points))
         return {"kind": "trace", "traces": traces}
 
-    def _trace_of_force(self, points: int) -> Told:
+    def _trace_of_force(self, points: int) -> Report:
         count = len(self._times_s)
         times, starts = np.array(self._times_s[:count]), np.array(self._ends[:count], dtype=np.int64)
         force = self._bytes(starts + TOTAL_FORCE_AT, 8).copy().view("<f8")[:, 0]
         kept = extremes(force, points)
         return {"cell": None, "time_s": times[kept].tolist(), "force_n": _for_json(force[kept])}
 
-    def _trace(self, row: int, column: int, points: int) -> Told:
+    def _trace(self, row: int, column: int, points: int) -> Report:
         rows, columns = self.skin.shape
         cells, cell = rows * columns, row * columns + column
         shown = 0 if self.skin.knows_circuit else 3

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from ..common.text import one_line
 from ..errors import InputError, LinkEnded, OhmskinError
 from ._orders import FrameOrder, MakeTare, NextFrame, Record, ShowNumber, ShowTime, TraceCells, UndoTare, read_order
-from ._source import Source, Told
+from ._source import Report, Source
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
@@ -41,7 +41,7 @@ class Session:
             asyncio.create_task(work) for work in (self._send_frames(), self._send_status(), self._follow_orders())
         ]
         try:
-            await self._tell(self._source.introduction())
+            await self._tell(self._source.handshake())
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         except ConnectionClosed:
             pass
@@ -109,5 +109,5 @@ class Session:
     async def _refuse(self, error: OhmskinError, what: str = "") -> None:
         await self._tell({"kind": "refused", "text": one_line(str(error)), "order": what})
 
-    async def _tell(self, message: Told) -> None:
+    async def _tell(self, message: Report) -> None:
         await self._connection.send(json.dumps(message, allow_nan=False))

@@ -16,7 +16,7 @@ from ..driver import Frame, Skin
 from ..errors import InputError
 from ._orders import FrameOrder, TraceCells
 
-Told = dict[str, Any]
+Report = dict[str, Any]
 """an object for JSON: no NaN, no NumPy"""
 
 
@@ -44,7 +44,7 @@ class Source(ABC):
         self._thread.start()
 
     def close(self) -> None:
-        """Give back the port or the file. Those who wait for a frame are told by LinkEnded."""
+        """Give back the port or the file. Those who wait for a frame get a LinkEnded."""
         self.skin.close()
         self._thread.join()
 
@@ -52,12 +52,12 @@ class Source(ABC):
     def _take_frames(self) -> None:
         """Take frames of the skin until it ends or is closed; runs in the thread."""
 
-    def introduction(self) -> Told:
+    def handshake(self) -> Report:
         """What stays as it is: array, board, cell, scales."""
         skin, identity, geometry = self.skin, self.skin.identity, self.skin.geometry
         rows, columns = skin.shape
         return {
-            "kind": "introduction",
+            "kind": "handshake",
             "source": printable(self.name),
             "rows": rows,
             "columns": columns,
@@ -80,7 +80,7 @@ class Source(ABC):
         """Whether frames come by themselves; False for a recording."""
 
     @abstractmethod
-    def status(self) -> Told:
+    def status(self) -> Report:
         """What changes: the state of the link, statistics, the tare in use."""
 
     @abstractmethod
@@ -93,15 +93,15 @@ class Source(ABC):
 
         """
 
-    async def trace(self, order: TraceCells) -> Told:
+    async def trace(self, order: TraceCells) -> Report:
         """Pressures of some cells over the whole recording; InputError unless it is one."""
         raise InputError("only a recording has traces; a live page draws what it has seen")
 
-    async def make_tare(self, *, force: bool) -> Told:
+    async def make_tare(self, *, force: bool) -> Report:
         """Tare, and say what was done; InputError where that is not possible."""
         raise InputError("a recording takes no tare")
 
-    async def undo_tare(self) -> Told:
+    async def undo_tare(self) -> Report:
         """Go back to the tare before, and say so; InputError where that is not possible."""
         raise InputError("a recording takes no tare")
 
@@ -129,17 +129,17 @@ class TimeAxis:
         return self._time_s
 
 
-def statistics(skin: Skin) -> Told:
+def statistics(skin: Skin) -> Report:
     """The link statistics of a skin, for JSON."""
-    told = skin.stats().as_dict()
+    reported = skin.stats().as_dict()
     for name in ("age_s", "jitter_s"):
-        percentiles = told[name]
+        percentiles = reported[name]
         assert isinstance(percentiles, dict)
-        told[name] = {str(percent): _number(value) for percent, value in percentiles.items()}
-    return {name: _number(value) if isinstance(value, float) else value for name, value in told.items()}
+        reported[name] = {str(percent): _number(value) for percent, value in percentiles.items()}
+    return {name: _number(value) if isinstance(value, float) else value for name, value in reported.items()}
 
 
-def _cells(geometry: Geometry) -> Told | None:
+def _cells(geometry: Geometry) -> Report | None:
     """Index, place and area of each cell of a skin that is no rectangle."""
     if geometry.pitch_m is not None:
         return None

@@ -4,7 +4,7 @@ const FIRST_PAUSE_MS = 250;
 const LONGEST_PAUSE_MS = 4000;
 
 export class Connection {
-  /** @param handlers {told(object), framed(ArrayBuffer), opened(), broke()} */
+  /** @param handlers {reported(object), framed(ArrayBuffer), opened(), broke()} */
   constructor(handlers) {
     this.handlers = handlers;
     this.pause_ms = FIRST_PAUSE_MS;
@@ -23,7 +23,7 @@ export class Connection {
     });
     this.socket.addEventListener("message", ({ data }) => {
       if (data instanceof ArrayBuffer) this.handlers.framed(data);
-      else this.handlers.told(JSON.parse(data));
+      else this.handlers.reported(JSON.parse(data));
     });
     this.socket.addEventListener("close", () => {
       this.handlers.broke();

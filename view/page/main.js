@@ -60,7 +60,7 @@ class View {
       () => this.paintSoon(),
     );
     this.connection = new Connection({
-      told: (message) => this.hear(message),
+      reported: (message) => this.hear(message),
       framed: (buffer) => this.take(readFrame(buffer)),
       opened: () => (this.asked = false),
       broke: () => showState("no connection", "ohmskin does not answer; trying again"),
@@ -71,14 +71,14 @@ class View {
 
   /** Takes a message that is not a frame. */
   hear(message) {
-    if (message.kind === "introduction") this.meet(message);
+    if (message.kind === "handshake") this.meet(message);
     else if (message.kind === "status") this.learn(message);
     else if (message.kind === "trace") this.plotTraces(message.traces);
     else if (message.kind === "tared") this.answerTare(message.text, message.remarks, false);
     else if (message.kind === "refused") this.refused(message);
   }
 
-  /** Takes the introduction: what the skin is. */
+  /** Takes the handshake: what the skin is. */
   meet(skin) {
     const same = this.skin && this.skin.source === skin.source && this.skin.rows === skin.rows && this.skin.columns === skin.columns;
     this.skin = skin;

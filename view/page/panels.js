@@ -74,12 +74,12 @@ function notValid(frame, reasons) {
 }
 
 /** Rows of the link's panel: of the board, of the line, and of this page. */
-export function linkPairs(introduction, status, cost, frame) {
+export function linkPairs(handshake, status, cost, frame) {
   const found = status.statistics;
   const board = [
-    ["board", [introduction.board, introduction.serial_number].filter(Boolean).join(" ")],
-    ...(introduction.estimator ? [["estimator", introduction.estimator]] : []),
-    ["not valid", notValid(frame, introduction.reasons)],
+    ["board", [handshake.board, handshake.serial_number].filter(Boolean).join(" ")],
+    ...(handshake.estimator ? [["estimator", handshake.estimator]] : []),
+    ["not valid", notValid(frame, handshake.reasons)],
   ];
   const line = [
     ["rate", `${fixed(found.rate_hz, 1)} Hz`],
@@ -92,7 +92,7 @@ export function linkPairs(introduction, status, cost, frame) {
     ["unsolved", String(found.unsolved)],
   ];
   const ages = ["50", "95", "99"].map((percent) => milliseconds(found.age_s[percent]));
-  const age = introduction.live ? [["age 50, 95, 99 %", `${ages.join(", ")} ms`]] : [];
+  const age = handshake.live ? [["age 50, 95, 99 %", `${ages.join(", ")} ms`]] : [];
   return [...board, ...line, ...age, ["drawn", `${fixed(cost.perSecond, 0)} /s, ${fixed(cost.mean_ms, 2)} ms`]];
 }
 
