@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -57,10 +58,12 @@ class Geometry:
     """0 where there is no cell"""
     pitch_m: tuple[float, float] | None = None
     """of a rectangle: distance of neighbouring cells along a row (x), and along a column (y); None: no rectangle"""
+    rows_of_boards: tuple[int, ...] = ()
+    """of several boards below each other: rows of each, whose columns are lines of their own; empty: one board"""
 
-    def __reduce__(self) -> tuple[type[Geometry], tuple[FloatArray, FloatArray, tuple[float, float] | None]]:
+    def __reduce__(self) -> tuple[type[Geometry], tuple[Any, ...]]:
         """For pickle and copy: without what follows from the places."""
-        return Geometry, (self.places_mm, self.areas_mm2, self.pitch_m)
+        return Geometry, (self.places_mm, self.areas_mm2, self.pitch_m, self.rows_of_boards)
 
     def __deepcopy__(self, memo: object) -> Geometry:
         """Itself, as nothing in it changes."""
@@ -116,6 +119,16 @@ class Geometry:
         there: BoolArray = np.isfinite(self.places_mm[..., 0])
         there.setflags(write=False)
         return there
+
+    @cached_property
+    def lines(self) -> IntArray:
+        """(cells, 2) numbers of the row and of the column on which each cell of the flattened array lies."""
+        rows, columns = self.shape
+        boards = self.rows_of_boards or (rows,)
+        board = np.repeat(np.arange(len(boards)), boards)
+        row, column = np.indices((rows, columns))
+        found: IntArray = np.stack([row, column + columns * board[:, None]], axis=-1).reshape(-1, 2)
+        return found
 
     @cached_property
     def is_whole(self) -> bool:

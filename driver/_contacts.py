@@ -18,6 +18,7 @@ import copy
 import math
 import threading
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -99,6 +100,33 @@ class Touch(NamedTuple):
     """True if a bad contact, which adds resistance, looks like a load; False if loads lower the resistance"""
 
 
+@dataclass(frozen=True, eq=False)
+class _Line:
+    """The rows of an array, or its columns: which cells a fault in a line moves."""
+
+    number: IntArray
+    """(cells,) of each cell's line"""
+    along: IntArray
+    """(cells,) place of each cell on its line"""
+    cells: IntArray
+    """(lines,) how many cells there are on each line"""
+    first: IntArray
+    """(lines,) place of its first cell"""
+    last: IntArray
+
+    @classmethod
+    def of(cls, geometry: Geometry, axis: int) -> _Line:
+        """Rows (axis 0) or columns (1)."""
+        number = geometry.lines[:, axis].copy()
+        along = np.indices(geometry.shape)[1 - axis].ravel()
+        there = geometry.exists.ravel()
+        lines = int(number.max()) + 1
+        first, last = np.full(lines, along.max() + 1), np.full(lines, -1)
+        np.minimum.at(first, number[there], along[there])
+        np.maximum.at(last, number[there], along[there])
+        return cls(number, along, np.bincount(number[there], minlength=lines), first, last)
+
+
 class ContactTracker:
     """Finds the contacts of frames and follows them from frame to frame."""
 
@@ -137,13 +165,11 @@ class ContactTracker:
         self._tracks = Tracks()
         self._places: IntArray = np.indices(shape).reshape(2, -1).T.copy()
         """(cells, 2) row and column of each cell of the flattened array"""
-        there = geometry.exists
-        self._in_row, self._in_column = there.sum(axis=1), there.sum(axis=0)
-        """cells of each row and of each column"""
-        self._ends = [
-            (there.argmax(axis=axis), there.shape[axis] - 1 - np.flip(there, axis).argmax(axis=axis)) for axis in (0, 1)
-        ]
-        """first and last row in which each column has a cell; first and last column likewise of each row"""
+        self._lines = [_Line.of(geometry, axis) for axis in (0, 1)]
+        """rows and columns: what faults of wires and converters move together"""
+        ends = np.cumsum(geometry.rows_of_boards or shape[:1]).tolist()
+        self._boards = [slice(first, last) for first, last in pairwise([0, *ends])]
+        """rows of each board"""
 
     def update(
         self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray, unread: BoolArray | None = None
@@ -257,12 +283,13 @@ class ContactTracker:
         for label in np.flatnonzero(fresh).tolist():
             own = np.flatnonzero(found == label)
             above, std, step = excess.flat[own], std_kpa.flat[own], self._step_kpa.flat[own]
-            lasts_s = float((self._read_s.flat[own] - self._pressed_s.flat[own]).max())
+            since_s, read_s = self._pressed_s.flat[own], self._read_s.flat[own]
+            lasts_s = math.inf if since_s.min() == -math.inf else float((read_s - since_s).max())
             under_range = not (above > STANDS_OUT * std).any()
             at_once = (step > AT_ONCE * above).any()
             if (under_range or at_once) and self._may_be_fault(own, above):
                 kept[label] = lasts_s > SPARK_S
-            elif (self._places[own] == self._places[own[0]]).all(axis=0).any():  # within one row or column
+            elif any((line.number[own] == line.number[own[0]]).all() for line in self._lines):
                 kept[label] = lasts_s > 0.0
 
     def _may_be_fault(self, own: IntArray, excess: FloatArray) -> bool:
@@ -271,47 +298,46 @@ class ContactTracker:
         Whole lines move alike by a converter or a connector. What adds resistance moves cells of which no two lie side
         by side, or a line from a crack to its end; that looks like a press only where loads add resistance.
         """
-        rows, columns = self._places[own].T
-        for line, cells in ((rows, self._in_row), (columns, self._in_column)):
-            if own.size == cells[np.unique(line)].sum() and excess.min() > ALIKE * excess.max():
-                return True
+        if excess.min() > ALIKE * excess.max() and any(
+            own.size == line.cells[np.unique(line.number[own])].sum() for line in self._lines
+        ):
+            return True
         if not self._faults_press:
             return False
         if not np.isin(self._proximity.beside[own], own).any():
             return True
-        in_row, in_column = (line == line[0] for line in (rows, columns))
-        if not (in_row.all() or in_column.all()):
-            return False
-        line, along = (rows[0], columns) if in_row.all() else (columns[0], rows)
-        first, last = self._ends[int(in_row.all())]
-        return own.size > LONGEST_IN_LINE or bool(along.min() == first[line] or along.max() == last[line])
+        for line in self._lines:
+            number, along = line.number[own], line.along[own]
+            if (number == number[0]).all():
+                ends = along.min() == line.first[number[0]] or along.max() == line.last[number[0]]
+                return own.size > LONGEST_IN_LINE or bool(ends)
+        return False
 
     def _own(self, excess: FloatArray) -> FloatArray:
         """(rows, columns) the excess beyond what most cells of a column have in common.
 
         An error of the sum of a divider's readings moves a whole column.
         """
-        known = np.where(np.isfinite(excess), excess, 0.0)
-        ordered = np.sort(np.where(self.geometry.exists, known, np.inf), axis=0)
-        middle = np.maximum(self._in_column - 1, 0) // 2
-        usual = np.take_along_axis(ordered, middle[None], axis=0)
-        own: FloatArray = known - np.where(np.isfinite(usual), np.maximum(usual, 0.0), 0.0)
+        own: FloatArray = np.where(np.isfinite(excess), excess, 0.0)
+        there = np.where(self.geometry.exists, own, np.inf)
+        for board in self._boards:
+            ordered = np.sort(there[board], axis=0)
+            middle = np.maximum(np.isfinite(ordered).sum(axis=0) - 1, 0) // 2
+            usual = np.take_along_axis(ordered, middle[None], axis=0)
+            own[board] -= np.where(np.isfinite(usual), np.maximum(usual, 0.0), 0.0)
         return own
 
     def _rim(self, labels: IntArray, loaded: BoolArray, pressure_kpa: FloatArray) -> IntArray:
         """(rows, columns) number of the contact that untouched ``loaded`` cells belong to; 0: none.
 
-        It is the nearest one; of equally near ones, that with the most pressure. A threshold decides which cells are
-        touched. The force of a soft contact goes on beyond it.
+        It is the nearest one that loaded cells connect with; of equally near ones, that with the most pressure. A
+        threshold decides which cells are touched. The force of a soft contact goes on beyond it.
         """
         around = loaded & (labels == 0)
         if not around.any():
             return np.zeros_like(labels)
-        regions, count = self._proximity.label(around | (labels > 0))
-        pressed = np.zeros(count + 1, dtype=np.bool_)
-        pressed[regions[labels > 0]] = True
         total = np.bincount(labels.ravel(), np.where(labels > 0, pressure_kpa, 0.0).ravel()).astype(np.float64)
-        return self._proximity.nearest(labels, around & pressed[regions], total)
+        return self._proximity.nearest(labels, around, total)
 
     def _measure(
         self,

@@ -57,7 +57,8 @@ def joined_geometry(boards: Sequence[Geometry]) -> Geometry:
             left_mm += 1e3 * board.pitch_m[0] * (board.shape[1] - 1 + BETWEEN_PITCHES)
         places.append(widened(own, across, np.nan))
         areas.append(widened(board.areas_mm2, across, 0.0))
-    whole = Geometry(np.concatenate(places), np.concatenate(areas))
+    rows = tuple(board.shape[0] for board in boards)
+    whole = Geometry(np.concatenate(places), np.concatenate(areas), rows_of_boards=rows)
     there = whole.places_mm[whole.exists]
     same = cKDTree(there).query_pairs(SAME_PLACE_MM)
     if same:

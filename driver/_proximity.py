@@ -40,7 +40,7 @@ class Proximity:
         """(cells,) to the furthest cell beside"""
         self.pitch_mm = (shortest + longest) / 2
         """(cells,) usual distance of the cells beside"""
-        self._columns = geometry.shape[1]
+        self._rows, self._columns = geometry.lines.T.copy()
         self._weights = np.where(self.near < count, AT_CORNER, 0.0)
         is_beside = (self.near[:, :, None] == neighbours.beside[:, None, :]).any(axis=-1)
         self._weights[is_beside & (self.near < count)] = BESIDE
@@ -64,7 +64,8 @@ class Proximity:
     def together(self, asked: BoolArray, own_kpa: FloatArray, std_kpa: FloatArray) -> BoolArray:
         """(rows, columns) those of the ``asked`` cells that are loaded by what their neighbours say together."""
         loaded = asked.copy()
-        together_each(own_kpa.ravel(), std_kpa.ravel(), self.near, self._weights, self._columns, loaded.ravel())
+        lines = self._rows, self._columns
+        together_each(own_kpa.ravel(), std_kpa.ravel(), self.near, self._weights, *lines, loaded.ravel())
         return loaded
 
     def summits(self, labels: IntArray, height: FloatArray, count: int) -> IntArray:
@@ -76,6 +77,8 @@ class Proximity:
     def nearest(self, labels: IntArray, around: BoolArray, force: FloatArray) -> IntArray:
         """(rows, columns) for ``around`` cells the label that is nearest, of equally near ones that of most force.
 
+        Only labels that are connected with the cell by such cells count; 0 if there is none.
+
         Args:
             labels: (rows, columns) from 1; 0: none.
             around: (rows, columns) cells without a label.
@@ -83,9 +86,9 @@ class Proximity:
 
         """
         found = np.zeros(labels.shape, dtype=np.intp)
-        nearest_each(
-            labels.ravel(), np.flatnonzero(around), np.flatnonzero(labels), self.places_mm, force, found.ravel()
-        )
+        regions, _ = self.label(around | (labels > 0))
+        cells = np.flatnonzero(around), np.flatnonzero(labels)
+        nearest_each(labels.ravel(), regions.ravel(), *cells, self.places_mm, force, found.ravel())
         return found
 
 
@@ -127,7 +130,9 @@ def largest_around_each(values: Row, near: PlaceRows, largest: Row) -> None:
 
 
 @loop
-def together_each(own: Row, std: Row, near: PlaceRows, weights: Rows, columns: int, loaded: Flags) -> None:
+def together_each(
+    own: Row, std: Row, near: PlaceRows, weights: Rows, rows: Places, columns: Places, loaded: Flags
+) -> None:
     """Take out the cells that their neighbours do not confirm."""
     none = own.shape[0]
     for cell in range(none):
@@ -141,10 +146,10 @@ def together_each(own: Row, std: Row, near: PlaceRows, weights: Rows, columns: i
                 break
             more, more_spread = weights[cell, k] * own[other], weights[cell, k] * std[other]
             load, spread = load + more, spread + more_spread
-            if other // columns != cell // columns:
+            if rows[other] != rows[cell]:
                 load_beyond_row += more
                 spread_beyond_row += more_spread
-            if other % columns != cell % columns:
+            if columns[other] != columns[cell]:
                 load_beyond_column += more
                 spread_beyond_column += more_spread
         loaded[cell] = (
@@ -174,11 +179,15 @@ def summits_each(labels: Places, height: FixedRow, near: PlaceRows, found: Place
 
 
 @loop
-def nearest_each(labels: Places, around: Places, touched: Places, places_mm: Rows, force: Row, found: Places) -> None:
+def nearest_each(
+    labels: Places, regions: Places, around: Places, touched: Places, places_mm: Rows, force: Row, found: Places
+) -> None:
     """Write what :meth:`Proximity.nearest` returns."""
     for cell in around:
         least = np.inf
         for other in touched:
+            if regions[other] != regions[cell]:
+                continue
             square = 0.0
             for axis in range(places_mm.shape[1]):
                 square += (places_mm[cell, axis] - places_mm[other, axis]) ** 2

@@ -17,7 +17,7 @@ from ohmskin.circuits import Reason, Shape
 from ohmskin.cli import run
 from ohmskin.common.arrays import FloatArray
 from ohmskin.common.geometry import Geometry
-from ohmskin.driver import Frame, JoinedSkin, Skin
+from ohmskin.driver import ContactTracker, Frame, JoinedSkin, Skin
 from ohmskin.driver._contacts import Touch
 from ohmskin.driver._joined import SILENT_S, Joiner, joined_geometry
 from ohmskin.emulator import PtyPort, Scene, load_scenes, running
@@ -216,3 +216,34 @@ def test_the_commands_take_several_boards(tmp_path: Path, capsys: pytest.Capture
     assert run(["emulate", str(HAND), "--plan"]) == 0
     assert capsys.readouterr().out.count("cells, ") == 2
     assert run(["emulate", str(HAND), "--tcp", ":0"]) == 2
+
+
+@given(st.integers(0, 2**32), st.booleans())
+def test_contacts_of_boards_apart_are_those_of_each_alone(seed: int, faults_press: bool) -> None:
+    """Lines of one board are none of another, though their columns stand below each other."""
+    rng = np.random.default_rng(seed)
+    boards = [Geometry.rectangle((4, 5), 0.01), Geometry.rectangle((6, 5), 0.01), Geometry.rectangle((3, 2), 0.01)]
+    together = ContactTracker(joined_geometry(boards), 20.0, 0.5, faults_press)
+    alone = [ContactTracker(board, 20.0, 0.5, faults_press) for board in boards]
+    kinds = rng.integers(0, 4, len(boards))
+    for k in range(4):
+        whole, std = np.full((13, 5), np.nan), np.full((13, 5), np.nan)
+        expected, first = [], 0
+        for board, tracker, kind in zip(boards, alone, kinds.tolist(), strict=True):
+            rows, columns = board.shape
+            kpa, noise = rng.normal(0.0, 0.1, board.shape), np.full(board.shape, rng.choice([0.1, 0.5, 1.5]))
+            if k > 0 and kind == 1:
+                kpa[:, rng.integers(columns)] += 5.0  # a converter
+            elif k > 0 and kind == 2:
+                kpa[rng.integers(rows), : rng.integers(1, columns)] += 5.0  # a crack
+            elif k > 0 and kind == 3:
+                kpa[1:3, :2] += rng.uniform(0.5, 6.0)  # a finger
+            whole[first : first + rows, :columns], std[first : first + rows, :columns] = kpa, noise
+            for contact in tracker.update(0.01 * k, kpa, noise):
+                cells = contact.cells + np.array([first, 0])
+                expected.append((cells.tolist(), contact.force_n, contact.area_mm2))
+            first += rows
+        found = [(one.cells.tolist(), one.force_n, one.area_mm2) for one in together.update(0.01 * k, whole, std)]
+        for one, other in zip(sorted(found), sorted(expected), strict=True):
+            assert one[0] == other[0]
+            assert one[1:] == pytest.approx(other[1:])
