@@ -158,7 +158,7 @@ def measure_fitted(
 
     Args:
         volts: readings.
-        solver: (N M, N M) 1/V, changes of the logarithms by those of the readings.
+        solver: (N M, N M) 1/V, changes by each reading of all logarithms.
         spread: (N M,) standard deviations of the logarithms.
         of_rows: and ``of_columns`` as of :func:`fitted_volts`; ``of_cells`` (6, N, M) by the places above, of which
             those of the last frame are changed.
@@ -184,19 +184,16 @@ def measure_fitted(
     squares, most = 0.0, 0.0
     for number in range(STEPS + 1):
         squares, most, settled = 0.0, 0.0, True
+        step[:] = 0.0
         for i in range(rows):
             for j in range(columns):
-                apart = volts[i, j] - model[i, j]
+                apart, place = volts[i, j] - model[i, j], i * columns + j
                 squares += apart * apart
                 most = max(most, abs(apart))
+                for other in range(count):
+                    step[other] += solver[place, other] * apart
         for place in range(count):
-            change, at = 0.0, 0
-            for i in range(rows):
-                for j in range(columns):
-                    change += solver[place, at] * (volts[i, j] - model[i, j])
-                    at += 1
-            step[place] = change
-            if abs(change) > max(SETTLED * spread[place], SMALL) and spread[place] <= HARDLY_KNOWN:
+            if abs(step[place]) > max(SETTLED * spread[place], SMALL) and spread[place] <= HARDLY_KNOWN:
                 settled = False
         if settled and number > 0:
             break
@@ -254,8 +251,8 @@ class Fit(Protocol):
     def kept(self, noise: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
         """What a stream goes on with, for V of noise; None where the last frame left nothing.
 
-        Logarithms (n,) of the last frame, and those at which the derivatives were made; the regularised inverse (n, n)
-        of these in 1/V, and the standard deviations (n,) of the logarithms.
+        Logarithms (n,) of the last frame, and those at which the derivatives were made; the regularised inverse of
+        these (readings, logarithms) in 1/V, and the standard deviations (n,) of the logarithms.
         """
         ...
 
