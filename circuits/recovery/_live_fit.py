@@ -181,18 +181,18 @@ class FitLive:
         limited: BoolArray | None = None,
         noise: float = 0.0,
         *,
-        faint: BoolArray | None = None,
+        under_range: BoolArray | None = None,
     ) -> LiveReading:
         """As :class:`.LiveRecovery`."""
         turn = self._turn
-        at_limit, under = (None if cells is None else turn(cells) for cells in (limited, faint))
+        at_limit, under = (None if cells is None else turn(cells) for cells in (limited, under_range))
         return self.read(np.ascontiguousarray(turn(volts)), at_limit, under, noise)
 
     def read(
         self,
         volts: FloatArray,
         limited: BoolArray | None,
-        faint: BoolArray | None,
+        under_range: BoolArray | None,
         noise: float,
         start: FloatArray | None = None,
     ) -> LiveReading:
@@ -205,8 +205,8 @@ class FitLive:
         unread = self._gone.copy()
         if limited is not None:
             unread |= limited & (signal + error < self._full)
-        if faint is not None:  # a reading near zero is one like any other
-            unread |= faint & (signal > error)
+        if under_range is not None:  # a reading near zero is one like any other
+            unread |= under_range & (signal > error)
         small = self._cells <= MOST_BESIDE
         short = signal >= SHORT_SHARE * self._short
         # No way between two lines conducts better than a short of their ends.
