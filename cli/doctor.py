@@ -125,8 +125,12 @@ def _drafted(port: str, traffic: Traffic, output: Path) -> list[Finding]:
         'design = "design.toml" (docs/design-file.md) and cell = "cell.toml" (docs/cell.md).',
     ]
     write_text(output, draft.toml(head))
+    others = [
+        Finding(State.OPTIONAL, str(output), f"another layout would be {text}: {100 * share:.0f} % of the bytes")
+        for text, share in draft.others
+    ]
     questions = [Finding(State.OPTIONAL, str(output), question) for question in draft.questions]
-    return [replace(traffic.finding, mend=view), Finding(State.OK, str(output), "written"), *questions]
+    return [replace(traffic.finding, mend=view), Finding(State.OK, str(output), "written"), *questions, *others]
 
 
 def _may_poke(port: str) -> bool:

@@ -388,13 +388,15 @@ class Connection:
         self._ask()
         self._asked_at = min(self._asked_at, time.monotonic())
         ask_at = time.monotonic() + ASK_WHO_S
+        again_s = self._family.repeat_start_s or inf
+        again_at = time.monotonic() + again_s
         behind = False
         while not (self._is_ending or self.frames.end):
             if self._is_full():
                 self.frames.wait_for_room(ASK_AGAIN_S)
                 ask_at = time.monotonic() + ASK_AGAIN_S
                 continue
-            if port.wait(0.0 if behind else ask_at - time.monotonic()):
+            if port.wait(0.0 if behind else min(ask_at, again_at) - time.monotonic()):
                 began = time.monotonic()
                 if self._read():
                     # Half of the interpreter's time is left to others, who may be setting up the circuit's inverse.
@@ -404,6 +406,9 @@ class Connection:
             if self._absence is not None and now > self._absence.proof_until_s:
                 raise LinkError(f"{port.name}: the board there does not show that it is the one from before")
             known = self.known.is_set() and self._absence is None
+            if known and now >= again_at:
+                self._start_frames()
+                again_at = now + again_s
             if self._has_frames and known:
                 ask_at, self._has_frames = now + ASK_AGAIN_S, False
             elif now >= ask_at:

@@ -8,6 +8,7 @@ import os
 import shlex
 import subprocess
 import threading
+import time
 import tomllib
 from pathlib import Path
 from types import SimpleNamespace
@@ -31,7 +32,17 @@ from ohmskin.doctor import (
 )
 from ohmskin.driver import Skin
 from ohmskin.emulator import PtyPort
-from ohmskin.wire import BOARDS, BoardFile, Family, FramePacket, Order, board_family, board_protocol, host_protocol
+from ohmskin.wire import (
+    BOARDS,
+    CHECKSUMS,
+    BoardFile,
+    Family,
+    FramePacket,
+    Order,
+    board_family,
+    board_protocol,
+    host_protocol,
+)
 
 
 @pytest.fixture
@@ -239,6 +250,65 @@ def test_a_silent_board_is_sent_words_only_where_that_is_allowed() -> None:
     assert found is not None
     assert found.guess.tables["start"] == {"poll": "T"}
     assert found.guess.tables["board"]["rows"] * found.guess.tables["board"]["columns"] == 20
+
+
+class Asked(PtyPort):
+    """A board that says so while it waits for ``s``, then sends frames until it has heard nothing for a while."""
+
+    def __init__(self, alive_s: float) -> None:
+        super().__init__()
+        self._alive_s, self._ended = alive_s, threading.Event()
+        self._thread = threading.Thread(target=self._live)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._ended.set()
+        self._thread.join()
+        super().close()
+
+    def _live(self) -> None:
+        rng, until, turns = np.random.default_rng(0), 0.0, 0
+        while not self._ended.wait(0.02):
+            if b"s" in (self.read() or b""):
+                until = time.monotonic() + self._alive_s
+            turns += 1
+            if time.monotonic() < until:
+                self.write(",".join(map(str, rng.integers(0, 900, 20))).encode() + b"\r\n")
+            elif self.host_present() and turns % 5 == 0:
+                self.write(b"waiting for s\r\n")
+
+
+def test_a_board_that_waits_with_words_is_started_and_kept_awake(tmp_path: Path) -> None:
+    with Asked(0.8) as port:
+        assert examine_traffic(port.name, listen_s=0.5, poke=lambda: False).draft is None
+        found = examine_traffic(port.name, listen_s=0.5, poke=lambda: True).draft
+        assert found is not None
+        start = found.guess.tables["start"]
+        assert start["send"] == "s"
+        assert 0.1 < start["every"] < 0.8
+        path = tmp_path / "asked.toml"
+        path.write_text(found.toml([]))
+        with Skin.open(port.name, board=str(path), timeout=20.0, delivery="every") as skin:
+            for _ in range(100):  # more than fit into the time that it stays awake
+                skin.read(20.0)
+            assert skin.stats().corrupt < 30
+
+
+def test_a_modbus_sensor_is_asked_for_its_registers() -> None:
+    request = bytes.fromhex("010400070020") + CHECKSUMS["crc16-modbus"].of(bytes.fromhex("010400070020"))
+    tables = {
+        "board": {"name": "modbus", "rows": 4, "columns": 8, "bits": 12},
+        "frame": {
+            "format": "binary",
+            "block": [{"fields": ["const 0x01 0x04 0x40", "cells uint16be 32", "crc16-modbus"]}],
+        },
+        "start": {"poll": list(request)},
+    }
+    with Played(BoardFile.parse(tables, "here").family()) as port:
+        found = examine_traffic(port.name, listen_s=0.25, poke=lambda: True).draft
+    assert found is not None
+    assert found.guess.tables["start"] == {"poll": list(request)}
+    assert found.guess.tables["board"]["rows"] * found.guess.tables["board"]["columns"] == 32
 
 
 def test_bytes_are_no_halves_of_words() -> None:
