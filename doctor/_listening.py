@@ -92,6 +92,8 @@ class Traffic:
     """description of a board of no known family"""
     baud_rate: int
     """at which it was heard"""
+    family: str = ""
+    """name of the family that the board sounds like"""
 
 
 @dataclass(frozen=True)
@@ -286,17 +288,19 @@ def _answer(
         _collect(line, listen_s / ASKED, answer, doing, tell)
     if not _without(answer, idle):
         return None
+    began_at, first = line.now(), len(answer)
     for _ in range(ASKED_AGAIN):
         line.write(requests[-1])
         asked_at = line.now()
         _collect(line, listen_s / ASKED, answer, doing, tell, pause_s=ANSWERED_S)
+    rate = len(_joined(_without(answer[first:], idle))) / (line.now() - began_at)
     answer = _without(answer, idle)
     chunks += answer
     after: list[Chunk] = []
     listening = f"{port}: listening at {setting.baud_rate} baud"
     _collect(line, listen_s, after, listening, tell)
     started = _without(after, idle)
-    if len(_joined(started)) <= len(_joined(answer)) / 2:
+    if len(_joined(started)) <= rate * listen_s / 2:
         return _judged(port, setting.baud_rate, answer, described=described, poll=requests[-1])
     _collect(line, listen_s, after, listening, tell)
     started = _without(after, idle)
@@ -320,13 +324,13 @@ def _judged(
     data = _joined(chunks)
     verdict = None if described else judge(data)
     if verdict is not None and verdict.family.tables is None:
-        return Traffic(_recognised(port, baud_rate, data, verdict), None, baud_rate)
+        return Traffic(_recognised(port, baud_rate, data, verdict), None, baud_rate, verdict.family.name)
     # The formats of files have little that tells them from others: one that accounts for more bytes is the right one.
     if verdict is not None and decoded(verdict.family, chunks)[1] > SURE:
-        return Traffic(_recognised(port, baud_rate, data, verdict), None, baud_rate)
+        return Traffic(_recognised(port, baud_rate, data, verdict), None, baud_rate, verdict.family.name)
     found = draft(chunks, baudrate=baud_rate, send=send, poll=poll, every_s=every_s)
     if verdict is not None and (found is None or found.accounted < SURE):
-        return Traffic(_recognised(port, baud_rate, data, verdict), None, baud_rate)
+        return Traffic(_recognised(port, baud_rate, data, verdict), None, baud_rate, verdict.family.name)
     return None if found is None else Traffic(_described(port, baud_rate, chunks, found), found, baud_rate)
 
 

@@ -67,8 +67,12 @@ SHOWN = 40
 TEXT_SHARE = 0.9
 
 
-def looks_of(data: bytes) -> str:
-    """What bytes look like, for a message: a line of text, or numbers."""
+def looks_of(data: bytes, sent: bytes = b"") -> str:
+    """What bytes look like, for a message: an echo, a web server's answer, a line of text, or numbers."""
+    if sent and sent in data:
+        return "which are those that were sent: an echo, such as of a loopback plug or a terminal"
+    if data.lstrip().startswith(b"HTTP/") or b"<html" in data.lower():
+        return "the answer of a web server"
     printable_bytes = sum(32 <= byte < 127 or byte in b"\r\n\t" for byte in data)
     if printable_bytes > TEXT_SHARE * len(data):
         lines = [line.strip() for line in data.decode("ascii", "replace").splitlines() if line.strip()]
@@ -115,6 +119,8 @@ class Connection:
         self.stream = FrameStream(port.name, frames.counters, simulated=getattr(port, "is_simulated", False))
         self._sample = b""
         """the last bytes before the first frame"""
+        self._sent = b""
+        """the last order: where it comes back, a message says so"""
         self.taps: list[Callable[[Arrival], None]] = []
         """called with all bytes, as they arrive: for a recorder"""
         self.on_gone: list[Callable[[], None]] = []
@@ -197,8 +203,8 @@ class Connection:
             layout = self._protocol.layout
             size = "" if self._family.has_description else f" with {layout.rows} x {layout.columns} cells"
             return ProtocolError(
-                f"{where}: {self._received} bytes came, {looks_of(self._sample)}, the last of them no packet "
-                f"({self._reason}); expected a board of family '{self._family.name}'{size}, at this baud rate; "
+                f"{where}: {self._received} bytes came, {looks_of(self._sample, self._sent)}, the last of them no "
+                f"packet ({self._reason}); expected a board of family '{self._family.name}'{size}, at this baud rate; "
                 f"`ohmskin doctor {self.port_name}` says which board it is, or drafts its description"
             )
         return LinkTimeout(f"{where}: the board is there, but sends none")
@@ -287,6 +293,7 @@ class Connection:
             data = self._protocol.request(order, period_us=period_us)
             if data:
                 self._port.write(data)
+                self._sent = data
             return bool(data)
 
     @contextlib.contextmanager

@@ -32,6 +32,7 @@ from ohmskin.doctor import (
 )
 from ohmskin.driver import Skin
 from ohmskin.emulator import PtyPort
+from ohmskin.errors import OhmskinError
 from ohmskin.wire import (
     BOARDS,
     CHECKSUMS,
@@ -294,6 +295,47 @@ def test_a_board_that_waits_with_words_is_started_and_kept_awake(tmp_path: Path)
             assert skin.stats().corrupt < 30
 
 
+def test_a_board_that_is_not_understood_is_drafted_at_once_if_the_person_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    record = ["record", "", "-o", "press.mcap", "--duration", "1"]
+    with Played(board_family(EXAMPLES[0].with_name("neuromat.toml"))) as port:
+        record[1] = port.name
+        assert run(record) == 2
+        refused = capsys.readouterr().err
+        assert f"`ohmskin doctor {port.name}`" in refused
+        assert "text such as" in refused
+        monkeypatch.setattr("ohmskin.cli._opening._may_find_out", lambda what, error: True)
+        assert run(record) == 0
+    assert "sends 8 x 13 cells" in capsys.readouterr().err
+    with Skin.open("press.mcap") as skin:
+        assert skin.read().counts.shape == (8, 13)
+
+
+@pytest.mark.parametrize(
+    ("answer", "looks"),
+    [(None, "an echo"), (b"HTTP/1.1 400 Bad Request\r\n\r\n", "a web server"), (bytes(range(1, 60)), "binary such as")],
+)
+def test_the_message_says_what_bytes_look_like(answer: bytes | None, looks: str) -> None:
+    """None: whatever is sent comes back."""
+    with PtyPort() as port:
+        stop = threading.Event()
+
+        def answers() -> None:
+            while not stop.wait(0.01):
+                heard = port.read() or b""
+                if heard:
+                    port.write(heard if answer is None else answer)
+
+        thread = threading.Thread(target=answers)
+        thread.start()
+        with pytest.raises(OhmskinError, match=looks), Skin.open(port.name, timeout=1.5):
+            pass
+        stop.set()
+        thread.join()
+
+
 def test_a_modbus_sensor_is_asked_for_its_registers() -> None:
     request = bytes.fromhex("010400070020") + CHECKSUMS["crc16-modbus"].of(bytes.fromhex("010400070020"))
     tables = {
@@ -308,7 +350,7 @@ def test_a_modbus_sensor_is_asked_for_its_registers() -> None:
         found = examine_traffic(port.name, listen_s=0.25, poke=lambda: True).draft
     assert found is not None
     assert found.guess.tables["start"] == {"poll": list(request)}
-    assert found.guess.tables["board"]["rows"] * found.guess.tables["board"]["columns"] == 32
+    assert found.guess.tables["frame"]["checksum"] == "crc16-modbus"
 
 
 def test_bytes_are_no_halves_of_words() -> None:
