@@ -5,7 +5,7 @@
 Requirements:
 
 =======================  ==============================================================================
-:mod:`._run`             one verification: requirements and claims, in processes, told as they come
+:mod:`._run`             one verification: requirements and claims, in processes, reported as they come
 :mod:`._dut`             the design under test: design, cell, board, samples and seed
 :mod:`._requirements`    requirements from files, the shipped ones, and how one is judged
 :mod:`._catalogue`       the quantities that a requirement may limit, one file each in :mod:`.quantities`
