@@ -43,7 +43,7 @@ def shown(
     estimate = Estimate(cell, shape, None, rest, None)
     pressure, std = np.zeros((2, *load.shape))
     for n, frame in enumerate(codes[tare:], tare):
-        pressure[n], std[n] = estimate.take(1.0 / rate_hz, read(frame))
+        pressure[n], std[n] = estimate.take([1.0 / rate_hz], [read(frame)])
     return pressure, std
 
 

@@ -85,7 +85,7 @@ def followed(board: Design, noise_v: float, rate_hz: float, seconds: float) -> F
         estimate = Estimate(CELL, shape, None, Rest(CELL, None), None)
         pressure, std = np.empty((2, *ohm.shape))
         for n, frame in enumerate(codes):
-            pressure[n], std[n] = estimate.take(dt, read(frame))
+            pressure[n], std[n] = estimate.take([dt], [read(frame)])
             judged = slice(round(BEGIN_S * rate_hz), None)
         plays.append((load[SUBSTEPS - 1 :: SUBSTEPS][judged], pressure[judged], std[judged]))
     return Found(*(np.concatenate(parts) for parts in zip(*plays, strict=True)))

@@ -105,15 +105,30 @@ LEAST_LOG = -300.0
 """of a density"""
 RESTING, REMAINS = 0.7, 0.1
 """probability that a cell begins at rest; and mean of what is left of earlier loads then, over r at full scale"""
-ROOT_HALF, DENSITY = math.sqrt(0.5), 1.0 / math.sqrt(2.0 * math.pi)
+DENSITY = 1.0 / math.sqrt(2.0 * math.pi)
 ENTERS, ENTERS_VAR = 0.8, 0.36
 """mean and variance of the speed of a motion that begins, over its usual speed: of a half-normal variable"""
 
 
 @loop
+def mass(z: float, bell: float) -> float:
+    """Probability that a standard normal variable exceeds -z, with ``bell`` = exp(-z^2/2).
+
+    Mills' ratio as a rational function, fitted for z from -8 to 8 with a relative error of 1.3e-9. The error function
+    takes several times as long, by exponentials of its own.
+    """
+    x = abs(z)
+    above = ((0.0034137124178799327 * x + 0.03575450193849128) * x + 0.1684901690573697) * x + 0.41788844846365136
+    below = ((0.008556492980906077 * x + 0.08963991248159844) * x + 0.43059581096618055) * x + 1.140452334970459
+    tail = bell * (above * x + 0.5000000006490767) / ((below * x + 1.6336615620685102) * x + 1.0)
+    return 1.0 - tail if z > 0.0 else tail
+
+
+@loop
 def above(z: float) -> float:
-    """Probability that a standard normal variable exceeds -z."""
-    return 0.5 * math.erfc(-max(z, -8.0) * ROOT_HALF)
+    """Probability that a standard normal variable exceeds -z; at least that of z = -8."""
+    z = max(z, -DEEP)
+    return mass(z, math.exp(-0.5 * z * z))
 
 
 @loop
@@ -277,12 +292,14 @@ def bound(c: Candidates, n: int, of_speed: bool, at: float, side: float, rare: f
     leaves an estimate alone that is beyond for sure.
     """
     mean, var = (c.v[n], c.vv[n]) if of_speed else (c.s[n], c.ss[n])
-    std = math.sqrt(max(var, 1e-18))
-    z = side * (mean - at) / std
-    if z > FAR:
+    off = side * (mean - at)
+    if off > 0.0 and off * off > FAR * FAR * var:
         return 1.0
+    std = math.sqrt(max(var, 1e-18))
+    z = off / std
+    bell = math.exp(-0.5 * z * z)
     s, r, v = (c.sv[n], c.rv[n], c.vv[n]) if of_speed else (c.ss[n], c.sr[n], c.sv[n])
-    inside = rare + (1.0 - rare) * above(z)
+    inside = rare + (1.0 - rare) * (mass(z, bell) if z > -DEEP else above(-DEEP))
     if z < -DEEP and rare == 0.0:  # the moments of so little are those of the bound itself
         gain = (at - mean) / (std * std)
         move(c, n, s, r, v, gain, 0.0)
@@ -291,7 +308,7 @@ def bound(c: Candidates, n: int, of_speed: bool, at: float, side: float, rare: f
         else:
             c.s[n], c.ss[n], c.sr[n], c.sv[n] = at, 0.0, 0.0, 0.0
         return inside
-    hazard = (1.0 - rare) * DENSITY * math.exp(-0.5 * z * z) / inside
+    hazard = (1.0 - rare) * DENSITY * bell / inside
     left = max(1.0 - hazard * (hazard + z), 0.02)
     gain, less = side * hazard / std, (1.0 - left) / (std * std)
     move(c, n, s, r, v, gain, less)
