@@ -28,7 +28,7 @@ from ._frame import Frame
 from ._options import Options, SkinSettings
 from ._orders import Answer
 from ._port import Arrival, BytePort
-from ._port_names import has_gone, is_unpaced, refuse_missing, usb_serial_number
+from ._port_names import EMULATED_HERE, has_gone, is_unpaced, refuse_missing, usb_serial_number
 from ._reconnect import PortFinder
 from ._recording import Recording
 from ._replay import RecordedSettings, ReplayPort
@@ -193,7 +193,8 @@ class Skin:
         if played is None:
             finder = _finder(name, asked, baudrate)
             began_s = monotonic()
-            if not compiled.compile_aside():
+            # A board in this process starts when it is opened, and would fall behind while its cells are plain Python.
+            if (name is not None and name.startswith(EMULATED_HERE)) or not compiled.compile_aside():
                 compiled.load()  # while no frames come
             if has_gone(finder.name):
                 raise LinkError(
