@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from ..common.arrays import FloatArray
+from ..common.compiled import Records
 from ..common.config import NotNegative, Positive, Section, load, write_toml
 from ..errors import InputError
-from .estimation import Conditions, Contact, Estimator, Inversion, Logarithm, Ratio, Scale
+from .estimation import CONTACT, LOGARITHM, RATIO, Conditions, Estimator, Inversion, Scale, scale_of
 from .inversions import (
     EquilibriumInversion,
     FollowedInversion,
@@ -126,6 +127,12 @@ class Cell(Section):
         return rest * (1.0 + r) if self.log_span is None else resistance_on_logarithm(r, rest, self.log_span)
 
     @property
+    def rest_slope_kpa(self) -> FloatArray:
+        """(m,) pressure in kPa that a relative error of R0 looks like, at pressures spaced evenly up to full scale."""
+        parallel = isinstance(self.model, ContactModel) and self.estimators is None
+        return rest_slope(self.equilibrium_ohm, self.full_scale_kpa, parallel=parallel)
+
+    @property
     def default_estimator(self) -> str:
         """The default estimator of this cell: the one that calibration chose, else the best that its model allows."""
         if self.estimators is not None:
@@ -181,26 +188,23 @@ class Cell(Section):
             raise InputError(f"the relative error of R0 is {rest_error}; expected a number from 0 to 1")
         if noise is not None and not 0 <= noise < np.inf:
             raise InputError(f"the noise of R/R0 is {noise}; expected a finite number, 0 or more")
-        conditions = self._conditions(name, noise)
-        if rest_error:
-            slope = rest_slope(self.equilibrium_ohm, self.full_scale_kpa)
-            conditions = replace(conditions, rest_error=rest_error, rest_slope_kpa=slope)
+        conditions = replace(self._conditions(name, noise), rest_error=rest_error)
         rest = resistance_of(shape, self._rest(rest_resistance_ohm)).ravel()
         if not rest.size:
             raise InputError(f"frames of shape {shape} have no cells; expected at least one")
         inversion = self._inversion(name, rest, exact=conditions.noise == 0.0)
         return Estimator(inversion, shape, rest, self._scale(rest), conditions)
 
-    def _scale(self, rest_resistance_ohm: FloatArray) -> Scale:
+    def _scale(self, rest_resistance_ohm: FloatArray) -> Records[Scale]:
         """What turns readings of n cells with these rest resistances (n,) into r."""
         if isinstance(self.model, ContactModel):
             if self.estimators is None:
                 unit = self._contact_ohm(rest_resistance_ohm)
-                return Contact(rest_resistance_ohm, unit, open_at_rest=self.open_at_rest)
-            return Ratio(rest_resistance_ohm, falls=True, open_at_rest=self.open_at_rest)
+                return scale_of(CONTACT, unit=unit, open_at_rest=self.open_at_rest)
+            return scale_of(RATIO, open_at_rest=self.open_at_rest)
         if self.log_span is not None:
-            return Logarithm(rest_resistance_ohm, self.log_span)
-        return Ratio(rest_resistance_ohm, falls=self.falls)
+            return scale_of(LOGARITHM, unit=self.log_span)
+        return scale_of(RATIO, falls=self.falls, open_at_rest=False)
 
     def _contact_ohm(self, rest_resistance_ohm: FloatArray) -> float:
         """The resistance at which the scale of contacts with these rest resistances (n,) begins."""
@@ -245,10 +249,11 @@ class Cell(Section):
 
         Only inverses get a model error: they cannot see it in their readings.
         """
-        learned = self.estimators
+        learned, slope = self.estimators, self.rest_slope_kpa
         if learned is None:
-            return Conditions(noise=noise)
+            return Conditions(slope, noise=noise)
         return Conditions(
+            slope,
             model_std_kpa=learned.std_kpa if name in ("paper", "inverse") else 0.0,
             noise=(learned.seen.noise or None) if noise is None else noise,
         )

@@ -10,7 +10,7 @@ from ._board import Board
 from ._design import Design
 from ._effects import Effect, effects
 from ._ideal import apparent_resistance, ideal_volts
-from ._operating import OperatingPoint, operating_point
+from ._operating import OperatingPoint, operating_point, operating_points
 from ._population import Boards, PopulationReading, read_together, scan_population
 from ._readout import Readout
 from ._requirement import Conditions, Requirement
@@ -18,6 +18,7 @@ from ._scan import METHODS, ScanResult, scan
 from ._sections import Adc, Array, Cells, Drive, Fault, Operation, Requirements, Sheet
 from ._sensitivity import Sensitivity, sensitivity
 from ._sequence import interpolates, scan_sequence
+from ._shape import Shape
 from ._spread import Spread
 from .ends import ColumnEnd, Event, Reference, RowEnd, Scan
 from .readouts import CIRCUITS as _CIRCUITS
@@ -91,6 +92,7 @@ __all__ = [
     "ScanResult",
     "Sensitivity",
     "Settling",
+    "Shape",
     "Sheet",
     "Spread",
     "Stability",
@@ -108,6 +110,7 @@ __all__ = [
     "live_recovery",
     "noise",
     "operating_point",
+    "operating_points",
     "read_together",
     "recover",
     "scan",

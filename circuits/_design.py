@@ -14,11 +14,14 @@ from pydantic import Field, model_validator
 
 from ..common.arrays import FloatArray
 from ..common.config import OWN_TABLES, Section, load
+from ..common.geometry import Geometry
 from ..errors import InputError
 from ._board import Board, Networks
+from ._parts_list import BoughtParts, Document
 from ._readout import PER_LINE, Readout
 from ._requirement import Requirement
 from ._sections import Adc, Array, Cells, Drive, Fault, Operation, Requirements, Sheet
+from ._shape import Shape
 from ._spread import Spread
 from .ends import ColumnEnd, Crosspoint, Reference, RowEnd, Scan
 from .readouts import CIRCUITS
@@ -41,10 +44,16 @@ class Design(Section):
     """None: the column outputs are not converted"""
     sheet: Sheet = Sheet()
     """geometry of the material, if array.sheet is "continuous"; a sliced one needs none"""
+    shape: Shape | None = None
+    """where the cells are; None: a rectangle with ``sheet.pitch``"""
     fault: Annotated[tuple[Fault, ...], Field(strict=False)] = ()
     requirements: Requirements = Requirements()
     requirement: Annotated[tuple[Requirement, ...], Field(strict=False, exclude=True), OWN_TABLES] = ()
     """for the verification only; a board does not send them, and may not"""
+    document: Annotated[Document, Field(exclude=True), OWN_TABLES] = Document()
+    """of the verification's report; a board does not send it, and may not"""
+    parts: Annotated[BoughtParts, Field(exclude=True), OWN_TABLES] = BoughtParts()
+    """part numbers and ratings, likewise"""
     cells: Cells | None = None
     """None: as in a CELL.toml, or as the shipped example cell"""
     operation: Operation = Operation()
@@ -89,6 +98,8 @@ class Design(Section):
                 by_row = sensed_rows if key.startswith("readout") else key.startswith("array.row")
                 line = "row" if by_row else "column"
                 raise ValueError(f"{key} has {len(value)} entries, expected one number or {lines} (one per {line})")
+        if self.shape is not None:
+            self.shape.refuse_beyond(self.array.shape)
         self._refuse_ties_to_nothing()
         self._refuse_keys_beside_networks()
         self._refuse_keys_without_effect()
@@ -187,6 +198,13 @@ class Design(Section):
         """Read DESIGN.toml; InputError with one located message if it is not a valid design."""
         return load(path, cls)
 
+    @cached_property
+    def geometry(self) -> Geometry:
+        """Where the cells are."""
+        if self.shape is not None:
+            return self.shape.geometry(self.array.shape)
+        return Geometry.rectangle(self.array.shape, (self.sheet.pitch, self.sheet.pitch))
+
     @property
     def spreads(self) -> dict[str, Spread]:
         """Tolerances of the parts, by section and key such as ``"readout.offset_voltage"``."""
@@ -198,6 +216,11 @@ class Design(Section):
         for name, end in self._networks():
             found |= {f"{name}.{part}": spread for part, spread in end.spreads.items()}
         return found
+
+    @property
+    def ages(self) -> bool:
+        """Whether a part has another tolerance at the end of its life."""
+        return any(any(spread.ageing) for spread in self.spreads.values())
 
     def _networks(self) -> list[tuple[str, RowEnd | ColumnEnd | Reference | Crosspoint]]:
         """The sections that describe ends of lines, with their names."""

@@ -212,7 +212,7 @@ def _chunks(count: int, size: int) -> Iterator[slice]:
         yield slice(first, min(first + size, count))
 
 
-class _Rows(NamedTuple):
+class Rows(NamedTuple):
     """The row lines of S boards, seen from the column nodes."""
 
     admittance: FloatArray
@@ -235,7 +235,7 @@ def _read(design: Design, boards: Boards, cells: FloatArray, driven: IntArray | 
     conductance = 1.0 / cells
     count = max(boards.count, len(cells))
     conductance = np.broadcast_to(conductance, (count, *cells.shape[1:]))
-    grounded, floating = _ladders(design, boards, conductance)
+    grounded, floating = row_ladders(design, boards, conductance)
     volts = np.full(conductance.shape, np.nan)
     if driven is not None:
         each = np.arange(count)
@@ -267,7 +267,7 @@ def column_ends(design: Design, boards: Boards, cells: FloatArray) -> tuple[Floa
         return None
     lead = boards.column_lead
     with np.errstate(all="ignore"):
-        grounded, floating = _ladders(design, boards, 1.0 / cells)
+        grounded, floating = row_ladders(design, boards, 1.0 / cells)
         if design.board.floating:
             steps = list(_one_driven(grounded, floating, boards.column_segment))
         else:
@@ -275,14 +275,14 @@ def column_ends(design: Design, boards: Boards, cells: FloatArray) -> tuple[Floa
         found = []
         for seen in steps:
             both = np.concatenate([seen.admittance, seen.current], axis=-1)
-            found.append(_through(seen.admittance, lead, both) if lead.any() else both)
+            found.append(through_segment(seen.admittance, lead, both) if lead.any() else both)
     columns = cells.shape[-1]
     conductance = np.stack([both[..., :columns] for both in found], axis=1)
     current = np.concatenate([both[..., columns:] for both in found], axis=-1).swapaxes(1, 2)
     return conductance, boards.voltage[..., None] * current
 
 
-def _ladders(design: Design, boards: Boards, conductance: FloatArray) -> tuple[_Rows, _Rows]:
+def row_ladders(design: Design, boards: Boards, conductance: FloatArray) -> tuple[Rows, Rows]:
     """The row lines (S, N, ...) of selected rows, and of idle ones."""
     board = design.board
     passed = 1.0 / (1.0 + boards.row_lead / board.pull)  # by the divider of lead and pull-down; 1 without
@@ -292,7 +292,7 @@ def _ladders(design: Design, boards: Boards, conductance: FloatArray) -> tuple[_
     return grounded, _row_ladders(conductance, idle_lead, boards.row_segment) if board.floating else grounded
 
 
-def _row_ladders(conductance: FloatArray, lead: FloatArray, segment: FloatArray) -> _Rows:
+def _row_ladders(conductance: FloatArray, lead: FloatArray, segment: FloatArray) -> Rows:
     """Schur complements of the row lines on the column nodes.
 
     The line is a ladder. At place j its admittance is ``y_j`` away from the driver and ``w_j`` towards the driver.
@@ -323,19 +323,19 @@ def _row_ladders(conductance: FloatArray, lead: FloatArray, segment: FloatArray)
     diagonal = np.arange(columns)
     admittance[..., diagonal, diagonal] += conductance
     driven = 1.0 / (1.0 + lead * beyond[0])
-    return _Rows(admittance, far * np.where(np.isinf(lead), 0.0, driven)[..., None])
+    return Rows(admittance, far * np.where(np.isinf(lead), 0.0, driven)[..., None])
 
 
-def _only_driven(driven: _Rows, floating: _Rows, line: IntArray) -> _Rows:
+def _only_driven(driven: Rows, floating: Rows, line: IntArray) -> Rows:
     """One row (S,) of each board at its driver, and all others idle."""
     chosen = np.arange(driven.current.shape[1]) == line[:, None]
     admittance = driven.admittance
     if floating is not driven:
         admittance = np.where(chosen[..., None, None], driven.admittance, floating.admittance)
-    return _Rows(admittance, np.where(chosen[..., None], driven.current, 0.0))
+    return Rows(admittance, np.where(chosen[..., None], driven.current, 0.0))
 
 
-def _down_the_columns(rows: _Rows, segment: FloatArray, *, together: bool = False) -> _Columns:
+def _down_the_columns(rows: Rows, segment: FloatArray, *, together: bool = False) -> _Columns:
     """Eliminate the column nodes from the first row to the last.
 
     The currents of the drivers are those of 1 V on each of them in turn, or with ``together`` on all of them at once.
@@ -349,13 +349,13 @@ def _down_the_columns(rows: _Rows, segment: FloatArray, *, together: bool = Fals
     for row in range(size):
         if row:
             known = columns + (1 if together else row)
-            both[..., :known] = _through(admittance, segment, both[..., :known])
+            both[..., :known] = through_segment(admittance, segment, both[..., :known])
         admittance += rows.admittance[:, row]
         current[..., 0 if together else row] += rows.current[:, row]
     return _Columns(admittance, current)
 
 
-def _one_driven(driven: _Rows, floating: _Rows, segment: FloatArray) -> Iterator[_Columns]:
+def _one_driven(driven: Rows, floating: Rows, segment: FloatArray) -> Iterator[_Columns]:
     """Each row driven in turn while the others float."""
     size = driven.current.shape[1]
     above = np.zeros_like(driven.admittance[:, 0])
@@ -365,16 +365,16 @@ def _one_driven(driven: _Rows, floating: _Rows, segment: FloatArray) -> Iterator
         for below in range(row + 1, size):
             both = np.concatenate([admittance, current], axis=-1)
             if segment.any():
-                both = _through(admittance, segment, both)
+                both = through_segment(admittance, segment, both)
             admittance = both[..., :-1] + floating.admittance[:, below]
             current = both[..., -1:]
         yield _Columns(admittance, current)
         above = above + floating.admittance[:, row]
         if segment.any():
-            above = _through(above, segment, above)
+            above = through_segment(above, segment, above)
 
 
-def _through(admittance: FloatArray, segment: FloatArray, values: FloatArray) -> FloatArray:
+def through_segment(admittance: FloatArray, segment: FloatArray, values: FloatArray) -> FloatArray:
     """``(1 + A R)^-1 values``: admittances or currents beyond one segment of each column."""
     passing = admittance * segment[:, None, :]
     diagonal = np.arange(admittance.shape[-1])
@@ -419,7 +419,7 @@ def _one_by_one(boards: Boards, seen: _Columns, idle: str) -> _Columns:
     from_rows, all_lines = seen.current, seen.admittance
     if lead.any():
         columns = from_rows.shape[1]
-        ended = _through(all_lines, boards.column_lead, np.concatenate([all_lines, from_rows], axis=-1))
+        ended = through_segment(all_lines, boards.column_lead, np.concatenate([all_lines, from_rows], axis=-1))
         all_lines, from_rows = ended[..., :columns], ended[..., columns:]
     return _Columns(np.einsum("...jj->...j", all_lines)[..., None], from_rows)
 

@@ -25,6 +25,10 @@ class Spread(Section):
     """largest deviation, relative to the nominal value"""
     deviation: NotNegative = 0.0
     """largest deviation in the unit of the part, in addition to ``tolerance``"""
+    end_of_life: Annotated[float, Field(ge=0)] | None = None
+    """largest relative deviation at the end of the part's life, the initial one included; None: it does not age"""
+    end_of_life_deviation: NotNegative | None = None
+    """the same in the unit of the part, the initial ``deviation`` included"""
     matching: NotNegative | None = None
     """largest deviation of lines of one package from their common value, relative to the nominal value; None: each line
     deviates on its own by the whole tolerance"""
@@ -40,7 +44,13 @@ class Spread(Section):
     """the part that this one follows: its value is multiplied by the other's over the other's nominal value, in
     addition to what its own tolerance does. A converter's gain follows inversely: its reference is the other part"""
 
-    @field_validator("tolerance", "matching")
+    @property
+    def ageing(self) -> tuple[float, float]:
+        """By how much the largest deviation grows over the part's life: relative, and in the unit of the part."""
+        relative = 0.0 if self.end_of_life is None else self.end_of_life - self.tolerance
+        return relative, 0.0 if self.end_of_life_deviation is None else self.end_of_life_deviation - self.deviation
+
+    @field_validator("tolerance", "matching", "end_of_life")
     @classmethod
     def _fraction(cls, value: float | None) -> float | None:
         if value is not None and value >= 1:
@@ -51,6 +61,9 @@ class Spread(Section):
     def _consistent(self) -> Self:
         if self.matching is not None and self.matching > self.tolerance:
             raise ValueError(f"matching {self.matching} exceeds tolerance {self.tolerance}")
+        for key, initial in (("end_of_life", "tolerance"), ("end_of_life_deviation", "deviation")):
+            if (aged := getattr(self, key)) is not None and aged < getattr(self, initial):
+                raise ValueError(f"{key} {aged} is less than the initial {initial} {getattr(self, initial)}")
         if self.package is not None and self.matching is None:
             raise ValueError("package is given without matching; expected how well the lines of one package agree")
         return self

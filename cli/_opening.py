@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
@@ -12,9 +12,9 @@ from urllib.parse import quote
 import click
 
 from ..cell import Cell
-from ..circuits import Design
+from ..circuits import Design, Shape
 from ..driver import Skin, Tare
-from ..emulator import Scene
+from ..emulator import load_scenes
 from ..wire import BOARDS
 from ._bar import progress_bar
 
@@ -27,19 +27,25 @@ class Opening:
     baud: int | None = None
     design: Design | None = None
     cell: Cell | None = None
+    shape: Shape | None = None
     calibration: Path | None = None
     tare: Tare | None = None
     estimator: str | None = None
 
-    def open(self, what: str, **more: Any) -> Skin:
-        """The skin at a port, in a recording or emulated from a scene, tared; ``more`` goes to ``Skin.open``."""
+    def open(self, what: str | Sequence[str], **more: Any) -> Skin:
+        """The skin at a port, in a recording or emulated from a scene, tared; ``more`` goes to ``Skin.open``.
+
+        Several ports, several recordings and the boards of a scene are one skin.
+        """
+        ports = [port for one in ([what] if isinstance(what, str) else what) for port in self._ports(one)]
         with progress_bar("reading") as tell:
             skin = Skin.open(
-                self._of_scene(what) if _is_scene(what) else what,
+                ports[0] if len(ports) == 1 else ports,
                 board=self.board,
                 baudrate=self.baud,
                 design=self.design,
                 cell=self.cell,
+                shape=self.shape,
                 calibration=self.calibration,
                 estimator=self.estimator,
                 progress=tell,
@@ -53,10 +59,12 @@ class Opening:
                 raise
         return skin
 
-    def _of_scene(self, path: str) -> str:
-        """The address of the board that this process emulates from a scene."""
-        Scene.load(path)  # for its own message, where the file is wrong
-        return f"ohmskin://{quote(str(Path(path).resolve()))}?clock=real&board={quote(self.board)}"
+    def _ports(self, what: str) -> list[str]:
+        """What to open: ``what``, or the addresses of the boards that this process emulates from a scene."""
+        if not _is_scene(what):
+            return [what]
+        address = f"ohmskin://{quote(str(Path(what).resolve()))}?clock=real&board={quote(self.board)}"
+        return [f"{address}&part={k}" for k, _ in enumerate(load_scenes(what), start=1)]
 
 
 def is_emulated_here(what: str) -> bool:
@@ -78,6 +86,7 @@ _OPTIONS = {
     ),
     "design": click.option("--design", type=_file, metavar="DESIGN.toml", help="Of the readout."),
     "cell": click.option("--cell", type=_file, metavar="CELL.toml", help="Of the skin."),
+    "shape": click.option("--shape", type=_file, metavar="SHAPE.csv", help="Places of the cells (docs/shape.md)."),
     "calibration": click.option(
         "--calibration",
         type=_file,
@@ -89,7 +98,12 @@ _OPTIONS = {
         "--estimator", metavar="NAME", help="static, paper, inverse, play or distilled [the cell's choice]."
     ),
 }
-_READ: dict[str, Callable[[Path], Any]] = {"design": Design.load, "cell": Cell.load, "tare": Tare.load}
+_READ: dict[str, Callable[[Path], Any]] = {
+    "design": Design.load,
+    "cell": Cell.load,
+    "shape": Shape.load,
+    "tare": Tare.load,
+}
 """how the file of an option is read; other options are passed on as they are"""
 
 

@@ -16,4 +16,4 @@ def command(port: int | None, host: str, no_browser: bool) -> int:
 
     The same skin in Python: Skin.open("ohmskin://demo").
     """
-    return show("ohmskin://demo", Opening(), port, host, open_browser=not no_browser)
+    return show(["ohmskin://demo"], Opening(), port, host, open_browser=not no_browser)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from functools import partial
 from math import inf
 from pathlib import Path
@@ -9,7 +10,22 @@ from typing import cast
 
 import click
 
-from ..emulator import ClockName, EngineName, Port, PtyPort, Rfc2217Port, Scene, TcpPort, emulate, plan, stop_on_signals
+from ..common.files import of_board
+from ..emulator import (
+    ClockName,
+    EngineName,
+    Options,
+    Port,
+    PtyPort,
+    Rfc2217Port,
+    Scene,
+    TcpPort,
+    emulate,
+    load_scenes,
+    plan,
+    running,
+    stop_on_signals,
+)
 from ..emulator.firmware import AVR8JS, check_scene
 from ..wire import board_family
 from . import arguments
@@ -53,37 +69,57 @@ def command(
     seed: int,
     only_plan: bool,
 ) -> int:
-    """Emulate the board and skin of SCENE.toml; the port to open is printed first.
+    """Emulate the board and skin of SCENE.toml; the port to open is printed first. A scene may have several boards.
 
     With --clock real the board runs whether anyone reads or not. With --clock fast it runs as fast as it is read.
     """
     if sum(place is not None for place in (link, tcp, rfc2217)) > 1:
         raise click.UsageError("--link, --tcp and --rfc2217 exclude each other")
     board_family(family)
-    scene = Scene.load(scene_file)
+    scenes = load_scenes(scene_file)
+    if len(scenes) > 1 and (tcp is not None or rfc2217 is not None or clock == "fast"):
+        raise click.UsageError(
+            "several boards have ptys, and the real clock; expected no --tcp, --rfc2217, --clock fast"
+        )
     if baud is not None:
-        scene = scene.replace(line={"baud_rate": baud})
+        scenes = tuple(scene.replace(line={"baud_rate": baud}) for scene in scenes)
     if only_plan:
-        click.echo("\n".join(plan(scene, seed=seed).lines()))
+        click.echo("\n\n".join("\n".join(plan(scene, seed=seed).lines()) for scene in scenes))
         return 0
     if engine == "firmware":
         if family != "ohmskin":
             raise click.UsageError(f"--engine firmware and --board {family} exclude each other")
-        check_scene(scene)
+        for scene in scenes:
+            check_scene(scene)
         AVR8JS.require()
+    options: Options = {
+        "clock": cast("ClockName", clock),
+        "duration_s": duration,
+        "seed": seed,
+        "family": family,
+        "engine": cast("EngineName", engine),
+    }
+    banners = []
+    with ExitStack() as boards:
+        for k, scene in enumerate(scenes[1:], start=1):
+            port = PtyPort(None if link is None else of_board(link, k))
+            own = options | {"seed": seed + k, "truth": None if truth is None else of_board(truth, k)}
+            boards.enter_context(running(scene, port, **own))
+            banners.append(banner(scene, port, family))
+        if banners:
+            link, truth = (None if name is None else of_board(name, 0) for name in (link, truth))
+        return _emulate(scenes[0], link, tcp, rfc2217, options | {"truth": truth}, banners)
+
+
+def _emulate(
+    scene: Scene, link: Path | None, tcp: str | None, rfc2217: str | None, options: Options, others: list[str]
+) -> int:
+    """Run a board until its time is over or a signal comes; returns the exit code. ``others``: banners of boards."""
     with stop_on_signals() as stop, _port(link, tcp, rfc2217) as port:
-        outcome = emulate(
-            scene,
-            port,
-            clock=cast("ClockName", clock),
-            duration_s=duration,
-            seed=seed,
-            truth=truth,
-            family=family,
-            engine=cast("EngineName", engine),
-            ready=partial(click.echo, banner(scene, port, family)),  # who reads the name of the port may open it
-            stop=stop,
-        )
+        family = str(options["family"])
+        banners = "\n".join([banner(scene, port, family), *others])
+        told = partial(click.echo, banners)  # who reads the name of the port may open it
+        outcome = emulate(scene, port, ready=told, stop=stop, **options)
         for note in outcome.notes():
             click.echo(f"ohmskin: {note}", err=True)
         return 0 if stop.signal is None else 128 + stop.signal

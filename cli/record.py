@@ -26,14 +26,16 @@ QUEUE = 4096
         "ohmskin record /dev/ttyACM0 -o press.mcap --calibration left-arm.toml",
     )
 )
-@click.argument("what", metavar="PORT|SCENE.toml")
+@click.argument("what", metavar="PORT|SCENE.toml...", nargs=-1, required=True)
 @click.option("-o", "output", required=True, type=click.Path(path_type=Path), metavar="FILE.mcap")
 @click.option("--duration", type=arguments.positive, default=inf, metavar="S", help="Stop after S seconds.")
 @opening_options()
 @click.option("--overwrite", is_flag=True, help="Replace FILE.mcap if it is there already.")
 @arguments.as_json("what was recorded")
-def command(what: str, output: Path, duration: float, opening: Opening, overwrite: bool, as_json: bool) -> None:
-    """Record the skin at PORT, or the emulated one of SCENE.toml.
+def command(
+    what: tuple[str, ...], output: Path, duration: float, opening: Opening, overwrite: bool, as_json: bool
+) -> None:
+    """Record the skin at PORT, or the emulated one of SCENE.toml. Of several boards each gets a file: FILE-1.mcap ...
 
     The file holds every byte, decoded frames for viewers, the board's description, calibration, events.
 
@@ -57,9 +59,9 @@ def _take_frames(skin: Skin, duration_s: float) -> None:
     start = time.monotonic()
     with progress_bar("recording") as tell:
         while (elapsed := time.monotonic() - start) < duration_s:
-            recorder = skin.recorder
-            if recorder is not None and recorder.error is not None:
-                raise recorder.error
+            for recorder in (board.recorder for board in skin.boards):
+                if recorder is not None and recorder.error is not None:
+                    raise recorder.error
             try:
                 skin.read(min(0.5, max(duration_s - elapsed, 0.001)))
             except LinkTimeout:

@@ -39,6 +39,6 @@ def command(recording: Path, truth: Path, pitch: float | None, full_scale: float
 def _load(recording: Path) -> emulator.Recording:
     if recording.suffix.lower() != ".mcap":
         return emulator.Recording.load(recording)
-    with played_frames(recording, "replaying") as (skin, frames):
+    with played_frames([recording], "replaying") as (skin, frames):
         arrays = stack(frames, skin.shape)
     return emulator.Recording.of(arrays | {"time": arrays["host_time"]}, recording)

@@ -49,25 +49,25 @@ def page_options(command: Callable[..., Any]) -> Callable[..., Any]:
         "ohmskin view press.mcap --host 0.0.0.0 --port 8080",
     )
 )
-@click.argument("what", metavar="PORT|SCENE.toml|FILE.mcap")
+@click.argument("what", metavar="PORT|SCENE.toml|FILE.mcap...", nargs=-1, required=True)
 @page_options
 @opening_options()
-def command(what: str, port: int | None, host: str, no_browser: bool, opening: Opening) -> int:
+def command(what: tuple[str, ...], port: int | None, host: str, no_browser: bool, opening: Opening) -> int:
     """Show a skin in the browser: the board at PORT, the emulated board of SCENE.toml, or a recording.
 
-    The page has a heat map, contacts, pressures over time, the state of the link, and a button for tare; for a
-    recording a slider. It needs no internet. Ctrl-C ends it.
+    Several of a kind are the boards of one skin. The page has a heat map, contacts, pressures over time, the state of
+    the link, and a button for tare; for a recording a slider. It needs no internet. Ctrl-C ends it.
     """
     return show(what, opening, port, host, open_browser=not no_browser)
 
 
-def show(what: str, opening: Opening, port: int | None, host: str, *, open_browser: bool) -> int:
+def show(what: Sequence[str], opening: Opening, port: int | None, host: str, *, open_browser: bool) -> int:
     """Serve the page of a skin until a signal; returns the exit code."""
     with stop_on_signals() as stop:
         # The page waits for a board that is away, however long.
         skin = opening.open(what, reconnect=math.inf)
-        title = f"{what} (emulated)" if is_emulated_here(what) else what
-        source: Source = RecordedSource(skin) if what.endswith(".mcap") else LiveSource(skin, name=title)
+        title = " + ".join(f"{one} (emulated)" if is_emulated_here(one) else one for one in what)
+        source: Source = RecordedSource(skin) if skin.recorded_s is not None else LiveSource(skin, name=title)
         ports = [USUAL_PORT, 0] if port is None else [port]
         asyncio.run(_show(source, host, ports, stop, open_browser=open_browser))
         return 0 if stop.signal is None else 128 + stop.signal

@@ -27,6 +27,12 @@ MOST_BYTES = 16 * 2**20
 _numbers = itertools.count()
 
 
+def of_board(path: str | Path, board: int) -> Path:
+    """Name of the file of one board among several, numbered from 0: of ``skin.mcap`` it is ``skin-1.mcap`` first."""
+    path = Path(path)
+    return path.with_name(f"{path.stem}-{board + 1}{path.suffix}")
+
+
 def read_bytes(path: str | Path, *, most_bytes: int = MOST_BYTES) -> bytes:
     """The content of a file, pipe or device.
 

@@ -28,7 +28,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from .arrays import BoolArray, FloatArray
+from .arrays import FloatArray
 from .compiled import Record, Records, Row, Rows, loop, values, zeros
 
 # -- the noise of all readings -----------------------------------------------------------------------------------------
@@ -198,22 +198,17 @@ class NoiseEstimate:
         silent = sizes.size - max(int(self._board["free"][0]), 1)
         return float(sizes[silent + (sizes.size - silent) // 2]) / MEDIAN_CHANGE
 
-    def update(self, readings: FloatArray, silent: int = 0, missing: BoolArray | None = None) -> float:
+    def update(self, readings: FloatArray, silent: int = 0) -> float:
         """Take a frame.
 
         Args:
             readings: (n,)
             silent: number of them that stood at a limit in the frame before, and could not change.
-            missing: (n,) which were not read; they count as unchanged. None: all were read.
 
         Returns:
             :attr:`std`.
 
         """
-        if missing is not None:
-            readings = np.where(missing, self._ring[(int(self._board["stored"][0]) - 1) % KEPT], readings)
-            self._readings["blind"][missing] = KEPT + 1.0
-            silent += int(np.count_nonzero(missing))
         self.frames += 1
         self.std, self.usual, self.largest_change = take_frame.unchecked(
             readings if readings.flags.c_contiguous else readings.copy(),
@@ -221,6 +216,26 @@ class NoiseEstimate:
             *(self._quantum, self._assumed, self._expected, silent, self.each),
         )
         return self.std
+
+    def run(self, readings: FloatArray) -> FloatArray:
+        """Take frames (frames, n), contiguous, of which NaN was not read, and counts as unchanged.
+
+        A frame of which nothing was read is left out. NaN become the readings before.
+
+        Returns:
+            (frames, n) :attr:`each` after every frame.
+
+        """
+        stds = np.empty_like(readings)
+        found = take_frames.unchecked(
+            readings,
+            *(self._ring, self._board, self._readings, self._scratch, self._few),
+            *(self._quantum, self._assumed, self._expected, self.each, stds),
+        )
+        frames = int(self._board["frames"][0])
+        if frames > self.frames:
+            self.frames, (self.std, self.usual, self.largest_change) = frames, found
+        return stds
 
     def resume(self, std: float, last: FloatArray | None) -> None:
         """Continue after the frame ``last`` (n,) with a noise measured until then."""
@@ -281,6 +296,38 @@ def _few_at_most(most: int) -> FloatArray:
     changes = np.arange(most + 1.0)
     changes[0] = 1.0
     return np.array([np.sqrt(changes / chdtri(changes, 1.0 - DOUBT)) - 1.0, chdtri(changes, 1.0 - RARE)])
+
+
+@loop
+def take_frames(
+    readings: Rows,
+    ring: Rows,
+    boards: Records[BoardNoise],
+    each: Records[ReadingNoise],
+    scratch: Rows,
+    few: Rows,
+    quantum: float,
+    assumed: float,
+    expected: float,
+    std: Row,
+    stds: Rows,
+) -> tuple[float, float, float]:
+    """Take frames (frames, n), see :meth:`NoiseEstimate.run`; the further arguments as of :func:`take_frame`."""
+    count, found = std.size, (0.0, 0.0, 0.0)
+    for frame in range(readings.shape[0]):
+        read = readings[frame]
+        silent = 0
+        for i in range(count):
+            silent += 1 if math.isnan(read[i]) else 0
+        if silent < count:
+            newest = (int(boards[0].stored) - 1) % KEPT
+            for i in range(count):
+                if math.isnan(read[i]):
+                    read[i], each[i].blind = ring[newest, i], KEPT + 1.0
+            found = take_frame(read, ring, boards, each, scratch, few, quantum, assumed, expected, silent, std)
+        for i in range(count):
+            stds[frame, i] = std[i]
+    return found
 
 
 @loop

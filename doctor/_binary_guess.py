@@ -4,57 +4,65 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import pairwise, product
+from itertools import pairwise, product, takewhile
 from typing import Any
 
 import numpy as np
-from cobs import cobs
 from numpy.typing import NDArray
 
 from ..common.arrays import FloatArray, IntArray
-from ..wire import CHECKSUMS, WORDS
+from ..wire import CHECKSUMS, FRAMINGS, WORDS, FieldText
 from ._guess import Chunk, Guess, board_guess, shapes
+from ._word_guess import CELL_WORDS, MOST_AHEAD, Bytes, Likely, block, column, likelihood, shown, words_in
 
 MOST_BYTES = 2**17
 """of the stream that are looked at"""
-LEAST_FRAME = 8
+LEAST_FRAME = 3
 FEWEST_FRAMES = 3
 USUAL = 0.8
 LONGEST_HEADER = 8
-MOST_AHEAD = 8
-"""bytes between header and words, at most"""
 PAUSE_S = 0.003
+PAUSES_APART = 2.0
+"""ratio of a pause between frames to the time between pieces of one frame"""
+DELIMITED = 0.95
+"""share of the stretches between two delimiters that decode to one length"""
 COVERED = 0.6
 """share of the stream that the returns of two bytes after one length make up, if these are a header"""
 PROOF = 20.0
 """likelihood that a right checksum adds"""
-HALF = 0.05
-"""ratio of the scatter of every other number to that of the rest, below which they are halves of longer words"""
 LEFT_OVER = 6.0
 """likelihood that a constant byte other than zero takes away where it would be a cell's"""
-ALIKE = 0.4
-"""sum of the differences of two distributions of bytes, below which they are the same up to chance"""
 MOST_TRIED = 24
-_WORDS = ("uint8", "uint16le", "uint16be", "int16le", "int16be", "uint32le", "uint32be", "float32le", "float32be")
 _PLACES = ("uint16le", "uint16be", "uint8")
 _COUNTERS = ("uint32le", "uint32be", "uint16le", "uint16be", "uint8")
-Bytes = NDArray[np.uint8]
-Likely = tuple[float, Guess]
-"""how likely a guess is, and the guess"""
 
 
 def binary_guesses(chunks: Sequence[Chunk]) -> Iterator[Guess]:
     """Guesses for a binary stream, the likeliest first."""
     data = b"".join(chunk.data for chunk in chunks)[:MOST_BYTES]
-    yield from _cobs_guesses(data)
+    clock = _Clock(chunks)
+    yield from _sorted(_delimited_guesses(data, clock))
     found: list[Likely] = []
     for length, phase in _folds(data, chunks):
-        frames = np.frombuffer(data[phase : phase + (len(data) - phase) // length * length], np.uint8)
-        if len(frames) >= FEWEST_FRAMES * length:
+        count = (len(data) - phase) // length
+        if count >= FEWEST_FRAMES:
+            frames = np.frombuffer(data[phase : phase + count * length], np.uint8).reshape(-1, length)
             yield from _sorted(_rotated_blocks(data, length, phase, chunks))
-            found += _framed_guesses(frames.reshape(-1, length))
+            found += _framed_guesses(frames, clock.at(phase + length * np.arange(count)))
     yield from _sorted(found)
-    yield from _sorted(_raw_guesses(data, chunks))
+    yield from _sorted(_raw_guesses(data, chunks, clock))
+
+
+class _Clock:
+    """When the bytes of a stream came."""
+
+    def __init__(self, chunks: Sequence[Chunk]) -> None:
+        self._ends = np.cumsum([len(chunk.data) for chunk in chunks])
+        self._times_s = np.array([chunk.time_s for chunk in chunks])
+
+    def at(self, places: IntArray) -> FloatArray:
+        """Times of the bytes at some places."""
+        return self._times_s[np.minimum(np.searchsorted(self._ends, places, side="right"), len(self._times_s) - 1)]
 
 
 def _sorted(found: Iterable[Likely]) -> Iterator[Guess]:
@@ -62,21 +70,29 @@ def _sorted(found: Iterable[Likely]) -> Iterator[Guess]:
     yield from (guess for _, guess in sorted(found, key=lambda item: -item[0])[:MOST_TRIED])
 
 
-def _cobs_guesses(data: bytes) -> Iterator[Guess]:
-    decoded = []
-    for piece in data.split(b"\0")[1:-1]:
-        try:
-            decoded.append(bytes(cobs.decode(piece)))
-        except cobs.DecodeError:
+def _delimited_guesses(data: bytes, clock: _Clock) -> Iterator[Likely]:
+    """Guesses for packets between bytes that stand nowhere else."""
+    for name, framing in FRAMINGS.items():
+        decoded, places, at, stretches = [], [], 0, data.split(bytes([framing.delimiter]))
+        for stretch in stretches:
+            at += len(stretch) + 1
+            try:
+                decoded.append(framing.decode(stretch, MOST_BYTES) if stretch else b"")
+                places.append(at)
+            except ValueError:
+                continue
+        lengths = Counter(len(one) for one in decoded[1:] if one)
+        if not lengths:
             continue
-    lengths = Counter(map(len, decoded))
-    if not decoded:
-        return
-    (length, seen), *_ = lengths.most_common(1)
-    if length < LEAST_FRAME or seen < FEWEST_FRAMES or seen < USUAL * len(data.split(b"\0")[1:-1]):
-        return
-    frames = np.array([list(frame) for frame in decoded if len(frame) == length], dtype=np.uint8)
-    yield from _sorted(_inner_guesses(frames, {"format": "binary", "framing": "cobs"}, 0))
+        (length, seen), *_ = lengths.most_common(1)
+        told = sum(bool(stretch) for stretch in stretches[1:-1])
+        varied = len({len(one) for one in stretches}) > 2  # else a header that looks like a delimiter
+        if length < LEAST_FRAME or seen < max(FEWEST_FRAMES, DELIMITED * told) or not varied:
+            continue
+        kept = [(one, place) for one, place in zip(decoded, places, strict=True) if len(one) == length]
+        frames = np.array([list(one) for one, _ in kept], dtype=np.uint8)
+        times = clock.at(np.array([place for _, place in kept]) - 1)
+        yield from _inner_guesses(frames, {"format": "binary", "framing": name}, 0, times)
 
 
 def _folds(data: bytes, chunks: Sequence[Chunk]) -> Iterator[tuple[int, int]]:
@@ -133,16 +149,17 @@ def _headers(constant: NDArray[np.bool_], common: FloatArray) -> list[int]:
 
 
 def _burst_starts(chunks: Sequence[Chunk]) -> list[int]:
-    """Places in the stream behind a pause."""
-    starts, place, before = [], 0, -np.inf
-    for chunk in chunks:
-        if chunk.time_s - before > PAUSE_S:
-            starts.append(place)
-        place, before = place + len(chunk.data), chunk.time_s
-    return starts[1:]
+    """Places in the stream behind a pause: one that is much longer than the time between two pieces of a burst."""
+    gaps = np.diff([chunk.time_s for chunk in chunks])
+    sizes = np.sort(gaps[gaps > PAUSE_S / 10])
+    ratios = sizes[1:] / sizes[:-1]
+    # The widest step between short and long times parts them, if there is one.
+    least = PAUSE_S if not ratios.size or ratios.max() < PAUSES_APART else float(sizes[int(np.argmax(ratios)) + 1])
+    ends = np.cumsum([len(chunk.data) for chunk in chunks])[:-1]
+    return [int(end) for end in ends[gaps >= max(least, PAUSE_S)]]
 
 
-def _framed_guesses(frames: Bytes) -> Iterator[Likely]:
+def _framed_guesses(frames: Bytes, times_s: FloatArray) -> Iterator[Likely]:
     """Guesses for frames (frames, bytes) that begin with their header."""
     constant = (frames == frames[0]).mean(axis=0) > USUAL
     # Where nothing varies, the header ends where the value begins that most cells have.
@@ -158,8 +175,8 @@ def _framed_guesses(frames: Bytes) -> Iterator[Likely]:
         if trailer:
             frame["trailer"] = frames[0, -trailer:].tolist()
         body = frames[:, : frames.shape[1] - trailer]
-        for likely, guess in _inner_guesses(body, frame, header):
-            passed = min(guess.tables["frame"].get("before", 0), left_over)
+        for likely, guess in _inner_guesses(body, frame, header, times_s):
+            passed = min(_ahead_of_cells(guess), left_over)
             yield likely + 0.1 * (header + trailer) - LEFT_OVER * (left_over - passed), guess
 
 
@@ -183,62 +200,72 @@ def _rotated_blocks(data: bytes, length: int, phase: int, chunks: Sequence[Chunk
 
 
 def _block_guesses(packets: Bytes) -> Iterator[Likely]:
-    """Guesses for packets that are blocks of a frame: one of their first numbers counts blocks or cells, over and over.
+    """Guesses for packets that are blocks of a frame: one of their numbers counts blocks or cells, over and over.
 
-    Ahead of that number stand constant bytes; behind the cells, at most a counter of packets and constant bytes.
+    Ahead of that number stand constant bytes; behind it the cells, then a counter of packets, a checksum and constant
+    bytes, as far as there are any. The number may stand behind the cells.
     """
     constant = (packets == packets[0]).all(axis=0)
     tail = int(np.argmin(constant[::-1])) if not constant.all() else 0
-    for at, name in product(range(min(MOST_AHEAD, packets.shape[1] - LEAST_FRAME)), _PLACES):
+    length = packets.shape[1]
+    for at, name in product(range(min(MOST_AHEAD, length - 1)), _PLACES):
         if not constant[:at].all():
             break
-        cycle = _cycle(_column(packets, at, name))
+        if at + WORDS[name].size_of(1) >= length:
+            continue
+        cycle = _cycle(column(packets, at, name))
         if cycle is None:
             continue
         blocks, first, step = cycle
-        head = [f"const {_shown(packets[0, :at])}"] if at else []
-        begin, end = at + WORDS[name].dtype.itemsize, packets.shape[1] - tail
-        behind = []
+        head = [f"const {shown(bytes(packets[0, :at]))}"] if at else []
+        begin = at + WORDS[name].size_of(1)
+        for behind, end, proof in _block_ends(packets, begin, tail):
+            for word in CELL_WORDS:
+                cells = WORDS[word].count_in(end - begin)
+                if end <= begin or not cells or step not in (1, cells) or (WORDS[word].packed and cells % 2):
+                    continue
+                place = f"index {name} {first}" if step == 1 else f"start {name}"
+                if first > (step == 1):  # places are counted from 0, blocks from 0 or 1
+                    continue
+                fields = [*head, place, f"cells {word} {cells}", *behind]
+                whole = len(packets) // blocks * blocks
+                grid = block(packets[:whole], begin, end, word).reshape(-1, blocks * cells)
+                is_row = step == 1 and cells > 1
+                sides = [(blocks, cells)] if is_row else shapes(blocks * cells)
+                if len(grid) < FEWEST_FRAMES or not sides:
+                    continue
+                frame: dict[str, Any] = {"format": "binary", "block": [{"fields": fields, "repeat": blocks}]}
+                guess = board_guess(sides[0][0], sides[0][1], frame, grid, known_shape=is_row, word=word)
+                guess.remarks["frame.block"] = "? length and order of the words of cells, by how evenly they change"
+                yield likelihood(grid, word) + proof, guess
+
+
+def _block_ends(packets: Bytes, begin: int, tail: int) -> Iterator[tuple[list[str], int, float]]:
+    """Fields that may stand behind the cells, where the cells end then, and how likely that is."""
+    length = packets.shape[1]
+    for constant in dict.fromkeys((tail, 0)):
+        ended = length - constant
+        last = [f"const {shown(bytes(packets[0, ended:]))}"] if constant else []
+        for name, kind in sorted(CHECKSUMS.items(), key=lambda item: -item[1].size):
+            rows = [bytes(row[:ended]) for row in packets[:: max(len(packets) // 16, 1)]]
+            starts = range(0, begin + 1) if kind.size > 1 else (0, *range(1, begin + 1))
+            if ended - kind.size > begin and any(
+                all(kind.of(row[start : -kind.size]) == row[-kind.size :] for row in rows) for start in starts
+            ):
+                yield [name, *last], ended - kind.size, PROOF if kind.size > 1 else PROOF / 2
+                break
         # Zeros behind a counter are its upper bytes, which have not counted yet.
-        zeros = int(np.argmax(packets[0, end:] != 0)) if packets[0, end:].any() else tail
-        ends = range(end + min(zeros, 3), end - 1, -1)
-        counted = next(((one, place) for place in ends for one in _COUNTERS if _counts_up(packets, place, one)), None)
-        if counted is not None:
-            counter, end = counted
-            behind.append(f"number {counter}")
-        if end < packets.shape[1]:
-            behind.append(f"const {_shown(packets[0, end:])}")
-        end -= 0 if counted is None else WORDS[counted[0]].dtype.itemsize
-        for word in _WORDS:
-            size = WORDS[word].dtype.itemsize
-            cells = (end - begin) // size
-            if end <= begin or (end - begin) % size or step not in (1, cells):
-                continue
-            place = f"index {name} {first}" if step == 1 and cells > 1 else f"start {name}"
-            if place.startswith("start") and first:
-                continue
-            fields = [*head, place, f"cells {word} {cells}", *behind]
-            whole = len(packets) // blocks * blocks
-            grid = _column_block(packets[:whole], begin, end, word).reshape(-1, blocks * cells)
-            sides = [(blocks, cells)] if step == 1 else shapes(blocks * cells)
-            if len(grid) < FEWEST_FRAMES or not sides:
-                continue
-            frame: dict[str, Any] = {"format": "binary", "block": [{"fields": fields, "repeat": blocks}]}
-            guess = board_guess(sides[0][0], sides[0][1], frame, grid, known_shape=step == 1)
-            guess.remarks["frame.block"] = "? length and order of the words of cells, by how evenly they change"
-            yield _likelihood(grid, word), guess
-
-
-def _column(packets: Bytes, at: int, name: str) -> FloatArray:
-    """A number of each packet."""
-    return _column_block(packets, at, at + WORDS[name].dtype.itemsize, name).ravel()
-
-
-def _column_block(packets: Bytes, begin: int, end: int, name: str) -> FloatArray:
-    """(packets, numbers) in a stretch of each packet."""
-    part = np.ascontiguousarray(packets[:, begin:end])
-    with np.errstate(invalid="ignore"):
-        return part.view(WORDS[name].dtype).astype(np.float64)
+        zeros = int(np.argmax(packets[0, ended:] != 0)) if packets[0, ended:].any() else constant
+        for end, word in product(range(ended + min(zeros, 3), ended - 1, -1), _COUNTERS):
+            size = WORDS[word].size_of(1)
+            if end - size > begin and (np.diff(column(packets, end - size, word)) == 1).mean() > USUAL:
+                yield (
+                    [f"number {word}", *([f"const {shown(bytes(packets[0, end:]))}"] if end < length else [])],
+                    end - size,
+                    1.0,
+                )
+                break
+        yield last, ended, 0.0
 
 
 def _cycle(values: FloatArray) -> tuple[int, int, int] | None:
@@ -253,21 +280,20 @@ def _cycle(values: FloatArray) -> tuple[int, int, int] | None:
     return (length, int(first), int(rise)) if length > 1 and (values == expected).mean() > USUAL else None
 
 
-def _counts_up(packets: Bytes, end: int, name: str) -> bool:
-    """Whether the number that ends at a place rises by one from packet to packet."""
-    size = WORDS[name].dtype.itemsize
-    return end > size and bool((np.diff(_column(packets, end - size, name)) == 1).mean() > USUAL)
+def _ahead_of_cells(guess: Guess) -> int:
+    """Bytes between header and cells."""
+    frame = guess.tables["frame"]
+    if "block" not in frame:
+        return int(frame.get("before", 0))
+    fields = [FieldText.parse(text) for text in frame["block"][0]["fields"]]
+    return sum(one.size for one in takewhile(lambda one: one.kind != "cells", fields) if one.kind != "const")
 
 
-def _shown(data: Bytes) -> str:
-    return " ".join(f"0x{byte:02X}" for byte in data.tolist())
-
-
-def _inner_guesses(frames: Bytes, frame: dict[str, Any], header: int) -> Iterator[Likely]:
+def _inner_guesses(frames: Bytes, frame: dict[str, Any], header: int, times_s: FloatArray) -> Iterator[Likely]:
     """Guesses for frames without their trailer: the checksum, then the words."""
     for keys, size in _checksums(frames, header):
         kept = frames[:, header : frames.shape[1] - size]
-        for likely, guess in _word_guesses(kept, frame | keys):
+        for likely, guess in words_in(kept, frame | keys, times_s, keys.get("before")):
             yield likely + (PROOF if size > 1 else PROOF / 2 if size else 0.0), guess
 
 
@@ -286,91 +312,7 @@ def _checksums(frames: Bytes, header: int) -> Iterator[tuple[dict[str, Any], int
     yield {}, 0
 
 
-def _word_guesses(body: Bytes, frame: dict[str, Any]) -> Iterator[Likely]:
-    """Guesses for the bytes between header and checksum."""
-    counting, free = _counters(body)
-    ahead = [frame["before"]] if "before" in frame else range(MOST_AHEAD + 1)
-    for before, name in product(ahead, _WORDS):
-        word = WORDS[name].dtype
-        left = body.shape[1] - before
-        for after in range(0, 5):
-            size = left - after
-            if size <= 0 or size % word.itemsize:
-                continue
-            cells = size // word.itemsize
-            sides = shapes(cells)
-            if not sides or cells < 2:
-                continue
-            part = np.ascontiguousarray(body[:, before : before + size])
-            with np.errstate(invalid="ignore"):  # bytes that are no floats
-                numbers = part.view(word).astype(np.float64)
-            likely = _likelihood(numbers, name) - 0.35 * (max(before - free, 0) + 1.5 * after) - 0.05 * before
-            likely -= 3.0 * (before < counting)
-            likely -= 3.0 * (word.itemsize > 1 and _halves_alike(part))
-            likely += 1.0 if sides[0][0] == sides[0][1] else 0.3 if sides[0][1] <= 2 * sides[0][0] else 0.0
-            likely -= 0.8 * (cells % 2 and before + after > 0)
-            keys = {"word": name} | ({"before": before} if before else {}) | ({"after": after} if after else {})
-            guess = board_guess(*sides[0], frame | keys, numbers, known_shape=False)
-            guess.remarks["frame.word"] = "? length and order of the words, by how evenly the numbers change"
-            if before:
-                guess.remarks["frame.before"] = (
-                    "bytes ahead of the cells that are not read: a counter, a length, a time"
-                )
-            yield likely, guess
-
-
-def _halves_alike(part: Bytes) -> bool:
-    """Whether bytes at even and odd places have one distribution: they are cells, no halves of words."""
-    even, odd = (np.bincount(part[:, side::2].ravel(), minlength=256) for side in (0, 1))
-    return bool(np.abs(even / even.sum() - odd / odd.sum()).sum() < ALIKE)
-
-
-def _counters(body: Bytes) -> tuple[int, int]:
-    """Bytes at the head up to the last one that counts, and those that may be a counter's or are constant."""
-    steps = np.mod(np.diff(body[:, :MOST_AHEAD].astype(np.int64), axis=0), 256)
-    usual = np.array([np.bincount(column).argmax() for column in steps.T])
-    steady = (steps == usual).mean(axis=0) > USUAL
-    counts = np.flatnonzero(steady & (usual != 0))
-    free = steady.size if steady.all() else int(np.argmin(steady))
-    # A counter of several bytes: those above the lowest are constant for a while.
-    word = 4 * -(-(int(counts[0]) + 1) // 4) if counts.size else 0
-    return int(counts[-1]) + 1 if counts.size else 0, max(free, min(word, MOST_AHEAD))
-
-
-def _likelihood(numbers: FloatArray, name: str) -> float:
-    """How much the numbers look like readings of cells: small steps from frame to frame, and few odd values.
-
-    A wrong length or order of the words makes the noise of the lowest byte a change of the highest one.
-    """
-    known = np.isfinite(numbers)
-    if name.startswith("float"):
-        with np.errstate(over="ignore", invalid="ignore"):
-            size = np.abs(numbers)
-            plain = ~known | (size == 0) | ((size > 1e-6) & (size < 1e7))
-        if plain.mean() < 0.99 or known.mean() < 0.5:
-            return -10.0
-    filled = np.where(known, numbers, 0.0)
-    span = float(filled.max() - filled.min())
-    if span == 0.0 or not np.diff(filled, axis=0).any():  # nothing changes, and so nothing tells words apart
-        return -1.0 - 0.1 * WORDS[name].dtype.itemsize
-    steps = np.abs(np.diff(filled, axis=0)).mean() / span
-    across = np.abs(np.diff(filled, axis=1)).mean() / span if filled.shape[1] > 1 else steps
-    # Every other number constant beside its neighbours: the high half of a longer word.
-    halves = sorted(float(filled[:, side::2].std()) for side in (0, 1)) if filled.shape[1] > 1 else [1.0, 1.0]
-    likely = -2.5 * (halves[0] < HALF * halves[1])
-    likely += -2.0 * float(np.log10(max(steps, 1e-4))) - 1.0 * float(np.log10(max(across, 1e-4)))
-    if name.startswith("uint"):
-        bits = 8 * WORDS[name].dtype.itemsize
-        signed = np.where(filled < 2.0 ** (bits - 1), filled, filled - 2.0**bits)
-        likely -= 4.0 * (float(signed.max() - signed.min()) < 0.5 * span)
-    if name.startswith("float"):
-        likely += 2.0
-    elif name.startswith("int"):
-        likely -= 1.0 if float(filled.min()) >= 0 else 0.2
-    return likely
-
-
-def _raw_guesses(data: bytes, chunks: Sequence[Chunk]) -> Iterator[Likely]:
+def _raw_guesses(data: bytes, chunks: Sequence[Chunk], clock: _Clock) -> Iterator[Likely]:
     """Guesses for frames without a header, between pauses."""
     starts = _burst_starts(chunks)
     lengths = Counter(np.diff(starts).tolist())
@@ -383,6 +325,6 @@ def _raw_guesses(data: bytes, chunks: Sequence[Chunk]) -> Iterator[Likely]:
     if len(places) < FEWEST_FRAMES:
         return
     frames = np.array([list(data[at : at + length]) for at in places], dtype=np.uint8)
-    for likely, guess in _word_guesses(frames, {"format": "binary"}):
+    for likely, guess in words_in(frames, {"format": "binary"}, clock.at(np.array(places)), None):
         guess.remarks["frame.format"] = "? nothing but the pauses between them shows where frames begin"
         yield likely, guess

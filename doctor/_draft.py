@@ -10,7 +10,8 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import Any
 
 from ..errors import InputError
@@ -24,6 +25,13 @@ LEAST_ACCOUNTED = 0.5
 """share of the bytes in frames from which on a guess is taken: boot messages come ahead"""
 GOOD_ACCOUNTED = 0.97
 """share from which on no further guess is tried"""
+AS_GOOD = 0.02
+"""share more that a later guess must explain to be taken"""
+DOUBTFUL = 0.9
+"""share below which the draft asks what the other bytes are"""
+OTHERS_TRIED, MOST_OTHERS = 4, 3
+"""guesses that are tried besides one that explains enough, and that are shown"""
+FEWEST_RUNS, MOST_COPIES = 4, 16
 CLEAR_ACCOUNTED, MANY_FRAMES = 0.995, 10
 MOST_GUESSES = 200
 
@@ -38,10 +46,13 @@ class Draft:
     """share of the bytes after the first frame that belong to frames"""
     rate_hz: float
     """frames in a second; NaN: not known"""
+    others: tuple[tuple[str, float], ...] = ()
+    """other layouts, and the share of the bytes that each accounts for"""
 
     def toml(self, head: Sequence[str]) -> str:
         """The text of a BOARD.toml, with ``head`` as comments at its top."""
         lines = [f"# {line}".rstrip() for line in head]
+        lines += [f"# Other layouts: {text} explain {100 * share:.0f} % of the bytes." for text, share in self.others]
         for table, values in self.guess.tables.items():
             lines += ["", f"[{table}]"]
             for key, value in values.items():
@@ -58,9 +69,11 @@ class Draft:
     def summary(self) -> str:
         """The format in one line."""
         board, frame = self.guess.tables["board"], self.guess.tables["frame"]
-        kind = {"text": "lines of text", "json": "JSON documents"}.get(
-            frame["format"], "blocks of fields" if "block" in frame else f"words {frame.get('word')}"
-        )
+        kind = {"text": "lines of text", "json": "JSON documents"}.get(frame["format"], "")
+        if frame["format"] == "binary":
+            words = [word for block in frame.get("block", []) for word in _words_of(block["fields"])]
+            kind = f"words {frame.get('word') or ' '.join(dict.fromkeys(words))}"
+        kind += f", {frame['layout']}" if "layout" in frame else " in blocks of fields" if "block" in frame else ""
         rate = f", {self.rate_hz:.3g} frames/s" if math.isfinite(self.rate_hz) else ""
         return f"{board['rows']} x {board['columns']} cells in {kind}{rate}"
 
@@ -85,14 +98,35 @@ def draft(chunks: Sequence[Chunk], *, baudrate: int, send: bytes = b"", poll: by
     if not any(chunk.data for chunk in chunks):
         return None
     guesses = text_guesses(chunks) if is_text(chunks) else binary_guesses(chunks)
+    tried: list[Draft] = []
     best: Draft | None = None
+    enough = MOST_GUESSES
     for number, guess in enumerate(guesses):
-        tried = _tried(_with_port(guess, baudrate, send, poll), chunks)
-        if tried is not None and (best is None or tried.accounted > best.accounted + 0.02):
-            best = tried
-        if number >= MOST_GUESSES or (best is not None and best.accounted >= GOOD_ACCOUNTED):
+        found = _tried(_with_port(guess, baudrate, send, poll), chunks)
+        if found is not None:
+            tried.append(found)
+            if best is None or found.accounted > best.accounted + AS_GOOD:
+                best = found
+        if best is not None and best.accounted >= GOOD_ACCOUNTED:
+            enough = min(enough, number + OTHERS_TRIED)
+        if number >= enough:
             break
-    return best
+    return None if best is None else _with_doubts(best, tried)
+
+
+def _with_doubts(best: Draft, tried: Sequence[Draft]) -> Draft:
+    """A draft with the other layouts that were tried, and a question where it leaves bytes unexplained."""
+    shown: dict[str, float] = {}
+    for one in sorted(tried, key=lambda other: -other.accounted):
+        if one.summary != best.summary:
+            shown.setdefault(one.summary, one.accounted)
+    others = tuple(shown.items())[:MOST_OTHERS]
+    guess = best.guess
+    if best.accounted < DOUBTFUL:
+        left = f"{100 * (1 - best.accounted):.0f} % of the bytes are in no frame"
+        share = f"? {left}: other lines or packets, or another format"
+        guess = Guess(guess.tables, {"frame.format": share} | guess.remarks)
+    return replace(best, guess=guess, others=others)
 
 
 def _with_port(guess: Guess, baudrate: int, send: bytes, poll: bytes) -> Guess:
@@ -113,30 +147,46 @@ def _tried(guess: Guess, chunks: Sequence[Chunk]) -> Draft | None:
         family = BoardFile.parse(guess.tables, "draft").family()
     except InputError:
         return None
-    times, accounted = decoded(family, chunks)
-    if len(times) < FEWEST_FRAMES or accounted < LEAST_ACCOUNTED:
+    frames, accounted = decoded(family, chunks)
+    copies = _copies([frame.payload for _, frame in frames])
+    if copies > 1 and "copies" not in guess.tables["frame"]:
+        tables = guess.tables | {"frame": guess.tables["frame"] | {"copies": copies}}
+        remark = {"frame.copies": "? frames come so many times, one like the other"}
+        return _tried(Guess(tables, guess.remarks | remark), chunks)
+    if len(frames) < FEWEST_FRAMES or accounted < LEAST_ACCOUNTED:
         return None
-    elapsed_s = times[-1] - times[0]
-    return Draft(guess, len(times), accounted, (len(times) - 1) / elapsed_s if elapsed_s > 0 else math.nan)
+    elapsed_s = frames[-1][0] - frames[0][0]
+    return Draft(guess, len(frames), accounted, (len(frames) - 1) / elapsed_s if elapsed_s > 0 else math.nan)
 
 
-def decoded(family: Family, chunks: Sequence[Chunk]) -> tuple[list[float], float]:
-    """Times of the frames that a family's decoder finds, and the share of the bytes after the first one in frames."""
+def _copies(frames: Sequence[bytes]) -> int:
+    """How many times each frame comes: the length of all runs of equal ones but the first and the last."""
+    runs = [len(list(run)) for _, run in groupby(frames)][1:-1]
+    return runs[0] if len(runs) >= FEWEST_RUNS and len(set(runs)) == 1 and runs[0] <= MOST_COPIES else 1
+
+
+def decoded(family: Family, chunks: Sequence[Chunk]) -> tuple[list[tuple[float, FramePacket]], float]:
+    """Frames of a family with their times, and the share of the bytes after the first one that they make up."""
     received = sum(len(chunk.data) for chunk in chunks)
     host = family.host(family, family.layout)
-    times: list[float] = []
+    times: list[tuple[float, FramePacket]] = []
     before = corrupt = passed = 0
     for chunk in chunks:
         passed += len(chunk.data)
         for event in host.feed(chunk.data, chunk.time_s):
             if isinstance(event, FramePacket):
-                times.append(chunk.time_s)
+                times.append((chunk.time_s, event))
                 # What comes ahead of the first frame is the rest of another one, or a boot message.
                 before = before if len(times) > 1 else passed
             elif isinstance(event, Corrupt) and times:
                 corrupt += event.size
     left = received - before
     return times, 1.0 - min(corrupt / left, 1.0) if left else 0.0
+
+
+def _words_of(fields: Sequence[str]) -> list[str]:
+    """Kinds of the cells among the fields of a block."""
+    return [text.split()[1] for text in fields if text.startswith("cells")]
 
 
 def _toml(key: str, value: Any) -> str:

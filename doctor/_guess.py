@@ -9,10 +9,15 @@ from typing import Any
 import numpy as np
 
 from ..common.arrays import FloatArray
+from ..wire import WORDS
 
 USUAL_BITS = 12
 """of a converter whose largest count has not been seen: too many bits cost nothing while no circuit is known"""
 SIDES = "? bytes do not tell from which corner cells are counted: press one; flip_rows, flip_columns, order"
+FEWEST_STEPS = 5
+"""of a number that rises"""
+CLOCKS_DIFFER = 0.2
+"""share by which a board's time may differ from the host's, which arrival blurs"""
 MOST_APART = 4.0
 """ratio of the sides of an array that is guessed from its number of cells"""
 
@@ -34,7 +39,9 @@ class Guess:
     """by dotted key"""
 
 
-def board_guess(rows: int, columns: int, frame: dict[str, Any], numbers: FloatArray, *, known_shape: bool) -> Guess:
+def board_guess(
+    rows: int, columns: int, frame: dict[str, Any], numbers: FloatArray, *, known_shape: bool, word: str | None = None
+) -> Guess:
     """A guess for an array whose frames have ``numbers``; ``frame`` is the table ``[frame]`` without the range.
 
     Args:
@@ -43,9 +50,10 @@ def board_guess(rows: int, columns: int, frame: dict[str, Any], numbers: FloatAr
         frame: keys of ``[frame]``.
         numbers: of all frames, NaN where one is missing.
         known_shape: whether the stream shows the sides of the array.
+        word: of the cells, where ``frame`` has blocks.
 
     """
-    bits, span, remark = _range(numbers, frame.get("word"))
+    bits, span, remark = _range(numbers, word or frame.get("word"))
     board = {"name": "board", "rows": rows, "columns": columns, "bits": bits}
     remarks = {"board.name": "any name", "board.bits": remark, "board.columns": SIDES}
     if not known_shape:
@@ -55,6 +63,29 @@ def board_guess(rows: int, columns: int, frame: dict[str, Any], numbers: FloatAr
         frame = frame | {"range": list(span)}
         remarks["frame.range"] = "? the smallest and the largest number that the board can send"
     return Guess({"board": board, "frame": frame}, remarks)
+
+
+def counting_role(values: FloatArray, times_s: FloatArray) -> str | None:
+    """What a number is that only rises: the board's time in some unit, the number of the frame, or not known; None: it
+    does not rise.
+
+    Args:
+        values: one after the other.
+        times_s: when they came.
+
+    """
+    steps = np.diff(values)
+    risen = steps[steps != 0]
+    if len(risen) < FEWEST_STEPS or not (risen > 0).all() or len(risen) < 0.1 * len(steps):
+        return None
+    elapsed_s = float(times_s[-1] - times_s[0])
+    whole = bool((values == np.rint(values)).all())
+    if whole and (risen == 1).mean() > 0.8:
+        return "number"
+    for name, unit_s in (("time_us", 1e-6), ("time_ms", 1e-3), ("time_s", 1.0)):
+        if elapsed_s > 0 and abs((values[-1] - values[0]) * unit_s / elapsed_s - 1.0) < CLOCKS_DIFFER:
+            return name
+    return "skip" if len(risen) > 0.8 * len(steps) else None
 
 
 def shapes(cells: int) -> list[tuple[int, int]]:
@@ -70,8 +101,8 @@ def _range(numbers: FloatArray, word: str | None) -> tuple[int, tuple[float, flo
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
     whole = bool((known == np.rint(known)).all())
     if whole and low >= 0 and high < 2**16:
-        if word == "uint8":
-            return 8, None, ""
+        if word in ("uint8", "uint12le", "uint12be"):
+            return WORDS[word].bits, None, ""
         least = max(math.ceil(math.log2(high + 1)), 1) if high > 0 else 1
         bits = USUAL_BITS if least <= USUAL_BITS else 16
         return bits, None, f"? of the converter; the largest number so far is {high:g}"

@@ -14,14 +14,14 @@ from ._contacts import Contact, ContactTracker
 from ._discover import FoundBoard, discover
 from ._frame import Frame
 from ._frames import Delivery
-from ._messages import MESSAGE_SCHEMAS, messages_of
+from ._messages import MESSAGE_SCHEMAS, messages_of, points_of
+from ._open import JoinedSkin, Skin
 from ._options import SkinSettings
 from ._port import BAUDRATE, Arrival, BytePort, SerialPort, SocketPort, open_port
 from ._reading import CountReader
 from ._recorder import Recorder
 from ._recording import Recording
 from ._replay import ReplayPort
-from ._skin import Skin
 from ._statistics import LinkStatistics
 from ._tare import Tare
 
@@ -39,6 +39,7 @@ __all__ = [
     "Delivery",
     "FoundBoard",
     "Frame",
+    "JoinedSkin",
     "LinkStatistics",
     "Measurement",
     "Recorder",
@@ -52,6 +53,7 @@ __all__ = [
     "discover",
     "messages_of",
     "open_port",
+    "points_of",
     "stack",
     "to_xarray",
 ]

@@ -75,6 +75,7 @@ class Advice:
         if self._cell is not None and self._cell.open_at_rest:  # a cell without current bears no load: no fault
             told[Reason.VALID] += told[Reason.NO_CURRENT]
             told[Reason.NO_CURRENT] = 0
+        told[Reason.NO_CELL] = 0
         self._reasons += told
         uncertain = measured.reason == int(Reason.UNCERTAIN)
         self._surest = min(self._surest, float(measured.uncertainty.min(initial=np.inf, where=uncertain)))

@@ -11,9 +11,10 @@ from .. import __version__
 from ..common.arrays import AnyArray
 from ..common.config import fingerprint
 from ..common.extras import install_command
+from ..common.geometry import Geometry
 from ..errors import InputError, MissingExtra
 from ._frame import Frame
-from ._skin import Skin
+from ._skin import BoardSkin
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -71,13 +72,14 @@ def stack(frames: Iterable[Frame], shape: tuple[int, int] | None = None) -> dict
     }
 
 
-def to_xarray(frames: Iterable[Frame], skin: Skin | None = None) -> Dataset:
+def to_xarray(frames: Iterable[Frame], skin: BoardSkin | None = None) -> Dataset:
     """The frames as a dataset with the dimensions ``time``, ``row`` and ``column``, ready for ``to_netcdf``.
 
     Args:
         frames: any number, of one skin.
-        skin: source of the frames. Adds the positions of the cells in mm (``x_mm`` along ``column``, ``y_mm`` along
-            ``row``), and as attributes the board's family and serial number and hashes of design and cell.
+        skin: source of the frames. Adds the places of the cells in mm (of a rectangle ``x_mm`` along ``column``,
+            ``y_mm`` along ``row``; else these, maybe ``z_mm``, and ``area_mm2`` along both), and as attributes the
+            board's family and serial number and hashes of design and cell.
 
     Raises:
         InputError: there are no frames and no skin, or frames differ in shape.
@@ -98,10 +100,7 @@ def to_xarray(frames: Iterable[Frame], skin: Skin | None = None) -> Dataset:
     }
     attributes = {"source": f"ohmskin {__version__}"}
     if skin is not None:
-        x_m, y_m = skin.pitch_xy_m
-        for axis, dimension, count, pitch_m in (("x_mm", "column", columns, x_m), ("y_mm", "row", rows, y_m)):
-            place = {"units": "mm", "long_name": "middle of the cell, from the middle of cell (0, 0)"}
-            coordinates[axis] = (dimension, 1e3 * pitch_m * np.arange(count), place)
+        coordinates |= _places(skin.geometry)
         attributes |= _origin(skin)
     variables = {}
     for name, array in arrays.items():
@@ -111,13 +110,25 @@ def to_xarray(frames: Iterable[Frame], skin: Skin | None = None) -> Dataset:
     return Dataset(variables, coords=coordinates, attrs=attributes)
 
 
-def _origin(skin: Skin) -> dict[str, str]:
+def _places(geometry: Geometry) -> dict[str, Any]:
+    """Coordinates of the cells."""
+    meaning = {"units": "mm", "long_name": "middle of the cell"}
+    if geometry.pitch_m is not None:
+        x_mm, y_mm = geometry.places_mm[0, :, 0], geometry.places_mm[:, 0, 1]
+        return {"x_mm": ("column", x_mm, meaning), "y_mm": ("row", y_mm, meaning)}
+    both = ("row", "column")
+    found = {axis: (both, geometry.places_mm[..., k], meaning) for k, axis in enumerate(geometry.axes)}
+    area = {"units": "mm2", "long_name": "area of the cell; 0 where there is none"}
+    return found | {"area_mm2": (both, geometry.areas_mm2, area)}
+
+
+def _origin(skin: BoardSkin) -> dict[str, str]:
     known = {
         "board": skin.family.name,
         "serial_number": skin.serial_number,
         "firmware": "" if skin.identity is None else skin.identity.firmware,
-        "design_sha256": fingerprint(skin.design) if skin.knows_circuit else "",
-        "cell_sha256": "" if skin.cell is None else fingerprint(skin.cell),
+        "design_sha256": " ".join(fingerprint(board.design) for board in skin.boards if board.knows_circuit),
+        "cell_sha256": " ".join(fingerprint(board.cell) for board in skin.boards if board.cell is not None),
         "port": skin.port_name,
     }
     return {name: value for name, value in known.items() if value}

@@ -36,9 +36,6 @@ ALIKE_IN_STEPS = 2.0
 SPEAKS = 3
 """1/SPEAKS of a column's cells lie below the cell that represents the column"""
 
-EVENLY = 1.0 / math.sqrt(3.0)
-"""standard deviation over the largest error, of an error that is uniform between none and all of it"""
-
 
 class ColumnSteps:
     """Removes the scale errors of columns by ADC steps from the resistances of one skin."""
@@ -58,18 +55,17 @@ class ColumnSteps:
         self._roundings = np.where(alike & rest_known, ROUNDINGS, 0.0)
         self._idle = 0 if self._roundings.any() else NEVER  # frames until the steps are looked at
 
-    def without(self, measured: Measurement) -> tuple[FloatArray, FloatArray | None]:
-        """Conductances for estimation, and the part of a load on whole columns that the correction may have removed.
+    def without(self, measured: Measurement) -> FloatArray:
+        """Conductances for estimation.
 
         Returns:
-            (rows, columns) S, NaN where unknown; (columns,) relative standard deviation of these by the correction,
-            None if nothing was corrected.
+            (rows, columns) S, NaN where unknown.
 
         """
         conductance = measured.conductance
         if self._idle:
             self._idle -= 1
-            return conductance, None
+            return conductance
         rows = len(conductance)
         with np.errstate(invalid="ignore"):
             shared = np.abs(measured.column_half_step / conductance)
@@ -77,11 +73,11 @@ class ColumnSteps:
         shared = np.nan_to_num(np.fmin.reduce(shared, axis=0)) * (rows - 1) / math.sqrt(rows) / ALIKE_IN_STEPS
         if shared.max() < LEAST:
             self._idle = FINE_FOR
-            return conductance, None
+            return conductance
         limits = np.exp(self._roundings * shared)
         scaled, scale = 1.0 / conductance, np.ones(limits.size)
         scale_each(scaled, self._per_ohm, self._side, limits, scale)
-        return 1.0 / scaled, np.abs(np.log(scale)) * EVENLY
+        return 1.0 / scaled
 
 
 @loop

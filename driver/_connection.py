@@ -209,9 +209,9 @@ class Connection:
         Errors of the port are left to the thread, and so are bytes of a flood. Before a time-out is reported, whoever
         waits is ``patient``: a thread that reads may be kept from it by other programs.
         """
-        began_s = self.now()
+        began_s = self._clock()
         self._read_for_consumer(JOIN_S if patient else POLL_S)
-        if self.now() - began_s > READ_AGAIN_S:
+        if self._clock() - began_s > READ_AGAIN_S:
             self._read_for_consumer(POLL_S)
 
     def _read_for_consumer(self, limit_s: float) -> None:
@@ -444,7 +444,7 @@ class Connection:
             raise
 
     def _drain(self) -> bool:
-        done, until_s = 0, time.thread_time() + LONGEST_TURN_S
+        done, until_s = 0, 0.0
         with self._reading:
             while True:
                 if self._port is None or self._is_ending or self._is_full():
@@ -465,12 +465,13 @@ class Connection:
                 self.stream.arrive(arrival, frames)
                 for event in events:
                     self._handle(event, arrival)
-                done += len(events)
-                if done >= MOST_EVENTS or time.thread_time() > until_s:
-                    return not self.frames.lossless
                 # Another frame may have come while several were decoded; it would be the newest one.
                 if not arrival.more and frames <= 1:
                     break
+                done, now_s = done + len(events), time.thread_time()
+                until_s = until_s or now_s + LONGEST_TURN_S
+                if done >= MOST_EVENTS or now_s > until_s:
+                    return not self.frames.lossless
         return False
 
     def _handle(self, event: Event, arrival: Arrival) -> None:

@@ -12,6 +12,7 @@ import weakref
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Protocol
 
 from ..common.checks import function
 from ..errors import LinkEnded, LinkError, LinkTimeout, ProtocolError
@@ -96,6 +97,18 @@ class Consumer:
             frame = self._claim(raw)
             if frame is not None:
                 return frame
+
+    def next_frames(self, most: int, timeout_s: float) -> list[Frame]:
+        """The next frame, and those after it that are there already, at most ``most``; raises as :meth:`next_frame`."""
+        frames, place, taken = self._frames, self._place, [self.next_frame(timeout_s, while_away=True)]
+        frames.catch_up(place.index + most - 1)
+        while len(taken) < most and not (frames.fault.number > self._faults and place.index >= frames.fault.after):
+            raw = frames.following(place.index)
+            frame = None if raw is None or raw.converted is None else self._claim(raw)
+            if frame is None:  # the next call waits for it, or says why there is none
+                break
+            taken.append(frame)
+        return taken
 
     def latest(self, max_age_s: float, timeout_s: float) -> Frame:
         """The newest frame, delivered before or not, if it is at most ``max_age_s`` old; waits for one if needed.
@@ -266,29 +279,41 @@ class AsyncFrames:
                 timer.cancel()
 
 
+class Place(Protocol):
+    """A reader's place among the frames of one board (:class:`Consumer`), or of several."""
+
+    def next_frame(self, timeout_s: float) -> Frame:
+        """Wait for the next frame; errors as :meth:`Consumer.next_frame`."""
+
+    def leave(self) -> None:
+        """Take no more frames."""
+
+
 class FrameCallback:
     """Calls a function with each new frame, in a thread of its own, until :meth:`close`."""
 
     def __init__(
         self,
-        connection: Connection,
+        place: Place,
+        name: str,
         callback: Callable[[Frame], None],
         on_end: Callable[[Exception], None] | None = None,
         *,
         keep: object = None,
     ) -> None:
-        """``keep``: as for :class:`AsyncFrames`, until the calls end. InputError if a callback is no function.
+        """Begin at ``place`` in the frames of the skin ``name``. InputError if a callback is no function.
 
+        ``keep``: as for :class:`AsyncFrames`, until the calls end.
         ``on_end`` is called with the reason when no frame will come any more, or with the error of the callback.
         """
         function("callback", callback)
         if on_end is not None:
             function("on_end", on_end)
         self._keep = keep
-        self._consumer = Consumer(connection)
+        self._consumer = place
         self._callback, self._on_end = callback, on_end
         self._closed = False
-        self._thread = _CallbackThread(target=self._run, name=f"ohmskin callback {connection.port_name}", daemon=True)
+        self._thread = _CallbackThread(target=self._run, name=f"ohmskin callback {name}", daemon=True)
         self._thread.start()
 
     @property
@@ -383,6 +408,7 @@ class _Totals:
 
 def _frame(raw: RawFrame, measurement: Converted, before: _Totals, connection: Connection) -> Frame:
     """The frame for a reader whose totals up to now are ``before``."""
+    converter = connection.frames.converter
     return Frame(  # by position: so many keywords take 3 us
         raw.sequence,
         raw.device_time,
@@ -400,8 +426,9 @@ def _frame(raw: RawFrame, measurement: Converted, before: _Totals, connection: C
         measurement.reason,
         measurement.resistance,
         measurement.pressure,
-        measurement.rest_counts,
         measurement.pressure_std,
-        partial(connection.frames.converter.contacts.of, measurement.view),
+        measurement.rest_counts,
+        converter.geometry,
+        partial(converter.contacts.of, measurement.view),
         connection.now,
     )

@@ -18,16 +18,17 @@ import copy
 import math
 import threading
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
+from ..common.geometry import Geometry
 from ._bridging import bridge
-from ._lazy import Lazy
-from ._pitch import Pitch
+from ._proximity import Proximity
 from ._tare import KNOWN_DRIFT
 from ._tracks import Named, Patch, Tracks
-from ._watershed import NEIGHBOURS, part
+from ._watershed import part
 
 START_STDS, JOIN_STDS, STAY_STDS = 5.0, 2.5, 0.5
 """pressure of a cell, in its standard deviations, that begins a contact, joins one, stays in one"""
@@ -36,18 +37,14 @@ START_SHARE, JOIN_SHARE, STAY_SHARE = 0.03, 0.0192, 0.015
 cell model"""
 RIM_SHARE = 0.005
 """fraction of full scale, down to which the force of cells around a contact counts as its own"""
-TOGETHER_STDS = 2.0
-"""a contact also begins where the mean of neighbouring cells, weighted like a fingertip, exceeds this many times the
-mean of their standard deviations. Neighbours share their history, so their errors are taken for common ones. The mean
-without the cell's row, and without its column, must exceed it, too: faults of wires and converters move one line"""
-FINGERTIP = np.array([[0.25, 0.5, 0.25], [0.5, 1.0, 0.5], [0.25, 0.5, 0.25]])
-"""weights of a cell and its neighbours"""
+NEWTON = 1e-3
+"""of one kPa on one mm^2"""
 MISSING_S = 0.2
 """a cell without a reading for longer is missing; until then its last pressure counts"""
 DRIFT_PER_S = 0.003
 """relative change of a rest resistance per second: warming up takes minutes. A finger presses much faster"""
 WAKE_SHARE, WAKE_S = 0.15, 1.0
-"""fraction of the largest pressure in the 3 x 3 cells around a cell, forgotten with this time constant: what a finger
+"""fraction of the largest pressure in a cell and those near it, forgotten with this time constant: what a finger
 leaves in the estimates behind it and beside it is less, and is no contact"""
 SPARK_S, STANDS_OUT = 0.1, 8.0
 """a new patch within one row or column may be a disturbance of the converter: it is a contact in its second frame. One
@@ -61,16 +58,16 @@ LONGEST_IN_LINE = 3
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """One connected patch of touched cells. Positions count from the middle of cell (0, 0)."""
+    """One connected patch of touched cells. Places are those of :attr:`.Skin.geometry`."""
 
     id: int
     """number of the contact, kept while it lasts and moves; from 1"""
     x_mm: float
-    """centre of pressure along the rows: column number times pitch"""
+    """centre of force; on a rectangle along the rows, from the middle of cell (0, 0)"""
     y_mm: float
-    """centre of pressure along the columns: row number times pitch"""
+    """likewise along the columns"""
     area_mm2: float
-    """of the touched cells, each one pitch by one pitch"""
+    """of the touched cells"""
     force_n: float
     """sum of pressure times cell area, with the rim: loaded cells around the touched ones, down to :data:`RIM_SHARE` of
     full scale. Cells that are not read count with the part :attr:`interpolated_n`"""
@@ -86,6 +83,20 @@ class Contact:
     force_std_n: float = math.nan
     """standard deviation of :attr:`force_n`: that of the pressures times cell area, added up as if neighbours erred
     alike, since they share their history; NaN where the estimator states none"""
+    z_mm: float | None = None
+    """as x_mm and y_mm, of a skin in space; None: it is flat"""
+
+
+class Touch(NamedTuple):
+    """By what contacts are told from an untouched skin."""
+
+    full_scale_kpa: float = math.inf
+    """of the cells"""
+    drift_kpa: float = 0.0
+    """pressure of an untouched cell whose rest resistance has drifted as far as rest resistances do
+    (:data:`._tare.KNOWN_DRIFT`); 0: no drift"""
+    faults_press: bool = True
+    """True if a bad contact, which adds resistance, looks like a load; False if loads lower the resistance"""
 
 
 class ContactTracker:
@@ -93,27 +104,15 @@ class ContactTracker:
 
     def __init__(
         self,
-        shape: tuple[int, int],
-        pitch_m: float | tuple[float, float],
+        geometry: Geometry,
         full_scale_kpa: float,
-        *,
         drift_kpa: float = 0.0,
         faults_press: bool = True,
     ) -> None:
-        """Begin with an untouched skin.
-
-        Args:
-            shape: rows and columns.
-            pitch_m: distance of neighbouring cells; (x, y) if cells are not square, along a row and along a column.
-            full_scale_kpa: of the cells.
-            drift_kpa: pressure of an untouched cell whose rest resistance has drifted as far as rest resistances do
-                (:data:`._tare.KNOWN_DRIFT`); 0: no drift.
-            faults_press: True if a bad contact, which adds resistance, looks like a load; False if loads lower the
-                resistance.
-
-        """
-        self.shape = shape
-        self.pitch = Pitch.of(pitch_m)
+        """Begin with an untouched skin; see :class:`Touch`."""
+        self.geometry = geometry
+        self._proximity = Proximity(geometry)
+        self.shape = shape = geometry.shape
         self.full_scale_kpa = full_scale_kpa
         self._faults_press = faults_press
         self._labels: IntArray = np.zeros(shape, dtype=np.intp)
@@ -135,11 +134,16 @@ class ContactTracker:
         """of the last frame; infinite before the first"""
         self._read_s = np.full(shape, -np.inf)
         """(rows, columns) time of the cell's last reading"""
-        self._tracks = Tracks(1e3 * self.pitch.mean_m, 1e3 * max(self.pitch))
+        self._tracks = Tracks()
         self._places: IntArray = np.indices(shape).reshape(2, -1).T.copy()
         """(cells, 2) row and column of each cell of the flattened array"""
-        self._places_mm = 1e3 * np.array(self.pitch) * self._places[:, ::-1]
-        """(cells, 2) x and y of each cell's middle"""
+        there = geometry.exists
+        self._in_row, self._in_column = there.sum(axis=1), there.sum(axis=0)
+        """cells of each row and of each column"""
+        self._ends = [
+            (there.argmax(axis=axis), there.shape[axis] - 1 - np.flip(there, axis).argmax(axis=axis)) for axis in (0, 1)
+        ]
+        """first and last row in which each column has a cell; first and last column likewise of each row"""
 
     def update(
         self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray, unread: BoolArray | None = None
@@ -179,23 +183,22 @@ class ContactTracker:
     def _missing(self, time_s: float, unread: BoolArray) -> BoolArray | None:
         """(rows, columns) cells without a recent reading; None: no cell."""
         self._read_s[~unread] = time_s
-        missing: BoolArray = time_s - self._read_s > MISSING_S
+        missing: BoolArray = self.geometry.exists & (time_s - self._read_s > MISSING_S)
         return missing if missing.any() else None
 
     def _find(
         self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray, missing: BoolArray | None
     ) -> tuple[IntArray, list[Patch]]:
         """(rows, columns) for each cell the number of its patch, from 1 (0: none), and the patches."""
-        from scipy import ndimage
-
+        proximity = self._proximity
         full, touched = self.full_scale_kpa, self._labels > 0
         excess = pressure_kpa - self._drift_kpa
         stated_kpa, std_kpa = std_kpa, np.where(std_kpa > 0, std_kpa, 0.0)  # an unknown deviation counts as 0
-        wake = WAKE_SHARE * ndimage.maximum_filter(self._wake_kpa, 3, mode="nearest") if self._wake_kpa.any() else 0.0
+        wake = WAKE_SHARE * proximity.largest_around(self._wake_kpa) if self._wake_kpa.any() else 0.0
         pressed = excess > np.maximum(START_SHARE * full, wake)  # False where NaN
         begins = pressed & (excess > START_STDS * std_kpa)
         if pressed.any() and not begins[pressed].all():
-            begins |= pressed & _together(excess, std_kpa)
+            begins |= proximity.together(pressed & ~begins, self._own(excess), std_kpa)
         none = np.zeros(self.shape, dtype=np.intp)
         if not (begins.any() or touched.any()):
             return none, []
@@ -203,10 +206,9 @@ class ContactTracker:
         candidates = (excess > np.maximum(stds * std_kpa, share * full)) | begins
         bridged = None
         if missing is not None:
-            bridged, pressure_kpa = bridge(pressure_kpa, candidates, missing)
+            bridged, pressure_kpa = bridge(pressure_kpa, candidates, missing, proximity.opposite)
             candidates |= bridged
-        patches, count = ndimage.label(candidates, structure=NEIGHBOURS)
-        found: IntArray = patches.astype(np.intp)
+        found, count = proximity.label(candidates)
         kept = np.zeros(count + 1, dtype=np.bool_)
         kept[found[begins]] = True
         self._keep_lasting(found, kept, pressure_kpa)
@@ -214,12 +216,13 @@ class ContactTracker:
         above_wake[found[excess > wake]] = True
         kept &= above_wake
         kept[0] = False
-        self._drop_disturbances(time_s, found, kept, excess, std_kpa)
-        if not kept.any():
-            return none, []
+        self._drop_disturbances(found, kept, excess, std_kpa)
         connected = np.where(kept, np.cumsum(kept), 0)[found]
-        labels = part(connected, pressure_kpa, std_kpa, begins, self._labels)
-        rim = _rim(labels, excess > np.maximum(RIM_SHARE * full, wake), pressure_kpa)
+        contacts = int(kept.sum())
+        if not contacts:
+            return none, []
+        labels = part(connected, contacts, pressure_kpa, std_kpa, begins, self._labels, proximity)
+        rim = self._rim(labels, excess > np.maximum(RIM_SHARE * full, wake), pressure_kpa)
         return labels, self._measure(labels.ravel(), connected.ravel(), pressure_kpa, stated_kpa, bridged, rim.ravel())
 
     def _keep_lasting(self, found: IntArray, kept: BoolArray, pressure_kpa: FloatArray) -> None:
@@ -247,47 +250,68 @@ class ContactTracker:
             most = 1 if kept[patches].any() else self._fingers[contact - 1]
             kept[patches[np.argsort(-force[patches])][:most]] = True
 
-    def _drop_disturbances(
-        self, time_s: float, found: IntArray, kept: BoolArray, excess: FloatArray, std_kpa: FloatArray
-    ) -> None:
+    def _drop_disturbances(self, found: IntArray, kept: BoolArray, excess: FloatArray, std_kpa: FloatArray) -> None:
         """Drop new patches that may be electrical faults; ``kept`` (labels,) is changed."""
-        from scipy import ndimage
-
         fresh = kept.copy()
         fresh[found[self._labels > 0]] = False
-        if not fresh.any():
-            return
-        boxes = ndimage.find_objects(found)
         for label in np.flatnonzero(fresh).tolist():
-            box = boxes[label - 1]
-            own = found[box] == label
-            lasts_s = time_s - float(self._pressed_s[box][own].min())
-            faint = not (excess[box][own] > STANDS_OUT * std_kpa[box][own]).any()
-            at_once = (own & (self._step_kpa[box] > AT_ONCE * excess[box])).any()
-            if (faint or at_once) and self._may_be_fault(box, own, excess[box][own]):
+            own = np.flatnonzero(found == label)
+            above, std, step = excess.flat[own], std_kpa.flat[own], self._step_kpa.flat[own]
+            lasts_s = float((self._read_s.flat[own] - self._pressed_s.flat[own]).max())
+            under_range = not (above > STANDS_OUT * std).any()
+            at_once = (step > AT_ONCE * above).any()
+            if (under_range or at_once) and self._may_be_fault(own, above):
                 kept[label] = lasts_s > SPARK_S
-            elif min(own.shape) == 1:
+            elif (self._places[own] == self._places[own[0]]).all(axis=0).any():  # within one row or column
                 kept[label] = lasts_s > 0.0
 
-    def _may_be_fault(self, box: tuple[slice, ...], own: BoolArray, excess: FloatArray) -> bool:
-        """Whether cells ``own`` of ``box`` with their ``excess`` (n,) have the shape of what electrical faults move.
+    def _may_be_fault(self, own: IntArray, excess: FloatArray) -> bool:
+        """Whether cells ``own`` (n,) with their ``excess`` (n,) are what electrical faults move together.
 
         Whole lines move alike by a converter or a connector. What adds resistance moves cells of which no two lie side
         by side, or a line from a crack to its end; that looks like a press only where loads add resistance.
         """
-        sides = own.shape
-        whole = sides[0] == self.shape[0] or sides[1] == self.shape[1]
-        if whole and excess.size == sides[0] * sides[1] and excess.min() > ALIKE * excess.max():
-            return True
+        rows, columns = self._places[own].T
+        for line, cells in ((rows, self._in_row), (columns, self._in_column)):
+            if own.size == cells[np.unique(line)].sum() and excess.min() > ALIKE * excess.max():
+                return True
         if not self._faults_press:
             return False
-        if not ((own[1:] & own[:-1]).any() or (own[:, 1:] & own[:, :-1]).any()):
+        if not np.isin(self._proximity.beside[own], own).any():
             return True
-        if min(sides) > 1:
+        in_row, in_column = (line == line[0] for line in (rows, columns))
+        if not (in_row.all() or in_column.all()):
             return False
-        along = int(sides[0] == 1)
-        at_end = box[along].start == 0 or box[along].stop == self.shape[along]
-        return excess.size > LONGEST_IN_LINE or at_end
+        line, along = (rows[0], columns) if in_row.all() else (columns[0], rows)
+        first, last = self._ends[int(in_row.all())]
+        return own.size > LONGEST_IN_LINE or bool(along.min() == first[line] or along.max() == last[line])
+
+    def _own(self, excess: FloatArray) -> FloatArray:
+        """(rows, columns) the excess beyond what most cells of a column have in common.
+
+        An error of the sum of a divider's readings moves a whole column.
+        """
+        known = np.where(np.isfinite(excess), excess, 0.0)
+        ordered = np.sort(np.where(self.geometry.exists, known, np.inf), axis=0)
+        middle = np.maximum(self._in_column - 1, 0) // 2
+        usual = np.take_along_axis(ordered, middle[None], axis=0)
+        own: FloatArray = known - np.where(np.isfinite(usual), np.maximum(usual, 0.0), 0.0)
+        return own
+
+    def _rim(self, labels: IntArray, loaded: BoolArray, pressure_kpa: FloatArray) -> IntArray:
+        """(rows, columns) number of the contact that untouched ``loaded`` cells belong to; 0: none.
+
+        It is the nearest one; of equally near ones, that with the most pressure. A threshold decides which cells are
+        touched. The force of a soft contact goes on beyond it.
+        """
+        around = loaded & (labels == 0)
+        if not around.any():
+            return np.zeros_like(labels)
+        regions, count = self._proximity.label(around | (labels > 0))
+        pressed = np.zeros(count + 1, dtype=np.bool_)
+        pressed[regions[labels > 0]] = True
+        total = np.bincount(labels.ravel(), np.where(labels > 0, pressure_kpa, 0.0).ravel()).astype(np.float64)
+        return self._proximity.nearest(labels, around & pressed[regions], total)
 
     def _measure(
         self,
@@ -307,51 +331,55 @@ class ContactTracker:
         cells = cells[np.argsort(labels[cells], kind="stable")]
         ends = np.cumsum(np.bincount(labels[cells])[1:])
         starts = np.concatenate(([0], ends[:-1]))
-        pressure, places, places_mm = pressure_kpa.ravel()[cells], self._places[cells], self._places_mm[cells]
-        x, y = places_mm.T
-        guessed = np.zeros(len(cells)) if bridged is None else pressure * bridged.ravel()[cells]
-        totals, x_sums, y_sums, squares, stds, guesses = np.add.reduceat(
-            [pressure, pressure * x, pressure * y, pressure * (x * x + y * y), std_kpa.ravel()[cells], guessed],
-            starts,
-            axis=1,
+        proximity = self._proximity
+        pressure, places_mm = pressure_kpa.ravel()[cells], proximity.places_mm[cells]
+        areas = proximity.areas_mm2[cells]
+        load_n = NEWTON * areas * pressure
+        std_n = NEWTON * areas * std_kpa.ravel()[cells]
+        guessed = np.zeros(len(cells)) if bridged is None else load_n * bridged.ravel()[cells]
+        moments, squares = load_n * places_mm.T, load_n * (places_mm**2).sum(axis=1)
+        totals, squares, stds, guesses, area, pitch, *sums = np.add.reduceat(
+            [load_n, squares, std_n, guessed, areas, proximity.pitch_mm[cells], *moments], starts, axis=1
         )
         of_rim = np.flatnonzero(rim)
         more, more_std = (
-            np.bincount(rim[of_rim], values.ravel()[of_rim], minlength=len(ends) + 1)[1:]
+            np.bincount(
+                rim[of_rim], NEWTON * proximity.areas_mm2[of_rim] * values.ravel()[of_rim], minlength=len(ends) + 1
+            )[1:]
             for values in (pressure_kpa, std_kpa)
         )
-        x_mean, y_mean = x_sums / totals, y_sums / totals
-        variances = (squares / totals - x_mean**2 - y_mean**2) / 2
-        newton = 1e3 * self.pitch.area_m2
+        centres = np.array(sums) / totals
+        variances = (squares / totals - (centres**2).sum(axis=0)) / 2
         shared = connected[cells[starts]]
         alone = np.bincount(shared)[shared] == 1
-        peaks = np.maximum.reduceat(pressure, starts)
+        peaks, longest = np.maximum.reduceat([pressure, proximity.longest_mm[cells]], starts, axis=1)
+        places = self._places[cells]
         return [
             Patch(
-                x_mm=float(x_mean[k]),
-                y_mm=float(y_mean[k]),
-                force_n=newton * float(totals[k] + more[k]),
-                force_std_n=newton * float(stds[k] + more_std[k]),
+                centre_mm=tuple(centres[:, k].tolist()),
+                force_n=float(totals[k] + more[k]),
+                force_std_n=float(stds[k] + more_std[k]),
                 peak_kpa=float(peaks[k]),
                 variance_mm2=float(variances[k]),
                 alone=bool(alone[k]),
                 cells=cells[start:end],
                 places=places[start:end],
                 places_mm=places_mm[start:end],
-                pressure_kpa=pressure[start:end],
-                interpolated_n=newton * float(guesses[k]),
+                load_n=load_n[start:end],
+                area_mm2=float(area[k]),
+                pitch_mm=float(pitch[k]) / (end - start),
+                longest_pitch_mm=float(longest[k]),
+                interpolated_n=float(guesses[k]),
             )
             for k, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True))
         ]
 
     def _contacts(self, patches: list[Patch], names: list[Named]) -> tuple[Contact, ...]:
-        cell_mm2 = 1e6 * self.pitch.area_m2
         contacts = [
             Contact(
                 id=name.id,
-                x_mm=patch.x_mm,
-                y_mm=patch.y_mm,
-                area_mm2=len(patch.cells) * cell_mm2,
+                **dict(zip(self.geometry.axes, patch.centre_mm, strict=True)),
+                area_mm2=patch.area_mm2,
                 force_n=patch.force_n,
                 peak_kpa=patch.peak_kpa,
                 cells=patch.places,
@@ -364,47 +392,6 @@ class ContactTracker:
         return tuple(sorted(contacts, key=lambda contact: -contact.force_n))
 
 
-def _rim(labels: IntArray, loaded: BoolArray, pressure_kpa: FloatArray) -> IntArray:
-    """(rows, columns) number of the contact that untouched ``loaded`` cells belong to; 0: none.
-
-    It is the nearest one; of equally near ones, that with the most pressure.
-
-    A threshold decides which cells are touched. The force of a soft contact goes on beyond it.
-    """
-    from scipy import ndimage
-
-    around = np.where(loaded & (labels == 0), 1, 0)
-    if not around.any():
-        return np.zeros_like(labels)
-    regions, count = ndimage.label(around | (labels > 0), structure=NEIGHBOURS)
-    pressed = np.zeros(count + 1, dtype=np.bool_)
-    pressed[regions[labels > 0]] = True
-    strongest = np.argsort(-np.bincount(labels.ravel(), pressure_kpa.ravel() * (labels.ravel() > 0))[1:]) + 1
-    far = [ndimage.distance_transform_edt(labels != contact) for contact in strongest.tolist()]
-    found: IntArray = np.where((around > 0) & pressed[regions], strongest[np.argmin(far, axis=0)], 0)
-    return found
-
-
-def _together(excess: FloatArray, std_kpa: FloatArray) -> BoolArray:
-    """(rows, columns) cells that are loaded by what their neighbours say together.
-
-    What most cells of a column have in common is taken out before: an error of the sum of a divider's readings moves
-    a whole column.
-    """
-    from scipy import ndimage
-
-    known = np.where(np.isfinite(excess), excess, 0.0)
-    usual = np.partition(known, (len(known) - 1) // 2, axis=0)[(len(known) - 1) // 2]
-    own = known - np.maximum(usual, 0.0)
-    loaded = np.ones(excess.shape, dtype=np.bool_)
-    without_row, without_column = FINGERTIP.copy(), FINGERTIP.copy()
-    without_row[1], without_column[:, 1] = 0.0, 0.0
-    for weights in (FINGERTIP, without_row, without_column):
-        load, std = (ndimage.correlate(values, weights, mode="constant") for values in (own, std_kpa))
-        loaded &= load > TOGETHER_STDS * std
-    return loaded
-
-
 @dataclass(slots=True, eq=False)
 class PressureView:
     """Input of the tracker for one frame, and its answer."""
@@ -413,7 +400,7 @@ class PressureView:
     """of the frame"""
     time_s: float
     pressure_kpa: FloatArray
-    std_kpa: Lazy
+    std_kpa: FloatArray
     unread: BoolArray
     """(rows, columns) cells without a reading in this frame"""
     contacts: tuple[Contact, ...] | None = None
@@ -452,5 +439,5 @@ class ContactsOfFrames:
         tracker = self._tracker if is_next else copy.deepcopy(self._tracker)
         if is_next:
             self._newest = view.number
-        view.contacts = tracker.update(view.time_s, view.pressure_kpa, view.std_kpa(), view.unread)
+        view.contacts = tracker.update(view.time_s, view.pressure_kpa, view.std_kpa, view.unread)
         return view.contacts

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from ..common.arrays import BoolArray, FloatArray
 from ._contacts import PressureView
-from ._lazy import Lazy
 
 
 class Converted(NamedTuple):
@@ -22,7 +21,7 @@ class Converted(NamedTuple):
     """ohm"""
     pressure: FloatArray
     """kPa"""
-    pressure_std: Lazy
+    pressure_std: FloatArray
     """kPa"""
     view: PressureView
     rest_counts: FloatArray

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..common.arrays import AnyArray, BoolArray, FloatArray
+from ..common.geometry import Geometry
 from ._contacts import Contact
-from ._lazy import Lazy
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
@@ -53,9 +53,12 @@ class Frame:
     """cell resistances in ohm, corrected for the readout circuit; NaN where not valid, unless it is ``BEYOND_MODEL``"""
     pressure: FloatArray = field(repr=False)
     """kPa, estimated from this frame and earlier ones; where not valid the last estimate, NaN before the first"""
+    pressure_std: FloatArray = field(repr=False)
+    """kPa, standard deviation of ``pressure``; NaN where the estimator states none"""
     rest_counts: FloatArray = field(repr=False)
     """counts at rest by a tare, where the board's circuit is not known; else, and without a tare, 0"""
-    _std: Lazy = field(repr=False)
+    geometry: Geometry = field(repr=False)
+    """places and areas of the cells, and where there is none; the same for all frames of a skin"""
     _contacts: Callable[[], tuple[Contact, ...]] = field(repr=False)
     _now: Callable[[], float] = field(repr=False)
 
@@ -83,14 +86,6 @@ class Frame:
         return np.where(self.valid, self.counts - self.rest_counts, np.nan)
 
     @property
-    def pressure_std(self) -> FloatArray:
-        """kPa (rows, columns), standard deviation of ``pressure``; NaN where the estimator states none.
-
-        Computed on first use, then cached.
-        """
-        return self._std()
-
-    @property
     def contacts(self) -> tuple[Contact, ...]:
         """Contacts on the skin, the largest force first. Computed on demand; ids persist from frame to frame."""
         return self._contacts()
@@ -98,16 +93,16 @@ class Frame:
     def __reduce__(self) -> tuple[Callable[..., Frame], tuple[dict[str, Any], float]]:
         """For pickle and copy: contacts are computed first, and the age continues on this machine's monotonic clock."""
         values = {item.name: getattr(self, item.name) for item in fields(self) if item.name[0] != "_"}
-        values |= {"pressure_std": self.pressure_std, "contacts": self.contacts}
+        values["contacts"] = self.contacts
         return _restored, (values, self._now() - time.monotonic())
 
     def as_dict(self) -> dict[str, AnyArray]:
-        """All fields as NumPy arrays: those per cell (rows, columns), the others without axes.
+        """All fields but the geometry as NumPy arrays: those per cell (rows, columns), the others without axes.
 
         What is not known is NaN. ``age`` is the age at this call.
         """
-        values: dict[str, Any] = {item.name: getattr(self, item.name) for item in fields(self) if item.name[0] != "_"}
-        values["pressure_std"] = self.pressure_std
+        names = [item.name for item in fields(self) if item.name[0] != "_" and item.name != "geometry"]
+        values: dict[str, Any] = {name: getattr(self, name) for name in names}
         for name in ("sequence", "lost_before", "device_time"):
             values[name] = np.nan if values[name] is None else float(values[name])
         values["age"] = self.age
@@ -116,7 +111,5 @@ class Frame:
 
 def _restored(values: dict[str, Any], clock_ahead_s: float) -> Frame:
     """A frame from a pickle; ``clock_ahead_s`` is its clock minus the monotonic clock."""
-    std, contacts = values.pop("pressure_std"), values.pop("contacts")
-    return Frame(
-        **values, _std=Lazy(lambda: std), _contacts=lambda: contacts, _now=lambda: time.monotonic() + clock_ahead_s
-    )
+    contacts = values.pop("contacts")
+    return Frame(**values, _contacts=lambda: contacts, _now=lambda: time.monotonic() + clock_ahead_s)

@@ -19,11 +19,13 @@ aside when a reader waits: readers convert what is left.
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import islice
 from queue import Empty, SimpleQueue
 from typing import Literal
 
@@ -50,6 +52,8 @@ LATE_S = 0.01
 skipped: boards may send faster than a computer converts"""
 CONVERTED_IN_TURN = 4
 """frames that the thread converts before it reads the port again, whose buffers hold some milliseconds"""
+AT_ONCE = 64
+"""frames that are converted as one block"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,6 +201,7 @@ class Frames:
         """
         with self.lock:
             before = None
+            self._drop(self._places)
             if after is None:
                 before = self._frame(self._passed) if self.lossless else self.newest
                 after = 0 if before is None else before.index
@@ -214,8 +219,9 @@ class Frames:
     def move(self, place: Place, index: int) -> None:
         """Record that a reader has passed frame ``index``."""
         if index > place.index:
-            place.index = index
-            if self.lossless:
+            place.index, newest = index, self.newest
+            # There is no room, as long as half of the queue waits for this reader alone.
+            if self.lossless and (newest is None or 2 * (newest.index - index) <= self._capacity):
                 with self.lock:
                     self._drop_passed()
 
@@ -335,30 +341,44 @@ class Frames:
 
     def _convert_up_to(self, last: int, most: int | None = None) -> bool:
         """Convert the frames up to the number ``last``, at most ``most`` of them; returns whether frames are left."""
-        done, until_s = 0, time.thread_time() + LATE_S
-        while most is None or done < most:
+        until_s = math.inf
+        at_once = AT_ONCE if most is None else most
+        if self.newest_only:
+            at_once = min(at_once, CONVERTED_IN_TURN)
+            if self.done + at_once < last:
+                until_s = time.thread_time() + LATE_S
+        while True:
             with self.lock:
-                frame = self._after(self.done)
-            if frame is None or frame.index > last:
+                frames = self._all_after(self.done, last, at_once)
+            if not frames:
                 return False
-            self.done = frame.index
-            if self.newest_only and frame.index < last and time.thread_time() > until_s:
-                continue
-            done += 1
-            try:
-                frame.converted = self.converter.convert(frame)
-            except ProtocolError as error:
-                self.report(error, frame.index)
-                continue
-            except OhmskinError:
-                raise
-            except Exception as error:
-                # No reader shall wait for frames that no longer come.
-                self.finish(LinkError(f"frame {frame.index} could not be converted: {error!r}"))
-                raise
+            fits = self._convert(frames)
+            if self.done >= last or most is not None or (self.lossless and not fits):
+                return self.done < last
+            if until_s < math.inf and time.thread_time() > until_s:
+                self.done = max(last - 1, self.done)
+
+    def _convert(self, frames: list[RawFrame]) -> bool:
+        """Convert frames that follow one another, up to the first that does not fit; returns whether all do."""
+        self.done = frames[-1].index
+        try:
+            assert self._converter is not None
+            converted = self._converter.convert(frames)
+        except OhmskinError:
+            raise
+        except Exception as error:
+            # No reader shall wait for frames that no longer come.
+            self.finish(LinkError(f"frame {frames[0].index} could not be converted: {error!r}"))
+            raise
+        for frame, found in zip(frames, converted, strict=False):
+            if isinstance(found, ProtocolError):
+                self.done = frame.index
+                self.report(found, frame.index)
+                return False
+            frame.converted = found
             self._last, self._converted = frame, self._converted + 1
             for receive in tuple(self.on_converted):
-                receive(frame, frame.converted)
+                receive(frame, found)
         return True
 
     # -- the queue, with the lock held ---------------------------------------------------------------------------------
@@ -377,6 +397,14 @@ class Frames:
         if not self._kept or self._kept[-1].index <= index:
             return None
         return self._frame(max(index, self._passed) + 1) or self._kept[0]
+
+    def _all_after(self, index: int, last: int, most: int) -> list[RawFrame]:
+        """The frames beyond ``index`` that are for readers, up to the number ``last``, and ``most`` of them."""
+        first = self._after(index)
+        if first is None or first.index >= last:
+            return [] if first is None or first.index > last else [first]
+        place = first.index - self._kept[0].index
+        return list(islice(self._kept, place, place + min(last - first.index + 1, most)))
 
     def _drop_passed(self) -> None:
         self._drop(self._places)

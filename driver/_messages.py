@@ -2,6 +2,7 @@
 
 ``/ohmskin/pressure`` is an image, ``foxglove.RawImage`` in the encoding 32FC1: one float32 in kPa for each cell.
 A board whose circuit is not known has ``/ohmskin/counts`` in its place: counts above those at rest.
+A skin with places of its own has ``/ohmskin/cells``, too, a ``foxglove.PointCloud`` with a point in m for each cell.
 ``/ohmskin/frame`` has the numbers of the frame and its contacts.
 """
 
@@ -14,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from ..common.arrays import FloatArray
+from ..common.arrays import FloatArray, SingleArray
 from ._frame import Frame
 
 PRESSURE_TOPIC, FRAME_TOPIC = "/ohmskin/pressure", "/ohmskin/frame"
-COUNTS_TOPIC = "/ohmskin/counts"
+COUNTS_TOPIC, CELLS_TOPIC = "/ohmskin/counts", "/ohmskin/cells"
 
 _NUMBER = {"type": "number"}
 _TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
@@ -27,6 +28,7 @@ _CONTACT_FIELDS = {
     "joined": {"type": "array", "items": {"type": "integer"}},
     "x_mm": _NUMBER,
     "y_mm": _NUMBER,
+    "z_mm": {"type": ["number", "null"]},
     "area_mm2": _NUMBER,
     "force_n": _NUMBER,
     "force_std_n": {"type": ["number", "null"]},
@@ -43,6 +45,23 @@ _IMAGE_SCHEMA = {
         "height": {"type": "integer"},
         "encoding": {"type": "string"},
         "step": {"type": "integer"},
+        "data": {"type": "string", "contentEncoding": "base64"},
+    },
+}
+_POINTS = ("x", "y", "z", "value")
+"""fields of a point, float32 each: m, and kPa or counts above those at rest, as in the image"""
+_FLOAT32 = 7
+"""of foxglove.PackedElementField"""
+_UNMOVED = {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+_CLOUD_SCHEMA = {
+    "title": "foxglove.PointCloud",
+    "type": "object",
+    "properties": {
+        "timestamp": _TIME,
+        "frame_id": {"type": "string"},
+        "pose": {"type": "object"},
+        "point_stride": {"type": "integer"},
+        "fields": {"type": "array", "items": {"type": "object"}},
         "data": {"type": "string", "contentEncoding": "base64"},
     },
 }
@@ -63,6 +82,7 @@ _FRAME_FIELDS = {
 MESSAGE_SCHEMAS: Mapping[str, Mapping[str, Any]] = {
     PRESSURE_TOPIC: _IMAGE_SCHEMA,
     COUNTS_TOPIC: _IMAGE_SCHEMA,
+    CELLS_TOPIC: _CLOUD_SCHEMA,
     FRAME_TOPIC: {"title": "ohmskin.Frame", "type": "object", "properties": _FRAME_FIELDS},
 }
 """topic -> JSON schema, named by its title"""
@@ -72,15 +92,41 @@ def messages_of(frame: Frame) -> dict[str, dict[str, Any]]:
     """The frame's messages, by topics of :data:`MESSAGE_SCHEMAS`."""
     only_counts = bool((frame.valid & np.isnan(frame.resistance)).any())
     topic, values = (COUNTS_TOPIC, frame.change) if only_counts else (PRESSURE_TOPIC, frame.pressure)
-    return {topic: _image(frame, values), FRAME_TOPIC: _numbers(frame)}
+    shown = {topic: _image(frame, values), FRAME_TOPIC: _numbers(frame)}
+    return shown if frame.geometry.pitch_m is not None else shown | {CELLS_TOPIC: _cloud(frame, values)}
+
+
+def points_of(frame: Frame, values: FloatArray) -> SingleArray:
+    """(cells, 4) x, y and z in m, and the value, of each cell that there is. ``values`` are (rows, columns)."""
+    there = frame.geometry.exists
+    places = frame.geometry.places_mm[there]
+    points = np.zeros((len(places), len(_POINTS)), dtype="<f4")
+    points[:, : places.shape[1]], points[:, -1] = places / 1e3, values[there]
+    return points
+
+
+def _cloud(frame: Frame, values: FloatArray) -> dict[str, Any]:
+    points = points_of(frame, values)
+    return {
+        "timestamp": _stamp(frame),
+        "frame_id": "skin",
+        "pose": _UNMOVED,
+        "point_stride": points.strides[0],
+        "fields": [{"name": name, "offset": 4 * k, "type": _FLOAT32} for k, name in enumerate(_POINTS)],
+        "data": base64.b64encode(points.tobytes()).decode(),
+    }
+
+
+def _stamp(frame: Frame) -> dict[str, int]:
+    seconds, nanoseconds = divmod(round(frame.host_time * 1e9), 10**9)
+    return {"sec": seconds, "nsec": nanoseconds}
 
 
 def _image(frame: Frame, values: FloatArray) -> dict[str, Any]:
     image = np.ascontiguousarray(values, dtype="<f4")
     rows, columns = image.shape
-    seconds, nanoseconds = divmod(round(frame.host_time * 1e9), 10**9)
     return {
-        "timestamp": {"sec": seconds, "nsec": nanoseconds},
+        "timestamp": _stamp(frame),
         "frame_id": "skin",
         "width": columns,
         "height": rows,
@@ -102,4 +148,4 @@ def _numbers(frame: Frame) -> dict[str, Any]:
 
 def _json(value: Any) -> Any:
     """A value as JSON has it, which knows no NaN."""
-    return list(value) if isinstance(value, tuple) else None if math.isnan(value) else value
+    return list(value) if isinstance(value, tuple) else None if value is None or math.isnan(value) else value

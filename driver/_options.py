@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypedDict
 
 from ..cell import ESTIMATORS, Cell
-from ..circuits import Design, ValidityRule
+from ..circuits import Design, Shape, ValidityRule
 from ..common.checks import count, loaded, number, of_kind, positive
 from ..errors import InputError
 from ..wire import Family, board_family
 from ._calibration import Calibration
 from ._frames import Delivery
-from ._pitch import Pitch
 from ._replay import NOTHING_RECORDED, RecordedSettings
 
 NATIVE = "ohmskin"
@@ -50,6 +50,9 @@ class SkinSettings(TypedDict, total=False):
     pitch: float | tuple[float, float] | None
     """distance of neighbouring cells in m, for contacts; for cells that are not square (x, y), along a row and along a
     column. None: the pitch in the design's ``[sheet]``"""
+    shape: Shape | str | Path | None
+    """places, areas and holes of a skin that is no rectangle, as an object or as a CSV file; None: ``[shape]`` of the
+    design, else a rectangle with that pitch"""
     accuracy: float | None
     """relative uncertainty of a cell's conductance up to which the cell is valid; None: 0.5, see
     :class:`ohmskin.circuits.ValidityRule`"""
@@ -84,6 +87,7 @@ class Options:
         cell: Cell | str | Path | None = None,
         estimator: str | None = None,
         pitch: float | tuple[float, float] | None = None,
+        shape: Shape | str | Path | None = None,
         accuracy: float | None = None,
         calibration: Calibration | str | Path | None = None,
         timeout: float = 3.0,
@@ -102,6 +106,9 @@ class Options:
         if estimator is not None and estimator not in ESTIMATORS:
             raise InputError(f"no estimator '{estimator}'; expected one of {', '.join(ESTIMATORS)}")
         ValidityRule.of(accuracy)
+        if pitch is not None and shape is not None:
+            raise InputError("a pitch and a shape; expected one of them, as the shape says where the cells are")
+        given_place = pitch is not None or shape is not None
         family = recorded.family(recording) if recording and board == NATIVE else board_family(board)
         design = recorded.design if design is None else design
         design = family.files.get("design") if design is None else design
@@ -113,12 +120,13 @@ class Options:
             None if design is None else loaded("design", design, Design),
             None if cell is None else loaded("cell", cell, Cell),
             recorded.estimator if estimator is None else estimator,
-            recorded.pitch if pitch is None else Pitch.of(pitch),
+            recorded.pitch if not given_place else None if pitch is None else _pitch_xy(pitch),
             recorded.accuracy if accuracy is None else accuracy,
             None if calibration is None else loaded("calibration", calibration, Calibration),
             family.tables if family.design is None else None,
             recorded.simulated,
             recorded.introduction,
+            recorded.shape if not given_place else None if shape is None else loaded("shape", shape, Shape),
         )
         if settings.design is None and family.design is None and not family.has_description:
             given = [name for name in ("cell", "calibration") if getattr(settings, name) is not None]
@@ -134,3 +142,11 @@ class Options:
         if serial_number is not None:
             of_kind("serial_number", serial_number, str, "text")
         return cls(family, settings, timeout_s, delivery, queued, reconnect_s, serial_number)
+
+
+def _pitch_xy(pitch_m: float | tuple[float, float]) -> tuple[float, float]:
+    """From one number for square cells, else from (x, y); InputError unless they are positive numbers."""
+    pair = pitch_m if isinstance(pitch_m, tuple | list) else (pitch_m, pitch_m)
+    if len(pair) != 2 or not all(0 < number("pitch", one, "m") < math.inf for one in pair):
+        raise InputError(f"pitch is {pitch_m} m; expected more than 0, or two such numbers (x, y)")
+    return float(pair[0]), float(pair[1])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..circuits import Design, Measured, Reason, adc_error, live_recovery, noise, volts_of_codes
 from ..common.arrays import BoolArray, FloatArray
 from ..common.compiled import Rows, loop
-from ..common.measurement import STEP_STD, Measurement
+from ..common.measurement import Measurement
 from ..common.noise import NoiseEstimate
 from ..errors import InputError, ProtocolError, SolverError
 
@@ -22,7 +22,6 @@ _GUARD = 6.0  # standard deviations of the noise, guard band: within it an outpu
 _JUMP = 1.0 / 16.0  # of the converter's codes, from one frame to the next: a larger change of a reading is a jump
 _ALIKE = 1.5  # ratio of noises up to which the judgement of a reading stays about the same
 _NEGLIGIBLE = 0.05  # ADC steps of noise that are negligible beside the half step
-_STEP_OVER_STD = 2.0 / STEP_STD  # of an error that is evenly distributed over one step
 _UNSETTLED, _NO_CURRENT = int(Reason.UNSETTLED), int(Reason.NO_CURRENT)
 _ASSUMED = 0.5  # ADC steps of noise before anything is measured
 
@@ -34,13 +33,15 @@ class CountReader:
     switches, lines, finite gain, offset and bias current, to a fraction of an ADC step and at a bounded cost per frame.
     """
 
-    def __init__(self, design: Design, *, accuracy: float | None = None) -> None:
+    def __init__(self, design: Design, *, accuracy: float | None = None, lowest_ohm: float | None = None) -> None:
         """Prepare the recovery.
 
         Args:
             design: the board.
             accuracy: relative uncertainty of a conductance up to which a cell is valid; None: 0.5
                 (:class:`ohmskin.circuits.ValidityRule`).
+            lowest_ohm: the lowest resistance in the cells' range of loads; None: that of ``[cells]`` in the design
+                (:func:`ohmskin.circuits.live_recovery`).
 
         Raises:
             ProtocolError: the design has no ADC.
@@ -50,10 +51,10 @@ class CountReader:
         adc = design.adc
         if adc is None:
             raise ProtocolError("the board's design has no [adc]; counts mean nothing without one")
-        self._design, self._accuracy = design, accuracy
+        self._design, self._accuracy, self._lowest_ohm = design, accuracy, lowest_ohm
         self._shape = design.array.shape
         self._codes = 2**adc.bits
-        self._recover = live_recovery(design, accuracy=accuracy)
+        self._recover = live_recovery(design, accuracy=accuracy, lowest_ohm=lowest_ohm)
         scales = self._recover.scales_columns
         self._measured = Measured(adc.step, design.board.shape[0], scales_columns=scales, averages=accuracy is None)
         self._step, self._lowest_volts = adc.step, float(volts_of_codes(design, np.zeros(1, dtype=np.int64))[0])
@@ -71,7 +72,6 @@ class CountReader:
         self._silent = 0  # cells whose readings stood at a limit in the last frame, and could not change
         self._limited: BoolArray | None = None  # cells that counted as limited in the last frame
         self._in_doubt = False  # some of them may have left the limit; one more frame decides
-        self._resolution = *(np.zeros(self._shape),) * 3, self._recover.scales_columns
         self._counts = b""
         self._kept: Measurement | None = None
         self._judged_with = 0.0  # V, noise in the uncertainties of the last reading
@@ -108,7 +108,7 @@ class CountReader:
 
     def __reduce__(self) -> tuple[Callable[..., CountReader], tuple[object, ...]]:
         """For copy and pickle: keeps the design and the :meth:`memory`; the inversion begins anew."""
-        return _resumed, (self._design, self._accuracy, *self.memory())
+        return _resumed, (self._design, self._accuracy, self._lowest_ohm, *self.memory())
 
     def _volts(self, counts: NDArray[np.integer]) -> FloatArray:
         """The middle of each code, in V."""
@@ -146,7 +146,7 @@ class CountReader:
         self._silent, self._in_doubt = 0, False
         if jumped or most >= highest or least < lowest or self._limited is not None:
             return self._read_limited(counts, most, noise, jumped=jumped)
-        usual = self._recover.usual if self._noise.frames > 1 else None  # the first frame tells the resolution
+        usual = self._recover.usual if self._noise.frames > 1 else None
         found = None if usual is None else usual(volts, noise, *self._noise_of_each)
         return self._recovered(counts, noise, None, None) if found is None else found
 
@@ -176,9 +176,6 @@ class CountReader:
         reason = found.reason if under_range is None else np.where(under_range, _NO_CURRENT, found.reason)
         usual, each = self._noise_of_each
         made = self._measured(found, reason, each, usual)
-        own, _, every, _ = found.errors
-        by_step = self._step / _STEP_OVER_STD
-        self._resolution = own * by_step, found.resistance, every * by_step, self._recover.scales_columns
         # Cells that are unsettled, or judged before the noise was measured, may change with another frame like this;
         # so may all cells where none is known.
         settled = not (reason == _UNSETTLED).any() and not np.isnan(found.resistance).all()
@@ -265,17 +262,16 @@ class CountReader:
             return self._noise.usual, self._each
         return max(self._noise.usual, self._design_noise), np.maximum(self._each, self._design_noise)
 
-    @property
-    def resolution(self) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
-        """Of the last frame, the arguments of :meth:`ohmskin.cell.Estimator.resolve`, in its order."""
-        return self._resolution
-
 
 def _resumed(
-    design: Design, accuracy: float | None, noise_steps: float, counts: NDArray[np.integer] | None
+    design: Design,
+    accuracy: float | None,
+    lowest_ohm: float | None,
+    noise_steps: float,
+    counts: NDArray[np.integer] | None,
 ) -> CountReader:
     """A reader that continues with the :meth:`CountReader.memory` of another one."""
-    reader = CountReader(design, accuracy=accuracy)
+    reader = CountReader(design, accuracy=accuracy, lowest_ohm=lowest_ohm)
     reader.remember(noise_steps, counts)
     return reader
 

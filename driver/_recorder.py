@@ -8,7 +8,7 @@ from typing import Self
 
 from ..common.checks import of_kind
 from ._recording import Recording
-from ._skin import Skin
+from ._skin import BoardSkin
 
 
 class Recorder(Recording):
@@ -23,7 +23,7 @@ class Recorder(Recording):
     whole frame; its estimator has no memory of the frames before.
     """
 
-    def __init__(self, skin: Skin, path: str | Path, *, overwrite: bool = False) -> None:
+    def __init__(self, skin: BoardSkin, path: str | Path, *, overwrite: bool = False) -> None:
         """Begin to record.
 
         Args:
@@ -37,7 +37,7 @@ class Recorder(Recording):
             LinkError: the skin has come to its end, or is closed.
 
         """
-        self._skin = of_kind("skin", skin, Skin, "an open Skin")
+        self._skin = of_kind("skin", skin, BoardSkin, "an open Skin")
         super().__init__(path, skin.settings_to_join().as_metadata(), overwrite=overwrite)
         try:
             skin.attach(self)

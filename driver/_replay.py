@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 
 from ..cell import Cell
-from ..circuits import Design
+from ..circuits import Design, Shape
 from ..common.checks import number
 from ..common.config import LEAST, MOST, parse
 from ..common.events import SignalSafeEvent
@@ -30,7 +30,6 @@ from ..common.text import shortened, shown
 from ..errors import InputError, LinkEnded, LinkError, MissingExtra, OhmskinError, ProtocolError
 from ..wire import BoardFile, Family, known_family, read_description, write_description
 from ._calibration import Calibration
-from ._pitch import Pitch
 from ._port import Arrival
 from ._recording import BYTES_TOPIC, EVENTS_TOPIC, FORMAT, METADATA, STAMP
 from ._tare import RestChange
@@ -64,7 +63,7 @@ class RecordedSettings:
     """None: as the board describes it"""
     cell: Cell | None
     estimator: str | None
-    pitch: Pitch | None
+    pitch: tuple[float, float] | None
     """None: the pitch of the design"""
     accuracy: float | None = None
     """relative uncertainty up to which cells are valid; None: the default"""
@@ -75,6 +74,8 @@ class RecordedSettings:
     """the board's time was a simulation's"""
     introduction: bytes = b""
     """packets in which the board has identified and described itself before the recording began"""
+    shape: Shape | None = None
+    """None: as the design says"""
 
     def as_metadata(self) -> dict[str, str]:
         """Texts for the metadata of the file."""
@@ -87,6 +88,7 @@ class RecordedSettings:
             "estimator": self.estimator,
             "calibration": None if self.calibration is None else self.calibration.as_toml(),
             "board_file": None if self.board_file is None else json.dumps(self.board_file),
+            "shape": None if self.shape is None else self.shape.model_dump_json(exclude_none=True),
             "simulated": "yes" if self.simulated else None,
             "introduction": base64.b64encode(self.introduction).decode(),
         }
@@ -105,20 +107,23 @@ class RecordedSettings:
             design, cell = read_description(metadata["given"].encode())
         except ProtocolError as error:
             raise InputError(f"{path}: given: {error}") from error
-        calibration = metadata.get("calibration")
-        pitch = _hexadecimals(metadata, "pitch", path, most=2)
+        calibration, board_file = metadata.get("calibration"), _tables(metadata, "board_file", path)
+        if board_file is not None:
+            BoardFile.parse(board_file, f"{path}: board_file")
+        pitch, shape = _hexadecimals(metadata, "pitch", path, most=2), _tables(metadata, "shape", path)
         accuracy = _hexadecimals(metadata, "accuracy", path)
         return cls(
             board=metadata["board"],
             design=None if design is None else parse(design, Design, source=f"{path}: design"),
             cell=None if cell is None else parse(cell, Cell, source=f"{path}: cell"),
             estimator=metadata.get("estimator"),
-            pitch=Pitch(pitch[0], pitch[-1]) if pitch else None,
+            pitch=(pitch[0], pitch[-1]) if pitch else None,
             accuracy=accuracy[0] if accuracy else None,
             calibration=None if calibration is None else Calibration.from_toml(calibration, f"{path}: calibration"),
-            board_file=_board_tables(metadata, path),
+            board_file=board_file,
             simulated=metadata.get("simulated") == "yes",
             introduction=_introduction(metadata, path),
+            shape=None if shape is None else parse(shape, Shape, source=f"{path}: shape"),
         )
 
     def family(self, path: str) -> Family:
@@ -137,18 +142,17 @@ NOTHING_RECORDED = RecordedSettings("", None, None, None, None)
 """for a live board"""
 
 
-def _board_tables(metadata: Mapping[str, str], path: Path) -> Mapping[str, Any] | None:
-    """Tables of the BOARD.toml in a file's metadata; InputError if they are invalid."""
-    text = metadata.get("board_file")
+def _tables(metadata: Mapping[str, str], name: str, path: Path) -> Mapping[str, Any] | None:
+    """Tables in a file's metadata as JSON; None: the metadata has none. InputError if they are no tables."""
+    text = metadata.get(name)
     if text is None:
         return None
     try:
         tables = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: board_file: is no JSON: {shortened(str(error))}") from error
+        raise InputError(f"{path}: {name}: is no JSON: {shortened(str(error))}") from error
     if not isinstance(tables, dict):
-        raise InputError(f"{path}: board_file: expected a JSON object")
-    BoardFile.parse(tables, f"{path}: board_file")
+        raise InputError(f"{path}: {name}: expected a JSON object")
     return tables
 
 
@@ -244,11 +248,11 @@ class ReplayPort:
         return (item.received_at - self.now()) / self._speed
 
 
-def _distinct(pitch: Pitch | None) -> tuple[float, ...]:
+def _distinct(pitch: tuple[float, float] | None) -> tuple[float, ...]:
     """One number for square cells, two for others."""
     if pitch is None:
         return ()
-    return (pitch.x_m,) if pitch.x_m == pitch.y_m else pitch
+    return pitch[:1] if pitch[0] == pitch[1] else pitch
 
 
 def _hexadecimals(metadata: Mapping[str, str], name: str, path: Path, *, most: int = 1) -> list[float]:

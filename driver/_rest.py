@@ -15,7 +15,6 @@ from ..cell import Cell
 from ..common.arrays import FloatArray, scatter
 from ..common.measurement import STEP_STD, Measurement
 from ._calibration import Calibration
-from ._systematic import SystematicError
 from ._tare import DRIFT
 
 LOOK_EVERY, LOOK_AT = 8, 3
@@ -35,26 +34,32 @@ EXPLAINED = 0.95
 class Rest:
     """Rest resistances of one skin's cells."""
 
-    def __init__(self, cell: Cell, calibration: Calibration | None, systematic: SystematicError) -> None:
+    def __init__(self, cell: Cell, calibration: Calibration | None) -> None:
         """Begin with the values of the ``calibration``, else of the data sheet of the ``cell``."""
-        self._cell, self._calibration, self._systematic = cell, calibration, systematic
-        self.tared_ohm: FloatArray | None = None
-        """(rows, columns) by a tare; None: there is none"""
+        self._cell, self._calibration = cell, calibration
+        self._kpa_at_rest = float(cell.rest_slope_kpa[0])
+        """kPa per relative error of a rest resistance"""
         self.measured_spread: float | None = None
         """relative standard deviation of the cells about the data sheet: the least value seen, enlarged by the sampling
         error of so few cells; None: not measured yet"""
+        self.known = calibration is not None
+        """whether the rest resistances were measured, by a tare or a calibration"""
+        self.spread = 0.0
+        """relative standard deviation of the values in use, as far as it is known"""
+        self._tared_ohm: FloatArray | None = None
         self._before: FloatArray | None = None
         self._frames = 0
 
     @property
-    def known(self) -> bool:
-        """Whether the rest resistances were measured, by a tare or a calibration."""
-        return self.tared_ohm is not None or self._calibration is not None
+    def tared_ohm(self) -> FloatArray | None:
+        """(rows, columns) by a tare; None: there is none."""
+        return self._tared_ohm
 
-    @property
-    def spread(self) -> float:
-        """Relative standard deviation of the values in use, as far as it is known."""
-        return 0.0 if self.known else self.measured_spread or 0.0
+    @tared_ohm.setter
+    def tared_ohm(self, ohm: FloatArray | None) -> None:
+        self._tared_ohm = ohm
+        self.known = ohm is not None or self._calibration is not None
+        self.spread = 0.0 if self.known else self.measured_spread or 0.0
 
     @property
     def ohm(self) -> FloatArray | None:
@@ -70,7 +75,7 @@ class Rest:
 
     def kpa_of(self, relative: float) -> float:
         """The pressure that an unloaded cell shows when its rest resistance is off by ``relative``."""
-        return self._systematic.kpa_of_rest(relative)
+        return relative * self._kpa_at_rest
 
     def take(self, reading: Measurement) -> None:
         """Measure the spread of the cells every few frames."""
@@ -92,7 +97,7 @@ class Rest:
         cells = sizes.size
         if np.count_nonzero(away <= half_steps) >= EXPLAINED * cells:
             # Equal cells would read so, too: ADC steps, which are counted separately, explain the differences.
-            self.measured_spread = 0.0
+            self.measured_spread = self.spread = 0.0
             return
         variance = scatter(sizes) ** 2
         if before is not None:
@@ -101,7 +106,9 @@ class Rest:
                 variance -= scatter(changes) ** 2 / 2
         # Few cells may by chance be more alike than those of other skins.
         spread = math.sqrt(max(variance, 0.0)) * (1.0 + CAUTION / math.sqrt(cells))
-        self.measured_spread = spread if self.measured_spread is None else min(spread, self.measured_spread)
+        self.measured_spread = self.spread = min(
+            spread, math.inf if self.measured_spread is None else self.measured_spread
+        )
 
 
 def _finite(sizes: FloatArray) -> FloatArray:

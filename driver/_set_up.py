@@ -8,8 +8,9 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, wait
 
-from ..circuits import Design, Sheet
+from ..circuits import Design, Shape, Sheet
 from ..common.compiled import is_compiling
+from ..common.geometry import Geometry
 from ..errors import InputError, OhmskinError, ProtocolError
 from ..wire import HostProtocol, Layout, host_protocol
 from ._connection import Connection
@@ -17,7 +18,6 @@ from ._convert import Converter
 from ._frames import Frames
 from ._handshake import Handshake
 from ._options import Options
-from ._pitch import Pitch
 from ._port import BytePort
 from ._replay import ReplayPort
 from ._statistics import Counters
@@ -88,27 +88,43 @@ def _converter(connection: Connection, rest_changes: Sequence[RestChange], optio
             settings.calibration.check_board(design, cell, handshake.serial_number)
         except InputError as error:
             raise InputError(f"{connection.port_name}: {error}") from None
-    sheet = design.sheet if isinstance(design, Design) else Sheet()
     try:
         converter = Converter(
             design,
             cell,
             settings.estimator,
-            Pitch.of(sheet.pitch) if settings.pitch is None else settings.pitch,
+            geometry_of(design, settings.shape, settings.pitch),
             connection.frames.counters,
             rest_changes=rest_changes,
             accuracy=settings.accuracy,
             calibration=settings.calibration,
         )
         converter.try_out()
-        import scipy.ndimage
-        import scipy.optimize  # noqa: F401  # for contacts: the first one shall not wait for them
+        import scipy.optimize  # noqa: F401  # for contacts: the first one shall not wait for it
     except OhmskinError:
         raise
     except (ArithmeticError, LookupError, ValueError, TypeError, MemoryError, RecursionError) as error:
         # The design and the cell pass their own checks, but nothing can be computed from them.
         raise handshake.refused(error) from error
     return converter
+
+
+def geometry_of(design: Design | Layout, shape: Shape | None, pitch_m: tuple[float, float] | None) -> Geometry:
+    """Where the cells are: as given by a shape or a pitch, else as the design says.
+
+    Raises:
+        InputError: a cell of the shape lies outside the array, or there is a pitch beside a shape.
+
+    """
+    array = design.array.shape if isinstance(design, Design) else (design.rows, design.columns)
+    if shape is not None:
+        return shape.geometry(array)
+    own = design.shape if isinstance(design, Design) else None
+    if pitch_m is not None:
+        if own is not None:
+            raise InputError(f"pitch is {pitch_m} m, but [shape] of the design says where the cells are; leave one out")
+        return Geometry.rectangle(array, pitch_m)
+    return design.geometry if isinstance(design, Design) else Geometry.rectangle(array, (Sheet().pitch,) * 2)
 
 
 _ROOM = threading.BoundedSemaphore(MOST_ABANDONED)

@@ -1,4 +1,4 @@
-"""``Skin``: the driver's main class. It turns a board's bytes into frames of counts, ohms and kPa."""
+"""``BoardSkin``: the skin behind one board. It turns a board's bytes into frames of counts, ohms and kPa."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ from typing import NoReturn, Self, Unpack
 from ..circuits import Design
 from ..common import compiled
 from ..common.checks import count, function, loaded, number, of_kind, path_text, positive
+from ..common.geometry import Geometry
 from ..common.progress import Progress, silent
 from ..common.text import printable
 from ..errors import InputError, LinkEnded, LinkError
 from ..wire import Description, Identity, Order
 from ._connection import await_free
 from ._consumer import AsyncFrames, Consumer, FrameCallback, follower, frames_since
+from ._contacts import Touch
 from ._convert import Converter
 from ._converted import Converted
 from ._discover import LONGEST_SEARCH_S, find_board
@@ -38,11 +40,13 @@ from ._stream import RawFrame
 from ._tare import KNOWN_DRIFT, SPREAD, Tare
 from ._taring import Tares
 
+MANY = 128
+"""default of :meth:`Skin.read_many`"""
 MAX_AGE_S = 0.5
 """default of :meth:`Skin.latest`: boards send at 10 Hz and more"""
 
 
-class Skin:
+class BoardSkin:
     """An open skin: iterate over it for its frames. Make one with :meth:`open`.
 
     A thread reads the port as long as the skin is open. :meth:`read`, :meth:`latest` and iteration share one place in
@@ -151,7 +155,7 @@ class Skin:
         speed: float | None = None,
         progress: Progress = silent,
         **settings: Unpack[SkinSettings],
-    ) -> Skin:
+    ) -> Self:
         """Open a serial device, a pty, ``socket://HOST:PORT`` or a recording (a file that ends in ``.mcap``).
 
         A recording supplies every setting of its skin that is not given here.
@@ -174,7 +178,6 @@ class Skin:
             Also everything that :meth:`__init__` raises.
 
         """
-        finder: PortFinder | None = None
         opened: BytePort
         reopen: Callable[[], BytePort]
         name = None if port is None else path_text("port", port, "the name of a port or of a recording")
@@ -190,11 +193,13 @@ class Skin:
             asked = Options.of(serial_number=serial_number, **settings)
         if record is not None:
             Recording.check(record, overwrite=overwrite)
-        if played is None:
-            finder = _finder(name, asked, baudrate)
-            began_s = monotonic()
-            # A board in this process starts when it is opened, and would fall behind while its cells are plain Python.
-            if (name is not None and name.startswith(EMULATED_HERE)) or not compiled.compile_aside():
+        finder = _finder(name, asked, baudrate) if played is None else None
+        began_s = monotonic()
+        # A board in this process starts when it is opened, and would fall behind while its cells are plain Python.
+        starts_here = name is not None and name.startswith(EMULATED_HERE)
+        compiles_aside = not starts_here and compiled.compile_aside()
+        if finder is not None:
+            if not compiles_aside:
                 compiled.load()  # while no frames come
             if has_gone(finder.name):
                 raise LinkError(
@@ -203,6 +208,7 @@ class Skin:
                 )
             opened, reopen = finder.open(), finder.open_again
         else:
+            assert played is not None
             opened, reopen = played, played.reopen
         skin = cls.__new__(cls)
         skin._begin(opened, asked, reopen, record, overwrite=overwrite)
@@ -223,6 +229,11 @@ class Skin:
         ):
             self.close()
             raise LinkError(f"{self.port_name}: board {self.serial_number} is there; expected {serial_number}")
+
+    @property
+    def boards(self) -> tuple[BoardSkin, ...]:
+        """The skin of each board: this one, unless it has several (:class:`.JoinedSkin`)."""
+        return (self,)
 
     @property
     def serial_number(self) -> str:
@@ -255,6 +266,22 @@ class Skin:
         return self._converter.design
 
     @property
+    def circuit_name(self) -> str | None:
+        """Of the readout; None where it is not known."""
+        return self.design.board.circuit.name if self.knows_circuit else None
+
+    @property
+    def count_bits(self) -> int:
+        """Bits of a count."""
+        adc = self.design.adc if self.knows_circuit else None
+        return self.family.layout.adc_bits if adc is None else adc.bits
+
+    @property
+    def full_scale_kpa(self) -> float | None:
+        """Of the cells; None: not known."""
+        return None if self.cell is None else self.cell.full_scale_kpa
+
+    @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of the array."""
         return self._converter.shape
@@ -265,18 +292,25 @@ class Skin:
         return self._connection.port_name
 
     @property
+    def geometry(self) -> Geometry:
+        """Places and areas of the cells, and where there is none."""
+        return self._converter.geometry
+
+    @property
     def pitch_m(self) -> float:
-        """Distance of neighbouring cells in m. InputError where cells are not square: ask for :attr:`pitch_xy_m`."""
-        x_m, y_m = self._converter.pitch
+        """Distance of neighbouring cells in m. InputError where cells are not square, or the skin is no rectangle."""
+        x_m, y_m = self.pitch_xy_m
         if x_m != y_m:
             raise InputError(f"{self.port_name}: cells of {x_m} x {y_m} m have no single pitch; use pitch_xy_m")
         return x_m
 
     @property
     def pitch_xy_m(self) -> tuple[float, float]:
-        """Distances of neighbouring cells in m along a row (x) and along a column (y)."""
-        pitch = self._converter.pitch
-        return pitch.x_m, pitch.y_m
+        """Distances of neighbouring cells in m along a row (x) and along a column (y). InputError: no rectangle."""
+        pitch = self.geometry.pitch_m
+        if pitch is None:
+            raise InputError(f"{self.port_name}: cells with a [shape] have no pitch; use geometry")
+        return pitch
 
     @property
     def away(self) -> str | None:
@@ -377,6 +411,24 @@ class Skin:
         """
         return self._consumer.next_frame(self._timeout if timeout is None else number("timeout", timeout, "s"))
 
+    def read_many(self, most: int = MANY, timeout: float | None = None) -> list[Frame]:
+        """Wait as :meth:`read` for the next frame, and take those after it that have come already.
+
+        These are the frames that as many calls of :meth:`read` would give, bit for bit, but they are converted at once:
+        for recordings, and for programs that look at the skin now and then.
+
+        Args:
+            most: frames, at most.
+            timeout: s, as for :meth:`read`.
+
+        Raises:
+            LinkTimeout, LinkEnded, LinkError, ProtocolError, InputError: as :meth:`read`. What came before an error is
+                returned first.
+
+        """
+        timeout_s = self._timeout if timeout is None else number("timeout", timeout, "s")
+        return self._consumer.next_frames(count("most", most), timeout_s)
+
     def latest(self, max_age: float = MAX_AGE_S, timeout: float = 0.0) -> Frame:
         """The newest frame, taken before or not, never older than ``max_age``. For control loops.
 
@@ -432,7 +484,7 @@ class Skin:
             InputError: ``callback`` or ``on_end`` is no function.
 
         """
-        made = FrameCallback(self._connection, callback, on_end, keep=self)
+        made = FrameCallback(Consumer(self._connection), self.port_name, callback, on_end, keep=self)
         # Dropping callbacks that have ended releases the objects to which they refer.
         self._callbacks = [earlier for earlier in self._callbacks if not earlier.is_over] + [made]
         return made
@@ -451,6 +503,11 @@ class Skin:
     def estimator_name(self) -> str:
         """Name of the estimator that computes pressures; empty where there are none."""
         return self._converter.estimator_name
+
+    @property
+    def touch(self) -> Touch:
+        """By what contacts are told from an untouched skin."""
+        return self._converter.touch
 
     @property
     def recorder(self) -> Recording | None:
@@ -617,7 +674,7 @@ def _finder(port: str | None, asked: Options, baudrate: int | None) -> PortFinde
     return PortFinder(port, baudrate=baudrate or family.baud_rate, dtr=family.dtr, rts=family.rts)
 
 
-_OPEN_HERE: weakref.WeakSet[Skin] = weakref.WeakSet()
+_OPEN_HERE: weakref.WeakSet[BoardSkin] = weakref.WeakSet()
 """skins that this process has opened"""
 
 

@@ -128,7 +128,7 @@ def _not_valid(reasons: NDArray[np.int8] | None) -> dict[str, int]:
     return {
         Reason(value).name.lower(): int(cells)
         for value, cells in zip(*np.unique(reasons, return_counts=True), strict=True)
-        if value != Reason.VALID
+        if value not in (Reason.VALID, Reason.NO_CELL)
     }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -66,6 +67,8 @@ class Tares:
         with self._lock:
             taken, numbers = self._next_frames(frames, timeout_s)
             tare = self._made_of(taken, serial_number(), drift=drift, spread=spread)
+            # Of a hole nothing is left to be measured.
+            tare = replace(tare, measured=tare.measured | ~self._converter.geometry.exists)
             if tare.remarks and tare.frames_advised and not force:
                 raise InputError(
                     f"{board}: no tare, though noise may be why {tare.remarks[0]}. "

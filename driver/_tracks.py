@@ -49,14 +49,13 @@ LEAST_WIDTH_PITCHES = 0.5
 class Patch:
     """Connected touched cells of one frame."""
 
-    x_mm: float
-    y_mm: float
-    """centre of pressure"""
+    centre_mm: tuple[float, ...]
+    """centre of force: x, y and maybe z"""
     force_n: float
     force_std_n: float
     peak_kpa: float
     variance_mm2: float
-    """of the pressure about the centre, along one axis"""
+    """of the force about the centre, along one axis of the surface"""
     alone: bool
     """False if another patch touches this one, and thereby cuts off its side"""
     cells: IntArray
@@ -64,9 +63,14 @@ class Patch:
     places: IntArray
     """(n, 2) rows and columns"""
     places_mm: FloatArray
-    """(n, 2) x and y of the cells' middles"""
-    pressure_kpa: FloatArray
-    """(n,)"""
+    """(n, 2 or 3) of the cells' middles"""
+    load_n: FloatArray
+    """(n,) force on each cell"""
+    area_mm2: float
+    pitch_mm: float
+    """usual distance of neighbouring cells there"""
+    longest_pitch_mm: float
+    """longest distance of cells beside each other there"""
     interpolated_n: float = 0.0
     """part of the force on cells that are not read"""
 
@@ -76,8 +80,7 @@ class Track:
     """One finger, alone in its patch or sharing a patch."""
 
     id: int
-    x_mm: float
-    y_mm: float
+    at_mm: tuple[float, ...]
     """last measured position, or the predicted one if nothing told the finger from others"""
     force_n: float
     variance_mm2: float
@@ -86,43 +89,43 @@ class Track:
     seen_s: float
     apart_s: float
     """time when the finger could last be told from its neighbours"""
-    vx: float = 0.0
-    """mm/s"""
-    vy: float = 0.0
-    lag_x: float = 0.0
-    """mm from the smoothed position, whose change is the velocity, to the position"""
-    lag_y: float = 0.0
+    pitch_mm: float
+    longest_pitch_mm: float
+    """distances of the cells where it is, as in :class:`Patch`"""
+    mm_per_s: tuple[float, ...]
+    lag_mm: tuple[float, ...]
+    """from the smoothed position, whose change is the velocity, to the position"""
     samples: int = 1
     leads: bool = True
     """the patch has this track's id"""
 
-    def predicted(self, time_s: float) -> tuple[float, float]:
+    def predicted(self, time_s: float) -> tuple[float, ...]:
         """Position in mm at ``time_s``, at constant velocity."""
         elapsed = time_s - self.seen_s
-        return self.x_mm + self.vx * elapsed, self.y_mm + self.vy * elapsed
+        return tuple([x + v * elapsed for x, v in zip(self.at_mm, self.mm_per_s, strict=True)])
 
-    def move(self, by: tuple[float, float], time_s: float, trust: float = 1.0) -> None:
-        """Update position and velocity with a position ``by`` mm from the predicted one (g-h filter).
+    def move(self, by_mm: Sequence[float], time_s: float, trust: float = 1.0) -> None:
+        """Update position and velocity with a position ``by_mm`` from the predicted one (g-h filter).
 
         Args:
-            by: difference from the predicted position, in mm.
+            by_mm: difference from the predicted position.
             time_s: time of the frame.
             trust: 1 if the position was measured, 0 if it follows from the velocity.
 
         """
         elapsed = time_s - self.seen_s
-        self.x_mm, self.y_mm = self.x_mm + self.vx * elapsed + by[0], self.y_mm + self.vy * elapsed + by[1]
+        self.at_mm = tuple([x + by for x, by in zip(self.predicted(time_s), by_mm, strict=True)])
         self.samples += 1
         n, kept = self.samples, math.exp(-elapsed / MEMORY_S)
         # Gains of a least-squares line while there are few samples, of a fading memory from then on.
         position_gain = max(2 * (2 * n - 1) / (n * (n + 1)), 1 - kept**2)
         velocity_gain = max(6 / (n * (n + 1)), (1 - kept) ** 2)
-        far_x, far_y = by[0] + trust * self.lag_x, by[1] + trust * self.lag_y
-        self.lag_x += by[0] - position_gain * far_x
-        self.lag_y += by[1] - position_gain * far_y
+        far = [by + trust * lag for by, lag in zip(by_mm, self.lag_mm, strict=True)]
+        steps = zip(self.lag_mm, by_mm, far, strict=True)
+        self.lag_mm = tuple([lag + by - position_gain * off for lag, by, off in steps])
         if elapsed > 0:
-            self.vx += velocity_gain * far_x / elapsed
-            self.vy += velocity_gain * far_y / elapsed
+            gain = velocity_gain / elapsed
+            self.mm_per_s = tuple([v + gain * off for v, off in zip(self.mm_per_s, far, strict=True)])
         self.seen_s = time_s
 
 
@@ -139,10 +142,6 @@ class Named:
 class Tracks:
     """All fingers on one skin, including those lifted a moment ago."""
 
-    pitch_mm: float
-    """pitch of square cells; else the side of a square of the same area"""
-    longest_pitch_mm: float
-    """the longer one of the pitches along a row and along a column"""
     _tracks: list[Track] = field(default_factory=list)
     _last_id: int = 0
     _time_s: float = -math.inf
@@ -173,8 +172,19 @@ class Tracks:
 
     def _begin(self, patch: Patch, time_s: float) -> Track:
         self._last_id += 1
+        still = (0.0,) * len(patch.centre_mm)
         return Track(
-            self._last_id, patch.x_mm, patch.y_mm, patch.force_n, patch.variance_mm2, patch.cells, time_s, time_s
+            id=self._last_id,
+            at_mm=patch.centre_mm,
+            force_n=patch.force_n,
+            variance_mm2=patch.variance_mm2,
+            cells=patch.cells,
+            seen_s=time_s,
+            apart_s=time_s,
+            pitch_mm=patch.pitch_mm,
+            longest_pitch_mm=patch.longest_pitch_mm,
+            mm_per_s=still,
+            lag_mm=still,
         )
 
     def _assign(
@@ -191,20 +201,19 @@ class Tracks:
         overlaps = [set(labels[track.cells].tolist()) - {0} for track in known]
         costs, possible = np.empty((len(known), len(patches))), np.empty((len(known), len(patches)), dtype=bool)
         for j, (track, overlap) in enumerate(zip(known, overlaps, strict=True)):
-            x, y = track.predicted(time_s)
-            reach = REACH_PITCHES * self.longest_pitch_mm + SPEED_MM_PER_S * abs(time_s - track.seen_s)
+            predicted = track.predicted(time_s)
+            reach = REACH_PITCHES * track.longest_pitch_mm + SPEED_MM_PER_S * abs(time_s - track.seen_s)
             for k, patch in enumerate(patches):
-                far = math.hypot(x - patch.x_mm, y - patch.y_mm) / self.pitch_mm
-                costs[j, k] = far + FORCE_PITCHES * abs(math.log(patch.force_n / track.force_n))
-                moved = math.hypot(track.x_mm - patch.x_mm, track.y_mm - patch.y_mm)
-                possible[j, k] = min(moved, far * self.pitch_mm) <= reach or k + 1 in overlap
+                far = math.dist(predicted, patch.centre_mm)
+                costs[j, k] = far / track.pitch_mm + FORCE_PITCHES * abs(math.log(patch.force_n / track.force_n))
+                moved = math.dist(track.at_mm, patch.centre_mm)
+                possible[j, k] = min(moved, far) <= reach or k + 1 in overlap
         pairs = _pairs(costs, possible)
         for j, k in pairs.items():
             shared[k].append(known[j])
         for j, track in enumerate(known):
             if j not in pairs and overlaps[j] and track.seen_s == self._time_s:
-                x, y = track.predicted(time_s)
-                shared[_nearest(x, y, overlaps[j], patches)].append(track)
+                shared[_nearest(track.predicted(time_s), overlaps[j], patches)].append(track)
         return [sorted(tracks, key=lambda track: -track.force_n)[:MOST_TOGETHER] for tracks in shared]
 
     def _move(self, tracks: list[Track], patch: Patch, time_s: float) -> list[Track]:
@@ -213,9 +222,10 @@ class Tracks:
             case []:
                 return [self._begin(patch, time_s)]
             case [track]:
-                x, y = track.predicted(time_s)
-                track.move((patch.x_mm - x, patch.y_mm - y), time_s)
+                at = zip(patch.centre_mm, track.predicted(time_s), strict=True)
+                track.move([new - expected for new, expected in at], time_s)
                 track.force_n, track.cells = patch.force_n, patch.cells
+                track.pitch_mm, track.longest_pitch_mm = patch.pitch_mm, patch.longest_pitch_mm
                 if patch.alone or patch.variance_mm2 > track.variance_mm2:  # else too narrow, cut off by a neighbour
                     track.variance_mm2 = patch.variance_mm2
                 track.apart_s = time_s
@@ -227,7 +237,7 @@ class Tracks:
         predicted = np.array([track.predicted(time_s) for track in tracks])
         shares = np.array([track.force_n for track in tracks])
         shares /= shares.sum()
-        least = (LEAST_WIDTH_PITCHES * self.pitch_mm) ** 2
+        least = (LEAST_WIDTH_PITCHES * patch.pitch_mm) ** 2
         variances = np.array([max(track.variance_mm2, least) for track in tracks])
         gaps = np.linalg.norm(predicted[:, None] - predicted, axis=-1) / np.sqrt((variances[:, None] + variances) / 2)
         np.fill_diagonal(gaps, np.inf)
@@ -235,7 +245,7 @@ class Tracks:
         apart = np.clip(gaps.min(axis=1) - 1.0, 0.0, 1.0)
         # Bells that look like one move with the patch's centre. For bells with separate maxima the centre tells less,
         # since it also moves when their forces change.
-        places = predicted + (1.0 - apart)[:, None] * (np.array([patch.x_mm, patch.y_mm]) - shares @ predicted)
+        places = predicted + (1.0 - apart)[:, None] * (np.array(patch.centre_mm) - shares @ predicted)
         trust = np.zeros(len(tracks))
         if apart.any():
             fitted, masses, widths = self._fit(patch, places, shares, variances)
@@ -247,13 +257,13 @@ class Tracks:
             shares += apart * (masses - shares)
             shares /= shares.sum()
         staying = []
-        for j, (by_x, by_y) in enumerate((places - predicted).tolist()):
+        for j, by_mm in enumerate((places - predicted).tolist()):
             track = tracks[j]
             if apart[j]:
                 track.apart_s = time_s
             lifted = shares[j] < LEAST_SHARE or (time_s - track.apart_s > TOGETHER_S and shares[j] < shares.max())
             if not lifted:
-                track.move((by_x, by_y), time_s, float(trust[j]))
+                track.move(by_mm, time_s, float(trust[j]))
                 track.force_n, track.cells = float(shares[j]) * patch.force_n, patch.cells
                 staying.append(track)
         return staying
@@ -264,16 +274,16 @@ class Tracks:
         """A few steps of expectation maximisation (EM) for the bells of a patch.
 
         Returns:
-            Centres (n, 2) in mm, shares (n,) of the force, variances (n,) in mm^2.
+            Centres (n, 2 or 3) in mm, shares (n,) of the force, variances (n,) in mm^2.
 
         Args:
-            patch: the patch whose pressure is the mixture.
-            places: (n, 2) mm, initial centres (x, y).
+            patch: the patch whose load is the mixture.
+            places: (n, 2 or 3) mm, initial centres.
             shares: (n,) initial shares of the patch's force.
             variances: (n,) mm^2 of the bells as known so far, with which the centres are found.
 
         """
-        weights = patch.pressure_kpa / patch.pressure_kpa.sum()
+        weights = patch.load_n / patch.load_n.sum()
         for _ in range(EM_STEPS):
             squares = ((patch.places_mm - places[:, None]) ** 2).sum(axis=-1) / variances[:, None]
             bells = (shares / variances)[:, None] * np.exp(-0.5 * (squares - squares.min(axis=0)))
@@ -290,10 +300,10 @@ def _names(tracks: list[Track]) -> Named:
     return Named(leader.id, tuple(sorted(track.id for track in tracks if track is not leader)))
 
 
-def _nearest(x: float, y: float, numbers: set[int], patches: Sequence[Patch]) -> int:
-    """Index of the patch nearest to (x, y) in mm, among the patches with these numbers (from 1)."""
+def _nearest(place_mm: tuple[float, ...], numbers: set[int], patches: Sequence[Patch]) -> int:
+    """Index of the patch nearest to a place, among the patches with these numbers (from 1)."""
     indices = sorted(number - 1 for number in numbers)
-    return min(indices, key=lambda k: math.hypot(x - patches[k].x_mm, y - patches[k].y_mm))
+    return min(indices, key=lambda k: math.dist(place_mm, patches[k].centre_mm))
 
 
 def _pairs(costs: FloatArray, possible: BoolArray) -> dict[int, int]:

@@ -9,58 +9,56 @@ finger. Otherwise the lower basin becomes part of the higher one.
 from __future__ import annotations
 
 import math
-from itertools import product
 
 import numpy as np
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
+from ._proximity import Proximity
 
 PART_SHARE, STAY_SHARE = 0.3, 0.15
 """depth of a saddle below the lower maximum, relative to it, at which two fingers part, and stay parted: one finger is
 less uneven"""
 PART_STDS, STAY_STDS = 5.0, 2.5
 """the same in standard deviations of the difference between the maximum and its saddle"""
-NEIGHBOURS = np.ones((3, 3), dtype=int)
-"""cells that touch at a corner are connected: a finger rarely covers whole rows"""
 
 
 def part(
-    labels: IntArray, pressure_kpa: FloatArray, std_kpa: FloatArray, begins: BoolArray, before: IntArray
+    labels: IntArray,
+    count: int,
+    pressure_kpa: FloatArray,
+    std_kpa: FloatArray,
+    begins: BoolArray,
+    before: IntArray,
+    proximity: Proximity,
 ) -> IntArray:
     """Give each finger of a patch its own label.
 
     Args:
         labels: (rows, columns) connected patches of touched cells, from 1; 0 for the others.
+        count: number of these patches.
         pressure_kpa: (rows, columns).
         std_kpa: (rows, columns).
         begins: (rows, columns) cells whose pressure is large enough for a contact to begin.
         before: (rows, columns) labels of the last frame: fingers that were apart then are parted more readily.
+        proximity: who is near whom.
 
     Returns:
         (rows, columns) labels, from 1 without gaps.
 
     """
-    from scipy import ndimage
-
-    height = np.where(labels > 0, pressure_kpa, -np.inf)
-    summits = labels[(labels > 0) & (height >= ndimage.maximum_filter(height, 3, mode="nearest"))]
-    several = (np.bincount(summits) > 1).nonzero()[0].tolist()
-    width = labels.shape[1] + 1
-    parted, count = labels.copy(), int(labels.max(initial=0))
+    several = np.flatnonzero(proximity.summits(labels, pressure_kpa, count) > 1).tolist()
+    parted = labels.copy()
     for label in several:
-        rows, columns = np.nonzero(labels == label)
+        cells = np.flatnonzero(labels == label)
         patch = _Patch(
-            (rows * width + columns).tolist(),
-            width,
-            pressure_kpa[rows, columns].tolist(),
-            std_kpa[rows, columns].tolist(),
-            begins[rows, columns].tolist(),
-            before[rows, columns].tolist(),
+            cells.tolist(),
+            proximity.near[cells].tolist(),
+            *(values.ravel()[cells].tolist() for values in (pressure_kpa, std_kpa, begins, before)),
         )
         basins = patch.basins()
         first, *others = dict.fromkeys(basins)
         numbers = {first: label} | {summit: count + k for k, summit in enumerate(others, start=1)}
-        parted[rows, columns] = [numbers[summit] for summit in basins]
+        parted.flat[cells] = [numbers[summit] for summit in basins]
         count += len(others)
     return parted
 
@@ -71,15 +69,15 @@ class _Patch:
     def __init__(
         self,
         places: list[int],
-        width: int,
+        near: list[list[int]],
         height: list[float],
         std: list[float],
         begins: list[bool],
         before: list[int],
     ) -> None:
-        """``places`` are cell numbers in rows of ``width``, which is more than there are columns."""
-        self._places, self._height, self._std, self._begins, self._before = places, height, std, begins, before
-        self._around = [width * down + right for down, right in product((-1, 0, 1), repeat=2) if down or right]
+        """``places`` are cell numbers, and ``near`` those of the cells near each of them."""
+        self._places, self._near = places, near
+        self._height, self._std, self._begins, self._before = height, std, begins, before
         self._root: dict[int, int] = {}
         """cell -> summit, or a cell nearer to it"""
 
@@ -89,8 +87,7 @@ class _Patch:
         fingers: set[tuple[int, int]] = set()
         """pairs of summits that are two fingers"""
         for cell in sorted(range(len(height)), key=lambda k: -height[k]):
-            place = self._places[cell]
-            higher = [k for k in [number.get(place + step, -1) for step in self._around] if k in root]
+            higher = [k for k in [number.get(place, -1) for place in self._near[cell]] if k in root]
             if not higher:
                 root[cell] = cell
                 continue

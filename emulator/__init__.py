@@ -11,8 +11,8 @@ from ._line import Transmission
 from ._line_settings import ClockSettings, LineSettings, LinkFault
 from ._plan import Plan, PlannedEffect, plan
 from ._ports import PairPort, Port, PtyPort, Rfc2217Port, TcpPort
-from ._run import EngineName, emulate, running
-from ._scene import DEMO, BoardSettings, Scene, SkinSettings
+from ._run import EngineName, Options, emulate, running
+from ._scene import DEMO, BoardSettings, Scene, SkinSettings, load_scenes
 from ._score import Recording, Score, Truth, score, score_text
 from ._service import ClockName, Outcome, Stop, stop_on_signals
 from ._shapes import Bump, Disc, Image, Point, Rectangle
@@ -38,6 +38,7 @@ __all__ = [
     "Line",
     "LineSettings",
     "LinkFault",
+    "Options",
     "Outcome",
     "PairPort",
     "Plan",
@@ -58,6 +59,7 @@ __all__ = [
     "Truth",
     "TruthFile",
     "emulate",
+    "load_scenes",
     "plan",
     "running",
     "score",

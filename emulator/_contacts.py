@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import Annotated, Self
 
@@ -10,13 +11,16 @@ from pydantic import Field, model_validator
 
 from ..common.arrays import FloatArray, IntArray
 from ..common.config import Finite
+from ..common.geometry import Geometry
 from ..errors import InputError
 from ._loads import Load, Seconds, within_period
 from ._shapes import Bump, Coordinate, Disc, Image, Point, Rectangle, Shape
 
 CellIndex = Annotated[tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]], Field(strict=False)]
 PathPoint = Annotated[tuple[Finite, Coordinate, Coordinate], Field(strict=False)]
+PathPointInSpace = Annotated[tuple[Finite, Coordinate, Coordinate, Coordinate], Field(strict=False)]
 Path = Annotated[list[PathPoint], Field(min_length=1, max_length=1_000_000)]
+PathInSpace = Annotated[list[PathPointInSpace], Field(min_length=1, max_length=1_000_000)]
 _SHAPES = ("cells", "point", "disc", "rectangle", "bump", "image")
 
 
@@ -32,8 +36,9 @@ class Contact(Load):
     image: Image | None = None
     path_cells: Path | None = None
     """[time in s, row, column] of the shape's middle: straight lines between, at rest before and after"""
-    path_mm: Path | None = None
-    """[time in s, down, along] likewise, from the middle of cell [0, 0]"""
+    path_mm: Path | PathInSpace | None = None
+    """[time in s, down, along] likewise, from the middle of cell [0, 0]; of a skin with a ``[shape]`` its own [time, y,
+    x] or [time, y, x, z]"""
     path_period: Seconds | None = None
     """s, after which the path begins anew; left out: never"""
 
@@ -77,6 +82,18 @@ class Contact(Load):
         if self.image is not None:
             _ = self.image.pixels
 
+    def _is_placed_in_mm(self, geometry: Geometry) -> bool:
+        """Whether its place is one on a skin with places of its own, not one in the array."""
+        return self.cells is None and geometry.pitch_m is None and self.path_cells is None and self._shape.is_in_mm
+
+    def _middles_mm(self, time_s: FloatArray) -> FloatArray:
+        """(frames, 2 or 3) where the middle of the shape is; (1, 2 or 3) if it rests."""
+        if self.path_mm is None:
+            return np.array([self._shape.center_mm])
+        points = np.asarray(self.path_mm, dtype=np.float64)
+        time = time_s if self.path_period is None else within_period(time_s, self.path_period)
+        return np.stack([np.interp(time, points[:, 0], along) for along in points[:, 1:].T], axis=1)
+
     def middles(self, time_s: FloatArray, pitch_mm: float) -> FloatArray:
         """(frames, 2) where the middle of the shape is at each of ``time_s``, in cells."""
         path = self.path_cells if self.path_cells is not None else self.path_mm
@@ -87,31 +104,43 @@ class Contact(Load):
         places = np.stack([np.interp(time, points[:, 0], points[:, axis]) for axis in (1, 2)], axis=1)
         return places if self.path_cells is not None else places / pitch_mm
 
-    def coverage(self, shape: tuple[int, int], pitch_mm: float = 25.4) -> FloatArray:
+    def coverage(self, geometry: Geometry) -> FloatArray:
         """(rows, columns) pressure on each cell per unit of load, at the beginning of a path."""
-        covered = np.zeros(shape)
-        cells, share = self._cover(np.zeros(1), shape, pitch_mm)
+        covered = np.zeros(geometry.shape)
+        cells, share = self._cover(np.zeros(1), geometry)
         covered.flat[cells] = share[0]
         return covered
 
-    def pressure_on(self, time_s: FloatArray, shape: tuple[int, int], pitch_mm: float) -> tuple[IntArray, FloatArray]:
+    def pressure_on(self, time_s: FloatArray, geometry: Geometry) -> tuple[IntArray, FloatArray]:
         """The cells that the contact presses at any of ``time_s``, and how hard.
 
         Returns:
             (k,) indices into the flattened array in rising order, and (frames, k) kPa.
 
         """
-        area_cells = float(len(self.cells)) if self.cells is not None else self._shape.area_cells(pitch_mm)
-        load = self.load(time_s, area_m2=area_cells * (pitch_mm / 1000.0) ** 2)
+        load = self.load(time_s, area_m2=1e-6 * self._area_mm2(geometry))
         pressing = load > 0
         if not pressing.any():
             return np.empty(0, dtype=np.intp), np.empty((len(time_s), 0))
-        cells, share = self._cover(time_s, shape, pitch_mm)
+        cells, share = self._cover(time_s, geometry)
         touched = (share[pressing] > 0).any(axis=0) if len(share) > 1 else share[0] > 0
         return cells[touched], load[:, None] * share[:, touched]
 
-    def _cover(self, time_s: FloatArray, shape: tuple[int, int], pitch_mm: float) -> tuple[IntArray, FloatArray]:
+    def _area_mm2(self, geometry: Geometry) -> float:
+        if self.cells is not None:
+            return float(geometry.areas_mm2[tuple(np.transpose(self.cells))].sum())
+        pitch_mm = _pitch_mm(geometry)
+        return self._shape.area_cells(pitch_mm) * pitch_mm**2
+
+    def _cover(self, time_s: FloatArray, geometry: Geometry) -> tuple[IntArray, FloatArray]:
         """Cells (k,) and their shares (frames, k), or (1, k) if these do not change."""
+        shape, pitch_mm = geometry.shape, _pitch_mm(geometry)
+        if self._is_placed_in_mm(geometry):
+            there = np.flatnonzero(geometry.exists)
+            places = geometry.places_mm.reshape(-1, len(geometry.axes))[there]
+            places[:, :2] = places[:, 1::-1]  # y before x, as in a scene
+            share = self._shape.cover_places(self._middles_mm(time_s), places, geometry.areas_mm2.ravel()[there])
+            return there, share
         if self.cells is not None:
             rows, columns = np.transpose(self.cells)
             cells = np.unique(rows * shape[1] + columns)
@@ -125,19 +154,51 @@ class Contact(Load):
         share = self._shape.cover(middles, rows.astype(float), columns.astype(float), pitch_mm)
         return cells, share.reshape(len(middles), -1)
 
-    def check(self, shape: tuple[int, int], pitch_mm: float) -> None:
-        """Raises InputError for cells beside an array of this shape, or a shape that nowhere on its path reaches it."""
+    def check(self, geometry: Geometry) -> None:
+        """Raises InputError for cells beside the array, or a shape that nowhere on its path reaches the skin."""
+        shape, pitch_mm = geometry.shape, _pitch_mm(geometry)
         for row, column in self.cells or ():
             if row >= shape[0] or column >= shape[1]:
                 raise InputError(f"cells: [{row}, {column}] lies outside the {shape[0]} x {shape[1]} array")
         if self.cells is not None:
             return
         path = self.path_cells or self.path_mm
-        middles = self.middles(np.array([time for time, *_ in path] if path else [0.0]), pitch_mm)
+        times = np.array([time for time, *_ in path] if path else [0.0])
+        never = ", nor does its path" if path else ""
+        if geometry.pitch_m is None:
+            self._check_places(times, geometry, never)
+            return
+        if any(len(place) > 2 for place in [self._shape.center_mm or (), *(point[1:] for point in self.path_mm or ())]):
+            raise InputError("a place of three numbers on a flat skin; expected [down, along]")
+        middles = self.middles(times, pitch_mm)
         if any(first >= last for first, last in self._shape.window(middles, shape, pitch_mm)):
             row, column = middles[0]
-            never = ", nor does its path" if path else ""
             raise InputError(
                 f"its shape around row {row:.4g}, column {column:.4g} does not reach the {shape[0]} x {shape[1]} array"
                 f"{never}; rows and columns count from 0, and mm from the middle of cell [0, 0]"
             )
+
+    def _check_places(self, times: FloatArray, geometry: Geometry, never: str) -> None:
+        """The same on a skin with places of its own."""
+        in_mm = self._is_placed_in_mm(geometry)
+        lengths = "path_mm" if self.path_cells is None else "path_cells"
+        if not in_mm and (self.path_mm is not None or self._shape.center_mm is not None or self.path_cells is None):
+            raise InputError(f"{lengths}: places on a skin with a [shape] and sizes are both in mm, or both in cells")
+        if not in_mm:
+            return
+        middles, axes = self._middles_mm(times), len(geometry.axes)
+        if middles.shape[1] != axes:
+            raise InputError(
+                f"a place of {middles.shape[1]} numbers; expected {'[y, x, z]' if axes == 3 else '[y, x]'} in mm"
+            )
+        if axes == 3 and not self._shape.ROUND:
+            raise InputError("a rectangle or an image on a skin in space; expected a point, a disc, a bump, or cells")
+        if not (self._cover(times, geometry)[1] > 0).any():
+            raise InputError(f"its shape around {middles[0].tolist()} mm does not reach a cell{never}")
+
+
+def _pitch_mm(geometry: Geometry) -> float:
+    """Side of a cell, which is square in a scene; on a skin with places of its own that of a typical cell."""
+    if geometry.pitch_m is not None:
+        return 1e3 * geometry.pitch_m[0]
+    return math.sqrt(float(np.median(geometry.areas_mm2[geometry.exists])))

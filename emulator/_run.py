@@ -16,7 +16,7 @@ import secrets
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
-from math import inf
+from math import inf, nan
 from pathlib import Path
 from typing import Any, Literal, TypedDict, Unpack
 
@@ -148,9 +148,8 @@ def running(scene: Scene, port: Port, **options: Unpack[Options]) -> AbstractCon
 
 def _truth_file(path: Path, scene: Scene) -> TruthFile:
     skin = scene.skin
-    return TruthFile(
-        path, skin.design.array.shape, pitch_mm=skin.cell_pitch_mm, full_scale_kpa=skin.cell.full_scale_kpa
-    )
+    pitch_mm = skin.cell_pitch_mm if skin.design.shape is None else nan
+    return TruthFile(path, skin.design.array.shape, pitch_mm=pitch_mm, full_scale_kpa=skin.cell.full_scale_kpa)
 
 
 def _protocol(family: str | Path | Family, scene: Scene) -> BoardProtocol:

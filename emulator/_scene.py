@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -13,7 +14,8 @@ from pydantic import Field, model_validator
 from ..cell import Cell, drifted_rest_resistance
 from ..circuits import Design
 from ..common.arrays import FloatArray, IntArray
-from ..common.config import Finite, NotNegative, Positive, Section, parse, read_toml
+from ..common.config import Finite, LocalFile, NotNegative, Positive, Section, parse, read_toml
+from ..common.geometry import Geometry
 from ..errors import InputError
 from ._contacts import Contact
 from ._events import Event, check_events
@@ -95,6 +97,13 @@ class SkinSettings(Section):
     spread: CellSpread = CellSpread()
     drift: Drift = Drift()
 
+    @model_validator(mode="after")
+    def _one_place(self) -> Self:
+        if self.design.shape is not None and (self.pitch_mm is not None or self.cover_thickness):
+            key = "cover_thickness" if self.cover_thickness else "pitch_mm"
+            raise ValueError(f"{key} has no effect on a skin with a [shape], whose cells lie anywhere; leave it out")
+        return self
+
     @property
     def described_design(self) -> Design:
         """The design as the board describes it to a host: with the pitch that the scene gives the cells.
@@ -107,6 +116,13 @@ class SkinSettings(Section):
         return self.design.replace(
             sheet={"pitch": pitch, "electrode_width": min(self.design.sheet.electrode_width, pitch)}
         )
+
+    @cached_property
+    def geometry(self) -> Geometry:
+        """Where the cells are."""
+        if self.design.shape is not None:
+            return self.design.geometry
+        return Geometry.rectangle(self.design.array.shape, self.cell_pitch_mm / 1000.0)
 
     @property
     def cell_pitch_mm(self) -> float:
@@ -157,7 +173,7 @@ class Scene(Section):
     def _on_the_skin(self) -> Self:
         for k, contact in enumerate(self.contact):
             try:
-                contact.check(self.skin.design.array.shape, self.skin.cell_pitch_mm)
+                contact.check(self.skin.geometry)
             except InputError as error:
                 raise ValueError(f"contact[{k}]{'.' if contact.cells else ': '}{error}") from error
         check_events(self.event, self.skin.design)
@@ -206,8 +222,8 @@ class Scene(Section):
             (k,) indices into the flattened array in rising order, and (frames, k) kPa.
 
         """
-        shape, pitch_mm = self.skin.design.array.shape, self.skin.cell_pitch_mm
-        parts = [contact.pressure_on(time_s, shape, pitch_mm) for contact in self.contact]
+        shape = self.skin.design.array.shape
+        parts = [contact.pressure_on(time_s, self.skin.geometry) for contact in self.contact]
         if self.movie is not None and self.movie.quantity == "pressure":
             shown = self.movie.at(time_s, shape).reshape(len(time_s), -1)
             cells = np.flatnonzero(shown.any(axis=0))
@@ -219,6 +235,46 @@ class Scene(Section):
         for cells, part in parts:
             pressure[:, np.searchsorted(touched, cells)] += part
         return touched, pressure
+
+
+class SharedScene(Section):
+    """Boards of one skin, each with a scene of its own, and what presses on all of them."""
+
+    boards: Annotated[list[LocalFile], Field(min_length=1, max_length=64)]
+    """scenes, relative to the file; the cells of each board are placed by the ``[shape]`` of its design"""
+    contact: list[Contact] = Field(default_factory=list)
+    """in mm; on each board that they reach"""
+
+
+def load_scenes(path: str | Path) -> tuple[Scene, ...]:
+    """The scene of each board that a file describes: one SCENE.toml, or ``boards`` with contacts that they share.
+
+    Raises:
+        InputError: a file is at fault, or a shared contact reaches no board.
+
+    """
+    tables = read_toml(path)
+    if "boards" not in tables:
+        return (Scene.from_tables(tables, source=str(path), directory=Path(path).parent),)
+    shared = parse(tables, SharedScene, source=str(path), folder=Path(path).parent)
+    scenes = [Scene.load(file) for file in shared.boards]
+    on_each: list[list[Contact]] = [list(scene.contact) for scene in scenes]
+    for k, contact in enumerate(shared.contact):
+        reached, why = False, ""
+        for scene, contacts in zip(scenes, on_each, strict=True):
+            try:
+                contact.check(scene.skin.geometry)
+            except InputError as error:
+                why = str(error)
+            else:
+                contacts.append(contact)
+                reached = True
+        if not reached:
+            raise InputError(f"{path}: contact[{k}]: on no board: {why}")
+    found = tuple(scene.replace(contact=contacts) for scene, contacts in zip(scenes, on_each, strict=True))
+    for scene in found:
+        scene.read_files()
+    return found
 
 
 def _with_parts(tables: Mapping[str, Any], source: str, directory: Path) -> Mapping[str, Any]:

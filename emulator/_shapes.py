@@ -29,6 +29,8 @@ Length = Annotated[float, Field(ge=1e-3, le=1e6)]
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
 Place = Annotated[tuple[Coordinate, Coordinate], Field(strict=False)]
 """[row, column], or [down, along] in mm. Whole numbers of cells are the middles of cells."""
+PlaceInSpace = Annotated[tuple[Coordinate, Coordinate, Coordinate], Field(strict=False)]
+"""[y, x, z] in mm, on a skin in space"""
 Size = Annotated[tuple[Length, Length], Field(strict=False)]
 """[height, width]"""
 
@@ -42,8 +44,8 @@ class Shape(Section):
 
     center: Place | None = None
     """[row, column]"""
-    center_mm: Place | None = None
-    """[down, along] from the middle of cell [0, 0]"""
+    center_mm: Place | PlaceInSpace | None = None
+    """[down, along] from the middle of cell [0, 0]; of a skin with a ``[shape]`` its own [y, x] or [y, x, z]"""
 
     SIZE: ClassVar[str] = ""
     """name of the length that is given in cells or in mm, without the unit; empty: the shape has none"""
@@ -63,6 +65,40 @@ class Shape(Section):
         if self.center_mm is not None:
             return self.center_mm[0] / pitch_mm, self.center_mm[1] / pitch_mm
         return self.center
+
+    @property
+    def is_in_mm(self) -> bool:
+        """Whether all its lengths are given in mm."""
+        return self.center is None and (not self.SIZE or getattr(self, f"{self.SIZE}_cells") is None)
+
+    ROUND: ClassVar[bool] = False
+    """the same from all sides, so that it can press on a skin in space"""
+
+    def cover_places(self, middles_mm: FloatArray, places_mm: FloatArray, areas_mm2: FloatArray) -> FloatArray:
+        """Share of the load on cells anywhere, each taken for a square of its area along the axes.
+
+        Args:
+            middles_mm: (frames, 2 or 3) where the shape's middle is, [y, x] or [y, x, z].
+            places_mm: (cells, 2 or 3) likewise.
+            areas_mm2: (cells,)
+
+        Returns:
+            (frames, cells)
+
+        """
+        if places_mm.shape[1] == 3:  # as far away as in space, along one axis
+            away = np.linalg.norm(places_mm - middles_mm[:, None], axis=-1)
+            still = np.zeros((len(away), 1))
+            found = [
+                self.cover(np.concatenate([-far[:, None] / side, still], axis=1), np.zeros(1), np.zeros(1), side)
+                for far, side in zip(away.T, np.sqrt(areas_mm2).tolist(), strict=True)
+            ]
+        else:
+            found = [
+                self.cover(middles_mm / side, place[:1] / side, place[1:] / side, side)
+                for place, side in zip(places_mm, np.sqrt(areas_mm2).tolist(), strict=True)
+            ]
+        return np.stack([share[:, 0, 0] for share in found], axis=1)
 
     def size(self, pitch_mm: float) -> Any:
         """The shape's length or lengths, in cells."""
@@ -122,6 +158,8 @@ class _Product(Shape):
 class Point(_Product):
     """A load on one point, as a load on one cell that the nearest four cells share while the point moves over them."""
 
+    ROUND: ClassVar[bool] = True
+
     def reach(self, pitch_mm: float) -> tuple[float, float]:
         return 0.5, 0.5
 
@@ -156,6 +194,8 @@ class Rectangle(_Product):
 class Bump(_Product):
     """Pressure like a fingertip's: a Gaussian bell, whose peak is the load; each cell gets the mean over the cell."""
 
+    ROUND: ClassVar[bool] = True
+
     SIZE: ClassVar[str] = "sigma"
     sigma_cells: Length | None = None
     sigma_mm: Length | None = None
@@ -176,6 +216,8 @@ class Bump(_Product):
 
 class Disc(Shape):
     """Even pressure within a circle; a cell that the circle covers in part gets that part."""
+
+    ROUND: ClassVar[bool] = True
 
     SIZE: ClassVar[str] = "radius"
     radius_cells: Length | None = None

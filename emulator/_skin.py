@@ -253,6 +253,9 @@ class ScenePhysics:
                 assert event.place is not None
                 place = (slice(None), *event.place)
                 resistance[place] = event.changed_cells(time_s, resistance[place])
+        if not self._scene.skin.geometry.is_whole:  # no cell, no current
+            none = ~self._scene.skin.geometry.exists
+            surface[:, none], resistance[:, none] = 0.0, np.inf
         return surface, resistance
 
     def design(self, time_s: float) -> Design:

@@ -1,9 +1,9 @@
 """URL handler for pyserial: ``serial.serial_for_url("ohmskin://scene.toml")`` opens a virtual board in this process.
 
 The board lives in a thread from ``open`` to ``close``. Options follow the path like those of ``ohmskin emulate``:
-``ohmskin://scene.toml?clock=fast&seed=3&board=flexitac&duration=10&truth=truth.npz``. An absolute path has three
-slashes: ``ohmskin:///home/me/scene.toml``. ``ohmskin://demo`` is the scene that ohmskin ships. pyserial finds this
-module, by its name, once :mod:`ohmskin.emulator` has been imported.
+``ohmskin://scene.toml?clock=fast&seed=3&board=flexitac&duration=10&truth=truth.npz``; ``part=2`` is the second board of
+a scene with several. An absolute path has three slashes: ``ohmskin:///home/me/scene.toml``. ``ohmskin://demo`` is the
+scene that ohmskin ships. pyserial finds this module, by its name, once :mod:`ohmskin.emulator` has been imported.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from serial.urlhandler import protocol_socket
 from ..errors import InputError, OhmskinError
 from ._ports import PairPort
 from ._run import running
-from ._scene import DEMO, Scene
+from ._scene import DEMO, load_scenes
 from ._service import ClockName
 
-OPTIONS = ("board", "clock", "duration", "seed", "truth")
+OPTIONS = ("board", "clock", "duration", "part", "seed", "truth")
 MOST_WAITING = 2**18
 """bytes that :attr:`Serial.in_waiting` counts up to; a socket's buffer holds fewer"""
 
@@ -65,13 +65,17 @@ class Serial(protocol_socket.Serial):
             raise InputError(f"{url}: clock is '{clock}'; expected 'real' or 'fast'")
         try:
             duration_s, seed = float(options.get("duration", inf)), int(options.get("seed", 0))
+            part = int(options.get("part", 1))
         except ValueError as error:
-            raise InputError(f"{url}: expected numbers for duration and seed: {error}") from error
+            raise InputError(f"{url}: expected numbers for duration, part and seed: {error}") from error
         path = unquote(parts.netloc + parts.path)
         port = PairPort(url)
         try:
+            scenes = load_scenes(DEMO if path == "demo" else path)
+            if not 1 <= part <= len(scenes) or ("part" not in options and len(scenes) > 1):
+                raise InputError(f"{url}: the scene has {len(scenes)} boards; expected part=1 to {len(scenes)}")
             board = running(
-                Scene.load(DEMO if path == "demo" else path),
+                scenes[part - 1],
                 port,
                 clock=cast("ClockName", clock),
                 duration_s=duration_s,

@@ -3,9 +3,12 @@
 from ._board import Board
 from ._export import parts_list, to_netlist
 from ._import import Imported, differences, import_design
+from ._layout import COLUMNS, ROWS, shape_of_layout
 from ._netlist import Netlist, Part, parse_netlist, read_netlist
 
 __all__ = [
+    "COLUMNS",
+    "ROWS",
     "Board",
     "Imported",
     "Netlist",
@@ -15,5 +18,6 @@ __all__ = [
     "parse_netlist",
     "parts_list",
     "read_netlist",
+    "shape_of_layout",
     "to_netlist",
 ]

@@ -76,7 +76,7 @@ def read_netlist(path: str | Path) -> Netlist:
 def parse_netlist(text: str, path: str | Path) -> Netlist:
     """As :func:`read_netlist`, of a text that ``path`` names in messages."""
     try:
-        tree = _from_xml(text) if text.lstrip()[:1] == "<" else _from_s_expression(text)
+        tree = _from_xml(text) if text.lstrip()[:1] == "<" else parse_expression(text)
         return _netlist(tree)
     except RecursionError as error:
         raise InputError(f"{path}: is nested too deeply for a netlist") from error
@@ -84,7 +84,7 @@ def parse_netlist(text: str, path: str | Path) -> Netlist:
         raise InputError(f"{path}: {error}") from error
 
 
-def _from_s_expression(text: str) -> Tree:
+def parse_expression(text: str) -> Tree:
     """The first list of a text; without recursion, since a stranger's text may nest as deeply as it likes."""
     stack: list[Tree] = [[]]
     for found in _TOKEN.finditer(text):
@@ -121,19 +121,19 @@ def _element(element: ElementTree.Element) -> Tree:
 def _netlist(tree: Tree) -> Netlist:
     if not isinstance(tree, list) or tree[:1] != ["export"]:
         raise InputError("is no netlist of KiCad; expected (export ... or <export ..., from File > Export > Netlist")
-    found = [_part(one) for section in _all(tree, "components") for one in _all(section, "comp")]
+    found = [_part(one) for section in sections(tree, "components") for one in sections(section, "comp")]
     if len(found) > MOST_PARTS:
         raise InputError(f"has {len(found)} components; expected at most {MOST_PARTS}")
     parts = {part.ref: part for part in found}
     nets: dict[str, list[tuple[str, str]]] = {}
-    for section in _all(tree, "nets"):
-        for net in _all(section, "net"):
-            name = _text(net, "name")
-            for node in _all(net, "node"):
-                ref, number = _text(node, "ref"), _text(node, "pin")
+    for section in sections(tree, "nets"):
+        for net in sections(section, "net"):
+            name = text_of(net, "name")
+            for node in sections(net, "node"):
+                ref, number = text_of(node, "ref"), text_of(node, "pin")
                 if ref in parts:
                     nets.setdefault(name, []).append((ref, number))
-                    parts[ref].pins[number] = Pin(name, _text(node, "pinfunction"))
+                    parts[ref].pins[number] = Pin(name, text_of(node, "pinfunction"))
     if not parts or not nets:
         raise InputError("has no components or no nets; expected the netlist of a whole schematic")
     return Netlist(parts, nets)
@@ -141,19 +141,19 @@ def _netlist(tree: Tree) -> Netlist:
 
 def _part(tree: Tree) -> Part:
     fields: dict[str, str] = {}
-    for section in _all(tree, "fields"):
-        fields |= {_text(one, "name"): _body(one) for one in _all(section, "field")}
-    fields |= {_text(one, "name"): _text(one, "value") for one in _all(tree, "property")}
-    source = next(_all(tree, "libsource"), [])
-    return Part(_text(tree, "ref"), _text(tree, "value"), _text(source, "part"), fields)
+    for section in sections(tree, "fields"):
+        fields |= {text_of(one, "name"): _body(one) for one in sections(section, "field")}
+    fields |= {text_of(one, "name"): text_of(one, "value") for one in sections(tree, "property")}
+    source = next(sections(tree, "libsource"), [])
+    return Part(text_of(tree, "ref"), text_of(tree, "value"), text_of(source, "part"), fields)
 
 
-def _all(tree: Sequence[Any], name: str) -> Iterator[Tree]:
+def sections(tree: Sequence[Any], name: str) -> Iterator[Tree]:
     return (item for item in tree if isinstance(item, list) and item[:1] == [name])
 
 
-def _text(tree: Sequence[Any], name: str) -> str:
-    return _body(next(_all(tree, name), []))
+def text_of(tree: Sequence[Any], name: str) -> str:
+    return _body(next(sections(tree, name), []))
 
 
 def _body(tree: Sequence[Any]) -> str:

@@ -128,6 +128,9 @@ def drawn(seed: int) -> tuple[str, Design, list[FloatArray], str]:
                 for row, column, ohm in odd:
                     cells[row, column] = ohm
         frames.append(np.maximum(cells, 1e-2))
+    within = event not in ("line", "press") or share == 0.1  # else whole lines are below the range; single cells may be
+    if draw.random() < 0.5 and within:
+        design = design.replace(cells={"rest_resistance": 3.0 * typical, "full_scale_resistance": 0.5 * typical})
     kind = f"{circuit} {lines} {'follower' if circuit == 'voltage-feedback' else idle_rows}"
     return kind, design, frames, event
 

@@ -27,6 +27,7 @@ from ohmskin.emulator import PtyPort, running
 from ohmskin.errors import InputError
 from ohmskin.wire import (
     CHECKSUMS,
+    FRAMINGS,
     BoardFile,
     Command,
     Corrupt,
@@ -280,6 +281,109 @@ def test_pauses_show_where_a_frame_begins_where_nothing_else_does() -> None:
     assert any("ambiguous" in reason for reason in reasons(unpaced))
 
 
+@given(
+    line=st.sampled_from(
+        ["{time_us};{row}:{cells}", "R{row} = {cells}", "[{row}] {cells} *{text}", "{number},{row},{cells},{time_ms}"]
+    ),
+    separator=st.sampled_from([None, ",", ";", "\t"]),
+    first=st.sampled_from([0, 1]),
+    newline=st.sampled_from(["\r\n", "\n"]),
+    seed=st.integers(0, 2**32),
+)
+def test_a_pattern_says_what_a_line_looks_like(
+    line: str, separator: str | None, first: int, newline: str, seed: int
+) -> None:
+    """Lines made from the pattern by hand, joined in the middle of a frame; one row lost costs its frame."""
+    keys = {"line": line} | ({} if separator is None else {"separator": separator})
+    family = described({"format": "text", "layout": "row-per-line", **keys}, 4, 3, 10)
+    rng, sent, lines = np.random.default_rng(seed), [], []
+    for k in range(6):
+        sent.append(rng.integers(0, 1024, (4, 3)))
+        for row, cells in enumerate(sent[-1]):
+            text = line.replace("{cells}", (separator or " ").join(map(str, cells))).replace("{row}", str(row + first))
+            for name, value in (("time_us", 5000 * k), ("time_ms", 5 * k), ("number", 250 + k), ("text", "5F")):
+                text = text.replace(f"{{{name}}}", str(value % 256 if name == "number" else value))
+            lines.append((text + newline).encode())
+    del lines[4 * 3 + 2]
+    events = [event for event in heard(family, *lines[2:]) if isinstance(event, FramePacket)]
+    assert [event.counts.tolist() for event in events] == [sent[k].tolist() for k in (1, 2, 4, 5)]
+    if "time" in line:
+        assert [event.time_us for event in events] == [5000 * k for k in (1, 2, 4, 5)]
+    if "number" in line:  # of one byte
+        assert [event.sequence for event in events] == [250 + k for k in (1, 2, 4, 5)]
+
+
+def test_cells_say_row_and_column_in_any_order() -> None:
+    family = text("cell-per-line", line="({row},{column}): {cells}")
+    by_columns = [f"({r},{c}): {A[r][c]}\n".encode() for c in range(3) for r in range(2)]
+    assert frames(heard(family, *by_columns[3:], *by_columns, *by_columns)) == [A, A]
+    family = text("cell-per-line", line="S{index}={cells}")
+    assert frames(heard(family, *[f"S{k + 1}={k + 7}\n".encode() for k in [*range(6)] * 2])) == [B, B]
+
+
+@pytest.mark.parametrize(
+    ("keys", "line"),
+    [
+        ({"encoding": "hex"}, b"1 2 3 4 5 6"),
+        ({"encoding": "hex", "separator": ","}, b"0x01,02,3,4,5,06"),
+        ({"encoding": "hex", "word": "uint8"}, b"010203040506"),
+        ({"encoding": "hex", "word": "uint16be", "prefix": "M"}, b"M000100020003000400050006"),
+        ({"encoding": "base64", "word": "uint16le"}, b"AQACAAMABAAFAAYA"),
+    ],
+)
+def test_numbers_that_are_not_decimal(keys: dict[str, Any], line: bytes) -> None:
+    assert frames(heard(text(**keys), b"x\n", line + b"\r\n", line[:-1] + b"!\r\n", line + b"\n")) == [A, A]
+
+
+@given(frame=st.binary(min_size=6, max_size=400), name=st.sampled_from(sorted(FRAMINGS)))
+def test_a_framing_gives_back_what_it_was_given(frame: bytes, name: str) -> None:
+    """And its delimiter stands between packets only."""
+    framing = FRAMINGS[name]
+    frame = frame.replace(b"\xff", b"\xfe") if name == "zero-runs" else frame
+    inner = framing.write(frame).strip(bytes([framing.delimiter]))
+    assert framing.delimiter not in inner
+    assert framing.decode(inner, len(frame)) == frame
+
+
+def test_literal_bytes_of_each_framing() -> None:
+    assert FRAMINGS["zero-runs"].write(bytes(300) + b"\x07\0") == b"\x00\xfe\x00\x2e\x07\x00\x01\xff"
+    assert FRAMINGS["slip"].write(b"\xc0\x01\xdb") == b"\xc0\xdb\xdc\x01\xdb\xdd\xc0"
+    family = binary(word="uint8", framing="zero-runs")
+    whole = b"\x01\x00\x02\x04\x05\x06\xff"
+    events = heard(family, whole[3:], whole, b"\x01\x00\xff", b"\x00\x06\xff")
+    assert frames(events) == [[[1, 0, 0], [4, 5, 6]], [[0, 0, 0], [0, 0, 0]]]
+
+
+def test_two_numbers_share_three_bytes() -> None:
+    """Literal bytes of 0x123 0x456 0x789 in both orders."""
+    for name, line in (("uint12le", b"\x23\x61\x45\x89\x07"), ("uint12be", b"\x12\x34\x56\x78\x90")):
+        family = described({"format": "binary", "word": name, "header": [0xFE, 0xEF]}, 1, 3, 12)
+        assert frames(heard(family, *[b"\xfe\xef" + line] * 3))[-1] == [[0x123, 0x456, 0x789]]
+        assert (
+            board_protocol(family).frame(FramePacket.of([[0x123, 0x456, 0x789]], sequence=0, time_us=0))
+            == b"\xfe\xef" + line
+        )
+
+
+def test_copies_of_a_frame_are_dropped_and_equal_frames_are_not() -> None:
+    family = text(copies=2)
+    one, other = b"1 2 3 4 5 6\n", b"7 8 9 10 11 12\n"
+    assert frames(heard(family, b"x\n", *[one] * 2, *[other] * 4, one)) == [A, B, B, A]
+
+
+def test_json_keys_with_stars_and_named_numbers() -> None:
+    rows = described({"format": "json", "key": "row*", "time_ms": "t", "number": "head.n"})
+    document = {"t": 12, "head": {"n": 3}, "row0": [1, 2, 3], "row1": [4, 5, 6]}
+    (event,) = [e for e in heard(rows, json.dumps(document).encode() + b"\n") if isinstance(e, FramePacket)]
+    assert (event.counts.tolist(), event.time_us, event.sequence) == (A, 12_000, 3)
+    items = described({"format": "json", "key": "s.*.v"})
+    document = {"s": [{"id": k, "v": k + 1} for k in range(6)]}
+    assert frames(heard(items, json.dumps(document).encode() + b"\n")) == [A]
+    lines = described({"format": "json", "key": "v", "layout": "row-per-line", "row_number": "r"})
+    sent = [json.dumps({"r": r, "v": A[r]}).encode() + b"\n" for r in (1, 0, 1, 0, 1)]
+    assert frames(heard(lines, *sent)) == [A, A]
+
+
 def test_json_documents() -> None:
     family = described({"format": "json", "key": "sensor.values"})
     lines = b'{"sensor": {"values": [1,2,3,4,5,6]}}\n{"log": "x"}\n{"sensor":{"values":[[7,8,9],[10,null,nan]]}}\nsens'
@@ -423,9 +527,9 @@ def test_a_board_is_started_and_asked(start: dict[str, Any]) -> None:
 
 def pictures(family: Family, count: int) -> list[Counts]:
     layout, random = family.layout, np.random.default_rng(7)
-    return [
-        random.integers(0, 2**layout.adc_bits, (layout.rows, layout.columns)).astype(np.uint16) for _ in range(count)
-    ]
+    tables = family.tables or {}
+    most = 255 if tables["frame"].get("framing") == "zero-runs" else 2**layout.adc_bits  # 255 ends a frame there
+    return [random.integers(0, most, (layout.rows, layout.columns)).astype(np.uint16) for _ in range(count)]
 
 
 def sent_by(family: Family, shown: list[Counts]) -> list[bytes]:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from boards import EXAMPLES, Wire, scene
+from boards import DESIGN, EXAMPLES, Wire, scene
 
 from ohmskin.driver import Frame, Skin
 from ohmskin.emulator import Board, PtyPort, running
@@ -36,6 +36,15 @@ def bridge(name: str) -> ModuleType:
 def pressed() -> list[Frame]:
     """Frames with a contact and, since the port was noisy, with a loss."""
     with Skin(Wire(Board(scene())), delivery="lossless") as skin:
+        return list(islice(skin, 70, 100))
+
+
+@pytest.fixture(scope="module")
+def shaped() -> list[Frame]:
+    """Frames of a skin whose cells have places of their own, and one of which is missing."""
+    cells = {"row": [0, 0, 1, 2, 2], "column": [0, 1, 1, 0, 1], "x_mm": [0, 9, 9, 1, 9], "y_mm": [0, 0, 9, 18, 17]}
+    design = DESIGN | {"shape": cells | {"z_mm": [0, 1, 2, 3, 4]}}
+    with Skin(Wire(Board(scene(skin={"design": design}))), delivery="lossless") as skin:
         return list(islice(skin, 70, 100))
 
 
@@ -213,7 +222,8 @@ def test_foxglove_receives_the_frames(pressed: list[Frame]) -> None:
 # --- ROS 2 ------------------------------------------------------------------------------------------------------------
 
 
-def test_ros_messages_survive_their_wire_format(pressed: list[Frame]) -> None:
+@pytest.mark.parametrize("which", ["pressed", "shaped"])
+def test_ros_messages_survive_their_wire_format(which: str, request: pytest.FixtureRequest) -> None:
     """Against the message definitions of ROS 2 Humble, and CDR, as rosbags has them."""
     typesys = pytest.importorskip("rosbags.typesys")
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
@@ -227,9 +237,14 @@ def test_ros_messages_survive_their_wire_format(pressed: list[Frame]) -> None:
         place, turn = kinds["geometry_msgs/msg/Point"], kinds["geometry_msgs/msg/Quaternion"]
         return kinds["geometry_msgs/msg/Pose"](place(0.0, 0.0, 0.0), turn(0.0, 0.0, 0.0, 0.0))
 
-    frame = pressed[-1]
+    def field() -> Any:
+        return kinds["sensor_msgs/msg/PointField"]("", 0, 0, 0)
+
+    frame = request.getfixturevalue(which)[-1]
     (contact,) = frame.contacts
+    nothing = np.zeros(0, np.uint8)
     blank = {
+        "cells": kinds["sensor_msgs/msg/PointCloud2"](header(), 0, 0, [], False, 0, 0, nothing, False),
         "pressure": kinds["sensor_msgs/msg/Image"](header(), 0, 0, "", 0, 0, np.zeros(0, np.uint8)),
         "contacts": kinds["geometry_msgs/msg/PoseArray"](header(), []),
         "frame": kinds["std_msgs/msg/String"](""),
@@ -238,8 +253,8 @@ def test_ros_messages_survive_their_wire_format(pressed: list[Frame]) -> None:
     for topic, fields in node.messages(frame, "palm").items():
         known = {name for name, _ in store.fielddefs[node.TYPES[topic]][1]}
         assert fields.keys() == known
-        message = node.fill(blank[topic], fields, pose)
-        if topic == "pressure":
+        message = node.fill(blank[topic], fields, field if topic == "cells" else pose)
+        if topic in ("pressure", "cells"):
             message.data = np.frombuffer(message.data, np.uint8)  # as rosbags, unlike rclpy, wants it
         read[topic] = store.deserialize_cdr(store.serialize_cdr(message, node.TYPES[topic]), node.TYPES[topic])
     image = read["pressure"]
@@ -250,7 +265,17 @@ def test_ros_messages_survive_their_wire_format(pressed: list[Frame]) -> None:
     assert stamp.sec * 10**9 + stamp.nanosec == round(frame.host_time * 1e9)
     (found,) = read["contacts"].poses
     assert (found.position.x, found.position.y) == (contact.x_mm / 1e3, contact.y_mm / 1e3)
+    assert found.position.z == (contact.z_mm or 0.0) / 1e3
     assert found.orientation.w == 1.0
+    assert ("cells" in read) == (which == "shaped")
+    if which == "shaped":
+        cloud = read["cells"]
+        points = cloud.data.view("<f4").reshape(cloud.width, 4)
+        assert [each.name for each in cloud.fields] == ["x", "y", "z", "pressure_kpa"]
+        np.testing.assert_allclose(
+            points[:, :3], np.array([[0, 0, 0], [9, 0, 1], [9, 9, 2], [1, 18, 3], [9, 17, 4]]) / 1e3
+        )
+        np.testing.assert_array_equal(points[2, 3], np.float32(frame.pressure[1, 1]))
     assert json.loads(read["frame"].data)["sequence"] == frame.sequence
 
 

@@ -340,19 +340,6 @@ def test_kernels_do_the_same_as_plain_python(kind: str, name: str | None) -> Non
         np.testing.assert_array_equal(found(), by_code)
 
 
-def test_a_deviation_is_that_of_its_step_however_late_it_is_asked_for() -> None:
-    read, random = sensed(EXAMPLE, presses(200), 1e-3), np.random.default_rng(3)
-    read[random.random(read.shape) < 0.01] *= 0.4
-    read[random.random(read.shape) < 0.02] = np.nan
-    estimator, later, at_once = EXAMPLE.estimator((6,)), [], []
-    for frame in read:
-        estimator.step(DT_S, frame)
-        later.append(estimator.variance_of_last_step())
-        at_once.append(estimator.std_kpa)
-    for ask, expected in reversed(list(zip(later, at_once, strict=True))):
-        np.testing.assert_array_equal(np.sqrt(ask()), expected)
-
-
 LAYOUTS: dict[str, Callable[[FloatArray], Any]] = {
     "transposed": lambda ohm: ohm.T.copy().T,
     "every second": lambda ohm: np.repeat(ohm, 2, axis=1)[:, ::2],

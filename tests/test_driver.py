@@ -78,14 +78,14 @@ def test_counts_become_the_ohms_that_gave_them(ohms: float) -> None:
     """An ideal circuit: back within half a code, whose width in ohm is R^2 dV / (Vin Rref)."""
     plain = design(array={"rows": 3, "columns": 2})
     cells = np.full((3, 2), ohms)
-    read = CountReader(plain)
-    reading = read(adc_codes(plain, ideal_volts(plain, cells)))
+    read, codes = CountReader(plain), adc_codes(plain, ideal_volts(plain, cells))
+    reading = read(codes)
     assert plain.adc is not None
     step = ohms**2 * plain.adc.step / 20e3
     assert reading.valid.all()
     np.testing.assert_allclose(reading.resistance, cells, atol=0.5 * step / (1 - 0.5 * step / ohms) * (1 + 1e-9))
     own = step / ohms / 12**0.5 * reading.resistance / ohms  # of the conductance that was read
-    np.testing.assert_allclose(read.resolution[0], own, rtol=0.05)
+    np.testing.assert_allclose(settled(read, codes).steps_std, own, rtol=0.05)
 
 
 def settled(read: CountReader, counts: np.ndarray) -> Measurement:

@@ -14,6 +14,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from ohmskin.common.arrays import FloatArray
+from ohmskin.common.geometry import Geometry
 from ohmskin.driver import MESSAGE_SCHEMAS, Contact, ContactTracker, messages_of
 from ohmskin.emulator import Board
 from ohmskin.errors import InputError
@@ -29,7 +30,7 @@ def bump(shape: tuple[int, int], row: float, column: float, peak_kpa: float, sig
 
 
 def tracker(shape: tuple[int, int] = (16, 16)) -> ContactTracker:
-    return ContactTracker(shape, PITCH_M, FULL_KPA)
+    return ContactTracker(Geometry.rectangle(shape, PITCH_M), FULL_KPA)
 
 
 def track(frames: list[FloatArray], std_kpa: float = 0.0, step_s: float = 0.01) -> list[tuple[Contact, ...]]:
@@ -237,7 +238,10 @@ def when_found(
 
     The press is 2 kPa after ``rise_s``.
     """
-    pressure, one = np.zeros((16, 16)), ContactTracker((16, 16), PITCH_M, FULL_KPA, faults_press=faults_press)
+    pressure, one = (
+        np.zeros((16, 16)),
+        ContactTracker(Geometry.rectangle((16, 16), PITCH_M), FULL_KPA, faults_press=faults_press),
+    )
     pressure[cells] = 2.0
     times = np.arange(-100, round(1e3 * lasting_s)) / 1e3
     shares = np.clip((times + 1e-3) / rise_s, 0.0, 1.0).tolist()
@@ -393,8 +397,10 @@ def test_contacts_of_a_skin_are_where_it_is_pressed() -> None:
 def test_cells_that_are_not_square_have_two_pitches() -> None:
     """The same pressures on cells of 5 mm along a row and 10 mm along a column."""
     press = bump((16, 16), 4.0, 9.0, 10.0)
-    (square,) = ContactTracker((16, 16), 0.01, FULL_KPA).update(0.0, press, np.zeros((16, 16)))
-    (oblong,) = ContactTracker((16, 16), (0.005, 0.01), FULL_KPA).update(0.0, press, np.zeros((16, 16)))
+    (square,) = ContactTracker(Geometry.rectangle((16, 16), 0.01), FULL_KPA).update(0.0, press, np.zeros((16, 16)))
+    (oblong,) = ContactTracker(Geometry.rectangle((16, 16), (0.005, 0.01)), FULL_KPA).update(
+        0.0, press, np.zeros((16, 16))
+    )
     assert (oblong.x_mm, oblong.y_mm) == pytest.approx((45.0, 40.0), abs=0.1)
     assert (oblong.x_mm, oblong.y_mm) == pytest.approx((square.x_mm / 2, square.y_mm))
     assert oblong.force_n == pytest.approx(square.force_n / 2)
@@ -467,7 +473,7 @@ def test_the_force_of_a_soft_contact_does_not_end_at_a_threshold(sigma: float, p
     """Cells around the touched ones bear the rest of the force: all of it is within two deviations."""
     row, column = np.mgrid[0:32, 0:32]
     pressure = peak_kpa * np.exp(-((row - 15) ** 2 + (column - 15) ** 2) / 2 / sigma**2)
-    tracker = ContactTracker((32, 32), 0.005, 15.5)
+    tracker = ContactTracker(Geometry.rectangle((32, 32), 0.005), 15.5)
     for n in range(20):
         (contact, *others) = tracker.update(0.02 * n, pressure, np.full((32, 32), 0.08)) or (None,)
     assert contact is not None
@@ -480,7 +486,7 @@ def test_the_force_of_a_soft_contact_does_not_end_at_a_threshold(sigma: float, p
 def test_the_rim_between_two_contacts_is_shared_out() -> None:
     row, column = np.mgrid[0:24, 0:32]
     one, other = (6.0 * np.exp(-((row - 12) ** 2 + (column - at) ** 2) / 2 / 2.0**2) for at in (8, 22))
-    tracker = ContactTracker((24, 32), 0.005, 15.5)
+    tracker = ContactTracker(Geometry.rectangle((24, 32), 0.005), 15.5)
     for n in range(20):
         contacts = tracker.update(0.02 * n, one + other, np.full((24, 32), 0.08))
     assert len(contacts) == 2

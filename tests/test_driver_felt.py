@@ -13,6 +13,7 @@ from ohmskin.bench import _fingers as played
 from ohmskin.bench import _taps as bench
 from ohmskin.bench._driver import design
 from ohmskin.common.arrays import FloatArray
+from ohmskin.common.geometry import Geometry
 from ohmskin.driver import Contact, ContactTracker
 
 PITCH_M, FULL_KPA, SHAPE = 0.004, 20.0, (12, 12)
@@ -34,7 +35,7 @@ def track(
     frames: FloatArray, std_kpa: float = 0.1, step_s: float = 0.01, drift_kpa: float = 0.0
 ) -> list[tuple[Contact, ...]]:
     """Contacts of pressures (frames, rows, columns)."""
-    tracker = ContactTracker(frames.shape[1:], PITCH_M, FULL_KPA, drift_kpa=drift_kpa)
+    tracker = ContactTracker(Geometry.rectangle(frames.shape[1:], PITCH_M), FULL_KPA, drift_kpa)
     std = np.full(frames.shape[1:], std_kpa)
     return [tracker.update(step_s * k, frame, std) for k, frame in enumerate(frames)]
 
@@ -151,7 +152,7 @@ def test_a_row_that_dies_is_bridged_after_a_while() -> None:
     unread = np.zeros(frames.shape, dtype=bool)
     unread[20:, 6] = True
     frames[:, 6] = 0.0
-    tracker, std = ContactTracker(SHAPE, PITCH_M, FULL_KPA), np.full(SHAPE, 0.1)
+    tracker, std = ContactTracker(Geometry.rectangle(SHAPE, PITCH_M), FULL_KPA), np.full(SHAPE, 0.1)
     seen = [tracker.update(0.01 * k, frames[k], std, unread[k]) for k in range(100)]
     late = 20 + round(MISSING_S / 0.01) + 2
     assert all(len(contacts) == 2 for contacts in seen[1:39])  # 0.2 s after the last reading

@@ -14,6 +14,7 @@ from ohmskin.bench import _taps as bench
 from ohmskin.cell import Cell, ContactModel
 from ohmskin.cli import run
 from ohmskin.common.arrays import FloatArray
+from ohmskin.common.geometry import Geometry
 from ohmskin.driver import ContactTracker
 
 EXAMPLE = Cell.example()
@@ -30,7 +31,7 @@ def contacts_of(ohm: FloatArray, cell: Cell = EXAMPLE, dt_s: float = DT_S, noise
     """Number of contacts in each frame (frames, rows, columns), read with relative noise."""
     shape = (ohm.shape[1], ohm.shape[2])
     estimator = cell.estimator(shape)
-    tracker = ContactTracker(shape, 0.004, cell.full_scale_kpa, faults_press=estimator.side > 0)
+    tracker = ContactTracker(Geometry.rectangle(shape, 0.004), cell.full_scale_kpa, faults_press=estimator.side > 0)
     random = np.random.default_rng(0)
     numbers = []
     for n, frame in enumerate(ohm * (1.0 + noise * random.standard_normal(ohm.shape))):

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ohmskin.circuits import scan
+from ohmskin.common.geometry import Geometry
 from ohmskin.emulator import Bump, Contact, Disc, EmulatedSkin, Image, Point, Rectangle, Scene, spread
 from ohmskin.errors import InputError
 
@@ -78,7 +79,9 @@ def test_how_frames_are_asked_for_changes_no_bit(pieces: list[int], seed: int) -
 
 def coverage(shape: Disc | Rectangle | Bump | Point | Image, array: tuple[int, int]) -> np.ndarray:
     """Pressure on each cell under a load of 1 kPa."""
-    return Contact.model_validate({type(shape).__name__.lower(): shape, "load_kpa": [(0.0, 1.0)]}).coverage(array)
+    return Contact.model_validate({type(shape).__name__.lower(): shape, "load_kpa": [(0.0, 1.0)]}).coverage(
+        Geometry.rectangle(array, 0.0254)
+    )
 
 
 def brute(shape: Disc | Rectangle | Bump, array: tuple[int, int]) -> np.ndarray:
@@ -121,11 +124,11 @@ def test_a_sliding_shape_is_at_each_time_the_shape_at_that_place() -> None:
     for name, size in (("disc", {"radius_cells": 1.2}), ("bump", {"sigma_cells": 0.7}), ("point", {})):
         moving = Contact.model_validate({name: size, "path_cells": path, "load_kpa": [(0.0, 2.0)]})
         times = np.linspace(0, 2, 9)
-        cells, pressure = moving.pressure_on(times, (7, 6), 25.4)
+        cells, pressure = moving.pressure_on(times, Geometry.rectangle((7, 6), 0.0254))
         for time, frame in zip(times, pressure, strict=True):
             center = (1.0 + 2.0 * time, 0.5 + 2.0 * time)
             at_rest = Contact.model_validate({name: {**size, "center": center}, "load_kpa": [(0.0, 2.0)]})
-            expected = 2.0 * at_rest.coverage((7, 6))
+            expected = 2.0 * at_rest.coverage(Geometry.rectangle((7, 6), 0.0254))
             np.testing.assert_allclose(frame, expected.flat[cells], atol=1e-12)
             assert frame.sum() == pytest.approx(expected.sum())
 
@@ -140,8 +143,9 @@ def test_a_point_is_shared_by_the_cells_around_it() -> None:
 def test_millimetres_are_cells_times_the_pitch() -> None:
     in_mm = Contact.model_validate({"disc": {"center_mm": [8.0, 12.0], "radius_mm": 5.0}, "force_n": [[0.0, 3.0]]})
     in_cells = Contact.model_validate({"disc": {"center": [2.0, 3.0], "radius_cells": 1.25}, "load_kpa": [[0.0, 1.0]]})
-    np.testing.assert_allclose(in_mm.coverage((9, 7), 4.0), in_cells.coverage((9, 7), 4.0))
-    _, pressure = in_mm.pressure_on(np.zeros(1), (9, 7), 4.0)
+    skin = Geometry.rectangle((9, 7), 0.004)
+    np.testing.assert_allclose(in_mm.coverage(skin), in_cells.coverage(skin))
+    _, pressure = in_mm.pressure_on(np.zeros(1), skin)
     newtons = pressure.sum() * 1000.0 * 0.004**2
     assert newtons == pytest.approx(3.0)
 

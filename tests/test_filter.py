@@ -150,16 +150,37 @@ def test_a_bound_truncates_and_takes_the_others_along(seed: int, side: float, z:
     written(c, 0, mean, covariance)
     std = covariance[k, k] ** 0.5
     at = mean[k] - side * z * std
-    share = filters.bound(c, 0, of_speed, at, side)
+    share = filters.bound(c, 0, of_speed, at, side, 0.0)
     cut = truncnorm(*((-z, np.inf) if side > 0 else (-np.inf, z)), loc=mean[k], scale=std)
     found, left = gaussian(c, 0)
-    assert share == pytest.approx(norm.cdf(z), rel=1e-9)
+    assert share == pytest.approx(norm.cdf(z), rel=3e-9)
     assert found[k] == pytest.approx(cut.mean(), abs=1e-6 + 0.01 * std)
     assert left[k, k] == pytest.approx(max(cut.var(), 0.02 * std**2), rel=1e-3)
     assert np.linalg.eigvalsh(left).min() > -1e-12
     shift = (found - mean)[[i for i in range(3) if i != k]]
     along = (covariance[k] / covariance[k, k] * (found - mean)[k])[[i for i in range(3) if i != k]]
     np.testing.assert_allclose(shift, along, atol=1e-9)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(-4.0, 3.0), st.floats(1e-4, 0.5))
+def test_loads_beyond_a_soft_bound_are_rare(seed: int, z: float, rare: float) -> None:
+    """Weight, mean and variance of a normal load whose density is ``rare`` times as much beyond the bound."""
+    mean, covariance = drawn(seed)
+    c = zeros(filters.Candidates, 1)[0]
+    written(c, 0, mean, covariance)
+    std = covariance[0, 0] ** 0.5
+    at = mean[0] + z * std
+    left = filters.bound(c, 0, False, at, -1.0, rare)
+    x = mean[0] + std * np.linspace(-9.0, 9.0, 200_001)
+    density = norm.pdf(x, mean[0], std) * np.where(x < at, 1.0, rare)
+    weight = np.trapezoid(density, x)
+    expected = np.trapezoid(x * density, x) / weight
+    found, moments = gaussian(c, 0)
+    assert left == pytest.approx(weight, rel=1e-3)
+    assert found[0] == pytest.approx(expected, abs=2e-3 * std)
+    assert moments[0, 0] == pytest.approx(
+        max(np.trapezoid((x - expected) ** 2 * density, x) / weight, 0.02 * std**2), rel=0.01
+    )
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.01, 0.99))
@@ -194,8 +215,8 @@ def test_the_density_of_a_reading_is_that_of_the_mixture() -> None:
 def test_a_cell_takes_no_part_in_what_its_column_shares_for_it() -> None:
     """Its own reading changes the corrections of the others, and none of its own; alone in a column it has none."""
     t, cells, watches = steps_of(0.01), zeros(filters.Estimates, 5), zeros(filters.Watch, 5)
-    places = np.arange(5)
-    filters.begin_each(cells, places, np.zeros(5), MATERIAL.geq, MATERIAL.g3)
+    for each in cells:
+        filters.begin(each, 0.0, MATERIAL.geq, MATERIAL.gu, MATERIAL.g3)
     watches["asleep"] = 1.0
 
     def corrected(reading: FloatArray) -> FloatArray:
@@ -316,6 +337,62 @@ def test_a_bad_contact_is_over_when_it_is_over(factor: float) -> None:
     estimator = CELL.estimator((2,))
     found = np.array([estimator.step(0.01, frame) for frame in ohm]) / FULL_KPA
     assert np.abs(found - load)[215:].max() < 0.03
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 25.0, 100.0])
+def test_a_press_within_a_frame_is_shown_at_once_and_doubted(rate_hz: float) -> None:
+    """It may be a bad contact: the deviation says so until it has lasted."""
+    frames, level = round(6.0 * rate_hz), np.array([0.1, 0.2, 0.4, 0.6, 0.8, 1.0])
+    begins = frames // 2
+    load = np.where(np.arange(frames)[:, None] < begins, 0.0, level)
+    error, std = errors(load, 1.0 / rate_hz, 3e-4)
+    assert np.abs(error[begins:]).max() < 0.02
+    assert (std[begins] > 0.05 * level).all()
+    assert (std[begins + round(0.4 * rate_hz)] < 0.03).all()
+
+
+@pytest.mark.parametrize("factor", [1.6, 2.5])
+def test_a_contact_may_get_bad_right_after_a_touch(factor: float) -> None:
+    """0.1 s after a press was seen: what the cell read before the press has no part in it."""
+    load = np.interp(0.01 * np.arange(200), [0.5, 0.53], [0, 1])[:, None] * np.array([0.3, 0.5, 0.8])
+    ohm = CELL.forward((3,)).run(np.full(200, 0.01), load * FULL_KPA)
+    ohm *= 1.0 + 2e-4 * np.random.default_rng(2).standard_normal(ohm.shape)
+    ohm[63:69] *= factor
+    estimator = CELL.estimator((3,))
+    found = np.array([estimator.step(0.01, frame) for frame in ohm]) / FULL_KPA
+    assert np.abs(found - load)[75:].max() < 0.03
+    assert (np.abs(found - load)[63:69] <= 0.03).mean() > 0.6
+
+
+@pytest.mark.parametrize("noise", [2e-4, 2e-3])
+@pytest.mark.parametrize("rise_s", [0.02, 0.3, 2.0])
+def test_an_overload_is_shown_with_a_deviation_that_grows(noise: float, rise_s: float) -> None:
+    """Up to 1.3 of full scale; no load is left after it."""
+    levels = np.array([1.0, 1.1, 1.15, 1.2, 1.3])
+    time = 0.01 * np.arange(700)
+    load = np.interp(time, [1.0, 1.0 + rise_s, 4.0, 4.2], [0, 1, 1, 0])[:, None] * levels
+    error, std = errors(load, 0.01, noise)
+    held = (time > 1.5 + rise_s) & (time < 4.0)
+    assert (np.abs(error) <= 2.0 * std)[held].mean() > 0.95
+    assert np.abs(error[held]).max() < 0.06
+    assert (np.diff(np.median(std[held], axis=0)) > 0.0).all()
+    assert np.abs(error[time > 5.2]).max() < 0.02
+
+
+@pytest.mark.parametrize("since_s", [0.3, 1.0, 3.0])
+def test_a_recording_joined_under_a_press_shows_it_within_its_deviation(since_s: float) -> None:
+    """A press whose beginning nobody saw: the filter knows neither its age nor what was before."""
+    time = 0.01 * np.arange(1400)
+    load = np.interp(time, [1.0, 1.2, 8.0, 8.2], [0, 1, 1, 0])[:, None] * np.array([0.2, 0.4, 0.6, 0.8, 1.0])
+    ohm = CELL.forward((5,)).run(np.full(1400, 0.01), load * FULL_KPA)
+    ohm *= 1.0 + 5e-4 * np.random.default_rng(3).standard_normal(ohm.shape)
+    first, estimator = round((1.2 + since_s) / 0.01), CELL.estimator((5,))
+    frames = [(estimator.step(0.01, frame), estimator.std_kpa) for frame in ohm[first:]]
+    found, std = np.moveaxis(np.array(frames) / FULL_KPA, 1, 0)
+    error = np.abs(found - load[first:])
+    assert error[0].max() < 0.15
+    assert (error <= 2.0 * std)[: round(3.0 / 0.01)].mean() > 0.9
+    assert error[time[first:] > 9.2].max() < 0.06
 
 
 def test_no_load_is_shown_a_second_after_vibration() -> None:

@@ -18,7 +18,7 @@ from ohmskin.circuits import Design, scan
 from ohmskin.cli import run
 from ohmskin.common.config import parse, read_toml
 from ohmskin.errors import InputError
-from ohmskin.kicad import Imported, differences, import_design, parse_netlist, read_netlist, to_netlist
+from ohmskin.kicad import Imported, differences, import_design, parse_netlist, read_netlist, shape_of_layout, to_netlist
 
 ROOT = Path(__file__).parents[1]
 MUX_4067 = ["9", "8", "7", "6", "5", "4", "3", "2", "23", "22", "21", "20", "19", "18", "17", "16"]
@@ -312,3 +312,53 @@ def test_any_design_comes_back(
     found = import_design(parse_netlist(to_netlist(tables), "here"))
     assert differences(found.design(), design) == []
     assert not found.questions
+
+
+def _layout(cells: list[tuple[int, int, float, float, float]], **nets: str) -> str:
+    """A layout with cells (row, column, x, y, angle): combs of 2 x 6 mm, 4 mm apart, between a row and a column."""
+    row_net, column_net = nets.get("row", "/skin/ROW{}"), nets.get("column", "COL{}")
+    parts = "".join(
+        f'(footprint "skin:comb" (layer "F.Cu") (at {x} {y} {angle}) (property "Reference" "S{row}_{column}")'
+        f'(pad "1" smd rect (at -2 0 {angle}) (size 2 6) (layers "F.Cu") (net 1 "{row_net.format(row)}"))'
+        f'(pad "2" smd rect (at 2 0 {angle}) (size 2 6) (layers "F.Cu") (net 2 "{column_net.format(column)}")))'
+        for row, column, x, y, angle in cells
+    )
+    resistor = '(footprint "R" (at 1 2) (pad "1" smd rect (at 0 0) (size 1 1) (net 1 "/skin/ROW1")))'
+    return f'(kicad_pcb (version 20240108) (net 1 "GND") {resistor}{parts})'
+
+
+def test_the_pads_of_a_layout_are_the_places_of_the_cells(tmp_path: Path) -> None:
+    layout = tmp_path / "skin.kicad_pcb"
+    layout.write_text(_layout([(1, 1, 100, 50, 0), (1, 2, 109.5, 50, 90), (2, 2, 109.5, 61.25, 30)]))
+    shape = shape_of_layout(layout)
+    assert (shape.row, shape.column) == ((0, 0, 1), (0, 1, 1))
+    assert (shape.x_mm, shape.y_mm) == ((100.0, 109.5, 109.5), (50.0, 50.0, 61.25))
+    assert shape.area_mm2 == (36.0, 36.0, 36.0)
+
+
+def test_a_footprint_that_is_turned_turns_its_pads(tmp_path: Path) -> None:
+    """KiCad turns against the clock, with y down: a pad to the right of a part at 90 degrees lies above it."""
+    layout = tmp_path / "skin.kicad_pcb"
+    both = '(net 1 "ROW0")) (pad "2" smd rect (at 11 0 {0}) (size 2 4) (net 2 "COL0")))'
+    part = '(footprint "skin" (at 20 30 {0}) (pad "1" smd rect (at 9 0 {0}) (size 2 4) ' + both
+    layout.write_text(f"(kicad_pcb {part.format(90)})")
+    shape = shape_of_layout(layout)
+    assert (shape.x_mm[0], shape.y_mm[0]) == pytest.approx((20.0, 20.0))
+    assert shape.area_mm2 == pytest.approx((16.0,))
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "message"),
+    [
+        ("(export)", {}, "is no layout of KiCad"),
+        (_layout([]), {}, "no footprint lies between nets"),
+        (_layout([(0, 0, 1, 1, 0), (0, 0, 9, 1, 0)]), {}, r"cell \(0, 0\) is there twice"),
+        (_layout([(0, 0, 1, 1, 0)]), {"rows": "ROW"}, "expected one group each"),
+        (_layout([(0, 0, 1, 1, 0)]), {"rows": "ROW("}, "no regular expression"),
+        (_layout([(0, 0, 1, 1, 0)]).replace("(size 2 6)", "(size 2)"), {}, "expected 2 numbers"),
+    ],
+)
+def test_a_layout_without_cells_is_refused(tmp_path: Path, text: str, options: dict[str, str], message: str) -> None:
+    (tmp_path / "skin.kicad_pcb").write_text(text)
+    with pytest.raises(InputError, match=f"skin.kicad_pcb: .*{message}"):
+        shape_of_layout(tmp_path / "skin.kicad_pcb", **options)

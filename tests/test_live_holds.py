@@ -16,7 +16,6 @@ from ohmskin.common.arrays import FloatArray
 from ohmskin.driver import CountReader
 from ohmskin.driver._estimate import Estimate
 from ohmskin.driver._rest import Rest
-from ohmskin.driver._systematic import SystematicError
 
 RATE_HZ, TARE_S, BEGIN_S, EDGE_S, HOLD_S, JUDGED_S = 25.0, 0.6, 1.0, 0.06, 32.0, 2.0
 ROWS, COLUMNS = np.array([1, 3, 4, 6]), np.array([2, 5, 1, 4])
@@ -37,15 +36,14 @@ def shown(
     ohm = cell.forward(shape).run(np.full(len(load), 1.0 / rate_hz), load)
     volts = scan_batch(board, ohm * np.exp(draw.normal(0.0, spread, shape))).volts
     codes = adc_codes(board, volts + 1e-3 * noise_mv * draw.standard_normal(volts.shape))
-    read, systematic = CountReader(board), SystematicError(cell)
+    read = CountReader(board)
     tare = round(TARE_S * rate_hz)
-    rest = Rest(cell, None, systematic)
+    rest = Rest(cell, None)
     rest.tared_ohm = np.mean([read(frame).resistance for frame in codes[:tare]], axis=0)
-    estimate = Estimate(cell, shape, None, rest, systematic, None)
+    estimate = Estimate(cell, shape, None, rest, None)
     pressure, std = np.zeros((2, *load.shape))
     for n, frame in enumerate(codes[tare:], tare):
-        pressure[n], stated = estimate.take(1.0 / rate_hz, read(frame))
-        std[n] = stated()
+        pressure[n], std[n] = estimate.take([1.0 / rate_hz], [read(frame)])
     return pressure, std
 
 
@@ -181,7 +179,9 @@ def test_dividers_with_driven_rows_scale_their_columns(circuit: str, idle_rows: 
     factor, others = np.delete(change[:, 5], 2), np.delete(change, 5, axis=1)
     most = max(np.ptp(factor), np.abs(others).max())
     assert (most < 0.05 * np.abs(factor).max()) == scales
-    assert reader.resolution[3] == scales
+    for _ in range(3):
+        at = reader(codes)
+    assert at.column_half_step.any() == scales
 
 
 def test_a_divider_tells_the_steps_of_all_its_readings() -> None:
@@ -197,8 +197,10 @@ def test_a_divider_tells_the_steps_of_all_its_readings() -> None:
         more[place] += 1
         square += np.log(CountReader(board)(more).resistance / at.resistance) ** 2
     expected = np.sqrt(square / 12.0)
-    np.testing.assert_allclose(reader.resolution[2], expected, rtol=0.3)
-    assert np.all(reader.resolution[2] >= reader.resolution[0])
+    for _ in range(3):
+        at = reader(codes)
+    assert np.all(at.steps_std > expected)
+    assert np.all(at.steps_std < 2.0 * expected), "as much as where equal cells are rounded alike"
 
 
 def test_steps_that_scale_no_columns_are_errors_of_each_cell() -> None:

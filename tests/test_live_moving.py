@@ -17,7 +17,6 @@ from ohmskin.circuits import Design, adc_codes, scan_batch
 from ohmskin.driver import CountReader
 from ohmskin.driver._estimate import Estimate
 from ohmskin.driver._rest import Rest
-from ohmskin.driver._systematic import SystematicError
 
 CELL = Cell.example()
 PROTOTYPE = Design.load(Path(__file__).parents[1] / "verification" / "prototype.toml")
@@ -82,13 +81,12 @@ def followed(board: Design, noise_v: float, rate_hz: float, seconds: float) -> F
         ohm = CELL.forward(shape).run(np.full(len(time_s), dt / SUBSTEPS), load)[SUBSTEPS - 1 :: SUBSTEPS]
         volts = scan_batch(board, ohm).volts
         codes = adc_codes(board, volts + noise_v * np.random.default_rng(seed).standard_normal(volts.shape))
-        read, systematic = CountReader(board), SystematicError(CELL)
-        estimate = Estimate(CELL, shape, None, Rest(CELL, None, systematic), systematic, None)
+        read = CountReader(board)
+        estimate = Estimate(CELL, shape, None, Rest(CELL, None), None)
         pressure, std = np.empty((2, *ohm.shape))
         for n, frame in enumerate(codes):
-            pressure[n], stated = estimate.take(dt, read(frame))
-            std[n] = stated()
-        judged = slice(round(BEGIN_S * rate_hz), None)
+            pressure[n], std[n] = estimate.take([dt], [read(frame)])
+            judged = slice(round(BEGIN_S * rate_hz), None)
         plays.append((load[SUBSTEPS - 1 :: SUBSTEPS][judged], pressure[judged], std[judged]))
     return Found(*(np.concatenate(parts) for parts in zip(*plays, strict=True)))
 

@@ -408,7 +408,7 @@ def test_the_commands_record_replay_and_export(tmp_path: Path, capfd: pytest.Cap
         assert run(["export", str(tmp_path / f"{name}.mcap"), "-o", str(tmp_path / f"{name}.npz")]) == 0
     with np.load(tmp_path / "first.npz") as one, np.load(tmp_path / "second.npz") as other:
         fields = {name for name in one.files if not name.startswith("contact_")}
-        assert fields == {*ARRAYS, *NUMBERS, "time"} - {"monotonic_time", "estimator_restarted"}
+        assert fields == {*ARRAYS, *NUMBERS, "time", "place_mm", "area_mm2"} - {"monotonic_time", "estimator_restarted"}
         assert len(one["contact_force_n"]) == len(one["contact_frame"]) > 0
         np.testing.assert_array_equal(one["sequence"], np.arange(200))
         for field in ("sequence", "device_time", "counts", "pressure"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from needs import need
+from worst_boards import random_board_in_time
 
 from ohmskin.circuits import Design, Settling, noise, spice, stability
 from ohmskin.errors import InputError
@@ -66,6 +67,33 @@ def test_rows_that_are_sensed_have_the_same_dynamics() -> None:
     np.testing.assert_allclose(found.sampled, settling.sampled_from_rest(period)[:, 1], atol=2e-4 * signal)
     assert found.noise == pytest.approx(noise(design, CELLS).before_adc[3, 1], rel=2e-3)
     assert found.phase_margin == pytest.approx(stability(design, CELLS).phase_margin[3, 1], abs=0.3)
+
+
+@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 14))])
+def test_random_boards_in_time_agree(seed: int) -> None:
+    """Early samples, settled readings and phase margins within 2 % of an independent simulator."""
+    need(spice.command_available())
+    design = random_board_in_time(seed)
+    readout: dict[str, object] = {"columns": "parallel", "idle_columns": "float"}
+    if not design.board.circuit.has_amplifiers:
+        readout |= {"circuit": "inverting-amplifier", "gain_bandwidth": 1e6}
+    design = design.replace(readout=readout, adc={"acquisition_time": 0.0})
+    cells = 10 ** np.random.default_rng(seed).uniform(3.7, 5.0, design.array.shape)
+    settling, turned = Settling(design, cells), design.board.turned
+    line = design.board.shape[0] - 1
+    period = 0.3 * settling.shortest_period(0.01)
+    found = spice.dynamic_reading(design, cells, line, period=period)
+
+    def of_line(values: np.ndarray) -> np.ndarray:
+        return values[:, line] if turned else values[line]
+
+    settled = of_line(settling.settled)
+    signal = np.abs(settled).max()
+    np.testing.assert_allclose(found.settled, settled, atol=0.02 * signal)
+    np.testing.assert_allclose(found.sampled, of_line(settling.sampled_from_rest(period)), atol=0.02 * signal)
+    margin = float(of_line(stability(design, cells).phase_margin)[0])
+    if np.isfinite(margin) or np.isfinite(found.phase_margin):
+        assert found.phase_margin == pytest.approx(margin, abs=0.02 * 90.0)
 
 
 def test_a_swing_limits_the_output() -> None:

@@ -96,3 +96,58 @@ def test_a_frame_with_a_reading_at_a_limit_goes_the_long_way() -> None:
         short._kept = whole._kept = None
         assert_same(short(counts), whole(counts))
     assert len(went) <= 8
+
+
+UNHELD = {
+    "together": ("voltage-divider", "float", {"idle_columns": "load"}),
+    "in turns": ("voltage-divider", "float", {"idle_columns": "float"}),
+    "pulled together": ("voltage-divider", "pull", {"idle_columns": "load"}),
+    "pulled in turns": ("voltage-divider", "pull", {"idle_columns": "float"}),
+    "amplifiers in turns": ("inverting-amplifier", "float", {"columns": "multiplexed", "idle_columns": "float"}),
+    "rows in turns": ("row-amplifier", "float", {"columns": "multiplexed", "idle_columns": "load"}),
+    "pulled rows in turns": ("row-amplifier", "pull", {"columns": "multiplexed", "idle_columns": "load"}),
+}
+"""boards whose idle rows nothing holds: circuit, idle rows, columns"""
+
+
+@settings(max_examples=15)
+@given(
+    st.sampled_from(sorted(UNHELD)),
+    st.sampled_from([10, 12, 16]),
+    st.integers(2, 9),
+    st.integers(2, 9),
+    st.integers(0, 2**32 - 1),
+)
+def test_the_short_way_of_unheld_rows_is_right_and_as_sure_as_the_whole_recovery(
+    kind: str, bits: int, rows: int, columns: int, seed: int
+) -> None:
+    """Both iterate to a fraction of the uncertainty, so that they agree within it."""
+    draw, (circuit, idle_rows, readout) = np.random.default_rng(seed), UNHELD[kind]
+    amplified = circuit != "voltage-divider"
+    reference = 2e3 if amplified else 1e4
+    if amplified:
+        readout = {**readout, "offset_voltage": 1e-3, "open_loop_gain": 1e5}
+    design = Design.model_validate(
+        {
+            "array": {"rows": rows, "columns": columns, "row_lead": 5.0, "column_lead": 3.0},
+            "drive": {"voltage": -1.0 if amplified else 3.3, "idle_rows": idle_rows}
+            | ({"idle_row_resistance": 2e4} if idle_rows == "pull" else {}),
+            "readout": {"circuit": circuit, "reference_resistance": reference, **readout},
+            "adc": {"bits": bits, "range": [-0.1, 3.3]},
+        }
+    )
+    short, whole, went = readers(design)
+    rest = reference * 10 ** draw.uniform(0.3, 0.8, (rows, columns))
+    for frame in range(12):
+        cells = rest * draw.uniform(0.98, 1.02, rest.shape) * (1.0 + 0.02 * frame)
+        counts = adc_codes(design, scan(design, cells).volts)
+        short._kept = whole._kept = None
+        one, other = short(counts), whole(counts)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            apart = np.abs(one.resistance / other.resistance - 1.0) / one.uncertainty
+            off = np.abs(one.resistance / cells - 1.0) / one.uncertainty
+        assert (off[one.valid] <= 1.0).all()
+        assert (apart[one.valid & other.valid] <= 0.3).all()
+        assert (one.valid == other.valid).mean() > 0.9
+        np.testing.assert_allclose(one.uncertainty[one.valid], other.uncertainty[one.valid], rtol=0.3)
+    assert sum(went) >= 6

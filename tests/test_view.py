@@ -136,6 +136,65 @@ def test_values_pixels_and_contacts_equal_the_frame(browser: Browser) -> None:
         assert not any(colour[3] for colour in marks[47]), "nothing far away"
 
 
+@pytest.mark.parametrize("space", [False, True])
+def test_cells_are_drawn_where_they_are(browser: Browser, space: bool) -> None:
+    """At any turn, with the colour of their pressure; the pointer finds them there."""
+    row, column = (index.ravel() for index in np.indices((6, 8)))
+    there = (row + column) % 7 != 3
+    places = {"x_mm": 9.0 * column + row, "y_mm": 11.0 * row}
+    if space:
+        places = {"x_mm": 30 * np.sin(column / 4), "y_mm": 11.0 * row, "z_mm": 30 * np.cos(column / 4)}
+    shape = {name: values[there].tolist() for name, values in ({"row": row, "column": column} | places).items()}
+    with live(skin={"design": WIDE | {"shape": shape}}) as board, opened(browser, board.url) as page:
+        since = board.hand.press(bump())
+        until(page, "since => ohmskin.frame.deviceTime_s > since + 1", since)
+        page.click("#rotate")
+        values = paused(page)
+        frame = board.frame_of(values)
+        expect(page.locator("#source")).to_contain_text(f"{there.sum()} cells")
+        if space:
+            box = page.locator("#map").bounding_box()
+            assert box is not None
+            before = page.evaluate("ohmskin.map.angles")
+            page.mouse.move(box["x"] + 200, box["y"] + 200)
+            page.mouse.down()
+            page.mouse.move(box["x"] + 260, box["y"] + 220, steps=3)
+            page.mouse.up()
+            until(page, "before => ohmskin.map.angles[0] !== before", before[0])
+            paused(page)
+            assert page.evaluate("ohmskin.chosen.length") == 0, "a turn chooses no cell"
+        drawn = page.evaluate(
+            """() => {
+                const {map} = ohmskin;
+                const context = map.cells.getContext("2d");
+                context.lineWidth = 6;
+                const hidden = (k) => map.order.slice(map.order.indexOf(k) + 1)
+                    .some((other) => context.isPointInPath(map.paths[other], ...map.middles[k])
+                        || context.isPointInStroke(map.paths[other], ...map.middles[k]));
+                return map.middles.map(([x, y], k) => ({index: map.shape.index[k], at: [x / map.ratio, y / map.ratio],
+                    colour: [...context.getImageData(x, y, 1, 1).data], hidden: hidden(k), shade: map.shades[k]}));
+            }"""
+        )
+        assert [one["index"] for one in drawn] == np.flatnonzero(there).tolist()
+        scale = page.evaluate("async () => (await import('./colours.js')).COLOURS")
+        full_scale = page.evaluate("ohmskin.scale[1]")
+        seen = [one for one in drawn if not one["hidden"]]
+        assert len(seen) > (10 if space else 40)
+        for one in seen:
+            assert frame.valid.flat[one["index"]]
+            share = min(max(values["pressure"][one["index"]] / full_scale, 0.0), 1.0)
+            expected = np.array(scale[min(int(256 * share), 255)]) * (1.0 - one["shade"])
+            np.testing.assert_allclose(one["colour"][:3], expected, atol=2.0)
+        one = seen[7]
+        page.hover("#map", position=dict(zip("xy", one["at"], strict=True)))
+        expect(page.locator("#cell-place")).to_have_text("{}, {}".format(*divmod(one["index"], 8)))
+        assert "no cell" not in page.locator("#link").inner_text()
+        (contact,) = frame.contacts
+        np.testing.assert_equal(
+            values["contacts"][0]["z_mm"], np.float32(np.nan if contact.z_mm is None else contact.z_mm)
+        )
+
+
 def test_the_cell_under_the_pointer_is_told_in_full(browser: Browser) -> None:
     with live(event=[SHORTED]) as board, opened(browser, board.url) as page:
         board.hand.press(bump())

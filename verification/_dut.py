@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, wraps
@@ -45,6 +46,8 @@ class DesignUnderTest:
     """family of the board at a port, or its BOARD.toml"""
     baud: int | None = None
     """baud rate of the port; None: that of the board"""
+    compares: bool = True
+    """whether worst cases are put beside other analyses of the same; an exploration needs them alone"""
     _found: dict[Any, Any] = field(default_factory=dict, init=False, compare=False, repr=False)
     """results of functions that are :func:`once`"""
 
@@ -122,11 +125,16 @@ class DesignUnderTest:
 
     @cached_property
     def cell_spread(self) -> float:
-        """Largest relative deviation of a cell's resistance from that of the nominal cell, temperature included."""
+        """Largest relative deviation of a cell's resistance from that of the nominal cell, with temperature and age."""
+        return self.cell_spread_at(aged=True)
+
+    def cell_spread_at(self, *, aged: bool) -> float:
+        """As :attr:`cell_spread`, at the end of the cells' life or of new ones."""
         spread = self.design.spreads.get("cells.rest_resistance")
         if spread is None:
             return 0.0
-        width = spread.tolerance + spread.deviation / self.rest
+        ageing = spread.ageing if aged else (0.0, 0.0)
+        width = spread.tolerance + ageing[0] + (spread.deviation + ageing[1]) / self.rest
         if self.design.operation.temperature_range is not None:
             extremes = (abs(kelvin - NOMINAL_K) for kelvin in self.design.operation.temperature_range)
             width += abs(spread.temperature_coefficient) * max(extremes)
@@ -151,6 +159,7 @@ class DesignUnderTest:
 
     @cached_property
     def factors(self) -> Factors:
+        """Of all parts at the end of their lives."""
         return Factors.of(self.design)
 
     @property
@@ -175,9 +184,13 @@ def once(
     The result is kept with the design under test, so that requirements share it in whatever order they are judged.
     """
 
+    signature = inspect.signature(function)
+
     @wraps(function)
     def kept(dut: DesignUnderTest, /, *args: P.args, **options: P.kwargs) -> T:
-        key = (function, args, tuple(sorted(options.items())))
+        given = signature.bind(dut, *args, **options)
+        given.apply_defaults()
+        key = (function, *list(given.arguments.values())[1:])
         if key not in dut._found:
             dut._found[key] = function(dut, *args, **options)
         found: T = dut._found[key]
@@ -187,8 +200,8 @@ def once(
 
 
 def keep(dut: DesignUnderTest, function: Callable[..., T], args: tuple[Any, ...], value: T) -> None:
-    """The result of a function that is :func:`once`, worked out elsewhere."""
-    dut._found[function.__wrapped__, args, ()] = value  # type: ignore[attr-defined]  # set by wraps
+    """The result of a function that is :func:`once`, worked out elsewhere; all its arguments are given."""
+    dut._found[(function.__wrapped__, *args)] = value  # type: ignore[attr-defined]  # set by wraps
 
 
 @cache

@@ -37,12 +37,11 @@ from ._outcome import DoesNotApply, Measurement, NotRun, Outcome
 from ._quantity import AVERAGING, DOWN, UP, WORST
 from ._requirements import evaluate
 from ._units import LEAST_SHOWN, UNITS, conversion, engineering
-from .quantities import adc_headroom, output_headroom
+from .quantities import adc_headroom, output_headroom, settling_error
 from .quantities.crosstalk import Crosstalk
 from .quantities.lost_frames import lost_frames
 from .quantities.pressure_resolution import pressure_resolution
 from .quantities.reading_error import ReadingError
-from .quantities.settling_error import settling_error
 
 KNOWN_FRACTION = 0.015
 """carbon black by mass of the cell of the design; the paper's choice"""
@@ -176,6 +175,7 @@ def explore(
     """
     if points < 1:
         raise InputError(f"points is {points}; expected at least 1")
+    dut = replace(dut, compares=False)
     wanted = list(_combinations(dut, points))
     number = 0
 
@@ -210,6 +210,7 @@ def best_carbon_black(dut: DesignUnderTest) -> Variation | None:
     """
     if dut.pressed < dut.rest:
         return None
+    dut = replace(dut, compares=False)
     sigma = {float(fraction): _resolution_kpa(dut, float(fraction)) for fraction in FRACTIONS}
     best = min(sigma, key=lambda fraction: sigma[fraction])
     if not np.isfinite(sigma[best]):
@@ -274,6 +275,7 @@ def remedies(
     Requirements on quantities that no part mends, on the yield, and on a real board have none. Each remedy is
     yielded as soon as it is found.
     """
+    dut = replace(dut, compares=False)
     mendable = [requirement for requirement in requirements if may_be_mended(requirement)]
     for number, requirement in enumerate(mendable):
         progress(number, len(mendable), f"{requirement.id} {requirement.quantity}")
@@ -426,8 +428,8 @@ def varied(dut: DesignUnderTest, changes: Mapping[str, float | str]) -> DesignUn
     if cells is not None:
         spread = {} if design.cells is None else dict(design.cells.spread)
         design = design.replace(cells=cells | {"spread": spread})
-        return DesignUnderTest(design, None, dut.target, dut.seed, dut.samples)
-    return DesignUnderTest(design, dut.given_cell, dut.target, dut.seed, dut.samples)
+        return replace(dut, design=design, given_cell=None)
+    return dut.with_design(design)
 
 
 def _judged(dut: DesignUnderTest, changes: dict[str, float | str]) -> Variation:
@@ -436,7 +438,7 @@ def _judged(dut: DesignUnderTest, changes: dict[str, float | str]) -> Variation:
     unknown: list[str] = []
     asked = Requirement(id="explore", quantity="pressure_resolution")
     kpa = _known(lambda: pressure_resolution(here, asked, "nominal"), "resolution", unknown)
-    settling = _known(lambda: settling_error(here, asked, WORST), "settling", unknown)
+    settling = _known(lambda: settling_error.QUANTITY.compute(here, asked, WORST), "settling", unknown)
     rate = here.design.operation.frame_rate
     if rate is not None and _known(lambda: lost_frames(here, asked, "nominal"), "", []) > 0:
         settling = inf

@@ -21,7 +21,7 @@ from scipy.stats import beta
 from ..common.arrays import FloatArray, IntArray
 from ._box import Box, Corners
 from ._readings import ReadingTarget, named_corners
-from ._search import WorstCase
+from ._search import Target, WorstCase
 
 BLOCK = 100
 CONFIDENCE = 0.95
@@ -30,7 +30,10 @@ TOGETHER, MOST_TRIES = 4, 12
 """cells and presses of a board that are solved at once, and so many times at most"""
 _ROOM = 0.02
 """relative error of a value to first order, within which a candidate may still be the worst"""
-_FOUND = 4  # presses of the search's own worst corners under which every board is judged
+MOST_BESIDE = 3_000_000
+"""cells that are solved for the boards beside a worst case"""
+_FOUND, _FOUND_WHOLE = 4, 2
+"""presses of the search's own worst corners under which every board is judged, and of boards that are judged whole"""
 
 
 def blocks(samples: int) -> int:
@@ -38,16 +41,21 @@ def blocks(samples: int) -> int:
     return -(-samples // BLOCK)
 
 
+def blocks_beside(target: Target, box: Box, tries: int, samples: int) -> int:
+    """Blocks of boards that are judged beside a worst case: as many as are drawn, fewer of large arrays."""
+    return min(blocks(samples), max(1, int(MOST_BESIDE / (BLOCK * tries * target.cost(box)))))
+
+
 @dataclass(frozen=True)
 class Sampler:
     """What judges random boards, made once from the worst-case search of the same quantity."""
 
-    target: ReadingTarget
+    target: Target
     box: Box
     found: Corners
-    """judged cells and presses of the search's worst corners"""
+    """presses of the search's own worst corners, with their judged cells"""
     named: Corners
-    """(K) judged cells, signs and presses that derivatives name"""
+    """(K) judged cells, signs and presses that derivatives name; none of targets without"""
     fixed: FloatArray
     """(K,) their values on nominal boards, to first order"""
     slopes: FloatArray
@@ -56,10 +64,15 @@ class Sampler:
     @classmethod
     def of(cls, worst: WorstCase) -> Sampler:
         """The judge of a quantity's boards."""
-        box, target = worst.box, worst.target
-        assert isinstance(target, ReadingTarget)
+        box, target, others = worst.box, worst.target, worst.others
         parts, cells = len(box.factors), box.cells
         pressed = slice(parts, parts + cells)
+        if not isinstance(target, ReadingTarget):
+            patterns = others.x[:, pressed]
+            _, first = np.unique(np.sign(patterns), axis=0, return_index=True)
+            nothing = np.zeros(0)
+            some = others.some(np.sort(first)[:_FOUND_WHOLE])
+            return cls(target, box, some, others.some(slice(0, 0)), nothing, np.zeros((0, parts + cells)))
         fixed, slopes = [], []
         named = named_corners(target, box)
         for number, one in enumerate(named):
@@ -67,19 +80,21 @@ class Sampler:
             moved = (one.slopes[:, pressed] * (one.corners.x[:, pressed] - state)).sum(axis=1)
             fixed.append(np.nan_to_num(one.centre + moved, nan=inf))
             slopes.append(np.nan_to_num(np.delete(one.slopes, np.r_[pressed], axis=1)))
-        _, first = np.unique(
-            np.stack([worst.others.row, worst.others.column, worst.others.sign.astype(np.intp)]),
-            axis=1,
-            return_index=True,
-        )
+        judged = np.stack([others.row, others.column, others.sign.astype(np.intp)])
+        _, first = np.unique(judged, axis=1, return_index=True)
         return cls(
             target,
             box,
-            worst.others.some(np.sort(first)[:_FOUND]),
+            others.some(np.sort(first)[:_FOUND]),
             Corners.joined([one.corners for one in named]),
             np.concatenate(fixed),
             np.concatenate(slopes),
         )
+
+    @property
+    def tries(self) -> int:
+        """Points that a board takes at least."""
+        return len(self.found) + (TOGETHER if len(self.named) else 0)
 
     def block(self, seed: int, block: int) -> FloatArray:
         """The largest value (boards,) of the target over all cells and presses, of one block of boards."""
@@ -104,7 +119,7 @@ class Sampler:
                 break
             solved = self._solved(boards[active], self.named, chosen[active])
             best[active] = np.maximum(best[active], solved.max(axis=1))
-        return best
+        return np.where(best > -inf, best, inf)  # a board of which nothing can be said has failed
 
     def _solved(self, boards: FloatArray, corners: Corners, chosen: IntArray) -> FloatArray:
         """(S, T) the target of each board at T of the corners' cells and presses."""

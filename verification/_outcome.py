@@ -155,6 +155,23 @@ class Claim:
 
 
 @dataclass(frozen=True)
+class Bounds:
+    """A worst case by other analyses: under the same presses, of the same target, on the same boards."""
+
+    nominal: float
+    """of nominal parts"""
+    new: float | None
+    """worst case with the initial tolerances; None: no part ages"""
+    root_sum_square: float
+    """nominal, and the root sum of squares of what all parts add"""
+    quantile: float
+    """that 99 % of the random boards keep"""
+    sampled: float
+    """of the worst random board"""
+    boards: int
+
+
+@dataclass(frozen=True)
 class Measurement:
     """What was found for a requirement."""
 
@@ -179,6 +196,8 @@ class Measurement:
     undecided: str = ""
     """why the value is no verdict: too few boards neither prove the wanted yield nor miss it, or a simulator has left
     out a part of a model; and what would decide"""
+    bounds: Bounds | None = None
+    """of a worst case"""
     figures: Sequence[Figure] = ()
     tables: Sequence[Table] = ()
     corner: CornerRecord | None = None

@@ -95,8 +95,8 @@ class Factors:
     """by part, the one that it follows, with the other's nominal value"""
 
     @classmethod
-    def of(cls, design: Design) -> Factors:
-        """The factors of a design whose spreads are not zero."""
+    def of(cls, design: Design, *, aged: bool = True) -> Factors:
+        """The factors of a design whose spreads are not zero, at the end of the parts' lives or of new parts."""
         spreads = dict(design.spreads)
         nominal = _nominal_values(design)
         found: list[Factor] = []
@@ -115,7 +115,9 @@ class Factors:
                 continue
             low, high = (kelvin - NOMINAL_K for kelvin in design.operation.temperature_range or (NOMINAL_K, NOMINAL_K))
             drifts = abs(spread.temperature_coefficient) * max(abs(low), abs(high)) if key in MAXIMA else 0.0
-            for factor, column in _of_part(key, value, spread, drifts, shared=_is_shared(design, key)):
+            ageing = spread.ageing if aged else (0.0, 0.0)
+            own = drifts + ageing[0] * np.abs(value) + ageing[1]
+            for factor, column in _of_part(key, value, spread, own, shared=_is_shared(design, key)):
                 found.append(factor)
                 columns.append((key, column))
             if spread.temperature_coefficient and (low or high) and key not in MAXIMA and np.isfinite(value).all():
@@ -244,15 +246,15 @@ def _is_shared(design: Design, key: str) -> bool:
 
 
 def _of_part(
-    key: str, value: FloatArray, spread: Spread, drift: float, *, shared: bool
+    key: str, value: FloatArray, spread: Spread, own: FloatArray, *, shared: bool
 ) -> Iterator[tuple[Factor, FloatArray]]:
-    """The factors of one kind of part, each with its column of the matrix (L,); ``drift`` is each line's own."""
+    """The factors of one kind of part, each with its column of the matrix (L,); ``own`` (L,) is each line alone."""
     count = len(value)
-    width = spread.tolerance * np.abs(value) + spread.deviation + drift
+    width = spread.tolerance * np.abs(value) + spread.deviation + own
     if spread.matching is not None:
         size = spread.package or count
         common = (spread.tolerance - spread.matching) * np.abs(value)
-        width = spread.matching * np.abs(value) + spread.deviation + drift
+        width = spread.matching * np.abs(value) + spread.deviation + own
         for package in range(-(-count // size)):
             members = np.arange(count) // size == package
             if common[members].any():

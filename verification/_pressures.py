@@ -15,6 +15,7 @@ import numpy as np
 from ..circuits import Design, Recoverer, Status, apparent_resistance, noise, scan_batch
 from ..common import plots
 from ..common.arrays import BoolArray, FloatArray
+from ..common.geometry import Geometry
 from ..emulator import Contact, Rectangle
 from ..errors import InputError, SolverError
 from ._dut import DesignUnderTest, once
@@ -144,7 +145,7 @@ def simulate(dut: DesignUnderTest, name: str, factors: FloatArray) -> Run:
     random = np.random.default_rng(np.random.SeedSequence([dut.seed, 1 << 21]))
     full = dut.full_scale_kpa
     pressing = contacts(shape, full)
-    coverage = [contact.coverage(shape) for contact in pressing]
+    coverage = [contact.coverage(Geometry.rectangle(shape, design.sheet.pitch)) for contact in pressing]
     applied = np.array([sum(c.load(t) * cover for c, cover in zip(pressing, coverage, strict=True)) for t in time_s])
     applied = np.minimum(applied, full)  # contacts meet on small arrays; cells are not meant for more
     scale = 1.0 + dut.cell_spread * random.uniform(-1.0, 1.0, shape)
@@ -163,7 +164,7 @@ def simulate(dut: DesignUnderTest, name: str, factors: FloatArray) -> Run:
     ohms = _recovered(recover, volts, lost)
     estimator = dut.cell.estimator(shape, rest_resistance_ohm=rest)
     steps = np.diff(time_s, prepend=time_s[0])
-    estimated = np.array([estimator.step(float(dt), frame) for dt, frame in zip(steps, ohms, strict=True)])
+    estimated, _ = estimator.run(steps, ohms)
     return Run(name, time_s, applied, estimated, lost, full)
 
 

@@ -10,13 +10,16 @@ from ..circuits import Design, Requirement
 from ._dut import DesignUnderTest
 from ._hardware import Readings
 from ._outcome import Measurement
-from ._readings import ReadingErrorTarget
 
 NOMINAL: Final = "nominal"
 WORST: Final = "worst-case"
 SAMPLED: Final = "monte-carlo"
 SPICE: Final = "spice"
 HARDWARE: Final = "hardware"
+SEARCHED = (WORST, NOMINAL, SAMPLED)
+"""methods of a quantity that the worst-case search finds"""
+SHARE_UNITS = ("% FS", "kPa")
+"""in which a limit asks for an error as a share of full scale, whatever the cell"""
 DOWN, UP = "down", "up"
 """directions in which a part may be changed"""
 AVERAGING = "frames averaged"
@@ -87,7 +90,7 @@ class Quantity:
     """of ngspice, that finds the same of nominal parts; empty: none does"""
     measured: Callable[[DesignUnderTest, Readings], Measurement] | None = None
     """the same from frames of a board; None: it cannot be measured"""
-    sampled: ReadingErrorTarget | None = None
-    """what the yield of random boards is judged by; None: it has none"""
     units: tuple[str, ...] = ()
     """other units that a limit may be in, which say what is meant"""
+    rates: tuple[str, str] | None = None
+    """part and kind of the rating in ``[parts]`` that the quantity is held to, as ("driver", "current")"""

@@ -31,6 +31,17 @@ class CornerRecord(_Record):
     cells_ohm: list[list[list[Number]]] = Field(description="resistances of all cells, one table per frame")
 
 
+class BoundsRecord(_Record):
+    """A worst case by other analyses of the same target, in the unit of the requirement."""
+
+    nominal: Number = Field(description="nominal parts, under the worst presses")
+    initial: Number = Field(description="worst case with initial tolerances; null: no part ages")
+    root_sum_square: Number = Field(description="nominal, and the root sum of squares of what all parts add")
+    quantile_99: Number = Field(description="that 99 % of the random boards keep")
+    sampled: Number = Field(description="of the worst random board")
+    boards: int
+
+
 class RequirementRecord(_Record):
     """A requirement and its result."""
 
@@ -57,6 +68,7 @@ class RequirementRecord(_Record):
     samples: list[Number] = Field(description="one per board of the Monte Carlo analysis, in `unit`")
     seconds: float
     corner: CornerRecord | None = Field(default=None, description="of a worst case")
+    bounds: BoundsRecord | None = Field(default=None, description="of a worst case")
 
 
 class CheckRecord(_Record):
@@ -96,6 +108,8 @@ class ReportRecord(_Record):
 
     schema_version: int
     title: str
+    document: dict[str, str] = Field(default={}, description="number, revision, author and date, as far as given")
+    parts: dict[str, Any] = Field(default={}, description="part numbers and ratings that the design gives")
     outcome: OutcomeName
     exit_code: int
     finished: str

@@ -9,7 +9,7 @@ import json
 import math
 import platform
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cached_property
@@ -31,10 +31,11 @@ from ._catalogue import CATALOGUE
 from ._dut import DesignUnderTest, everything_of
 from ._explore import may_be_mended
 from ._export import export_samples
-from ._outcome import Claim, Figure, Measurement, Outcome, Result, Table, drawn, worst
+from ._outcome import Bounds, Claim, Figure, Measurement, Outcome, Result, Table, drawn, worst
 from ._parameters import MAXIMA
 from ._record import (
     SCHEMA_VERSION,
+    BoundsRecord,
     ChangeRecord,
     CheckRecord,
     ClaimRecord,
@@ -45,6 +46,7 @@ from ._record import (
     number,
 )
 from ._schematic import schematic
+from ._sign_off import SignOff, filed_under
 from ._units import PREFIXED, UNITS, engineering
 
 EXIT_CODES = {Outcome.PASS: 0, Outcome.FAIL: 1, Outcome.NOT_RUN: 3, Outcome.NOT_APPLICABLE: 3}
@@ -222,6 +224,7 @@ class Report:
         return page.from_string(source).render(
             report=self,
             settings=self.settings(),
+            sheet=SignOff.of(self.dut, self.results),
             environment=environment(),
             schematic=schematic(self.design),
             budget=error_budget(self.results),
@@ -235,6 +238,8 @@ class Report:
         return ReportRecord(
             schema_version=SCHEMA_VERSION,
             title=printable(self.title),
+            document={name: printable(value) for name, value in filed_under(self.design)},
+            parts=jsonable(self.design.parts.model_dump(mode="python", exclude_none=True)),
             outcome=self.outcome.value,
             exit_code=self.exit_code,
             finished=self.finished.isoformat(timespec="seconds"),
@@ -319,21 +324,26 @@ class Report:
 
     def markdown(self) -> str:
         """The verdict and the table of requirements."""
+        sheet = SignOff.of(self.dut, self.results)
         lines = [
             f"# {markdown(self.title)}: {self.outcome}",
             "",
+            *(f"{name}: {markdown(value)}  " for name, value in sheet.filed_under),
+            *(f"{name}: {markdown(value)}  " for name, value in sheet.part_numbers),
             f"{self.count('pass')} pass, {self.count('fail')} fail, {self.count('not run')} not run, "
             f"{self.count('does not apply')} do not apply. Design {self.design_sha256[:12]}, seed {self.dut.seed}, "
             f"ohmskin {__version__}.",
             "",
-            "| requirement | outcome | limit | measured | margin | where, or why |",
-            "|---|---|---|---|---|---|",
+            *_table(["requirement", "outcome", "limit", *sheet.columns, "margin"], sheet.rows),
+            "",
         ]
-        for r in self.results:
-            where = "" if r.measurement is None else r.measurement.where if r.outcome is Outcome.PASS else r.why
-            cells = (f"{r.requirement.id} {r.title}", r.outcome, r.limit, r.found, r.margin_shown, where)
-            lines.append("| " + " | ".join(markdown(str(c)) for c in cells) + " |")
-        lines += ["", markdown(self.assumed)]
+        if sheet.ratings:
+            header = ["part", "number", "stress", "rating", "allowed", "worst", "of the rating", "outcome"]
+            lines += [*_table(header, [(*line[1:], line.result.outcome) for line in sheet.ratings]), ""]
+        reasons = [*sheet.failed, *self.left_out_by_reason]
+        if reasons:
+            lines += [*_table(["not passed", "why"], reasons), ""]
+        lines += [*_table(sheet.coverage.header, sheet.coverage.rows), "", markdown(self.assumed)]
         mended = ", ".join(r.requirement.id for r in self.results if self.to_mend(r))
         if mended:
             command = markdown_code(self.explore_command)
@@ -394,6 +404,12 @@ def _value_shown(value: Any, unit: str) -> str:
     return engineering(float(value), unit, 6)
 
 
+def _table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
+    """The lines of a table in Markdown."""
+    cells = (" | ".join(markdown(str(cell)) for cell in row) for row in rows)
+    return [f"| {' | '.join(header)} |", f"|{'---|' * len(header)}", *(f"| {line} |" for line in cells)]
+
+
 def _xml(text: str) -> str:
     return printable(" ".join(text.split()))
 
@@ -432,6 +448,18 @@ def _requirement_record(result: Result) -> RequirementRecord:
         samples=[number(value) for value in (found.samples if found else ())],
         seconds=round(result.seconds, 4),
         corner=found.corner if found else None,
+        bounds=_bounds_record(found.bounds) if found and found.bounds else None,
+    )
+
+
+def _bounds_record(bounds: Bounds) -> BoundsRecord:
+    return BoundsRecord(
+        nominal=number(bounds.nominal),
+        initial=None if bounds.new is None else number(bounds.new),
+        root_sum_square=number(bounds.root_sum_square),
+        quantile_99=number(bounds.quantile),
+        sampled=number(bounds.sampled),
+        boards=bounds.boards,
     )
 
 

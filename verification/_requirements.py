@@ -47,6 +47,27 @@ def default_requirements(design: Design) -> tuple[Requirement, ...]:
     return tuple(requirement for _, requirement in sorted(found, key=lambda item: item[0]))
 
 
+def at_ratings(design: Design) -> tuple[Requirement, ...]:
+    """That parts bear no more than the share of their ratings that may be used."""
+    found = []
+    for quantity in CATALOGUE.values():
+        name, kind = quantity.rates or ("", "")
+        part = getattr(design.parts, name, None)
+        if part is None or kind not in part.ratings:
+            continue
+        derated = f", derated to {100 * part.derating:g} %" if part.derating < 1 else ""
+        found.append(
+            Requirement(
+                id=f"{name}.{kind}",
+                quantity=quantity.name,
+                text=f"The {name.replace('_', ' ')} keeps its rating.",
+                source=f"rating of {part.number or f'[parts.{name}]'}{derated}",
+                max=part.derating * part.ratings[kind],
+            )
+        )
+    return tuple(found)
+
+
 def twins(dut: DesignUnderTest, requirements: tuple[Requirement, ...]) -> tuple[Requirement, ...]:
     """The requirements and, after each that a board can show, the same to be measured on the target."""
     if dut.target == "emulated":

@@ -11,7 +11,7 @@ import dataclasses
 import importlib.resources
 import json
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from functools import partial
@@ -35,20 +35,25 @@ from ..errors import InputError, OhmskinError
 from ._catalogue import CATALOGUE
 from ._claims import STATEMENTS, Statement
 from ._dut import SAMPLES, SEED, DesignUnderTest, everything_of, keep
-from ._montecarlo import BLOCK, Sampler, blocks
-from ._outcome import STOPPED, Claim, Finding, NotRun, Result, defect, not_run
+from ._estimate import expected_seconds
+from ._judging import Searched, block_of, judged_by
+from ._montecarlo import BLOCK, blocks
+from ._outcome import STOPPED, Claim, DoesNotApply, Finding, NotRun, Result, defect, not_run
 from ._own_code import Allowing, OwnFunction, read_own_functions
 from ._quantity import HARDWARE, SAMPLED
-from ._reading_errors import judged_by, sampler_of, samples_of
 from ._report import Report
 from ._requirements import (
+    at_ratings,
     check_requirements,
     default_requirements,
     evaluate,
     stopped_result,
     twins,
 )
+from ._search import Target
 
+TOLD_FROM_S = 10.0
+"""s from which on a run says at its start how long it takes"""
 NO_PORT = ("emulated", "firmware")
 ON_TARGET = ("P14",)
 """claims that talk to the target of the run"""
@@ -80,8 +85,6 @@ class Work(NamedTuple):
     requirements: tuple[Requirement, ...]
     own: Mapping[str, OwnFunction]
     """functions of the design's own, by quantity"""
-    samplers: tuple[tuple[int, Sampler], ...] = ()
-    """what judges random boards, by the number of a requirement that asks for it first"""
 
 
 def verify(
@@ -133,7 +136,7 @@ def verify(
         require_all: what could not be run counts as failed.
         command: what the report says makes it again.
         progress: told of each task that is done.
-        announce: told, before anything is computed, which files of the design's own are run.
+        announce: told, before anything is computed, which files of the design's own are run, and how long it takes.
         tell: called with each result as soon as it is there.
 
     Returns:
@@ -152,6 +155,7 @@ def verify(
     dut = DesignUnderTest(prototype() if design is None else design, cell, target, seed, samples, jig, board, baud)
     wanted = tuple(requirements if requirements is not None else dut.design.requirement)
     wanted = wanted or default_requirements(dut.design)
+    wanted += at_ratings(dut.design)
     check_requirements(wanted)
     wanted = twins(dut, wanted)
     with_paper = design is None and requirements is None if paper is None else paper
@@ -161,6 +165,8 @@ def verify(
     for path, sha256 in {function.path: function.sha256 for function in own.values() if function.allowed}.items():
         announce(f"the design's own code is run: {path}, SHA-256 {sha256}")
     work = Work(dut, wanted, own)
+    if (seconds := expected_seconds(dut, wanted)) > TOLD_FROM_S:
+        announce(f"searches and samples take about {_rounded(seconds)} of processor time here, in {jobs} process(es)")
     memory = _Store(store, _fingerprint(work))
     if target != "emulated":  # another board may answer at the same port by now
         _known.pop(memory.fingerprint, None)
@@ -181,6 +187,12 @@ def verify(
     if interruption is None:
         memory.clear()
     return report
+
+
+def _rounded(seconds: float) -> str:
+    """A time that is known to a factor of two or three."""
+    value, unit = (seconds, "s") if seconds < 100 else (seconds / 60, "min")
+    return f"{float(f'{value:.1g}'):g} {unit}"
 
 
 def _chosen(
@@ -221,16 +233,16 @@ def _compute(
     try:
         _run_all(work, tasks, found, memory, jobs, executor, progress, tell)
         if sampled:
-            work = work._replace(samplers=tuple(_samplers(work, sampled)))
-            count = blocks(work.dut.samples) if work.samplers else 0
             boards = [
-                Task(f"samples-{k}", f"boards {k * BLOCK + 1} to {(k + 1) * BLOCK}", "samples", k) for k in range(count)
+                Task(f"samples-{k}", f"boards {k * BLOCK + 1} to {(k + 1) * BLOCK}", "samples", k)
+                for k in range(blocks(work.dut.samples))
             ]
             _run_all(work, boards, found, memory, jobs, executor, progress, tell)
-            for number, sampler in work.samplers:
-                values = np.concatenate([found[task.key][str(number)] for task in boards])
-                share = judged_by(work.requirements[number])
-                keep(work.dut, samples_of, (sampler.target, share), values)
+            dut = _known.setdefault(memory.fingerprint, work.dut)
+            for block, task in enumerate(boards):
+                for number, values in found[task.key].items():
+                    target, share = _sampled(dut, work.requirements[int(number)])
+                    keep(dut, block_of, (target, share, block), np.array(values))
             last = [requirements[number] for number in sampled]
             _run_all(work, last, found, memory, 1, None, progress, tell)
     except KeyboardInterrupt as stopped:
@@ -241,19 +253,23 @@ def _compute(
     return [*results, *claims], interruption
 
 
-def _samplers(work: Work, sampled: list[int]) -> Iterator[tuple[int, Sampler]]:
-    """What judges the boards of each yield that is asked for, once for each quantity and unit."""
-    seen = set()
-    for number in sampled:
-        requirement = work.requirements[number]
-        target, share = CATALOGUE[requirement.quantity].sampled, judged_by(requirement)
-        if target is None or (target, share) in seen:
-            continue
-        seen.add((target, share))
-        try:
-            yield number, sampler_of(work.dut, target, share)
-        except NotRun:
-            continue
+def _sampled(dut: DesignUnderTest, requirement: Requirement) -> tuple[Target, bool | None]:
+    """What random boards are judged by. Raises NotRun or DoesNotApply."""
+    quantity = CATALOGUE[requirement.quantity].compute
+    target = quantity.target(dut, requirement) if isinstance(quantity, Searched) else None
+    if not isinstance(target, Target):
+        raise NotRun("there is nothing to draw boards for")
+    return target, judged_by(requirement)
+
+
+def _block(dut: DesignUnderTest, requirements: Sequence[Requirement], block: int) -> dict[str, list[float]]:
+    """Values of one block of boards, by the number of the requirement; none of those that cannot be run."""
+    found = {}
+    for number, requirement in enumerate(requirements):
+        if requirement.method == SAMPLED:
+            with suppress(NotRun, DoesNotApply, OhmskinError):
+                found[str(number)] = block_of(dut, *_sampled(dut, requirement), block).tolist()
+    return found
 
 
 def _run_all(
@@ -310,7 +326,7 @@ def _do(work: Work, task: Task) -> tuple[Task, Any]:
     if len(_known) > 4:  # a long-lived worker serves many runs
         _known.clear()
     if task.kind == "samples":
-        return task, {str(number): sampler.block(dut.seed, task.number).tolist() for number, sampler in work.samplers}
+        return task, _block(dut, work.requirements, task.number)
     if task.kind == "requirement":
         return task, evaluate(dut, work.requirements[task.number], work.own)
     return task, _claim(dut, STATEMENTS[task.number])

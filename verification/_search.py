@@ -31,6 +31,7 @@ import numpy as np
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
 from ._box import Box, Corners
+from ._parameters import TEMPERATURE
 
 LEAST_SOLVED, MOST_UNKNOWNS = 64, 256 * 256
 """Corners are solved for every cell as long as cells times cells are no more than that, and for fewer of larger arrays;
@@ -51,6 +52,9 @@ _WITHOUT_INFLUENCE = 1e-10  # relative: a flip that changes the value by less ch
 _LINE, _LINE_IN_TIME = 7, 41  # points of a line search along a coordinate; ringing has several peaks between two ends
 _ZOOMS = 3  # of a line search, each to the neighbours of the best point
 _LINES = 6  # line searches one after the other, at most
+_USUAL_ROUNDS, _USUAL_LINES, _BY_GRADIENT, _STARTS_WHOLE = 2.0, 1.5, 12, 26
+"""how often a search climbs and goes along lines, points that a climb by derivatives solves, and starts of targets of
+whole boards: for the expected number of points only"""
 _LEAST_RISE = 1e-5  # relative, of a line search
 
 
@@ -87,6 +91,10 @@ class Target(ABC):
     def stated(self, box: Box, corner: Corners) -> float:
         """The value at one point, by the plainest way to it."""
         return float(self.evaluate(box, corner)[0])
+
+    def evaluate_at(self, box: Box, corners: Corners, place: tuple[int, int]) -> FloatArray:
+        """:meth:`evaluate` of one cell of each board, where values have one."""
+        return self.evaluate(box, corners)
 
     def place(self, box: Box, corner: Corners) -> tuple[int, int]:
         """The cell that is worst at one point."""
@@ -172,6 +180,33 @@ class WorstCase:
         return "" if np.isinf(self.value) else f"by search, {self.extent}"
 
     @cached_property
+    def statistical(self) -> tuple[float, float]:
+        """Under the worst presses: the value of nominal parts, and that plus the root sum of squares of what parts add.
+
+        Temperature is the same for all parts and no chance: what it adds is added as it is (ECSS-Q-HB-30-01A).
+        """
+        box, presses = self.box, slice(len(self.box.factors), len(self.box.factors) + self.box.cells)
+        moved = box.free(in_time=self.target.in_time)
+        moved[presses] = False
+        centre = self.corner.at(np.where(moved, 0.0, self.corner.x))
+        nominal = float(self.target.evaluate_at(box, centre, self.cell)[0])
+        if not np.isfinite(nominal):
+            return nominal, nominal
+        slopes = self.target.gradient(box, centre)
+        added = np.zeros(box.size) if slopes is None else np.where(moved, np.abs(slopes), 0.0)
+        if slopes is None:  # each part alone, to both of its ends
+            search = _Search(self.target, box, moved)
+            which = np.flatnonzero(search.free if search.exact else search._near(centre))
+            x = np.repeat(centre.x, 2 * len(which), axis=0)
+            x[np.arange(len(x)), np.repeat(which, 2)] = np.tile([-1.0, 1.0], len(which))
+            reached = self.target.evaluate_at(box, centre.at(x[None]), self.cell).reshape(-1, 2)
+            added[which] = np.maximum(reached.max(axis=1) - nominal, 0.0)
+        bias = np.array([factor.key == TEMPERATURE for factor in box.factors.factors], dtype=np.bool_)
+        of_parts = added[: len(box.factors)]
+        chance = np.concatenate([of_parts[~bias], added[presses.stop :]])
+        return nominal, nominal + float(of_parts[bias].sum() + np.sqrt((chance**2).sum()))
+
+    @cached_property
     def by_part(self) -> dict[str, float]:
         """The worst value with each kind of part over its tolerance alone, the others nominal; presses are free."""
         box, names = self.box, [factor.key for factor in self.box.factors.factors]
@@ -206,6 +241,20 @@ def worst_case(target: Target, box: Box, starts: Sequence[Corners] = ()) -> Wors
     worst = search.worst(2 * _RANDOM_CELLS if target.by_cell else 1)
     search.solve(worst.at(random.choice([-1.0, 1.0], (len(worst), _RANDOM_CORNERS, box.size))))
     return search.finished()
+
+
+def expected_points(target: Target, box: Box) -> float:
+    """About how many points a search will solve: counted from what it starts from, flips and searches along lines."""
+    search = _Search(target, box)
+    free = int(search.free.sum())
+    starts = 4 * min(most_solved(box.shape), box.cells) if target.by_cell else _STARTS_WHOLE
+    random = _RANDOM_CORNERS * (2 * _RANDOM_CELLS if target.by_cell else 1)
+    by_gradient = target.by_cell and (box.cells > FIRST_ORDER_BEYOND or not search.exact)
+    climbed = search.climbs * _USUAL_ROUNDS * (_BY_GRADIENT if by_gradient else free)
+    climbed += _USUAL_ROUNDS * free if by_gradient and search.exact is False else 0
+    coordinates = free if search.exact and box.cells <= FIRST_ORDER_BEYOND else len(box.factors) + 4 * sum(box.shape)
+    lines = _USUAL_LINES * (_LINE * coordinates + _USUAL_ROUNDS * (free if search.exact else 0))
+    return float(starts + random + climbed + lines)
 
 
 class _Search:

@@ -23,7 +23,7 @@ from ._judging import worst_of
 from ._outcome import DoesNotApply, Measurement, NotRun
 from ._units import engineering
 from ._whole_board import PhaseMarginTarget
-from .quantities.settling_error import rate_of, worst_settling
+from .quantities.settling_error import nominal_settling, rate_of
 
 MOST_DRIVEN, MOST_SENSED = 64, 4
 """lines that ngspice is given where its numbers are judged: an amplifier is loaded by all cells of its own line"""
@@ -95,9 +95,9 @@ def _frames(dut: DesignUnderTest, requirement: Requirement, analysis: str) -> It
         yield f"all cells at {engineering(ohms, 'ohm')}", np.full(dut.design.array.shape, ohms)
     try:
         if analysis == "transient":
-            found = worst_settling(dut, rate_of(dut, requirement), spread=False)
+            found = nominal_settling(dut, rate_of(dut, requirement))
         elif analysis == "loop gain":
-            found = worst_of(dut, PhaseMarginTarget(), spread=False)
+            found = worst_of(dut, PhaseMarginTarget(), "nominal")
         else:
             return
     except NotRun:  # nothing is searched without the one-pole amplifier

@@ -21,14 +21,16 @@ from ..circuits import (
     EventScan,
     OperatingPoint,
     Scan,
-    operating_point,
+    operating_points,
+    read_together,
     stability_of_boards,
 )
 from ..common.arrays import FloatArray
-from ..errors import SolverError
 from ._box import Box, Corners
 from ._search import Target
 
+MOST_SECONDS = 1.0
+"""of a frame that never settles"""
 SETTLED = 1e-11
 """share of a signal; smaller deviations are rounding"""
 _RANDOM = 12
@@ -52,6 +54,9 @@ class WholeBoardTarget(Target):
         found = self.values(box, corners.x).reshape(len(corners), -1)
         with np.errstate(invalid="ignore"):
             return np.asarray(np.where(np.isnan(found), -np.inf, found).max(axis=1))
+
+    def evaluate_at(self, box: Box, corners: Corners, place: tuple[int, int]) -> FloatArray:
+        return np.asarray(self.values(box, corners.x)[:, place[0], place[1]]) if len(corners) else np.zeros(0)
 
     def place(self, box: Box, corner: Corners) -> tuple[int, int]:
         found = self.values(box, corner.x)[0]
@@ -124,6 +129,39 @@ class SettlingTarget(InTimeTarget):
 
 
 @dataclass(frozen=True)
+class FrameTimeTarget(InTimeTarget):
+    """Shortest time of a frame, s, in which every reading settles to so much."""
+
+    allowed: float
+    """V"""
+    name: str = "frame time"
+
+    def evaluate(self, box: Box, corners: Corners) -> FloatArray:
+        size = max(1, int(_TOGETHER / self.cost(box)))
+        parts = [np.zeros(0)]
+        for first in range(0, len(corners), size):
+            x = corners.x[first : first + size]
+            in_time = BoardsInTime(box.design, box.population(x).boards, box.cells_of(x))
+            kept = np.isfinite(within_supply(box, in_time.settled)[:, 0, 0])
+            shortest = in_time.shortest_period(np.full(len(x), self.allowed))
+            parts.append(np.where(kept, shortest * box.design.board.shape[0], -np.inf))
+        return np.concatenate(parts)
+
+    def evaluate_at(self, box: Box, corners: Corners, place: tuple[int, int]) -> FloatArray:
+        return self.evaluate(box, corners)
+
+    def at(self, box: Box, frame_time: float) -> SettlingTarget:
+        """Deviations at one frame time, which take far less time to solve: 1 is as much as is allowed."""
+        return SettlingTarget(frame_time / box.design.board.shape[0], self.allowed)
+
+    def of_boards(self, box: Box, boards: Boards, cells: FloatArray) -> FloatArray:
+        raise NotImplementedError("a frame time is that of a whole board")
+
+    def place(self, box: Box, corner: Corners) -> tuple[int, int]:
+        return self.at(box, min(self.stated(box, corner), MOST_SECONDS)).place(box, corner)
+
+
+@dataclass(frozen=True)
 class PhaseMarginTarget(InTimeTarget):
     """Negative phase margin of each cell's amplifier, degrees."""
 
@@ -144,29 +182,21 @@ class OperatingTarget(WholeBoardTarget):
     name: str
 
     def values(self, box: Box, x: FloatArray) -> FloatArray:
-        cells = box.cells_of(x)
-        boards = box.population(x).boards
-        found = []
-        for number, frame in enumerate(cells):
-            try:
-                point = operating_point(boards.design(box.design, number), frame)
-            except SolverError:  # ideal parts contradict each other
-                found.append(np.full(box.shape, np.nan))
-                continue
-            found.append(np.broadcast_to(self.of_point(box, point), box.shape))
-        return np.stack(found)
+        point = operating_points(box.design, box.population(x).boards, box.cells_of(x))
+        return np.broadcast_to(self.of_points(box, point), (len(x), *box.shape))
 
-    def of_point(self, box: Box, point: OperatingPoint) -> FloatArray:
-        """(N, M), or what broadcasts to it."""
-        value: FloatArray = getattr(point, self.field)
-        if value.ndim == 2:
+    def of_points(self, box: Box, points: OperatingPoint) -> FloatArray:
+        """(C, N, M), or what broadcasts to it."""
+        value: FloatArray = getattr(points, self.field)
+        if value.ndim == 3:
             return value
         driven = self.field.startswith("driver")
         along_rows = driven != box.design.board.turned
-        return value[:, None] if along_rows else value[None]
+        return value[:, :, None] if along_rows else value[:, None]
 
     def cost(self, box: Box) -> float:
-        return 400.0 + 10.0 * box.cells
+        together = read_together(box.design) and not box.design.board.circuit.drives_idle_lines
+        return 4.0 * box.cells if together else 400.0 + 10.0 * box.cells
 
 
 @dataclass(frozen=True)
@@ -178,9 +208,9 @@ class LeakageTarget(OperatingTarget):
     field: str = "leakage"
     name: str = "leakage error"
 
-    def of_point(self, box: Box, point: OperatingPoint) -> FloatArray:
+    def of_points(self, box: Box, points: OperatingPoint) -> FloatArray:
         with np.errstate(divide="ignore", invalid="ignore"):
-            share: FloatArray = self.amperes * point.leakage / np.abs(point.signal)
+            share: FloatArray = self.amperes * points.leakage / np.abs(points.signal)
         return share
 
 
@@ -192,14 +222,6 @@ def goes_by_events(design: Design) -> bool:
 def scan_in_time(design: Design, cells: FloatArray, period: float) -> EventScan:
     """One frame by the events of the design, or of networks without events by a sample at the end of each period."""
     return EventScan(design, cells, design.scan or Scan(row=(Event(wait=period),), conversion_time=0.0))
-
-
-def shortest_periods(box: Box, corners: Corners, allowed: float) -> FloatArray:
-    """(C,) shortest period of a driven line, s, at which every reading settles to ``allowed`` V; -inf where an output
-    saturates."""
-    in_time = BoardsInTime(box.design, box.population(corners.x).boards, box.cells_of(corners.x))
-    kept = np.isfinite(within_supply(box, in_time.settled)[:, 0, 0])
-    return np.where(kept, in_time.shortest_period(np.full(len(corners), allowed)), -np.inf)
 
 
 def driven_line(box: Box, place: Sequence[int]) -> str:

@@ -245,7 +245,7 @@ def _settled(applied: FloatArray, full: float) -> BoolArray:
 def _traces(received: _Received, full: float) -> Figure:
     frames, applied = received.frames, received.applied
     contacts = received.scene.contact
-    places = sorted({tuple(np.argwhere(c.coverage(applied.shape[1:]) > 0)[0].tolist()) for c in contacts})
+    places = sorted({tuple(np.argwhere(c.coverage(received.scene.skin.geometry) > 0)[0].tolist()) for c in contacts})
     times = [frame.device_time for frame in frames]
     with plots.drawing(len(places), 1, height=1.0 + 1.3 * len(places), sharex=True) as (figure, axes):
         for panel, (row, column) in zip(axes[:, 0], places, strict=True):

@@ -3,7 +3,7 @@
 =============  =============================  ====================================================================
 offset         type                           content
 =============  =============================  ====================================================================
-0              uint32                         version of this layout, 2
+0              uint32                         version of this layout, 3
 4              uint32                         number of the frame, from 0 in the order of taking
 8              uint16, uint16                 rows, columns; below, n = rows x columns
 12             uint16, uint16                 number of contacts; flags, see :class:`Mark`
@@ -18,7 +18,8 @@ offset         type                           content
 ...            float32 [n]                    counts above those at rest
 ...            uint16 [n]                     counts
 ...            uint8 [n]                      why a cell is not valid: a ``Reason`` each, 0 for valid cells
-...            (uint32, float32 [5]) each     contact: id; x and y in mm; force in N; peak in kPa; area in mm^2
+...            (uint32, float32 [6]) each     contact: id; x, y and z in mm (z: NaN if flat); force in N; peak in kPa;
+                                              area in mm^2
 ...            (uint32, uint32) each          to the end: id of a contact, and of another one that has run into it
 =============  =============================  ====================================================================
 
@@ -34,11 +35,11 @@ import numpy as np
 
 from ..driver import Frame
 
-VERSION = 2
+VERSION = 3
 HEADER = struct.Struct("<IIHHHHddddd")
 TOTAL_FORCE_AT = 48
 """place of the total force in a message"""
-CONTACT = struct.Struct("<I5f")
+CONTACT = struct.Struct("<I6f")
 JOINED = struct.Struct("<II")
 
 
@@ -51,14 +52,13 @@ class Mark(IntFlag):
     ESTIMATOR_RESTARTED = 8
 
 
-def pack_frame(frame: Frame, *, number: int, time_s: float, cell_area_mm2: float, age_s: float = float("nan")) -> bytes:
+def pack_frame(frame: Frame, *, number: int, time_s: float, age_s: float = float("nan")) -> bytes:
     """The message of a frame.
 
     Args:
         frame: the frame; its contacts are computed, if they have not been yet.
         number: of the frame.
         time_s: on the page's time axis.
-        cell_area_mm2: of each cell, for the total force.
         age_s: since the frame's arrival; NaN for a recording.
 
     """
@@ -71,7 +71,9 @@ def pack_frame(frame: Frame, *, number: int, time_s: float, cell_area_mm2: float
         | Mark.ESTIMATOR_RESTARTED * frame.estimator_restarted
     )
     device_time = float("nan") if frame.device_time is None else frame.device_time
-    total_n = 1e-3 * cell_area_mm2 * float(np.sum(frame.pressure, where=frame.valid & np.isfinite(frame.pressure)))
+    total_n = 1e-3 * float(
+        np.sum(frame.geometry.areas_mm2 * frame.pressure, where=frame.valid & np.isfinite(frame.pressure))
+    )
     times = time_s, device_time, frame.host_time, age_s
     header = HEADER.pack(VERSION, number, rows, columns, len(contacts), marks, *times, total_n)
     with np.errstate(over="ignore"):  # beyond float32 is infinite
@@ -79,7 +81,18 @@ def pack_frame(frame: Frame, *, number: int, time_s: float, cell_area_mm2: float
             np.asarray(values, dtype="<f4").tobytes()
             for values in (frame.pressure, frame.pressure_std, frame.resistance, frame.change)
         ]
-    touched = [CONTACT.pack(one.id, one.x_mm, one.y_mm, one.force_n, one.peak_kpa, one.area_mm2) for one in contacts]
+    touched = [
+        CONTACT.pack(
+            one.id,
+            one.x_mm,
+            one.y_mm,
+            float("nan") if one.z_mm is None else one.z_mm,
+            one.force_n,
+            one.peak_kpa,
+            one.area_mm2,
+        )
+        for one in contacts
+    ]
     joined = [JOINED.pack(one.id, other) for one in contacts for other in one.joined]
     counts, reason = np.asarray(frame.counts, dtype="<u2"), np.asarray(frame.reason, dtype="u1")
     return b"".join([header, *numbers, counts.tobytes(), reason.tobytes(), *touched, *joined])

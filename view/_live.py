@@ -9,6 +9,7 @@ import threading
 import time
 from dataclasses import dataclass
 
+from ..common.files import of_board
 from ..common.text import printable
 from ..driver import Frame, Recorder, Skin
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
@@ -48,7 +49,8 @@ class LiveSource(Source):
         self._tares = 0
         """that can be undone"""
         self._taring = False
-        self._recorder: Recorder | None = None
+        self._recorders: list[Recorder] = []
+        """one for each board"""
         self._recorded = ""
         """name of the recording under way, or of the last one"""
 
@@ -94,7 +96,7 @@ class LiveSource(Source):
             "tare": None if tare is None else {"frames": tare.frames, "remarks": list(tare.remarks)},
             "undoable": self._tares > 0,
             "recorded": printable(self._recorded),
-            "records": self._recorder is not None,
+            "records": bool(self._recorders),
         }
 
     def _state(self) -> tuple[str, str]:
@@ -126,9 +128,7 @@ class LiveSource(Source):
             await woken
         if newest.message is None:
             frame = newest.frame
-            newest.message = pack_frame(
-                frame, number=newest.number, time_s=newest.time_s, cell_area_mm2=self.cell_area_mm2, age_s=frame.age
-            )
+            newest.message = pack_frame(frame, number=newest.number, time_s=newest.time_s, age_s=frame.age)
         return newest.message
 
     async def make_tare(self, *, force: bool) -> Told:
@@ -146,21 +146,24 @@ class LiveSource(Source):
 
     async def record(self, *, on: bool) -> None:
         """Begin a recording in the folder in which the page is served, or end it."""
-        if on == (self._recorder is not None):
+        if on == bool(self._recorders):
             return
-        if self._recorder is None:
-            name = time.strftime("skin-%Y%m%d-%H%M%S.mcap")
-            self._recorder = await asyncio.to_thread(Recorder, self.skin, name)
+        if on:
+            name, boards = time.strftime("skin-%Y%m%d-%H%M%S.mcap"), self.skin.boards
+            for k, board in enumerate(boards):
+                file = name if len(boards) == 1 else of_board(name, k)
+                self._recorders.append(await asyncio.to_thread(Recorder, board, file))
             self._recorded = name
         else:
-            recorder, self._recorder = self._recorder, None
-            await asyncio.to_thread(recorder.close)
+            recorders, self._recorders = self._recorders, []
+            for recorder in recorders:
+                await asyncio.to_thread(recorder.close)
 
     def close(self) -> None:
         """End a recording that is under way, and give back the port."""
-        if self._recorder is not None:
+        for recorder in self._recorders:
             with contextlib.suppress(InputError):  # what was written can be read
-                self._recorder.close()
+                recorder.close()
         super().close()
 
     async def undo_tare(self) -> Told:

@@ -65,8 +65,8 @@ class RecordedSource(Source):
         axis = TimeAxis()
         while True:
             try:
-                frame = self.skin.read()
-                self._append(frame, axis.of(frame))
+                for frame in self.skin.read_many():
+                    self._append(frame, axis.of(frame))
             except LinkEnded:
                 break
             except (LinkTimeout, ProtocolError) as error:
@@ -82,7 +82,7 @@ class RecordedSource(Source):
 
     def _append(self, frame: Frame, time_s: float) -> None:
         number, place = len(self._times_s), self._ends[-1]
-        message = pack_frame(frame, number=number, time_s=time_s, cell_area_mm2=self.cell_area_mm2)
+        message = pack_frame(frame, number=number, time_s=time_s)
         os.pwrite(self._file.fileno(), message, place)
         self._ends.append(place + len(message))
         self._times_s.append(time_s)  # last: readers take the number of times for that of the frames

@@ -7,7 +7,10 @@ import threading
 from abc import ABC, abstractmethod
 from typing import Any, Self
 
+import numpy as np
+
 from ..circuits import Reason
+from ..common.geometry import Geometry
 from ..common.text import printable
 from ..driver import Frame, Skin
 from ..errors import InputError
@@ -51,32 +54,25 @@ class Source(ABC):
 
     def introduction(self) -> Told:
         """What stays as it is: array, board, cell, scales."""
-        skin, identity = self.skin, self.skin.identity
+        skin, identity, geometry = self.skin, self.skin.identity, self.skin.geometry
         rows, columns = skin.shape
-        adc = skin.design.adc if skin.knows_circuit else None
-        bits = skin.family.layout.adc_bits if adc is None else adc.bits
         return {
             "kind": "introduction",
             "source": printable(self.name),
             "rows": rows,
             "columns": columns,
-            "pitch_mm": [1e3 * pitch_m for pitch_m in skin.pitch_xy_m],
-            "full_scale_kpa": None if skin.cell is None else skin.cell.full_scale_kpa,
-            "full_scale_counts": 2**bits - 1,
+            "pitch_mm": None if geometry.pitch_m is None else [1e3 * pitch_m for pitch_m in geometry.pitch_m],
+            "cells": _cells(geometry),
+            "full_scale_kpa": skin.full_scale_kpa,
+            "full_scale_counts": 2**skin.count_bits - 1,
             "board": skin.family.name,
             "serial_number": skin.serial_number,
             "firmware": "" if identity is None else identity.firmware,
-            "circuit": skin.design.board.circuit.name if skin.knows_circuit else None,
+            "circuit": skin.circuit_name,
             "reasons": [reason.name.lower().replace("_", " ") for reason in Reason],
             "live": self.live,
             "estimator": self.skin.estimator_name,
         }
-
-    @property
-    def cell_area_mm2(self) -> float:
-        """Area of a cell, for the total force."""
-        across, down = self.skin.pitch_xy_m
-        return 1e6 * across * down
 
     @property
     @abstractmethod
@@ -141,6 +137,18 @@ def statistics(skin: Skin) -> Told:
         assert isinstance(percentiles, dict)
         told[name] = {str(percent): _number(value) for percent, value in percentiles.items()}
     return {name: _number(value) if isinstance(value, float) else value for name, value in told.items()}
+
+
+def _cells(geometry: Geometry) -> Told | None:
+    """Index, place and area of each cell of a skin that is no rectangle."""
+    if geometry.pitch_m is not None:
+        return None
+    there = geometry.exists
+    return {
+        "index": np.flatnonzero(there).tolist(),
+        "place_mm": geometry.places_mm[there].tolist(),
+        "area_mm2": geometry.areas_mm2[there].tolist(),
+    }
 
 
 def _number(value: float) -> float | None:

@@ -5,12 +5,13 @@ native format is in ``docs/wire.md``; the other families, the boards that a BOAR
 and the helpers for a family of one's own (:class:`LineHost`, :class:`FixedLengthHost` ...) are in ``docs/boards.md``.
 """
 
-from ._blocks import WORDS
+from ._blocks import WORDS, FieldText
 from ._board_file import BoardFile
 from ._checksums import CHECKSUMS
 from ._choice import board_family, board_protocol, host_protocol, known_family
 from ._codec import MAX_DESCRIPTION, MAX_PAYLOAD, PacketDecoder, decode, encode
 from ._datasheet import read_description, write_description
+from ._delimited import FRAMINGS
 from ._framing import FixedLengthHost, FreeRunningBoard, LineHost, PolledBoard, one_frame, require
 from ._packets import (
     VERSION,
@@ -36,6 +37,7 @@ from .boards import BOARDS
 __all__ = [
     "BOARDS",
     "CHECKSUMS",
+    "FRAMINGS",
     "MAX_DESCRIPTION",
     "MAX_PAYLOAD",
     "VERSION",
@@ -49,6 +51,7 @@ __all__ = [
     "DescriptionPiece",
     "Event",
     "Family",
+    "FieldText",
     "FixedLengthHost",
     "Flag",
     "FramePacket",

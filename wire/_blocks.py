@@ -54,7 +54,49 @@ class Word:
             most, least, largest = float(kind.max), float(kind.smallest_normal), max(abs(low), abs(high))
             return largest <= most and step > max(2.0 ** (2 - self.bits) * largest, least)
         limits = np.iinfo(self.dtype)  # type: ignore[type-var]  # its kind is not f
-        return bool(limits.min <= low and high <= limits.max and step >= 1.0)
+        most = 2**self.bits - 1 if self.packed else limits.max
+        return bool(limits.min <= low and high <= most and step >= 1.0)
+
+    packed: bool = False
+    """two numbers of 12 bits in three bytes"""
+
+    def size_of(self, count: int) -> int:
+        """Bytes of so many numbers; those of packed ones are rounded up."""
+        return -(-3 * count // 2) if self.packed else count * self.dtype.itemsize
+
+    def count_in(self, size: int) -> int | None:
+        """Numbers in so many bytes; None: they do not end with a number."""
+        count = 2 * size // 3 if self.packed else size // self.dtype.itemsize
+        return count if self.size_of(count) == size else None
+
+    def decode(self, data: bytes | NDArray[np.uint8], count: int) -> Numbers:
+        """The numbers of some bytes."""
+        given = np.frombuffer(data, np.uint8) if isinstance(data, bytes) else np.ascontiguousarray(data)
+        if not self.packed:
+            return given.view(self.dtype).astype(np.float64)
+        three = np.zeros((-(-given.shape[-1] // 3) * 3,), np.uint8)
+        three[: given.shape[-1]] = given
+        first, middle, last = three.reshape(-1, 3).T.astype(np.int64)
+        if self.dtype.str[0] == ">":
+            pairs = first << 4 | middle >> 4, (middle & 15) << 8 | last
+        else:
+            pairs = first | (middle & 15) << 8, middle >> 4 | last << 4
+        numbers: Numbers = np.stack(pairs, axis=1).ravel()[:count].astype(np.float64)
+        return numbers
+
+    def encode(self, numbers: Numbers) -> bytes:
+        """The bytes of some numbers."""
+        rounded = numbers if self.dtype.kind == "f" else np.rint(numbers)
+        if not self.packed:
+            return rounded.astype(self.dtype).tobytes()
+        pairs = np.zeros(-(-rounded.size // 2) * 2, dtype=np.int64)
+        pairs[: rounded.size] = rounded.astype(np.int64) & 0xFFF
+        one, two = pairs[::2], pairs[1::2]
+        if self.dtype.str[0] == ">":
+            three = one >> 4, (one & 15) << 4 | two >> 8, two & 255
+        else:
+            three = one & 255, one >> 8 | (two & 15) << 4, two >> 4
+        return np.stack(three, axis=1).astype(np.uint8).tobytes()[: self.size_of(numbers.size)]
 
     def read(self, data: bytes) -> int | float:
         """The number of some bytes."""
@@ -70,10 +112,12 @@ class Word:
 
 
 WORDS = {
-    name: Word(name, np.dtype(code), bits)
+    name: Word(name, np.dtype(code), bits, "12" in name)
     for name, code, bits in (
         ("uint8", "u1", 8),
         ("int8", "i1", 7),
+        ("uint12le", "<u2", 12),
+        ("uint12be", ">u2", 12),
         ("uint16le", "<u2", 16),
         ("uint16be", ">u2", 16),
         ("int16le", "<i2", 15),
@@ -88,7 +132,7 @@ WORDS = {
         ("float64be", ">f8", 49),
     )
 }
-"""by name"""
+"""by name; a uint12 is half of three bytes"""
 _NUMBERED = ("index", "start", "number", "time_ms", "time_us")
 _FAMILIES = {"sum16": ("sum16",), "crc16": ("crc16-modbus", "crc16-ccitt", "crc16-xmodem"), "crc32": ("crc32",)}
 
@@ -116,7 +160,7 @@ class FieldText:
             case "check":
                 return self.checks[0].size
             case "cells":
-                return self.count * WORDS[self.word].dtype.itemsize
+                return WORDS[self.word].size_of(self.count)
         return WORDS[self.word].dtype.itemsize
 
     @classmethod
@@ -127,6 +171,8 @@ class FieldText:
             return cls("const", data=bytes(_whole(word, 255, text) for word in words))
         if kind == "skip" and len(words) == 1:
             return cls("skip", count=_whole(words[0], MOST_FRAME, text))
+        if kind in _NUMBERED and words and words[0] in WORDS and WORDS[words[0]].packed:
+            raise ValueError(f"'{text}': a {words[0]} is a word of cells only")
         if kind in ("cells", *_NUMBERED) and words and words[0] in WORDS and len(words) <= 2:
             if len(words) == 2 and kind not in ("cells", "index"):
                 raise ValueError(f"'{text}': a field '{kind}' has a word only")
@@ -213,6 +259,7 @@ class Template:
     """whether these count cells"""
     offsets: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     """place of each byte of the cells"""
+    cells: int = 0
     per_block: int = 0
     """cells of a block that has an index"""
     counters: list[_Numbered] = field(default_factory=list)
@@ -243,7 +290,7 @@ class Template:
     def numbers(self, frame: bytes) -> Numbers:
         """The numbers of the cells in a frame, in the order of their places."""
         data = np.frombuffer(frame, dtype=np.uint8)[self.offsets]
-        numbers = data.view(self.word.dtype).astype(np.float64)
+        numbers = self.word.decode(data, self.cells)
         order = self._order(frame) if self.places else None
         if order is None or order == list(range(len(order))):
             return numbers
@@ -284,10 +331,7 @@ class Template:
         frame = bytearray(self.size)
         for at, data in [(0, self.mark), *self.consts, (self.size - len(self.end_mark), self.end_mark)]:
             frame[at : at + len(data)] = data
-        rounded = numbers if self.word.dtype.kind == "f" else np.rint(numbers)
-        np.frombuffer(frame, dtype=np.uint8)[self.offsets] = np.frombuffer(
-            rounded.astype(self.word.dtype).tobytes(), np.uint8
-        )
+        np.frombuffer(frame, dtype=np.uint8)[self.offsets] = np.frombuffer(self.word.encode(numbers), np.uint8)
         for k, one in enumerate(self.places):
             data = one.word.bytes_of(one.first + k * (self.per_block if self.in_cells else 1))
             frame[one.at : one.at + len(data)] = data
@@ -312,6 +356,7 @@ def template(blocks: Sequence[tuple[Sequence[FieldText], int]]) -> Template:
     """
     made, at = Template(), 0
     spans: list[tuple[int, int]] = []
+    cells = [(one.count, repeat) for fields, repeat in blocks for one in fields if one.kind == "cells"]
     words: dict[str, None] = {}
     for fields, repeat in blocks:
         size = sum(one.size for one in fields)
@@ -325,9 +370,12 @@ def template(blocks: Sequence[tuple[Sequence[FieldText], int]]) -> Template:
     if len(words) > 1:
         raise ValueError(f"cells are {' and '.join(words)}; expected one word for all")
     made.size, made.word = at, WORDS[next(iter(words))]
+    made.cells = sum(count * repeat for count, repeat in cells)
+    if made.word.packed and len(spans) > 1 and any(count % 2 for count, _ in cells):
+        raise ValueError(f"an odd number of cells {made.word.name} in a block; expected pairs, which share three bytes")
     made.offsets = np.concatenate([np.arange(begin, end) for begin, end in spans]).astype(np.intp)
     if made.places:
-        made.per_block = made.offsets.size // made.word.dtype.itemsize // len(made.places)
+        made.per_block = made.cells // len(made.places)
     _find_marks(made)
     return made
 

@@ -18,7 +18,7 @@ from ._blocks import WORDS
 from ._framing import DescribedBoard, StartTable
 from ._lines import JsonFrame, TextFrame, TextHost
 from ._protocol import Family, HostProtocol, Layout
-from ._words import BinaryFrame, BinaryHost, CobsHost
+from ._words import BinaryFrame, BinaryHost, DelimitedHost
 
 MOST_CELLS = 256 * 256
 MOST_LINES = 1024
@@ -112,8 +112,8 @@ class BoardFile(Section):
             board=self._device,
             layout=Layout(board.rows, board.columns, board.bits),
             baud_rate=board.baudrate,
-            has_sequence=isinstance(frame, BinaryFrame) and bool(frame.template(1).counters),
-            has_device_time=isinstance(frame, BinaryFrame) and frame.template(1).time is not None,
+            has_sequence=frame.has_number,
+            has_device_time=frame.has_time,
             has_description=False,
             polled=bool(start.poll),
             dtr=start.dtr,
@@ -127,7 +127,7 @@ class BoardFile(Section):
         frame = self.frame
         if isinstance(frame, BinaryFrame):
             frame.require(family, layout)
-            make = CobsHost if frame.framing == "cobs" else BinaryHost
+            make = BinaryHost if frame.framing == "none" else DelimitedHost
             return make(frame, frame.cells(layout), self.start, family, layout)
         return TextHost(frame, frame.cells(layout), self.start, family, layout)
 

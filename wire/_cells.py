@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from ..common.config import Finite, Section
-from ._packets import Corrupt, FramePacket
+from ._packets import Corrupt, Event, FramePacket
 from ._protocol import Layout
 
 Numbers = NDArray[np.float64]
@@ -32,6 +32,19 @@ class AnyFrame(Section):
     """numbers that stand for count 0 and for the largest count; None: the numbers are the counts"""
     invalid: Literal["mark", "drop"] = "mark"
     """what a number that is missing, NaN or outside the range costs: the cell, or the frame"""
+
+    copies: Annotated[int, Field(ge=1, le=16)] = 1
+    """times that each frame is sent"""
+
+    @property
+    def has_number(self) -> bool:
+        """Whether frames are numbered."""
+        raise NotImplementedError
+
+    @property
+    def has_time(self) -> bool:
+        """Whether frames have the board's time."""
+        raise NotImplementedError
 
     def cells(self, layout: Layout) -> Cells:
         """The cells of an array."""
@@ -125,6 +138,56 @@ class Cells:
     def _good(self, scaled: Numbers) -> NDArray[np.bool_]:
         good: NDArray[np.bool_] = (scaled >= 0) & (scaled <= self.largest)  # both False for NaN
         return good
+
+
+class Copies:
+    """Drops the copies of a board that sends each frame several times."""
+
+    def __init__(self, copies: int) -> None:
+        self._copies = copies
+        self._last: FramePacket | None = None
+        self._seen = 0
+
+    def without(self, events: list[Event]) -> list[Event]:
+        """The events without the frames that are copies."""
+        return [event for event in events if not (isinstance(event, FramePacket) and self._is_copy(event))]
+
+    def _is_copy(self, frame: FramePacket) -> bool:
+        last, self._last = self._last, frame
+        alike = last is not None and (frame.payload, frame.absent) == (last.payload, last.absent)
+        self._seen = self._seen + 1 if alike and self._seen < self._copies else 1
+        return self._seen > 1
+
+
+class Unwrapped:
+    """A number that begins again after some steps, without these jumps."""
+
+    WRAPS = 2**8, 2**16, 2**32
+    """after which numbers of microcontrollers begin again"""
+
+    def __init__(self) -> None:
+        self._last: float = 0
+        self._offset = 0
+        self._begun = False
+
+    def of(self, read: tuple[int, int] | None) -> int | None:
+        """The number behind the value and the period that were read; None: none was."""
+        if read is None:
+            return None
+        value, period = read
+        last = self._last
+        self._last = int(last) + (value - int(last)) % period if self._begun else value
+        self._begun = True
+        return int(self._last)
+
+    def of_text(self, value: float) -> float:
+        """The number behind one in a text, which does not say after how many steps it begins again."""
+        value = min(max(value, 0.0), 2.0**53)
+        fallen = self._last - value
+        wraps = (wrap for wrap in self.WRAPS if self._last < wrap and wrap - fallen < wrap / 8)
+        self._offset += next(wraps, 0) if fallen > 0 else 0
+        self._last = value
+        return value + self._offset
 
 
 class Pauses:

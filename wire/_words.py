@@ -1,4 +1,4 @@
-"""Frames of binary words behind a header, or between the zeros of COBS, as ``[frame]`` of BOARD.toml describes them.
+"""Frames of binary words behind a header, or between delimiters (COBS, SLIP), as ``[frame]`` of BOARD.toml has them.
 
 What shows that bytes are a frame, and where the next one begins:
 
@@ -7,7 +7,7 @@ What shows that bytes are a frame, and where the next one begins:
 * without a checksum: header, length, trailer, and the next header. Cells may look like a header: the host keeps the
   phase that it has. Where several phases are possible it takes the one whose frame is nearest to the last good frame,
   and reports an ambiguous header while there is none.
-* COBS: the zeros between the packets, and the length.
+* a framing (:data:`FRAMINGS`): the bytes that stand between packets only, and the length.
 * without a header: the pauses between the frames (:class:`._cells.Pauses`), or the requests of a host that polls.
 
 Text between two frames is skipped and counted.
@@ -16,16 +16,17 @@ Text between two frames is skipped and counted.
 from __future__ import annotations
 
 import re
+from abc import abstractmethod
 from collections.abc import Iterator
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from cobs import cobs
 from pydantic import Field, model_validator
 
 from ._blocks import MOST_BLOCKS, WORDS, Block, Template, Word, template, usual
-from ._cells import AnyFrame, Byte, Cells, Numbers, Pauses
+from ._cells import AnyFrame, Byte, Cells, Copies, Numbers, Pauses, Unwrapped
 from ._checksums import CHECKSUMS
+from ._delimited import FRAMINGS
 from ._framing import StartTable, require
 from ._packets import Corrupt, Event, Order
 from ._protocol import Family, HostProtocol, Layout
@@ -46,7 +47,7 @@ class BinaryFrame(AnyFrame):
     """the fields of a frame in the order sent, in place of word, header, before, after, checksum and trailer"""
     header: Annotated[tuple[Byte, ...], Field(strict=False, max_length=64)] = ()
     trailer: Annotated[tuple[Byte, ...], Field(strict=False, max_length=64)] = ()
-    framing: Literal["none", "cobs"] = "none"
+    framing: Literal["none", *FRAMINGS] = "none"  # type: ignore[valid-type]  # likewise
     before: Annotated[int, Field(ge=0, le=1024)] = 0
     """bytes between header and words that are not read: a length, a counter, a type"""
     after: Annotated[int, Field(ge=0, le=1024)] = 0
@@ -65,13 +66,21 @@ class BinaryFrame(AnyFrame):
             self.template(0)  # which says what does not fit
         elif not self.word:
             raise ValueError("word is missing; expected the kind of number of each cell, or [[frame.block]]")
-        if self.framing == "cobs" and (self.header or self.trailer):
-            raise ValueError('framing = "cobs" stands in place of header and trailer; expected none of them')
+        if self.framing != "none" and (self.header or self.trailer):
+            raise ValueError(f'framing = "{self.framing}" stands in place of header and trailer; expected none of them')
         if self.checksum == "none" and self.checksum_of != "payload":
             raise ValueError('checksum_of has no effect without a checksum; expected checksum = "..."')
         if self.checksum != "none" and self.framing == "none" and not self.header:
             raise ValueError("a checksum alone does not show where a frame begins; expected a header or framing")
         return self
+
+    @property
+    def has_number(self) -> bool:
+        return bool(self.template(1).counters)
+
+    @property
+    def has_time(self) -> bool:
+        return self.template(1).time is not None
 
     def template(self, cells: int) -> Template:
         """The layout of a frame; ``cells`` is their number where no block says it."""
@@ -89,8 +98,7 @@ class BinaryFrame(AnyFrame):
         """Cells in a frame; None: as many as the array has."""
         if not self.block:
             return None
-        made = self.template(0)
-        return made.offsets.size // made.word.dtype.itemsize
+        return self.template(0).cells
 
     def require(self, family: Family, layout: Layout) -> None:
         """Refuse counts that do not fit into the words. Raises InputError."""
@@ -100,22 +108,7 @@ class BinaryFrame(AnyFrame):
     def write(self, numbers: Numbers, layout: Layout, *, sequence: int = 0, time_us: int = 0) -> bytes:
         """The bytes of a frame with these numbers; those that are not read are zeros."""
         frame = self.template(numbers.size).write(numbers, sequence=sequence, time_us=time_us)
-        return bytes(cobs.encode(frame)) + b"\0" if self.framing == "cobs" else frame
-
-
-class Unwrapped:
-    """A number that begins again after some steps, without these jumps."""
-
-    def __init__(self) -> None:
-        self._last: int | None = None
-
-    def of(self, read: tuple[int, int] | None) -> int | None:
-        """The number behind the value and the period that were read; None: none was."""
-        if read is None:
-            return None
-        value, period = read
-        self._last = value if self._last is None else self._last + (value - self._last) % period
-        return self._last
+        return frame if self.framing == "none" else FRAMINGS[self.framing].write(frame)
 
 
 class _WordHost(HostProtocol):
@@ -129,8 +122,17 @@ class _WordHost(HostProtocol):
         self._count, self._clock = Unwrapped(), Unwrapped()
         """number of the frame and the board's time, which fields of few bytes begin again and again"""
 
+        self._copies = Copies(form.copies)
+
     def request(self, order: Order, *, period_us: int = 0) -> bytes:
         return self._start.order(order)
+
+    def feed(self, data: bytes, received_at: float) -> list[Event]:
+        return self._copies.without(self.events(data, received_at))
+
+    @abstractmethod
+    def events(self, data: bytes, received_at: float) -> list[Event]:
+        """As :meth:`feed`, with copies of frames."""
 
     def _event(self, frame: bytes, numbers: Numbers, size: int) -> Event:
         """The event of a good frame of ``size`` bytes on the line."""
@@ -138,31 +140,30 @@ class _WordHost(HostProtocol):
         return self._cells.event(numbers, size, sequence=sequence, time_us=time_us)
 
 
-class CobsHost(_WordHost):
-    """Host end of frames that COBS stuffs, each ended by a zero."""
+class DelimitedHost(_WordHost):
+    """Host end of frames between bytes that stand nowhere else."""
 
-    def feed(self, data: bytes, received_at: float) -> list[Event]:
-        events: list[Event] = []
-        *pieces, rest = data.split(b"\0")
-        for piece in pieces:
-            stretch = bytes(self._buffer) + piece
-            self._buffer.clear()
-            if stretch:
-                events.append(self._take(stretch))
-        self._buffer += rest
-        longest = self._size + self._size // 254 + 1
-        if len(self._buffer) > max(2 * longest, MOST_TEXT):
-            events.append(Corrupt(len(self._buffer), "no zero within the longest frame"))
+    def __init__(self, form: BinaryFrame, cells: Cells, start: StartTable, family: Family, layout: Layout) -> None:
+        super().__init__(form, cells, start, family, layout)
+        self._framing = FRAMINGS[form.framing]
+
+    def events(self, data: bytes, received_at: float) -> list[Event]:
+        self._buffer += data
+        *stretches, rest = bytes(self._buffer).split(bytes([self._framing.delimiter]))
+        self._buffer[:] = rest
+        events: list[Event] = [self._take(stretch) for stretch in stretches if stretch]
+        if len(self._buffer) > max(2 * self._size, MOST_TEXT):
+            events.append(Corrupt(len(self._buffer), f"no byte {self._framing.delimiter} within the longest frame"))
             self._buffer.clear()
         return events
 
     def _take(self, stretch: bytes) -> Event:
         try:
-            frame = bytes(cobs.decode(stretch))
-        except cobs.DecodeError as error:
-            return Corrupt(len(stretch), f"not COBS: {error}")
+            frame = self._framing.decode(stretch, self._size)
+        except ValueError as error:
+            return Corrupt(len(stretch), str(error))
         if len(frame) != self._size:
-            return Corrupt(len(stretch), f"{len(frame)} bytes between two zeros; expected {self._size}")
+            return Corrupt(len(stretch), f"{len(frame)} bytes in a packet; expected {self._size}")
         fault = self._form.fault(frame)
         if fault:
             return Corrupt(len(stretch), fault)
@@ -187,7 +188,7 @@ class BinaryHost(_WordHost):
             self._buffer.clear()  # the rest of an earlier reply; the next begins with its first word
         return super().request(order, period_us=period_us)
 
-    def feed(self, data: bytes, received_at: float) -> list[Event]:
+    def events(self, data: bytes, received_at: float) -> list[Event]:
         if self._pauses is not None:
             return list(self._by_pauses(data, received_at))
         self._buffer += data

@@ -10,20 +10,21 @@ from ._estimator import Estimator
 from ._held import longest_s
 from ._inversion import LOADS, UNKNOWN, USUAL, Inversion, credible_readings
 from ._modes import Material
-from ._scale import Contact, Logarithm, Ratio, Scale
+from ._scale import CONTACT, LOGARITHM, RATIO, Scale, scale_of
 
 __all__ = [
+    "CONTACT",
     "LOADS",
+    "LOGARITHM",
+    "RATIO",
     "UNKNOWN",
     "USUAL",
     "Conditions",
-    "Contact",
     "Estimator",
     "Inversion",
-    "Logarithm",
     "Material",
-    "Ratio",
     "Scale",
     "credible_readings",
     "longest_s",
+    "scale_of",
 ]

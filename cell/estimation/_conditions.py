@@ -11,6 +11,8 @@ from ...common.arrays import FloatArray
 class Conditions:
     """Prior knowledge of readings and errors, from a calibration recording or by default."""
 
+    rest_slope_kpa: FloatArray
+    """(m,) kPa per relative error of R0, at m pressures spaced evenly from 0 to full scale"""
     model_std_kpa: float = 0.0
     """standard deviation of estimates from noiseless readings: the error of the model"""
     noise: float | None = None
@@ -18,5 +20,3 @@ class Conditions:
     unknown. 0: readings are exact; nothing is measured, and no cell sleeps"""
     rest_error: float = 0.0
     """relative standard deviation of R0"""
-    rest_slope_kpa: FloatArray | None = None
-    """(m,) kPa per relative error of R0, at m pressures spaced evenly from 0 to full scale; None: R0 is certain"""

@@ -8,7 +8,6 @@ cells, and the places of those that are concerned.
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
@@ -29,7 +28,7 @@ MEMORIES = 30.0
 """multiple of the fast response to full scale that r may reach, since presses in quick succession add up"""
 
 
-class Inversion(ABC):
+class Inversion:
     """Pressures of cells. Methods take the states ``cells`` (n,) and ``memory`` (n,) of all and change those at places.
 
     ``cells["level"]`` is what the filter follows: r, or the load over full scale if there is a :attr:`material`.
@@ -67,17 +66,16 @@ class Inversion(ABC):
         self.full_scale_kpa, self.credible, self.exact = full_scale_kpa, credible, exact
         self.full_scale_r, self.side = abs(full_scale_r), math.copysign(1.0, full_scale_r)
 
-    @abstractmethod
     def begin(self, cells: Records[CellState], memory: Records[Any], places: IntArray, r: FloatArray) -> None:
-        """Set cells whose reading has been ``r`` (k,) for ever."""
+        """Set the memory, if there is one, of cells whose reading has been ``r`` (k,) for ever."""
 
-    @abstractmethod
     def advance(self, cells: Records[CellState], memory: Records[Any], places: IntArray, dt_s: float) -> None:
-        """Take the levels of cells, which are ``dt_s`` after the last ones."""
+        """Take the levels of cells, which are ``dt_s`` after the last ones; not called where there is a material.
 
-    def hold(  # noqa: B027 - of a memory that some inversions do not have
-        self, cells: Records[CellState], memory: Records[Any], places: IntArray, dt_s: FloatArray
-    ) -> None:
+        Without a memory, ``places`` may be those of many frames.
+        """
+
+    def hold(self, cells: Records[CellState], memory: Records[Any], places: IntArray, dt_s: FloatArray) -> None:
         """Let times ``dt_s`` (k,) pass at constant pressure."""
 
     def settled(self, cells: Records[CellState], memory: Records[Any], places: IntArray, band: float) -> BoolArray:

@@ -49,7 +49,7 @@ class Tuning:
     """FS/s, usual speed of loads that creep or sag; the next three: of slow, usual and fast motion"""
     line_per_s: float = 0.3
     move_per_s: float = 0.5
-    edge: float = 0.4
+    edge: float = 0.6
     """FS, usual size of a change within one frame"""
     creep_s: float = 0.8
     """s, for which such a motion lasts"""
@@ -89,11 +89,14 @@ class Tuning:
     bad_hz: float = 0.02
     """1/s, bad contacts of a cell; and s, for which they last"""
     bad_s: float = 0.06
-    overload: float = 1.15
-    """FS, heaviest load"""
+    overload: float = 1.4
+    """FS, heaviest usual load; and FS, in which loads beyond full scale become rarer by a factor of e"""
+    scarce: float = 0.1
     floor: float = 0.001
-    """FS, least standard deviation that is stated; and share of the load that is added"""
+    """FS, least standard deviation that is stated; and shares of the load, and of what exceeds full scale, that are
+    added: there the cell is not known"""
     relative: float = 0.012
+    extrapolated: float = 0.25
 
 
 TUNING = Tuning()
@@ -178,8 +181,10 @@ class Step(Record):
     gain: float
     """r at full scale of a slow load"""
     overload: float
+    scarce: float
     floor: float
     relative: float
+    extrapolated: float
 
 
 def discretise(material: Material, dt_s: float, tuning: Tuning = TUNING) -> Step:
@@ -218,7 +223,15 @@ def discretise(material: Material, dt_s: float, tuning: Tuning = TUNING) -> Step
             "bad_prior": math.log(max(t.bad_hz * dt_s / (3.0 * m.geq), 1e-300)),
             "bad_ends": math.log(-math.expm1(-dt_s / t.bad_s)),
         },
-        **{"bad_s": t.bad_s, "gain": m.gu, "overload": t.overload, "floor": t.floor, "relative": t.relative},
+        **{
+            "bad_s": t.bad_s,
+            "gain": m.gu,
+            "overload": t.overload,
+            "scarce": t.scarce,
+            "floor": t.floor,
+            "relative": t.relative,
+        },
+        **{"extrapolated": t.extrapolated},
     )
 
 

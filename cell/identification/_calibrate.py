@@ -354,10 +354,7 @@ def estimate_recording(
     Returns:
         Pressure, and its standard deviation or None if the estimator states none.
     """
-    pressure, std = np.empty((2, len(time_s)))
-    for n, elapsed in enumerate(np.diff(time_s, prepend=time_s[0])):
-        pressure[n] = estimator.step(float(elapsed), resistance_ohm[n])
-        std[n] = estimator.std_kpa
+    pressure, std = estimator.run(np.diff(time_s, prepend=time_s[0]), resistance_ohm)
     return pressure, std if estimator.states_std else None
 
 

@@ -23,12 +23,6 @@ class FollowedInversion(Inversion):
             exact=exact,
         )
 
-    def begin(self, cells: Records[CellState], memory: Records[Record], places: IntArray, r: FloatArray) -> None:
-        cells["gain_kpa"][places], cells["variance_kpa2"][places] = self.full_scale_kpa, 0.0
-
-    def advance(self, cells: Records[CellState], memory: Records[Record], places: IntArray, dt_s: float) -> None:
-        cells["pressure_kpa"][places] = cells["level"][places] * self.full_scale_kpa
-
 
 class SwitchedState(Record):
     """Memory of :class:`SwitchedInversion`: the model in force, the reading, and the states of both models."""

@@ -31,18 +31,21 @@ class Chains(Record):
     """r of the chains that must have broken"""
 
 
-def rest_slope(equilibrium_ohm: Callable[[FloatArray], FloatArray], full_scale_kpa: float) -> FloatArray:
+def rest_slope(
+    equilibrium_ohm: Callable[[FloatArray], FloatArray], full_scale_kpa: float, *, parallel: bool = False
+) -> FloatArray:
     """(:data:`SLOPES`,) pressure in kPa that a relative error of R0 looks like, per unit of that error.
 
     This is the slope dp/d(ln R) of the equilibrium curve, at evenly spaced pressures from 0 to full scale. It is
     limited where the curve is flat, since no estimator follows it there. ``equilibrium_ohm`` gives the resistance under
-    normalised loads (n,).
+    normalised loads (n,). ``parallel``: the load adds a conductance to 1/R0, instead of changing R0 by a factor.
     """
     load = np.linspace(0, 1, SLOPES)
     log_r = np.log(equilibrium_ohm(load))
     mean = max(abs(float(log_r[-1] - log_r[0])), 1e-9)
     slope = np.maximum(np.abs(np.gradient(log_r, load)), mean / FLAT)
-    return np.asarray(full_scale_kpa / slope)
+    share = np.exp(log_r - log_r[0]) if parallel else 1.0
+    return np.asarray(full_scale_kpa / slope * share)
 
 
 def memory_share(model: Model) -> float:
@@ -72,8 +75,6 @@ class EquilibriumInversion(Inversion):
     All cells share one curve of r. A contact's r is that of :class:`..estimation.Contact`.
     """
 
-    memory = Chains
-
     def __init__(
         self,
         model: Model,
@@ -102,6 +103,7 @@ class EquilibriumInversion(Inversion):
         self._slope = np.minimum(np.abs(slope), steepest)
         self._breaks = isinstance(model, M10Model) and model.k > 0
         """whether motion breaks chains"""
+        self.memory = Chains if self._breaks else Record
         if isinstance(model, M10Model) and self._breaks:
             self._heals_s = model.tau_s
             statics = model.a * load + model.b * load**2
@@ -111,14 +113,14 @@ class EquilibriumInversion(Inversion):
         self.usual_level = float(np.interp(USUAL, self._load, self._curve)) / max(abs(full_r), 1e-12)
 
     def begin(self, cells: Records[CellState], memory: Records[Chains], places: IntArray, r: FloatArray) -> None:
-        self._take(cells, memory, places, r, np.zeros_like(r))
-
-    def _take(
-        self, cells: Records[CellState], memory: Records[Chains], places: IntArray, r: FloatArray, chains: FloatArray
-    ) -> None:
-        """Take readings ``r`` (k,) of ``places`` (k,), of which at least ``chains`` (k,) is from broken chains."""
         if self._breaks:
-            memory["chains"][places] = chains = np.maximum(chains, r - self._most_r)
+            memory["chains"][places] = 0.0
+        self._take(cells, memory, places, r)
+
+    def _take(self, cells: Records[CellState], memory: Records[Chains], places: IntArray, r: FloatArray) -> None:
+        """Take readings ``r`` (k,) of ``places`` (k,)."""
+        if self._breaks:
+            memory["chains"][places] = chains = np.maximum(memory["chains"][places], r - self._most_r)
             r = r - chains
         pressure = np.interp(self._sign * r, self._curve, self._load) * self.full_scale_kpa
         variance = (self._share * pressure) ** 2
@@ -129,20 +131,18 @@ class EquilibriumInversion(Inversion):
 
     def advance(self, cells: Records[CellState], memory: Records[Chains], awake: IntArray, dt_s: float) -> None:
         self.hold(cells, memory, awake, np.asarray(dt_s))
-        self._take(cells, memory, awake, cells["level"][awake], memory["chains"][awake])
+        self._take(cells, memory, awake, cells["level"][awake])
 
     def hold(self, cells: Records[CellState], memory: Records[Chains], places: IntArray, dt_s: FloatArray) -> None:
         if self._breaks:
             memory["chains"][places] *= np.exp(-dt_s / self._heals_s)
 
     def settled(self, cells: Records[CellState], memory: Records[Chains], places: IntArray, band: float) -> BoolArray:
-        return np.asarray(memory["chains"][places] < band)
+        return memory["chains"][places] < band if self._breaks else super().settled(cells, memory, places, band)
 
 
 class StaticCurveInversion(Inversion):
     """The calibrated curve, without memory."""
-
-    memory = Record
 
     def __init__(self, curve: StaticCurve, full_scale_kpa: float, full_scale_r: float, *, exact: bool) -> None:
         self.curve = curve

@@ -58,6 +58,8 @@ class _End(Section):
 
     tolerance: Fractions = Field(default_factory=dict)
     """largest deviation of a part, relative to its value"""
+    end_of_life: Fractions = Field(default_factory=dict)
+    """largest deviation of a part at the end of its life, the tolerance included"""
     temperature_coefficient: Annotated[dict[str, Finite], Field(max_length=256)] = Field(default_factory=dict)
     """1/K of a part, relative to its value at 298.15 K"""
     values: Values = Field(default_factory=dict)
@@ -90,13 +92,13 @@ class _End(Section):
         def of(table: Mapping[str, float], name: str) -> float:
             return table.get(name, table.get(name.rpartition(".")[2], 0.0))
 
-        tables = self.tolerance, self.temperature_coefficient
-        found = {name: [of(table, name) for table in tables] for name in self.nominal}
-        return {
-            name: Spread(tolerance=tolerance, temperature_coefficient=per_kelvin)
-            for name, (tolerance, per_kelvin) in found.items()
-            if tolerance or per_kelvin
-        }
+        found = {}
+        for name in self.nominal:
+            tolerance, drift = of(self.tolerance, name), of(self.temperature_coefficient, name)
+            aged = of(self.end_of_life, name) or None
+            if tolerance or drift or aged:
+                found[name] = Spread(tolerance=tolerance, temperature_coefficient=drift, end_of_life=aged)
+        return found
 
     def lines(self, key: str, count: int) -> tuple[tuple[Card, ...], ...]:
         """The network of each of ``count`` lines, with the line's own values of some parts."""
@@ -115,10 +117,12 @@ class _End(Section):
     def _known_parts(self) -> Self:
         exact = self.nominal
         loose = exact | {name.rpartition(".")[2]: 0.0 for name in exact}
-        for key, known in (("tolerance", loose), ("temperature_coefficient", loose), ("values", exact)):
+        for key in ("tolerance", "end_of_life", "temperature_coefficient", "values"):
+            known = exact if key == "values" else loose
             for name in getattr(self, key):
                 if name not in known:
                     raise ValueError(f"{key}.{name}: no such part; expected one of {', '.join(known) or 'none'}")
+        _ = self.spreads  # which checks that no part ages to less than its tolerance
         return self
 
 

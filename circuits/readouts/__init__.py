@@ -27,7 +27,7 @@ from ._ends import one_driven, sum_of_others, terminate
 from ._inverting_amplifier import InvertingAmplifier
 from ._linear import LinearReadout, output_rounding
 from ._port_law import PortLaw
-from ._quick import PortFields, QuickFields, QuickNetwork
+from ._quick import PortFields, QuickFields, QuickNetwork, columns_impedance
 from ._row_amplifier import RowAmplifier
 from ._voltage_divider import VoltageDivider
 from ._voltage_feedback import VoltageFeedback
@@ -54,6 +54,7 @@ __all__ = [
     "Reading",
     "ReadoutCircuit",
     "SensitivityGroup",
+    "columns_impedance",
     "one_driven",
     "output_rounding",
     "sum_of_others",

@@ -118,9 +118,9 @@ class InvertingAmplifier(Terminated):
         for number, pattern in enumerate(patterns):
             columns = TerminatedColumns(
                 rows=np.flatnonzero(pattern_of.ravel() == number),
-                columns=np.flatnonzero(pattern == 0),  # an output at a limit does not move
+                columns=np.arange(board.shape[1]),
                 one_by_one=self.columns_one_by_one(board),
-                ends=amplifier_ends(board, None if self.columns_one_by_one(board) else pattern),
+                ends=amplifier_ends(board, pattern),  # an output at a limit does not move: its adjoint field is zero
                 own_parts=lambda some, current, adjoint, linear=pattern == 0: _by_own_parts(  # type: ignore[misc]
                     board, linear, some, current, adjoint
                 ),
@@ -316,10 +316,11 @@ def _by_own_parts(
     share, reference = board.loop_share, board.reference
     end = current * adjoint
     source = np.broadcast_to(adjoint, end.shape)
+    moves = linear[some]
     if board.multiplexed:  # the amplifier is at the column that is read; idle columns have at most a resistor
         idle = ~np.isin(np.arange(end.shape[-1]), some)
         end = np.where(idle & (board.idle_columns != "load"), 0.0, end)
-        source, linear = np.where(idle, 0.0, source), ~idle
+        source, linear = np.where(idle, 0.0, source), linear & ~idle
     weight = np.where(linear, board.inverse_gain, 1.0)
     lift = board.level + board.offset + board.lift
     by_name = {
@@ -329,7 +330,7 @@ def _by_own_parts(
         "bias_current": -weight * reference * source,
     }
     own, flow = np.arange(len(some)), current[:, 0, some]
-    share, reference = share[some], reference[some]
+    share, reference = share[some] * moves, reference[some]
     by_name["reference_resistance"][:, own, some] += share * (board.bias[some] - flow)
     by_name["inverse_gain"][:, own, some] -= share**2 * (lift[some] - reference * flow)
     by_name["offset_voltage"][:, own, some] += share

@@ -47,8 +47,8 @@ def several_answers(board: Board) -> bool:
 class Answers:
     """Bounds on all answers of one board."""
 
-    def __init__(self, board: Board) -> None:
-        """For a board with a port law."""
+    def __init__(self, board: Board, least_ohm: float = 0.0) -> None:
+        """For a board with a port law, whose cells have at least so many ohm, shorts apart."""
         lines = LineResistance(board)
         to_driver, to_end, column_lead = (
             np.where(np.isfinite(ohms), ohms, 0.0) for ohms in (lines.to_driver, lines.to_end, board.column_lead)
@@ -65,14 +65,16 @@ class Answers:
         if board.circuit.virtual_ground:
             self._most = MOST_WIRE / (to_driver + to_end + column_lead + LEAST_SHORT_OHM)
         self._column_most = 1.0 / (column_lead + to_end.min(axis=0) + _SHORTED)
+        self._least_ohm = least_ohm
 
     def __call__(
         self, volts: FloatArray, error: float, at_limit: tuple[BoolArray, BoolArray] | None = None
     ) -> tuple[FloatArray, FloatArray]:
         """Bounds (N, M) in S on the cells behind readings (N, M) in V that are known within an ``error`` in V.
 
-        No cell is taken to conduct more than a short, and no column together than one of 0.3 ohm, but cells at a limit
-        and several of one row that stand out from their columns: these may be shorts that join columns.
+        No cell is taken to conduct more than the least resistance does, and no column together than a short of 0.3 ohm.
+        Cells at a limit, cells that seem to conduct more than the most, and several of one row that stand out
+        from their columns may be shorts.
 
         Args:
             volts: readings.
@@ -89,13 +91,18 @@ class Answers:
         short &= (np.count_nonzero(short, axis=1) > 1)[:, None]
         limited, under_range = (self._nowhere, self._nowhere) if at_limit is None else at_limit
         limited, under_range = np.ascontiguousarray(limited | short), np.ascontiguousarray(under_range)
-        most = np.where(limited, 1.0 / LEAST_SHORT_OHM, self._most)
-        below, above, low, high = np.empty((4, rows, columns))
+        most, column_most = self._most, self._column_most
+        if self._least_ohm:
+            low = limited | (driven * (self._least_ohm + self._lead[:, None]) >= 1.0)
+            most = np.where(low, most, np.minimum(most, 1.0 / self._least_ohm))
+            column_most = np.where(low.any(axis=0), column_most, np.minimum(column_most, rows / self._least_ohm))
+        most = np.where(limited, 1.0 / LEAST_SHORT_OHM, most)
+        below, above, least, greatest = np.empty((4, rows, columns))
         flags = self._present, limited, under_range
-        priors = self._lead, most, self._column_most
-        written = below, above, np.empty((3, max(rows, columns))), low, high
+        priors = self._lead, most, column_most
+        written = below, above, np.empty((3, max(rows, columns))), least, greatest
         answers.unchecked(np.ascontiguousarray(volts), *law, *flags, *priors, error, *written)
-        return low, high
+        return least, greatest
 
 
 def are_one(low: FloatArray, high: FloatArray) -> BoolArray:

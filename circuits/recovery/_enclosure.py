@@ -112,14 +112,16 @@ class Enclosure:
             board.idle_resistance + law.wire, LEAST_SHORT_OHM
         )  # S (M,) of an idle column's end
         # A short while its own row is driven: S into the column's end, per volt of drive, and V of the column.
+        self._adrift = np.zeros(board.shape)
         self._saturates, self._into_end, self._column = False, self._short, np.full(board.shape, drive)
         source = np.zeros(board.shape[1])
         behind = board.reference + law.wire
         if ends is not None:
             source, behind = ends.source + source, ends.resistance + law.wire
-            low, high = board.supply
-            limit = high if (board.drive > 0) != circuit.inverts else low
-            self._saturates = isfinite(limit)
+            low, high = board.supply if (board.drive > 0) != circuit.inverts else board.supply[::-1]
+            limit, self._saturates = high, isfinite(high)
+            if isfinite(low):  # an output at this limit leaves its column between the offset and the other lines
+                self._adrift = 2.0 * np.abs(board.offset) * np.ones(board.shape)
             if self._saturates:
                 beyond = np.abs(limit - board.level) + np.abs(board.offset)
                 self._into_end = (1.0 + beyond / drive) / (to_driver + board.reference + law.wire)
@@ -137,6 +139,11 @@ class Enclosure:
         self._driven_apart = np.abs(source[:, None] - source) / (apart[:, None] + apart)  # A between joined columns
         # Share of a column's current that a joined one takes.
         self._passes_on = behind[:, None] / (apart[:, None] + apart)
+
+    def unheld(self, unknowns: Unknowns) -> bool:
+        """Whether an amplifier's output may stand at a limit, so that it does not hold its column."""
+        limited, faint = unknowns
+        return not self._divides and bool(limited.any() or (faint.any() and self._adrift.any()))
 
     def coupling(self, cells: FloatArray) -> FloatArray:
         """(M,) share of a column's current that may pass to other columns by way of the rows, at cells (N, M) in S."""
@@ -161,7 +168,7 @@ class Enclosure:
         potential = self._potentials(ports, sums, volts, drive)
         row, low, high = self._rows(ports, errors, unknowns, sums, potential / drive)
         added = np.zeros(shape)
-        if self._law.has_leads or self._floating:
+        if self._law.has_leads or self._floating or self._hidden.any():
             added = self._between(ports, errors, cells, unknowns, sums, row / low, potential) / drive
         change = self._changes(ports, sums, share, added, row, low, high)
         change = _MARGIN * change * np.maximum(ports.cells / np.maximum(cells, _TINY), 1.0)
@@ -318,7 +325,8 @@ class Enclosure:
             share = np.minimum(self._to_driver * np.maximum(ports.driven, 0.0), 1.0)
             width = sums.above - sums.below
             loose = np.where(width > _LEAST_LEFT * np.abs(sums.above), np.minimum(self._to_driver * width, 1.0), 0.0)
-        in_own_step = np.where(limited, self._column, 0.0)  # V: there the column may have any potential
+        # V, of the column in its cell's own step, in which an output at a limit does not hold it.
+        in_own_step = np.where(limited, self._column, np.where(unknowns.faint, self._adrift, 0.0))
         # Potentials (steps, rows) of the idle rows that the unknown cells may change, and what the rows then feed.
         lifted = potential @ share.T
         change = potential @ loose.T + lifted * loose.sum(axis=1) + in_own_step @ (loose + share).T
@@ -345,7 +353,7 @@ class Enclosure:
             beyond = np.where(limited, current, 0.0)  # nothing holds the column in that step
             added += current @ passes_on + current * passes_on.sum(axis=1) + beyond @ joined
             added += np.where(joined, self._driven_apart, 0.0).sum(axis=0)
-        if self._saturates and self._hidden.any() and limited.any():
+        if self._hidden.any() and in_own_step.any():
             # So may cells behind a break. An output at its supply no longer holds its column, which feeds the others.
             beside = (self._hidden.T.astype(np.float64) @ self._hidden) * self._most_beside
             beside.flat[:: len(beside) + 1] = 0.0

@@ -17,8 +17,10 @@ from ._live_fit import FitLive
 from ._live_law import LawLive
 from ._live_reading import LiveRecovery, ValidityRule
 
+_SPARE = 10.0  # lowest resistance within the range of loads over the least of any cell: overloads, cells that differ
 
-def live_recovery(design: Design, *, accuracy: float | None = None) -> LiveRecovery:
+
+def live_recovery(design: Design, *, accuracy: float | None = None, lowest_ohm: float | None = None) -> LiveRecovery:
     """The live recovery for a board with a converter.
 
     :class:`.FitLive` for dividers with floating or pulled rows, :class:`.LawLive` for all others.
@@ -27,6 +29,8 @@ def live_recovery(design: Design, *, accuracy: float | None = None) -> LiveRecov
         design: the board.
         accuracy: relative uncertainty of a conductance up to which a cell is valid; None:
             :data:`._live_reading.ACCURACY`.
+        lowest_ohm: the lowest resistance in the cells' range of loads; None: that of ``[cells]``, if the design has
+            it. Where readings may have several answers, those with cells below a tenth of it do not count.
 
     Raises:
         InputError: the design has no [adc], the accuracy is not between 0 and 1, the board is too large, or its
@@ -36,8 +40,11 @@ def live_recovery(design: Design, *, accuracy: float | None = None) -> LiveRecov
     if design.adc is None:
         raise InputError("the design has no [adc] section; expected bits and range")
     board, rule = design.board, ValidityRule.of(accuracy)
+    if lowest_ohm is None and design.cells is not None:
+        lowest_ohm = min(design.cells.rest_resistance, design.cells.full_scale_resistance)
+    least = 0.0 if lowest_ohm is None else lowest_ohm / _SPARE
     if why := board.circuit.ambiguity(board):
         raise InputError(f"the cells cannot be recovered from readings: {why}")
     if board.circuit.port_law(board, np.zeros(board.shape[1])) is None:
-        return FitLive(board, rule)
-    return LawLive(board, rule)
+        return FitLive(board, rule, least)
+    return LawLive(board, rule, least)

@@ -46,6 +46,7 @@ from ._live_reading import (
 from ._node_blocks import NodeBlocks
 from ._quick_model import QuickModel, with_resistance
 from ._sheet_model import SheetModel
+from ._usual_fits import FAR, HARDLY_KNOWN, NO_FIT, PER_ERROR, SETTLED, SHORT_SHARE, SMALL, STRIDE, UsualFits
 
 STEPS, FIRST_STEPS = 5, 60
 """evaluations of the model in one frame, and in the first one of all"""
@@ -58,18 +59,14 @@ MOST_BESIDE = 256
 _SMALL = 100  # cells up to which the derivatives are a matrix
 _PRIOR = 3.0  # standard deviation of a logarithm before anything is read: a factor of 20
 _ALIKE_ERRORS = 20.0  # inverse of the relative change of the readings' errors up to which covariances are alike
-_FITS, _NO_FIT, _MISFIT = 0.8, 3.0, 8.0  # half steps: by rounding alone, no fit yet, no cells give these readings
-_FAR, _NEAR = 0.5, 0.02  # change of a logarithm for which derivatives no longer serve, and for which new ones are alike
-_HARDLY_KNOWN = 0.15  # standard deviation of a logarithm beyond which a step does not matter
-_SETTLED = 0.3  # standard deviations, step that does not matter
-_STRIDE = 1.5  # largest step of a logarithm
+_FITS, _MISFIT = 0.8, 8.0  # half steps: by rounding alone, no cells give these readings
+_NEAR = 0.02  # change of a logarithm for which new derivatives are alike
 _SHORTER = 0.4  # factor on a step that leads away from the readings
 _SLOW = 0.2  # length of a step over the one before, above which derivatives are to blame
 _STEEPER = 3.0  # largest ratio of slopes by which derivatives are adapted
 _JUMP = 20.0  # half steps from which on closed formulas may be a nearer start
 _LEAST_READING = 0.03  # half steps: reading of the least conductance alone; below, nothing would lead back
 _LARGEST = 50.0  # logarithm that is as good as infinite
-_SHORT_SHARE = 0.98  # of the reading of a short, from which on a cell may be one
 _AS_SHORT = 1e3  # wires of a cell over its own resistance, from which on no reading tells it from a short
 _TIE = 0.02  # cell over the reference resistor, below which it ties lines to each other
 _NO_CELLS = "no cell resistances give these readings; check that the design is that of the board"
@@ -78,6 +75,7 @@ _OPEN_SIZE = 3.0  # most by which a conductance may be larger, from which on the
 _BESIDE = 0.01  # conductance over the largest one of a column, from which on a cell of unknown size counts beside it
 _TIES = 0.1  # share of a row's drive that a cell may take, from which on it ties the row to its column
 _OFTEN = 3  # frames with readings that no cells give, after which the design is taken for wrong
+_CONTRACTS = 0.5  # factor of a map that surely has one fixed point, with room for derivatives that change
 _TYPICAL = 1e-5  # S, of a cell if no reading shows a conductance
 
 
@@ -94,6 +92,10 @@ class _Linear(NamedTuple):
     """(n,) standard deviation of the logarithms by errors so many times those of ADC steps"""
     known: dict[float, FloatArray]
     """results of ``std_at``"""
+    inverse: FloatArray | None = None
+    """(n, n) the matrix of ``solve``, where it was made"""
+    amplified: float = inf
+    """largest sum of the derivatives of a logarithm by those of all readings, where several answers are possible"""
 
     def std(self, coarser: float) -> FloatArray:
         """The same, computed once for errors that are nearly alike."""
@@ -104,17 +106,16 @@ class _Linear(NamedTuple):
 
     def distance(self, log: FloatArray, std: FloatArray) -> FloatArray:
         """(n,) change of the logarithms since then, of which their own errors do not count."""
-        return np.abs(log - self.log) / np.maximum(4.0 / _FAR * std, 1.0)
+        return np.abs(log - self.log) / np.maximum(PER_ERROR / FAR * std, 1.0)
 
 
 class FitLive:
     """Live recovery of boards without a port law, and of single frames that their law leaves open."""
 
     scales_columns = False
-    usual: UsualReading | None = None
 
-    def __init__(self, board: Board, rule: ValidityRule) -> None:
-        """For a board with a converter.
+    def __init__(self, board: Board, rule: ValidityRule, least_ohm: float) -> None:
+        """For a board with a converter, whose cells have at least so many ohm, shorts apart.
 
         Raises:
             InputError: the board is too large.
@@ -154,13 +155,22 @@ class FitLive:
         self._beyond = np.where(self._gone | board.circuit.virtual_ground, inf, at_ends)  # V, no cells read more
         per_volt = np.abs(board.circuit.conductance_slope(board, np.zeros(board.shape)))
         self._least = np.log(_LEAST_READING * self._half_step * per_volt).ravel()
-        self._most = np.log(_AS_SHORT / (self._leads + LEAST_SHORT_OHM)).ravel()
+        most = _AS_SHORT / (self._leads + LEAST_SHORT_OHM)
+        if least_ohm:
+            most = np.where(self._gone, 1.0 / least_ohm, most)
+        self._most = np.log(most).ravel()
         self._several = several_answers(board) and not board.circuit.virtual_ground
+        of_row = board.shape[1] / least_ohm if least_ohm else inf
+        self._least_ohm, self._lost = least_ohm, float(np.max(lines.to_driver)) * of_row  # share of a drive, at most
         self._log: FloatArray | None = None
         self._linear: _Linear | None = None
         self._read: FloatArray = np.ones(cells)
         self._pinned: FloatArray = np.zeros(board.shape)
         self._damping, self._astray, self._in_vain, self._begun = 1.0, False, 0, False
+        self.usual: UsualReading | None = None
+        usual = cells <= MOST_BESIDE and self._nodes is None and self._sheet is None and not self._several
+        if usual and UsualFits.serves(board):
+            self.usual = UsualFits(board, self, rule, (self._half_step, self._std))
 
     @np.errstate(divide="ignore", invalid="ignore", over="ignore")
     def __call__(
@@ -196,7 +206,7 @@ class FitLive:
         if faint is not None:  # a reading near zero is one like any other
             unread |= faint & (signal > error)
         small = self._cells <= MOST_BESIDE
-        short = signal >= _SHORT_SHARE * self._short
+        short = signal >= SHORT_SHARE * self._short
         # No way between two lines conducts better than a short of their ends.
         beyond = (signal > self._beyond + _MISFIT * error) & ~unread
         # Two cells of unknown size may join lines whose readings are then alike, whatever the other cells are.
@@ -216,6 +226,22 @@ class FitLive:
         if found is None:
             return self._nothing(DISTURBED if short.any() else UNSETTLED, unread | short)
         return self._reading(signal, error, noise, *found, self._spread(found[0], unread), unread)
+
+    def bounds(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """As :class:`._usual_fits.Fit`."""
+        return self._short, self._least.reshape(self._shape), self._most.reshape(self._shape)
+
+    def kept(self, noise: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
+        """As :class:`._usual_fits.Fit`."""
+        linear = self._linear
+        if linear is None or linear.inverse is None or self._log is None or self._astray or not self._read.all():
+            return None
+        return self._log, linear.log, linear.inverse, linear.std(hypot(1.0, noise / self._std))
+
+    def follow(self, log: FloatArray) -> FloatArray:
+        """As :class:`._usual_fits.Fit`."""
+        self._log, self._in_vain = log, 0
+        return log
 
     def _spread(self, log: FloatArray, unread: BoolArray) -> FloatArray:
         """Change (n,) of the logarithms over all conductances of the cells ``unread``, from their least to a short.
@@ -281,15 +307,15 @@ class FitLive:
             settled, before = False, inf
             while True:
                 linear = self._linear
-                if linear is None or linear.distance(log, linear.std(coarser)).max() > _FAR:
+                if linear is None or linear.distance(log, linear.std(coarser)).max() > FAR:
                     if renewals == 0:
                         break
                     self._linear, renewals = self._renewed(log), renewals - 1
                     linear = self._linear
                 step, std = self._step(linear, apart, slope), linear.std(coarser)
-                small = (np.abs(step) <= np.maximum(_SETTLED * std, 1e-6)) | (std > _HARDLY_KNOWN)
-                if misfit <= _NO_FIT and small.all() and (misfit <= _FITS or not self._astray):
-                    settled = misfit <= _NO_FIT
+                small = (np.abs(step) <= np.maximum(SETTLED * std, SMALL)) | (std > HARDLY_KNOWN)
+                if misfit <= NO_FIT and small.all() and (misfit <= _FITS or not self._astray):
+                    settled = misfit <= NO_FIT
                     break
                 length = float(np.abs(step).max())
                 near = linear.distance(log, std).max() <= _NEAR
@@ -344,7 +370,7 @@ class FitLive:
         both = (linear.slope > 0.0) & (slope > 0.0)
         steeper = np.divide(slope, linear.slope, out=np.ones(len(slope)), where=both)
         step = linear.solve(apart * np.clip(steeper, 1.0 / _STEEPER, _STEEPER))
-        return np.clip(step, -_STRIDE, _STRIDE)
+        return np.clip(step, -STRIDE, STRIDE)
 
     def _renewed(self, log: FloatArray) -> _Linear:
         """Make derivatives at these cells.
@@ -371,11 +397,19 @@ class FitLive:
         if failed:
             raise np.linalg.LinAlgError("the normal matrix is not positive definite")
 
+        inverse = None
+        if self._cells <= MOST_BESIDE:
+            inverse = np.ascontiguousarray(dpotrs(factor, jacobian.T / self._std, lower=1)[0])
+
         def solve(apart: FloatArray) -> FloatArray:
             step: FloatArray = dpotrs(factor, jacobian.T @ (apart / self._std), lower=1)[0]
             return step
 
-        return _Linear(log, solve, slope, lambda coarser: self._std_of(log, jacobian / coarser), {})
+        amplified = inf
+        if self._several and self._read.all():
+            by_logs = jacobian * (self._std / (volts - self._board.level).reshape(-1, 1))
+            amplified = float(np.abs(np.linalg.inv(by_logs)).sum(axis=1).max())
+        return _Linear(log, solve, slope, lambda coarser: self._std_of(log, jacobian / coarser), {}, inverse, amplified)
 
     def _std_of(self, log: FloatArray, jacobian: FloatArray) -> FloatArray:
         """Standard deviations (n,) of the logarithms with derivatives (n, n) in errors of a reading.
@@ -413,6 +447,18 @@ class FitLive:
         beside = (inverse @ inverse[bent].T) / std[bent] * np.sqrt(grown[bent] ** 2 - 1.0)
         std = np.sqrt(std**2 + np.einsum("ij,ij->i", beside, beside))
         return std
+
+    def _one_answer(self, log: FloatArray) -> bool:
+        """Whether no other cells give the readings, where idle columns conduct more than those that are read.
+
+        Without leads of the rows there is one answer (:func:`.several_answers`). The selected row's lead takes a share
+        of at most L of the drive; the derivative of its logarithm by those of all cells, together, is no larger. If A
+        is the largest sum of derivatives of a cell's logarithm by those of all readings, another answer lies within
+        A L, where A L < 1/2 makes the map from one's losses to the other's cells a contraction.
+        """
+        assert self._linear is not None
+        in_range = float(np.exp(log.max())) * self._least_ohm <= 1.0
+        return in_range and self._linear.amplified * self._lost < _CONTRACTS
 
     def _derivatives(self, cells: FloatArray) -> FloatArray:
         """V/S (n, n) of all readings by all crosspoints."""
@@ -454,11 +500,11 @@ class FitLive:
         sigmas = hypot(BY_STEPS, BY_NOISE * noise / self._std) / coarser * max(misfit, 1.0)
         uncertainty = own + np.expm1(np.minimum(np.maximum(sigmas * std - own, 0.0), _LARGEST))
         uncertainty += np.expm1(np.minimum(spread.reshape(shape), _LARGEST))
-        if self._several:
+        if self._several and (unread.any() or not self._one_answer(log)):
             uncertainty = np.full(shape, inf)
         if self._sheet is not None:
             uncertainty = uncertainty + self._sheet.doubt(log)
-        known, short = ~unread & (signal > error), signal >= _SHORT_SHARE * self._short
+        known, short = ~unread & (signal > error), signal >= SHORT_SHARE * self._short
         valid = self._rule.accepts(uncertainty) & known
         reason: NDArray[np.int8] = np.full(shape, UNCERTAIN, dtype=np.int8)
         if (unread | short).any():

@@ -51,8 +51,8 @@ _OFTEN = 3  # frames with readings that no cells give, after which the design is
 class LawLive:
     """Live recovery of boards whose circuits state a :class:`..readouts.PortLaw`."""
 
-    def __init__(self, board: Board, rule: ValidityRule) -> None:
-        """For a board with a converter."""
+    def __init__(self, board: Board, rule: ValidityRule, least_ohm: float) -> None:
+        """For a board with a converter, whose cells have at least so many ohm, shorts apart."""
         whole = replace(board, supply=(-inf, inf), faults=tuple(map(with_resistance, board.faults)))
         self._board = sliced = replace(whole, continuous=False)
         self._sheet = whole if board.continuous else None
@@ -77,9 +77,15 @@ class LawLive:
         self._present = None if not self._gone.any() else np.ascontiguousarray(~self._gone)
         self._faulty = bool(self._shunt.any() or board.series_ohms.any())
         lost = hidden.any() or (board.floating and self._shorted.any())
-        self._tells = not ((board.circuit.mixes_cells or board.floating) and lost)
-        self._steps = Steps.of(board)
         one_by_one = board.circuit.columns_one_by_one(board)
+        # Cells behind a break join lines, which no current passes where all lines but the read one are held.
+        held = not (board.circuit.mixes_cells or board.floating)
+        if board.circuit.drives_idle_lines:  # as the column that is read, which the selected row is not
+            held &= bool((np.count_nonzero(hidden, axis=0) <= 1).all())
+        else:
+            held &= not (one_by_one and bool(board.idle_resistance.any()))
+        self._tells = held or not lost
+        self._steps = Steps.of(board)
         lead = to_driver.mean(axis=1)
         segments = np.where(np.isfinite(board.row_ohms), board.row_ohms, 0.0)
         shared = np.where(np.isfinite(lines.row), lines.row, 0.0)
@@ -94,7 +100,7 @@ class LawLive:
             floating=board.floating,
             virtual_ground=board.circuit.virtual_ground,
         )
-        self._answers = Answers(sliced) if several_answers(board) and self._law.has_potential else None
+        self._answers = Answers(sliced, least_ohm) if several_answers(board) and self._law.has_potential else None
         self._enclosure = Enclosure(board, self._law, shared, to_driver, to_end)
         self._wires = np.abs(to_driver - lead[:, None]) + np.abs(to_end - to_end.mean(axis=0))
         self._any_wire = bool(self._wires.any())
@@ -110,8 +116,9 @@ class LawLive:
         self._beside_law = beside_end / np.maximum(self._law.behind, beside_end + LEAST)  # share that segments change
         self._fit = None
         small = board.shape[0] * board.shape[1] <= MOST_BESIDE
-        if board.bridges or (board.circuit.mixes_cells and self._answers is None and small):
-            self._fit = FitLive(board, rule)
+        mixes = (board.circuit.mixes_cells and self._answers is None) or not self._tells
+        if board.bridges or (mixes and small):
+            self._fit = FitLive(board, rule, least_ohm)
         self.usual: UsualReading | None = self._usual_frames(board)
         self._impossible = 0
         self._every = np.ones(board.shape, dtype=np.bool_), np.zeros(board.shape, dtype=np.int8)
@@ -155,9 +162,13 @@ class LawLive:
         turn = self._turn
         unknowns = None
         if limited is not None or faint is not None:
-            limited, faint = (None if cells is None else turn(cells) & ~self._gone for cells in (limited, faint))
+            limited, faint = (None if cells is None else turn(cells) & ~self._shorted for cells in (limited, faint))
             unknowns = Unknowns.of(self._shape, limited, faint)
         volts = np.array(turn(volts), order="C")
+        # An output at a limit does not hold its line, nor what a bridge or hidden cells join with it.
+        joined = bool(self._board.bridges) or not self._tells
+        if joined and unknowns is not None and self._enclosure.unheld(unknowns):
+            return self._nothing(unknowns)
         if not self._tells:
             return self._nothing(unknowns) if self._fit is None else self._fit.read(volts, limited, faint, noise)
         unknown = None if unknowns is None else np.ascontiguousarray(unknowns.any)

@@ -47,6 +47,8 @@ class Reason(IntEnum):
     """the board sent no reading of the cell"""
     BEYOND_MODEL = 9
     """the resistance is known, but the cell's model knows no pressure for it: a tare or cell data of another skin"""
+    NO_CELL = 10
+    """there is no cell: the design's ``[shape]`` has a hole there"""
 
 
 NO_CURRENT, SATURATED, UNCERTAIN, DISTURBED, HIDDEN, UNSETTLED = (

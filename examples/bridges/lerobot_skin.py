@@ -106,14 +106,24 @@ class SkinSensor:
             raise ConnectionError(f"{self.port}: is connected already")
         skin = Skin.open(self.port, **self._options)
         try:
-            if skin.design.array.shape != self.shape:
-                raise ConnectionError(f"{self.port}: a skin of {skin.design.array.shape} cells; expected {self.shape}")
+            if skin.shape != self.shape:
+                raise ConnectionError(f"{self.port}: a skin of {skin.shape} cells; expected {self.shape}")
             if calibrate:
                 skin.tare()
         except BaseException:
             skin.close()
             raise
         self._skin = skin
+
+    @property
+    def places_mm(self) -> Any:
+        """(rows, columns, 2 or 3) x, y and maybe z of the cells, NaN where there is none.
+
+        Raises:
+            ConnectionError: not connected.
+
+        """
+        return self._opened().geometry.places_mm
 
     def calibrate(self) -> None:
         """Take the skin for unloaded now."""

@@ -19,15 +19,27 @@ from ohmskin.errors import OhmskinError
 
 
 def log(frame: Frame, full_scale_kpa: float) -> None:
-    """Log one frame: pressures in kPa as a tensor and as an image, contacts as points, and the sum of forces."""
+    """Log one frame: pressures in kPa as a tensor and as an image, contacts and cells at places of their own as
+    points, and the sum of forces.
+    """
     rr.set_time("host_time", timestamp=frame.host_time)
     if frame.sequence is not None:
         rr.set_time("sequence", sequence=frame.sequence)
     pressure = np.where(frame.valid, frame.pressure, np.nan).astype(np.float32)
     rr.log("skin/pressure_kpa", rr.Tensor(pressure, dim_names=["row", "column"], value_range=[0.0, full_scale_kpa]))
-    places = [[contact.x_mm, contact.y_mm] for contact in frame.contacts]
+    geometry = frame.geometry
+    if geometry.pitch_m is None:
+        there = geometry.exists
+        share = np.clip(np.nan_to_num(pressure[there]) / full_scale_kpa, 0.0, 1.0)
+        colours = np.stack([255 * share, 80 + 0 * share, 255 * (1 - share)], axis=1).astype(np.uint8)
+        radii = np.sqrt(geometry.areas_mm2[there] / np.pi)
+        points = rr.Points3D if len(geometry.axes) == 3 else rr.Points2D
+        rr.log("skin/cells_mm", points(geometry.places_mm[there], radii=radii, colors=colours))
+    axes = geometry.axes
+    places = [[getattr(contact, axis) for axis in axes] for contact in frame.contacts]
     labels = [f"{contact.id}: {contact.force_n:.2f} N" for contact in frame.contacts]
-    rr.log("skin/contacts_mm", rr.Points2D(np.array(places, dtype=np.float32).reshape(-1, 2), labels=labels))
+    marks = rr.Points3D if len(axes) == 3 else rr.Points2D
+    rr.log("skin/contacts_mm", marks(np.array(places, dtype=np.float32).reshape(-1, len(axes)), labels=labels))
     rr.log("skin/force_n", rr.Scalars(sum(contact.force_n for contact in frame.contacts)))
 
 

@@ -6,7 +6,8 @@
 topic               type                          content
 ==================  ============================  ===========================================================
 ``~/pressure``      ``sensor_msgs/msg/Image``     32FC1, kPa, a pixel for each cell; invalid cells are NaN
-``~/contacts``      ``geometry_msgs/msg/PoseArray``  centres of pressure in m, the largest force first
+``~/cells``         ``sensor_msgs/msg/PointCloud2``  x, y, z in m and kPa of each cell, of a skin that is no rectangle
+``~/contacts``      ``geometry_msgs/msg/PoseArray``  centres of force in m, the largest force first
 ``~/frame``         ``std_msgs/msg/String``       JSON: numbers and contacts, as in a recording
 ==================  ============================  ===========================================================
 
@@ -21,9 +22,16 @@ from typing import Any
 
 import numpy as np
 
-from ohmskin.driver import Frame, Skin, messages_of
+from ohmskin.driver import Frame, Skin, messages_of, points_of
 
-TYPES = {"pressure": "sensor_msgs/msg/Image", "contacts": "geometry_msgs/msg/PoseArray", "frame": "std_msgs/msg/String"}
+TYPES = {
+    "pressure": "sensor_msgs/msg/Image",
+    "cells": "sensor_msgs/msg/PointCloud2",
+    "contacts": "geometry_msgs/msg/PoseArray",
+    "frame": "std_msgs/msg/String",
+}
+FLOAT32 = 7
+"""of ``sensor_msgs/msg/PointField``"""
 QUEUE = 10
 
 
@@ -43,13 +51,32 @@ def messages(frame: Frame, frame_id: str) -> dict[str, dict[str, Any]]:
     }
     poses = [
         {
-            "position": {"x": contact.x_mm / 1e3, "y": contact.y_mm / 1e3, "z": 0.0},
+            "position": {"x": contact.x_mm / 1e3, "y": contact.y_mm / 1e3, "z": (contact.z_mm or 0.0) / 1e3},
             "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
         }
         for contact in frame.contacts
     ]
     numbers = messages_of(frame)["/ohmskin/frame"]
-    return {"pressure": image, "contacts": {"header": header, "poses": poses}, "frame": {"data": json.dumps(numbers)}}
+    found = {"pressure": image, "contacts": {"header": header, "poses": poses}, "frame": {"data": json.dumps(numbers)}}
+    return found if frame.geometry.pitch_m is not None else found | {"cells": _cloud(frame, pressure, header)}
+
+
+def _cloud(frame: Frame, pressure: Any, header: dict[str, Any]) -> dict[str, Any]:
+    points = points_of(frame, pressure)
+    return {
+        "header": header,
+        "height": 1,
+        "width": len(points),
+        "fields": [
+            {"name": name, "offset": 4 * k, "datatype": FLOAT32, "count": 1}
+            for k, name in enumerate(("x", "y", "z", "pressure_kpa"))
+        ],
+        "is_bigendian": False,
+        "point_step": points.strides[0],
+        "row_step": points.nbytes,
+        "data": array("B", points.tobytes()),
+        "is_dense": not bool(np.isnan(points).any()),
+    }
 
 
 def _stamp(host_time: float) -> dict[str, int]:
@@ -57,14 +84,14 @@ def _stamp(host_time: float) -> dict[str, int]:
     return {"sec": seconds, "nanosec": nanoseconds}
 
 
-def fill(message: Any, fields: dict[str, Any], make_pose: Any) -> Any:
-    """Set the fields of a ROS message; ``make_pose`` makes the elements of a list of poses."""
+def fill(message: Any, fields: dict[str, Any], make_item: Any) -> Any:
+    """Set the fields of a ROS message; ``make_item`` makes the elements of its list: poses, or fields of points."""
     for name, value in fields.items():
         match value:
             case dict():
-                fill(getattr(message, name), value, make_pose)
+                fill(getattr(message, name), value, make_item)
             case list():
-                setattr(message, name, [fill(make_pose(), item, make_pose) for item in value])
+                setattr(message, name, [fill(make_item(), item, make_item) for item in value])
             case _:
                 setattr(message, name, value)
     return message
@@ -74,7 +101,7 @@ def main() -> None:
     import rclpy
     from geometry_msgs.msg import Pose, PoseArray
     from rclpy.executors import ExternalShutdownException
-    from sensor_msgs.msg import Image
+    from sensor_msgs.msg import Image, PointCloud2, PointField
     from std_msgs.msg import String
 
     rclpy.init()
@@ -83,12 +110,12 @@ def main() -> None:
     board = node.declare_parameter("board", "ohmskin").value
     calibration = node.declare_parameter("calibration", "").value or None
     frame_id = node.declare_parameter("frame_id", "skin").value
-    kinds = {"pressure": Image, "contacts": PoseArray, "frame": String}
+    kinds = {"pressure": Image, "cells": PointCloud2, "contacts": PoseArray, "frame": String}
     publishers = {topic: node.create_publisher(kind, f"~/{topic}", QUEUE) for topic, kind in kinds.items()}
 
     def publish(frame: Frame) -> None:
         for topic, fields in messages(frame, frame_id).items():
-            publishers[topic].publish(fill(kinds[topic](), fields, Pose))
+            publishers[topic].publish(fill(kinds[topic](), fields, PointField if topic == "cells" else Pose))
 
     # Every frame: a policy at 30 Hz wants those since its last image, whose header.stamp is on the same clock.
     with Skin.open(port, board=board, calibration=calibration, delivery="every") as skin:

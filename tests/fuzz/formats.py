@@ -30,7 +30,7 @@ from pydantic import BaseModel
 
 from ohmskin.bench._reference import Indeterminate, reference_volts
 from ohmskin.cell import Cell
-from ohmskin.circuits import AmplifierModel, Design, scan
+from ohmskin.circuits import AmplifierModel, Design, Shape, scan
 from ohmskin.cli import run
 from ohmskin.common.config import parse
 from ohmskin.common.tables import read_cells, read_columns
@@ -39,7 +39,7 @@ from ohmskin.driver import Calibration, ReplayPort, Skin, Tare
 from ohmskin.emulator import Recording as Recorded
 from ohmskin.emulator import Scene, Truth
 from ohmskin.errors import InputError, LinkEnded, LinkError, OhmskinError, ProtocolError, SolverError
-from ohmskin.kicad import Imported, differences, import_design, read_netlist, to_netlist
+from ohmskin.kicad import Imported, differences, import_design, read_netlist, shape_of_layout, to_netlist
 from ohmskin.wire import (
     BoardFile,
     FramePacket,
@@ -95,6 +95,70 @@ def _read(path: Path, read: Callable[[Path], Any]) -> Any:
         assert len(one_line(message)) <= LONGEST_MESSAGE, f"the message has {len(message)} characters"
         assert one_line(message).isprintable()
         return None
+
+
+# --- places of cells --------------------------------------------------------------------------------------------------
+
+
+def _shape_text(rng: random.Random) -> bytes:
+    cells = rng.sample([(row, column) for row in range(5) for column in range(4)], rng.randint(1, 20))
+    names = ["row", "column", "x_mm", "y_mm", *(["z_mm"] if rng.random() < 0.5 else []), "area_mm2"]
+    lines = [[*cell, *(rng.uniform(1.0, 60.0) for _ in names[2:])] for cell in cells]
+    return "".join(",".join(map(str, line)) + "\n" for line in [names, *lines]).encode()
+
+
+def _judge_shape(data: bytes, rng: random.Random, folder: Path) -> str:
+    """The numbers of the lines, each cell once, and neighbours that are mutual, near and no hole."""
+    path = folder / "shape.csv"
+    path.write_bytes(data)
+    shape = _read(path, Shape.load)
+    if shape is None:
+        return REFUSED
+    _judge_geometry(shape)
+    return ACCEPTED
+
+
+def _judge_geometry(shape: Shape) -> None:
+    cells = list(zip(shape.row, shape.column, strict=True))
+    assert len(set(cells)) == len(cells)
+    array = max(shape.row) + 1, max(shape.column) + 1
+    if array[0] * array[1] > 10_000:
+        return
+    geometry = shape.geometry(array)
+    assert {tuple(cell) for cell in np.argwhere(geometry.exists).tolist()} == set(cells)
+    assert (geometry.areas_mm2[geometry.exists] > 0).all()
+    count = geometry.areas_mm2.size
+    lists = [{other for other in row if other < count} for row in geometry.neighbours.near.tolist()]
+    for cell, others in enumerate(lists):
+        assert cell not in others
+        assert all(cell in lists[other] and geometry.exists.flat[other] for other in others)
+    if shape.z_mm is None:
+        places = {cell: place for cell, *place in zip(cells, shape.x_mm, shape.y_mm, strict=True)}
+        for cell, place in places.items():
+            assert geometry.places_mm[cell].tolist() == place
+
+
+def _layout_text(rng: random.Random) -> bytes:
+    parts = "".join(
+        f'(footprint "comb" (at {9.5 * column} {12.0 * row} {rng.choice([0, 90, 33.5])})'
+        f'(pad "1" smd rect (at -2 0) (size 2 6) (net 1 "/ROW{row}"))'
+        f'(pad "2" smd rect (at 2 0) (size 2 6) (net 2 "COL{column}")))\n'
+        for row in range(rng.randint(1, 4))
+        for column in range(rng.randint(1, 4))
+    )
+    return f"(kicad_pcb (version 20240108)\n{parts})".encode()
+
+
+def _judge_layout(data: bytes, rng: random.Random, folder: Path) -> str:
+    """A layout gives no more cells than it has footprints, and places as of any other shape."""
+    path = folder / "skin.kicad_pcb"
+    path.write_bytes(data)
+    shape = _read(path, shape_of_layout)
+    if shape is None:
+        return REFUSED
+    assert len(shape.row) <= data.count(b"footprint")
+    _judge_geometry(shape)
+    return ACCEPTED
 
 
 # --- TOML -------------------------------------------------------------------------------------------------------------
@@ -895,6 +959,8 @@ FORMATS = {
         Format("design", _design_text, _judge_design),
         Format("ends", _ends_text, _judge_ends),
         Format("netlist", _netlist_text, _judge_netlist),
+        Format("shape", _shape_text, _judge_shape),
+        Format("layout", _layout_text, _judge_layout),
         Format("cell", _cell_text, _judge_cell),
         Format("scene", _scene_text, _judge_scene),
         Format("cells", _cells_text, _judge_cells),

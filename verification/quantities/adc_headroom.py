@@ -5,17 +5,17 @@ from __future__ import annotations
 from ...circuits import Requirement, scan
 from .._dut import DesignUnderTest
 from .._hardware import Readings, true_cells
-from .._judging import excursion_of, headroom
+from .._judging import Searched, excursion_of, headroom, negative
 from .._outcome import Measurement, NotRun
-from .._quantity import DOWN, Quantity, Shipped
+from .._quantity import DOWN, SEARCHED, Quantity, Shipped
+from .._readings import Excursion
 from .._units import engineering
 
 
-def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
+def _target(dut: DesignUnderTest, requirement: Requirement) -> Excursion:
     if dut.design.adc is None or (excursion := excursion_of(dut, "converter")) is None:
         raise NotRun("missing: adc.bits, adc.range")
-    limits = "without its first and last code the converter takes"
-    return headroom(dut, excursion, "Converted voltages range", limits)
+    return excursion
 
 
 def _measured(dut: DesignUnderTest, readings: Readings) -> Measurement:
@@ -37,7 +37,8 @@ QUANTITY = Quantity(
     title="Headroom of the converter",
     unit="V",
     says="Smallest distance of a converted voltage from the ends of the converter's range, V.",
-    compute=_compute,
+    compute=Searched(_target, "V", negative, tell=headroom),
+    methods=SEARCHED,
     shipped=(Shipped(5, "No reading leaves the converter's range.", min=0.0),),
     mended_by=(("readout.reference_resistance", DOWN), ("drive.voltage", DOWN)),
     measured=_measured,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,9 +11,9 @@ from ...circuits import Requirement
 from ...common.arrays import FloatArray, IntArray
 from .._box import Box
 from .._dut import DesignUnderTest
-from .._outcome import DoesNotApply, Measurement
-from .._quantity import READING_PARTS, Quantity, Shipped
-from .._reading_errors import METHODS, UNITS, judge
+from .._outcome import DoesNotApply
+from .._quantity import READING_PARTS, SEARCHED, SHARE_UNITS, Quantity, Shipped
+from .._reading_errors import error_of
 from .._readings import ReadingErrorTarget
 
 
@@ -36,10 +36,10 @@ class Crosstalk(ReadingErrorTarget):
         return box.scale.difference(read[1], read[0])
 
 
-def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
+def _target(dut: DesignUnderTest, requirement: Requirement) -> Crosstalk:
     if dut.design.array.rows * dut.design.array.columns == 1:
         raise DoesNotApply("a single cell has no neighbours")
-    return judge(Crosstalk(), dut, requirement, method)
+    return Crosstalk()
 
 
 QUANTITY = Quantity(
@@ -47,10 +47,9 @@ QUANTITY = Quantity(
     title="Crosstalk",
     unit="%",
     says="Largest change of an untouched cell's reading, of that reading or of full scale, whatever else is pressed.",
-    compute=_compute,
-    methods=METHODS,
-    units=UNITS,
-    sampled=Crosstalk(),
+    compute=replace(error_of(Crosstalk()), target=_target),
+    methods=SEARCHED,
+    units=SHARE_UNITS,
     shipped=(
         Shipped(
             1, "A press does not show on untouched cells.", max=lambda design: design.requirements.crosstalk_percent

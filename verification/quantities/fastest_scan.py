@@ -9,21 +9,18 @@ import numpy as np
 from ...circuits import Requirement
 from .._dut import DesignUnderTest
 from .._hardware import Readings
-from .._judging import box_of, measured, worst_of
+from .._judging import Searched
 from .._outcome import Measurement, NotRun
-from .._quantity import Quantity, Shipped
-from .._whole_board import SettlingTarget, goes_by_events, shortest_periods
+from .._quantity import SEARCHED, Quantity, Shipped
+from .._search import WorstCase
+from .._whole_board import FrameTimeTarget, goes_by_events
 from .settling_error import QUICK, frame_time, require_linear
 
-MOST_SEARCHES = 4
-NEAR = 1e-3
-"""relative: a period that is longer by less is the same"""
 CLOCK_TICK_S = 1e-6
 """of the device times in frames"""
 
 
-def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
-    """The longest of the shortest row periods, by searches for boards that have not settled at the longest so far."""
+def _target(dut: DesignUnderTest, requirement: Requirement) -> FrameTimeTarget | Measurement:
     design = dut.design
     if design.adc is None:
         raise NotRun("missing: adc.bits, adc.range")
@@ -34,26 +31,21 @@ def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Mea
     require_linear(dut)
     if goes_by_events(design):
         raise NotRun("missing: [scan], the events of a frame")
-    allowed, box = design.adc.step / 4, box_of(dut)
-    starts = SettlingTarget(1.0, allowed).starts(box)
-    periods = shortest_periods(box, starts, allowed)
-    period, corner = float(periods.max()), starts.some(np.array([int(periods.argmax())]))
-    found = None
-    for _ in range(MOST_SEARCHES):
-        if np.isinf(period):
-            break
-        found = worst_of(dut, SettlingTarget(period, allowed))
-        longer = float(shortest_periods(box, found.corner, allowed)[0])
-        if longer <= period * (1.0 + NEAR):
-            break
-        period, corner = longer, found.corner
-    if np.isposinf(period):
-        pressed = box.in_words(box.split(corner.x)[1][0] > 0)
-        where = f"{pressed}: the sampling capacitor cannot follow within adc.acquisition_time"
-        return Measurement(0.0, "Hz", where=where)
-    if period <= 0 or found is None:
+    return FrameTimeTarget(design.adc.step / 4)
+
+
+def _rate(seconds: float) -> float:
+    return 1.0 / seconds if seconds > 0.0 else np.inf
+
+
+def _tell(dut: DesignUnderTest, requirement: Requirement, found: WorstCase, measurement: Measurement) -> Measurement:
+    if found.value <= 0.0:
         raise NotRun("nothing limits the scan")
-    return measured(replace(found, corner=corner), 1.0 / (period * design.board.shape[0]), "Hz")
+    if np.isfinite(found.value):
+        return measurement
+    pressed = found.box.in_words(found.target.pattern(found.box, found.corner))
+    where = f"{pressed}: the sampling capacitor cannot follow within adc.acquisition_time"
+    return replace(measurement, where=where)
 
 
 def _measured(dut: DesignUnderTest, readings: Readings) -> Measurement:
@@ -70,7 +62,8 @@ QUANTITY = Quantity(
     title="Fastest scan",
     unit="Hz",
     says="Frames per second at which every reading still settles to a quarter of an ADC step, Hz.",
-    compute=_compute,
+    compute=Searched(_target, "Hz", _rate, tell=_tell),
+    methods=SEARCHED,
     shipped=(
         Shipped(
             9,

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
 from ...common.arrays import FloatArray, IntArray
 from .._box import Box
-from .._quantity import READING_PARTS, Quantity, Shipped
-from .._reading_errors import METHODS, UNITS, judge
+from .._quantity import READING_PARTS, SEARCHED, SHARE_UNITS, Quantity, Shipped
+from .._reading_errors import error_of
 from .._readings import ReadingErrorTarget
 
 
@@ -40,10 +39,9 @@ QUANTITY = Quantity(
     title="Gain error",
     unit="%",
     says="Largest error of the change that is read when a cell alone goes from rest to full scale.",
-    compute=partial(judge, GainError()),
-    methods=METHODS,
-    units=UNITS,
-    sampled=GainError(),
+    compute=error_of(GainError()),
+    methods=SEARCHED,
+    units=SHARE_UNITS,
     shipped=(
         Shipped(3, "A press is read at its true size.", max=lambda design: design.requirements.reading_error_percent),
     ),

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from ...circuits import Design, Requirement
 from .._dut import DesignUnderTest
-from .._judging import measured, worst_of
-from .._outcome import Measurement, NotRun
-from .._quantity import DOWN, Quantity, Shipped
+from .._judging import Searched, percent
+from .._outcome import NotRun
+from .._quantity import DOWN, SEARCHED, Quantity, Shipped
 from .._whole_board import LeakageTarget
 
 
-def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
-    leakage = dut.design.drive.idle_leakage
-    if not leakage:
+def _target(dut: DesignUnderTest, requirement: Requirement) -> LeakageTarget:
+    if not dut.design.drive.idle_leakage:
         raise NotRun("missing: drive.idle_leakage")
-    found = worst_of(dut, LeakageTarget(amperes=leakage))
-    return measured(found, 100 * found.value, "%")
+    return LeakageTarget(amperes=dut.design.drive.idle_leakage)
 
 
 def _limit(design: Design) -> float:
@@ -27,7 +25,8 @@ QUANTITY = Quantity(
     title="Error by leakage of idle switches",
     unit="%",
     says="Largest change of a reading by the leakage of the switches of all idle driven lines, % of that reading.",
-    compute=_compute,
+    compute=Searched(_target, "%", percent),
+    methods=SEARCHED,
     shipped=(
         Shipped(
             25,

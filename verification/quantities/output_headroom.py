@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from ...circuits import Requirement
 from .._dut import DesignUnderTest
-from .._judging import excursion_of, headroom
-from .._outcome import DoesNotApply, Measurement, NotRun
-from .._quantity import DOWN, Quantity, Shipped
+from .._judging import Searched, excursion_of, headroom, negative
+from .._outcome import DoesNotApply, NotRun
+from .._quantity import DOWN, SEARCHED, Quantity, Shipped
+from .._readings import Excursion
 
 
-def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
+def _target(dut: DesignUnderTest, requirement: Requirement) -> Excursion:
     if not dut.design.board.circuit.has_amplifiers:
         raise DoesNotApply(f"'{dut.design.readout.circuit}' has no amplifier that could saturate")
     if (excursion := excursion_of(dut, "output")) is None:
         raise NotRun("missing: readout.supply")
-    return headroom(dut, excursion, "Outputs range", "the supply allows")
+    return excursion
 
 
 QUANTITY = Quantity(
@@ -22,7 +23,8 @@ QUANTITY = Quantity(
     title="Headroom of the outputs",
     unit="V",
     says="Smallest distance of an output from its supply limits, V; negative: it would go beyond.",
-    compute=_compute,
+    compute=Searched(_target, "V", negative, tell=headroom),
+    methods=SEARCHED,
     shipped=(Shipped(4, "No output reaches its supply.", min=0.0),),
     mended_by=(("readout.reference_resistance", DOWN), ("drive.voltage", DOWN)),
 )

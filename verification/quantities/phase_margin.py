@@ -6,13 +6,14 @@ import numpy as np
 
 from ...circuits import Requirement
 from .._dut import DesignUnderTest
-from .._judging import measured, worst_of
+from .._judging import Searched, negative
 from .._outcome import DoesNotApply, Measurement, NotRun
-from .._quantity import DOWN, SPICE, UP, WORST, Quantity, Shipped
+from .._quantity import DOWN, SEARCHED, SPICE, UP, Quantity, Shipped
+from .._search import WorstCase
 from .._whole_board import PhaseMarginTarget, sensed_line
 
 
-def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
+def _target(dut: DesignUnderTest, requirement: Requirement) -> PhaseMarginTarget:
     design = dut.design
     if not design.board.circuit.has_amplifiers:
         raise DoesNotApply(f"'{design.readout.circuit}' has no feedback loop")
@@ -22,11 +23,13 @@ def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Mea
         raise NotRun(f"stability is modelled for an amplifier on each line, not for {here}")
     if np.isinf(design.readout.gain_bandwidth):
         raise NotRun("missing: readout.gain_bandwidth")
-    found = worst_of(dut, PhaseMarginTarget())
+    return PhaseMarginTarget()
+
+
+def _tell(dut: DesignUnderTest, requirement: Requirement, found: WorstCase, measurement: Measurement) -> Measurement:
     if not np.isfinite(found.value):
         raise NotRun("the loop gain is below 1 throughout: there is no crossover")
-    where = f"{sensed_line(found.box, found.cell)}; {found.where}"
-    return measured(found, -found.value, "°", where=where)
+    return measurement
 
 
 QUANTITY = Quantity(
@@ -34,8 +37,8 @@ QUANTITY = Quantity(
     title="Phase margin",
     unit="°",
     says="Smallest phase margin of an amplifier on its column, degrees; further poles take some of it away.",
-    compute=_compute,
-    methods=(WORST, SPICE),
+    compute=Searched(_target, "°", negative, sensed_line, _tell),
+    methods=(*SEARCHED, SPICE),
     shipped=(
         Shipped(10, "Amplifiers are stable on their columns.", min=45.0),
         Shipped(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -14,8 +13,8 @@ from .._box import Box
 from .._dut import DesignUnderTest
 from .._hardware import Readings
 from .._outcome import Measurement, NotRun
-from .._quantity import READING_PARTS, SAMPLED, Quantity, Shipped
-from .._reading_errors import METHODS, UNITS, judge
+from .._quantity import READING_PARTS, SAMPLED, SEARCHED, SHARE_UNITS, Quantity, Shipped
+from .._reading_errors import error_of
 from .._readings import ReadingErrorTarget
 from .._units import engineering
 
@@ -59,10 +58,9 @@ QUANTITY = Quantity(
     title="Reading error",
     unit="%",
     says="Largest error, of the resistance or of full scale, that the ideal circuit's law makes of a reading.",
-    compute=partial(judge, ReadingError()),
-    methods=METHODS,
-    units=UNITS,
-    sampled=ReadingError(),
+    compute=error_of(ReadingError()),
+    methods=SEARCHED,
+    units=SHARE_UNITS,
     shipped=(
         Shipped(
             2, "Readings are right without calibration.", max=lambda design: design.requirements.reading_error_percent

@@ -10,9 +10,9 @@ from ...circuits import Boards, BoardsInTime, Design, EventScan, Requirement, Se
 from ...common import plots
 from ...errors import InputError, SolverError
 from .._dut import DesignUnderTest, once
-from .._judging import measured, worst_of
+from .._judging import Searched, percent, worst_of
 from .._outcome import Figure, Measurement, NotRun, drawn
-from .._quantity import DOWN, SPICE, UP, WORST, Quantity, Shipped
+from .._quantity import DOWN, SEARCHED, SPICE, UP, Quantity, Shipped
 from .._search import WorstCase
 from .._units import engineering
 from .._whole_board import SettlingTarget, goes_by_events, scan_in_time
@@ -62,10 +62,10 @@ def largest_signal(dut: DesignUnderTest) -> float:
     return float(np.abs(ideal_volts(design, cells) - design.readout.reference_voltage).max())
 
 
-def worst_settling(dut: DesignUnderTest, rate: float, *, spread: bool = True) -> WorstCase:
-    """The worst settling error at a frame rate, of 1. Raises NotRun, or InputError for a period that is too short."""
+def nominal_settling(dut: DesignUnderTest, rate: float) -> WorstCase:
+    """The worst settling error of nominal parts, of 1. Raises NotRun, or InputError for a period that is too short."""
     period = 1.0 / (rate * dut.design.board.shape[0])
-    return worst_of(dut, SettlingTarget(period, largest_signal(dut)), spread=spread)
+    return worst_of(dut, SettlingTarget(period, largest_signal(dut)), "nominal")
 
 
 def require_linear(dut: DesignUnderTest) -> None:
@@ -87,7 +87,7 @@ def frame_time(design: Design) -> float:
     return seconds
 
 
-def settling_error(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
+def _target(dut: DesignUnderTest, requirement: Requirement) -> SettlingTarget | Measurement:
     rate = rate_of(dut, requirement)
     require_linear(dut)
     if dut.design.scan is not None and (seconds := frame_time(dut.design)) * rate > 1.0 + 1e-9:
@@ -98,23 +98,21 @@ def settling_error(dut: DesignUnderTest, requirement: Requirement, method: str) 
     if adc is not None and period < adc.acquisition_time * lines[1]:
         where = f"row period {engineering(period, 's')}: shorter than adc.acquisition_time for each column"
         return Measurement(np.inf, "%", where=where)
-    found = worst_settling(dut, rate)
-    said = f"At {engineering(rate, 'Hz')} each {dut.design.board.line_kinds[0]} has {engineering(period, 's')}."
-    return replace(measured(found, 100 * found.value, "%"), text=[said])
+    return SettlingTarget(period, largest_signal(dut))
 
 
-def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
-    found = settling_error(dut, requirement, method)
-    if not np.isfinite(found.value) or goes_by_events(dut.design):
-        return found
+def _tell(dut: DesignUnderTest, requirement: Requirement, found: WorstCase, measurement: Measurement) -> Measurement:
     rate = rate_of(dut, requirement)
-    return replace(found, figures=drawn(lambda: _figure(dut, rate, worst_settling(dut, rate))))
+    period = engineering(1.0 / (rate * dut.design.board.shape[0]), "s")
+    said = f"At {engineering(rate, 'Hz')} each {dut.design.board.line_kinds[0]} has {period}."
+    draws = np.isfinite(found.value) and not goes_by_events(dut.design)
+    return replace(measurement, text=[said], figures=drawn(lambda: _figure(dut, rate, found)) if draws else [])
 
 
 def settling_share(dut: DesignUnderTest, rate: float) -> float:
     """Share of the preceding row's reading that is left in a reading with nominal parts; 0 where nothing takes time."""
     try:
-        return float(np.clip(worst_settling(dut, rate, spread=False).value, 0.0, 1.0))
+        return float(np.clip(nominal_settling(dut, rate).value, 0.0, 1.0))
     except NotRun:
         return 0.0
     except InputError:
@@ -143,8 +141,8 @@ QUANTITY = Quantity(
     title="Settling error",
     unit="%",
     says="Largest deviation of a sampled reading from the settled one at the declared rate, % of the largest signal.",
-    compute=_compute,
-    methods=(WORST, SPICE),
+    compute=Searched(_target, "%", percent, tell=_tell),
+    methods=(*SEARCHED, SPICE),
     shipped=(
         Shipped(8, "Readings settle at the declared frame rate.", max=1.0),
         Shipped(

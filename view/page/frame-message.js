@@ -1,8 +1,8 @@
 // Binary layout of a frame on the WebSocket, as view/_frame_message.py describes it. Little-endian, as browsers are.
 
-const VERSION = 2;
+const VERSION = 3;
 const HEADER_BYTES = 56;
-const CONTACT_BYTES = 24;
+const CONTACT_BYTES = 28;
 const JOINED_BYTES = 8;
 
 /** Reads one message (ArrayBuffer). Arrays have rows * columns values, row by row, and share the message's memory. */
@@ -18,8 +18,9 @@ export function readFrame(buffer) {
   const joinedAt = contactsAt + contactCount * CONTACT_BYTES;
   const contacts = [];
   for (let at = contactsAt; at < joinedAt; at += CONTACT_BYTES) {
-    const [x_mm, y_mm, force_n, peak_kpa, area_mm2] = [4, 8, 12, 16, 20].map((off) => header.getFloat32(at + off, true));
-    contacts.push({ id: header.getUint32(at, true), joined: [], x_mm, y_mm, force_n, peak_kpa, area_mm2 });
+    const numbers = [4, 8, 12, 16, 20, 24].map((off) => header.getFloat32(at + off, true));
+    const [x_mm, y_mm, z_mm, force_n, peak_kpa, area_mm2] = numbers;
+    contacts.push({ id: header.getUint32(at, true), joined: [], x_mm, y_mm, z_mm, force_n, peak_kpa, area_mm2 });
   }
   for (let at = joinedAt; at < buffer.byteLength; at += JOINED_BYTES) {
     const id = header.getUint32(at, true);

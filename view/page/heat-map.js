@@ -251,6 +251,21 @@ export class HeatMap {
     }
   }
 
+  /** Gives the element back to another map. */
+  leave() {}
+
+  /** Whether a press of the pointer has turned the skin: a flat map turns by quarters only. */
+  hasTurned() {
+    return false;
+  }
+
+  /** The next cell in a direction on the map; the first one if there is none. */
+  step(index, down, along) {
+    const [x, y] = this.squareOf(index ?? 0);
+    const { across, down: tall } = this;
+    return this.cellOf[((y + down + tall) % tall) * across + ((x + along + across) % across)];
+  }
+
   /** Index of the cell at a pointer event; null beside the map. */
   cellAt(event) {
     const box = this.cells.getBoundingClientRect();

@@ -8,6 +8,7 @@ import { History, Series } from "./history.js";
 import { fixed } from "./numbers.js";
 import { element, linkPairs, showCell, showContacts, showPairs, showState, write } from "./panels.js";
 import { drawPlot, timeAt } from "./plot.js";
+import { ShapeMap } from "./shape-map.js";
 import { drawHatching, drawScale } from "./scale.js";
 import { Transport } from "./transport.js";
 
@@ -52,7 +53,8 @@ class View {
     this.spent = { frames: 0, ms: 0, since: performance.now() };
     this.last = { plot: 0, text: 0, trace: 0 };
     this.painting = false;
-    this.map = new HeatMap(element("map"), element("cells"), element("marks"));
+    this.canvases = ["map", "cells", "marks"].map(element);
+    this.map = new HeatMap(...this.canvases);
     this.transport = new Transport(
       (order) => this.connection.order(order),
       () => this.paintSoon(),
@@ -80,7 +82,8 @@ class View {
   meet(skin) {
     const same = this.skin && this.skin.source === skin.source && this.skin.rows === skin.rows && this.skin.columns === skin.columns;
     this.skin = skin;
-    write(element("source"), `${skin.source} · ${skin.rows} × ${skin.columns}`);
+    const size = skin.cells ? `${skin.cells.index.length} cells` : `${skin.rows} × ${skin.columns}`;
+    write(element("source"), `${skin.source} · ${size}`);
     document.title = `${skin.source} · ohmskin`;
     element("record").hidden = element("pause").hidden = element("rest").hidden = !skin.live;
     element("transport").hidden = skin.live;
@@ -90,6 +93,9 @@ class View {
       this.chosen = [];
       this.total = new Series();
       this.offerQuantities();
+      this.map.leave();
+      this.map = skin.cells ? new ShapeMap(...this.canvases, skin.cells, () => this.layOut()) : new HeatMap(...this.canvases);
+      element("axes").closest("label").hidden = skin.cells !== null;
       this.layOut();
       this.listChosen();
     }
@@ -471,7 +477,7 @@ class View {
       this.map.picture().toBlob((blob) => save(blob, `${this.fileStem()}.png`));
     });
     element("numbers").addEventListener("click", () => {
-      save(new Blob([frameTable(this.frame)], { type: "text/csv" }), `${this.fileStem()}.csv`);
+      save(new Blob([frameTable(this.frame, this.skin.cells?.index)], { type: "text/csv" }), `${this.fileStem()}.csv`);
     });
   }
 
@@ -490,6 +496,7 @@ class View {
     map.addEventListener("pointermove", (event) => point(this.map.cellAt(event)));
     map.addEventListener("pointerleave", (event) => event.pointerType === "mouse" && point(null));
     map.addEventListener("click", (event) => {
+      if (this.map.hasTurned()) return;
       const index = this.map.cellAt(event);
       point(index);
       if (index !== null) this.choose(index);
@@ -498,9 +505,7 @@ class View {
       const ways = { ArrowLeft: [0, -1], ArrowRight: [0, 1], ArrowUp: [-1, 0], ArrowDown: [1, 0] };
       if (event.key in ways) {
         const [down, along] = ways[event.key];
-        const [x, y] = this.map.squareOf(this.pointed ?? 0);
-        const { across, down: tall } = this.map;
-        point(this.map.cellOf[((y + down + tall) % tall) * across + ((x + along + across) % across)]);
+        point(this.map.step(this.pointed, down, along));
       } else if ((event.key === "Enter" || event.key === " ") && this.pointed !== null) this.choose(this.pointed);
       else return;
       event.preventDefault();
@@ -508,11 +513,11 @@ class View {
   }
 }
 
-/** All numbers of a frame as CSV, one line per cell. */
-function frameTable(frame) {
+/** All numbers of a frame as CSV, one line per cell that there is (null: at every crossing). */
+function frameTable(frame, there) {
   const number = (value) => (Number.isFinite(value) ? String(value) : "");
   const lines = ["row,column,pressure_kpa,std_kpa,resistance_ohm,counts,valid"];
-  for (let k = 0; k < frame.counts.length; k++) {
+  for (const k of there ?? frame.counts.keys()) {
     const place = [Math.floor(k / frame.columns), k % frame.columns];
     const values = [frame.pressure[k], frame.std[k], frame.resistance[k]].map(number);
     lines.push([...place, ...values, frame.counts[k], frame.valid[k]].join(","));

@@ -45,7 +45,7 @@ export function showContacts(all) {
       ids(contact),
       newtons(contact),
       fixed(contact.peak_kpa, 1),
-      `${fixed(contact.x_mm, 1)}, ${fixed(contact.y_mm, 1)}`,
+      [contact.x_mm, contact.y_mm, contact.z_mm].filter(Number.isFinite).map((mm) => fixed(mm, 1)).join(", "),
       fixed(contact.area_mm2, 0),
     ];
     texts.forEach((text, at) => write(body.rows[k].cells[at], text));
@@ -67,7 +67,8 @@ export function showPairs(list, pairs) {
 /** How many cells are not valid, by reason. */
 function notValid(frame, reasons) {
   const counts = new Map();
-  for (const reason of frame?.reason ?? []) if (reason) counts.set(reason, (counts.get(reason) ?? 0) + 1);
+  const none = reasons.indexOf("no cell");
+  for (const reason of frame?.reason ?? []) if (reason && reason !== none) counts.set(reason, (counts.get(reason) ?? 0) + 1);
   const texts = [...counts].sort((one, other) => other[1] - one[1]).map(([reason, n]) => `${n} ${reasons[reason] ?? "unknown"}`);
   return texts.join(", ") || "none";
 }

@@ -1,0 +1,343 @@
+"""Usual frames of boards with floating or pulled rows, from volts to a :class:`Measurement` in one kernel.
+
+A step of :mod:`._live_fit` is a product of a kept matrix and the residuals (chord method). Usual are frames in which no
+reading stands at a limit or reads like a short, and one or two such steps lead to cells whose remaining error, by the
+next step, is a fraction of their uncertainty. :class:`._live_fit.FitLive` takes all other frames and makes the matrix.
+
+The model is that of a grid with ideal lines behind leads. Rows are eliminated in closed form, and the columns' nodal
+matrix is inverted once: with A = 1/a the inverse of the rows' sums and Z that of the columns, T = A G Z is the transfer
+from columns to rows, and z = A + A diag(T G') the rows' own. A selected row and a read column change one branch each,
+which are updates of rank one (Sherman and Morrison 1950).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+
+from ...common.arrays import FloatArray
+from ...common.compiled import Blocks, FixedRow, Reasons, Records, Row, Rows, loop, zeros
+from ...common.measurement import FIELDS, GREATEST, LEAST, Measurement
+from ...common.noise import constant_part
+from .._board import Board
+from ..readouts import columns_impedance
+from ._law_errors import ALIKE, BY_NOISE, BY_STEPS
+from ._law_kernels import LARGEST
+from ._live_reading import NO_CURRENT, SIGMAS, UNCERTAIN, ValidityRule
+from ._measured import Constants, state_one
+
+FAR = 0.5
+"""change of a logarithm for which derivatives no longer serve"""
+PER_ERROR = 4.0
+"""of it, per standard deviation of the logarithm"""
+NO_FIT = 3.0
+"""half steps of readings from those of the cells: no fit yet"""
+HARDLY_KNOWN = 0.15
+"""standard deviation of a logarithm beyond which a step does not matter"""
+SETTLED, SMALL = 0.3, 1e-6
+"""standard deviations, and change of a logarithm: step that does not matter"""
+STRIDE = 1.5
+"""largest step of a logarithm"""
+SHORT_SHARE = 0.98
+"""of the reading of a short, from which on a cell may be one"""
+STEPS = 3  # evaluations of the model in a frame
+
+IDLE, ROW_LEAD = range(2)
+"""places of what is given for each row: S of its idle end behind the lead, and ohm of the lead; likewise of columns"""
+END, COLUMN_IDLE, SOURCE, OUTPUT, PER_AMPERE, GAIN, SPAN, REST = range(8)
+LOG, MODEL, MADE_AT, SHORT, LOWEST, HIGHEST = range(6)
+"""of cells: logarithms and the model's volts there, logarithms at which the matrix was made, V of a short, bounds"""
+
+
+@loop
+def fitted_volts(
+    log: Rows,
+    of_rows: Rows,
+    of_columns: Rows,
+    drive: float,
+    alone: bool,
+    grid: Blocks,
+    square: Blocks,
+    ends: Row,
+    sums: Row,
+    volts: Rows,
+) -> bool:
+    """Write the outputs (N, M) in V of cells ``log`` (N, M) ln S; False if parts of the grid have no connection.
+
+    Args:
+        log: logarithms of the conductances.
+        of_rows: (2, N) and ``of_columns`` (8, M): what is given, by the places above.
+        drive: V.
+        alone: whether columns are read one by one.
+        grid: (3, N, M), changed, as ``square`` (2, M, M), ``ends`` (M,) and ``sums`` (N,).
+        volts: written.
+    """
+    rows, columns = log.shape
+    held = 0.0
+    conductance, driven, to_ends, across, impedance = grid[0], grid[1], grid[2], square[0], square[1]
+    across[:] = 0.0
+    for i in range(rows):
+        held += of_rows[IDLE, i]
+        for j in range(columns):
+            conductance[i, j] = math.exp(log[i, j])
+    for i in range(rows):
+        total = of_rows[IDLE, i]
+        for j in range(columns):
+            total += conductance[i, j]
+        sums[i] = total
+        for j in range(columns):
+            share = conductance[i, j] / total
+            to_ends[i, j] = share * of_rows[IDLE, i]
+            for k in range(columns):
+                across[k, j] += share * conductance[i, k]
+    for j in range(columns):
+        across[j, j] = 0.0
+        ends[j] = of_columns[COLUMN_IDLE, j] if alone else 1.0 / of_columns[END, j]
+        held += ends[j]
+    adrift = held == 0.0  # the selected row and the read column alone hold the array: any node may be ground
+    if adrift:
+        ends[0] = conductance[0, 0]
+    if not columns_impedance(to_ends, across, ends, impedance):
+        return False
+    for i in range(rows):
+        own_row = 1.0
+        for j in range(columns):
+            transfer = 0.0
+            for k in range(columns):
+                transfer += conductance[i, k] * impedance[k, j]
+            driven[i, j] = transfer / sums[i]
+            own_row += driven[i, j] * conductance[i, j]
+        own_row /= sums[i]
+        lead, idle = of_rows[ROW_LEAD, i], of_rows[IDLE, i]
+        left = 1.0 - idle * lead
+        raised = drive / (1.0 + lead * (1.0 / own_row - idle)) / own_row
+        loaded = 1.0 / (lead / left + own_row)
+        for j in range(columns):
+            transfer, source, end = driven[i, j], of_columns[SOURCE, j], of_columns[END, j]
+            if adrift:
+                current = (drive - source) / (lead + own_row + impedance[j, j] - 2.0 * transfer + end)
+            elif alone:
+                own = impedance[j, j] - transfer * transfer * loaded
+                behind = 1.0 - own * of_columns[COLUMN_IDLE, j]
+                current = (drive * transfer * loaded / left - source * behind) / (own + end * behind)
+            else:
+                current = transfer * raised / end
+            volts[i, j] = of_columns[OUTPUT, j] + of_columns[PER_AMPERE, j] * current
+    return True
+
+
+@loop
+def measure_fitted(
+    volts: Rows,
+    solver: Rows,
+    spread: FixedRow,
+    of_rows: Rows,
+    of_columns: Rows,
+    of_cells: Blocks,
+    drive: float,
+    level: float,
+    converter: float,
+    boards: Records[Constants],
+    begun: bool,
+    surely: float,
+    usual: float,
+    noise: Rows,
+    grid: Blocks,
+    square: Blocks,
+    ends: Row,
+    sums: Row,
+    log: Rows,
+    model: Rows,
+    step: Row,
+    block: Blocks,
+    reason: Reasons,
+) -> bool:
+    """Measure a frame (N, M) in line coordinates; False if it is not a usual one.
+
+    Args:
+        volts: readings.
+        solver: (N M, N M) 1/V, changes of the logarithms by those of the readings.
+        spread: (N M,) standard deviations of the logarithms.
+        of_rows: and ``of_columns`` as of :func:`fitted_volts`; ``of_cells`` (6, N, M) by the places above, of which
+            those of the last frame are changed.
+        drive: V; ``level`` of the reference.
+        converter: V, standard deviation of a reading by the converter's steps.
+        boards: the constants.
+        begun: whether the model's volts of the last frame are known.
+        surely: V, noise of the readings that is rarely exceeded; ``usual`` best guess, ``noise`` of each one.
+        grid: changed, as ``square``, ``ends``, ``sums``, ``log``, ``model`` and ``step``.
+        block: written, as ``reason``: in the array's coordinates.
+    """
+    board, rows, columns = boards[0], volts.shape[0], volts.shape[1]
+    alone, work = board.one_by_one > 0.0, (grid, square, ends, sums)
+    if not begun and not fitted_volts(of_cells[LOG], of_rows, of_columns, drive, alone, *work, of_cells[MODEL]):
+        return False
+    coarser, count = math.hypot(1.0, surely / converter), rows * columns
+    for i in range(rows):
+        for j in range(columns):
+            if abs(volts[i, j] - level) >= SHORT_SHARE * of_cells[SHORT, i, j]:
+                return False
+            log[i, j], model[i, j] = of_cells[LOG, i, j], of_cells[MODEL, i, j]
+    settled = False
+    squares, most = 0.0, 0.0
+    for number in range(STEPS + 1):
+        squares, most, settled = 0.0, 0.0, True
+        for i in range(rows):
+            for j in range(columns):
+                apart = volts[i, j] - model[i, j]
+                squares += apart * apart
+                most = max(most, abs(apart))
+        for place in range(count):
+            change, at = 0.0, 0
+            for i in range(rows):
+                for j in range(columns):
+                    change += solver[place, at] * (volts[i, j] - model[i, j])
+                    at += 1
+            step[place] = change
+            if abs(change) > max(SETTLED * spread[place], SMALL) and spread[place] <= HARDLY_KNOWN:
+                settled = False
+        if settled and number > 0:
+            break
+        if number == STEPS:
+            return False
+        for i in range(rows):
+            for j in range(columns):
+                change = min(max(step[i * columns + j], -STRIDE), STRIDE)
+                log[i, j] = min(max(log[i, j] + change, of_cells[LOWEST, i, j]), of_cells[HIGHEST, i, j])
+        if not fitted_volts(log, of_rows, of_columns, drive, alone, *work, model):
+            return False
+    misfit = max(math.sqrt(squares / count), 0.5 * most) / board.half / coarser
+    if not misfit <= NO_FIT:
+        return False
+    for i in range(rows):
+        for j in range(columns):
+            far = abs(log[i, j] - of_cells[MADE_AT, i, j])
+            if not far <= FAR * max(PER_ERROR / FAR * spread[i * columns + j], 1.0):
+                return False
+    error, half_step = board.half + SIGMAS * surely, 0.5 * board.step * constant_part(usual / board.step)
+    sigmas = math.hypot(BY_STEPS, BY_NOISE * surely / converter) / coarser * max(misfit, 1.0)
+    for i in range(rows):
+        for j in range(columns):
+            place = i * columns + j
+            of_cells[LOG, i, j], of_cells[MODEL, i, j] = log[i, j], model[i, j]
+            signal = volts[i, j] - level
+            above = signal - of_columns[REST, j]
+            slope = above * (1.0 - above / of_columns[GAIN, j] * of_columns[SPAN, j])
+            own, per_volt = 1.0, math.inf
+            if slope != 0.0:
+                per_volt = abs(1.0 / slope)
+                own = error * per_volt
+            std = spread[place] * math.exp(min(abs(log[i, j] - of_cells[MADE_AT, i, j]), 1.0))
+            told = own + math.expm1(min(max(sigmas * std - own, 0.0), LARGEST))
+            row, column = (columns - 1 - j, rows - 1 - i) if board.turned > 0.0 else (i, j)
+            reason[row, column] = UNCERTAIN
+            if abs(signal) <= error:
+                reason[row, column], told = NO_CURRENT, math.inf
+            elif told <= board.accuracy:
+                reason[row, column] = 0
+            every = max(std / (coarser * converter), per_volt)
+            values = math.exp(log[i, j] + step[place]), told, per_volt, 0.0, every, noise[row, column]
+            block[LEAST, row, column], block[GREATEST, row, column] = 0.0, math.inf
+            state_one(block, reason, row, column, *values, usual, half_step, rows, board)
+    return True
+
+
+class Fit(Protocol):
+    """What :class:`._live_fit.FitLive` keeps from frame to frame; logarithms are those of the conductances in S."""
+
+    def bounds(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """V (N, M) of a short at each cell, and the least and greatest logarithms (N, M)."""
+        ...
+
+    def kept(self, noise: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
+        """What a stream goes on with, for V of noise; None where the last frame left nothing.
+
+        Logarithms (n,) of the last frame, and those at which the derivatives were made; the regularised inverse (n, n)
+        of these in 1/V, and the standard deviations (n,) of the logarithms.
+        """
+        ...
+
+    def follow(self, log: FloatArray) -> FloatArray:
+        """Go on from logarithms (n,) of a usual frame, which are returned."""
+        ...
+
+
+class UsualFits:
+    """Measures the usual frames of one board, beginning where the last frame left off."""
+
+    def __init__(self, board: Board, fit: Fit, rule: ValidityRule, converter: tuple[float, float]) -> None:
+        """For a board that :meth:`serves`; ``converter``: V, largest and standard error of a reading by its steps."""
+        rows, columns = self._shape = board.shape
+        assert board.adc is not None
+        ends, alone = board.circuit.read_ends(board), board.circuit.alone(board)
+        assert ends is not None
+        self._fit, self._turned = fit, board.turned
+        self._constants = zeros(Constants, 1)
+        for name, value in {
+            "step": board.adc.step,
+            "half": converter[0],
+            "alike": ALIKE,
+            "accuracy": rule.limit,
+            "averages": rule.averages,
+            "one_by_one": board.circuit.columns_one_by_one(board),
+            "turned": board.turned,
+        }.items():
+            self._constants[name] = value
+        lead = board.row_ohms[:, 0]
+        self._of_rows, self._of_columns = np.empty((2, rows)), np.empty((8, columns))
+        self._of_rows[:] = (1.0 / (lead + board.pull) if board.pulled else np.zeros(rows)), lead
+        with np.errstate(divide="ignore"):
+            idle = 1.0 / (board.idle_resistance + board.column_lead)
+        for place, given in zip(
+            self._of_columns,
+            (ends.resistance + board.column_lead, idle, ends.source, ends.output, ends.slope, *alone),
+            strict=True,
+        ):
+            place[:] = given
+        self._numbers = board.drive, board.level, converter[1]
+        self._of_cells = np.empty((6, rows, columns))
+        self._of_cells[SHORT], self._of_cells[LOWEST], self._of_cells[HIGHEST] = fit.bounds()
+        lines = np.empty((3, rows, columns)), np.empty((2, columns, columns)), np.empty(columns), np.empty(rows)
+        self._work = *lines, np.empty((rows, columns)), np.empty((rows, columns)), np.empty(rows * columns)
+        self._volts, self._solver = np.empty((rows, columns)), np.empty((0, 0))
+        self._log: FloatArray | None = None
+
+    @staticmethod
+    def serves(board: Board) -> bool:
+        """Whether the kernel's model is that of the board: sound, ideal lines, linear ends read at once or in turns."""
+        ends = board.circuit.read_ends(board)
+        if ends is None or not board.plain or board.faults or not board.floating:
+            return False
+        behind = ends.resistance + board.column_lead
+        if board.circuit.columns_one_by_one(board):
+            idle = board.idle_resistance + board.column_lead
+            fits = board.shared_by >= board.shape[1] and not board.idle_source.any() and bool(idle.all())
+        else:
+            fits = bool(behind.all()) and not ends.source.any()
+        ideal = not (board.row_ohms[:, 1:].any() or board.column_ohms[1:].any())
+        return fits and ideal and bool(np.isfinite(behind).all() and np.isfinite(board.row_ohms).all())
+
+    def __call__(self, volts: FloatArray, surely: float, usual: float, noise: FloatArray) -> Measurement | None:
+        """As :class:`.UsualReading`."""
+        kept = self._fit.kept(surely)
+        if kept is None:
+            return None
+        log, made_at, solver, spread = kept
+        begun = log is self._log
+        if not begun:
+            self._of_cells[LOG] = log.reshape(self._shape)
+        if solver is not self._solver:
+            self._of_cells[MADE_AT], self._solver = made_at.reshape(self._shape), solver
+        if self._turned:
+            np.copyto(self._volts, volts.T[::-1, ::-1])
+            volts = self._volts
+        block, reason = np.empty((FIELDS, *noise.shape)), np.empty(noise.shape, dtype=np.int8)
+        given = solver, spread, self._of_rows, self._of_columns, self._of_cells, *self._numbers, self._constants
+        done = measure_fitted.unchecked(volts, *given, begun, surely, usual, noise, *self._work, block, reason)
+        if not done:
+            self._log = None
+            return None
+        self._log = self._fit.follow(self._of_cells[LOG].reshape(-1))
+        return Measurement(block, reason)

@@ -1,0 +1,448 @@
+"""``Skin``: the driver's main class. It turns the bytes of one board, or of several, into frames of a skin."""
+
+from __future__ import annotations
+
+import copy
+import weakref
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import fields
+from functools import partial
+from pathlib import Path
+from typing import Any, Unpack
+
+import numpy as np
+
+from ..circuits import Design
+from ..common.checks import count, number, positive
+from ..common.files import of_board
+from ..common.geometry import Geometry
+from ..common.progress import Progress, silent
+from ..errors import InputError, LinkEnded, LinkError, LinkTimeout
+from ..wire import Order
+from ._consumer import FrameCallback
+from ._contacts import Touch
+from ._frame import Frame
+from ._joined import JoinedPlace, Joiner, Stream, counted_since, total, widened
+from ._options import QUEUE, SkinSettings
+from ._orders import Answer
+from ._port import Arrival
+from ._recording import Recording
+from ._replay import RecordedSettings
+from ._skin import MANY, MAX_AGE_S, BoardSkin
+from ._statistics import LinkStatistics
+from ._tare import KNOWN_DRIFT, SPREAD, Tare
+
+
+class Skin(BoardSkin):
+    """An open skin: iterate over it for its frames. Make one with :meth:`open`."""
+
+    @classmethod
+    def open(
+        cls,
+        port: str | Path | Sequence[str | Path] | None = None,
+        *,
+        serial_number: str | None = None,
+        baudrate: int | None = None,
+        record: str | Path | None = None,
+        overwrite: bool = False,
+        speed: float | None = None,
+        progress: Progress = silent,
+        **settings: Unpack[SkinSettings],
+    ) -> Skin:
+        """Open a serial device, a pty, ``socket://HOST:PORT`` or a recording (a file that ends in ``.mcap``).
+
+        A recording supplies every setting of its skin that is not given here.
+
+        Args:
+            port: name of the port; None: the port where :func:`discover` finds the board ``serial_number``. A list of
+                ports, or of recordings: their boards are one skin (:class:`JoinedSkin`). A setting may then be a list,
+                too, with a value for each board.
+            serial_number: that the board must have.
+            baudrate: of the UART, where there is one; None: that of the family.
+            record: MCAP file to record to, from the first byte; the recording ends with the skin.
+            overwrite: replace a recording that is there already.
+            speed: replay speed of a recording, relative to real time; None: as fast as the file is read. A live board
+                sets its own pace.
+            progress: called with the bytes of a recording that were looked through, and with all of them, before it
+                plays.
+            settings: board, design, cell, delivery and more, see :class:`SkinSettings`.
+
+        Raises:
+            LinkError: the port does not exist, may not be used, or is in use, or another board is behind it.
+            InputError: ``speed`` is given and ``port`` is no recording; or boards do not fit together.
+            Also everything that :meth:`__init__` raises.
+
+        """
+        if isinstance(port, list | tuple):
+            given: dict[str, Any] = dict(settings, serial_number=serial_number, baudrate=baudrate, speed=speed)
+            return _open_joined(port, record, overwrite=overwrite, progress=progress, **given)
+        assert not isinstance(port, Sequence) or isinstance(port, str)
+        return super().open(
+            port,
+            serial_number=serial_number,
+            baudrate=baudrate,
+            record=record,
+            overwrite=overwrite,
+            speed=speed,
+            progress=progress,
+            **settings,
+        )
+
+
+def _open_joined(
+    ports: Sequence[str | Path], record: str | Path | None, *, overwrite: bool, progress: Progress, **settings: Any
+) -> JoinedSkin:
+    """The boards behind several ports, or their recordings, as one skin; errors as :meth:`.Skin.open`.
+
+    A setting that is a list has a value for each board. A recording ``skin.mcap`` becomes one file for each board:
+    ``skin-1.mcap``, ``skin-2.mcap`` and so on.
+    """
+    if not ports:
+        raise InputError("no ports; expected at least one")
+    recorded = [str(port).endswith(".mcap") for port in ports]
+    if any(recorded) and not all(recorded):
+        raise InputError("recordings and ports of boards in one skin; expected one or the other")
+    if settings.get("delivery") == "lossless":
+        raise InputError("delivery is lossless; expected newest or every, as several boards do not wait for each other")
+    for name, value in settings.items():
+        if isinstance(value, list) and len(value) != len(ports):
+            raise InputError(f"{name} has {len(value)} values; expected one for each of {len(ports)} boards")
+    own = [
+        {name: value[k] if isinstance(value, list) else value for name, value in settings.items()}
+        for k in range(len(ports))
+    ]
+    files = [None if record is None else of_board(record, k) for k in range(len(ports))]
+    boards: list[Skin] = []
+    try:
+        for port, each, file in zip(ports, own, files, strict=True):
+            boards.append(Skin.open(port, record=file, overwrite=overwrite, progress=progress, **each))
+        return JoinedSkin(boards, delivery=settings.get("delivery"), queue=settings.get("queue", QUEUE))
+    except BaseException:
+        for board in boards:
+            board.close()
+        raise
+
+
+class JoinedSkin(Skin):
+    """Several boards as one skin: the methods of :class:`.Skin`, and :attr:`boards` for what each board alone has.
+
+    Made by ``Skin.open([...])``.
+    """
+
+    def __init__(self, boards: Sequence[Skin], *, delivery: str | None = None, queue: int = QUEUE) -> None:
+        """Join open skins, which belong to this one from then on.
+
+        Raises:
+            InputError: some have a shape and others none, or cells of two boards are at one place.
+
+        """
+        self._boards = tuple(boards)
+        limits = [board.touch for board in boards]
+        touch = Touch(
+            max(one.full_scale_kpa for one in limits),
+            max(one.drift_kpa for one in limits),
+            any(one.faults_press for one in limits),
+        )
+        joiner = Joiner([board.geometry for board in boards], touch)
+        self._geometry = joiner.geometry
+        self._timeout = max(board._timeout for board in boards)
+        self.family, self.cell, self.calibration = boards[0].family, boards[0].cell, None
+        played = [board.recorded_s for board in boards]
+        self.recorded_s = None if None in played else max(seconds or 0.0 for seconds in played)
+        every = delivery == "every" or self.recorded_s is not None
+        self._stream = Stream(joiner, boards, newest_only=not every, queue=queue)
+        self._place = JoinedPlace(self._stream, from_start=True)
+        self._joined_callbacks: list[FrameCallback] = []
+        weakref.finalize(self, _close, self._boards).atexit = False
+        if self.recorded_s is not None:
+            self._stream.play()
+        else:
+            for k, board in enumerate(boards):
+                board.on_frame(partial(self._stream.arrive, k), partial(self._stream.part_ended, k))
+
+    def _refused(self, what: str) -> InputError:
+        return InputError(f"{what} belongs to one board; ask one of the {len(self.boards)} in boards")
+
+    @property
+    def boards(self) -> tuple[Skin, ...]:
+        """The skin of each board."""
+        return self._boards
+
+    # -- what is known -------------------------------------------------------------------------------------------------
+
+    @property
+    def port_name(self) -> str:
+        """Names of the ports."""
+        return " + ".join(board.port_name for board in self.boards)
+
+    @property
+    def serial_number(self) -> str:
+        """Serial numbers of the boards; empty if none sends one."""
+        return " + ".join(filter(None, (board.serial_number for board in self.boards)))
+
+    @property
+    def identity(self) -> None:
+        """Each board has its own."""
+        return None
+
+    @property
+    def description(self) -> None:
+        """Each board has its own."""
+        return None
+
+    @property
+    def knows_circuit(self) -> bool:
+        """Whether those of all boards are known."""
+        return all(board.knows_circuit for board in self.boards)
+
+    @property
+    def design(self) -> Design:
+        """InputError: each board has its own."""
+        raise self._refused("a design")
+
+    @property
+    def circuit_name(self) -> str | None:
+        """Of the readouts; None where one is not known."""
+        names = [board.circuit_name for board in self.boards]
+        return None if None in names else ", ".join(dict.fromkeys(filter(None, names)))
+
+    @property
+    def count_bits(self) -> int:
+        """The most bits of a count."""
+        return max(board.count_bits for board in self.boards)
+
+    @property
+    def full_scale_kpa(self) -> float | None:
+        """The largest; None: not known of all."""
+        known = [board.full_scale_kpa for board in self.boards]
+        return None if None in known else max(kpa or 0.0 for kpa in known)
+
+    @property
+    def touch(self) -> Touch:
+        """InputError: each board has its own."""
+        raise self._refused("what tells contacts")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows of all boards, and the most columns of one."""
+        return self._geometry.shape
+
+    @property
+    def geometry(self) -> Geometry:
+        """Places of all cells."""
+        return self._geometry
+
+    @property
+    def estimator_name(self) -> str:
+        """Names of the estimators."""
+        return ", ".join(dict.fromkeys(filter(None, (board.estimator_name for board in self.boards))))
+
+    @property
+    def away(self) -> str | None:
+        """Why boards are lost, while the driver tries to open their ports again; None: all are there."""
+        return "; ".join(f"{board.port_name}: {board.away}" for board in self.boards if board.away) or None
+
+    def __repr__(self) -> str:
+        rows, columns = self.shape
+        return f"<JoinedSkin of {len(self.boards)} boards: {rows} x {columns}; {', '.join(map(repr, self.boards))}>"
+
+    def stats(self) -> LinkStatistics:
+        """Sums over the boards; of ages and jitter the largest, and the rate of the fastest board."""
+        each = [board.stats() for board in self.boards]
+        return LinkStatistics(
+            **{item.name: _together([getattr(one, item.name) for one in each]) for item in fields(each[0])}
+        )
+
+    # -- frames --------------------------------------------------------------------------------------------------------
+
+    def __next__(self) -> Frame:
+        while True:
+            try:
+                return self.read()
+            except LinkEnded:
+                raise StopIteration from None
+            except LinkTimeout:
+                if not self.away:
+                    raise
+
+    def read(self, timeout: float | None = None) -> Frame:
+        """Wait for the next frame, as :meth:`.Skin.read`."""
+        return self._place.next_frame(self._timeout if timeout is None else number("timeout", timeout, "s"))
+
+    def read_many(self, most: int = MANY, timeout: float | None = None) -> list[Frame]:
+        """The next frame, and those after it that have come already, as :meth:`.BoardSkin.read_many`."""
+        frames = [self.read(timeout)]
+        with suppress(LinkTimeout, LinkEnded, LinkError):
+            while len(frames) < count("most", most):
+                frames.append(self._place.next_frame(0.0))
+        return frames
+
+    def latest(self, max_age: float = MAX_AGE_S, timeout: float = 0.0) -> Frame:
+        """The newest frame, as :meth:`.Skin.latest`."""
+        return self._place.latest(positive("max_age", max_age, "s"), number("timeout", timeout, "s"))
+
+    def frames(self) -> Iterator[Frame]:
+        """An iterator with a place of its own, from now on."""
+        place = JoinedPlace(self._stream)
+
+        def follow() -> Iterator[Frame]:
+            while True:
+                try:
+                    yield place.next_frame(self._timeout)
+                except LinkEnded:
+                    return
+
+        return follow()
+
+    def __aiter__(self) -> AsyncIterator[Frame]:
+        """The frames from now on, for ``async for``."""
+        import asyncio  # takes a tenth of the driver's own time
+
+        place = JoinedPlace(self._stream)
+
+        async def follow() -> AsyncIterator[Frame]:
+            while True:
+                try:
+                    yield await asyncio.to_thread(place.next_frame, self._timeout)
+                except LinkEnded:
+                    return
+
+        return follow()
+
+    def frames_since(self, monotonic_time: float) -> list[Frame]:
+        """All frames that came after a moment, as :meth:`.Skin.frames_since`."""
+        pairs = self._stream.since(number("monotonic_time", monotonic_time, "s"))
+        if not pairs and self._stream.end is not None:
+            raise copy.copy(self._stream.end)
+        return [counted_since(one, before) for one, before in pairs]
+
+    def on_frame(
+        self, callback: Callable[[Frame], None], on_end: Callable[[Exception], None] | None = None
+    ) -> FrameCallback:
+        """Call ``callback`` with each frame from now on, as :meth:`.Skin.on_frame`."""
+        made = FrameCallback(JoinedPlace(self._stream), self.port_name, callback, on_end, keep=self)
+        self._joined_callbacks = [earlier for earlier in self._joined_callbacks if not earlier.is_over] + [made]
+        return made
+
+    def on_bytes(self, tap: Callable[[Arrival], None]) -> None:
+        """InputError: each board has its own."""
+        raise self._refused("a stream of bytes")
+
+    def close(self) -> None:
+        """Release all ports, as :meth:`.Skin.close`."""
+        for callback in self._joined_callbacks:
+            callback.end()
+        errors = _close(self.boards)
+        self._stream.close(LinkEnded(f"{self.port_name}: the skin is closed"))
+        for callback in self._joined_callbacks:
+            callback.close()
+        if errors:
+            raise errors[0]
+
+    # -- orders, recordings --------------------------------------------------------------------------------------------
+
+    def request(self, order: Order, *, period_us: int = 0, timeout: float | None = None) -> Answer | None:
+        """InputError: ask one of the boards."""
+        raise self._refused("an order")
+
+    def settings_to_join(self) -> RecordedSettings:
+        """InputError: record each of the boards."""
+        raise self._refused("a recording")
+
+    def attach(self, recording: Recording) -> None:
+        """InputError: record each of the boards."""
+        raise self._refused("a recording")
+
+    def detach(self, recording: Recording) -> None:
+        """InputError: record each of the boards."""
+        raise self._refused("a recording")
+
+    @property
+    def recorder(self) -> Recording | None:
+        """The recording of the first board."""
+        return self.boards[0].recorder
+
+    # -- rest ----------------------------------------------------------------------------------------------------------
+
+    def tare(
+        self, frames: int = 20, *, force: bool = False, drift: float = KNOWN_DRIFT, spread: float = SPREAD
+    ) -> Tare:
+        """Tare all boards at once, or none, as :meth:`.Skin.tare`."""
+        with ThreadPoolExecutor(len(self.boards)) as pool:
+            made = [pool.submit(board.tare, frames, force=force, drift=drift, spread=spread) for board in self.boards]
+        failed = [error for one in made if (error := one.exception()) is not None]
+        if failed:
+            for board, one in zip(self.boards, made, strict=True):
+                if one.exception() is None:
+                    board.undo_tare()
+            raise failed[0]
+        self._place.pass_all()
+        return self._as_one([one.result() for one in made])
+
+    @property
+    def tared(self) -> Tare | None:
+        """The tares in use as one; None: not all boards have one."""
+        found = [tare for board in self.boards if (tare := board.tared) is not None]
+        return self._as_one(found) if len(found) == len(self.boards) else None
+
+    def use_tare(self, tare: Tare | str | Path | None) -> None:
+        """InputError, but for None: each board has its own."""
+        if tare is not None:
+            raise self._refused("a saved tare")
+        for board in self.boards:
+            board.use_tare(None)
+
+    def undo_tare(self) -> Tare | None:
+        """Return to the tares before. Returns those then in use."""
+        for board in self.boards:
+            board.undo_tare()
+        return self.tared
+
+    def _as_one(self, tares: Sequence[Tare]) -> Tare:
+        across = self.shape[1]
+
+        def cells(name: str, none: float) -> Any:
+            return np.concatenate([widened(getattr(tare, name), across, none) for tare in tares])
+
+        only_counts = all(tare.rest_counts is not None for tare in tares)
+        return Tare(
+            rest_resistance_ohm=cells("rest_resistance_ohm", np.nan),
+            measured=cells("measured", True),
+            std_ohm=cells("std_ohm", np.nan),
+            frames=min(tare.frames for tare in tares),
+            lost=total([tare.lost for tare in tares]),
+            serial_number=self.serial_number,
+            wall_time=max(tare.wall_time for tare in tares),
+            remarks=tuple(remark for tare in tares for remark in tare.remarks),
+            rest_counts=cells("rest_counts", np.nan) if only_counts else None,
+        )
+
+
+def _close(boards: Sequence[Skin]) -> list[InputError]:
+    """Close all; the errors of recordings that could not be written to their ends."""
+    errors = []
+    for board in boards:
+        try:
+            board.close()
+        except InputError as error:
+            errors.append(error)
+    return errors
+
+
+def _together(values: Sequence[Any]) -> Any:
+    """One value of the statistics for those of several boards."""
+    match values[0]:
+        case dict():
+            names = dict.fromkeys(name for value in values for name in value)
+            of = max if any(isinstance(name, int) for name in names) else sum
+            return {name: of([value.get(name, 0) for value in values]) for name in names}
+        case float():
+            return max(values)
+        case int() if None not in values:
+            return sum(values)
+        case str():
+            return "; ".join(filter(None, values))
+    told = [value for value in values if isinstance(value, str)]
+    return "; ".join(told) or None

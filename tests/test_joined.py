@@ -1,0 +1,218 @@
+"""Several boards that are one skin."""
+
+from __future__ import annotations
+
+import inspect
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from boards import DESIGN, PRESS, scene
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ohmskin.circuits import Reason, Shape
+from ohmskin.cli import run
+from ohmskin.common.arrays import FloatArray
+from ohmskin.common.geometry import Geometry
+from ohmskin.driver import Frame, JoinedSkin, Skin
+from ohmskin.driver._contacts import Touch
+from ohmskin.driver._joined import SILENT_S, Joiner, joined_geometry
+from ohmskin.emulator import PtyPort, Scene, load_scenes, running
+from ohmskin.errors import InputError, LinkEnded, LinkError
+
+HAND = Path(__file__).parents[1] / "examples/hand/hand.toml"
+
+
+def part(first_column: int, **more: Any) -> Scene:
+    """A 3 x 2 board of cells of 10 mm, whose columns begin at a place of its own."""
+    places = [(row, column) for row in range(3) for column in range(2)]
+    shape = {
+        "row": [row for row, _ in places],
+        "column": [column for _, column in places],
+        "x_mm": [10.0 * (first_column + column) for _, column in places],
+        "y_mm": [10.0 * row for row, _ in places],
+        "area_mm2": [100.0] * 6,
+    }
+    press = {"bump": {"center_mm": [10.0, 15.0], "sigma_mm": 6.0}, "load_kpa": [[0.0, 0.0], [0.4, 0.0], [0.5, 12.0]]}
+    return scene(skin={"design": DESIGN | {"shape": shape}}, contact=[press], **more)
+
+
+def played(tmp_path: Path, *scenes: Scene, seconds: float = 1.0) -> list[Path]:
+    """Recordings of the boards while they live at the same time."""
+    files = [tmp_path / f"skin-{k}.mcap" for k in range(1, len(scenes) + 1)]
+    with ExitStack() as stack:
+        ports = [PtyPort() for _ in scenes]
+        for one, port in zip(scenes, ports, strict=True):
+            stack.enter_context(running(one, port, duration_s=seconds))
+        with Skin.open([port.name for port in ports], record=tmp_path / "skin.mcap", timeout=30.0) as skin:
+            for _ in skin:
+                pass
+    return files
+
+
+def _changes(pressures: list[FloatArray]) -> list[bytes]:
+    """Those that differ from the one before."""
+    shown = [pressure.tobytes() for pressure in pressures]
+    return [one for one, before in zip(shown, [b"", *shown], strict=False) if one != before]
+
+
+def test_a_press_across_two_boards_is_one_contact(tmp_path: Path) -> None:
+    files = played(tmp_path, part(0), part(2, board={"frame_rate": 40.0, "serial_number": "RIGHT"}))
+    with Skin.open(files) as skin:
+        assert isinstance(skin, JoinedSkin)
+        assert skin.shape == (6, 2)
+        assert skin.serial_number == "EMULATED + RIGHT"
+        assert [board.shape for board in skin.boards] == [(3, 2), (3, 2)]
+        frames = [frame for frame in skin if frame.contacts is not None]  # asked for from the first frame on
+        alone = [list(Skin.open(file)) for file in files]
+    assert sum(frame.valid.all() for frame in frames) > 20
+    (contact,) = frames[-1].contacts
+    assert {row // 3 for row, _ in contact.cells.tolist()} == {0, 1}
+    assert contact.x_mm == pytest.approx(15.0, abs=0.5)
+    assert contact.y_mm == pytest.approx(10.0, abs=0.5)
+    for k, own in enumerate(alone):  # nothing of a board is lost or changed by joining
+        part_of = [frame.pressure[3 * k : 3 * k + 3] for frame in frames]
+        assert _changes([one for one in part_of if not np.isnan(one).any()]) == _changes([one.pressure for one in own])
+    with Skin.open(files) as skin:
+        assert [frame.contacts for frame in skin] == [frame.contacts for frame in frames]
+
+
+def frame_at(time_s: float, geometry: Geometry, kpa: float = 0.0) -> Frame:
+    grid = np.full(geometry.shape, kpa)
+    return Frame(
+        None, None, time_s, time_s, 0, 0, False, False, False, False, False,
+        grid.astype(np.uint16), grid == kpa,
+        np.zeros(geometry.shape, dtype=np.int8), grid + 1e3, grid, grid + 0.1, 0 * grid, geometry,
+        lambda: (), lambda: time_s,
+    )  # fmt: skip
+
+
+@given(st.lists(st.tuples(st.sampled_from([0, 1, 2]), st.floats(0.001, 0.4)), max_size=40))
+def test_every_frame_of_a_board_is_in_one_joined_frame_and_none_waits_for_a_silent_board(
+    arrivals: list[tuple[int, float]],
+) -> None:
+    board = Geometry.rectangle((2, 2), 0.01)
+    joiner = Joiner([board] * 3, Touch(20.0))
+    now, came_s = 0.0, {0.0: 0.0}
+    given_kpa, seen = [[0.0], [0.0], [0.0]], [[0.0], [0.0], [0.0]]
+    for number, (which, pause_s) in enumerate(arrivals, start=1):
+        now += pause_s
+        given_kpa[which].append(float(number))
+        came_s[float(number)] = now
+        for joined in joiner.add(which, frame_at(now, board, float(number))):
+            assert now - joined.monotonic_time <= 0.4 + 1e-9
+            for k in range(3):
+                own = slice(2 * k, 2 * k + 2)
+                if joined.valid[own].all():
+                    kpa = float(joined.pressure[own][0, 0])
+                    assert joined.monotonic_time - came_s[kpa] <= SILENT_S
+                    seen[k] += [] if kpa == seen[k][-1] else [kpa]
+                else:
+                    assert (joined.reason[own] == Reason.MISSING).all()
+    for k in range(3):
+        assert seen[k] in (given_kpa[k], given_kpa[k][:-1])
+
+
+def test_boards_without_places_stand_apart_and_boards_at_one_place_are_refused() -> None:
+    board = Geometry.rectangle((2, 3), 0.01)
+    joined = joined_geometry([board, Geometry.rectangle((4, 2), 0.01)])
+    assert joined.shape == (6, 3)
+    assert joined.exists.sum() == 14
+    upper = set(range(6))
+    assert not np.isin(joined.neighbours.near[:6], list(set(range(18)) - upper)).any()
+    placed = Geometry(board.places_mm, board.areas_mm2)
+    with pytest.raises(InputError, match="cells of two boards are at"):
+        joined_geometry([placed, placed])
+    with pytest.raises(InputError, match="expected all alike"):
+        joined_geometry([placed, board])
+
+
+def test_a_joined_skin_has_the_methods_of_a_skin() -> None:
+    inherited = {"open", "pitch_m", "pitch_xy_m"}  # which are made of the others
+    public = {name for name, _ in inspect.getmembers(Skin) if name[0] != "_"} | {"__iter__", "__next__", "__aiter__"}
+    own = {name for name in public if name in vars(JoinedSkin)}
+    assert public - own == inherited | {"__iter__"}
+
+
+def test_a_board_that_goes_takes_its_cells_along_only() -> None:
+    left, right = PtyPort(), PtyPort()
+    with (
+        running(part(0), left),
+        running(part(2), right, duration_s=1.0),
+        Skin.open([left.name, right.name], reconnect=0.0, timeout=30.0) as skin,
+    ):
+        tare = skin.tare(5, force=True)
+        assert tare.rest_resistance_ohm.shape == (6, 2)
+        assert skin.tared is not None
+        assert any(frame.valid.all() for frame, _ in zip(skin, range(20), strict=False))
+        without = 0
+        while without < 20:
+            frame = skin.read()
+            assert frame.valid[:3].all() or frame.valid[3:].all()
+            without = 0 if frame.valid[3:].any() else without + 1
+        assert (frame.reason[3:] == Reason.MISSING).all()
+        assert skin.frames_since(frame.monotonic_time - 0.2)
+        assert skin.latest(5.0).sequence is None
+        seen: list[Frame] = []
+        calls = skin.on_frame(seen.append)
+        for _, _ in zip(skin.frames(), range(5), strict=False):
+            pass
+        calls.close()
+        assert seen
+        skin.close()
+        with pytest.raises(LinkEnded):
+            skin.read()
+
+
+@pytest.mark.parametrize(
+    ("ports", "options", "message"),
+    [
+        ([], {}, "no ports"),
+        (["a.mcap", "/dev/ttyACM0"], {}, "recordings and ports"),
+        (["/dev/a", "/dev/b"], {"delivery": "lossless"}, "delivery is lossless"),
+        (["/dev/a", "/dev/b"], {"design": [None]}, "design has 1 values; expected one for each of 2 boards"),
+    ],
+)
+def test_what_cannot_be_joined_is_refused(ports: list[str], options: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Skin.open(ports, **options)
+
+
+def test_a_board_that_is_not_there_closes_the_others() -> None:
+    port = PtyPort()
+    with running(scene(), port):
+        with pytest.raises(LinkError, match="no such port"):
+            Skin.open([port.name, "/dev/no-such-port"])
+        Skin.open(port.name).close()
+
+
+def test_a_scene_of_several_boards_shares_its_contacts(tmp_path: Path) -> None:
+    fingers, palm = load_scenes(HAND)
+    assert [len(one.contact) for one in (fingers, palm)] == [2, 1]
+    (tmp_path / "a.toml").write_text('[skin]\ndesign = "d.toml"\n')
+    beside = PRESS | {"cells": [[9, 9]]}
+    tables = f'boards = ["{HAND.parent}/palm.toml"]\n[[contact]]\ncells = {beside["cells"]}\nload_kpa = [[0.0, 1.0]]\n'
+    (tmp_path / "hand.toml").write_text(tables)
+    with pytest.raises(InputError, match=r"contact\[0\]: on no board"):
+        load_scenes(tmp_path / "hand.toml")
+
+
+def test_the_commands_take_several_boards(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["record", str(HAND), "-o", str(tmp_path / "hand.mcap"), "--duration", "0.5"]) == 0
+    files = [str(tmp_path / f"hand-{k}.mcap") for k in (1, 2)]
+    for kind in ("npz", "csv"):
+        assert run(["export", *files, "-o", str(tmp_path / f"hand.{kind}")]) == 0
+    with np.load(tmp_path / "hand.npz") as arrays:
+        assert arrays["pressure"].shape[1:] == (12, 8)
+        assert np.isfinite(arrays["place_mm"]).all(axis=-1).sum() == 83
+        assert (np.isfinite(arrays["place_mm"]).all(axis=-1) == (arrays["area_mm2"] > 0)).all()
+    head = (tmp_path / "hand.csv").read_text().partition("\n")[0].split(",")
+    assert sum(name.startswith("pressure_kpa_") for name in head) == 83
+    assert len(Shape.load(tmp_path / "hand.shape.csv").row) == 83
+    capsys.readouterr()
+    assert run(["emulate", str(HAND), "--plan"]) == 0
+    assert capsys.readouterr().out.count("cells, ") == 2
+    assert run(["emulate", str(HAND), "--tcp", ":0"]) == 2
