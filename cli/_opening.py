@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import wraps
 from pathlib import Path
 from typing import Any
@@ -15,15 +16,20 @@ from ..cell import Cell
 from ..circuits import Design, Shape
 from ..driver import Skin, Tare
 from ..emulator import load_scenes
+from ..errors import LinkTimeout, OhmskinError, ProtocolError
 from ..wire import BOARDS
+from . import arguments
 from ._bar import progress_bar
+
+NATIVE = "ohmskin"
+"""the family of boards that describe themselves"""
 
 
 @dataclass(frozen=True)
 class Opening:
     """What the command line says of a skin, with its files read; None: as the board or the driver says."""
 
-    board: str = "ohmskin"
+    board: str = NATIVE
     baud: int | None = None
     design: Design | None = None
     cell: Cell | None = None
@@ -35,9 +41,24 @@ class Opening:
     def open(self, what: str | Sequence[str], **more: Any) -> Skin:
         """The skin at a port, in a recording or emulated from a scene, tared; ``more`` goes to ``Skin.open``.
 
-        Several ports, several recordings and the boards of a scene are one skin.
+        Several ports, several recordings and the boards of a scene are one skin. Where the board at a port is not
+        understood, a person at a terminal is asked whether to find out what it is.
         """
-        ports = [port for one in ([what] if isinstance(what, str) else what) for port in self._ports(one)]
+        given = [what] if isinstance(what, str) else list(what)
+        try:
+            return self._opened(given, **more)
+        except (ProtocolError, LinkTimeout) as error:
+            if self.board != NATIVE or len(given) > 1 or not _may_find_out(given[0], error):
+                raise
+            from .doctor import understood  # which loads what only it needs
+
+            board = understood(given[0], self.baud)
+            if board is None or board == NATIVE:
+                raise
+            return replace(self, board=board)._opened(given, **more)
+
+    def _opened(self, given: Sequence[str], **more: Any) -> Skin:
+        ports = [port for one in given for port in self._ports(one)]
         with progress_bar("reading") as tell:
             skin = Skin.open(
                 ports[0] if len(ports) == 1 else ports,
@@ -76,11 +97,19 @@ def _is_scene(what: str) -> bool:
     return what.endswith(".toml") and "://" not in what
 
 
+def _may_find_out(what: str, error: OhmskinError) -> bool:
+    """Whether a person at the terminal wants to know what board is at a port; without one it is no."""
+    if is_emulated_here(what) or what.endswith(".mcap") or not (sys.stdin.isatty() and sys.stderr.isatty()):
+        return False
+    arguments.note(str(error))
+    return click.confirm("Listen to the port and draft a description of the board?", default=True, err=True)
+
+
 BOARD_HELP = f"Family of the board ({', '.join(BOARDS)}), or BOARD.toml that describes it, as `doctor` drafts it."
 
 _file = click.Path(path_type=Path)
 _OPTIONS = {
-    "board": click.option("--board", default="ohmskin", show_default=True, metavar="NAME|FILE.toml", help=BOARD_HELP),
+    "board": click.option("--board", default=NATIVE, show_default=True, metavar="NAME|FILE.toml", help=BOARD_HELP),
     "baud": click.option(
         "--baud", type=click.IntRange(min=1), metavar="N", help="Baud rate of the UART [the board's usual one]."
     ),

@@ -108,6 +108,21 @@ def _examine_port(port: str, baud: int | None, output: Path, *, described: bool,
     return [*findings, *_drafted(port, traffic, output)]
 
 
+def understood(port: str, baud: int | None) -> str | None:
+    """Find out what sends the bytes at a port, and show it.
+
+    Returns:
+        The board: the name of its family, or the file that describes it; None: it is not understood.
+
+    """
+    output = _place(None, overwrite=False)
+    with _progress() as tell:
+        traffic = examine_traffic(port, baud=baud, poke=lambda: _may_poke(port), tell=tell)
+    for finding in _drafted(port, traffic, output):
+        _show(finding, err=True)
+    return traffic.family or (None if traffic.draft is None else str(output))
+
+
 def _drafted(port: str, traffic: Traffic, output: Path) -> list[Finding]:
     """The finding, and the file that was written for it."""
     draft = traffic.draft
@@ -125,8 +140,12 @@ def _drafted(port: str, traffic: Traffic, output: Path) -> list[Finding]:
         'design = "design.toml" (docs/design-file.md) and cell = "cell.toml" (docs/cell.md).',
     ]
     write_text(output, draft.toml(head))
+    others = [
+        Finding(State.OPTIONAL, str(output), f"another layout would be {text}: {100 * share:.0f} % of the bytes")
+        for text, share in draft.others
+    ]
     questions = [Finding(State.OPTIONAL, str(output), question) for question in draft.questions]
-    return [replace(traffic.finding, mend=view), Finding(State.OK, str(output), "written"), *questions]
+    return [replace(traffic.finding, mend=view), Finding(State.OK, str(output), "written"), *questions, *others]
 
 
 def _may_poke(port: str) -> bool:
@@ -154,7 +173,7 @@ def _progress() -> Iterator[Callable[[str], None]]:
             click.echo("\r\x1b[K", err=True, nl=False)
 
 
-def _show(finding: Finding) -> None:
-    click.echo(f"{finding.state:<9} {one_line(finding.subject)}: {one_line(finding.found)}")
+def _show(finding: Finding, *, err: bool = False) -> None:
+    click.echo(f"{finding.state:<9} {one_line(finding.subject)}: {one_line(finding.found)}", err=err)
     if finding.mend:
-        click.echo(f"{'':9}   -> {one_line(finding.mend)}")
+        click.echo(f"{'':9}   -> {one_line(finding.mend)}", err=err)

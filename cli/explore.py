@@ -17,6 +17,7 @@ from ..errors import MissingExtra
 from ..verification import (
     DesignUnderTest,
     Variation,
+    at_ratings,
     best_carbon_black,
     carbon_black_line,
     check_requirements,
@@ -57,7 +58,7 @@ def command(
     """
     design = Design.load(design_file)
     beside = [requirement for file in requirement_files for requirement in load_requirements(file)]
-    requirements = (*design.requirement, *beside) or default_requirements(design)
+    requirements = ((*design.requirement, *beside) or default_requirements(design)) + at_ratings(design)
     check_requirements(requirements)
     dut = DesignUnderTest(design, None if cell_file is None else Cell.load(cell_file), seed=seed)
     folder = None if output is None else make_folder(output)

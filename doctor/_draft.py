@@ -85,7 +85,9 @@ class Draft:
         return [f"{key}: {remarks[key].removeprefix('? ')}" for key in keys if remarks.get(key, "").startswith("?")]
 
 
-def draft(chunks: Sequence[Chunk], *, baudrate: int, send: bytes = b"", poll: bytes = b"") -> Draft | None:
+def draft(
+    chunks: Sequence[Chunk], *, baudrate: int, send: bytes = b"", poll: bytes = b"", every_s: float = 0.0
+) -> Draft | None:
     """The description that accounts best for what a board has sent; None where none does.
 
     Args:
@@ -93,6 +95,7 @@ def draft(chunks: Sequence[Chunk], *, baudrate: int, send: bytes = b"", poll: by
         baudrate: at which it came.
         send: bytes after which it came.
         poll: bytes that asked for each frame.
+        every_s: time after which ``send`` is sent again; 0: once is enough.
 
     """
     if not any(chunk.data for chunk in chunks):
@@ -102,7 +105,7 @@ def draft(chunks: Sequence[Chunk], *, baudrate: int, send: bytes = b"", poll: by
     best: Draft | None = None
     enough = MOST_GUESSES
     for number, guess in enumerate(guesses):
-        found = _tried(_with_port(guess, baudrate, send, poll), chunks)
+        found = _tried(_with_port(guess, baudrate, send, poll, every_s), chunks)
         if found is not None:
             tried.append(found)
             if best is None or found.accounted > best.accounted + AS_GOOD:
@@ -129,12 +132,17 @@ def _with_doubts(best: Draft, tried: Sequence[Draft]) -> Draft:
     return replace(best, guess=guess, others=others)
 
 
-def _with_port(guess: Guess, baudrate: int, send: bytes, poll: bytes) -> Guess:
+def _with_port(guess: Guess, baudrate: int, send: bytes, poll: bytes, every_s: float) -> Guess:
     tables = {name: dict(values) for name, values in guess.tables.items()}
     tables["board"]["baudrate"] = baudrate
     remarks = dict(guess.remarks)
     asked = {"send": send, "poll": poll}
-    start = {key: data.decode() if data.isalnum() else list(data) for key, data in asked.items() if data}
+    start: dict[str, Any] = {
+        key: data.decode() if data.isalnum() else list(data) for key, data in asked.items() if data
+    }
+    if every_s:
+        start["every"] = every_s
+        remarks["start.every"] = "? s; the board stopped when it heard nothing"
     if start:
         tables["start"] = start
         remarks["start.send"] = "? the board was silent, and sent frames after this; it may have begun by itself"

@@ -7,13 +7,17 @@ tried only where the port has a UART; a port that is silent is asked in the way 
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Callable, Sequence
+import struct
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import product
 
 from ..common.text import shortened
 from ..driver import BytePort, open_port
-from ..wire import BOARDS, Corrupt, Description, Family, FramePacket, Identity, Order, host_protocol
+from ..wire import BOARDS, CHECKSUMS, Corrupt, Description, Family, FramePacket, Identity, Order, host_protocol
 from ._draft import Draft, decoded, draft
 from ._finding import Finding, State
 from ._guess import Chunk
@@ -24,7 +28,9 @@ LISTEN_S = 1.5
 LONGEST_LISTENING_S = 6.0
 """at one baud rate, if bytes come that are no frames yet: a board boots, or sends slowly"""
 ASKED = 5
-"""times that a board is asked for a frame"""
+"""share of the time of listening that a board has to answer"""
+ASKED_AGAIN, ANSWERED_S = 15, 0.1
+"""times that a board which answers is asked again, and s without a byte after which an answer is over"""
 SHORT_LISTEN_S = 0.3
 """at a further baud rate, if the port has been silent"""
 PROGRESS_S = 0.25
@@ -43,6 +49,14 @@ START_WORDS = (
     b"start_reading\n",
 )
 """what public sketches wait for before they send, or before each frame"""
+MODBUS_FUNCTIONS = 4, 3
+"""read input registers, read holding registers (Modbus application protocol V1.1b3, 6.3 and 6.4)"""
+MODBUS_REGISTERS = ((7, 32), (7, 36), (0, 16), (0, 32), (0, 64))
+"""first and number of the registers that sensors of device 1 keep their cells in"""
+MOST_IDLE = 4
+"""different lines that a board repeats while it waits"""
+STILL_ALIVE = 0.5
+"""share of the time after which a board stops that hears nothing: so often the start is sent again"""
 SHOWN_BYTES = 16
 SHOWN_TEXT = 60
 
@@ -78,6 +92,8 @@ class Traffic:
     """description of a board of no known family"""
     baud_rate: int
     """at which it was heard"""
+    family: str = ""
+    """name of the family that the board sounds like"""
 
 
 @dataclass(frozen=True)
@@ -127,15 +143,23 @@ def examine_traffic(
             found = _listened(
                 port, line, setting, chunks, SHORT_LISTEN_S if silent else listen_s, tell, described=described
             )
-            if found is None and _is_quiet(line, chunks):
+            idle = _idle_lines(chunks)
+            if found is None and (idle or _is_quiet(line, chunks)):
+                ask = partial(
+                    _answer,
+                    port,
+                    line,
+                    setting,
+                    chunks=chunks,
+                    idle=idle,
+                    listen_s=listen_s,
+                    tell=tell,
+                    described=described,
+                )
                 for family in _families_to_ask(port, setting):
-                    found = found or _answer(
-                        port, line, setting, family.name, _orders(family), chunks, listen_s, tell, described=described
-                    )
-                for word in () if found is not None or poke is None or not poke() else START_WORDS:
-                    found = found or _answer(
-                        port, line, setting, repr(word.decode()), [word], chunks, listen_s, tell, described=described
-                    )
+                    found = found or ask(family.name, _orders(family))
+                for name, word in () if found is not None or poke is None or not poke() else _words():
+                    found = found or ask(name, [word])
         finally:
             line.close()
         if found is not None and (found.draft is None or _shows_where_frames_begin(found.draft)):
@@ -202,6 +226,32 @@ def _listened(
     return found
 
 
+def _words() -> Iterator[tuple[str, bytes]]:
+    """What may make a silent board send, with names."""
+    yield from ((repr(word.decode()), word) for word in START_WORDS)
+    for function, (first, count) in product(MODBUS_FUNCTIONS, MODBUS_REGISTERS):
+        request = struct.pack(">BBHH", 1, function, first, count)
+        yield f"Modbus registers {first} to {first + count - 1}", request + CHECKSUMS["crc16-modbus"].of(request)
+
+
+def _idle_lines(chunks: Sequence[Chunk]) -> tuple[bytes, ...]:
+    """The lines of a board that says the same over and over while it waits for something; empty: it does not."""
+    lines = _joined(chunks).split(b"\n")[1:-1] if is_text(chunks) else []
+    kinds = set(lines)
+    return tuple(kinds) if 2 * len(kinds) <= len(lines) and len(kinds) <= MOST_IDLE else ()
+
+
+def _without(chunks: Sequence[Chunk], lines: tuple[bytes, ...]) -> list[Chunk]:
+    """What came besides some lines."""
+    left = []
+    for chunk in chunks:
+        data = chunk.data
+        for one in lines:
+            data = data.replace(one + b"\n", b"")
+        left += [Chunk(chunk.time_s, data)] if data else []
+    return left
+
+
 def _is_quiet(line: BytePort, chunks: Sequence[Chunk]) -> bool:
     """Whether nothing has come lately."""
     return not chunks or line.now() - chunks[-1].time_s > QUIET_S
@@ -220,45 +270,67 @@ def _answer(
     setting: _Setting,
     name: str,
     requests: Sequence[bytes],
+    *,
     chunks: list[Chunk],
+    idle: tuple[bytes, ...],
     listen_s: float,
     tell: Tell,
-    *,
     described: bool,
 ) -> Traffic | None:
-    """What comes after a way of asking; a board that answers and is silent again is asked again."""
+    """What comes after a way of asking; a board that answers and is silent again is asked again.
+
+    One that goes on by itself was started; if it stops after a while, it wants to hear the start again and again.
+    """
     answer: list[Chunk] = []
     doing = f"{port}: silent; asking by {name} at {setting.baud_rate} baud"
     for request in requests:
         line.write(request)
         _collect(line, listen_s / ASKED, answer, doing, tell)
-    if not answer:
+    if not _without(answer, idle):
         return None
-    for _ in range(ASKED):
+    began_at, first = line.now(), len(answer)
+    for _ in range(ASKED_AGAIN):
         line.write(requests[-1])
-        _collect(line, listen_s / ASKED, answer, doing, tell)
+        asked_at = line.now()
+        _collect(line, listen_s / ASKED, answer, doing, tell, pause_s=ANSWERED_S)
+    rate = len(_joined(_without(answer[first:], idle))) / (line.now() - began_at)
+    answer = _without(answer, idle)
     chunks += answer
     after: list[Chunk] = []
-    _collect(line, listen_s, after, f"{port}: listening at {setting.baud_rate} baud", tell)
-    if len(_joined(after)) > len(_joined(answer)) / 2:  # it goes on by itself: it was started, or has booted meanwhile
-        return _judged(port, setting.baud_rate, after, described=described, send=requests[-1])
-    return _judged(port, setting.baud_rate, answer, described=described, poll=requests[-1])
+    listening = f"{port}: listening at {setting.baud_rate} baud"
+    _collect(line, listen_s, after, listening, tell)
+    started = _without(after, idle)
+    if len(_joined(started)) <= rate * listen_s / 2:
+        return _judged(port, setting.baud_rate, answer, described=described, poll=requests[-1])
+    _collect(line, listen_s, after, listening, tell)
+    started = _without(after, idle)
+    stopped = line.now() - started[-1].time_s > QUIET_S * min(listen_s / LISTEN_S, 1.0)
+    every_s = round(STILL_ALIVE * (started[-1].time_s - asked_at), 1) if stopped else 0.0
+    send = requests[-1]
+    return _judged(port, setting.baud_rate, started, described=described, send=send, every_s=every_s)
 
 
 def _judged(
-    port: str, baud_rate: int, chunks: Sequence[Chunk], *, described: bool, send: bytes = b"", poll: bytes = b""
+    port: str,
+    baud_rate: int,
+    chunks: Sequence[Chunk],
+    *,
+    described: bool,
+    send: bytes = b"",
+    poll: bytes = b"",
+    every_s: float = 0.0,
 ) -> Traffic | None:
     """The family that the bytes are of, or the description that accounts for them."""
     data = _joined(chunks)
     verdict = None if described else judge(data)
     if verdict is not None and verdict.family.tables is None:
-        return Traffic(_recognised(port, baud_rate, data, verdict), None, baud_rate)
+        return Traffic(_recognised(port, baud_rate, data, verdict), None, baud_rate, verdict.family.name)
     # The formats of files have little that tells them from others: one that accounts for more bytes is the right one.
     if verdict is not None and decoded(verdict.family, chunks)[1] > SURE:
-        return Traffic(_recognised(port, baud_rate, data, verdict), None, baud_rate)
-    found = draft(chunks, baudrate=baud_rate, send=send, poll=poll)
+        return Traffic(_recognised(port, baud_rate, data, verdict), None, baud_rate, verdict.family.name)
+    found = draft(chunks, baudrate=baud_rate, send=send, poll=poll, every_s=every_s)
     if verdict is not None and (found is None or found.accounted < SURE):
-        return Traffic(_recognised(port, baud_rate, data, verdict), None, baud_rate)
+        return Traffic(_recognised(port, baud_rate, data, verdict), None, baud_rate, verdict.family.name)
     return None if found is None else Traffic(_described(port, baud_rate, chunks, found), found, baud_rate)
 
 
@@ -267,15 +339,18 @@ def _shows_where_frames_begin(found: Draft) -> bool:
     return frame["format"] != "binary" or "header" in frame or "framing" in frame
 
 
-def _collect(line: BytePort, seconds: float, chunks: list[Chunk], doing: str, tell: Tell) -> None:
-    """Append what comes within some seconds."""
-    end = line.now() + seconds
-    while (left := end - line.now()) > 0:
+def _collect(
+    line: BytePort, seconds: float, chunks: list[Chunk], doing: str, tell: Tell, *, pause_s: float = math.inf
+) -> None:
+    """Append what comes within some seconds, or until nothing more comes for ``pause_s``."""
+    end, came = line.now() + seconds, math.inf
+    while (left := min(end, came + pause_s) - line.now()) > 0:
         tell(f"{doing}, {sum(len(chunk.data) for chunk in chunks)} bytes")
         if line.wait(min(left, PROGRESS_S)):
             arrival = line.read()
             if arrival.data:
                 chunks.append(Chunk(arrival.received_at, arrival.data))
+                came = line.now()
 
 
 def _joined(chunks: Sequence[Chunk]) -> bytes:

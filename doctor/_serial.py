@@ -82,7 +82,8 @@ def examine_device(device: str, system: System | None = None, description: str =
         return [Finding(State.PROBLEM, device, f"is a {kind}; expected a serial port such as /dev/ttyACM0", other)]
     named = f" ({description})" if description and description != "n/a" else ""
     findings = [_permission(device, path, system, named)]
-    users = list(_users(path, system))
+    # The program at the other end of a pseudo-terminal, which plays the board, may have this end open, too.
+    users = [] if os.path.realpath(path).startswith("/dev/pts/") else list(_users(path, system))
     if users:
         shown = [*users[:MOST_USERS], *([f"{len(users) - MOST_USERS} more"] if len(users) > MOST_USERS else [])]
         findings.append(Finding(State.PROBLEM, device, f"in use by {', '.join(shown)}", "end that program first"))

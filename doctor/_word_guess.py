@@ -24,7 +24,7 @@ USUAL = 0.8
 HALF = 0.05
 """ratio of the scatter of every other number to that of the rest, below which they are halves of longer words"""
 ALIKE = 0.4
-"""sum of the differences of two distributions, below which they are the same up to chance"""
+"""sum of the differences of two distributions, below which they are the same; of few numbers chance adds to it"""
 BINS = 16
 """of such a distribution"""
 EVEN_STEPS = 0.5
@@ -208,4 +208,4 @@ def _halves_alike(numbers: FloatArray, name: str) -> bool:
             return True
     most = max(float(low.max()), float(high.max())) + 1.0
     one, other = (np.histogram(half, BINS, (0.0, most))[0] / half.size for half in (low, high))
-    return bool(np.abs(one - other).sum() < ALIKE)
+    return bool(np.abs(one - other).sum() < ALIKE * (1.0 + np.sqrt(2.0 * BINS / low.size)))

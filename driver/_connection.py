@@ -67,8 +67,12 @@ SHOWN = 40
 TEXT_SHARE = 0.9
 
 
-def looks_of(data: bytes) -> str:
-    """What bytes look like, for a message: a line of text, or numbers."""
+def looks_of(data: bytes, sent: bytes = b"") -> str:
+    """What bytes look like, for a message: an echo, a web server's answer, a line of text, or numbers."""
+    if sent and sent in data:
+        return "which are those that were sent: an echo, such as of a loopback plug or a terminal"
+    if data.lstrip().startswith(b"HTTP/") or b"<html" in data.lower():
+        return "the answer of a web server"
     printable_bytes = sum(32 <= byte < 127 or byte in b"\r\n\t" for byte in data)
     if printable_bytes > TEXT_SHARE * len(data):
         lines = [line.strip() for line in data.decode("ascii", "replace").splitlines() if line.strip()]
@@ -115,6 +119,8 @@ class Connection:
         self.stream = FrameStream(port.name, frames.counters, simulated=getattr(port, "is_simulated", False))
         self._sample = b""
         """the last bytes before the first frame"""
+        self._sent = b""
+        """the last order: where it comes back, a message says so"""
         self.taps: list[Callable[[Arrival], None]] = []
         """called with all bytes, as they arrive: for a recorder"""
         self.on_gone: list[Callable[[], None]] = []
@@ -197,8 +203,8 @@ class Connection:
             layout = self._protocol.layout
             size = "" if self._family.has_description else f" with {layout.rows} x {layout.columns} cells"
             return ProtocolError(
-                f"{where}: {self._received} bytes came, {looks_of(self._sample)}, the last of them no packet "
-                f"({self._reason}); expected a board of family '{self._family.name}'{size}, at this baud rate; "
+                f"{where}: {self._received} bytes came, {looks_of(self._sample, self._sent)}, the last of them no "
+                f"packet ({self._reason}); expected a board of family '{self._family.name}'{size}, at this baud rate; "
                 f"`ohmskin doctor {self.port_name}` says which board it is, or drafts its description"
             )
         return LinkTimeout(f"{where}: the board is there, but sends none")
@@ -287,6 +293,7 @@ class Connection:
             data = self._protocol.request(order, period_us=period_us)
             if data:
                 self._port.write(data)
+                self._sent = data
             return bool(data)
 
     @contextlib.contextmanager
@@ -388,13 +395,15 @@ class Connection:
         self._ask()
         self._asked_at = min(self._asked_at, time.monotonic())
         ask_at = time.monotonic() + ASK_WHO_S
+        again_s = self._family.repeat_start_s or inf
+        again_at = time.monotonic() + again_s
         behind = False
         while not (self._is_ending or self.frames.end):
             if self._is_full():
                 self.frames.wait_for_room(ASK_AGAIN_S)
                 ask_at = time.monotonic() + ASK_AGAIN_S
                 continue
-            if port.wait(0.0 if behind else ask_at - time.monotonic()):
+            if port.wait(0.0 if behind else min(ask_at, again_at) - time.monotonic()):
                 began = time.monotonic()
                 if self._read():
                     # Half of the interpreter's time is left to others, who may be setting up the circuit's inverse.
@@ -404,6 +413,9 @@ class Connection:
             if self._absence is not None and now > self._absence.proof_until_s:
                 raise LinkError(f"{port.name}: the board there does not show that it is the one from before")
             known = self.known.is_set() and self._absence is None
+            if known and now >= again_at:
+                self._start_frames()
+                again_at = now + again_s
             if self._has_frames and known:
                 ask_at, self._has_frames = now + ASK_AGAIN_S, False
             elif now >= ask_at:

@@ -170,7 +170,7 @@ class CountReader:
             return self._kept
         self._judged_with = noise
         try:
-            found = self._recover(self._buffer, limited, noise, faint=under_range)
+            found = self._recover(self._buffer, limited, noise, under_range=under_range)
         except SolverError:
             return Measurement.unknown(counts.shape, Reason.UNSOLVED)
         reason = found.reason if under_range is None else np.where(under_range, _NO_CURRENT, found.reason)

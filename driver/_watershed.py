@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from ..common.arrays import BoolArray, FloatArray, IntArray
+from ..common.compiled import Flags, PlaceRows, Places, Row, loop
 from ._proximity import Proximity
 
 PART_SHARE, STAY_SHARE = 0.3, 0.15
@@ -20,6 +21,8 @@ PART_SHARE, STAY_SHARE = 0.3, 0.15
 less uneven"""
 PART_STDS, STAY_STDS = 5.0, 2.5
 """the same in standard deviations of the difference between the maximum and its saddle"""
+PAIRS = 8
+"""neighbours of a cell, hence pairs of basins that may meet in it"""
 
 
 def part(
@@ -48,80 +51,107 @@ def part(
     """
     several = np.flatnonzero(proximity.summits(labels, pressure_kpa, count) > 1).tolist()
     parted = labels.copy()
+    number = np.full(labels.size + 1, labels.size, dtype=np.intp)
     for label in several:
         cells = np.flatnonzero(labels == label)
-        patch = _Patch(
-            cells.tolist(),
-            proximity.near[cells].tolist(),
-            *(values.ravel()[cells].tolist() for values in (pressure_kpa, std_kpa, begins, before)),
-        )
-        basins = patch.basins()
-        first, *others = dict.fromkeys(basins)
-        numbers = {first: label} | {summit: count + k for k, summit in enumerate(others, start=1)}
-        parted.flat[cells] = [numbers[summit] for summit in basins]
-        count += len(others)
+        number[cells] = np.arange(cells.size)
+        near = np.minimum(number[proximity.near[cells]], cells.size)
+        number[cells] = labels.size
+        height, std = pressure_kpa.ravel()[cells], std_kpa.ravel()[cells]
+        root = np.full(cells.size, -1, dtype=np.intp)
+        order = np.argsort(-height, kind="stable")
+        fingers = np.empty((PAIRS * cells.size, 2), dtype=np.intp)
+        basins_each(order, near, height, std, begins.ravel()[cells], before.ravel()[cells], root, fingers)
+        _, own, basins = np.unique(root, return_index=True, return_inverse=True)
+        rank = np.argsort(np.argsort(own))[basins]
+        parted.flat[cells] = np.where(rank == 0, label, count + rank)
+        count += own.size - 1
     return parted
 
 
-class _Patch:
-    """The cells of one patch by their numbers: (n,) lists."""
+@loop
+def basins_each(
+    order: Places,
+    near: PlaceRows,
+    height: Row,
+    std: Row,
+    begins: Flags,
+    before: Places,
+    root: Places,
+    fingers: PlaceRows,
+) -> None:
+    """Flood a patch of n cells.
 
-    def __init__(
-        self,
-        places: list[int],
-        near: list[list[int]],
-        height: list[float],
-        std: list[float],
-        begins: list[bool],
-        before: list[int],
-    ) -> None:
-        """``places`` are cell numbers, and ``near`` those of the cells near each of them."""
-        self._places, self._near = places, near
-        self._height, self._std, self._begins, self._before = height, std, begins, before
-        self._root: dict[int, int] = {}
-        """cell -> summit, or a cell nearer to it"""
+    Args:
+        order: (n,) cells from the highest one on.
+        near: (n, most) cells near each one; n stands for none.
+        height: (n,) as ``std``, ``begins`` and ``before`` of :func:`part`.
+        std: see ``height``.
+        begins: see ``height``.
+        before: see ``height``.
+        root: (n,) -1; the summit to whose basin each cell belongs is written.
+        fingers: scratch for pairs of summits that are two fingers.
 
-    def basins(self) -> list[int]:
-        """(n,) the summit to whose basin each cell belongs."""
-        number, height, root = {place: k for k, place in enumerate(self._places)}, self._height, self._root
-        fingers: set[tuple[int, int]] = set()
-        """pairs of summits that are two fingers"""
-        for cell in sorted(range(len(height)), key=lambda k: -height[k]):
-            higher = [k for k in [number.get(place, -1) for place in self._near[cell]] if k in root]
-            if not higher:
-                root[cell] = cell
+    """
+    count, pairs = height.size, 0
+    for cell in order:
+        above, least, several = -1, count, False
+        for other in near[cell]:
+            if other < count and root[other] >= 0:
+                summit = summit_of(root, other)
+                several = several or (above >= 0 and summit != least)
+                least = min(least, summit)
+                above = other if above < 0 or height[other] > height[above] else above
+        if above < 0:
+            root[cell] = cell
+            continue
+        root[cell] = summit_of(root, above) if several else least
+        if not several:
+            continue
+        for other in near[cell]:
+            if other == count or root[other] < 0:
                 continue
-            summits = {self._summit(one) for one in higher}
-            root[cell] = min(summits)
-            if len(summits) == 1:
+            high, low = summit_of(root, other), summit_of(root, cell)
+            if height[low] > height[high] or (height[low] == height[high] and low < high):
+                high, low = low, high
+            known = high == low
+            for k in range(pairs):
+                known = known or (fingers[k, 0] == high and fingers[k, 1] == low)
+            if known:
                 continue
-            root[cell] = own = self._summit(max(higher, key=height.__getitem__))
-            for one in summits - {own}:
-                high, low = sorted((one, self._summit(cell)), key=lambda k: (-height[k], k))
-                if (high, low) in fingers:
-                    continue
-                if self._are_fingers(high, low, cell):
-                    fingers.add((high, low))
-                else:
-                    root[low] = high
-        return [self._summit(cell) for cell in range(len(height))]
+            if are_fingers(high, low, cell, height, std, begins, before, root):
+                fingers[pairs, 0], fingers[pairs, 1] = high, low
+                pairs += 1
+            else:
+                root[low] = high
+    for cell in order:
+        root[cell] = summit_of(root, cell)
 
-    def _summit(self, cell: int) -> int:
-        while self._root[cell] != cell:
-            cell = self._root[cell]
-        return cell
 
-    def _are_fingers(self, high: int, low: int, saddle: int) -> bool:
-        """Whether the basin of ``low`` is a finger of its own.
+@loop
+def summit_of(root: Places, cell: int) -> int:
+    """The summit of a cell's basin."""
+    while root[cell] != cell:
+        cell = root[cell]
+    return cell
 
-        One cell that is surely higher than the saddle suffices, since the cell at the top may be uncertain for a reason
-        of its own.
-        """
-        height, std, before = self._height, self._std, self._before
-        apart = before[low] != before[high] and before[low] > 0 and before[high] > 0
-        share, stds = (STAY_SHARE, STAY_STDS) if apart else (PART_SHARE, PART_STDS)
-        if height[low] - height[saddle] < share * height[low]:
-            return False
-        own = [cell for cell in self._root if self._summit(cell) == low]
-        sure = any(height[k] - height[saddle] >= stds * math.hypot(std[k], std[saddle]) for k in own)
-        return sure and (apart or any(self._begins[k] for k in own))
+
+@loop
+def are_fingers(
+    high: int, low: int, saddle: int, height: Row, std: Row, begins: Flags, before: Places, root: Places
+) -> bool:
+    """Whether the basin of ``low`` is a finger of its own.
+
+    One cell that is surely higher than the saddle suffices, since the cell at the top may be uncertain for a reason of
+    its own.
+    """
+    apart = before[low] != before[high] and before[low] > 0 and before[high] > 0
+    share, stds = (STAY_SHARE, STAY_STDS) if apart else (PART_SHARE, PART_STDS)
+    if height[low] - height[saddle] < share * height[low]:
+        return False
+    sure, begun = False, apart
+    for cell in range(height.size):
+        if root[cell] >= 0 and summit_of(root, cell) == low:
+            sure = sure or height[cell] - height[saddle] >= stds * math.hypot(std[cell], std[saddle])
+            begun = begun or begins[cell]
+    return sure and begun

@@ -8,6 +8,7 @@ import os
 import shlex
 import subprocess
 import threading
+import time
 import tomllib
 from pathlib import Path
 from types import SimpleNamespace
@@ -31,7 +32,18 @@ from ohmskin.doctor import (
 )
 from ohmskin.driver import Skin
 from ohmskin.emulator import PtyPort
-from ohmskin.wire import BOARDS, BoardFile, Family, FramePacket, Order, board_family, board_protocol, host_protocol
+from ohmskin.errors import OhmskinError
+from ohmskin.wire import (
+    BOARDS,
+    CHECKSUMS,
+    BoardFile,
+    Family,
+    FramePacket,
+    Order,
+    board_family,
+    board_protocol,
+    host_protocol,
+)
 
 
 @pytest.fixture
@@ -239,6 +251,106 @@ def test_a_silent_board_is_sent_words_only_where_that_is_allowed() -> None:
     assert found is not None
     assert found.guess.tables["start"] == {"poll": "T"}
     assert found.guess.tables["board"]["rows"] * found.guess.tables["board"]["columns"] == 20
+
+
+class Asked(PtyPort):
+    """A board that says so while it waits for ``s``, then sends frames until it has heard nothing for a while."""
+
+    def __init__(self, alive_s: float) -> None:
+        super().__init__()
+        self._alive_s, self._ended = alive_s, threading.Event()
+        self._thread = threading.Thread(target=self._live)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._ended.set()
+        self._thread.join()
+        super().close()
+
+    def _live(self) -> None:
+        rng, until, turns = np.random.default_rng(0), 0.0, 0
+        while not self._ended.wait(0.02):
+            if b"s" in (self.read() or b""):
+                until = time.monotonic() + self._alive_s
+            turns += 1
+            if time.monotonic() < until:
+                self.write(",".join(map(str, rng.integers(0, 900, 20))).encode() + b"\r\n")
+            elif self.host_present() and turns % 5 == 0:
+                self.write(b"waiting for s\r\n")
+
+
+def test_a_board_that_waits_with_words_is_started_and_kept_awake(tmp_path: Path) -> None:
+    with Asked(0.8) as port:
+        assert examine_traffic(port.name, listen_s=0.5, poke=lambda: False).draft is None
+        found = examine_traffic(port.name, listen_s=0.5, poke=lambda: True).draft
+        assert found is not None
+        start = found.guess.tables["start"]
+        assert start["send"] == "s"
+        assert 0.1 < start["every"] < 0.8
+        path = tmp_path / "asked.toml"
+        path.write_text(found.toml([]))
+        with Skin.open(port.name, board=str(path), timeout=20.0, delivery="every") as skin:
+            for _ in range(100):  # more than fit into the time that it stays awake
+                skin.read(20.0)
+            assert skin.stats().corrupt < 30
+
+
+def test_a_board_that_is_not_understood_is_drafted_at_once_if_the_person_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    record = ["record", "", "-o", "press.mcap", "--duration", "1"]
+    with Played(board_family(EXAMPLES[0].with_name("neuromat.toml"))) as port:
+        record[1] = port.name
+        assert run(record) == 2
+        refused = capsys.readouterr().err
+        assert f"`ohmskin doctor {port.name}`" in refused
+        assert "text such as" in refused
+        monkeypatch.setattr("ohmskin.cli._opening._may_find_out", lambda what, error: True)
+        assert run(record) == 0
+    assert "sends 8 x 13 cells" in capsys.readouterr().err
+    with Skin.open("press.mcap") as skin:
+        assert skin.read().counts.shape == (8, 13)
+
+
+@pytest.mark.parametrize(
+    ("answer", "looks"),
+    [(None, "an echo"), (b"HTTP/1.1 400 Bad Request\r\n\r\n", "a web server"), (bytes(range(1, 60)), "binary such as")],
+)
+def test_the_message_says_what_bytes_look_like(answer: bytes | None, looks: str) -> None:
+    """None: whatever is sent comes back."""
+    with PtyPort() as port:
+        stop = threading.Event()
+
+        def answers() -> None:
+            while not stop.wait(0.01):
+                heard = port.read() or b""
+                if heard:
+                    port.write(heard if answer is None else answer)
+
+        thread = threading.Thread(target=answers)
+        thread.start()
+        with pytest.raises(OhmskinError, match=looks), Skin.open(port.name, timeout=1.5):
+            pass
+        stop.set()
+        thread.join()
+
+
+def test_a_modbus_sensor_is_asked_for_its_registers() -> None:
+    request = bytes.fromhex("010400070020") + CHECKSUMS["crc16-modbus"].of(bytes.fromhex("010400070020"))
+    tables = {
+        "board": {"name": "modbus", "rows": 4, "columns": 8, "bits": 12},
+        "frame": {
+            "format": "binary",
+            "block": [{"fields": ["const 0x01 0x04 0x40", "cells uint16be 32", "crc16-modbus"]}],
+        },
+        "start": {"poll": list(request)},
+    }
+    with Played(BoardFile.parse(tables, "here").family()) as port:
+        found = examine_traffic(port.name, listen_s=0.25, poke=lambda: True).draft
+    assert found is not None
+    assert found.guess.tables["start"] == {"poll": list(request)}
+    assert found.guess.tables["frame"]["checksum"] == "crc16-modbus"
 
 
 def test_bytes_are_no_halves_of_words() -> None:

@@ -5,7 +5,7 @@
 Requirements:
 
 =======================  ==============================================================================
-:mod:`._run`             one verification: requirements and claims, in processes, told as they come
+:mod:`._run`             one verification: requirements and claims, in processes, reported as they come
 :mod:`._dut`             the design under test: design, cell, board, samples and seed
 :mod:`._requirements`    requirements from files, the shipped ones, and how one is judged
 :mod:`._catalogue`       the quantities that a requirement may limit, one file each in :mod:`.quantities`
@@ -25,7 +25,8 @@ Which boards are looked at:
 :mod:`._search`          the one search for the worst case of any target
 :mod:`._readings`        targets of settled readings; :mod:`._scale`: the unit of their errors
 :mod:`._whole_board`     targets of whole boards: settling, scan rate, stability, operating point
-:mod:`._montecarlo`      the yield of random boards
+:mod:`._montecarlo`      random boards, and their yield
+:mod:`._estimate`        how long all of that takes
 :mod:`._explore`         variations, their trade-off, and what would mend a requirement
 :mod:`._assumptions`     what a verdict leaves out
 =======================  ==============================================================================
@@ -39,8 +40,8 @@ The paper's claims (:mod:`._claims`):
 :mod:`._whole_skin`      P14
 =======================  ==============================================================================
 
-The report: :mod:`._report`, :mod:`._record` (its JSON), :mod:`._outcome` (what it is made of), :mod:`._schematic` and
-:mod:`._maps` (pictures), :mod:`._units`, :mod:`._export` (tables for other programs).
+The report: :mod:`._report`, :mod:`._sign_off` (its page to sign), :mod:`._record` (its JSON), :mod:`._outcome` (what it
+is made of), :mod:`._schematic` and :mod:`._maps` (pictures), :mod:`._units`, :mod:`._export` (tables).
 """
 
 from ._catalogue import CATALOGUE
@@ -51,7 +52,7 @@ from ._outcome import Claim, Outcome, Result
 from ._quantity import Quantity
 from ._record import ReportRecord, load_record, schema
 from ._report import Report
-from ._requirements import check_requirements, default_requirements, load_requirements
+from ._requirements import at_ratings, check_requirements, default_requirements, load_requirements
 from ._run import prototype, verify
 
 __all__ = [
@@ -65,6 +66,7 @@ __all__ = [
     "ReportRecord",
     "Result",
     "Variation",
+    "at_ratings",
     "best_carbon_black",
     "carbon_black_line",
     "check_requirements",

@@ -96,7 +96,7 @@ class Variation:
     def figures(self) -> tuple[float, ...]:
         """Smaller is better."""
         judged = self.reading_error_percent, self.crosstalk_percent, self.resolution_kpa
-        # Nobody would pay for a settling error that is smaller than what can be told from none.
+        # Nobody would pay for a settling error that is smaller than what can be distinguished from none.
         return (*judged, max(self.settling_error_percent, LEAST_SHOWN), 1.0 / self.frame_rate_hz)
 
     @property
@@ -163,7 +163,7 @@ def explore(
     """The design, each axis alone, and random combinations, ``points`` in all.
 
     Args:
-        subject: the design and its cell.
+        dut: the design and its cell.
         points: how many variations.
         jobs: processes side by side.
         executor: of a cluster's workers, in their place.

@@ -244,8 +244,8 @@ class Searched:
     show: Show = float
     """from the target's value to that of the quantity; falling where the quantity should be large"""
     line: Callable[[Box, tuple[int, int]], str] | None = None
-    """the line that a stress is told of, by the worst cell"""
-    tell: Callable[[DesignUnderTest, Requirement, WorstCase, Measurement], Measurement] | None = None
+    """the line that a stress is stated for, by the worst cell"""
+    detail: Callable[[DesignUnderTest, Requirement, WorstCase, Measurement], Measurement] | None = None
     """adds what only this quantity has to say about its worst case"""
 
     def __call__(self, dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
@@ -259,8 +259,8 @@ class Searched:
         line = f"{self.line(found.box, found.cell)}; " if self.line else ""
         unit = self.unit or found.box.scale.unit
         result = measured(found, self.show(found.value), unit, where=f"{line}{found.where}")
-        if self.tell is not None:
-            result = self.tell(dut, requirement, found, result)
+        if self.detail is not None:
+            result = self.detail(dut, requirement, found, result)
         if method == NOMINAL or not dut.compares:
             return result
         return replace(result, bounds=bounds_of(dut, target, self.show, share))

@@ -30,7 +30,7 @@ TOGETHER, MOST_TRIES = 4, 12
 """cells and presses of a board that are solved at once, and so many times at most"""
 _ROOM = 0.02
 """relative error of a value to first order, within which a candidate may still be the worst"""
-MOST_BESIDE = 3_000_000
+MOST_BESIDE = 1_000_000
 """cells that are solved for the boards beside a worst case"""
 _FOUND, _FOUND_WHOLE = 4, 2
 """presses of the search's own worst corners under which every board is judged, and of boards that are judged whole"""

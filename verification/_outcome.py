@@ -26,7 +26,7 @@ from ._record import CornerRecord
 from ._units import engineering
 
 _LARGEST_SHARE = 1000
-"""% of a limit beyond which a margin's share is not told exactly"""
+"""% of a limit beyond which a margin's share is not stated exactly"""
 
 
 STOPPED = "the run was stopped before"
@@ -186,7 +186,7 @@ class Measurement:
     incomplete: str = ""
     """what page one says beside the value of a search that may have missed a worse one"""
     resolution: float = 0.0
-    """of the measurement, in ``unit``: a value that misses a limit by less cannot be told from one that keeps it"""
+    """of the measurement, in ``unit``: a value that misses a limit by less counts as one that keeps it"""
     contributions: Mapping[str, float] = field(default_factory=dict)
     """by kind of part alone, in ``unit``: for the tornado, and of worst cases for the error budget"""
     samples: Sequence[float] = ()

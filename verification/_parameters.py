@@ -208,8 +208,8 @@ class Factors:
             elif factor.key in packaged:
                 place = f"line {place}"
             signs.setdefault(factor.key, []).append((place, 1 if value > 0 else -1))
-        told = (f"{key} {_signs(lines)}{self._negative(key, factors)}" for key, lines in signs.items())
-        return "; ".join(told) or "nominal parts"
+        words = (f"{key} {_signs(lines)}{self._negative(key, factors)}" for key, lines in signs.items())
+        return "; ".join(words) or "nominal parts"
 
     def varied(self, factors: FloatArray) -> dict[str, FloatArray]:
         """(L,) values of every kind of part that has a spread, for factors (F,)."""

@@ -18,10 +18,10 @@ _LOST = "a reading at or beyond an end of the circuit's law or of the converter,
 
 def error_of(target: ReadingErrorTarget) -> Searched:
     """One error, of resistance in % or as a share of full scale."""
-    return Searched(target=lambda dut, requirement: target, show=percent, tell=_tell)
+    return Searched(target=lambda dut, requirement: target, show=percent, detail=_detail)
 
 
-def _tell(dut: DesignUnderTest, requirement: Requirement, found: WorstCase, measurement: Measurement) -> Measurement:
+def _detail(dut: DesignUnderTest, requirement: Requirement, found: WorstCase, measurement: Measurement) -> Measurement:
     if not np.isfinite(found.value):
         return replace(measurement, where=f"{measurement.where}: {_LOST}")
     return replace(

@@ -2,7 +2,7 @@
 
 Each one is a task of its own: a function of the design under test that shares nothing with the others. Tasks run in
 this process, in worker processes, or in any executor of ``concurrent.futures``, with the same numbers. What a task
-finds is told and stored as soon as it is there: an interrupted run leaves its report, and goes on where it stopped.
+finds is reported and stored as soon as it is there: an interrupted run leaves its report, and goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -135,8 +135,8 @@ def verify(
             permission such a requirement is not run.
         require_all: what could not be run counts as failed.
         command: what the report says makes it again.
-        progress: told of each task that is done.
-        announce: told, before anything is computed, which files of the design's own are run, and how long it takes.
+        progress: called after each task that is done.
+        announce: called at the start with lines about what is run of the design's own, and how long it takes.
         tell: called with each result as soon as it is there.
 
     Returns:
@@ -351,7 +351,7 @@ def _finding(dut: DesignUnderTest, statement: Statement) -> Finding:
 def _fingerprint(work: Work) -> str:
     """SHA-256 of everything that the numbers depend on."""
     dut = work.dut
-    told = {
+    decides = {
         "version": __version__,
         "design": everything_of(dut.design),
         "cell": dut.cell.model_dump(),
@@ -362,7 +362,7 @@ def _fingerprint(work: Work) -> str:
         "seed": dut.seed,
         "samples": dut.samples,
     }
-    return fingerprint(told)
+    return fingerprint(decides)
 
 
 class _Store:

@@ -123,7 +123,7 @@ def _row(drawing: _Drawing, design: Design, row: int, right: float) -> None:
     elif design.board.pulled:
         drawing.line((LEFT - 52, y), (LEFT - 52, y + 70))
         drawing.resistor(LEFT - 52, y + 36, vertical=True, length=26)
-        drawing.ground(LEFT - 52, y + 70)
+        _reference(drawing, design, LEFT - 52, y + 70)
         drawing.dot(LEFT - 52, y)
         if row == 0:
             drawing.text(LEFT - 64, y + 40, _value(design.drive.idle_row_resistance, "ohm"), anchor="end", size=11)
@@ -166,7 +166,7 @@ def _end(drawing: _Drawing, design: Design, x: float, y: float, *, label: bool) 
         drawing.line((x, y), (x, y + 30))
         drawing.line((x, y + 30), (x, y + 110))
         drawing.resistor(x, y + 70, vertical=True)
-        drawing.ground(x, y + 110)
+        _reference(drawing, design, x, y + 110)
         drawing.line((x, y + 30), (x + 60, y + 30))
         drawing.dot(x, y + 30)
         if label:
@@ -182,7 +182,7 @@ def _end(drawing: _Drawing, design: Design, x: float, y: float, *, label: bool) 
     drawing.amplifier(amplifier_x, top)
     drawing.line((amplifier_x + 17, top), (amplifier_x + 17, top - 10), (amplifier_x + 46, top - 10))
     drawing.line((amplifier_x + 46, top - 10), (amplifier_x + 46, top + 4))
-    drawing.ground(amplifier_x + 46, top + 4)
+    _reference(drawing, design, amplifier_x + 46, top + 4)
     drawing.line((amplifier_x, out), (amplifier_x, out + 26))
     side = x - 48
     drawing.line((x, y + 30), (side, y + 30), (side, out + 12), (amplifier_x, out + 12))
@@ -206,10 +206,18 @@ def _end(drawing: _Drawing, design: Design, x: float, y: float, *, label: bool) 
         ]
         for number, words in enumerate(filter(None, values)):
             drawing.text(amplifier_x + 40, top + 26 + 13 * number, words, anchor="start", size=10)
-    reference = f"{readout.reference_voltage:g} V" if readout.reference_voltage else ""
-    if reference and label:
-        drawing.text(amplifier_x + 60, top + 8, reference, anchor="start", size=10)
     _converter(drawing, design, amplifier_x, out + 26, label=label)
+
+
+def _reference(drawing: _Drawing, design: Design, x: float, y: float) -> None:
+    """What unselected lines and amplifiers stand at: a supply bar with its voltage, or earth where that is 0 V."""
+    volts = design.readout.reference_voltage
+    if not volts:
+        drawing.ground(x, y)
+        return
+    drawing.line((x, y), (x, y + 6))
+    drawing.line((x - 9, y + 6), (x + 9, y + 6))
+    drawing.text(x, y + 19, engineering(volts, "V"), size=10)
 
 
 def _converter(drawing: _Drawing, design: Design, x: float, y: float, *, label: bool) -> None:

@@ -251,8 +251,7 @@ def expected_points(target: Target, box: Box) -> float:
     random = _RANDOM_CORNERS * (2 * _RANDOM_CELLS if target.by_cell else 1)
     by_gradient = target.by_cell and (box.cells > FIRST_ORDER_BEYOND or not search.exact)
     climbed = search.climbs * _USUAL_ROUNDS * (_BY_GRADIENT if by_gradient else free)
-    climbed += _USUAL_ROUNDS * free if by_gradient and search.exact is False else 0
-    coordinates = free if search.exact and box.cells <= FIRST_ORDER_BEYOND else len(box.factors) + 4 * sum(box.shape)
+    coordinates = free if search.exact and box.cells <= FIRST_ORDER_BEYOND else int(search.near(0, 0).sum())
     lines = _USUAL_LINES * (_LINE * coordinates + _USUAL_ROUNDS * (free if search.exact else 0))
     return float(starts + random + climbed + lines)
 
@@ -438,7 +437,10 @@ class _Search:
 
     def _near(self, corner: Corners) -> BoolArray:
         """(D,) parts, and cells near the worst one; of them only that one where many cost too much."""
-        row, column = self.target.place(self.box, corner)
+        return self.near(*self.target.place(self.box, corner))
+
+    def near(self, row: int, column: int) -> BoolArray:
+        """As :meth:`_near`, by the cell."""
         near = self.free & self.box.near(row, column)
         if near.sum() * self.target.cost(self.box) > MOST_NEAR:
             parts, place = len(self.box.factors), row * self.box.shape[1] + column

@@ -207,7 +207,7 @@ def _hardware(dut: DesignUnderTest) -> Finding:
     """What can be said of a real board without knowing what presses on it."""
     with Skin.open(dut.target, board=dut.board, baudrate=dut.baud, delivery="every") as skin:
         if not skin.family.has_device_time:
-            raise NotRun(f"a board '{skin.family.name}' numbers no frames and tells no times")
+            raise NotRun(f"a board '{skin.family.name}' numbers no frames and states no times")
         start = time.perf_counter()
         frames = list(islice(skin, 200))
         elapsed = time.perf_counter() - start

@@ -116,6 +116,7 @@ class BoardFile(Section):
             has_device_time=frame.has_time,
             has_description=False,
             polled=bool(start.poll),
+            repeat_start_s=start.every,
             dtr=start.dtr,
             rts=start.rts,
             design=design,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Annotated
+from typing import Annotated, Self
 
 from numpy.typing import ArrayLike
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from ..common.config import Section
 from ..errors import InputError
@@ -157,9 +157,17 @@ class StartTable(Section):
     """bytes to send after opening"""
     poll: Sent = ""
     """bytes that ask for one frame"""
+    every: Annotated[float, Field(ge=0.05, le=3600.0)] | None = None
+    """s after which ``send`` is sent again, to a board that stops when it hears nothing; None: once is enough"""
     dtr: bool | None = None
     """level of the control line DTR; None: the operating system's, which resets most boards"""
     rts: bool | None = None
+
+    @model_validator(mode="after")
+    def _repeats_something(self) -> Self:
+        if self.every is not None and not self.send:
+            raise ValueError("every has no effect without send")
+        return self
 
     def order(self, order: Order) -> bytes:
         """The bytes that give an order; empty where there is no such."""

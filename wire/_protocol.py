@@ -46,6 +46,8 @@ class Family:
     """the board describes its own circuit; otherwise ``design`` is assumed"""
     polled: bool = False
     """the board sends a frame only when asked: the host sends ``request(Order.ONE_FRAME)`` for each"""
+    repeat_start_s: float | None = None
+    """time after which START is sent again, to a board that stops when it hears nothing; None: once is enough"""
     dtr: bool | None = None
     """level to set on the control line DTR before the port is opened; None: leave the default"""
     rts: bool | None = None

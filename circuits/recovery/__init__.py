@@ -29,9 +29,10 @@ says of its own conductance and of its column (:meth:`..readouts.ReadoutCircuit.
 :mod:`._measured`             all as measurements in siemens
 ============================  =====================================================================================
 
-Single frames that the laws leave open, and dividers with floating rows, where all cells take part in every reading:
-:mod:`._live_fit`, with :mod:`._node_blocks` and :mod:`._port_derivatives` on large arrays and :mod:`._sheet_model` for
-a continuous sheet. The model of both is :mod:`._quick_model`, with the shared wire of a line's cells by :mod:`._lines`.
+Single frames that the laws leave open, boards with bridged lines, and dividers with floating rows, where all cells take
+part in every reading: :mod:`._live_fit`, with :mod:`._usual_fits` for most frames, :mod:`._node_blocks` and
+:mod:`._port_derivatives` on large arrays, and :mod:`._sheet_model` for a continuous sheet. The model of both is
+:mod:`._quick_model`, with the shared wire of a line's cells by :mod:`._lines`.
 """
 
 from ._conditioning import Conditioning, conditioning

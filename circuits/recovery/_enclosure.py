@@ -41,19 +41,19 @@ class Unknowns(NamedTuple):
 
     limited: BoolArray
     """the cell conducts at least what the reading says"""
-    faint: BoolArray
+    under_range: BoolArray
     """the cell conducts at most what the reading says"""
 
     @classmethod
-    def of(cls, shape: tuple[int, int], limited: BoolArray | None, faint: BoolArray | None) -> Self:
+    def of(cls, shape: tuple[int, int], limited: BoolArray | None, under_range: BoolArray | None) -> Self:
         """The same for masks that may be missing."""
         nowhere = np.zeros(shape, dtype=np.bool_)
-        return cls(nowhere if limited is None else limited, nowhere if faint is None else faint)
+        return cls(nowhere if limited is None else limited, nowhere if under_range is None else under_range)
 
     @property
     def any(self) -> BoolArray:
         """Readings of either kind."""
-        return self.limited | self.faint
+        return self.limited | self.under_range
 
 
 class Enclosed(NamedTuple):
@@ -142,8 +142,8 @@ class Enclosure:
 
     def unheld(self, unknowns: Unknowns) -> bool:
         """Whether an amplifier's output may stand at a limit, so that it does not hold its column."""
-        limited, faint = unknowns
-        return not self._divides and bool(limited.any() or (faint.any() and self._adrift.any()))
+        limited, under_range = unknowns
+        return not self._divides and bool(limited.any() or (under_range.any() and self._adrift.any()))
 
     def coupling(self, cells: FloatArray) -> FloatArray:
         """(M,) share of a column's current that may pass to other columns by way of the rows, at cells (N, M) in S."""
@@ -173,7 +173,7 @@ class Enclosure:
         change = self._changes(ports, sums, share, added, row, low, high)
         change = _MARGIN * change * np.maximum(ports.cells / np.maximum(cells, _TINY), 1.0)
         least = np.where(unknowns.limited, np.maximum(sums.below - added, 0.0), 0.0)
-        greatest = np.where(unknowns.faint, (sums.above + added) / low, np.inf)
+        greatest = np.where(unknowns.under_range, (sums.above + added) / low, np.inf)
         return Enclosed(change, least, greatest)
 
     def _column_sums(
@@ -185,10 +185,10 @@ class Enclosure:
         share: FloatArray,
         drive: FloatArray,
     ) -> _Sums:
-        limited, faint = unknowns
+        limited, under_range = unknowns
         unknown, driven, total = unknowns.any, ports.driven, ports.total
         least = np.where(limited, np.maximum(driven - errors.of_driven, 0.0), 0.0)
-        # What the column's potential drives into a faint cell is no part of its reading.
+        # What the column's potential drives into a under_range cell is no part of its reading.
         offset = np.abs(self._law.potential(volts) / drive) * np.maximum(total, 0.0)
         most = np.where(limited, self._short, np.maximum(driven, 0.0) + errors.of_driven + offset)
         scale_open = errors.column_open > OPEN_SCALE
@@ -214,7 +214,7 @@ class Enclosure:
             per_sum = np.abs(share - ports.apart * self._behind) + np.abs(ports.apart) * behind
         per_sum = np.where(scale_open, per_sum + off, per_sum)
         wider = np.where(per_sum != 0.0, per_sum * (high - total), 0.0)
-        most = np.where(faint, most + wider, most)
+        most = np.where(under_range, most + wider, most)
         return _Sums(
             rough=scale_open | unknown.any(axis=0),
             width=np.where(unknown.any(axis=0) | np.isinf(errors.of_left), high - low, 0.0),
@@ -314,7 +314,7 @@ class Enclosure:
         """
         limited, unknown = unknowns.limited, unknowns.any
         usual = np.maximum(np.minimum(ports.cells, _CORRECTED * cells), 0.0)
-        ordinary = np.where(limited, 0.0, np.where(unknowns.faint, sums.above, usual))
+        ordinary = np.where(limited, 0.0, np.where(unknowns.under_range, sums.above, usual))
         if self._floating:
             others = np.maximum(ordinary.sum(axis=1)[:, None], _TINY)
             share = ordinary / others
@@ -326,7 +326,7 @@ class Enclosure:
             width = sums.above - sums.below
             loose = np.where(width > _LEAST_LEFT * np.abs(sums.above), np.minimum(self._to_driver * width, 1.0), 0.0)
         # V, of the column in its cell's own step, in which an output at a limit does not hold it.
-        in_own_step = np.where(limited, self._column, np.where(unknowns.faint, self._adrift, 0.0))
+        in_own_step = np.where(limited, self._column, np.where(unknowns.under_range, self._adrift, 0.0))
         # Potentials (steps, rows) of the idle rows that the unknown cells may change, and what the rows then feed.
         lifted = potential @ share.T
         change = potential @ loose.T + lifted * loose.sum(axis=1) + in_own_step @ (loose + share).T

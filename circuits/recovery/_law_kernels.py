@@ -312,7 +312,7 @@ def answers(
     driving: Rows,
     present: FlagRows,
     unknown: FlagRows,
-    faint: FlagRows,
+    under_range: FlagRows,
     lead: Row,
     cell_most: Rows,
     column_most: Row,
@@ -329,7 +329,7 @@ def answers(
 
     Args:
         volts: readings; ``current``, ``potential``, ``driving``, ``present``: as in :func:`columns_of`.
-        unknown: cells whose readings state lower bounds only, and ``faint`` ones that state upper bounds.
+        unknown: cells whose readings state lower bounds only, and ``under_range`` ones that state upper bounds.
         lead: (N,) ohm of the rows.
         cell_most: S, bounds on the cells before anything is read, and ``column_most`` (M,) on all of a column together.
         error: V, of a reading.
@@ -400,7 +400,7 @@ def answers(
                     own_most, share_most = math.inf, math.inf
                 if math.isinf(own):
                     own, share = 0.0, 0.0
-                if not faint[i, j]:
+                if not under_range[i, j]:
                     least += own * (1.0 if own > 0.0 else most_passed)
                     least_share += share * (1.0 if share > 0.0 else most_passed)
                 if own_most > 0.0:
@@ -425,7 +425,7 @@ def answers(
                     own, share = (current[0, j] + current[1, j] * y) / w, (potential[0, j] + potential[1, j] * y) / w
                     lowest = min(lowest, own + share * (sums[0, j] if share > 0.0 else sums[1, j]))
                     highest = max(highest, own + share * (sums[1, j] if share > 0.0 else sums[0, j]))
-                if below[i, j] < lowest < math.inf and not faint[i, j]:
+                if below[i, j] < lowest < math.inf and not under_range[i, j]:
                     moved = max(moved, 1.0 - below[i, j] / lowest)
                     below[i, j] = min(lowest, above[i, j])
                 if highest < above[i, j] and not unknown[i, j]:

@@ -76,6 +76,7 @@ _BESIDE = 0.01  # conductance over the largest one of a column, from which on a 
 _TIES = 0.1  # share of a row's drive that a cell may take, from which on it ties the row to its column
 _OFTEN = 3  # frames with readings that no cells give, after which the design is taken for wrong
 _CONTRACTS = 0.5  # factor of a map that surely has one fixed point, with room for derivatives that change
+_CALM = 3  # frames by the same derivatives, after which those of many cells are worth a matrix
 _TYPICAL = 1e-5  # S, of a cell if no reading shows a conductance
 
 
@@ -93,7 +94,7 @@ class _Linear(NamedTuple):
     known: dict[float, FloatArray]
     """results of ``std_at``"""
     inverse: FloatArray | None = None
-    """(n, n) the matrix of ``solve``, where it was made"""
+    """(n, n) the matrix of ``solve``, transposed, where it was made"""
     amplified: float = inf
     """largest sum of the derivatives of a logarithm by those of all readings, where several answers are possible"""
 
@@ -168,7 +169,8 @@ class FitLive:
         self._pinned: FloatArray = np.zeros(board.shape)
         self._damping, self._astray, self._in_vain, self._begun = 1.0, False, 0, False
         self.usual: UsualReading | None = None
-        usual = cells <= MOST_BESIDE and self._nodes is None and self._sheet is None and not self._several
+        self._calm = 0
+        usual = cells <= MOST_BESIDE and self._sheet is None and not self._several
         if usual and UsualFits.serves(board):
             self.usual = UsualFits(board, self, rule, (self._half_step, self._std))
 
@@ -179,18 +181,18 @@ class FitLive:
         limited: BoolArray | None = None,
         noise: float = 0.0,
         *,
-        faint: BoolArray | None = None,
+        under_range: BoolArray | None = None,
     ) -> LiveReading:
         """As :class:`.LiveRecovery`."""
         turn = self._turn
-        at_limit, under = (None if cells is None else turn(cells) for cells in (limited, faint))
+        at_limit, under = (None if cells is None else turn(cells) for cells in (limited, under_range))
         return self.read(np.ascontiguousarray(turn(volts)), at_limit, under, noise)
 
     def read(
         self,
         volts: FloatArray,
         limited: BoolArray | None,
-        faint: BoolArray | None,
+        under_range: BoolArray | None,
         noise: float,
         start: FloatArray | None = None,
     ) -> LiveReading:
@@ -203,8 +205,8 @@ class FitLive:
         unread = self._gone.copy()
         if limited is not None:
             unread |= limited & (signal + error < self._full)
-        if faint is not None:  # a reading near zero is one like any other
-            unread |= faint & (signal > error)
+        if under_range is not None:  # a reading near zero is one like any other
+            unread |= under_range & (signal > error)
         small = self._cells <= MOST_BESIDE
         short = signal >= SHORT_SHARE * self._short
         # No way between two lines conducts better than a short of their ends.
@@ -234,8 +236,14 @@ class FitLive:
     def kept(self, noise: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
         """As :class:`._usual_fits.Fit`."""
         linear = self._linear
-        if linear is None or linear.inverse is None or self._log is None or self._astray or not self._read.all():
+        if linear is None or self._log is None or self._astray or not self._read.all():
             return None
+        if linear.inverse is None:
+            if self._nodes is not None and self._calm < _CALM:
+                return None
+            linear = self._linear = self._with_inverse(linear)
+            if linear is None or linear.inverse is None:
+                return None
         return self._log, linear.log, linear.inverse, linear.std(hypot(1.0, noise / self._std))
 
     def follow(self, log: FloatArray) -> FloatArray:
@@ -304,7 +312,7 @@ class FitLive:
                 steps -= 1
                 if self._misfit(other_apart, coarser) < misfit:
                     log, apart, misfit = other, other_apart, self._misfit(other_apart, coarser)
-            settled, before = False, inf
+            settled, before, begun = False, inf, self._linear
             while True:
                 linear = self._linear
                 if linear is None or linear.distance(log, linear.std(coarser)).max() > FAR:
@@ -344,6 +352,7 @@ class FitLive:
         if self._sheet is not None and settled:
             settled = self._follow_sheet(log, coarser)
         self._log, self._astray = log, not settled
+        self._calm = self._calm + 1 if settled and self._linear is begun else 0
         self._in_vain = self._in_vain + 1 if misfit > _MISFIT else 0
         if self._in_vain > _OFTEN:
             self._log = None
@@ -379,7 +388,7 @@ class FitLive:
             numpy.linalg.LinAlgError: parts of the grid have no connection.
 
         """
-        from scipy.linalg.lapack import dpotrf, dpotrs
+        from scipy.linalg.lapack import dpotrs
 
         cells = np.exp(-np.clip(log, -_LARGEST, _LARGEST)).reshape(self._shape)
         volts = self._quick(cells)
@@ -387,19 +396,7 @@ class FitLive:
         if self._nodes is not None and self._read.all():
             by_nodes = self._nodes.at(cells, np.full(self._shape, _PRIOR))
             return _Linear(log, by_nodes.solve, slope, lambda coarser: coarser * by_nodes.std.ravel(), {})
-        in_series = 1.0 / (cells + self._board.series_ohms).ravel()
-        jacobian = (
-            self._derivatives(cells) * (in_series**2 * cells.ravel() / self._std * self._read) * self._read[:, None]
-        )
-        normal = jacobian.T @ jacobian
-        normal.flat[:: len(normal) + 1] += _PRIOR**-2.0
-        factor, failed = dpotrf(normal, lower=1)
-        if failed:
-            raise np.linalg.LinAlgError("the normal matrix is not positive definite")
-
-        inverse = None
-        if self._cells <= MOST_BESIDE:
-            inverse = np.ascontiguousarray(dpotrs(factor, jacobian.T / self._std, lower=1)[0])
+        jacobian, factor = self._normal(cells)
 
         def solve(apart: FloatArray) -> FloatArray:
             step: FloatArray = dpotrs(factor, jacobian.T @ (apart / self._std), lower=1)[0]
@@ -409,7 +406,37 @@ class FitLive:
         if self._several and self._read.all():
             by_logs = jacobian * (self._std / (volts - self._board.level).reshape(-1, 1))
             amplified = float(np.abs(np.linalg.inv(by_logs)).sum(axis=1).max())
-        return _Linear(log, solve, slope, lambda coarser: self._std_of(log, jacobian / coarser), {}, inverse, amplified)
+        return _Linear(log, solve, slope, lambda coarser: self._std_of(log, jacobian / coarser), {}, None, amplified)
+
+    def _normal(self, cells: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Derivatives (n, n) at cells (N, M) in ohm, in errors of a reading, and their normal matrix, factored.
+
+        Raises:
+            numpy.linalg.LinAlgError: the derivatives are not finite.
+
+        """
+        from scipy.linalg.lapack import dpotrf
+
+        in_series = 1.0 / (cells + self._board.series_ohms).ravel()
+        jacobian = (
+            self._derivatives(cells) * (in_series**2 * cells.ravel() / self._std * self._read) * self._read[:, None]
+        )
+        normal = jacobian.T @ jacobian
+        normal.flat[:: len(normal) + 1] += _PRIOR**-2.0
+        factor, failed = dpotrf(normal, lower=1)
+        if failed:
+            raise np.linalg.LinAlgError("the normal matrix is not positive definite")
+        return jacobian, factor
+
+    def _with_inverse(self, linear: _Linear) -> _Linear | None:
+        """The same with the matrix of ``solve``; None where there is none."""
+        from scipy.linalg.lapack import dpotrs
+
+        try:
+            jacobian, factor = self._normal(np.exp(-linear.log).reshape(self._shape))
+        except np.linalg.LinAlgError:
+            return None
+        return linear._replace(inverse=np.ascontiguousarray(dpotrs(factor, jacobian.T / self._std, lower=1)[0].T))
 
     def _std_of(self, log: FloatArray, jacobian: FloatArray) -> FloatArray:
         """Standard deviations (n,) of the logarithms with derivatives (n, n) in errors of a reading.

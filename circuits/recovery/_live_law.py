@@ -156,21 +156,23 @@ class LawLive:
         limited: BoolArray | None = None,
         noise: float = 0.0,
         *,
-        faint: BoolArray | None = None,
+        under_range: BoolArray | None = None,
     ) -> LiveReading:
         """As :class:`.LiveRecovery`."""
         turn = self._turn
         unknowns = None
-        if limited is not None or faint is not None:
-            limited, faint = (None if cells is None else turn(cells) & ~self._shorted for cells in (limited, faint))
-            unknowns = Unknowns.of(self._shape, limited, faint)
+        if limited is not None or under_range is not None:
+            limited, under_range = (
+                None if cells is None else turn(cells) & ~self._shorted for cells in (limited, under_range)
+            )
+            unknowns = Unknowns.of(self._shape, limited, under_range)
         volts = np.array(turn(volts), order="C")
         # An output at a limit does not hold its line, nor what a bridge or hidden cells join with it.
         joined = bool(self._board.bridges) or not self._tells
         if joined and unknowns is not None and self._enclosure.unheld(unknowns):
             return self._nothing(unknowns)
         if not self._tells:
-            return self._nothing(unknowns) if self._fit is None else self._fit.read(volts, limited, faint, noise)
+            return self._nothing(unknowns) if self._fit is None else self._fit.read(volts, limited, under_range, noise)
         unknown = None if unknowns is None else np.ascontiguousarray(unknowns.any)
         ports = self._law(volts, unknown)
         errors = LawErrors(self._law, self._steps, ports, volts, noise, unknown)
@@ -182,7 +184,7 @@ class LawLive:
         opened, enclosed = unknowns is not None or errors.opens, None
         bridged = bool(self._board.bridges)  # no law of single lines holds
         if (opened or bridged) and self._fit is not None and self._factors is not None and _lone(ports, errors):
-            return self._fit.read(volts, limited, faint, noise, ports.cells)
+            return self._fit.read(volts, limited, under_range, noise, ports.cells)
         if bridged:
             return self._nothing(unknowns)
         if self._factors is None:
@@ -207,7 +209,7 @@ class LawLive:
         if enclosed is not None and self._factors.renewed:
             enclosed = self._enclosure(ports, errors, cells, unknowns, volts)
         if not settled and self._fit is not None and _lone(ports, errors):
-            return self._fit.read(volts, limited, faint, noise, cells)
+            return self._fit.read(volts, limited, under_range, noise, cells)
         uncertainty = errors.relative(cells)
         moved = self._factors.moved(np.minimum(uncertainty, 1.0) * np.abs(cells), cells, uncertainty <= limit)
         uncertainty = uncertainty + moved
@@ -312,7 +314,7 @@ class LawLive:
             if where is not None:
                 reason[where], valid[where] = why, False
         if unknowns is not None:
-            reason[unknowns.limited], reason[unknowns.faint] = SATURATED, NO_CURRENT
+            reason[unknowns.limited], reason[unknowns.under_range] = SATURATED, NO_CURRENT
             valid[unknowns.any] = False
         reason[self._beside_short], valid[self._beside_short] = DISTURBED, False
         reason[self._gone], valid[self._gone] = HIDDEN, False
@@ -323,7 +325,7 @@ class LawLive:
         """A frame that determines no cell."""
         reason: NDArray[np.int8] = np.full(self._shape, DISTURBED, dtype=np.int8)
         if unknowns is not None:
-            reason[unknowns.limited], reason[unknowns.faint] = SATURATED, NO_CURRENT
+            reason[unknowns.limited], reason[unknowns.under_range] = SATURATED, NO_CURRENT
         reason[self._gone] = HIDDEN
         return undetermined(self._turn(reason))
 

@@ -184,7 +184,7 @@ class LiveRecovery(Protocol):
         limited: BoolArray | None = None,
         noise: float = 0.0,
         *,
-        faint: BoolArray | None = None,
+        under_range: BoolArray | None = None,
     ) -> LiveReading:
         """Recover the cells from one frame of readings.
 
@@ -192,8 +192,9 @@ class LiveRecovery(Protocol):
             volts: (rows, columns) V, the middle of each code.
             limited: (rows, columns) where a reading is at a limit; None: nowhere.
             noise: V, standard deviation of the readings' noise before the converter.
-            faint: (rows, columns) where a reading is at the limit that is also the reading of a cell without current:
-                the output may lie anywhere beyond, and the cell conducts no more than the reading says; None: nowhere.
+            under_range: (rows, columns) where a reading is at the limit that is also the reading of a cell without
+                current: the output may lie anywhere beyond, and the cell conducts no more than the reading says; None:
+                nowhere.
 
         Raises:
             SolverError: no cells give these readings.

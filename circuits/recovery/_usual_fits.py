@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 
 from ...common.arrays import FloatArray
-from ...common.compiled import Blocks, FixedRow, Reasons, Records, Row, Rows, loop, zeros
+from ...common.compiled import Blocks, FixedRow, Reasons, Records, Row, Rows, is_aside, loop, zeros
 from ...common.measurement import FIELDS, GREATEST, LEAST, Measurement
 from ...common.noise import constant_part
 from .._board import Board
@@ -45,7 +45,7 @@ SHORT_SHARE = 0.98
 STEPS = 3  # evaluations of the model in a frame
 
 IDLE, ROW_LEAD = range(2)
-"""places of what is given for each row: S of its idle end behind the lead, and ohm of the lead; likewise of columns"""
+"""places of what is given for each row: S of its pull-down, and ohm of the lead before it; likewise of columns"""
 END, COLUMN_IDLE, SOURCE, OUTPUT, PER_AMPERE, GAIN, SPAN, REST = range(8)
 LOG, MODEL, MADE_AT, SHORT, LOWEST, HIGHEST = range(6)
 """of cells: logarithms and the model's volts there, logarithms at which the matrix was made, V of a short, bounds"""
@@ -110,10 +110,8 @@ def fitted_volts(
             driven[i, j] = transfer / sums[i]
             own_row += driven[i, j] * conductance[i, j]
         own_row /= sums[i]
-        lead, idle = of_rows[ROW_LEAD, i], of_rows[IDLE, i]
-        left = 1.0 - idle * lead
-        raised = drive / (1.0 + lead * (1.0 / own_row - idle)) / own_row
-        loaded = 1.0 / (lead / left + own_row)
+        lead = of_rows[ROW_LEAD, i]
+        loaded = 1.0 / (lead + own_row)
         for j in range(columns):
             transfer, source, end = driven[i, j], of_columns[SOURCE, j], of_columns[END, j]
             if adrift:
@@ -121,9 +119,9 @@ def fitted_volts(
             elif alone:
                 own = impedance[j, j] - transfer * transfer * loaded
                 behind = 1.0 - own * of_columns[COLUMN_IDLE, j]
-                current = (drive * transfer * loaded / left - source * behind) / (own + end * behind)
+                current = (drive * transfer * loaded - source * behind) / (own + end * behind)
             else:
-                current = transfer * raised / end
+                current = drive * transfer * loaded / end
             volts[i, j] = of_columns[OUTPUT, j] + of_columns[PER_AMPERE, j] * current
     return True
 
@@ -158,7 +156,7 @@ def measure_fitted(
 
     Args:
         volts: readings.
-        solver: (N M, N M) 1/V, changes of the logarithms by those of the readings.
+        solver: (N M, N M) 1/V, changes by each reading of all logarithms.
         spread: (N M,) standard deviations of the logarithms.
         of_rows: and ``of_columns`` as of :func:`fitted_volts`; ``of_cells`` (6, N, M) by the places above, of which
             those of the last frame are changed.
@@ -184,19 +182,16 @@ def measure_fitted(
     squares, most = 0.0, 0.0
     for number in range(STEPS + 1):
         squares, most, settled = 0.0, 0.0, True
+        step[:] = 0.0
         for i in range(rows):
             for j in range(columns):
-                apart = volts[i, j] - model[i, j]
+                apart, place = volts[i, j] - model[i, j], i * columns + j
                 squares += apart * apart
                 most = max(most, abs(apart))
+                for other in range(count):
+                    step[other] += solver[place, other] * apart
         for place in range(count):
-            change, at = 0.0, 0
-            for i in range(rows):
-                for j in range(columns):
-                    change += solver[place, at] * (volts[i, j] - model[i, j])
-                    at += 1
-            step[place] = change
-            if abs(change) > max(SETTLED * spread[place], SMALL) and spread[place] <= HARDLY_KNOWN:
+            if abs(step[place]) > max(SETTLED * spread[place], SMALL) and spread[place] <= HARDLY_KNOWN:
                 settled = False
         if settled and number > 0:
             break
@@ -254,8 +249,8 @@ class Fit(Protocol):
     def kept(self, noise: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
         """What a stream goes on with, for V of noise; None where the last frame left nothing.
 
-        Logarithms (n,) of the last frame, and those at which the derivatives were made; the regularised inverse (n, n)
-        of these in 1/V, and the standard deviations (n,) of the logarithms.
+        Logarithms (n,) of the last frame, and those at which the derivatives were made; the regularised inverse of
+        these (readings, logarithms) in 1/V, and the standard deviations (n,) of the logarithms.
         """
         ...
 
@@ -285,9 +280,8 @@ class UsualFits:
             "turned": board.turned,
         }.items():
             self._constants[name] = value
-        lead = board.row_ohms[:, 0]
         self._of_rows, self._of_columns = np.empty((2, rows)), np.empty((8, columns))
-        self._of_rows[:] = (1.0 / (lead + board.pull) if board.pulled else np.zeros(rows)), lead
+        self._of_rows[IDLE], self._of_rows[ROW_LEAD] = 1.0 / board.pull, board.row_ohms[:, 0]
         with np.errstate(divide="ignore"):
             idle = 1.0 / (board.idle_resistance + board.column_lead)
         for place, given in zip(
@@ -317,10 +311,23 @@ class UsualFits:
         else:
             fits = bool(behind.all()) and not ends.source.any()
         ideal = not (board.row_ohms[:, 1:].any() or board.column_ohms[1:].any())
+        if board.pulled:
+            ideal = ideal and bool((board.row_lead == board.row_ohms[:, 0]).all())
         return fits and ideal and bool(np.isfinite(behind).all() and np.isfinite(board.row_ohms).all())
+
+    def volts(self, cells: FloatArray) -> FloatArray:
+        """Outputs (N, M) in V of cells in ohm, in line coordinates, by the kernel's model."""
+        log, volts = np.ascontiguousarray(np.log(1.0 / cells)), np.empty(self._shape)
+        alone = bool(self._constants["one_by_one"][0])
+        given = self._of_rows, self._of_columns, self._numbers[0], alone
+        if not fitted_volts(log, *given, *self._work[:4], volts):
+            raise np.linalg.LinAlgError("parts of the grid have no connection")
+        return volts
 
     def __call__(self, volts: FloatArray, surely: float, usual: float, noise: FloatArray) -> Measurement | None:
         """As :class:`.UsualReading`."""
+        if is_aside():  # arrays are quicker than a kernel in plain Python
+            return None
         kept = self._fit.kept(surely)
         if kept is None:
             return None

@@ -37,7 +37,7 @@ QUANTITY = Quantity(
     title="Headroom of the converter",
     unit="V",
     says="Smallest distance of a converted voltage from the ends of the converter's range, V.",
-    compute=Searched(_target, "V", negative, tell=headroom),
+    compute=Searched(_target, "V", negative, detail=headroom),
     methods=SEARCHED,
     shipped=(Shipped(5, "No reading leaves the converter's range.", min=0.0),),
     mended_by=(("readout.reference_resistance", DOWN), ("drive.voltage", DOWN)),

@@ -38,7 +38,7 @@ def _rate(seconds: float) -> float:
     return 1.0 / seconds if seconds > 0.0 else np.inf
 
 
-def _tell(dut: DesignUnderTest, requirement: Requirement, found: WorstCase, measurement: Measurement) -> Measurement:
+def _detail(dut: DesignUnderTest, requirement: Requirement, found: WorstCase, measurement: Measurement) -> Measurement:
     if found.value <= 0.0:
         raise NotRun("nothing limits the scan")
     if np.isfinite(found.value):
@@ -50,7 +50,7 @@ def _tell(dut: DesignUnderTest, requirement: Requirement, found: WorstCase, meas
 
 def _measured(dut: DesignUnderTest, readings: Readings) -> Measurement:
     if not readings.device_seconds:
-        raise NotRun("the board tells no time")
+        raise NotRun("the board states no time")
     rate = (len(readings.volts) + readings.lost - 1) / readings.device_seconds
     tick = 2.0 * CLOCK_TICK_S / readings.device_seconds  # at both ends
     text = ["The rate at which this board scans."]
@@ -62,7 +62,7 @@ QUANTITY = Quantity(
     title="Fastest scan",
     unit="Hz",
     says="Frames per second at which every reading still settles to a quarter of an ADC step, Hz.",
-    compute=Searched(_target, "Hz", _rate, tell=_tell),
+    compute=Searched(_target, "Hz", _rate, detail=_detail),
     methods=SEARCHED,
     shipped=(
         Shipped(

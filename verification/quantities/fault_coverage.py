@@ -1,4 +1,4 @@
-"""Fault coverage: which broken lines and cells a self-test of the untouched skin can tell.
+"""Fault coverage: which broken lines and cells a self-test of the untouched skin detects.
 
 The self-test reads the skin at rest and compares every reading with the interval that a sound board can give. That
 interval follows to first order from all tolerances, the spread of the cells and the step of the converter. A fault is
@@ -67,24 +67,26 @@ def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Mea
     for fault in faults_of(design):
         try:
             volts = _limited(design, scan(design.replace(fault=(fault,)), cells, method="exact").volts)
-            told = bool((~((volts >= lowest) & (volts <= highest))).any())
+            detected = bool((~((volts >= lowest) & (volts <= highest))).any())
         except SolverError:  # ideal parts contradict each other: no sound reading comes of it
-            told = True
-        counts.setdefault(fault.kind, Counter())[told] += 1
-        if not told:
+            detected = True
+        counts.setdefault(fault.kind, Counter())[detected] += 1
+        if not detected:
             missed.append(f"{fault.kind} at {fault.place}")
-    told_of_all = sum(count[True] for count in counts.values())
+    detected_of_all = sum(count[True] for count in counts.values())
     total = sum(sum(count.values()) for count in counts.values())
     rows = [
         [kind, str(sum(count.values())), str(count[True]), f"{100 * count[True] / sum(count.values()):.1f} %"]
         for kind, count in counts.items()
     ]
     return Measurement(
-        100 * told_of_all / total,
+        100 * detected_of_all / total,
         "%",
-        where=f"not told: {', '.join(missed[:5])}{', ...' if len(missed) > 5 else ''}" if missed else "all are told",
+        where=f"not detected: {', '.join(missed[:5])}{', ...' if len(missed) > 5 else ''}"
+        if missed
+        else "all are detected",
         confidence=f"{total} single faults solved exactly; interval of a sound board to first order",
-        tables=[Table(["fault", "tried", "told", "coverage"], rows, "Faults that a self-test at rest can tell.")],
+        tables=[Table(["fault", "tried", "detected", "coverage"], rows, "Faults that a self-test at rest detects.")],
     )
 
 
@@ -101,5 +103,5 @@ QUANTITY = Quantity(
     unit="%",
     says="Share of single faults that a self-test of the untouched skin detects, %.",
     compute=_compute,
-    shipped=(Shipped(12, "A self-test tells broken lines and cells.", min=60.0),),
+    shipped=(Shipped(12, "A self-test detects broken lines and cells.", min=60.0),),
 )

@@ -23,7 +23,7 @@ QUANTITY = Quantity(
     title="Headroom of the outputs",
     unit="V",
     says="Smallest distance of an output from its supply limits, V; negative: it would go beyond.",
-    compute=Searched(_target, "V", negative, tell=headroom),
+    compute=Searched(_target, "V", negative, detail=headroom),
     methods=SEARCHED,
     shipped=(Shipped(4, "No output reaches its supply.", min=0.0),),
     mended_by=(("readout.reference_resistance", DOWN), ("drive.voltage", DOWN)),

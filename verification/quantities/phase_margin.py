@@ -26,7 +26,7 @@ def _target(dut: DesignUnderTest, requirement: Requirement) -> PhaseMarginTarget
     return PhaseMarginTarget()
 
 
-def _tell(dut: DesignUnderTest, requirement: Requirement, found: WorstCase, measurement: Measurement) -> Measurement:
+def _detail(dut: DesignUnderTest, requirement: Requirement, found: WorstCase, measurement: Measurement) -> Measurement:
     if not np.isfinite(found.value):
         raise NotRun("the loop gain is below 1 throughout: there is no crossover")
     return measurement
@@ -37,7 +37,7 @@ QUANTITY = Quantity(
     title="Phase margin",
     unit="°",
     says="Smallest phase margin of an amplifier on its column, degrees; further poles take some of it away.",
-    compute=Searched(_target, "°", negative, sensed_line, _tell),
+    compute=Searched(_target, "°", negative, sensed_line, _detail),
     methods=(*SEARCHED, SPICE),
     shipped=(
         Shipped(10, "Amplifiers are stable on their columns.", min=45.0),

@@ -27,7 +27,7 @@ def pressure_resolution(dut: DesignUnderTest, requirement: Requirement, method: 
         light, heavy = dut.cell.equilibrium_ohm(near)
         ohms_per_kpa = abs(float(heavy - light)) / (0.01 * load * full)
         volts_per_ohm = _volts_per_ohm(dut.design, cells)
-        with np.errstate(divide="ignore"):  # a curve that is flat there tells no pressure
+        with np.errstate(divide="ignore"):  # a curve that is flat there says nothing of pressure
             kpa = found.volts / (volts_per_ohm * ohms_per_kpa)
         place = np.unravel_index(np.argmax(kpa), kpa.shape)
         if not kpa[place] <= worst:

@@ -101,7 +101,7 @@ def _target(dut: DesignUnderTest, requirement: Requirement) -> SettlingTarget | 
     return SettlingTarget(period, largest_signal(dut))
 
 
-def _tell(dut: DesignUnderTest, requirement: Requirement, found: WorstCase, measurement: Measurement) -> Measurement:
+def _detail(dut: DesignUnderTest, requirement: Requirement, found: WorstCase, measurement: Measurement) -> Measurement:
     rate = rate_of(dut, requirement)
     period = engineering(1.0 / (rate * dut.design.board.shape[0]), "s")
     said = f"At {engineering(rate, 'Hz')} each {dut.design.board.line_kinds[0]} has {period}."
@@ -141,7 +141,7 @@ QUANTITY = Quantity(
     title="Settling error",
     unit="%",
     says="Largest deviation of a sampled reading from the settled one at the declared rate, % of the largest signal.",
-    compute=Searched(_target, "%", percent, tell=_tell),
+    compute=Searched(_target, "%", percent, detail=_detail),
     methods=(*SEARCHED, SPICE),
     shipped=(
         Shipped(8, "Readings settle at the declared frame rate.", max=1.0),
