@@ -2,8 +2,8 @@
 
 ``ohmskin bench`` prints them. What a measurement has to say are the columns of its dataclass (:mod:`.harness`).
 
-Estimators: :mod:`.judges` plays the scenes of ``judges.toml`` (:mod:`.scenes`) and compares any estimator with gates,
-and with the figures that were frozen. ``python -m ohmskin.bench.panel`` judges calibrations on the specimens of
+Estimators: :mod:`.scenarios` plays the scenes of ``scenarios.toml`` (:mod:`.scenes`) and compares any estimator with
+gates, and with the figures that were frozen. ``python -m ohmskin.bench.panel`` judges calibrations on the specimens of
 :mod:`._materials`, and :mod:`._estimators` compares all estimators on some of them.
 
 Solvers: :mod:`._measurement` beside :mod:`._peers`.

@@ -60,14 +60,17 @@ class _ManyValues(click.Command):
     help="Measure contacts instead: short taps found, fingers followed, false contacts.",
 )
 @click.option(
-    "--judges", "of_judges", is_flag=True, help="Judge an estimator by the scenes and gates of judges.toml instead."
+    "--scenarios",
+    "of_scenarios",
+    is_flag=True,
+    help="Hold an estimator to the regression scenarios instead, and to the gates of bench/scenarios.toml.",
 )
-@click.option("--only", default="", metavar="PATTERN", help="Of the judges: rows whose name or gate contains it.")
-@click.option("--quick", is_flag=True, help="Of the judges: a selection of about 5 s.")
+@click.option("--only", default="", metavar="PATTERN", help="Of the scenarios: rows whose name or gate contains it.")
+@click.option("--quick", is_flag=True, help="Of the scenarios: a selection of about 5 s.")
 @click.option(
-    "--estimator", metavar="NAME", help="Of the judges: what is judged; also module:function(cell, shape). [cell's own]"
+    "--estimator", metavar="NAME", help="Of the scenarios: which one; also module:function(cell, shape). [cell's own]"
 )
-@click.option("--freeze", is_flag=True, help="Of the judges: write the figures into the table as today's.")
+@click.option("--freeze", is_flag=True, help="Of the scenarios: write the figures into the table as today's.")
 @arguments.as_json("the measurements")
 def command(
     sizes: tuple[int, ...],
@@ -79,7 +82,7 @@ def command(
     of_emulator: bool,
     of_driver: bool,
     of_contacts: bool,
-    of_judges: bool,
+    of_scenarios: bool,
     only: str,
     quick: bool,
     estimator: str | None,
@@ -94,7 +97,7 @@ def command(
     from .. import bench
     from ..bench import measurements
 
-    if of_judges:
+    if of_scenarios:
         _judge(only, quick, estimator, freeze, as_json)
         return
     if estimators:
@@ -121,28 +124,28 @@ def command(
 
 def _judge(only: str, quick: bool, estimator: str | None, freeze: bool, as_json: bool) -> None:
     """Print today's and the measured figures of each row, and whether its gate holds."""
-    from ..bench import harness, judges
+    from ..bench import harness, scenarios
 
-    chosen, make = judges.rows(only, quick=quick), judges.maker(estimator)
-    verdicts: list[judges.Verdict] = []
+    chosen, make = scenarios.rows(only, quick=quick), scenarios.maker(estimator)
+    verdicts: list[scenarios.Verdict] = []
 
-    def lines() -> Iterator[judges.Line]:
+    def lines() -> Iterator[scenarios.Line]:
         with progress_bar("judging") as progress:
             for done, row in enumerate(chosen):
                 progress(done, len(chosen), row.name)
-                for verdict in judges.judge([row], make):
+                for verdict in scenarios.judge([row], make):
                     verdicts.append(verdict)
-                    yield judges.line(verdict)
+                    yield scenarios.line(verdict)
 
     for text in harness.table(lines()):
         if not as_json:
             click.echo(text)
     if freeze:
-        judges.freeze(verdicts)
+        scenarios.freeze(verdicts)
     if as_json:
-        click.echo(json_text([judges.record(verdict) for verdict in verdicts], indent=1))
+        click.echo(json_text([scenarios.record(verdict) for verdict in verdicts], indent=1))
     else:
-        _show([("\n" * bool(verdicts), judges.summary(verdicts))], as_json=False)
+        _show([("\n" * bool(verdicts), scenarios.summary(verdicts))], as_json=False)
 
 
 def _show(measured: Sequence[tuple[str, Iterable[Any]]], as_json: bool) -> None:

@@ -71,12 +71,12 @@ class Advice:
         self.frames += 1
         if self.frames <= UNSETTLED_FRAMES:
             return
-        told = np.bincount(measured.reason.ravel(), minlength=len(Reason))
+        cells = np.bincount(measured.reason.ravel(), minlength=len(Reason))
         if self._cell is not None and self._cell.open_at_rest:  # a cell without current bears no load: no fault
-            told[Reason.VALID] += told[Reason.NO_CURRENT]
-            told[Reason.NO_CURRENT] = 0
-        told[Reason.NO_CELL] = 0
-        self._reasons += told
+            cells[Reason.VALID] += cells[Reason.NO_CURRENT]
+            cells[Reason.NO_CURRENT] = 0
+        cells[Reason.NO_CELL] = 0
+        self._reasons += cells
         uncertain = measured.reason == int(Reason.UNCERTAIN)
         self._surest = min(self._surest, float(measured.uncertainty.min(initial=np.inf, where=uncertain)))
         if self.frames < SOON:

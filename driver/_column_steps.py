@@ -25,10 +25,10 @@ from ..common.measurement import Measurement
 LEAST = 0.1
 """least relative error, by half a step of all other readings, that is removed"""
 FINE_FOR, NEVER = 15, 2**62
-"""frames for which a small error counts as small without a new look"""
+"""frames for which a small error counts as small without being measured anew"""
 ROUNDINGS = 2.0
 """roundings in the scale's error: of the reading now, and of the reading at rest"""
-ALIKE, MOST = 0.01, 0.8
+ALIKE, ALIKE_SHARE = 0.01, 0.8
 """relative difference at rest up to which cells are rounded alike, and the least share of such cells in a column. Cells
 that differ by more than a step have independent errors, which hardly add up"""
 ALIKE_IN_STEPS = 2.0
@@ -51,7 +51,7 @@ class ColumnSteps:
         """
         self._per_ohm, self._side = 1.0 / rest_ohm, side
         apart = np.abs(rest_ohm / np.median(rest_ohm, axis=0) - 1.0)
-        alike = np.count_nonzero(apart < ALIKE, axis=0) >= MOST * len(rest_ohm)
+        alike = np.count_nonzero(apart < ALIKE, axis=0) >= ALIKE_SHARE * len(rest_ohm)
         self._roundings = np.where(alike & rest_known, ROUNDINGS, 0.0)
         self._idle = 0 if self._roundings.any() else NEVER  # frames until the steps are looked at
 

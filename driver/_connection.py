@@ -567,7 +567,7 @@ class Connection:
             self.stream.announce(event.sequence, event.boot_id)
 
     def _learn(self, event: Identity | Description | FramePacket) -> None:
-        """Pass a packet to the introduction; errors as for :meth:`_identify`."""
+        """Pass a packet to the handshake; errors as for :meth:`_identify`."""
         known = self.handshake.complete
         try:
             self.handshake.add(event)

@@ -47,7 +47,7 @@ DRIFT_PER_S = 0.003
 WAKE_SHARE, WAKE_S = 0.15, 1.0
 """fraction of the largest pressure in a cell and those near it, forgotten with this time constant: what a finger
 leaves in the estimates behind it and beside it is less, and is no contact"""
-SPARK_S, STANDS_OUT = 0.1, 8.0
+INTERMITTENT_S, STANDS_OUT = 0.1, 8.0
 """a new patch within one row or column may be a disturbance of the converter: it is a contact in its second frame. One
 that electrical faults may have made (:meth:`ContactTracker._may_be_fault`) is one after this time, unless it rose over
 several frames and exceeds this many standard deviations: a fault comes and goes at once"""
@@ -185,7 +185,7 @@ class ContactTracker:
         """
         missing = self._missing(time_s, np.isnan(pressure_kpa) if unread is None else unread | np.isnan(pressure_kpa))
         pressed = pressure_kpa > START_SHARE * self.full_scale_kpa
-        # In the first frame: most likely these cells have been pressed for longer than sparks last.
+        # In the first frame: most likely these cells have been pressed for longer than an intermittent contact lasts.
         since_s = -math.inf if math.isinf(self._time_s) else time_s
         self._step_kpa = np.where(pressed, np.maximum(self._step_kpa, pressure_kpa - self._last_kpa), 0.0)
         self._last_kpa = np.where(np.isfinite(pressure_kpa), pressure_kpa, 0.0)
@@ -288,7 +288,7 @@ class ContactTracker:
             under_range = not (above > STANDS_OUT * std).any()
             at_once = (step > AT_ONCE * above).any()
             if (under_range or at_once) and self._may_be_fault(own, above):
-                kept[label] = lasts_s > SPARK_S
+                kept[label] = lasts_s > INTERMITTENT_S
             elif any((line.number[own] == line.number[own[0]]).all() for line in self._lines):
                 kept[label] = lasts_s > 0.0
 

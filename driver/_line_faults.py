@@ -7,7 +7,7 @@ cannot tell a fault from a load. Time and a model of the material can (model-bas
 
 * **No load gives such readings.** The cells of a line fall together below everything that they have read, and far below
   rest, though loads raise their resistance (bridged lines). Or they rise together beyond what any load gives. Where one
-  reading is too rough to decide, the mean of several looks does.
+  reading is too rough to decide, the mean of several updates does.
 * **No load stays like this.** The readings from some place of a line to its end rise at once by one common factor, and
   keep this factor, except for the change that the line's load makes: 1 / (1 - r G') with the sum G' of the conductances
   that are read. Under a load this material would creep. Whether creep is missing is decided after a second or more, if
@@ -31,14 +31,14 @@ from ..common.compiled import Rows, loop
 from ..common.measurement import Measurement
 
 EVERY_S = 0.08
-"""s from one look at the lines to the next"""
+"""s from one update of the lines to the next"""
 LONGEST_GAP_S = 1.0
 """s without a frame, after which no change is known to be sudden"""
 LEAST_CELLS = 4
 """least number of cells of a line that must move together; fewer may be a fingertip"""
 LEAST_CHANGE = 0.03
 """least change of a resistance (natural logarithm) that is examined"""
-MOST = 0.75
+SHARE_OF_CELLS = 0.75
 """share of a line's cells that must agree; the others may be pressed or released meanwhile"""
 ASIDE = 0.25
 """fraction of a line's change. The rest of the board must have moved by less; a faulty line whose change has come down
@@ -52,7 +52,7 @@ SPREADS = 3.0
 """standard deviations of unknown rest resistances, likewise; also of readings that are to agree"""
 FIRST_VERDICT_S, LAST_VERDICT_S = 1.0, 8.0
 """time after the change of a line in which creep is compared"""
-CLEAR = 5.0
+SURE_STDS = 5.0
 """standard deviations of a reading, or of a test statistic, that noise does not reach"""
 STEPS = 2.0
 """standard deviations by ADC steps that no reading errs by: a rounding error is at most the square root of 3 of them"""
@@ -111,11 +111,11 @@ class _Change:
     conductance: float = 0.0
     """sum of the conductances just after the change, over the conductance of a cell at rest"""
     times_s: list[float] = field(default_factory=list)
-    """times of later looks, since the change"""
+    """times of later updates, since the change"""
     changes: list[tuple[float, float]] = field(default_factory=list)
-    """for each of these looks the change from ``before``, and the change by the line's load if the line is cracked"""
+    """for each of these updates the change from ``before``, and the change by the line's load if the line is cracked"""
     heights: list[float] = field(default_factory=list)
-    """for each look the height above the limit below which no load takes the cells: most cells are below this height"""
+    """for each update the height above the limit below which no load takes the cells: most cells are lower"""
 
     @property
     def line(self) -> str:
@@ -127,25 +127,25 @@ class _Change:
 
     def no_load(self, log: FloatArray, std: FloatArray) -> bool:
         """Whether most of the cells are where no load takes them, beyond the errors of the readings."""
-        now = log[self.cells] - math.copysign(CLEAR, self.size) * std[self.cells]
+        now = log[self.cells] - math.copysign(SURE_STDS, self.size) * std[self.cells]
         low, most = self.limits
         beyond = (now < low[self.cells]) if self.size < 0.0 else (now - self.before[self.cells] > most)
-        return bool(beyond.sum() >= MOST * np.isfinite(now).sum() > 0)
+        return bool(beyond.sum() >= SHARE_OF_CELLS * np.isfinite(now).sum() > 0)
 
     def stays_low(self, since_s: float, log: FloatArray, noise: float, steps: float) -> bool | None:
         """Whether most of the cells have been, in the mean, where no load takes them; None: undecided.
 
-        Cells may share their errors, as in a column of a divider. Only further looks reduce these errors.
+        Cells may share their errors, as in a column of a divider. Only further updates reduce these errors.
         ``noise`` and ``steps`` are standard deviations of one reading: of errors that average out, and of those that
         do not.
         """
         above = np.sort((log - self.limits[0])[self.cells])
-        height = above.item(math.ceil(MOST * len(above)) - 1)  # NaN if too many cells are not read
+        height = above.item(math.ceil(SHARE_OF_CELLS * len(above)) - 1)  # NaN if too many cells are not read
         if not height < 0.0:
             return False
         self.heights.append(height)
-        looks = len(self.heights)
-        if sum(self.heights) / looks + CLEAR * noise / math.sqrt(looks) + STEPS * steps < 0.0:
+        updates = len(self.heights)
+        if sum(self.heights) / updates + SURE_STDS * noise / math.sqrt(updates) + STEPS * steps < 0.0:
             return True
         return False if since_s > LAST_VERDICT_S else None
 
@@ -156,7 +156,7 @@ class _Change:
         if not _agree(now, middle, std[self.cells]):
             return False
         conductance = float(np.nansum(np.exp(-log[self.cells])))
-        # The conductances have changed by the factor 1 - r G'; r follows from the first look.
+        # The conductances have changed by the factor 1 - r G'; r follows from the first update.
         left = 1.0 + math.expm1(-self.size) * conductance / self.conductance
         if left <= 0.0:
             return False
@@ -182,10 +182,10 @@ class _Change:
             scale = changes @ further / max(further @ further, TINY)
             if_loaded = min(if_loaded, _squares(changes - np.clip(scale, KEPT, 1.0 / KEPT) * further))
         # The variance of a median of n cells is pi / 2 times that of their mean, unless the cells share their noise.
-        scatter = np.diff(changes - cracked)
-        variance = max(0.5 * math.pi * noise**2 / int(self.cells.sum()), 0.5 * _squares(scatter) / len(scatter))
+        differences = np.diff(changes - cracked)
+        variance = max(0.5 * math.pi * noise**2 / int(self.cells.sum()), 0.5 * _squares(differences) / len(differences))
         unknown = len(times) * (4.0 * steps**2 + (LEAST_CREEP * self.size) ** 2)
-        error = CLEAR**2 * variance + unknown
+        error = SURE_STDS**2 * variance + unknown
         if if_loaded - if_cracked > error and if_cracked < FITS * len(times) * variance + unknown:
             return True
         return False if if_cracked - if_loaded > error or times[-1] > LAST_VERDICT_S else None
@@ -206,7 +206,7 @@ class LineFaults:
         self._per_ohm, self._creep = 1.0 / rest_ohm, creep
         self._rest_known = rest_known
         self._at: float | None = None
-        self._looks: deque[FloatArray] = deque(maxlen=3)
+        self._logs: deque[FloatArray] = deque(maxlen=3)
         self._least: FloatArray = np.full(rest_ohm.shape, math.nan)  # least readings of the cells
         self._suspects: list[tuple[float, _Change]] = []
         self._faults: list[_Change] = []
@@ -230,15 +230,15 @@ class LineFaults:
             return self.cells
         self._at = time_s
         if not 0.0 < since < LONGEST_GAP_S:
-            self._looks.clear()
+            self._logs.clear()
             self._suspects.clear()
         log: FloatArray = np.multiply(reading.resistance, self._per_ohm, order="C")
         np.log(log, out=log)
         if self._faults or self._suspects:
             self._judge(time_s, log, reading)
-        if len(self._looks) == self._looks.maxlen:
-            self._look(time_s, log, reading, rest_spread)
-        self._looks.append(log)
+        if len(self._logs) == self._logs.maxlen:
+            self._find(time_s, log, reading, rest_spread)
+        self._logs.append(log)
         return self.cells
 
     @property
@@ -254,7 +254,7 @@ class LineFaults:
         """Follow faulty lines and suspects."""
         faulty = [fault for fault in self._faults if not _sound(fault, log)]
         if len(faulty) < len(self._faults):
-            self._looks.clear()  # a line that recovers changes as suddenly
+            self._logs.clear()  # a line that recovers changes as suddenly
         going_on = []
         noise, steps = reading.noise_std, reading.steps_std
         std = np.hypot(noise, steps)
@@ -275,9 +275,9 @@ class LineFaults:
         self._faults, self._suspects = faulty, going_on
         self._gather()
 
-    def _look(self, time_s: float, log: FloatArray, reading: Measurement, rest_spread: float | None) -> None:
+    def _find(self, time_s: float, log: FloatArray, reading: Measurement, rest_spread: float | None) -> None:
         """Find lines that have changed recently, and keep the least readings of the cells."""
-        earlier, before, _ = self._looks
+        earlier, before, _ = self._logs
         margin = BELOW_REST if self._rest_known else max(BELOW_REST, SPREADS * (rest_spread or 0.0))
         if self.cells is None and not self._suspects:
             least = np.empty(log.shape)
@@ -364,7 +364,7 @@ def _agree(changes: FloatArray, middle: float, std: FloatArray) -> bool:
     """Whether nearly all cells have changed alike, within :data:`UNEQUAL` and the errors of two readings."""
     known = np.isfinite(changes)
     alike = np.abs(changes - middle) < UNEQUAL * abs(middle) + SPREADS * math.sqrt(2.0) * std
-    return bool(np.count_nonzero(alike) >= max(LEAST_CELLS, MOST * np.count_nonzero(known)))
+    return bool(np.count_nonzero(alike) >= max(LEAST_CELLS, SHARE_OF_CELLS * np.count_nonzero(known)))
 
 
 def _centred(series: FloatArray) -> FloatArray:
@@ -408,7 +408,7 @@ def _lines(low: BoolArray) -> list[BoolArray]:
     found = []
     for axis in (0, 1):
         count, cells = low.sum(axis=1 - axis), low.shape[1 - axis]
-        for line in np.flatnonzero((count >= MOST * cells) & (count >= LEAST_CELLS)):
+        for line in np.flatnonzero((count >= SHARE_OF_CELLS * cells) & (count >= LEAST_CELLS)):
             whole = np.zeros_like(low)
             np.moveaxis(whole, axis, 0)[line] = True
             found.append(whole)

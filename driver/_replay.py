@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 MOST_S = 1e12
 """30,000 years: no time of arrival is later"""
-LARGEST = 32 * 2**20
+LARGEST_RECORD = 32 * 2**20
 """bytes of a record, and of the content of a chunk"""
 LONGEST_ARRIVAL = 16 * 2**20
 """bytes that come at once, after a host was kept from reading for seconds"""
@@ -366,7 +366,7 @@ class _Allowance:
     def content(self, count: int) -> None:
         """Decompressed bytes of a chunk."""
         self._content -= count
-        if count > LARGEST or self._content < 0:
+        if count > LARGEST_RECORD or self._content < 0:
             raise self._refusal("more bytes, decompressed,")
 
     def message(self, count: int) -> None:
@@ -432,7 +432,7 @@ def _opened(file: BinaryIO, allowed: _Allowance) -> Iterator[Any]:
     from mcap.records import Channel, Chunk, Message
     from mcap.stream_reader import StreamReader
 
-    for record in StreamReader(file, record_size_limit=LARGEST, emit_chunks=True, validate_crcs=True).records:
+    for record in StreamReader(file, record_size_limit=LARGEST_RECORD, emit_chunks=True, validate_crcs=True).records:
         allowed.record()
         if not isinstance(record, Chunk):
             yield record

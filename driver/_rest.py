@@ -17,7 +17,7 @@ from ..common.measurement import STEP_STD, Measurement
 from ._calibration import Calibration
 from ._tare import DRIFT
 
-LOOK_EVERY, LOOK_AT = 8, 3
+UPDATE_EVERY, UPDATE_AT = 8, 3
 """interval in frames between two measurements of the cells' spread, and the frame of each interval that has it.
 Estimators look back at their readings in every fourth frame, from the first on; both in one frame would make it long"""
 LEAST_CELLS = 4
@@ -25,7 +25,7 @@ LEAST_CELLS = 4
 CAUTION = 1.17
 """relative standard deviation, times the root of n, of a scale estimate from the median of n absolute deviations
 (normal distribution; its asymptotic efficiency is 37 %)"""
-MOST = 0.95
+LARGEST_HALF_STEP = 0.95
 """largest relative error of a conductance by half a step that counts"""
 EXPLAINED = 0.95
 """share of cells within half an ADC step of the data sheet from which on the spread counts as zero"""
@@ -82,8 +82,8 @@ class Rest:
         if self.known or self.measured_spread == 0.0:
             return
         self._frames += 1
-        if self._frames == 1 or self._frames % LOOK_EVERY == LOOK_AT:
-            half_steps = np.minimum(np.nan_to_num(reading.steps_std) / STEP_STD, MOST)
+        if self._frames == 1 or self._frames % UPDATE_EVERY == UPDATE_AT:
+            half_steps = np.minimum(np.nan_to_num(reading.steps_std) / STEP_STD, LARGEST_HALF_STEP)
             self._measure(reading.resistance, -np.log1p(-half_steps))
 
     def _measure(self, resistance_ohm: FloatArray, half_steps: FloatArray) -> None:

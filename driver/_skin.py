@@ -30,7 +30,7 @@ from ._frame import Frame
 from ._options import Options, SkinSettings
 from ._orders import Answer
 from ._port import Arrival, BytePort
-from ._port_names import has_gone, is_unpaced, refuse_missing, usb_serial_number
+from ._port_names import EMULATED_HERE, has_gone, is_unpaced, refuse_missing, usb_serial_number
 from ._reconnect import PortFinder
 from ._recording import Recording
 from ._replay import RecordedSettings, ReplayPort
@@ -195,7 +195,9 @@ class BoardSkin:
             Recording.check(record, overwrite=overwrite)
         finder = _finder(name, asked, baudrate) if played is None else None
         began_s = monotonic()
-        compiles_aside = compiled.compile_aside()
+        # A board in this process starts when it is opened, and would fall behind while its cells are plain Python.
+        starts_here = name is not None and name.startswith(EMULATED_HERE)
+        compiles_aside = not starts_here and compiled.compile_aside()
         if finder is not None:
             if not compiles_aside:
                 compiled.load()  # while no frames come

@@ -118,6 +118,11 @@ class Board:
         return self._skin.next_us
 
     @property
+    def is_ready(self) -> bool:
+        """Whether the next tick can be lived through at once; False: its frame is still being computed."""
+        return self._skin.is_ready
+
+    @property
     def wants_tick(self) -> bool:
         """Whether the host waits for frames."""
         return self.streaming or self._frames_wanted > 0

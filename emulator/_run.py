@@ -37,6 +37,8 @@ HOST_POLL_S = 0.01
 """how often to look whether a host has come: opening a pty wakes nobody"""
 LISTENER_S = 1.0
 """fast clock: how long a host may say nothing before it is taken for a mere listener"""
+COMPUTING_POLL_S = 0.002
+"""real clock: how often to look whether a late frame has been computed; the host is served meanwhile"""
 OVER_S = 1.0
 """for how long a host behind a line that loses packets is informed that no frame follows, a hundred times at most"""
 MOST_BEHIND_S = 0.5
@@ -290,10 +292,12 @@ class _RealPace:
         if late_s > MOST_BEHIND_S:
             self._device.fall_behind(1e6 * late_s)
             self._outcome.behind_s += late_s
-        return late_s >= 0
+        return late_s >= 0 and self._device.board.is_ready
 
     def wait_s(self) -> float:
         """How long nothing can become due by itself."""
+        if not self._device.board.is_ready:
+            return COMPUTING_POLL_S
         now_us = self.now_us()
         return (min(self._device.next_us, self._device.transmission.next_us(now_us)) - now_us) / 1e6
 

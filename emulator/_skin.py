@@ -133,6 +133,11 @@ class EmulatedSkin:
         """Frames that are computed and not read."""
         return 0 if self._block is None else len(self._block) - self._place
 
+    @property
+    def is_ready(self) -> bool:
+        """Whether the next frame can be read without waiting for the thread that computes ahead."""
+        return self.frames_ready > 0 or self._next is None or self._next[1].done()
+
     def prepare(self) -> None:
         """Compile, or load, what frames are computed with."""
         self._physics.prepare()

@@ -15,7 +15,8 @@ from hypothesis import settings
 from patience import HANG_S
 
 from ohmskin.common import compiled
-from ohmskin.driver import Skin, discover
+from ohmskin.driver import discover
+from ohmskin.driver._options import Options
 from ohmskin.verification import _pressures
 
 pytest_plugins = ["ohmskin.hil.plugin"]  # also where the installed entry point is older than the source
@@ -92,7 +93,8 @@ def _keep_what_is_there() -> None:
 def _patient_driver() -> Iterator[None]:
     """The driver's usual three seconds of silence are no verdict on a busy machine."""
     with pytest.MonkeyPatch.context() as patch:
-        for waiting in (Skin.__init__, Skin.open.__func__, discover):  # type: ignore[attr-defined]
+        for waiting in (Options.of.__func__, discover):  # type: ignore[attr-defined]
+            assert "timeout" in waiting.__kwdefaults__
             patch.setitem(waiting.__kwdefaults__, "timeout", PATIENCE_S)
         yield
 

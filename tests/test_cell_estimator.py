@@ -14,7 +14,7 @@ from cells import EXAMPLE, exactly
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ohmskin.bench import judges, scenes
+from ohmskin.bench import scenarios, scenes
 from ohmskin.cell import Cell, ContactModel, Estimator
 from ohmskin.common import compiled
 from ohmskin.common.arrays import FloatArray
@@ -359,7 +359,7 @@ def test_readings_of_any_layout_are_taken_as_they_are(layout: str) -> None:
         np.testing.assert_array_equal(estimator.step(DT_S, LAYOUTS[layout](ohm)), usual.step(DT_S, ohm))
 
 
-# -- bad input, and what judges say --
+# -- bad input, and the regression scenarios --
 
 
 def test_bad_steps_are_refused() -> None:
@@ -379,9 +379,9 @@ def test_the_default_of_no_cell_is_the_papers_switch() -> None:
 
 
 @pytest.mark.slow
-def test_deviations_are_honest_by_the_judges() -> None:
+def test_deviations_are_honest_in_the_regression_scenarios() -> None:
     """Eight errors in ten within two deviations, on every quick row."""
-    for verdict in judges.judge(judges.rows(quick=True), judges.maker(None)):
+    for verdict in scenarios.judge(scenarios.rows(quick=True), scenarios.maker(None)):
         today = verdict.row.today
         assert today is None or verdict.found.within > 80.0, verdict.row.name
 

@@ -10,6 +10,8 @@ from scipy.integrate import solve_ivp
 
 from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model, PaperModel
 from ohmskin.cell.materials import lag
+from ohmskin.cell.materials._forward import M10_PARAMETERS
+from ohmskin.cell.materials._simulate import m10, paper
 from ohmskin.errors import InputError
 
 EXAMPLE = Cell.example()
@@ -224,3 +226,28 @@ def test_a_branch_that_changes_over_within_a_step_solves_its_equation(held: floa
 
     found = solve_ivp(slope, (0, 4.3), [0.0], t_eval=corners[1:], rtol=1e-10, atol=1e-12, max_step=0.01).y[0]
     assert r == pytest.approx(found, abs=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["paper", "m10"])
+@given(loads=st.lists(st.floats(0.0, 1.1), min_size=3, max_size=30), dt=st.sampled_from([0.01, 0.2, 3.0]))
+@settings(max_examples=30)
+def test_a_simulation_of_many_cells_is_the_forward_model_of_each(kind: str, loads: list[float], dt: float) -> None:
+    """From where a cell comes to that was brought to its first load slowly and kept there for long."""
+    cell, load = CELLS[kind], np.array(loads)
+    if kind == "paper":  # held at a load, both phases of a simulated cell come to the same
+        gain, lag_s = np.array([0.7, 0.25, 0.05]), np.array([9.0, 80.0])
+        own = [gain[0], gain[1], lag_s[0], gain[2], lag_s[1], 0.4, 12.0]
+        e1, e2, e3 = FULL / gain
+        tables = {"e1_kpa": e1, "e2_kpa": e2, "e3_kpa": e3, "eta2_kpa_s": e2 * lag_s[0], "eta3_kpa_s": e3 * lag_s[1]}
+        tables |= {"eu1_kpa": FULL, "etau2_kpa": FULL / 0.4, "eu2_kpa_per_s": FULL / 0.4 / 12.0}
+        cell = cell.replace(model=PaperModel(**tables))
+    else:
+        own = [getattr(M10, name) for name in M10_PARAMETERS]
+    other = 1.1 * np.array(own)
+    simulated = {"paper": paper, "m10": m10}[kind](np.stack([own, other], axis=1), load[:, None], dt)
+    forward = cell.forward(())
+    for seconds in (1e6, 1e8):
+        settled = float(forward.step(seconds, FULL * load[0]))
+    found = [settled, *(float(forward.step(dt, FULL * level)) for level in load[1:])]
+    assert simulated[:, 0] == pytest.approx(np.array(found) / cell.rest_resistance_ohm - 1, abs=1e-7)
+    assert load.max() < 0.01 or np.abs(simulated[:, 1] - simulated[:, 0]).max() > 0

@@ -23,6 +23,7 @@ def test_the_page_is_a_design_with_every_key_at_its_default(tmp_path: Path) -> N
     blocks = re.findall(r"```toml\n(.*?)```", PAGE, re.S)
     tables, networks = tomllib.loads(blocks[0]), tomllib.loads(blocks[1])
     (tmp_path / "opa.lib").write_text(".subckt OPA333 p n vp vn out\nE1 out 0 p n 1e5\n.ends\n")
+    (tmp_path / "shape.csv").write_text("row,column,x_mm,y_mm\n0,0,0,0\n")
     design = parse(tables, Design, source="design-file.md", folder=tmp_path)
     lists = {"fault", "requirement"} | NETWORKS
     named: dict[str, Any] = {name: tables[name] for name in Design.model_fields if name not in lists}
@@ -30,6 +31,7 @@ def test_the_page_is_a_design_with_every_key_at_its_default(tmp_path: Path) -> N
     described = Design.model_validate({"array": {"rows": 2, "columns": 4}} | networks)
     for section in NETWORKS:
         assert networks[section].keys() == type(getattr(described, section)).model_fields.keys(), section
+    assert named.pop("shape").keys() == {"file"}  # which has the columns
     for section, keys in named.items():
         model = type(getattr(design, section))
         assert keys.keys() == model.model_fields.keys() - {"spread"}, section

@@ -9,7 +9,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from ohmskin.bench.judges import maker
+from ohmskin.bench.scenarios import maker
 from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model, PaperModel
 
 PAGE = (Path(__file__).parents[1] / "docs" / "cell.md").read_text(encoding="utf-8")

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
+import threading
 
 import numpy as np
 import pytest
 from boards import DESIGN, scene
+from patience import HANG_S, TURN_S, Patience
 
 from ohmskin.cell import Cell
 from ohmskin.circuits import Design
+from ohmskin.common.arrays import IntArray
 from ohmskin.common.config import parse
-from ohmskin.emulator import Board, Line, LineSettings, Sample, Scene
+from ohmskin.emulator import Board, FrameBlock, Line, LineSettings, PairPort, Sample, Scene, running
+from ohmskin.emulator._skin import ScenePhysics
 from ohmskin.wire import (
     Command,
     Description,
@@ -153,3 +158,28 @@ print(late, board.skin.block.pressure_kpa.max() > 1.0)
     environment = {**os.environ, "OHMSKIN_COMPILED": "off"}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
     assert (done.stdout, done.stderr) == ("[] True\n", "")
+
+
+def test_a_board_answers_while_frames_are_computed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However long that takes: a host that gives orders meanwhile would find the line full, or the board dead."""
+    run, computed = ScenePhysics.run, threading.Event()
+
+    def slow(physics: ScenePhysics, time_us: IntArray) -> FrameBlock:
+        assert len(time_us) <= 3 or computed.wait(HANG_S)
+        return run(physics, time_us)
+
+    monkeypatch.setattr(ScenePhysics, "run", slow)
+    port, patience, host = PairPort(), Patience(), host_protocol("ohmskin")
+    with port.host_end as line, running(scene(board={"frame_rate": 1000.0}), port):
+        try:
+            line.settimeout(TURN_S)
+            heard: list[Event] = []
+            for _ in range(3):
+                line.sendall(encode(Command(Order.SELF_TEST)))
+                while not isinstance(heard[-1] if heard else None, SelfTest):
+                    patience.spend(heard[-3:])
+                    with contextlib.suppress(TimeoutError):
+                        heard += host.feed(line.recv(4096), 0.0)
+                heard.clear()
+        finally:
+            computed.set()

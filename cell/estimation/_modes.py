@@ -43,7 +43,7 @@ Three = Annotated[FloatArray, 3]
 
 @dataclass(frozen=True)
 class Tuning:
-    """What the filter assumes of loads and contacts. FS is full scale. Chosen by ``ohmskin bench --judges``."""
+    """What the filter assumes of loads and contacts. FS is full scale. Chosen by ``ohmskin bench --scenarios``."""
 
     creep_per_s: float = 0.015
     """FS/s, usual speed of loads that creep or sag; the next three: of slow, usual and fast motion"""

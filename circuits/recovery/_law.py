@@ -8,6 +8,7 @@ the cells G behind rows of resistance r then follow from two laws:
     G_ij = D_ij / (1 - r_i sum_l D_il).
 
 Along a row with segments the sum counts those currents only that pass a segment before the cell.
+Where rows float, the columns of a step differ in their drives, and each D counts with its W over that of the cell.
 Both are exact where columns have no segments and no current passes from column to column by way of an idle row;
 :mod:`._live_law` counts the rest. The laws are linear in D, so that zeros and negative values do no harm.
 
@@ -93,6 +94,7 @@ class Law:
         self.has_potential = bool(law.potential.any())
         """whether columns leave the potential of the idle lines, so that a cell depends on its whole column"""
         self.has_leads = bool(lead.any())
+        self._floating = floating
         self.cancels = virtual_ground and not floating
         """whether columns stand next to the idle lines, so that offsets alone drive currents into their shorts"""
         self.behind: FloatArray = np.abs((c1 - w1 * (not self.has_potential)) / i1)
@@ -119,8 +121,8 @@ class Law:
         columns_of.unchecked(
             volts, *self.law, self.present, nowhere, self._shorts, self._most, self._least_left, *ports[:6]
         )
-        lines = self.lead, self._segments, self._beside_end, self._least_row_left
-        rows_of.unchecked(ports.driven, *lines, ports.row_left, ports.cells)
+        lines = self.lead, self._segments, self._beside_end, self._least_row_left, self._floating
+        rows_of.unchecked(ports.driven, ports.drive, *lines, ports.row_left, ports.cells)
         return ports
 
     def given(self) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...], tuple[FloatArray, ...]]:

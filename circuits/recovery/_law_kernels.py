@@ -81,16 +81,26 @@ def columns_of(
 
 @loop
 def rows_of(
-    driven: Rows, lead: Row, segments: Rows, beside_end: Rows, least_row_left: Row, row_left: Row, cells: Rows
+    driven: Rows,
+    drive: Rows,
+    lead: Row,
+    segments: Rows,
+    beside_end: Rows,
+    least_row_left: Row,
+    floating: bool,
+    row_left: Row,
+    cells: Rows,
 ) -> None:
     """Cells (N, M) in S behind their rows: the law of rows of :mod:`._law`.
 
     Args:
         driven: S, port conductances.
+        drive: V, by which the row stands above the idle lines while each cell is read.
         lead: (N,) ohm, mean from a row's driver to its cells.
         segments: ohm, of each row up to the first cell, and from cell to cell.
         beside_end: ohm, wire from a cell to its column's end in excess of the mean, which the potential counts.
         least_row_left: (N,) least share of a drive left at a row.
+        floating: whether idle rows float: then columns of one step stand at different potentials, each with its drive.
         row_left: (N,) written.
         cells: written.
     """
@@ -100,11 +110,16 @@ def rows_of(
         for j in range(columns):
             of_row += driven[i, j]
         row_left[i] = 1.0 - lead[i] * of_row
-        foot, beyond = 1.0, of_row  # share of the drive at a cell, and sum of D from there to the row's end
+        current = 0.0
         for j in range(columns):
-            foot -= segments[i, j] * beyond
-            beyond -= driven[i, j]
-            cells[i, j] = driven[i, j] / max(foot - driven[i, j] * beside_end[i, j], least_row_left[i])
+            current += driven[i, j] * (drive[i, j] if floating else 1.0)
+        lost, beyond = 0.0, current  # of the drive up to a cell, and currents from there to the row's end
+        for j in range(columns):
+            full = drive[i, j] if floating else 1.0
+            lost += segments[i, j] * beyond
+            beyond -= driven[i, j] * full
+            foot = 1.0 - lost / full - driven[i, j] * beside_end[i, j]
+            cells[i, j] = driven[i, j] / max(foot, least_row_left[i])
 
 
 @loop

@@ -87,7 +87,8 @@ def measure_usual(
         total,
         driven,
     )
-    rows_of(driven, of_rows[LEAD], of_cells[SEGMENTS], of_cells[BESIDE_END], of_rows[LEAST_ROW_LEFT], row_left, by_law)
+    lines = of_rows[LEAD], of_cells[SEGMENTS], of_cells[BESIDE_END], of_rows[LEAST_ROW_LEFT]
+    rows_of(driven, drive, *lines, board.floating > 0.0, row_left, by_law)
     middle = in_columns[2]
     for j in range(columns):
         middle[j] = math.nan

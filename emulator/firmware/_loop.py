@@ -17,6 +17,7 @@ class FirmwareInService(FirmwareBoard):
     """A firmware board that passes time in ticks. Its own commands start and stop it; ``streaming`` lets time pass."""
 
     streams_unasked = True
+    is_ready = True
 
     def __init__(
         self,

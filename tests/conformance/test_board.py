@@ -30,6 +30,8 @@ from ohmskin.wire import (
 )
 
 E = TypeVar("E")
+MOST_EVENTS = 20_000
+"""of a board within a test: minutes of its time. While it speaks, its time counts, not that of a busy machine"""
 
 
 class Host:
@@ -39,14 +41,23 @@ class Host:
         patient = f"{port}?timeout={HANG_S}" if port.startswith("rfc2217://") else port  # of pyserial's negotiation
         self.serial = serial.serial_for_url(patient, 1_000_000, timeout=TURN_S)
         self.protocol = host_protocol("ohmskin")
+        self._heard = 0
+
+    def _more(self, patience: Patience, what: object) -> list[Event]:
+        """What has come since the last call; a turn of silence is spent."""
+        events = self.protocol.feed(self.serial.read(1024), time.monotonic())
+        self._heard += len(events)
+        assert self._heard < MOST_EVENTS, what
+        if not events:
+            patience.spend(what)
+        return events
 
     def listen(self, until: Callable[[list[Event]], bool]) -> list[Event]:
         """The events up to those that make ``until`` true."""
         events: list[Event] = []
         patience = Patience()
         while not until(events):
-            patience.spend(events)
-            events += self.protocol.feed(self.serial.read(1024), time.monotonic())
+            events += self._more(patience, events[-3:])
         return events
 
     def hear(self, kind: type[E], count: int = 1) -> list[E]:
@@ -65,9 +76,8 @@ class Host:
             self.tell(order, period_us=period_us)
             again = Patience(1.0)
             while not (of(answer, events) or again.is_over):
-                patience.spend(f"no {answer.__name__} of {order.name}")
                 again.count()
-                events += self.protocol.feed(self.serial.read(1024), time.monotonic())
+                events += self._more(patience, f"no {answer.__name__} of {order.name}")
         return of(answer, events)[-1]
 
     def taken(self, order: Order, *, period_us: int = 0) -> Reply:
@@ -79,9 +89,8 @@ class Host:
             mine.add(self.protocol.commands)
             again = Patience(1.0)
             while not again.is_over:
-                patience.spend(order)
                 again.count()
-                for reply in of(Reply, self.protocol.feed(self.serial.read(1024), time.monotonic())):
+                for reply in of(Reply, self._more(patience, order)):
                     if reply.command_sequence in mine:
                         assert reply.order == order.value
                         return reply

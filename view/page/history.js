@@ -76,3 +76,23 @@ export class Series {
     return [this.times[slot], this.pressure[slot], this.std[slot]];
   }
 }
+
+const KEPT_MS = 300;
+
+/** What is drawn of each cell: one that is not valid for a moment keeps its last value, so that columns do not flicker. */
+export class Steady {
+  constructor(cells, quantity) {
+    this.quantity = quantity; // whose values are kept
+    this.values = new Float64Array(cells);
+    this.shown = new Uint8Array(cells);
+    this.validAt = new Float64Array(cells).fill(-Infinity);
+  }
+
+  take(values, valid, now) {
+    for (let k = 0; k < values.length; k++) {
+      if (valid[k]) this.validAt[k] = now;
+      this.shown[k] = now - this.validAt[k] < KEPT_MS;
+      if (valid[k] || !this.shown[k]) this.values[k] = values[k];
+    }
+  }
+}

@@ -4,7 +4,7 @@ import { themeColours } from "./canvas.js";
 import { Connection } from "./connection.js";
 import { readFrame } from "./frame-message.js";
 import { HeatMap } from "./heat-map.js";
-import { History, Series } from "./history.js";
+import { History, Series, Steady } from "./history.js";
 import { fixed } from "./numbers.js";
 import { element, linkPairs, showCell, showContacts, showPairs, showState, write } from "./panels.js";
 import { drawPlot, timeAt } from "./plot.js";
@@ -176,7 +176,13 @@ class View {
     const quantity = QUANTITIES[element("quantity").value];
     const values = quantity.values(frame);
     this.drawScaleFor(quantity, values);
-    this.map.drawCells(values, frame.valid, ...this.scale);
+    if (this.skin.live && !this.paused) {
+      if (this.steady?.quantity !== quantity || this.steady.values.length !== values.length) this.steady = new Steady(values.length, quantity);
+      this.steady.take(values, frame.valid, now);
+      this.map.drawCells(this.steady.values, this.steady.shown, ...this.scale);
+    } else {
+      this.map.drawCells(values, frame.valid, ...this.scale);
+    }
     const chosen = this.chosen.map(({ index, slot }) => ({ index, colour: this.colours.series[slot] }));
     this.map.drawMarks(frame, this.skin.pitch_mm, chosen, this.pointed);
     showContacts(frame.contacts);

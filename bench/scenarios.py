@@ -1,6 +1,6 @@
-"""The judges: every scene of ``judges.toml``, how well an estimator does on it, and whether its gate is met.
+"""Regression scenarios of ``scenarios.toml``: how well an estimator does on each scene, and whether its gate is met.
 
-``ohmskin bench --judges`` prints the table. It judges anything that is stepped as an
+``ohmskin bench --scenarios`` prints the table. It takes anything that is stepped as an
 :class:`ohmskin.cell.Estimator` is and states ``std_kpa``: by the name of one of the project's estimators, or by
 ``module:function``, where the function takes a cell and the shape of its frames.
 """
@@ -31,7 +31,7 @@ from . import panel
 from .harness import column, interval_score
 from .scenes import COLUMN_NOISE, MOST_VOLTS, Fault, Played, Scene, cells, play
 
-TABLE = Path(__file__).with_name("judges.toml")
+TABLE = Path(__file__).with_name("scenarios.toml")
 JUDGED_FROM_S, JUDGED_FROM_FRAMES = 0.5, 10.0
 """nothing is judged earlier: the noise is not known yet"""
 REST_AFTER_S = 1.0
@@ -88,7 +88,7 @@ class Recordings(Section):
 
 
 class Table(Section):
-    """``judges.toml``."""
+    """``scenarios.toml``."""
 
     gates: dict[str, Gate]
     block: list[Block]
@@ -431,7 +431,7 @@ def freeze(verdicts: Iterable[Verdict]) -> None:
     known = [row.name for row in rows()]
     design = TABLE.read_text(encoding="utf-8").partition("\n[today]")[0].rstrip()
     heading = (
-        "# RMSE, within, interval, sd, rest, RMSE of the static curve: `ohmskin bench --judges --freeze` writes them"
+        "# RMSE, within, interval, sd, rest, RMSE of the static curve: `ohmskin bench --scenarios --freeze` writes them"
     )
     lines = [f'"{name}" = {today[name]}' for name in known if name in today]
     TABLE.write_text("\n".join([design, "", "[today]", heading, *lines, ""]), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The judges: their table is that of this source, their figures are what their names say, and gates judge by limits."""
+"""Regression scenarios: the table is that of this source, figures are what their names say, and gates are limits."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from ohmskin.bench import judges, scenes
+from ohmskin.bench import scenarios, scenes
 from ohmskin.bench.harness import interval_score
 from ohmskin.cell import Cell
 from ohmskin.cli import run
@@ -45,10 +45,10 @@ class Knows:
 @pytest.mark.parametrize("name", FROZEN)
 def test_the_table_holds_for_this_source(name: str) -> None:
     """No limit is missed that the frozen figures met."""
-    row = next(row for row in judges.rows(name) if row.name == name)
-    (verdict,) = judges.judge([row], judges.maker(None))
+    row = next(row for row in scenarios.rows(name) if row.name == name)
+    (verdict,) = scenarios.judge([row], scenarios.maker(None))
     assert row.today is not None
-    assert set(verdict.misses) <= set(judges.misses(row, row.today))
+    assert set(verdict.misses) <= set(scenarios.misses(row, row.today))
 
 
 def test_figures_are_those_of_an_estimator_whose_errors_are_known() -> None:
@@ -57,8 +57,8 @@ def test_figures_are_those_of_an_estimator_whose_errors_are_known() -> None:
     cell, played = scenes.cells()["example"], scenes.play(scene)
     estimator = Knows(cell, played.pressure_kpa.shape[1:])
     estimator.played = played
-    pressure, std, _ = judges.estimated(played, estimator)
-    found = judges.figures(played, pressure, std, cell.full_scale_kpa)
+    pressure, std, _ = scenarios.estimated(played, estimator)
+    found = scenarios.figures(played, pressure, std, cell.full_scale_kpa)
     assert (found.rmse, found.interval, found.sd, found.rest) == pytest.approx((0.5, 4.0, 1.0, 0.5))
     assert found.within == 100.0
 
@@ -77,12 +77,12 @@ def test_figures_are_those_of_an_estimator_whose_errors_are_known() -> None:
     ],
 )
 def test_a_gate_names_the_figures_that_miss_it(change: dict[str, float], missed: tuple[str, ...]) -> None:
-    gate = judges.Gate(
+    gate = scenarios.Gate(
         rmse_percent=0.3, rmse_times_today=1.25, within_percent=88, interval_times_today=1.5, rest_percent=10
     )
-    today = judges.Figures(rmse=0.2, within=99.0, interval=4.0, sd=1.0, rest=0.05)
-    row = judges.Row("", "", gate, today, None, quick=False)
-    assert judges.misses(row, replace(today, **change)) == missed
+    today = scenarios.Figures(rmse=0.2, within=99.0, interval=4.0, sd=1.0, rest=0.05)
+    row = scenarios.Row("", "", gate, today, None, quick=False)
+    assert scenarios.misses(row, replace(today, **change)) == missed
 
 
 @given(st.floats(0.1, 10.0), st.floats(1.05, 3.0), st.booleans())
@@ -99,10 +99,10 @@ def test_a_cell_that_the_converter_cannot_tell_from_an_open_one_reads_infinite()
 
 
 def test_rows_are_chosen_by_name_and_gate(capsys: pytest.CaptureFixture[str]) -> None:
-    assert {row.gate for row in judges.rows("vibration")} >= {"hard"}
-    assert run(["bench", "--judges", "--only", "rest | contact", "--json"]) == 0
+    assert {row.gate for row in scenarios.rows("vibration")} >= {"hard"}
+    assert run(["bench", "--scenarios", "--only", "rest | contact", "--json"]) == 0
     (verdict,) = json.loads(capsys.readouterr().out)
     assert verdict["name"] == "rest | contact, 100 Hz, 12 bits, 1 mV"
     assert verdict["limits"]["within"] == 88.0
-    assert run(["bench", "--judges", "--only", "no such row"]) == 2
-    assert run(["bench", "--judges", "--estimator", "ohmskin.cell:nobody"]) == 2
+    assert run(["bench", "--scenarios", "--only", "no such row"]) == 2
+    assert run(["bench", "--scenarios", "--estimator", "ohmskin.cell:nobody"]) == 2
