@@ -27,7 +27,6 @@ _ROUGHLY = 0.5  # share of the law's error that a cell may be off by which is no
 _LEAST_FACTOR, _MOST_FACTOR = 0.2, 5.0  # beyond, a difference takes the place of the factor
 _STRIDE = 1.0  # of the logarithm of a cell that is not valid, half of which a step takes
 _EXPONENTS = -40.0, 7.0  # range of the logarithms of conductances
-_LEAST_SHORTER = 0.1  # of 1 less the factor by which steps become shorter: beyond, the iteration may not end
 _REGULAR = 1e-12
 _TINY = np.finfo(np.float64).tiny
 
@@ -136,10 +135,6 @@ class Factors:
             matters = counted & (allowed <= limit)
             change = np.abs(np.maximum(new, OPEN) - cells)  # a negative reading is that of an open cell
             off = self.moved(change * counted, new, matters)
-            # What is left is the sum of all further steps, each by a factor shorter that the estimate tells.
-            relative = np.max(change / np.maximum(new, OPEN), where=counted & matters, initial=_TINY)
-            shorter = np.max(off, where=counted & matters, initial=0.0) / relative
-            off /= max(1.0 - shorter, _LEAST_SHORTER)
             loads = change > _ROUGHLY * np.minimum(error, 1.0) * np.maximum(np.abs(by_law), cells)
             if not (counted & np.where(matters, off > FRESH * allowed, loads)).any():
                 self.astray = not matters.any()

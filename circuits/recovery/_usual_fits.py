@@ -301,6 +301,8 @@ class UsualFits:
     @staticmethod
     def serves(board: Board) -> bool:
         """Whether the kernel's model is that of the board: sound, ideal lines, linear ends read at once or in turns."""
+        if board.line_ends is not None:
+            return False
         ends = board.circuit.read_ends(board)
         if ends is None or not board.plain or board.faults or not board.floating:
             return False
