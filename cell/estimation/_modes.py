@@ -75,7 +75,7 @@ class Tuning:
     """FS/s, path of the load in such a motion, as an excess of rises over falls"""
     swing_s: float = 0.04
     """s, time of a swing: swings are that path long"""
-    waver: float = 5e-4
+    waver: float = 1e-3
     """FS per sqrt(s), by which a held load wavers"""
     unseen: float = 0.2
     """share of the way of a frame that goes unseen at a turn, and its standard deviation"""
@@ -89,7 +89,7 @@ class Tuning:
     bad_hz: float = 0.02
     """1/s, bad contacts of a cell; and s, for which they last"""
     bad_s: float = 0.06
-    overload: float = 1.4
+    overload: float = 1.3
     """FS, heaviest usual load; and FS, in which loads beyond full scale become rarer by a factor of e"""
     scarce: float = 0.1
     floor: float = 0.001
@@ -276,7 +276,7 @@ def _next(dt_s: float, t: Tuning) -> tuple[FloatArray, FloatArray, float]:
     after[DOWN, down], after[DOWN, up] = on / 4, t.turn / 4
     after[UP, [HOLD_UP, HOLD_DOWN]] = t.stop * (1.0 - t.flip), t.stop * t.flip
     after[UP, up], after[UP, down] = on / 4, t.turn / 4
-    after[2, up] = 1 / 4
+    after[2, up] = 0.05, 0.15, 0.4, 0.4  # touches come fast, creep is rare
     after[3, [HOLD_UP, HOLD_DOWN]], after[3, up], after[3, down] = 0.2, 0.3 / 4, 0.3 / 4
     lasts_s = np.array([t.rest_s, *np.repeat([t.hold_s, t.creep_s, t.line_s, t.move_s, t.edge_s], 2), t.shake_s])
     return after, -np.expm1(-dt_s / lasts_s), -math.expm1(-dt_s / t.calm_s)
