@@ -75,7 +75,7 @@ class Tuning:
     """FS/s, path of the load in such a motion, as an excess of rises over falls"""
     swing_s: float = 0.04
     """s, time of a swing: swings are that path long"""
-    waver: float = 1e-3
+    waver: float = 5e-4
     """FS per sqrt(s), by which a held load wavers"""
     unseen: float = 0.2
     """share of the way of a frame that goes unseen at a turn, and its standard deviation"""
