@@ -276,7 +276,7 @@ def _next(dt_s: float, t: Tuning) -> tuple[FloatArray, FloatArray, float]:
     after[DOWN, down], after[DOWN, up] = on / 4, t.turn / 4
     after[UP, [HOLD_UP, HOLD_DOWN]] = t.stop * (1.0 - t.flip), t.stop * t.flip
     after[UP, up], after[UP, down] = on / 4, t.turn / 4
-    after[2, up] = 0.05, 0.15, 0.4, 0.4  # touches come fast, creep is rare
+    after[2, up] = 0.1, 0.3, 0.3, 0.3  # few touches begin as creep
     after[3, [HOLD_UP, HOLD_DOWN]], after[3, up], after[3, down] = 0.2, 0.3 / 4, 0.3 / 4
     lasts_s = np.array([t.rest_s, *np.repeat([t.hold_s, t.creep_s, t.line_s, t.move_s, t.edge_s], 2), t.shake_s])
     return after, -np.expm1(-dt_s / lasts_s), -math.expm1(-dt_s / t.calm_s)
