@@ -60,8 +60,8 @@ _ONLY = np.zeros(1, dtype=np.intp)
 class Estimator:
     """Pressure of an array of cells; made by :meth:`ohmskin.cell.Cell.estimator`.
 
-    Call :meth:`step` or :meth:`update` for every frame. The first reading of a cell is taken to be at equilibrium (at
-    rest, or under a load held for long).
+    Call :meth:`step` or :meth:`update` for every frame. The first reading of a cell is taken to be at rest, or that
+    of a press whose age is not known.
     """
 
     def __init__(
