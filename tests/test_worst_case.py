@@ -13,6 +13,7 @@ from worst_boards import (
     asked,
     asked_in_time,
     beaten,
+    beaten_by_its_own_boards,
     beaten_in_time,
     by_hand,
     drawn_by,
@@ -45,6 +46,24 @@ def test_chance_does_not_beat_a_stated_worst_case(seed: int) -> None:
     assert beaten(design, seed, report) == {}
     for quantity, value in stated(report).items():
         assert _agree(value, by_hand(design, quantity, report)), quantity
+
+
+def test_chance_does_not_beat_outputs_that_stop_where_cells_are_open() -> None:
+    """Cells open at rest read what outputs cannot go below: errors of one sign start from nothing, and grow larger."""
+    design = Design.model_validate(
+        {
+            "array": {"rows": 6, "columns": 5, "row_lead": {"nominal": 12.0, "tolerance": 0.3}, "column_lead": 6.0},
+            "drive": {"voltage": 3.3},
+            "readout": {
+                **{"circuit": "voltage-feedback", "reference_resistance": 2200.0, "open_loop_gain": 1e5},
+                **{"offset_voltage": {"nominal": 0.0, "deviation": 3e-3}, "supply": [0.0, 3.3]},
+            },
+            "adc": {"bits": 12, "range": [0.0, 3.3]},
+            "cells": {"rest_resistance": 1e7, "full_scale_resistance": 1500.0, "full_scale_kpa": 200.0},
+        }
+    )
+    report = verify(design, requirements=[Requirement(id="D", quantity="crosstalk", max=1e9)], samples=100)
+    assert beaten_by_its_own_boards(report) == {}
 
 
 @pytest.mark.slow

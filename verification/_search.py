@@ -287,7 +287,7 @@ class _Search:
         return values
 
     def worst(self, count: int) -> Corners:
-        """The worst corner of each cell and sign, of so many of them; of whole boards the worst ones that differ."""
+        """The worst corner of each cell and sign, as many of either; of whole boards the worst ones that differ."""
         corners = Corners.joined([part for part, _ in self.parts])
         values = np.concatenate([value for _, value in self.parts])
         order = np.argsort(-values, kind="stable")
@@ -296,7 +296,14 @@ class _Search:
         if not self.target.by_cell:
             keys = np.sign(corners.x[order]).astype(np.intp)
         _, first = np.unique(keys, axis=0, return_index=True)
-        return corners.some(order[np.sort(first)][:count])
+        order = order[np.sort(first)]
+        if (
+            self.target.by_cell
+        ):  # as many of either sign: where a reading stops at a limit, one of them starts from nothing
+            negative = corners.sign[order] < 0
+            rank = np.where(negative, np.cumsum(negative), np.cumsum(~negative))
+            order = order[np.argsort(rank, kind="stable")]
+        return corners.some(order[:count])
 
     def finished(self) -> WorstCase:
         """Improve the worst corners; the verdict."""
