@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any, Unpack, cast
 
 import numpy as np
 
@@ -78,9 +78,8 @@ class Skin(BoardSkin):
         if isinstance(port, list | tuple):
             given: dict[str, Any] = dict(settings, serial_number=serial_number, baudrate=baudrate, speed=speed)
             return _open_joined(port, record, overwrite=overwrite, progress=progress, **given)
-        assert not isinstance(port, Sequence) or isinstance(port, str)
         return super().open(
-            port,
+            cast("str | Path | None", port),  # anything else is refused there
             serial_number=serial_number,
             baudrate=baudrate,
             record=record,
