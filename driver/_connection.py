@@ -46,6 +46,8 @@ ANSWER_LIES_BEHIND = 8
 """queues of frames that may lie on the line before an answer"""
 JOIN_S = 2.0
 """how long closing waits for the thread, which may be busy opening a port"""
+RELEASE_S = 20.0
+"""the same where the thread has a port, which the next to open it needs: a busy machine may keep it for seconds"""
 
 
 def await_free(name: str) -> None:
@@ -58,7 +60,7 @@ def await_free(name: str) -> None:
         if port is None or not connection._is_ending or os.path.realpath(port.name) != place:
             continue
         if connection._thread.is_alive() and connection._thread is not threading.current_thread():
-            connection._thread.join(JOIN_S)
+            connection._thread.join(RELEASE_S)
 
 
 SAMPLE_BYTES = 200
@@ -337,7 +339,7 @@ class Connection:
             port.interrupt()
         self.frames.close(self._closed())
         if self._thread.is_alive() and threading.current_thread() is not self._thread:
-            self._thread.join(JOIN_S)
+            self._thread.join(JOIN_S if port is None else RELEASE_S)
 
     def _closed(self) -> LinkEnded:
         return LinkEnded(f"{self.port_name}: the skin is closed")

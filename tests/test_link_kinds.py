@@ -167,7 +167,7 @@ def test_the_driver_reads_such_a_url_without_more_ado(scene_file: Path) -> None:
         ("ohmskin:///no/scene.toml", "/no/scene.toml: cannot be read"),
         ("ohmskin://{scene}?clock=slow", "clock is 'slow'; expected 'real' or 'fast'"),
         ("ohmskin://{scene}?speed=1", "unknown option 'speed'; expected one of board, clock"),
-        ("ohmskin://{scene}?seed=x", "expected numbers for duration and seed"),
+        ("ohmskin://{scene}?seed=x", "expected numbers for duration, part and seed"),
     ],
 )
 def test_a_url_that_is_wrong_says_how(scene_file: Path, url: str, message: str) -> None:
