@@ -91,3 +91,22 @@ def test_large_dividers_of_8_bits_with_fingers_and_shorts(shape: tuple[int, int]
         if 3 <= number < 6:
             cells[4, 9] = cells[11, 9] = cells[4, 12] = 0.1
         check(read(counts_of(design, cells)), cells)
+
+
+@pytest.mark.parametrize(
+    ("shape", "short", "lead"), [((16, 16), 0.5, 5.0), ((14, 10), 30.0, 25.0), ((9, 12), 5.0, 0.3)]
+)
+def test_a_short_on_a_larger_divider_with_floating_rows_leaves_the_others_known(
+    shape: tuple[int, int], short: float, lead: float
+) -> None:
+    """The structure of the lines does not hold there, but the derivatives of all readings determine nearly all."""
+    draw, place = np.random.default_rng(shape), (shape[0] // 3, shape[1] // 3)
+    design = board("open divider", shape, 12, array={"row_lead": lead, "column_lead": lead})
+    read, rest = CountReader(design), 5e3 * draw.uniform(0.7, 3.0, shape)
+    for number in range(8):
+        cells = rest * draw.uniform(0.98, 1.02, shape)
+        if number >= 2:
+            cells[place] = short
+        reading = read(counts_of(design, cells))
+        check(reading, cells)
+    assert reading.valid.mean() > 0.85

@@ -167,6 +167,7 @@ class FitLive:
         self._linear: _Linear | None = None
         self._read: FloatArray = np.ones(cells)
         self._pinned: FloatArray = np.zeros(board.shape)
+        self._wide = False
         self._damping, self._astray, self._in_vain, self._begun = 1.0, False, 0, False
         self.usual: UsualReading | None = None
         self._calm = 0
@@ -214,15 +215,16 @@ class FitLive:
         # Two cells of unknown size may join lines whose readings are then alike, whatever the other cells are.
         several = np.count_nonzero(unread & ~self._gone) + bool(unread[self._gone].any()) > 1
         large = not small and bool(unread.any())
-        if beyond.any() or several or large or (self._nodes is not None and short.any()):
+        wide = self._nodes is not None and bool(short.any())  # beyond the structure of the lines
+        if beyond.any() or several or large or (wide and not small):
             self._in_vain = self._in_vain + 1 if beyond.any() else 0
             if self._in_vain > _OFTEN:
                 raise SolverError(_NO_CELLS)
             return self._nothing(DISTURBED, unread | short)
         read: FloatArray = np.where(unread.ravel(), 0.0, 1.0)
-        if self._linear is not None and (read != self._read).any():
+        if wide != self._wide or (read != self._read).any():
             self._linear = None
-        self._read, lowest = read, self._least.reshape(self._shape)
+        self._wide, self._read, lowest = wide, read, self._least.reshape(self._shape)
         self._pinned = np.where(unread & ~self._gone, self._closed_start(volts.ravel()).reshape(self._shape), lowest)
         found = self._fit(volts.ravel(), hypot(1.0, noise / self._std), start)
         if found is None:
@@ -375,7 +377,14 @@ class FitLive:
         return False
 
     def _step(self, linear: _Linear, apart: FloatArray, slope: FloatArray) -> FloatArray:
-        """Change (n,) of the logarithms. A cell's own nonlinearity is known in closed form, and scales its reading."""
+        """Change (n,) of the logarithms. A cell's own nonlinearity is known in closed form, and scales its reading.
+
+        So scaled or clipped, a step may lead away from the readings however short it is: shortened ones keep the
+        direction of the derivatives.
+        """
+        if self._damping < 1.0:
+            step = linear.solve(apart)
+            return step * min(1.0, STRIDE / max(float(np.abs(step).max()), TINY))
         both = (linear.slope > 0.0) & (slope > 0.0)
         steeper = np.divide(slope, linear.slope, out=np.ones(len(slope)), where=both)
         step = linear.solve(apart * np.clip(steeper, 1.0 / _STEEPER, _STEEPER))
@@ -393,7 +402,7 @@ class FitLive:
         cells = np.exp(-np.clip(log, -_LARGEST, _LARGEST)).reshape(self._shape)
         volts = self._quick(cells)
         slope = np.abs(self._board.circuit.log_conductance_slope(self._board, volts - self._board.level)).ravel()
-        if self._nodes is not None and self._read.all():
+        if self._nodes is not None and self._read.all() and not self._wide:
             by_nodes = self._nodes.at(cells, np.full(self._shape, _PRIOR))
             return _Linear(log, by_nodes.solve, slope, lambda coarser: coarser * by_nodes.std.ravel(), {})
         jacobian, factor = self._normal(cells)
