@@ -110,3 +110,19 @@ def test_a_short_on_a_larger_divider_with_floating_rows_leaves_the_others_known(
         reading = read(counts_of(design, cells))
         check(reading, cells)
     assert reading.valid.mean() > 0.85
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_two_shorts_cost_dividers_their_columns(seed: int) -> None:
+    """Each ties a row to a column, by a conductance that no reading tells: the others follow, wherever it is."""
+    design = board("divider", (8, 8), array={"row_lead": 5.0, "column_lead": 5.0})
+    read, rest = CountReader(design), 1e4 * 10 ** np.random.default_rng(seed).uniform(-0.1, 0.1, (8, 8))
+    shorted = rest.copy()
+    shorted[3, 5] = shorted[4, 0] = 5.0
+    for cells in (rest, rest, *[shorted] * 6, rest, rest, rest):
+        reading = read(counts_of(design, cells))
+        check(reading, cells)
+        if cells is shorted:
+            shares = reading.valid[:, 1:5].mean(), reading.valid[:, 6:].mean()
+    assert min(shares) > 0.9
+    assert reading.valid.all()

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from math import hypot, inf, sqrt
 from typing import NamedTuple
 
@@ -74,6 +75,10 @@ _MOST_BENT = 1.5  # growth of an effect over the linear one, from which on a cel
 _OPEN_SIZE = 3.0  # most by which a conductance may be larger, from which on the scale of its column is open
 _BESIDE = 0.01  # conductance over the largest one of a column, from which on a cell of unknown size counts beside it
 _TIES = 0.1  # share of a row's drive that a cell may take, from which on it ties the row to its column
+_MOST_TIED = 3  # cells whose intervals are gone through, corner by corner
+_CORNER_STEPS, _CORNER_STEP = 8, 0.02  # steps to the cells at a corner, and change of a logarithm in the last one
+_TIED_STD = 0.4  # of the logarithm of such a cell: not valid, but derivatives are made anew when it moves
+_TIED_MOVES = 2.0  # most by which it may have moved by then
 _OFTEN = 3  # frames with readings that no cells give, after which the design is taken for wrong
 _CONTRACTS = 0.5  # factor of a map that surely has one fixed point, with room for derivatives that change
 _CALM = 3  # frames by the same derivatives, after which those of many cells are worth a matrix
@@ -108,6 +113,31 @@ class _Linear(NamedTuple):
     def distance(self, log: FloatArray, std: FloatArray) -> FloatArray:
         """(n,) change of the logarithms since then, of which their own errors do not count."""
         return np.abs(log - self.log) / np.maximum(PER_ERROR / FAR * std, 1.0)
+
+
+class _Corners(NamedTuple):
+    """What cells of unknown size that tie lines leave of the others; arrays are (n,)."""
+
+    log: FloatArray
+    """logarithms of the conductances at which it was found"""
+    tied: BoolArray
+    """the cells of unknown size"""
+    read: FloatArray
+    """1 for readings that count"""
+    least: FloatArray
+    """logarithms at which their intervals begin"""
+    coarser: float
+    """errors of the readings over those of ADC steps"""
+    std: FloatArray
+    """standard deviations of the logarithms"""
+
+    def serve(self, log: FloatArray, tied: BoolArray, read: FloatArray, least: FloatArray, coarser: float) -> bool:
+        """Whether they do at other cells, whose intervals begin at ``least``."""
+        if not np.array_equal(tied, self.tied) or not np.array_equal(read, self.read) or coarser > self.coarser:
+            return False
+        known = ~tied & ((self.std <= HARDLY_KNOWN) | np.isinf(self.std))
+        far = bool((np.abs(log - self.log)[known] > FAR).any())
+        return not far and bool((least[tied] >= self.least[tied]).all())
 
 
 class FitLive:
@@ -168,6 +198,7 @@ class FitLive:
         self._read: FloatArray = np.ones(cells)
         self._pinned: FloatArray = np.zeros(board.shape)
         self._wide = False
+        self._corners: _Corners | None = None
         self._damping, self._astray, self._in_vain, self._begun = 1.0, False, 0, False
         self.usual: UsualReading | None = None
         self._calm = 0
@@ -399,7 +430,7 @@ class FitLive:
         """
         from scipy.linalg.lapack import dpotrs
 
-        cells = np.exp(-np.clip(log, -_LARGEST, _LARGEST)).reshape(self._shape)
+        cells = self._cells_at(log)
         volts = self._quick(cells)
         slope = np.abs(self._board.circuit.log_conductance_slope(self._board, volts - self._board.level)).ravel()
         if self._nodes is not None and self._read.all() and not self._wide:
@@ -415,9 +446,9 @@ class FitLive:
         if self._several and self._read.all():
             by_logs = jacobian * (self._std / (volts - self._board.level).reshape(-1, 1))
             amplified = float(np.abs(np.linalg.inv(by_logs)).sum(axis=1).max())
-        return _Linear(log, solve, slope, lambda coarser: self._std_of(log, jacobian / coarser), {}, None, amplified)
+        return _Linear(log, solve, slope, lambda coarser: self._std_of(log, jacobian, coarser), {}, None, amplified)
 
-    def _normal(self, cells: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _normal(self, cells: FloatArray, read: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
         """Derivatives (n, n) at cells (N, M) in ohm, in errors of a reading, and their normal matrix, factored.
 
         Raises:
@@ -426,10 +457,9 @@ class FitLive:
         """
         from scipy.linalg.lapack import dpotrf
 
+        read = self._read if read is None else read
         in_series = 1.0 / (cells + self._board.series_ohms).ravel()
-        jacobian = (
-            self._derivatives(cells) * (in_series**2 * cells.ravel() / self._std * self._read) * self._read[:, None]
-        )
+        jacobian = self._derivatives(cells) * (in_series**2 * cells.ravel() / self._std * read) * read[:, None]
         normal = jacobian.T @ jacobian
         normal.flat[:: len(normal) + 1] += _PRIOR**-2.0
         factor, failed = dpotrf(normal, lower=1)
@@ -447,12 +477,81 @@ class FitLive:
             return None
         return linear._replace(inverse=np.ascontiguousarray(dpotrs(factor, jacobian.T / self._std, lower=1)[0].T))
 
-    def _std_of(self, log: FloatArray, jacobian: FloatArray) -> FloatArray:
-        """Standard deviations (n,) of the logarithms with derivatives (n, n) in errors of a reading.
+    def _std_of(self, log: FloatArray, jacobian: FloatArray, coarser: float) -> FloatArray:
+        """Standard deviations (n,) of the logarithms with derivatives (n, n) in errors of a reading, ``coarser`` ones.
+
+        Two cells of unknown size that tie lines to each other are beyond derivatives. Such cells are moved through
+        their intervals, from corner to corner, while the others follow all other readings. The changes of the others
+        count as errors. Infinite where nothing is known of the others.
+
+        Raises:
+            numpy.linalg.LinAlgError: the derivatives are not finite.
+
+        """
+        std, tied, least = self._std_within(log, jacobian / coarser, self._read)
+        places = np.flatnonzero(tied)
+        if len(places) < 2 or not np.isfinite(std).any():
+            return std
+        if len(places) > _MOST_TIED or self._cells > _SMALL or self._sheet is not None:
+            return np.full(len(std), inf)
+        kept = self._corners
+        if kept is None or not kept.serve(log, tied, self._read, least + _TIED_MOVES, coarser):
+            beside = self._beside_tied(log, places, least, coarser)
+            kept = self._corners = _Corners(log, tied, self._read, least, coarser, beside)
+        return np.where(tied, _TIED_STD, kept.std * np.exp(np.abs(log - kept.log)))
+
+    def _beside_tied(self, log: FloatArray, places: NDArray[np.intp], least: FloatArray, coarser: float) -> FloatArray:
+        """Standard deviations (n,) of the others while cells ``places`` are anywhere from ``least`` (n,) to a short.
+
+        Infinite where the other readings do not determine the others at each corner.
+        """
+        from scipy.linalg.lapack import dpotrs
+
+        volts, read = self._at(log), self._read.copy()
+        read[places] = 0.0
+        shift, most = np.zeros((2, len(log)))
+        try:
+            for ends in product(*zip(least[places], self._most[places], strict=True)):
+                there, step = log.copy(), np.full(len(log), inf)
+                there[places] = ends
+                for _ in range(_CORNER_STEPS):
+                    matrix, factor = self._normal(self._cells_at(there), read)
+                    apart = (volts - self._at(there)) * read
+                    step = dpotrs(factor, matrix.T @ (apart / self._std), lower=1)[0]
+                    step *= min(1.0, STRIDE / max(float(np.abs(step).max()), TINY))
+                    there = np.clip(there + step, self._least, self._most)
+                    there[places] = ends
+                    if float(np.abs(step).max()) < _CORNER_STEP:
+                        break
+                matrix = self._normal(self._cells_at(there), read)[0] / coarser
+                at_corner, others, _ = self._std_within(there, matrix, read, positive=True)
+                if others.any() or not self._misfit((volts - self._at(there)) * read, coarser) <= _FITS:
+                    return np.full(len(log), inf)
+                shift, most = np.maximum(shift, np.abs(there - log) + np.abs(step)), np.maximum(most, at_corner)
+        except np.linalg.LinAlgError:
+            return np.full(len(log), inf)
+        return most + shift / BY_NOISE
+
+    def _cells_at(self, log: FloatArray) -> FloatArray:
+        """Ohm (N, M)."""
+        cells: FloatArray = np.exp(-np.clip(log, -_LARGEST, _LARGEST)).reshape(self._shape)
+        return cells
+
+    @np.errstate(divide="ignore", invalid="ignore", over="ignore")
+    def _std_within(
+        self, log: FloatArray, jacobian: FloatArray, read: FloatArray, *, positive: bool = False
+    ) -> tuple[FloatArray, BoolArray, FloatArray]:
+        """Standard deviations, the cells that may tie lines to each other, and least logarithms; (n,) each.
 
         With its wire w a cell conducts between nothing and 1/w, whatever its reading: that is all that is known of it
         before. In this range readings are nearly linear in D = G / (1 + w G). What else the cell changes grows with G
-        itself, up to a short. Infinite where cells of unknown size act together, which is beyond derivatives.
+        itself, up to a short. Standard deviations are infinite where cells of a column are of unknown size together.
+
+        Args:
+            log: logarithms of the conductances.
+            jacobian: (n, n) derivatives of the readings in their errors.
+            read: (n,) 1 for readings that count, else 0.
+            positive: whether cells are also bounded by their own readings, as no other conducts less than nothing.
 
         Raises:
             numpy.linalg.LinAlgError: the derivatives are not finite.
@@ -460,7 +559,8 @@ class FitLive:
         """
         from scipy.linalg.lapack import dtrtri
 
-        wired = np.exp(log) * (self._leads.ravel() + LEAST_SHORT_OHM)
+        wire = self._leads.ravel() + LEAST_SHORT_OHM
+        wired = np.exp(log) * wire
         prior = (1.0 + wired) * np.maximum(1.0 / wired, 1.0) / BY_STEPS
         square = np.linalg.qr(np.concatenate([jacobian * prior, np.eye(len(log))]), mode="r")
         inverse, failed = dtrtri(square)
@@ -469,20 +569,24 @@ class FitLive:
         inverse *= prior[:, None]
         std: FloatArray = np.sqrt(np.einsum("ij,ij->i", inverse, inverse))
         up = BY_STEPS * std / (1.0 + wired)
+        if positive:
+            up = np.where(read > 0.0, np.minimum(up, _most_by_own(jacobian * (1.0 + wired), up)), up)
         grown = np.where(up * wired < 1.0, (1.0 + up) / np.maximum(1.0 - up * wired, TINY), inf) - 1.0
         grown = np.minimum(grown, np.exp(self._most - log) - 1.0) / (BY_STEPS * std)
-        loose = ((grown > _MOST_BENT) | (up > 1.0)) & (self._read > 0.0)
-        ties = np.count_nonzero(loose & (wired * (1.0 + up) > _TIES))
+        loose = ((grown > _MOST_BENT) | (up > 1.0)) & (read > 0.0)
+        tied = loose & (wired * (1.0 + up) > _TIES)
+        least = wired / (1.0 + wired) * np.maximum(1.0 - up, 0.0)
+        least = np.maximum(np.log(np.maximum(least / (1.0 - least) / wire, TINY)) - _TIED_MOVES, self._least)
         conductance, open_size = np.exp(log).reshape(self._shape), (loose & (up > _OPEN_SIZE)).reshape(self._shape)
         most = np.where(open_size, conductance * (1.0 + up.reshape(self._shape)), 0.0)
         alike = np.count_nonzero(most > _BESIDE * conductance.max(axis=0), axis=0)
         alike *= open_size[np.argmax(conductance, axis=0), np.arange(self._shape[1])]
-        if ties > 1 or (alike > 1).any():
-            return np.full(len(std), inf)
-        bent = np.flatnonzero((grown > 1.0) & (self._read > 0.0))
+        if (alike > 1).any():
+            return np.full(len(std), inf), tied, least
+        bent = np.flatnonzero((grown > 1.0) & (read > 0.0))
         beside = (inverse @ inverse[bent].T) / std[bent] * np.sqrt(grown[bent] ** 2 - 1.0)
         std = np.sqrt(std**2 + np.einsum("ij,ij->i", beside, beside))
-        return std
+        return std, tied, least
 
     def _one_answer(self, log: FloatArray) -> bool:
         """Whether no other cells give the readings, where idle columns conduct more than those that are read.
@@ -566,3 +670,20 @@ class FitLive:
         reason[limited] = SATURATED
         reason[self._gone] = HIDDEN
         return undetermined(self._turn(reason))
+
+
+def _most_by_own(derivatives: FloatArray, most: FloatArray) -> FloatArray:
+    """Largest relative change (n,) of each cell by its own reading, while none falls below nothing.
+
+    Args:
+        derivatives: (n, n) of the readings, in their errors, by relative changes of the cells.
+        most: (n,) largest changes by all readings together.
+
+    """
+    own = np.diag(derivatives)
+    others = derivatives * np.sign(own)[:, None]
+    np.fill_diagonal(others, 0.0)
+    held_up, held_down = np.maximum(others, 0.0).sum(axis=1), np.maximum(-others, 0.0)
+    for _ in range(3):
+        most = np.minimum(most, (BY_STEPS + held_up + held_down @ most) / np.maximum(np.abs(own), TINY))
+    return most
