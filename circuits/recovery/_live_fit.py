@@ -73,6 +73,7 @@ _NO_CELLS = "no cell resistances give these readings; check that the design is t
 _MOST_BENT = 1.5  # growth of an effect over the linear one, from which on a cell's size is open
 _OPEN_SIZE = 3.0  # most by which a conductance may be larger, from which on the scale of its column is open
 _BESIDE = 0.01  # conductance over the largest one of a column, from which on a cell of unknown size counts beside it
+_OPENS = 0.1  # conductance of cells of unknown size over that of their column's end; derivatives leave its square out
 _TIES = 0.1  # share of a row's drive that a cell may take, from which on it ties the row to its column
 _OFTEN = 3  # frames with readings that no cells give, after which the design is taken for wrong
 _CONTRACTS = 0.5  # factor of a map that surely has one fixed point, with room for derivatives that change
@@ -477,6 +478,7 @@ class FitLive:
         most = np.where(open_size, conductance * (1.0 + up.reshape(self._shape)), 0.0)
         alike = np.count_nonzero(most > _BESIDE * conductance.max(axis=0), axis=0)
         alike *= open_size[np.argmax(conductance, axis=0), np.arange(self._shape[1])]
+        alike *= np.linalg.norm(most, axis=0) * self._board.reference > _OPENS  # else the column's end holds its scale
         if ties > 1 or (alike > 1).any():
             return np.full(len(std), inf)
         bent = np.flatnonzero((grown > 1.0) & (self._read > 0.0))
