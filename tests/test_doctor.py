@@ -296,6 +296,7 @@ def test_a_board_that_waits_with_words_is_started_and_kept_awake(tmp_path: Path)
             assert skin.stats().corrupt < 30
 
 
+@pytest.mark.usefixtures("silent_board")
 def test_a_board_that_is_not_understood_is_drafted_at_once_if_the_person_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
