@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 import together
 from hypothesis import settings
-from patience import HANG_S
 
 from ohmskin.common import compiled
 from ohmskin.driver import discover
@@ -24,7 +23,7 @@ pytest_plugins = ["ohmskin.hil.plugin"]  # also where the installed entry point 
 # A busy machine is no failure, and a failure must come again.
 settings.register_profile("ohmskin", deadline=None, derandomize=True)
 settings.load_profile("ohmskin")
-PATIENCE_S = HANG_S
+PATIENCE_S = 60.0
 """for which the driver waits in tests that do not say for how long: a process may be kept from running for seconds"""
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -97,6 +96,12 @@ def _patient_driver() -> Iterator[None]:
             assert "timeout" in waiting.__kwdefaults__
             patch.setitem(waiting.__kwdefaults__, "timeout", PATIENCE_S)
         yield
+
+
+@pytest.fixture
+def silent_board(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The driver waits for a second: the test is about a board from which nothing comes that is understood."""
+    monkeypatch.setitem(Options.of.__func__.__kwdefaults__, "timeout", 1.0)  # type: ignore[attr-defined]
 
 
 @pytest.fixture

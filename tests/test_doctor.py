@@ -10,6 +10,7 @@ import subprocess
 import threading
 import time
 import tomllib
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -295,10 +296,12 @@ def test_a_board_that_waits_with_words_is_started_and_kept_awake(tmp_path: Path)
             assert skin.stats().corrupt < 30
 
 
+@pytest.mark.usefixtures("silent_board")
 def test_a_board_that_is_not_understood_is_drafted_at_once_if_the_person_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("ohmskin.cli._opening.Skin.open", partial(Skin.open, timeout=5.0))
     record = ["record", "", "-o", "press.mcap", "--duration", "1"]
     with Played(board_family(EXAMPLES[0].with_name("neuromat.toml"))) as port:
         record[1] = port.name

@@ -27,6 +27,23 @@ def test_a_cell_without_a_contact_that_is_alone_on_its_line_does_not_end_the_rea
     assert reading.reason[0, 0] == Reason.HIDDEN
 
 
+@pytest.mark.parametrize("row_lead", [1.0, 15.0])
+def test_cells_open_at_rest_cost_a_press_nothing(row_lead: float) -> None:
+    """A mat of contacts: what conducts less than a step, however many they are, opens no column that a load holds."""
+    design = digitised("divider", 7, 11, 10, array={"row_lead": row_lead}, readout={"reference_resistance": 2.2e3})
+    row, column = np.indices((7, 11))
+    pressed = np.exp(-((row - 3) ** 2 + (column - 5) ** 2) / 1.6) / 2e3
+    cells = 1.0 / (pressed + 1.0 / 2e6)
+    read, draw = CountReader(design), np.random.default_rng(0)
+    readings = []
+    for frame in range(40):
+        volts = scan(design, cells if frame > 9 else np.full((7, 11), 2e6)).volts
+        readings.append(read(adc_codes(design, volts + draw.normal(scale=3e-3, size=volts.shape))))
+    reading = readings[-1]
+    assert np.mean([one.valid[cells < 1e4].all() for one in readings[10:]]) > 0.8
+    assert (np.abs(reading.resistance / cells - 1.0) <= reading.uncertainty)[reading.valid].all()
+
+
 def test_no_step_waits_for_ever() -> None:
     """Strong presses on 16 x 12 cells with segments: potentials by sparse elimination are half of what a frame has."""
     found = _live_streams.stream("loaded events", 171000004)

@@ -74,6 +74,7 @@ _NO_CELLS = "no cell resistances give these readings; check that the design is t
 _MOST_BENT = 1.5  # growth of an effect over the linear one, from which on a cell's size is open
 _OPEN_SIZE = 3.0  # most by which a conductance may be larger, from which on the scale of its column is open
 _BESIDE = 0.01  # conductance over the largest one of a column, from which on a cell of unknown size counts beside it
+_OPENS = 0.1  # conductance of cells of unknown size over that of their column's end; derivatives leave its square out
 _TIES = 0.1  # share of a row's drive that a cell may take, from which on it ties the row to its column
 _MOST_TIED = 3  # cells whose intervals are gone through, corner by corner
 _CORNER_STEPS, _CORNER_STEP = 8, 0.02  # steps to the cells at a corner, and change of a logarithm in the last one
@@ -581,6 +582,7 @@ class FitLive:
         most = np.where(open_size, conductance * (1.0 + up.reshape(self._shape)), 0.0)
         alike = np.count_nonzero(most > _BESIDE * conductance.max(axis=0), axis=0)
         alike *= open_size[np.argmax(conductance, axis=0), np.arange(self._shape[1])]
+        alike *= np.linalg.norm(most, axis=0) * self._board.reference > _OPENS  # else the column's end holds its scale
         if (alike > 1).any():
             return np.full(len(std), inf), tied, least
         bent = np.flatnonzero((grown > 1.0) & (read > 0.0))
