@@ -23,8 +23,9 @@ def suite(tmp_path: Path) -> Path:
 
 
 def _pytest(folder: Path, *arguments: str, exit_code: int = 0, **environment: str) -> str:
-    """Standard output of a pytest run in ``folder``."""
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "ohmskin.hil.plugin", "-p", "no:cacheprovider", *arguments]
+    """Standard output of a pytest run in ``folder``, in the order of its file: faults of a scene are in some frames."""
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "ohmskin.hil.plugin"]
+    command += ["-p", "no:cacheprovider", "-p", "no:randomly", *arguments]
     clean = {key: value for key, value in os.environ.items() if not key.startswith(("OHMSKIN", "PYTEST"))}
     done = subprocess.run(command, cwd=folder, env=clean | environment, capture_output=True, text=True, check=False)
     assert done.returncode == exit_code, done.stdout + done.stderr
