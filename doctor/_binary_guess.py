@@ -19,6 +19,8 @@ MOST_BYTES = 2**17
 """of the stream that are looked at"""
 LEAST_FRAME = 3
 FEWEST_FRAMES = 3
+FEWEST_RETURNS = 5
+"""of a header: cells of few values look like one by chance in fewer frames"""
 USUAL = 0.8
 LONGEST_HEADER = 8
 PAUSE_S = 0.003
@@ -42,10 +44,14 @@ def binary_guesses(chunks: Sequence[Chunk]) -> Iterator[Guess]:
     data = b"".join(chunk.data for chunk in chunks)[:MOST_BYTES]
     clock = _Clock(chunks)
     yield from _sorted(_delimited_guesses(data, clock))
+    starts = _burst_starts(chunks, _pauses(chunks)[-1])
+    (burst, seen), *_ = Counter(np.diff(starts).tolist()).most_common(1) or [(0, 0)]
+    # Of bursts of one length, each is a frame or a packet: what returns after several of them does so by chance.
+    even = seen > USUAL * (len(starts) - 1) and seen >= FEWEST_FRAMES
     found: list[Likely] = []
     for length, phase in _folds(data, chunks):
         count = (len(data) - phase) // length
-        if count >= FEWEST_FRAMES:
+        if count >= FEWEST_RETURNS and not (even and length > burst and length % burst == 0):
             frames = np.frombuffer(data[phase : phase + count * length], np.uint8).reshape(-1, length)
             yield from _sorted(_rotated_blocks(data, length, phase, chunks))
             found += _framed_guesses(frames, clock.at(phase + length * np.arange(count)))
@@ -148,15 +154,21 @@ def _headers(constant: NDArray[np.bool_], common: FloatArray) -> list[int]:
     return [begin for _, begin in sorted(found)]
 
 
-def _burst_starts(chunks: Sequence[Chunk]) -> list[int]:
-    """Places in the stream behind a pause: one that is much longer than the time between two pieces of a burst."""
+def _pauses(chunks: Sequence[Chunk]) -> list[float]:
+    """Times from which on a gap may be a pause between frames: that of the widest step between short and long gaps, if
+    there is one, and the least."""
     gaps = np.diff([chunk.time_s for chunk in chunks])
     sizes = np.sort(gaps[gaps > PAUSE_S / 10])
     ratios = sizes[1:] / sizes[:-1]
-    # The widest step between short and long times parts them, if there is one.
-    least = PAUSE_S if not ratios.size or ratios.max() < PAUSES_APART else float(sizes[int(np.argmax(ratios)) + 1])
+    apart = bool(ratios.size) and float(ratios.max()) >= PAUSES_APART
+    return [*([max(float(sizes[int(np.argmax(ratios)) + 1]), PAUSE_S)] if apart else []), PAUSE_S]
+
+
+def _burst_starts(chunks: Sequence[Chunk], pause_s: float | None = None) -> list[int]:
+    """Places in the stream behind a pause of so long, or of the likeliest length."""
+    gaps = np.diff([chunk.time_s for chunk in chunks])
     ends = np.cumsum([len(chunk.data) for chunk in chunks])[:-1]
-    return [int(end) for end in ends[gaps >= max(least, PAUSE_S)]]
+    return [int(end) for end in ends[gaps >= (_pauses(chunks)[0] if pause_s is None else pause_s)]]
 
 
 def _framed_guesses(frames: Bytes, times_s: FloatArray) -> Iterator[Likely]:
@@ -314,17 +326,18 @@ def _checksums(frames: Bytes, header: int) -> Iterator[tuple[dict[str, Any], int
 
 def _raw_guesses(data: bytes, chunks: Sequence[Chunk], clock: _Clock) -> Iterator[Likely]:
     """Guesses for frames without a header, between pauses."""
-    starts = _burst_starts(chunks)
-    lengths = Counter(np.diff(starts).tolist())
-    if not lengths:
-        return
-    (length, seen), *_ = lengths.most_common(1)
-    if length < LEAST_FRAME or seen < 0.5 * (len(starts) - 1):
-        return
-    places = [at for at, after in pairwise(starts) if after - at == length and after <= len(data)]
-    if len(places) < FEWEST_FRAMES:
-        return
-    frames = np.array([list(data[at : at + length]) for at in places], dtype=np.uint8)
-    for likely, guess in words_in(frames, {"format": "binary"}, clock.at(np.array(places)), None):
-        guess.remarks["frame.format"] = "? nothing but the pauses between them shows where frames begin"
-        yield likely, guess
+    for pause_s in _pauses(chunks):
+        starts = _burst_starts(chunks, pause_s)
+        lengths = Counter(np.diff(starts).tolist())
+        if not lengths:
+            continue
+        (length, seen), *_ = lengths.most_common(1)
+        if length < LEAST_FRAME or seen < 0.5 * (len(starts) - 1):
+            continue
+        places = [at for at, after in pairwise(starts) if after - at == length and after <= len(data)]
+        if len(places) < FEWEST_FRAMES:
+            continue
+        frames = np.array([list(data[at : at + length]) for at in places], dtype=np.uint8)
+        for likely, guess in words_in(frames, {"format": "binary"}, clock.at(np.array(places)), None):
+            guess.remarks["frame.format"] = "? nothing but the pauses between them shows where frames begin"
+            yield likely, guess

@@ -371,6 +371,20 @@ def test_bytes_are_no_halves_of_words() -> None:
     assert found.guess.tables["board"]["rows"] * found.guess.tables["board"]["columns"] == 56 * 28
 
 
+def test_answers_are_frames_though_some_came_later_than_others() -> None:
+    """Bytes without a header, each frame an answer: the first ones after longer waits than the others."""
+    rng, chunks, at = np.random.default_rng(3), [], 0.0
+    row, column = np.mgrid[:16, :16]
+    for k in range(20):
+        at += 0.3 if k < 3 else 0.1
+        hill = np.exp(-((row - 8) ** 2 + (column - 3 - k / 2) ** 2) / 5)
+        chunks.append(Chunk(at, (12 + 150 * hill + rng.integers(0, 5, hill.shape)).astype(np.uint8).tobytes()))
+    found = draft(chunks, baudrate=9600, poll=b"A")
+    assert found is not None
+    assert found.guess.tables["frame"]["word"] == "uint8"
+    assert found.guess.tables["board"]["rows"] * found.guess.tables["board"]["columns"] == 256
+
+
 def test_only_ports_with_a_uart_are_tried_at_several_baud_rates(tmp_path: Path) -> None:
     told: list[str] = []
     with PtyPort(tmp_path / "skin") as port:
