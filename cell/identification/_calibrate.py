@@ -255,7 +255,7 @@ def _stated(
     return (
         Calibrated(
             default=default,
-            reason=f"{percent[default]:.1f} % of full scale on what comes after the part learned from ({others})",
+            reason=f"it errs by {percent[default]:.1f} % of full scale on what comes after what is learned ({others})",
             held_out_percent=percent,
             fold_percent=by_folds,
             std_kpa=full * stated.get("inverse", 0.0),

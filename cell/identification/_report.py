@@ -57,7 +57,7 @@ def calibration_text(calibration: CalibrationResult) -> str:
         f"  {name:<11} {_percents(values)} / {estimators.held_out_percent[name]:5.1f}"
         for name, values in estimators.fold_percent.items()
     ]
-    lines.append(f"estimator: {estimators.default}, because of {estimators.reason}")
+    lines.append(f"estimator: {estimators.default}, because {estimators.reason}")
     if calibration.growth > 1.0:
         lines.append(
             f"errors grow with the time since calibration: by {100 * (calibration.growth - 1):.0f} % within a time as "
