@@ -57,7 +57,8 @@ def test_a_week_at_rest_leaves_no_drift(make: Callable[[], Cell], name: str) -> 
     for reading in press:
         late, first = (one.step(DT, np.full(50, reading)) for one in (estimator, fresh))
         # Of two cells at rest one may sleep already, and shows no load then.
-        assert late == pytest.approx(first, abs=0.05 * FULL + learned)
+        stated = 3 * np.hypot(estimator.std_kpa, fresh.std_kpa)
+        assert (np.abs(late - first) <= np.maximum(0.05 * FULL + learned, stated)).all()
 
 
 @pytest.mark.parametrize("calibrated", [False, True])
