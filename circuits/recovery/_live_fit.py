@@ -355,6 +355,8 @@ class FitLive:
                     self._linear, renewals = self._renewed(log), renewals - 1
                     linear = self._linear
                 step, std = self._step(linear, apart, slope), linear.std(coarser)
+                if misfit <= _FITS:  # cells that readings hardly tell would hop, and carry the others with them
+                    step = np.where(std > HARDLY_KNOWN, 0.0, step)
                 small = (np.abs(step) <= np.maximum(SETTLED * std, SMALL)) | (std > HARDLY_KNOWN)
                 if misfit <= NO_FIT and small.all() and (misfit <= _FITS or not self._astray):
                     settled = misfit <= NO_FIT
