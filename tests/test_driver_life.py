@@ -113,7 +113,7 @@ class TestOwners:
             Skin.open(port.name, timeout=30.0).close()
 
     def test_a_recording_goes_on_though_nobody_holds_the_skin(self, tmp_path: Path) -> None:
-        port, path = PtyPort(), tmp_path / "alone.mcap"
+        port, path = TcpPort.at(":0"), tmp_path / "alone.mcap"
         with running(scene(board={"frame_rate": 400.0}), port):
             skin = Skin.open(port.name, timeout=30.0, record=path)
             recording, held = skin.recorder, weakref.ref(skin)
