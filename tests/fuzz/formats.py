@@ -227,26 +227,6 @@ def _judge_ends(data: bytes, rng: random.Random, folder: Path) -> str:
     return ACCEPTED
 
 
-def _netlist_text(rng: random.Random) -> bytes:
-    return to_netlist(tomllib.loads((ROOT / "examples" / "board-4x4.toml").read_text())).encode()
-
-
-def _judge_netlist(data: bytes, rng: random.Random, folder: Path) -> str:
-    """A netlist of KiCad gives tables, or one message; what it proposes names no file."""
-    path = folder / "board.net"
-    path.write_bytes(data)
-    netlist = _read(path, read_netlist)
-    if netlist is None:
-        return REFUSED
-    try:
-        tables = import_design(netlist).tables
-        parse(tables, Design, source="board.net")
-    except InputError as refusal:
-        message = one_line(str(refusal))
-        return REFUSED if message.isprintable() else message
-    return ACCEPTED
-
-
 def _judge_design(data: bytes, rng: random.Random, folder: Path) -> str:
     path = folder / "design.toml"
     path.write_bytes(data)
@@ -966,7 +946,6 @@ FORMATS = {
         Format("cells", _cells_text, _judge_cells),
         Format("recording", _recording_text, _judge_recording),
         Format("frames", _stream, _judge_stream, text=False),
-        Format("netlist", _netlist_text, _judge_netlist),
         Format("board", _board_text, _judge_board),
         Format("mcap", _recorded, _judge_recorded, text=False),
         Format("tare", _tare, _judge_tare, text=False, inside=_inside_npz),
