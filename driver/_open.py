@@ -119,8 +119,7 @@ def _open_joined(
             boards.append(Skin.open(port, record=file, overwrite=overwrite, progress=progress, **each))
         return JoinedSkin(boards, delivery=settings.get("delivery"), queue=settings.get("queue", QUEUE))
     except BaseException:
-        for board in boards:
-            board.close()
+        _close(boards)
         raise
 
 

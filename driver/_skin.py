@@ -156,28 +156,7 @@ class BoardSkin:
         progress: Progress = silent,
         **settings: Unpack[SkinSettings],
     ) -> Self:
-        """Open a serial device, a pty, ``socket://HOST:PORT`` or a recording (a file that ends in ``.mcap``).
-
-        A recording supplies every setting of its skin that is not given here.
-
-        Args:
-            port: name of the port; None: the port where :func:`discover` finds the board ``serial_number``.
-            serial_number: that the board must have.
-            baudrate: of the UART, where there is one; None: that of the family.
-            record: MCAP file to record to, from the first byte; the recording ends with the skin.
-            overwrite: replace a recording that is there already.
-            speed: replay speed of a recording, relative to real time; None: as fast as the file is read. A live board
-                sets its own pace.
-            progress: called with the bytes of a recording that were looked through, and with all of them, before it
-                plays.
-            settings: board, design, cell, delivery and more, see :class:`SkinSettings`.
-
-        Raises:
-            LinkError: the port does not exist, may not be used, or is in use, or another board is behind it.
-            InputError: ``speed`` is given and ``port`` is no recording.
-            Also everything that :meth:`__init__` raises.
-
-        """
+        """Open one board or its recording: arguments and errors of :meth:`.Skin.open`."""
         opened: BytePort
         reopen: Callable[[], BytePort]
         name = None if port is None else path_text("port", port, "the name of a port or of a recording")

@@ -40,15 +40,15 @@ def _stress(
     title: str,
     says: str,
     *,
-    of: str,
+    of: str = "",
     rates: tuple[str, str],
     line: Callable[[Box, tuple[int, int]], str] | None = None,
     refuse: Refuse = lambda dut: None,
     **others: Any,
 ) -> Quantity:
-    """The largest value of one field of an operating point, over all boards and presses."""
+    """The largest value of one field of an operating point, ``of`` or its own name, over all boards and presses."""
     unit = {"voltage": "V", "current": "A", "power": "W"}[rates[1]]
-    target = OperatingTarget(of, name.replace("_", " "))
+    target = OperatingTarget(of or name, name.replace("_", " "))
 
     def searched(dut: DesignUnderTest, requirement: Requirement) -> OperatingTarget:
         refuse(dut)
@@ -72,14 +72,12 @@ QUANTITIES = (
         "cell_voltage",
         "Voltage across a cell",
         "Largest voltage across a cell",
-        of="cell_voltage",
         rates=("cell", "voltage"),
     ),
     _stress(
         "cell_power",
         "Power in a cell",
         "Largest power in a cell while its row is selected",
-        of="cell_power",
         rates=("cell", "power"),
         shipped=(Shipped(11, "Cells do not heat themselves.", max=0.01),),
     ),
@@ -112,7 +110,6 @@ QUANTITIES = (
         "output_current",
         "Current of an output",
         "Largest current that an amplifier's output delivers into the array",
-        of="output_current",
         rates=("amplifier", "current"),
         line=sensed_line,
         refuse=_needs_an_amplifier,
@@ -126,7 +123,6 @@ QUANTITIES = (
         "reference_voltage",
         "Voltage across a reference resistor",
         "Largest voltage across the resistor of a sensed line: Rref, or the load of a divider",
-        of="reference_voltage",
         rates=("reference_resistor", "voltage"),
         line=sensed_line,
         refuse=_needs_a_resistor,
@@ -135,7 +131,6 @@ QUANTITIES = (
         "reference_power",
         "Power in a reference resistor",
         "Largest power in the resistor of a sensed line: Rref, or the load of a divider",
-        of="reference_power",
         rates=("reference_resistor", "power"),
         line=sensed_line,
         refuse=_needs_a_resistor,
