@@ -46,7 +46,7 @@ from typing import (
 import numpy as np
 from numpy.typing import NDArray
 
-from .arrays import BoolArray, CodeArray, FloatArray, IntArray
+from .arrays import BoolArray, FloatArray, IntArray
 
 SWITCH = "OHMSKIN_COMPILED"
 """environment variable; 0, no, off or false: kernels run as plain Python; checked: no call goes without a look at the
@@ -91,14 +91,12 @@ Places = Annotated[IntArray, "intp[::1]"]
 PlaceRows = Annotated[IntArray, "intp[:, ::1]"]
 Flags = Annotated[BoolArray, "boolean[::1]"]
 FlagRows = Annotated[BoolArray, "boolean[:, ::1]"]
-Codes = Annotated[CodeArray, "uint32[::1]"]
 # The same for arrays that the kernel does not write to, and that nobody may write to (flags.writeable is False).
 # Only for such arrays: to find out that an array is not of exactly the stated type takes a call 0.3 us, and to look at
 # one that nobody may write to 0.1 us more than at another.
 FixedRow = Annotated[FloatArray, "Array(float64, 1, 'C', readonly=True)"]
 FixedRows = Annotated[FloatArray, "Array(float64, 2, 'C', readonly=True)"]
 FixedReasons = Annotated[NDArray[np.int8], "Array(int8, 2, 'C', readonly=True)"]
-FixedFlags = Annotated[BoolArray, "Array(boolean, 1, 'C', readonly=True)"]
 
 
 class Record:

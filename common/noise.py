@@ -94,8 +94,6 @@ ABOVE_MEDIAN = 4.0
 RISEN, CONFIRMED = 9.0, 3.0
 """ratio of the variance of all readings now to the median of the averages, from which on these are raised to it, if so
 many frames have shown it"""
-MEDIAN_OF_SQUARES = 0.4549
-"""median of the square of a normal variable of variance 1"""
 
 LEAST = 1e-6
 """squared quanta: smaller variances count as none"""

@@ -8,7 +8,6 @@ import numpy as np
 from together import once
 
 from ohmskin.bench import _independent as independent
-from ohmskin.bench._materials import MATERIALS
 from ohmskin.cell import CalibrationResult, Cell, Recording, calibrate, checked_recording
 from ohmskin.cell.identification import _protocol as protocol
 
@@ -89,23 +88,3 @@ def creeping() -> Unknown:
     part = len(pressed)
     found = calibrate(checked_recording(DT * np.arange(part), FULL * load[:part], read[:part]), full_scale_kpa=FULL)
     return Unknown(found, load, read, part)
-
-
-@once
-def short_presses() -> tuple[CalibrationResult, np.ndarray, np.ndarray, np.ndarray, float]:
-    """A minute of short presses to learn from, then a hold of 15 minutes: found, time, load, read, seconds learned."""
-    rng = np.random.default_rng(2)
-    points = [(0.0, 0.0), (5.0, 0.0)]
-    while points[-1][0] < 60:
-        level = rng.uniform(0.4, 1.0)
-        for seconds, to in ((rng.uniform(0.5, 2), level), (rng.uniform(0.5, 3), level), (rng.uniform(0.5, 2), 0.0)):
-            points.append((points[-1][0] + seconds, to))
-        points.append((points[-1][0] + rng.uniform(1, 4), 0.0))
-    head_s = points[-1][0]
-    points += [(head_s + 2, 0.7), (head_s + 902, 0.7)]
-    time = np.arange(0, points[-1][0], DT)
-    load = np.interp(time, *np.array(points).T)
-    read = 1e4 * (1 + MATERIALS["relays"](load, DT, rng)) * (1 + 0.002 * rng.standard_normal(len(time)))
-    head = time < head_s
-    found = calibrate(checked_recording(time[head], FULL * load[head], read[head]), full_scale_kpa=FULL)
-    return found, time, load, read, head_s
