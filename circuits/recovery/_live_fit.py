@@ -288,13 +288,21 @@ class FitLive:
     def _spread(self, log: FloatArray, unread: BoolArray) -> FloatArray:
         """Change (n,) of the logarithms over all conductances of the cells ``unread``, from their least to a short.
 
-        A cell changes a reading by a Moebius function of its conductance, hence most at the ends of its interval.
+        A cell changes a reading by a Moebius function of its conductance, hence most at the ends of its interval. The
+        others follow their readings there, by steps with the derivatives at hand; infinite where these do not end.
         """
         if not unread.any():
             return np.zeros(log.shape)
         assert self._linear is not None
-        moved = self._at(np.where(unread.ravel(), self._most, log)) - self._at(log)
-        return np.abs(self._linear.solve(moved * self._read))
+        volts, known = self._at(log), self._linear.std(1.0) <= HARDLY_KNOWN
+        there = np.where(unread.ravel(), self._most, log)
+        for _ in range(_CORNER_STEPS):
+            step = self._linear.solve((volts - self._at(there)) * self._read)
+            there = there + np.clip(step, -STRIDE, STRIDE)
+            left = np.abs(step)
+            if left[known].max(initial=0.0) < _CORNER_STEP:
+                return np.abs(there - log) + left
+        return np.full(log.shape, inf)
 
     def _closed_start(self, volts: FloatArray) -> FloatArray:
         """Logarithms (n,) as if each cell were alone."""
