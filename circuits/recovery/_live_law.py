@@ -199,7 +199,7 @@ class LawLive:
         counted = self._every[0] if self._present is None else self._present
         if unknown is not None:
             counted = counted & ~unknown
-        cells, settled = self._factors(
+        cells, left, settled = self._factors(
             cells,
             lambda found: errors.relative(found) + by_others,
             errors.linear + by_others,
@@ -212,7 +212,7 @@ class LawLive:
             return self._fit.read(volts, limited, under_range, noise, cells)
         uncertainty = errors.relative(cells)
         moved = self._factors.moved(np.minimum(uncertainty, 1.0) * np.abs(cells), cells, uncertainty <= limit)
-        uncertainty = uncertainty + moved
+        uncertainty = uncertainty + moved + left
         return self._reading(errors, cells, uncertainty, enclosed, unknowns, answers, settled=settled)
 
     def _law_of_model(self, conductance: FloatArray) -> FloatArray:
