@@ -168,7 +168,7 @@ class Enclosure:
         drive, share = np.abs(ports.drive), ports.share
         sums = self._column_sums(ports, errors, unknowns, volts, share, drive)
         potential = self._potentials(ports, sums, volts, drive)
-        row, low, high = self._rows(ports, errors, unknowns, sums, potential / drive)
+        row, low, high = self._rows(ports, errors, unknowns, sums, drive, potential)
         added = np.zeros(shape)
         if self._law.has_leads or self._floating or self._hidden.any():
             added = self._between(ports, errors, cells, unknowns, sums, row / low, potential) / drive
@@ -240,10 +240,17 @@ class Enclosure:
         return np.minimum(potential, drive)
 
     def _rows(
-        self, ports: Ports, errors: LawErrors, unknowns: Unknowns, sums: _Sums, potential: FloatArray
+        self,
+        ports: Ports,
+        errors: LawErrors,
+        unknowns: Unknowns,
+        sums: _Sums,
+        drive: FloatArray,
+        potential: FloatArray,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Potential (N, M) of a driven row at its cells over the drive, and its bounds."""
-        driven = ports.driven
+        driven, full = ports.driven, abs(self._board.drive) if self._floating else drive
+        potential = potential / full
         row = np.clip(1.0 - self._lost(driven - np.maximum(driven, 0.0) * potential), _LEAST_LEFT, 1.0)
         more, less = np.maximum(sums.above - driven, 0.0), np.maximum(driven - sums.below, 0.0)
         if self._holds:
@@ -251,7 +258,7 @@ class Enclosure:
             if self._saturates:  # the current of the column's other cells leaves by their idle rows
                 idle = np.where(unknowns.limited, 0.0, np.maximum(driven, 0.0)).sum(axis=0)
                 into_end = np.minimum(into_end + idle, self._short)
-            more = np.where(unknowns.limited, np.maximum(into_end - ports.apart, 0.0), more)
+            more = np.where(unknowns.limited, np.maximum(into_end - ports.apart * (drive / full), 0.0), more)
         slack = self._to_driver * np.where(errors.row_open > OPEN_ROW, errors.of_sums, 0.0)[:, None]
         low = row - self._lost(more) - slack
         high = np.minimum(row + self._lost(less) + slack, 1.0)
