@@ -10,10 +10,10 @@ import numpy as np
 
 from ..calibration import Guide, Plan, Press, Verdict, align, calibrate_cells, read_reference, with_reference
 from ..common.files import check_writable
+from ..common.json_text import json_text
 from ..driver import Calibration
 from ..errors import InputError
 from . import arguments
-from ._json import json_text
 from ._opening import Opening, opening_options
 
 STANDARD_GRAVITY = 9.80665

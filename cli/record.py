@@ -8,12 +8,12 @@ from pathlib import Path
 
 import click
 
+from ..common.json_text import json_text
 from ..common.text import one_line
 from ..driver import LinkStatistics, Skin
 from ..errors import InputError, LinkEnded, LinkTimeout
 from . import arguments
 from ._bar import progress_bar
-from ._json import json_text
 from ._opening import Opening, opening_options
 
 QUEUE = 4096

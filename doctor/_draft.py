@@ -7,13 +7,13 @@ is taken that accounts for the bytes. What the bytes do not tell is left as a qu
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Any
 
+from ..common.config import toml_value
 from ..errors import InputError
 from ..wire import BoardFile, Corrupt, Family, FramePacket
 from ._binary_guess import binary_guesses
@@ -199,15 +199,6 @@ def _words_of(fields: Sequence[str]) -> list[str]:
 
 def _toml(key: str, value: Any) -> str:
     """A value as TOML, bytes in hexadecimal."""
-    match value:
-        case bool():
-            return str(value).lower()
-        case str():
-            return json.dumps(value)  # a TOML basic string has the escapes of JSON
-        case list() | tuple() if key in ("header", "trailer", "poll", "send"):
-            return f"[{', '.join(f'0x{byte:02X}' for byte in value)}]"
-        case dict():
-            return "{ " + ", ".join(f"{name} = {_toml(name, item)}" for name, item in value.items()) + " }"
-        case list() | tuple():
-            return f"[{', '.join(_toml(key, item) for item in value)}]"
-    return str(value)
+    if key in ("header", "trailer", "poll", "send") and not isinstance(value, str):
+        return f"[{', '.join(f'0x{byte:02X}' for byte in value)}]"
+    return toml_value(value)

@@ -16,9 +16,9 @@ from dataclasses import replace
 from typing import Any, get_args
 
 from ..circuits import Design
-from ..common.config import parse
+from ..common.config import parse, toml_value
 from ._board import value_of
-from ._import import KEY, import_design, plain, stated, toml_value
+from ._import import KEY, import_design, plain, stated
 from ._lines import ROLE
 from ._netlist import Netlist, Part, Pin
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import isfinite, isnan
+from math import isnan
 from typing import Any
 
 from pydantic import BaseModel
 
 from ..circuits import Design
-from ..common.config import parse, parse_toml
+from ..common.config import parse, parse_toml, toml_value
 from ..common.text import one_line
 from ..errors import InputError
 from ._board import Board, Branch, spread_of
@@ -63,22 +62,6 @@ class Imported:
                     lines.append(f"# ? {one_line(self.questions[table, key])}")
                 lines.append(f"{key} = {toml_value(value)}  # {one_line(self.notes[table, key])}")
         return "\n".join(lines) + "\n"
-
-
-def toml_value(value: Any) -> str:
-    """A value as TOML, on one line."""
-    match value:
-        case bool() | str():
-            return json.dumps(value, ensure_ascii=False)
-        case int():
-            return str(value)
-        case float():
-            return repr(value) if isfinite(value) else "nan" if isnan(value) else "inf" if value > 0 else "-inf"
-        case Mapping():
-            return "{ " + ", ".join(f"{key} = {toml_value(item)}" for key, item in value.items()) + " }"
-        case Sequence():
-            return "[" + ", ".join(map(toml_value, value)) + "]"
-    raise InputError(f"{value!r} is no value of a design")
 
 
 def import_design(netlist: Netlist) -> Imported:
