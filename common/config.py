@@ -31,7 +31,7 @@ from .json_text import replaced
 from .tables import write_text
 from .text import printable, shortened, shown
 
-MOST, LEAST = 1e30, 1e-30
+MOST_SI, LEAST_SI = 1e30, 1e-30
 """Quantities in SI units lie far within these limits, and products of a few of them neither overflow nor vanish."""
 
 MOST_LEVELS = 64
@@ -43,9 +43,9 @@ MOST_HOMES = 3
 LIKELY_SLIP = 0.8
 """similarity (difflib) from which an unknown key may be a misspelt one"""
 
-Finite = Annotated[float, Field(ge=-MOST, le=MOST, allow_inf_nan=False)]
-Positive = Annotated[float, Field(ge=LEAST, le=MOST, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, le=MOST, allow_inf_nan=False)]
+Finite = Annotated[float, Field(ge=-MOST_SI, le=MOST_SI, allow_inf_nan=False)]
+Positive = Annotated[float, Field(ge=LEAST_SI, le=MOST_SI, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, le=MOST_SI, allow_inf_nan=False)]
 
 
 def _located(value: Any, info: ValidationInfo) -> Any:

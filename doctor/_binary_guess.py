@@ -91,9 +91,9 @@ def _delimited_guesses(data: bytes, clock: _Clock) -> Iterator[Likely]:
         if not lengths:
             continue
         (length, seen), *_ = lengths.most_common(1)
-        told = sum(bool(stretch) for stretch in stretches[1:-1])
+        between = sum(bool(stretch) for stretch in stretches[1:-1])
         varied = len({len(one) for one in stretches}) > 2  # else a header that looks like a delimiter
-        if length < LEAST_FRAME or seen < max(FEWEST_FRAMES, DELIMITED * told) or not varied:
+        if length < LEAST_FRAME or seen < max(FEWEST_FRAMES, DELIMITED * between) or not varied:
             continue
         kept = [(one, place) for one, place in zip(decoded, places, strict=True) if len(one) == length]
         frames = np.array([list(one) for one, _ in kept], dtype=np.uint8)

@@ -70,7 +70,7 @@ class Verdict:
     shape: tuple[int, int] | None
     """(rows, columns) of the last frame"""
     corrupt_bytes: int
-    introduced: bool
+    identified: bool
     """the board said who it is"""
 
     def accounted(self, received: int) -> float:
@@ -79,7 +79,7 @@ class Verdict:
 
     def convincing(self, received: int) -> bool:
         """Whether the bytes can hardly be anything else."""
-        enough = self.frames >= FEWEST_FRAMES or self.introduced
+        enough = self.frames >= FEWEST_FRAMES or self.identified
         return enough and self.accounted(received) > 1.0 - MOST_CORRUPT
 
 
@@ -176,7 +176,7 @@ def judge(data: bytes) -> Verdict | None:
 
 
 def _decoded(family: Family, data: bytes) -> Verdict:
-    frames, shape, corrupt, introduced = 0, None, 0, False
+    frames, shape, corrupt, identified = 0, None, 0, False
     for event in host_protocol(family.name).feed(data, 0.0):
         match event:
             case FramePacket():
@@ -184,8 +184,8 @@ def _decoded(family: Family, data: bytes) -> Verdict:
             case Corrupt():
                 corrupt += event.size
             case Identity() | Description():
-                introduced = True
-    return Verdict(family, frames, shape, corrupt, introduced)
+                identified = True
+    return Verdict(family, frames, shape, corrupt, identified)
 
 
 def has_baud_rate(port: str) -> bool:

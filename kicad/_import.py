@@ -77,12 +77,12 @@ def import_design(netlist: Netlist) -> Imported:
     found.put("array", "rows", len(driven), f"by {lines.by}")
     found.put("array", "columns", len(sensed), "likewise")
     ends = [column_end(board, net, sensed=True) for net in sensed]
-    turned = not any(ends) and all(column_end(board, net) for net in driven)
-    if turned:
+    transposed = not any(ends) and all(column_end(board, net) for net in driven)
+    if transposed:
         sensed, driven = driven, sensed
         ends = [column_end(board, net) for net in sensed]
     reference = _columns(found, board, sensed, ends)
-    if turned:
+    if transposed:
         found.put("readout", "circuit", "row-amplifier", _why(next(end for end in ends if end is not None)))
     _rows(found, [row_end(board, net) for net in driven], driven, reference)
     _converter(found, board, ends)
