@@ -22,6 +22,7 @@ from ._draft import Draft, decoded, draft
 from ._finding import Finding, State
 from ._guess import Chunk
 from ._text_guess import is_text
+from ._thresholds import FEWEST_FRAMES, SURE
 
 LISTEN_S = 1.5
 """how long to listen before the bytes are judged: the slowest family sends two frames in a second"""
@@ -36,11 +37,8 @@ SHORT_LISTEN_S = 0.3
 PROGRESS_S = 0.25
 COMMON_RATES = (115_200, 1_000_000, 250_000, 2_000_000, 500_000, 921_600, 9_600, 230_400, 57_600, 460_800, 38_400)
 """baud rates of boards, those of the families among them, in the order in which they are tried"""
-FEWEST_FRAMES = 2
 MOST_CORRUPT = 0.5
 """share of the bytes that may be no part of a packet; a recording begins and ends within a packet"""
-SURE = 0.995
-"""share of the bytes after the first frame in frames, from which on the format of a file is taken for right"""
 QUIET_S = 0.7
 """without a byte, from which on a board counts as silent: a boot message may have come before"""
 START_WORDS = (
