@@ -57,12 +57,18 @@ class LiveTally:
 
 
 def check(family: str, number: int, tally: LiveTally) -> None:
-    """Read one stream and compare."""
-    tally.boards += 1
+    """Draw one stream, read it and compare."""
     read_from = stream(family, number)
     if read_from is None:
+        tally.boards += 1
         tally.unreadable += 1
-        return
+    else:
+        compare(f"{family}:{number}", read_from, tally)
+
+
+def compare(name: str, read_from: LiveStream, tally: LiveTally) -> None:
+    """Read one stream and compare."""
+    tally.boards += 1
     found: dict[str, str] = {}
     reader = CountReader(read_from.design)
     free: list[int] = []
@@ -85,7 +91,7 @@ def check(family: str, number: int, tally: LiveTally) -> None:
             found |= wrong
     if reading is not None and (reading.reason == Reason.UNSETTLED).any() and not read_from.noisy:
         found["unsettled"] = "in the last frame"
-    tally.findings += [f"{what}: {family}:{number}, {where}" for what, where in found.items()]
+    tally.findings += [f"{what}: {name}, {where}" for what, where in found.items()]
 
 
 def _wrong_cells(
