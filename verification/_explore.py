@@ -33,15 +33,12 @@ from ..errors import InputError, SolverError
 from ._catalogue import CATALOGUE
 from ._dut import DesignUnderTest
 from ._judging import worst_of
-from ._outcome import DoesNotApply, Measurement, NotRun, Outcome
-from ._quantity import AVERAGING, DOWN, UP, WORST
+from ._outcome import DoesNotApply, Measurement, NotRun
+from ._quantity import AVERAGING, DOWN, NOMINAL, UP, WORST
+from ._record import Outcome
 from ._requirements import evaluate
 from ._units import LEAST_SHOWN, UNITS, conversion, engineering
-from .quantities import adc_headroom, output_headroom, settling_error
-from .quantities.crosstalk import Crosstalk
-from .quantities.lost_frames import lost_frames
-from .quantities.pressure_resolution import pressure_resolution
-from .quantities.reading_error import ReadingError
+from .quantities.reading_errors import Crosstalk, ReadingError
 
 KNOWN_FRACTION = 0.015
 """carbon black by mass of the cell of the design; the paper's choice"""
@@ -211,14 +208,14 @@ def best_carbon_black(dut: DesignUnderTest) -> Variation | None:
     if dut.pressed < dut.rest:
         return None
     dut = replace(dut, compares=False)
-    sigma = {float(fraction): _resolution_kpa(dut, float(fraction)) for fraction in FRACTIONS}
+    sigma = {float(fraction): resolution_kpa(dut, {"carbon black": float(fraction)}) for fraction in FRACTIONS}
     best = min(sigma, key=lambda fraction: sigma[fraction])
     if not np.isfinite(sigma[best]):
         return None
     place = list(sigma).index(best)
     low, high = FRACTIONS[max(place - 1, 0)], FRACTIONS[min(place + 1, len(FRACTIONS) - 1)]
     for fraction in np.linspace(low, high, _BETWEEN).tolist():
-        sigma[fraction] = _resolution_kpa(dut, fraction)
+        sigma[fraction] = resolution_kpa(dut, {"carbon black": fraction})
     for fraction in sorted((f for f in sigma if np.isfinite(sigma[f])), key=lambda fraction: sigma[fraction]):
         found = _judged(dut, {"carbon black": fraction})
         if np.isfinite(found.reading_error_percent) and np.isfinite(found.crosstalk_percent):
@@ -236,19 +233,22 @@ def carbon_black_line(best: Variation, own: Variation) -> str:
     )
 
 
-def _resolution_kpa(dut: DesignUnderTest, fraction: float) -> float:
-    """One standard deviation of pressure, kPa; inf where it is not known, or where cells open or leave a range."""
+def resolution_kpa(dut: DesignUnderTest, changes: Mapping[str, float | str], method: str = WORST) -> float:
+    """One standard deviation of pressure, kPa; inf where it is not known, or where cells open or leave a range.
+
+    Ranges are judged by ``method``.
+    """
     try:
-        here = varied(dut, {"carbon black": fraction})
+        here = varied(dut, changes)
     except InputError:  # no path is left through the mixture under full-scale pressure
         return inf
     asked = Requirement(id="explore", quantity="pressure_resolution")
-    for headroom in (output_headroom, adc_headroom):
+    for headroom in ("output_headroom", "adc_headroom"):
         with suppress(NotRun, DoesNotApply):
-            if not headroom.QUANTITY.compute(here, asked, WORST).value >= 0:
+            if not CATALOGUE[headroom].compute(here, asked, method).value >= 0:
                 return inf
     try:
-        return pressure_resolution(here, asked, "nominal").value
+        return CATALOGUE["pressure_resolution"].compute(here, asked, NOMINAL).value
     except (NotRun, InputError, SolverError):
         return inf
 
@@ -395,6 +395,11 @@ def _widest_swing(dut: DesignUnderTest) -> list[float]:
     return [factor] if factor != 1.0 else []
 
 
+def mixtures(dut: DesignUnderTest) -> Percolation:
+    """The family of mixtures that the design's cell belongs to."""
+    return Percolation(KNOWN_FRACTION, dut.rest, dut.pressed / dut.rest - 1)
+
+
 def varied(dut: DesignUnderTest, changes: Mapping[str, float | str]) -> DesignUnderTest:
     """The design under test with some axes changed."""
     design, cells = dut.design, None
@@ -417,7 +422,7 @@ def varied(dut: DesignUnderTest, changes: Mapping[str, float | str]) -> DesignUn
                 rate = min(design.operation.frame_rate * value, FASTEST_STATED_HZ)
                 design = design.replace(operation={"frame_rate": rate})
             case "carbon black":
-                law = Percolation(KNOWN_FRACTION, dut.rest, dut.pressed / dut.rest - 1)
+                law = mixtures(dut)
                 rest = float(law.rest_resistance(value))
                 change = float(np.asarray(law.sensitivities(np.array([value])))[0])
                 cells = {
@@ -437,10 +442,10 @@ def _judged(dut: DesignUnderTest, changes: dict[str, float | str]) -> Variation:
     error, crosstalk = (100 * worst_of(here, target).value for target in (ReadingError(), Crosstalk()))
     unknown: list[str] = []
     asked = Requirement(id="explore", quantity="pressure_resolution")
-    kpa = _known(lambda: pressure_resolution(here, asked, "nominal"), "resolution", unknown)
-    settling = _known(lambda: settling_error.QUANTITY.compute(here, asked, WORST), "settling", unknown)
+    kpa = _known(lambda: CATALOGUE["pressure_resolution"].compute(here, asked, NOMINAL), "resolution", unknown)
+    settling = _known(lambda: CATALOGUE["settling_error"].compute(here, asked, WORST), "settling", unknown)
     rate = here.design.operation.frame_rate
-    if rate is not None and _known(lambda: lost_frames(here, asked, "nominal"), "", []) > 0:
+    if rate is not None and _known(lambda: CATALOGUE["lost_frames"].compute(here, asked, NOMINAL), "", []) > 0:
         settling = inf
     return Variation(changes, error, crosstalk, kpa, settling, rate or inf, unknown=tuple(unknown))
 

@@ -13,6 +13,7 @@ from ..cell import READING_NOISE, Cell, ContactModel, PaperModel, estimate_recor
 from ..common import plots
 from ..common.arrays import FloatArray
 from ..errors import InputError
+from ._claim import statement
 from ._dut import DesignUnderTest, once
 from ._outcome import Check, Figure, Finding, Table, drawn
 from ._pressures import one_cell_read
@@ -24,8 +25,12 @@ SETTLED_S = 1e-6  # time before the first sample in which the first pressure is 
 PAPERS = "the paper's"
 
 
+@statement(
+    *("P2", "Bonded and touching electrodes", "III, Figs. 4, 5"),
+    "With electrodes cast in, resistance rises with pressure and shows the material's viscoelastic shape; with "
+    "electrodes that merely touch, contact resistance dominates and falls.",
+)
 def electrodes(dut: DesignUnderTest) -> Finding:
-    """P2: bonded cells rise and remember, touching ones fall and do not."""
     contact = Cell(
         rest_resistance_ohm=dut.rest * 20,
         full_scale_kpa=dut.full_scale_kpa,
@@ -79,8 +84,11 @@ def electrodes(dut: DesignUnderTest) -> Finding:
     )
 
 
+@statement(
+    *("P3", "Resistance follows strain", "(1), (2)"),
+    "The change of resistance is proportional to strain, so resistance is a function of stress.",
+)
 def strain(dut: DesignUnderTest) -> Finding:
-    """P3: the normalised change r = (R - R0)/R0 is proportional to stress in each phase, whatever R0."""
     time_s, pressure = pressed([(1, 1.0, 5.0)], 30.0)
     scales = np.array([0.1, 0.5, 1.0])
     rests = np.array([1e2, 1e4, 1e6])
@@ -101,8 +109,11 @@ def strain(dut: DesignUnderTest) -> Finding:
     )
 
 
+@statement(
+    *("P4", "Rising phase", "(3), Fig. 6"),
+    "Under load: a jump, an overshoot, then slow settling, as a gain plus a first-order term in the stress rate.",
+)
 def rising(dut: DesignUnderTest) -> Finding:
-    """P4: equation (3) in its corrected form."""
     model = _paper_model(dut)
     (numerator, denominator), edge = model.rising_transfer_function(), 1e-3
     time_s = np.r_[0.0, edge + np.linspace(0.0, 8 * model.tu_s, 400)]
@@ -139,8 +150,11 @@ def rising(dut: DesignUnderTest) -> Finding:
     )
 
 
+@statement(
+    *("P5", "Recovery phase", "(4)-(8), Figs. 7, 8"),
+    "After unloading: an augmented Burgers model of five elements, which always returns to R0.",
+)
 def recovery(dut: DesignUnderTest) -> Finding:
-    """P5: the augmented Burgers model, (4)-(7) and (8)."""
     model = _paper_model(dut)
     numerator, denominator = model.transfer_function()
     omega = np.geomspace(1e-5, 1e3, 400)
@@ -178,8 +192,11 @@ def recovery(dut: DesignUnderTest) -> Finding:
     )
 
 
+@statement(
+    *("P6", "Coefficients from the recovery curve", "(9)"),
+    "E_i is the inverse gain of each branch of the recovery curve, eta_i = T_i E_i.",
+)
 def identification(dut: DesignUnderTest) -> Finding:
-    """P6: the coefficients read from a recovery curve, equation (9)."""
     model = _paper_model(dut)
     time_s = np.linspace(0.0, 3 * model.t3_s, 600)  # five minutes of the example cell, as a person would record it
     r = np.interp(time_s, *_release(dut))
@@ -237,8 +254,8 @@ def _branches_figure(time_s: FloatArray, r: FloatArray, branches: Sequence[float
         return Figure(plots.svg(figure), "The recovery curve taken apart, as in Fig. 8.")
 
 
+@statement("P7", "Recovery times", "IV", "Up to 25 s to 95 % recovery, up to 5 minutes to full recovery.")
 def recovery_times(dut: DesignUnderTest) -> Finding:
-    """P7: 25 s to 95 %, 5 minutes to full recovery."""
     time_s, r = _release(dut)
     left = r / (STEP_KPA * _paper_model(dut).gain_per_kpa)
     to_95 = float(np.interp(-0.05, -left, time_s))
@@ -253,8 +270,11 @@ def recovery_times(dut: DesignUnderTest) -> Finding:
     )
 
 
+@statement(
+    *("P8", "Pressure by inverse filters", "V, Fig. 9"),
+    "Pressure is the inverse filter of resistance, switched between two models by thresholds on its derivative.",
+)
 def inverse_filter(dut: DesignUnderTest) -> Finding:
-    """P8: the paper's estimator, its switch, and what its thresholds are worth."""
     model = _paper_model(dut)
     time_s, pressure = pressed([(2, STEP_KPA, 15.0)], 60.0)
     ohms = respond(dut.cell, time_s, pressure)
@@ -309,8 +329,11 @@ class _Press:
     """share of readings beyond the converter's range, or of outputs at a limit"""
 
 
+@statement(
+    *("P9", "One step and three steps", "V.A, Figs. 10, 11"),
+    "The estimate follows the applied stress for a 15.5 kPa step, and for three in a row with creep.",
+)
 def steps(dut: DesignUnderTest) -> Finding:
-    """P9: one 15.5 kPa step, then three in a row, through the readout as designed."""
     found = _presses(dut)
     limit = dut.design.requirements.pressure_rmse_percent
     checks = []

@@ -14,9 +14,10 @@ import numpy as np
 from ..circuits import Design
 from ._catalogue import CATALOGUE
 from ._dut import DesignUnderTest
-from ._outcome import Outcome, Result, Table
+from ._outcome import Result, Table
 from ._parameters import TEMPERATURE
 from ._quantity import SAMPLED
+from ._record import Outcome
 from ._units import engineering
 
 SEARCH = "worst case"
@@ -82,7 +83,7 @@ class SignOff(NamedTuple):
         found = []
         for line in self.bounds:
             result, how = line.result, f" ({line.how})" if line.how not in ("", SEARCH) else ""
-            names = f"{result.requirement.id} {result.title}", result.outcome, result.limit
+            names = f"{result.requirement.id} {result.title}", result.outcome, result.required
             new = (line.new,) if self.ages else ()
             both = line.root_sum_square, ", ".join(filter(None, line.monte_carlo)), result.margin_shown
             found.append((*names, f"{line.value}{how}", *new, *both))
@@ -104,7 +105,7 @@ def _bounds_line(result: Result) -> BoundsLine:
         return BoundsLine(result, result.found, result.method, "", "", ("", ""))
     new, root_sum_square, quantile, sampled = (
         "" if number is None else engineering(number, result.unit)
-        for number in (bounds.new, bounds.root_sum_square, bounds.quantile, bounds.sampled)
+        for number in (bounds.initial, bounds.root_sum_square, bounds.quantile_99, bounds.sampled)
     )
     drawn = quantile, f"worst of {bounds.boards}: {sampled}"
     return BoundsLine(result, result.found, SEARCH, new, root_sum_square, drawn)

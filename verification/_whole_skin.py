@@ -24,11 +24,12 @@ from ..emulator.firmware import (
 )
 from ..emulator.firmware import BoardSettings as FirmwareSettings
 from ..errors import InputError
+from ._catalogue import CATALOGUE
+from ._claim import statement
 from ._dut import DesignUnderTest
 from ._maps import heat_maps
-from ._outcome import Check, Figure, Finding, NotRun, Table, drawn, not_run
+from ._outcome import Check, Figure, Finding, NotRun, Table, drawn
 from ._pressures import contacts, runs
-from .quantities import fastest_scan
 
 RATE_HZ = 50.0
 SECONDS = 26.0
@@ -70,8 +71,11 @@ class _Received:
         ]
 
 
+@statement(
+    *("P14", "A whole skin in real time", "I, VIII"),
+    "Several contacts at once, their places and their pressures, in real time.",
+)
 def whole_skin(dut: DesignUnderTest) -> Finding:
-    """P14: several contacts at once, their places and pressures, in real time."""
     match dut.target:
         case "emulated":
             return _emulated(dut)
@@ -117,7 +121,7 @@ def _emulated(dut: DesignUnderTest) -> Finding:
 def _fast_enough(dut: DesignUnderTest) -> list[Check]:
     """The fastest scan that settles to a quarter of an ADC step; nothing where the design does not say enough."""
     try:
-        found = fastest_scan.QUANTITY.compute(
+        found = CATALOGUE["fastest_scan"].compute(
             dut, Requirement(id="P14", quantity="fastest_scan", min=RATE_HZ), "worst-case"
         )
     except NotRun:
@@ -156,12 +160,12 @@ def _firmware(dut: DesignUnderTest) -> Finding:
     """
     reason = missing_for()
     if reason is not None:
-        return not_run("board firmware", reason)
+        raise NotRun(reason)
     try:
         scene = _scene(dut, _brief_contacts(dut.design.array.shape, dut.full_scale_kpa), noise=0.0)
         usual = check_scene(scene).dwell_us
     except (InputError, ValueError) as error:
-        return not_run("board firmware", f"no firmware for this design: {str(error).splitlines()[-1]}")
+        raise NotRun(f"no firmware for this design: {str(error).splitlines()[-1]}") from error
     curve = [dwell_error(dut.design, FirmwareSettings(dwell_us=dwell)) for dwell in sorted({*DWELLS_US, usual})]
     own = next(point for point in curve if point.dwell_us == usual)
     apart = max(abs(point.measured_steps - point.predicted_steps) for point in curve) / curve[0].predicted_steps

@@ -1,4 +1,4 @@
-"""Settling error: what is left of the readings before in a reading at the declared frame rate."""
+"""Readings in time: settling error at the declared rate, fastest scan, and phase margin of the amplifiers."""
 
 from __future__ import annotations
 
@@ -10,14 +10,24 @@ from ...circuits import Boards, BoardsInTime, Design, EventScan, Requirement, Se
 from ...common import plots
 from ...errors import InputError, SolverError
 from .._dut import DesignUnderTest, once
-from .._judging import Searched, percent, worst_of
-from .._outcome import Figure, Measurement, NotRun, drawn
+from .._hardware import Readings
+from .._judging import Searched, negative, percent, worst_of
+from .._outcome import DoesNotApply, Figure, Measurement, NotRun, drawn
 from .._quantity import DOWN, SEARCHED, SPICE, UP, Quantity, Shipped
 from .._search import WorstCase
 from .._units import engineering
-from .._whole_board import SettlingTarget, goes_by_events, scan_in_time
+from .._whole_board import (
+    FrameTimeTarget,
+    PhaseMarginTarget,
+    SettlingTarget,
+    goes_by_events,
+    scan_in_time,
+    sensed_line,
+)
 
-QUICK = (
+CLOCK_TICK_S = 1e-6
+"""of the device times in frames"""
+_QUICK = (
     ("readout.gain_bandwidth", UP),
     ("readout.feedback_capacitance", DOWN),
     ("readout.column_capacitance", DOWN),
@@ -47,7 +57,7 @@ def largest_signal(dut: DesignUnderTest) -> float:
         NotRun: the circuit in time is not modelled, or nothing in it takes time.
     """
     design = dut.design
-    cells = np.stack([np.full(design.array.shape, ohms) for ohms in (dut.rest, dut.pressed)])
+    cells = np.stack(list(dut.uniform.values()))
     try:
         if goes_by_events(design):
             scan_in_time(design, cells[0], 1.0)
@@ -71,8 +81,7 @@ def nominal_settling(dut: DesignUnderTest, rate: float) -> WorstCase:
 def require_linear(dut: DesignUnderTest) -> None:
     """Raise NotRun where the circuit in time is not modelled or not linear, or where nothing in it takes time."""
     largest_signal(dut)
-    cells = np.stack([np.full(dut.design.array.shape, ohms) for ohms in (dut.rest, dut.pressed)])
-    if scan_batch(dut.design, cells, method="exact").saturated.any():
+    if scan_batch(dut.design, np.stack(list(dut.uniform.values())), method="exact").saturated.any():
         raise NotRun("settling is linear: an output saturates with nominal parts")
 
 
@@ -87,7 +96,7 @@ def frame_time(design: Design) -> float:
     return seconds
 
 
-def _target(dut: DesignUnderTest, requirement: Requirement) -> SettlingTarget | Measurement:
+def _settling(dut: DesignUnderTest, requirement: Requirement) -> SettlingTarget | Measurement:
     rate = rate_of(dut, requirement)
     require_linear(dut)
     if dut.design.scan is not None and (seconds := frame_time(dut.design)) * rate > 1.0 + 1e-9:
@@ -101,7 +110,9 @@ def _target(dut: DesignUnderTest, requirement: Requirement) -> SettlingTarget | 
     return SettlingTarget(period, largest_signal(dut))
 
 
-def _detail(dut: DesignUnderTest, requirement: Requirement, found: WorstCase, measurement: Measurement) -> Measurement:
+def _say_rate(
+    dut: DesignUnderTest, requirement: Requirement, found: WorstCase, measurement: Measurement
+) -> Measurement:
     rate = rate_of(dut, requirement)
     period = engineering(1.0 / (rate * dut.design.board.shape[0]), "s")
     said = f"At {engineering(rate, 'Hz')} each {dut.design.board.line_kinds[0]} has {period}."
@@ -136,23 +147,115 @@ def _figure(dut: DesignUnderTest, rate: float, found: WorstCase) -> Figure:
         return Figure(plots.svg(figure), "The worst frame on the worst board. Dashed: a quarter of an ADC step.")
 
 
-QUANTITY = Quantity(
-    name="settling_error",
-    title="Settling error",
-    unit="%",
-    says="Largest deviation of a sampled reading from the settled one at the declared rate, % of the largest signal.",
-    compute=Searched(_target, "%", percent, detail=_detail),
-    methods=(*SEARCHED, SPICE),
-    shipped=(
-        Shipped(8, "Readings settle at the declared frame rate.", max=1.0),
-        Shipped(
-            22,
-            "The maker's model settles at the declared rate.",
-            max=1.0,
-            method=SPICE,
-            applies=lambda design: design.readout.amplifier_model is not None,
+def _shortest_frame(dut: DesignUnderTest, requirement: Requirement) -> FrameTimeTarget | Measurement:
+    design = dut.design
+    step = dut.converter().step
+    if requirement.min is None and requirement.max is None:
+        raise NotRun("no limit is given; missing: operation.frame_rate")
+    if design.scan is not None:
+        return Measurement(1.0 / frame_time(design), "Hz", where="by the events of [scan]")
+    require_linear(dut)
+    if goes_by_events(design):
+        raise NotRun("missing: [scan], the events of a frame")
+    return FrameTimeTarget(step / 4)
+
+
+def _rate(seconds: float) -> float:
+    return 1.0 / seconds if seconds > 0.0 else np.inf
+
+
+def _limits_scan(
+    dut: DesignUnderTest, requirement: Requirement, found: WorstCase, measurement: Measurement
+) -> Measurement:
+    if found.value <= 0.0:
+        raise NotRun("nothing limits the scan")
+    if np.isfinite(found.value):
+        return measurement
+    pressed = found.box.in_words(found.target.pattern(found.box, found.corner))
+    where = f"{pressed}: the sampling capacitor cannot follow within adc.acquisition_time"
+    return replace(measurement, where=where)
+
+
+def _measured(dut: DesignUnderTest, readings: Readings) -> Measurement:
+    if not readings.device_seconds:
+        raise NotRun("the board states no time")
+    rate = (len(readings.volts) + readings.lost - 1) / readings.device_seconds
+    tick = 2.0 * CLOCK_TICK_S / readings.device_seconds  # at both ends
+    text = ["The rate at which this board scans."]
+    return Measurement(rate, "Hz", where="by the board's clock", text=text, resolution=rate * tick)
+
+
+def _loops(dut: DesignUnderTest, requirement: Requirement) -> PhaseMarginTarget:
+    design = dut.design
+    if not design.board.circuit.has_amplifiers:
+        raise DoesNotApply(f"'{design.readout.circuit}' has no feedback loop")
+    if not design.board.virtual_grounds:
+        here = f'"{design.readout.circuit}"'
+        here += ' with readout.columns = "multiplexed"' if design.board.multiplexed else ""
+        raise NotRun(f"stability is modelled for an amplifier on each line, not for {here}")
+    if np.isinf(design.readout.gain_bandwidth):
+        raise NotRun("missing: readout.gain_bandwidth")
+    return PhaseMarginTarget()
+
+
+def _crosses(dut: DesignUnderTest, requirement: Requirement, found: WorstCase, measurement: Measurement) -> Measurement:
+    if not np.isfinite(found.value):
+        raise NotRun("the loop gain is below 1 throughout: there is no crossover")
+    return measurement
+
+
+def _declared(design: Design) -> float | None:
+    return design.operation.frame_rate
+
+
+def _names_model(design: Design) -> bool:
+    return design.readout.amplifier_model is not None
+
+
+QUANTITIES = (
+    Quantity(
+        name="settling_error",
+        title="Settling error",
+        unit="%",
+        says="Largest deviation of a sampled reading from the settled one at the declared rate, % of the "
+        "largest signal.",
+        compute=Searched(_settling, "%", percent, detail=_say_rate),
+        methods=(*SEARCHED, SPICE),
+        shipped=(
+            Shipped(8, "Readings settle at the declared frame rate.", max=1.0),
+            Shipped(22, "The maker's model settles at the declared rate.", max=1.0, method=SPICE, applies=_names_model),
         ),
+        mended_by=(("operation.frame_rate", DOWN), *_QUICK),
+        analysis="transient",
     ),
-    mended_by=(("operation.frame_rate", DOWN), *QUICK),
-    analysis="transient",
+    Quantity(
+        name="fastest_scan",
+        title="Fastest scan",
+        unit="Hz",
+        says="Frames per second at which every reading still settles to a quarter of an ADC step, Hz.",
+        compute=Searched(_shortest_frame, "Hz", _rate, detail=_limits_scan),
+        methods=SEARCHED,
+        shipped=(Shipped(9, "The declared frame rate can be had to a quarter of an ADC step.", min=_declared),),
+        mended_by=_QUICK,
+        measured=_measured,
+    ),
+    Quantity(
+        name="phase_margin",
+        title="Phase margin",
+        unit="°",
+        says="Smallest phase margin of an amplifier on its column, degrees; further poles take some of it away.",
+        compute=Searched(_loops, "°", negative, sensed_line, _crosses),
+        methods=(*SEARCHED, SPICE),
+        shipped=(
+            Shipped(10, "Amplifiers are stable on their columns.", min=45.0),
+            Shipped(21, "The maker's model is stable on its column.", min=45.0, method=SPICE, applies=_names_model),
+        ),
+        mended_by=(
+            ("readout.feedback_capacitance", UP),
+            ("readout.column_capacitance", DOWN),
+            ("readout.reference_resistance", DOWN),
+            ("readout.gain_bandwidth", DOWN),
+        ),
+        analysis="loop gain",
+    ),
 )
