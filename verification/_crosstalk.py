@@ -14,8 +14,8 @@ from ..errors import MissingExtra
 from ._claim import statement
 from ._dut import DesignUnderTest
 from ._judging import worst_of
-from ._maps import heat_maps
 from ._outcome import Check, DoesNotApply, Figure, Finding, Table, drawn
+from ._pictures import heat_maps
 from .quantities.reading_errors import Crosstalk, ReadingError
 
 OPEN_DIVIDER = "divider, idle lines open"

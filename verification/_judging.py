@@ -15,10 +15,10 @@ from ..common.config import LEAST_SI
 from ..errors import InputError, SolverError
 from ._box import Box, Corners
 from ._dut import DesignUnderTest, once
-from ._maps import value_map
 from ._montecarlo import CONFIDENCE, Sampler, blocks, blocks_beside, boards_needed, proportion_bounds
 from ._outcome import Figure, Measurement, NotRun, drawn
 from ._parameters import Factors
+from ._pictures import value_map
 from ._quantity import NOMINAL, SAMPLED, SHARE_UNITS
 from ._readings import Excursion, ReadingErrorTarget
 from ._record import BoundsRecord, CornerRecord

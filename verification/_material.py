@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,8 @@ from ..common.arrays import FloatArray
 from ..errors import InputError
 from ._claim import statement
 from ._dut import DesignUnderTest, once
-from ._outcome import Check, Figure, Finding, Table, drawn
+from ._outcome import Check, Finding, Table
+from ._pictures import curves, picture, pressures
 from ._pressures import one_cell_read
 
 STEP_KPA = 15.5  # 10.0 N on one square inch (V.A)
@@ -43,15 +44,12 @@ def electrodes(dut: DesignUnderTest) -> Finding:
     ohms = contact.forward(loads.shape).step(1.0, loads)
     slope = float(np.polyfit(np.log(loads), np.log(1 / ohms - 1 / contact.rest_resistance_ohm), 1)[0])
 
-    def picture() -> str:
-        with plots.drawing(1, 2) as (figure, (panels,)):
-            for panel, title, values in zip(
-                panels, ("electrodes cast in", "electrodes touching"), (bonded_ohm, contact_ohm), strict=True
-            ):
-                panel.plot(time_s, values / 1e3)
-                panel.axvspan(5, 25, color=plots.INK, alpha=0.06, lw=0)
-                panel.set(title=title, xlabel="time / s", ylabel="resistance / kΩ", ylim=(0, None))
-            return plots.svg(figure)
+    def draw(panels: Any) -> None:
+        values = {"electrodes cast in": bonded_ohm, "electrodes touching": contact_ohm}
+        for panel, (title, ohms) in zip(panels[0], values.items(), strict=True):
+            panel.plot(time_s, ohms / 1e3)
+            panel.axvspan(5, 25, color=plots.INK, alpha=0.06, lw=0)
+            panel.set(title=title, xlabel="time / s", ylabel="resistance / kΩ", ylim=(0, None))
 
     rise = 100 * (np.median(bonded_ohm[(time_s > 15) & (time_s < 25)]) / bonded_ohm[0] - 1)
     fall = 100 * (np.median(contact_ohm[(time_s > 15) & (time_s < 25)]) / contact_ohm[0] - 1)
@@ -80,7 +78,7 @@ def electrodes(dut: DesignUnderTest) -> Finding:
             "remembers; touching ones show the contact, a static power law of the force (published exponents 0.7 to "
             "1.3). The contact cell's two resistances are the project's own choice."
         ],
-        figures=drawn(lambda: Figure(picture(), f"Grey: {STEP_KPA} kPa applied.")),
+        figures=picture(f"Grey: {STEP_KPA} kPa applied.", draw, 1, 2),
     )
 
 
@@ -126,14 +124,12 @@ def rising(dut: DesignUnderTest) -> Finding:
     settled = STEP_KPA / model.eu1_kpa
     printed = model.eu1_kpa / (model.eu1_kpa * model.eu2_kpa_per_s)
 
-    def picture() -> str:
-        with plots.drawing(1, 1, height=2.7) as (figure, ((panel,),)):
-            panel.plot(grid, filtered, lw=4, alpha=0.3, color=plots.INK, label="equation (3), scipy.signal.lsim")
-            panel.plot(time_s, r, label="forward model")
-            panel.axhline(settled, color=plots.ORANGE, lw=1, ls="--", label="σ / Eu1")
-            panel.set(title=f"Step of {STEP_KPA} kPa", xlabel="time / s", ylabel="r", ylim=(0, None))
-            panel.legend()
-            return plots.svg(figure)
+    def draw(panels: Any) -> None:
+        panel = panels[0, 0]
+        panel.plot(grid, filtered, lw=4, alpha=0.3, color=plots.INK, label="equation (3), scipy.signal.lsim")
+        panel.axhline(settled, color=plots.ORANGE, lw=1, ls="--", label="σ / Eu1")
+        title = f"Step of {STEP_KPA} kPa"
+        curves(panel, time_s, {"forward model": r}, title=title, xlabel="time / s", ylabel="r", ylim=(0, None))
 
     return Finding(
         checks=[
@@ -146,7 +142,7 @@ def rising(dut: DesignUnderTest) -> Finding:
             f"up to Eu2. As printed, the gain at rest would be 1/Eu2 = {printed:.4g} instead of 1/Eu1 = "
             f"{1 / model.eu1_kpa:.4g} per kPa. The corrected form is used."
         ],
-        figures=drawn(lambda: Figure(picture(), "A jump, an overshoot, then slow settling, as in Fig. 6.")),
+        figures=picture("A jump, an overshoot, then slow settling, as in Fig. 6.", draw),
     )
 
 
@@ -169,14 +165,12 @@ def recovery(dut: DesignUnderTest) -> Finding:
     }
     expected = STEP_KPA * sum(branches.values())
 
-    def picture() -> str:
-        with plots.drawing(1, 1, height=2.7) as (figure, ((panel,),)):
-            panel.plot(time_s, r, color=plots.INK, lw=2, label="total")
-            for label, branch in branches.items():
-                panel.plot(time_s, STEP_KPA * branch, label=label)
-            panel.set(title="Release after a long hold", xlabel="time after release / s", ylabel="r", xlim=(0, 120))
-            panel.legend()
-            return plots.svg(figure)
+    def draw(panels: Any) -> None:
+        panel = panels[0, 0]
+        panel.plot(time_s, r, color=plots.INK, lw=2, label="total")
+        scaled = {label: STEP_KPA * branch for label, branch in branches.items()}
+        labels = {"title": "Release after a long hold", "xlabel": "time after release / s", "ylabel": "r"}
+        curves(panel, time_s, scaled, xlim=(0, 120), **labels)
 
     return Finding(
         checks=[
@@ -188,7 +182,7 @@ def recovery(dut: DesignUnderTest) -> Finding:
             ),
             Check("left after ten times T3, of the held value", float(abs(r[-1]) * model.eu1_kpa / STEP_KPA), 1e-4),
         ],
-        figures=drawn(lambda: Figure(picture(), "Recovery and its components in series, as in Fig. 8.")),
+        figures=picture("Recovery and its components in series, as in Fig. 8.", draw),
     )
 
 
@@ -216,6 +210,17 @@ def identification(dut: DesignUnderTest) -> Finding:
         for case, values in found.items()
     }
     noisy = 100 * off["0.1 % noise on R"]
+
+    def draw(panels: Any) -> None:
+        _, e2, e3, t2, t3 = found["without noise"]
+        panel = panels[0, 0]
+        panel.semilogy(time_s, r, color=plots.INK, lw=2, label="recovery curve")
+        panel.semilogy(time_s, STEP_KPA / e3 * np.exp(-time_s / t3), "--", label="slow branch: 1/E3, T3")
+        panel.semilogy(time_s, STEP_KPA / e2 * np.exp(-time_s / t2), "--", label="fast branch: 1/E2, T2")
+        panel.set(title="Branches of the recovery curve", xlabel="time after release / s", ylabel="r")
+        panel.set(xlim=(0, 120), ylim=(1e-3, 1))
+        panel.legend()
+
     return Finding(
         checks=[
             Check("coefficients read without noise: worst error", 100 * off["without noise"], 5.0, "%"),
@@ -227,7 +232,7 @@ def identification(dut: DesignUnderTest) -> Finding:
             "what is left, the elastic one from what went at once. `ohmskin fit` starts from these values and then "
             "fits all data."
         ],
-        figures=drawn(lambda: _branches_figure(time_s, r, found["without noise"])),
+        figures=picture("The recovery curve taken apart, as in Fig. 8.", draw),
         tables=[
             Table(
                 ["coefficient", "true", *found],
@@ -238,20 +243,6 @@ def identification(dut: DesignUnderTest) -> Finding:
             ),
         ],
     )
-
-
-def _branches_figure(time_s: FloatArray, r: FloatArray, branches: Sequence[float]) -> Figure:
-    """The recovery curve with the branches read from it: E1, E2, E3 in kPa, T2, T3 in s."""
-    _, e2, e3, t2, t3 = branches
-    with plots.drawing(1, 1, height=2.7) as (figure, axes):
-        panel = axes[0, 0]
-        panel.semilogy(time_s, r, color=plots.INK, lw=2, label="recovery curve")
-        panel.semilogy(time_s, STEP_KPA / e3 * np.exp(-time_s / t3), "--", label="slow branch: 1/E3, T3")
-        panel.semilogy(time_s, STEP_KPA / e2 * np.exp(-time_s / t2), "--", label="fast branch: 1/E2, T2")
-        panel.set(title="Branches of the recovery curve", xlabel="time after release / s", ylabel="r")
-        panel.set(xlim=(0, 120), ylim=(1e-3, 1))
-        panel.legend()
-        return Figure(plots.svg(figure), "The recovery curve taken apart, as in Fig. 8.")
 
 
 @statement("P7", "Recovery times", "IV", "Up to 25 s to 95 % recovery, up to 5 minutes to full recovery.")
@@ -282,19 +273,13 @@ def inverse_filter(dut: DesignUnderTest) -> Finding:
     rising_per_s, falling_per_s = model.thresholds_per_s(dut.full_scale_kpa)
     slope = np.gradient(ohms / dut.rest, time_s)
 
-    def picture() -> str:
-        with plots.drawing(2, 1, height=4.2, sharex=True) as (figure, axes):
-            top, below = axes[:, 0]
-            top.plot(time_s, slope, lw=1)
-            for level in (rising_per_s, falling_per_s):
-                top.axhline(level, color=plots.RED, lw=1, ls="--")
-            top.set(
-                title="Derivative of r and the thresholds",
-                ylabel="dr/dt / s⁻¹",
-                ylim=(5 * falling_per_s, 5 * rising_per_s),
-            )
-            draw(below, time_s, pressure, estimates)
-            return plots.svg(figure)
+    def draw(panels: Any) -> None:
+        panel, limits = panels[0, 0], (5 * falling_per_s, 5 * rising_per_s)
+        panel.plot(time_s, slope, lw=1)
+        for level in (rising_per_s, falling_per_s):
+            panel.axhline(level, color=plots.RED, lw=1, ls="--")
+        panel.set(title="Derivative of r and the thresholds", ylabel="dr/dt / s⁻¹", ylim=limits)
+        pressures(panels[1, 0], time_s, pressure, estimates)
 
     settling = model.settling_slope_per_s(dut.full_scale_kpa)
     return Finding(
@@ -312,7 +297,7 @@ def inverse_filter(dut: DesignUnderTest) -> Finding:
             "are. Between the thresholds: the last model stays. The recovery threshold: it must exceed the slope at "
             "which a held load settles, σ Eu2/etau2², or holding reads as release."
         ],
-        figures=drawn(lambda: Figure(picture(), "The switch at work, as in Fig. 9. Dashed: the thresholds.")),
+        figures=picture("The switch at work, as in Fig. 9. Dashed: the thresholds.", draw, 2, height=4.2, sharex=True),
     )
 
 
@@ -344,6 +329,14 @@ def steps(dut: DesignUnderTest) -> Finding:
             checks.append(Check(f"{title}, {label}: RMSE", error, limit, "% of full scale"))
             peak = 100 * float(np.abs(kpa - press.pressure).max()) / dut.full_scale_kpa
             checks.append(Check(f"{title}, {label}: peak error", peak, 8 * limit, "% of full scale"))
+
+    def draw(panels: Any) -> None:
+        for (top, below), (title, press) in zip(panels.T, found.items(), strict=True):
+            top.plot(press.time_s, press.true_ohm / 1e3, color=plots.INK, lw=4, alpha=0.25, label="cell")
+            curves(top, press.time_s, {"as read": press.read_ohm / 1e3}, title=title, ylabel="resistance / kΩ")
+            pressures(below, press.time_s, press.pressure, press.estimates)
+
+    caption = "One press of 15.5 kPa (Fig. 10) and three in a row with creep (Fig. 11)."
     return Finding(
         checks=checks,
         text=[
@@ -353,7 +346,7 @@ def steps(dut: DesignUnderTest) -> Finding:
             "letter; ours is what `ohmskin fit` chooses and finds in a recording of the calibration protocol with "
             f"{100 * READING_NOISE:g} % noise. `ohmskin bench --estimators` has them on a material without a model."
         ],
-        figures=drawn(lambda: _press_figure(found)),
+        figures=picture(caption, draw, 2, 2, height=4.6, sharex="col"),
     )
 
 
@@ -370,17 +363,6 @@ def _presses(dut: DesignUnderTest) -> dict[str, _Press]:
         zero = float(np.median(read_ohm[time_s < 4.0]))  # R0 as a user has it: read at rest, by the same readout
         found[title] = _Press(time_s, pressure, true_ohm, read_ohm, side_by_side(dut, time_s, read_ohm, zero), lost)
     return found
-
-
-def _press_figure(found: dict[str, _Press]) -> Figure:
-    with plots.drawing(2, 2, height=4.6, sharex="col") as (figure, axes):
-        for column, (title, press) in enumerate(found.items()):
-            axes[0, column].plot(press.time_s, press.true_ohm / 1e3, color=plots.INK, lw=4, alpha=0.25, label="cell")
-            axes[0, column].plot(press.time_s, press.read_ohm / 1e3, lw=1, label="as read")
-            axes[0, column].set(title=title, ylabel="resistance / kΩ")
-            axes[0, column].legend()
-            draw(axes[1, column], press.time_s, press.pressure, press.estimates)
-        return Figure(plots.svg(figure), "One press of 15.5 kPa (Fig. 10) and three in a row with creep (Fig. 11).")
 
 
 def _paper_model(dut: DesignUnderTest) -> PaperModel:
@@ -450,12 +432,3 @@ def estimate(cell: Cell, name: str, time_s: FloatArray, ohms: FloatArray, rest: 
 def rmse(estimate: FloatArray, truth: FloatArray, dut: DesignUnderTest) -> float:
     """% of full scale."""
     return float(100 * np.sqrt(np.mean((estimate - truth) ** 2)) / dut.full_scale_kpa)
-
-
-def draw(panel: Any, time_s: FloatArray, pressure: FloatArray, estimates: Mapping[str, FloatArray]) -> None:
-    """Applied and estimated pressure into one panel."""
-    panel.plot(time_s, pressure, color=plots.INK, lw=4, alpha=0.25, label="applied")
-    for label, values in estimates.items():
-        panel.plot(time_s, values, lw=1.2, label=label)
-    panel.set(xlabel="time / s", ylabel="pressure / kPa")
-    panel.legend()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +12,8 @@ from ..errors import InputError
 from ._claim import statement
 from ._dut import DesignUnderTest
 from ._explore import KNOWN_FRACTION, mixtures, resolution_kpa
-from ._outcome import Check, DoesNotApply, Figure, Finding, drawn
+from ._outcome import Check, DoesNotApply, Finding
+from ._pictures import picture
 from ._quantity import NOMINAL
 
 FRACTIONS = np.array([0.0112, 0.0125, KNOWN_FRACTION, 0.02, 0.025, 0.03, 0.04, 0.05])
@@ -36,6 +37,23 @@ def fraction(dut: DesignUnderTest) -> Finding:
     sensitivity = law.sensitivities(FRACTIONS)
     falls = "sensitivity rises as the fraction falls: smallest ratio of neighbours"
     finest = "1.5 % against the finest of the eight, reference resistor chosen for each: standard deviation"
+    caption = "Left: percolation law, sensitivity (Fig. 3). Right: what the readout makes of it."
+
+    def draw(panels: Any) -> None:
+        left, right = panels[0]
+        left.semilogy(100 * CURVE, law.rest_resistance(CURVE) / 1e3)
+        left.set(title="Percolation", xlabel="carbon black / % by mass", ylabel="R0 / kΩ")
+        other = left.twinx()
+        other.plot(100 * CURVE, law.sensitivities(CURVE), color=plots.ORANGE)
+        other.plot(100 * FRACTIONS, sensitivity, "o", color=plots.ORANGE, ms=4)
+        other.set_ylabel("sensitivity (Rmax - R0)/R0", color=plots.ORANGE)
+        other.grid(visible=False)
+        right.semilogy(100 * CURVE, chosen, label="reference resistor chosen for each")
+        right.semilogy(100 * CURVE, fixed, label="reference resistor of the design")
+        right.semilogy(100 * FRACTIONS, eight, "o", color=plots.ORANGE, ms=4)
+        right.set(title="Resolution", xlabel="carbon black / % by mass", ylabel="σ of pressure / % of full scale")
+        right.legend()
+
     return Finding(
         checks=[
             Check(falls, float((sensitivity[:-1] / sensitivity[1:]).min()), 1.0, at_least=True),
@@ -50,28 +68,8 @@ def fraction(dut: DesignUnderTest) -> Finding:
             "the acquisition decides, as the paper says. The family goes through the design's cell at 1.5 %; threshold "
             f"{100 * law.threshold:g} % and exponent {law.exponent:g} are the project's own."
         ],
-        figures=drawn(partial(_picture, dut, fixed, chosen, eight)),
+        figures=picture(caption, draw, 1, 2, height=2.9),
     )
-
-
-def _picture(dut: DesignUnderTest, fixed: FloatArray, chosen: FloatArray, eight: FloatArray) -> Figure:
-    """The percolation law, and the resolution over :data:`CURVE` with the design's reference resistor or another."""
-    law = mixtures(dut)
-    with plots.drawing(1, 2) as (figure, (panels,)):
-        panels[0].semilogy(100 * CURVE, law.rest_resistance(CURVE) / 1e3)
-        panels[0].set(title="Percolation", xlabel="carbon black / % by mass", ylabel="R0 / kΩ")
-        other = panels[0].twinx()
-        other.plot(100 * CURVE, law.sensitivities(CURVE), color=plots.ORANGE)
-        other.plot(100 * FRACTIONS, law.sensitivities(FRACTIONS), "o", color=plots.ORANGE, ms=4)
-        other.set_ylabel("sensitivity (Rmax - R0)/R0", color=plots.ORANGE)
-        other.grid(visible=False)
-        panels[1].semilogy(100 * CURVE, chosen, label="reference resistor chosen for each")
-        panels[1].semilogy(100 * CURVE, fixed, label="reference resistor of the design")
-        panels[1].semilogy(100 * FRACTIONS, eight, "o", color=plots.ORANGE, ms=4)
-        panels[1].set(title="Resolution", xlabel="carbon black / % by mass", ylabel="σ of pressure / % of full scale")
-        panels[1].legend()
-        said = "Left: percolation law, sensitivity (Fig. 3). Right: what the readout makes of it."
-        return Figure(plots.svg(figure), said)
 
 
 def _resolution(dut: DesignUnderTest, fractions: FloatArray, factors: FloatArray) -> FloatArray:

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..circuits import Adc, Design, apparent_resistance, noise, scan_batch, volts_of_codes
-from ..common import plots
 from ..common.arrays import BoolArray, FloatArray
 from ..common.geometry import Geometry
 from ..driver import CountReader
@@ -24,6 +23,7 @@ from ._dut import DesignUnderTest, once
 from ._judging import box_of, worst_of
 from ._outcome import Figure, NotRun
 from ._parameters import MAXIMA, Factors
+from ._pictures import histories
 from ._readings import converted, limited
 from ._units import engineering
 from .quantities.noise import noise_of
@@ -225,14 +225,9 @@ def what_is_in(dut: DesignUnderTest) -> str:
     )
 
 
-def traces(run: Run) -> Figure:
-    busiest = run.applied_kpa.sum(axis=0)
-    places = [np.unravel_index(k, busiest.shape) for k in np.argsort(-busiest, axis=None)[:3]]
-    with plots.drawing(len(places), 1, height=0.8 + 1.2 * len(places), sharex=True) as (figure, axes):
-        for panel, (row, column) in zip(axes[:, 0], places, strict=True):
-            panel.plot(run.time_s, run.applied_kpa[:, row, column], color=plots.INK, lw=4, alpha=0.25, label="applied")
-            panel.plot(run.time_s, run.estimated_kpa[:, row, column], lw=1, label="host's estimate")
-            panel.set(title=f"cell ({row}, {column})", ylabel="kPa")
-        axes[0, 0].legend(ncols=2, loc="upper right")
-        axes[-1, 0].set_xlabel("board time / s")
-        return Figure(plots.svg(figure), f"The most pressed cells, read by {run.board}.")
+def traces(run: Run) -> list[Figure]:
+    """The most pressed cells."""
+    busiest = np.argsort(-run.applied_kpa.sum(axis=0), axis=None)[:3].tolist()
+    places = [divmod(cell, run.applied_kpa.shape[2]) for cell in busiest]
+    caption = f"The most pressed cells, read by {run.board}."
+    return histories(caption, run.time_s, run.applied_kpa, run.estimated_kpa, places, "host's estimate")

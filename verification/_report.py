@@ -31,8 +31,9 @@ from ._catalogue import CATALOGUE
 from ._dut import DesignUnderTest, everything_of
 from ._explore import may_be_mended
 from ._export import export_samples
-from ._outcome import Check, Claim, Figure, Measurement, Result, Table, drawn
+from ._outcome import Check, Claim, Figure, Measurement, Result, Table
 from ._parameters import MAXIMA
+from ._pictures import picture
 from ._record import (
     SCHEMA_VERSION,
     ChangeRecord,
@@ -442,32 +443,34 @@ def _pictures(result: Result) -> list[Figure]:
         return []
     pictures = list(found.figures)
     if len(found.contributions) > 1:
-        pictures += drawn(lambda: _tornado(result, found))
+        pictures += _tornado(result, found)
     if found.samples:
-        pictures += drawn(lambda: _histogram(result, found))
+        pictures += _histogram(result, found)
     return pictures
 
 
-def _tornado(result: Result, found: Measurement) -> Figure:
+def _tornado(result: Result, found: Measurement) -> list[Figure]:
     scale, unit = _scale(result.unit, max(map(abs, found.contributions.values()), default=1.0))
     items = sorted(found.contributions.items(), key=lambda item: abs(item[1]))
-    with plots.drawing(1, 1, width=7.2, height=0.7 + 0.26 * len(items)) as (figure, ((panel,),)):
-        values = [scale * value for _, value in items]
+
+    def draw(panels: Any) -> None:
+        panel, values = panels[0, 0], [scale * value for _, value in items]
         panel.barh(range(len(items)), values, color=[plots.BLUE if v >= 0 else plots.ORANGE for v in values])
         panel.set_yticks(range(len(items)), [name for name, _ in items])
         panel.axvline(0, color=plots.INK, lw=0.8)
         panel.set_xlabel(f"{result.title.lower()} / {unit}" if unit else result.title.lower())
         panel.grid(visible=False, axis="y")
-        return Figure(
-            plots.svg(figure),
-            f"{result.title} by each kind of part alone, all others nominal (tornado).",
-        )
+
+    caption = f"{result.title} by each kind of part alone, all others nominal (tornado)."
+    return picture(caption, draw, width=7.2, height=0.7 + 0.26 * len(items))
 
 
-def _histogram(result: Result, found: Measurement) -> Figure:
+def _histogram(result: Result, found: Measurement) -> list[Figure]:
     values = np.array([v for v in found.samples if math.isfinite(v)])
     lost = len(found.samples) - len(values)
-    with plots.drawing(1, 1, width=7.2, height=2.5) as (figure, ((panel,),)):
+
+    def draw(panels: Any) -> None:
+        panel = panels[0, 0]
         if len(values):
             panel.hist(values, bins=min(60, max(8, len(values) // 12)), color=plots.SKY)
         for limit in (result.requirement.min, result.requirement.max):
@@ -475,8 +478,10 @@ def _histogram(result: Result, found: Measurement) -> Figure:
                 panel.axvline(limit, color=plots.RED, lw=1.6)
                 panel.text(limit, panel.get_ylim()[1], " limit", color=plots.RED, va="top", fontsize=8)
         panel.set(xlabel=f"{result.title.lower()} / {result.unit}", ylabel="boards")
-        note = f" {lost} boards gave no number and count as failed." if lost else ""
-        return Figure(plots.svg(figure), f"{result.title} of {len(found.samples)} boards drawn at random.{note}")
+
+    note = f" {lost} boards gave no number and count as failed." if lost else ""
+    caption = f"{result.title} of {len(found.samples)} boards drawn at random.{note}"
+    return picture(caption, draw, width=7.2, height=2.5)
 
 
 def _scale(unit: str, largest: float) -> tuple[float, str]:

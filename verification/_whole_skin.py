@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from ..circuits import Requirement, adc_codes
-from ..common import plots
 from ..common.archives import Stored, read_arrays
 from ..common.arrays import BoolArray, FloatArray
 from ..driver import Frame, Skin
@@ -27,8 +26,8 @@ from ..errors import InputError
 from ._catalogue import CATALOGUE
 from ._claim import statement
 from ._dut import DesignUnderTest
-from ._maps import heat_maps
 from ._outcome import Check, Figure, Finding, NotRun, Table, drawn
+from ._pictures import heat_maps, histories
 from ._pressures import contacts, runs
 
 RATE_HZ = 50.0
@@ -87,7 +86,7 @@ def whole_skin(dut: DesignUnderTest) -> Finding:
 
 def _emulated(dut: DesignUnderTest) -> Finding:
     """The chain in board time for the pressures; a board on a pseudo-terminal for packets, driver and places."""
-    limit = dut.design.requirements.pressure_rmse_percent
+    limit, full = dut.design.requirements.pressure_rmse_percent, dut.full_scale_kpa
     operated = dut.at_rate(RATE_HZ)
     histories = runs(operated)
     rmse, peak = (100 * max(found) for found in zip(*((h.rmse()[0], h.peak()[0]) for h in histories), strict=True))
@@ -111,10 +110,7 @@ def _emulated(dut: DesignUnderTest) -> Finding:
             f"touched above {100 * TOUCHED:g} % of full scale; frames within 0.3 s of a change are left out of that "
             "comparison. Time is the board's: this machine's speed decides nothing.",
         ],
-        figures=drawn(
-            lambda: _traces(received, dut.full_scale_kpa),
-            lambda: _snapshot(received, dut.full_scale_kpa),
-        ),
+        figures=[*_traces(received, full), *drawn(lambda: _snapshot(received, full))],
     )
 
 
@@ -185,7 +181,7 @@ def _firmware(dut: DesignUnderTest) -> Finding:
             "modelled circuit answers each conversion with the voltage at its sample instant, settling after the row "
             "switch included.",
         ],
-        figures=drawn(lambda: _traces(received, full)),
+        figures=_traces(received, full),
         tables=[
             Table(
                 ["dwell", "largest error of the firmware", "of the settling model"],
@@ -246,19 +242,15 @@ def _settled(applied: FloatArray, full: float) -> BoolArray:
     return settled
 
 
-def _traces(received: _Received, full: float) -> Figure:
-    frames, applied = received.frames, received.applied
-    contacts = received.scene.contact
-    places = sorted({tuple(np.argwhere(c.coverage(received.scene.skin.geometry) > 0)[0].tolist()) for c in contacts})
-    times = [frame.device_time for frame in frames]
-    with plots.drawing(len(places), 1, height=1.0 + 1.3 * len(places), sharex=True) as (figure, axes):
-        for panel, (row, column) in zip(axes[:, 0], places, strict=True):
-            panel.plot(times, applied[:, row, column], color=plots.INK, lw=4, alpha=0.25, label="applied")
-            panel.plot(times, [frame.pressure[row, column] for frame in frames], lw=1, label="driver's estimate")
-            panel.set(title=f"cell ({row}, {column})", ylabel="kPa", ylim=(-0.1 * full, 1.2 * full))
-        axes[0, 0].legend(ncols=2, loc="upper right")
-        axes[-1, 0].set_xlabel("device time / s")
-        return Figure(plots.svg(figure), "One cell of each contact, through board, port, driver and estimator.")
+def _traces(received: _Received, full: float) -> list[Figure]:
+    """One cell of each contact."""
+    geometry = received.scene.skin.geometry
+    first = (np.argwhere(contact.coverage(geometry) > 0)[0].tolist() for contact in received.scene.contact)
+    times = np.array([frame.device_time for frame in received.frames])
+    estimated = np.array([frame.pressure for frame in received.frames])
+    places, limits = sorted({(int(row), int(column)) for row, column in first}), (-0.1 * full, 1.2 * full)
+    caption = "One cell of each contact, through board, port, driver and estimator."
+    return histories(caption, times, received.applied, estimated, places, "driver's estimate", ylim=limits)
 
 
 def _snapshot(received: _Received, full: float) -> Figure:

@@ -9,7 +9,7 @@ import numpy as np
 from ...circuits import Requirement, adc_codes, clipped, scan
 from .._dut import DesignUnderTest
 from .._hardware import Readings, true_cells
-from .._outcome import Measurement, drawn
+from .._outcome import Measurement
 from .._pressures import require_dynamics, runs, traces, what_is_in
 from .._quantity import Quantity, Shipped
 from .._units import engineering
@@ -31,7 +31,7 @@ def _error(peak: bool, dut: DesignUnderTest, requirement: Requirement, method: s
         where=where,
         confidence=f"{len(found)} boards, {len(run.time_s)} frames each, in board time",
         text=[what_is_in(dut)],
-        figures=[] if peak else drawn(lambda: traces(run)),
+        figures=[] if peak else traces(run),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,8 @@ from ...errors import InputError, SolverError
 from .._dut import DesignUnderTest, once
 from .._hardware import Readings
 from .._judging import Searched, negative, percent, worst_of
-from .._outcome import DoesNotApply, Figure, Measurement, NotRun, drawn
+from .._outcome import DoesNotApply, Figure, Measurement, NotRun
+from .._pictures import picture
 from .._quantity import DOWN, SEARCHED, SPICE, UP, Quantity, Shipped
 from .._search import WorstCase
 from .._units import engineering
@@ -117,7 +119,7 @@ def _say_rate(
     period = engineering(1.0 / (rate * dut.design.board.shape[0]), "s")
     said = f"At {engineering(rate, 'Hz')} each {dut.design.board.line_kinds[0]} has {period}."
     draws = np.isfinite(found.value) and not goes_by_events(dut.design)
-    return replace(measurement, text=[said], figures=drawn(lambda: _figure(dut, rate, found)) if draws else [])
+    return replace(measurement, text=[said], figures=_figure(dut, rate, found) if draws else [])
 
 
 def settling_share(dut: DesignUnderTest, rate: float) -> float:
@@ -130,21 +132,24 @@ def settling_share(dut: DesignUnderTest, rate: float) -> float:
         return 1.0
 
 
-def _figure(dut: DesignUnderTest, rate: float, found: WorstCase) -> Figure:
+def _figure(dut: DesignUnderTest, rate: float, found: WorstCase) -> list[Figure]:
     design = found.box.board(found.corner.x[0])
     settling, adc = Settling(design, found.frames[0]), design.adc
     lines, period = design.board.shape, 1.0 / (rate * design.board.shape[0])
     shortest = max(min(0.5 * settling.shortest_period(0.5), period / 2), adc.acquisition_time * lines[1] if adc else 0)
     periods = np.geomspace(max(shortest, 1e-9), 2 * period, 60)
-    share = settling.signal / largest_signal(dut)
-    with plots.drawing(1, 1, height=2.6) as (figure, ((panel,),)):
-        panel.loglog(1e6 * periods, [100 * share * max(settling.error(p), 1e-12) for p in periods])
+    share = 100 * settling.signal / largest_signal(dut)
+
+    def draw(panels: Any) -> None:
+        panel = panels[0, 0]
+        panel.loglog(1e6 * periods, [share * max(settling.error(p), 1e-12) for p in periods])
         panel.axvline(1e6 * period, color=plots.INK, lw=1, ls=":")
         panel.text(1e6 * period, panel.get_ylim()[1], " declared", va="top", fontsize=8)
         if adc:
             panel.axhline(100 * adc.step / 4 / largest_signal(dut), color=plots.RED, lw=1, ls="--")
         panel.set(title="Settling", xlabel="row period / µs", ylabel="error / % of largest signal")
-        return Figure(plots.svg(figure), "The worst frame on the worst board. Dashed: a quarter of an ADC step.")
+
+    return picture("The worst frame on the worst board. Dashed: a quarter of an ADC step.", draw)
 
 
 def _shortest_frame(dut: DesignUnderTest, requirement: Requirement) -> FrameTimeTarget | Measurement:
