@@ -50,7 +50,7 @@ class DesignUnderTest:
     baud: int | None = None
     """baud rate of the port; None: that of the board"""
     compares: bool = True
-    """whether worst cases are put beside other analyses of the same; an exploration needs them alone"""
+    """whether worst cases are explained and put beside other analyses; an exploration needs them alone"""
     _found: dict[Any, Any] = field(default_factory=dict, init=False, compare=False, repr=False)
     """results of functions that are :func:`once`"""
 

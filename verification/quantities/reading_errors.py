@@ -75,6 +75,8 @@ def _target(target: ReadingErrorTarget, dut: DesignUnderTest, requirement: Requi
 def _detail(dut: DesignUnderTest, requirement: Requirement, found: WorstCase, measurement: Measurement) -> Measurement:
     if not np.isfinite(found.value):
         return replace(measurement, where=f"{measurement.where}: {_LOST}")
+    if not dut.compares:
+        return measurement
     return replace(
         measurement,
         text=[in_both_units(dut, found)],
