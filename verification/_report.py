@@ -46,7 +46,7 @@ from ._record import (
     worst,
 )
 from ._schematic import schematic
-from ._sign_off import SignOff, filed_under
+from ._sign_off import RATINGS, SignOff, filed_under
 from ._units import PREFIXED, UNITS, engineering
 
 EXIT_CODES = {Outcome.PASS: 0, Outcome.FAIL: 1, Outcome.NOT_RUN: 3, Outcome.NOT_APPLICABLE: 3}
@@ -225,6 +225,7 @@ class Report:
             report=self,
             settings=self.settings(),
             sheet=SignOff.of(self.dut, self.results),
+            rating_columns=RATINGS,
             environment=environment(),
             schematic=schematic(self.design),
             budget=error_budget(self.results),
@@ -335,12 +336,11 @@ class Report:
             f"{self.count('does not apply')} do not apply. Design {self.design_sha256[:12]}, seed {self.dut.seed}, "
             f"ohmskin {__version__}.",
             "",
-            *_table(["requirement", "outcome", "limit", *sheet.columns, "margin"], sheet.rows),
+            *_table(sheet.columns, (line.row for line in sheet.bounds)),
             "",
         ]
         if sheet.ratings:
-            header = ["part", "number", "stress", "rating", "allowed", "worst", "of the rating", "outcome"]
-            lines += [*_table(header, [(*line[1:], line.result.outcome) for line in sheet.ratings]), ""]
+            lines += [*_table(RATINGS, (line.row for line in sheet.ratings)), ""]
         reasons = [*sheet.failed, *self.left_out_by_reason]
         if reasons:
             lines += [*_table(["not passed", "why"], reasons), ""]
