@@ -3,8 +3,7 @@
 ``ohmskin bench`` prints them. What a measurement has to say are the columns of its dataclass (:mod:`.harness`).
 
 Estimators: :mod:`.scenarios` plays the scenes of ``scenarios.toml`` (:mod:`.scenes`) and compares any estimator with
-gates, and with the figures that were frozen. ``python -m ohmskin.bench.panel`` judges calibrations on the specimens of
-:mod:`._materials`, and :mod:`._estimators` compares all estimators on some of them.
+gates, and with the figures that were frozen; also after calibrations on :mod:`.recordings` of other materials.
 
 Solvers: :mod:`._measurement` beside :mod:`._peers`.
 
@@ -20,15 +19,12 @@ tell them at all.
 """
 
 from ._driver import live_estimators
-from ._estimators import INDEPENDENT, estimators
 from ._freshness import freshness
 from ._measurement import board, cells, measure, picture
 
 __all__ = [
-    "INDEPENDENT",
     "board",
     "cells",
-    "estimators",
     "freshness",
     "live_estimators",
     "measure",
