@@ -28,7 +28,7 @@ import tempfile
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from itertools import accumulate, chain, zip_longest
+from itertools import chain, zip_longest
 from pathlib import Path
 from types import CodeType, FunctionType
 from typing import Any, NamedTuple
@@ -61,7 +61,18 @@ _EXCLUDED = (ast.Raise, ast.Assert, ast.JoinedStr, ast.arguments, ast.AnnAssign)
 _EXCLUDED_ARGUMENTS = {"axis", "daemon", "maxsize", "stacklevel", "strict"}
 """keywords whose other value is an error, or is the same for the arrays at hand"""
 _EXCLUDED_CALLS = {"cast", "debug", "info", "print", "warn", "warning"}
-_SYMMETRIC = {"add", "allclose", "array_equal", "gcd", "hypot", "isclose", "logaddexp", "multiply", *_OTHERS}
+_SYMMETRIC = {
+    "add",
+    "allclose",
+    "array_equal",
+    "gcd",
+    "hypot",
+    "isclose",
+    "logaddexp",
+    "multiply",
+    "suppress",
+    *_OTHERS,
+}
 """functions whose first two arguments may be swapped"""
 _GUARD = 1e-6
 """size of a float below which it keeps a division or a comparison from rounding; twice that is no other law"""
@@ -77,8 +88,8 @@ Reached = dict[Key, dict[int, set[str]]]
 class Map(NamedTuple):
     """What the tests of some files reach."""
 
-    spent: dict[str, float]
-    """(s) by test"""
+    spent: dict[str, dict[str, float]]
+    """(s) of each test by what takes it: the test itself, and the fixtures that it shares with others"""
     reached: Reached
     stale: set[Key]
     """functions that were changed since"""
@@ -88,12 +99,19 @@ class Map(NamedTuple):
         lines = self.reached.get(mutant.key, {})
         asked = lines if mutant.key in self.stale else (KERNEL, *mutant.lines)
         by_file: dict[str, list[str]] = defaultdict(list)
-        for test in sorted(set().union(*(lines.get(line, ()) for line in asked)), key=self.spent.__getitem__):
+        for test in sorted(set().union(*(lines.get(line, ()) for line in asked)), key=self._alone):
             by_file[test.partition("::")[0]].append(test)
-        queues = sorted(by_file.values(), key=lambda tests: self.spent[tests[0]])
-        turns = [test for test in chain(*zip_longest(*queues)) if test is not None]
-        used = accumulate(self.spent[test] for test in turns)
-        return [test for k, (test, total) in enumerate(zip(turns, used, strict=True)) if not k or total < cpu_s]
+        queues = sorted(by_file.values(), key=lambda tests: self._alone(tests[0]))
+        chosen: list[str] = []
+        paid: dict[str, float] = {}
+        for test in (test for test in chain(*zip_longest(*queues)) if test is not None):
+            if not chosen or sum((paid | self.spent[test]).values()) < cpu_s:
+                chosen.append(test)
+                paid |= self.spent[test]
+        return chosen
+
+    def _alone(self, test: str) -> float:
+        return sum(self.spent[test].values())
 
 
 class Mutant(NamedTuple):
@@ -129,7 +147,7 @@ def variants(node: ast.AST) -> Iterator[ast.AST]:
         case ast.Constant(value=bool(value)):
             yield changed(value=not value)
         case ast.Constant(value=int(value)):
-            yield changed(value=value + 1)
+            yield changed(value=value + 1 if abs(value) < 10 else 2 * value)
         case ast.Constant(value=float(value)) if not 0.0 < value < _GUARD:
             yield changed(value=2.0 * value if value else 1.0)
         case ast.Call(func=ast.Name(id=name)) if name in _OTHERS:
@@ -339,12 +357,10 @@ class Lines:
                     lines[str(path.relative_to(ROOT)), name][line - first] |= set(contexts)
         for key, contexts in self._kernels.items():
             lines[key][KERNEL] |= contexts
-        tests = list(self._fixtures)
         users: dict[str, set[int]] = defaultdict(set)
         for k, (test, fixtures) in enumerate(self._fixtures.items()):
             for context in (test, *fixtures):
                 users[context].add(k)
-        spent = [self.spent[test] + sum(self.spent[one] for one in self._fixtures[test]) for test in tests]
         rows = [
             (
                 *key,
@@ -355,7 +371,11 @@ class Lines:
             for key, by_line in lines.items()
             for line, contexts in by_line.items()
         ]
-        return {"tests": list(zip(tests, spent, strict=True)), "lines": [row for row in rows if row[-1]]}
+        spent = {
+            test: {one: self.spent[one] for one in (test, *fixtures) if one in self.spent}
+            for test, fixtures in self._fixtures.items()
+        }
+        return {"spent": spent, "lines": [row for row in rows if row[-1]]}
 
 
 def map_of(files: Sequence[Path]) -> Map:
@@ -379,9 +399,10 @@ def map_of(files: Sequence[Path]) -> Map:
         if not kept.exists():
             continue
         found = json.loads(kept.read_text())
-        whole.spent.update(found["tests"])
+        whole.spent.update(found["spent"])
+        names = list(found["spent"])
         for source, name, digest_then, line, tests in found["lines"]:
-            whole.reached[source, name][line] |= {found["tests"][k][0] for k in tests}
+            whole.reached[source, name][line] |= {names[k] for k in tests}
             if _digest_of((source, name)) != digest_then:
                 whole.stale.add((source, name))
     return whole

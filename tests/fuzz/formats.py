@@ -62,6 +62,8 @@ ROUNDING = 2.0**-53
 ROOT = Path(__file__).parent.parent.parent
 
 Judge = Callable[[bytes, random.Random, Path], str]
+FileJudge = Callable[[Any, Path, random.Random], None]
+"""takes what was read, the file, and what draws; it may write beside the file"""
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,24 @@ class Format:
         if self.inside is not None and rng.random() < 0.7:
             return self.inside(rng, data)
         return mutated(rng, data, text=self.text)
+
+
+def _of_file(name: str, read: Callable[[Path], Any]) -> Callable[[FileJudge], Judge]:
+    """A judge of input that is in a file of this name and is not refused by its reader."""
+
+    def decorated(judge: FileJudge) -> Judge:
+        def whole(data: bytes, rng: random.Random, folder: Path) -> str:
+            path = folder / name
+            path.write_bytes(data)
+            found = _read(path, read)
+            if found is None:
+                return REFUSED
+            judge(found, path, rng)
+            return ACCEPTED
+
+        return whole
+
+    return decorated
 
 
 def _read(path: Path, read: Callable[[Path], Any]) -> Any:
@@ -107,15 +127,10 @@ def _shape_text(rng: random.Random) -> bytes:
     return "".join(",".join(map(str, line)) + "\n" for line in [names, *lines]).encode()
 
 
-def _judge_shape(data: bytes, rng: random.Random, folder: Path) -> str:
+@_of_file("shape.csv", Shape.load)
+def _judge_shape(shape: Any, path: Path, rng: random.Random) -> None:
     """The numbers of the lines, each cell once, and neighbours that are mutual, near and no hole."""
-    path = folder / "shape.csv"
-    path.write_bytes(data)
-    shape = _read(path, Shape.load)
-    if shape is None:
-        return REFUSED
     _judge_geometry(shape)
-    return ACCEPTED
 
 
 def _judge_geometry(shape: Shape) -> None:
@@ -149,16 +164,11 @@ def _layout_text(rng: random.Random) -> bytes:
     return f"(kicad_pcb (version 20240108)\n{parts})".encode()
 
 
-def _judge_layout(data: bytes, rng: random.Random, folder: Path) -> str:
+@_of_file("skin.kicad_pcb", shape_of_layout)
+def _judge_layout(shape: Any, path: Path, rng: random.Random) -> None:
     """A layout gives no more cells than it has footprints, and places as of any other shape."""
-    path = folder / "skin.kicad_pcb"
-    path.write_bytes(data)
-    shape = _read(path, shape_of_layout)
-    if shape is None:
-        return REFUSED
-    assert len(shape.row) <= data.count(b"footprint")
+    assert len(shape.row) <= path.read_bytes().count(b"footprint")
     _judge_geometry(shape)
-    return ACCEPTED
 
 
 # --- TOML -------------------------------------------------------------------------------------------------------------
@@ -210,13 +220,9 @@ range = [0.0, 5.0]
 """.encode()
 
 
-def _judge_ends(data: bytes, rng: random.Random, folder: Path) -> str:
+@_of_file("design.toml", Design.load)
+def _judge_ends(design: Any, path: Path, rng: random.Random) -> None:
     """Cards are elements with plain names and numbers, however they were written; a scan is finite or refused."""
-    path = folder / "design.toml"
-    path.write_bytes(data)
-    design = _read(path, Design.load)
-    if design is None:
-        return REFUSED
     for end in (design.row_end, design.column_end):
         for cards in () if end is None else (getattr(end, key) for key in end.NETWORKS):
             for card in cards or ():
@@ -224,19 +230,13 @@ def _judge_ends(data: bytes, rng: random.Random, folder: Path) -> str:
     if max(design.array.shape) <= 6:
         with contextlib.suppress(InputError, SolverError):
             assert np.isfinite(scan(design, np.full(design.array.shape, 1e4)).volts).all()
-    return ACCEPTED
 
 
-def _judge_design(data: bytes, rng: random.Random, folder: Path) -> str:
-    path = folder / "design.toml"
-    path.write_bytes(data)
-    design = _read(path, Design.load)
-    if design is None:
-        return REFUSED
-    _agrees(_tables(data), design)
+@_of_file("design.toml", Design.load)
+def _judge_design(design: Any, path: Path, rng: random.Random) -> None:
+    _agrees(_tables(path.read_bytes()), design)
     if max(design.array.shape) <= 6 and design.array.sheet == "sliced":
         _agrees_with_reference(design, rng)
-    return ACCEPTED
 
 
 def _agrees_with_reference(design: Design, rng: random.Random) -> None:
@@ -272,35 +272,25 @@ def _imported(path: Path) -> Imported:
     return found
 
 
-def _judge_netlist(data: bytes, rng: random.Random, folder: Path) -> str:
+@_of_file("board.net", _imported)
+def _judge_netlist(found: Any, path: Path, rng: random.Random) -> None:
     """What is read is a design, or says why not; its text reads back as the same design."""
-    path = folder / "board.net"
-    path.write_bytes(data)
-    found = _read(path, _imported)
-    if found is None:
-        return REFUSED
     design = found.design()
-    written = folder / "design.toml"
+    written = path.parent / "design.toml"
     written.write_text(found.toml())
     assert not differences(Design.load(written), design), "the text says another design"
-    return ACCEPTED
 
 
 def _cell_text(rng: random.Random) -> bytes:
     return (ROOT / "cell" / "example.toml").read_bytes()
 
 
-def _judge_cell(data: bytes, rng: random.Random, folder: Path) -> str:
-    path = folder / "cell.toml"
-    path.write_bytes(data)
-    cell = _read(path, Cell.load)
-    if cell is None:
-        return REFUSED
-    _agrees(_tables(data), cell)
-    copy = folder / "copy.toml"
-    cell.save(copy, comment=data.decode("utf-8-sig")[:50])
+@_of_file("cell.toml", Cell.load)
+def _judge_cell(cell: Any, path: Path, rng: random.Random) -> None:
+    _agrees(_tables(path.read_bytes()), cell)
+    copy = path.parent / "copy.toml"
+    cell.save(copy, comment=path.read_bytes().decode("utf-8-sig")[:50])
     assert Cell.load(copy) == cell, "a saved cell reads back differently"
-    return ACCEPTED
 
 
 def _scene_text(rng: random.Random) -> bytes:
@@ -308,19 +298,14 @@ def _scene_text(rng: random.Random) -> bytes:
     return text.replace("../verification/prototype.toml", str(ROOT / "verification" / "prototype.toml")).encode()
 
 
-def _judge_scene(data: bytes, rng: random.Random, folder: Path) -> str:
-    path = folder / "scene.toml"
-    path.write_bytes(data)
-    scene = _read(path, Scene.load)
-    if scene is None:
-        return REFUSED
+@_of_file("scene.toml", Scene.load)
+def _judge_scene(scene: Any, path: Path, rng: random.Random) -> None:
     for time_s in (0.0, 1.02, 5.0, 1e6):
         pressure = scene.pressure_kpa(time_s)
         most = sum(max(kpa for _, kpa in contact.load_kpa) for contact in scene.contact)
         assert np.isfinite(pressure).all(), "pressure is not finite"
         assert (pressure >= 0).all(), "pressure is negative"
         assert pressure.max() <= most * (1 + 1e-9), "a cell bears more than all contacts together"
-    return ACCEPTED
 
 
 def _tables(data: bytes) -> dict[str, Any]:
@@ -557,16 +542,11 @@ def _proves(file: BoardFile) -> bool:
     return frame.layout == "frame-per-line" or frame.end is not None
 
 
-def _judge_board(data: bytes, rng: random.Random, folder: Path) -> str:
+@_of_file("board.toml", BoardFile.load)
+def _judge_board(file: Any, path: Path, rng: random.Random) -> None:
     """What is accepted has the values of the file, and both ends that it describes understand each other."""
-    path = folder / "board.toml"
-    path.write_bytes(data)
-    file = _read(path, BoardFile.load)
-    if file is None:
-        return REFUSED
-    _agrees(_tables(data), file)
+    _agrees(_tables(path.read_bytes()), file)
     _round_trip(file, rng)
-    return ACCEPTED
 
 
 # --- recordings -------------------------------------------------------------------------------------------------------
@@ -753,20 +733,15 @@ def _same_arrays(path: Path, found: Mapping[str, Any]) -> None:
             assert np.array_equal(array, arrays[name], equal_nan=array.dtype.kind == "f"), name
 
 
-def _judge_tare(data: bytes, rng: random.Random, folder: Path) -> str:
-    path = folder / "tare.npz"
-    path.write_bytes(data)
-    tare = _read(path, Tare.load)
-    if tare is None:
-        return REFUSED
+@_of_file("tare.npz", Tare.load)
+def _judge_tare(tare: Any, path: Path, rng: random.Random) -> None:
     _same_arrays(path, {name: getattr(tare, name) for name in ("rest_resistance_ohm", "measured", "std_ohm")})
     assert tare.measured.shape == tare.std_ohm.shape == tare.rest.shape
     assert np.isfinite(tare.rest).all(), "a rest that is no number"
     assert not (tare.std_ohm < 0).any()
     assert one_line(repr(tare)).isprintable()
-    tare.save(folder / "again.npz")
-    assert Tare.load(folder / "again.npz").remarks == tare.remarks
-    return ACCEPTED
+    tare.save(path.parent / "again.npz")
+    assert Tare.load(path.parent / "again.npz").remarks == tare.remarks
 
 
 def _judge_truth(data: bytes, rng: random.Random, folder: Path) -> str:
@@ -865,17 +840,12 @@ def _calibration_text(rng: random.Random) -> bytes:
     return calibration.as_toml().encode()
 
 
-def _judge_calibration(data: bytes, rng: random.Random, folder: Path) -> str:
-    path = folder / "skin.toml"
-    path.write_bytes(data)
-    found = _read(path, Calibration.load)
-    if found is None:
-        return REFUSED
-    cells = _tables(data)["cells"]
+@_of_file("skin.toml", Calibration.load)
+def _judge_calibration(found: Any, path: Path, rng: random.Random) -> None:
+    cells = _tables(path.read_bytes())["cells"]
     for name in ("rest_ohm", "gain", "gain_std"):
         assert getattr(found, name).tolist() == cells[name], name
     assert one_line(repr(found)).isprintable()
-    return ACCEPTED
 
 
 def _described(rng: random.Random) -> bytes:
