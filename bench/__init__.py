@@ -8,8 +8,7 @@ gates, and with the figures that were frozen; also after calibrations on :mod:`.
 Solvers: :mod:`._measurement` beside :mod:`._peers`.
 
 The live path: :mod:`._driver`, the age of frames (:mod:`._freshness`, over a :mod:`._paced_port`) and
-:mod:`._worst_frames`; contacts of short taps, and false ones of electrical faults (:mod:`._taps`);
-contacts of fingers that move, hold or cross a dead row, and false ones of drift (:mod:`._fingers`).
+:mod:`._worst_frames`; contacts of fingers and taps, and false ones of drift and electrical faults (:mod:`.contacts`).
 
 Searches for faults, each a program: ``python -m ohmskin.bench.search`` holds readings against exact rational arithmetic
 (:mod:`._reference`), with ``--live`` streams against the cells behind them (:mod:`._live_search`);

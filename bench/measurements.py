@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from . import _driver, _emulator, _fingers, _freshness, _taps, _worst_frames, scenarios
+from . import _driver, _emulator, _freshness, _worst_frames, contacts, scenarios
 
 Table = tuple[str, Iterable[Any]]
 """head, and rows as dataclasses, which come as they are measured"""
@@ -19,6 +19,6 @@ TABLES: Mapping[str, Callable[[Sequence[int]], Sequence[Table]]] = {
         ("the same by estimator", _driver.live_estimators(sizes)),
         (_freshness.HEAD, _freshness.freshness(sizes)),
     ],
-    "contacts": lambda sizes: [(_taps.HEAD, _taps.taps_and_faults(sizes)), (_fingers.HEAD, _fingers.fingers(sizes))],
+    "contacts": lambda sizes: [(contacts.HEAD, contacts.fingers(sizes))],
 }
 """option of the command -> tables for arrays of some sizes"""

@@ -12,10 +12,10 @@ from typing import Any
 import click
 
 from ..common import tables
+from ..common.json_text import json_text
 from ..errors import InputError
 from . import arguments
 from ._bar import progress_bar
-from ._json import json_text
 
 
 class _ManyValues(click.Command):

@@ -162,8 +162,8 @@ def _say_result(found: Result | Claim) -> None:
     if sys.stderr.isatty():
         click.echo("\r\x1b[K", nl=False, err=True)  # the progress bar comes again below
     if isinstance(found, Result):
-        line = f"{found.requirement.id:>5}  {found.outcome:<14} {found.title}: {found.found} (required {found.limit})"
-        click.echo(printable(line))
+        value = f"{found.title}: {found.found} (required {found.required})"
+        click.echo(printable(f"{found.requirement.id:>5}  {found.outcome:<14} {value}"))
         if found.outcome != "pass" and found.measurement is not None and found.why:
             click.echo(printable(f"       {'':14} {found.why}"))
         return

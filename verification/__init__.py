@@ -48,9 +48,9 @@ from ._catalogue import CATALOGUE
 from ._dut import DesignUnderTest
 from ._explore import Remedy, Variation, best_carbon_black, carbon_black_line, explore, remedies, with_front
 from ._explore import picture as explore_picture
-from ._outcome import Claim, Outcome, Result
+from ._outcome import Claim, Result
 from ._quantity import Quantity
-from ._record import ReportRecord, load_record, schema
+from ._record import Outcome, ReportRecord, load_record, schema
 from ._report import Report
 from ._requirements import at_ratings, check_requirements, default_requirements, load_requirements
 from ._run import prototype, verify

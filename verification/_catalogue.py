@@ -7,57 +7,25 @@ import difflib
 from ..errors import InputError
 from ._quantity import Quantity
 from .quantities import (
-    adc_headroom,
-    adc_range_used,
-    crosstalk,
-    fastest_scan,
+    converter,
     fault_coverage,
-    gain_error,
-    latency,
-    leakage_error,
-    lost_frames,
-    lost_readings,
+    headroom,
     noise,
-    output_headroom,
-    phase_margin,
-    pressure_peak_error,
-    pressure_resolution,
-    pressure_rmse,
-    reading_error,
-    resolution,
-    settling_error,
+    presses,
+    reading_errors,
+    settling,
     spice_agreement,
     stress,
+    transfer,
     valid_cells,
 )
 
-CATALOGUE: dict[str, Quantity] = {
-    quantity.name: quantity
-    for quantity in (
-        crosstalk.QUANTITY,
-        reading_error.QUANTITY,
-        gain_error.QUANTITY,
-        output_headroom.QUANTITY,
-        adc_headroom.QUANTITY,
-        adc_range_used.QUANTITY,
-        resolution.QUANTITY,
-        noise.QUANTITY,
-        pressure_resolution.QUANTITY,
-        settling_error.QUANTITY,
-        fastest_scan.QUANTITY,
-        phase_margin.QUANTITY,
-        *stress.QUANTITIES,
-        leakage_error.QUANTITY,
-        fault_coverage.QUANTITY,
-        pressure_rmse.QUANTITY,
-        pressure_peak_error.QUANTITY,
-        lost_readings.QUANTITY,
-        valid_cells.QUANTITY,
-        spice_agreement.QUANTITY,
-        latency.QUANTITY,
-        lost_frames.QUANTITY,
-    )
-}
+_FAMILIES = (
+    *(reading_errors.QUANTITIES, headroom.QUANTITIES, converter.QUANTITIES, noise.QUANTITIES, settling.QUANTITIES),
+    *(stress.QUANTITIES, fault_coverage.QUANTITIES, presses.QUANTITIES, valid_cells.QUANTITIES),
+    *(spice_agreement.QUANTITIES, transfer.QUANTITIES),
+)
+CATALOGUE: dict[str, Quantity] = {quantity.name: quantity for family in _FAMILIES for quantity in family}
 
 
 def quantity_of(name: str) -> Quantity:

@@ -11,19 +11,22 @@ from ..circuits import Array, Design, adc_codes, apparent_resistance, ideal_volt
 from ..common.arrays import BoolArray, FloatArray
 from ..emulator import spread
 from ..errors import MissingExtra
+from ._claim import statement
 from ._dut import DesignUnderTest
 from ._judging import worst_of
-from ._maps import heat_maps
-from ._outcome import Check, Figure, Finding, Table, does_not_apply, drawn
-from .quantities.crosstalk import Crosstalk
-from .quantities.reading_error import ReadingError
+from ._outcome import Check, DoesNotApply, Figure, Finding, Table, drawn
+from ._pictures import heat_maps
+from .quantities.reading_errors import Crosstalk, ReadingError
 
 OPEN_DIVIDER = "divider, idle lines open"
 SMALL_SIGNAL = 1e-3  # V: below it, ngspice is compared with this instead of with the reading, which may be 0
 
 
+@statement(
+    *("P11", "A divider reads the whole grid", "VII, Fig. 13"),
+    "With a plain voltage divider the resistance found is the equivalent resistance of the grid.",
+)
 def grid_resistance(dut: DesignUnderTest) -> Finding:
-    """P11: with a plain divider the equivalent resistance of the whole grid is read."""
     array = dut.design.array
     shapes = [(2, 2), (4, 4), (8, 8), array.shape]
     worst, rows = 0.0, []
@@ -47,10 +50,13 @@ def grid_resistance(dut: DesignUnderTest) -> Finding:
     )
 
 
+@statement(
+    *("P12", "The inverting amplifier", "(10), Fig. 14"),
+    "With the column held at ground by an inverting amplifier, Vout = -Vin Rref / Rij.",
+)
 def equation_10(dut: DesignUnderTest) -> Finding:
-    """P12: Vout = -Vin Rref / Rij."""
     if not dut.design.board.virtual_grounds:
-        return does_not_apply(
+        raise DoesNotApply(
             "equation (10) is that of an amplifier on each line, not of "
             f"{dut.design.readout.circuit} with {dut.design.readout.columns} columns"
         )
@@ -104,8 +110,11 @@ def _compared(dut: DesignUnderTest) -> _Readouts:
     return _Readouts(patterns, true, seen)
 
 
+@statement(
+    *("P13", "No crosstalk", "VII, Fig. 15"),
+    "An amplifier on each column and all idle rows grounded: each cell is read without any crosstalk.",
+)
 def crosstalk(dut: DesignUnderTest) -> Finding:
-    """P13: grounded idle rows and an amplifier on each column leave no crosstalk but that of real parts."""
     design, limits = dut.design, dut.design.requirements
     compared = _compared(dut)
     frames = [np.full(design.array.shape, dut.rest)]
@@ -148,8 +157,11 @@ def _pattern_figure(compared: _Readouts, title: str) -> Figure:
     )
 
 
+@statement(
+    *("P10", "Slicing isolates the cells", "VI, Fig. 12"),
+    "Slicing the sheet isolates the cells; unsliced it still works, but the cells couple.",
+)
 def slicing(dut: DesignUnderTest) -> Finding:
-    """P10: a sliced sheet isolates the cells; a continuous one still works, but they couple."""
     array = dut.design.array
     sliced = _amplifiers(dut.design)
     uncut = sliced.replace(array={"sheet": "continuous"})

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cache, cached_property, wraps
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
+import numpy as np
+
 from ..cell import Cell, ContactModel, PaperModel, rehearsed
-from ..circuits import Design
+from ..circuits import Adc, Boards, Design, scan_population
 from ..common.arrays import FloatArray
+from ._outcome import NotRun
 from ._parameters import NOMINAL_K, Factors
 from ._scale import DECADE, Scale, ShareScale
 
@@ -47,13 +50,13 @@ class DesignUnderTest:
     baud: int | None = None
     """baud rate of the port; None: that of the board"""
     compares: bool = True
-    """whether worst cases are put beside other analyses of the same; an exploration needs them alone"""
+    """whether worst cases are explained and put beside other analyses; an exploration needs them alone"""
     _found: dict[Any, Any] = field(default_factory=dict, init=False, compare=False, repr=False)
     """results of functions that are :func:`once`"""
 
     def __getstate__(self) -> dict[str, Any]:
         """Intermediate results stay in the process that worked them out."""
-        return {name: value for name, value in self.__dict__.items() if name != "factors"} | {"_found": {}}
+        return {each.name: getattr(self, each.name) for each in fields(self)} | {"_found": {}}
 
     @cached_property
     def cell(self) -> Cell:
@@ -122,6 +125,25 @@ class DesignUnderTest:
     def pressed(self) -> float:
         """ohm at equilibrium under full scale"""
         return float(self.cell.equilibrium_ohm(1.0))
+
+    @property
+    def uniform(self) -> dict[str, FloatArray]:
+        """Two frames (rows, columns) in ohm, by what all cells are."""
+        shape = self.design.array.shape
+        return {"at rest": np.full(shape, self.rest), "at full scale": np.full(shape, self.pressed)}
+
+    @cached_property
+    def nominal(self) -> dict[str, FloatArray]:
+        """V (rows, columns) that nominal boards read of the frames :attr:`uniform`."""
+        frames = self.uniform
+        volts = scan_population(self.design, Boards.of(self.design), np.stack(list(frames.values()))).volts
+        return dict(zip(frames, volts, strict=True))
+
+    def converter(self) -> Adc:
+        """Raises NotRun where the design has none."""
+        if self.design.adc is None:
+            raise NotRun("missing: adc.bits, adc.range")
+        return self.design.adc
 
     @cached_property
     def cell_spread(self) -> float:

@@ -33,15 +33,12 @@ from ..errors import InputError, SolverError
 from ._catalogue import CATALOGUE
 from ._dut import DesignUnderTest
 from ._judging import worst_of
-from ._outcome import DoesNotApply, Measurement, NotRun, Outcome
-from ._quantity import AVERAGING, DOWN, UP, WORST
+from ._outcome import DoesNotApply, Measurement, NotRun
+from ._quantity import AVERAGING, DOWN, NOMINAL, UP, WORST
+from ._record import Outcome
 from ._requirements import evaluate
 from ._units import LEAST_SHOWN, UNITS, conversion, engineering
-from .quantities import adc_headroom, output_headroom, settling_error
-from .quantities.crosstalk import Crosstalk
-from .quantities.lost_frames import lost_frames
-from .quantities.pressure_resolution import pressure_resolution
-from .quantities.reading_error import ReadingError
+from .quantities.reading_errors import Crosstalk, ReadingError
 
 KNOWN_FRACTION = 0.015
 """carbon black by mass of the cell of the design; the paper's choice"""
@@ -61,23 +58,21 @@ FRACTIONS = np.geomspace(0.009, 0.06, 25)
 _BETWEEN = 9
 FASTEST_STATED_HZ = 1e6
 """the largest frame rate that a design may state"""
-MOST_BITS = 24
+MOST_BITS, _BITS = 24, "adc.bits"
 _TRIES = 20
 """random draws for each combination wanted"""
 MOST_AVERAGED = 1000
 _FARTHEST = 1e3  # a change beyond a factor of that is no help to anybody
 _FARTHEST_READING = 3.0  # beyond it a larger reference resistor or drive voltage saturates outputs
 _STRIDES = (1.25, 2.0, 5.0, 20.0, 100.0, _FARTHEST)  # looked at before the bisection: not all quantities are monotone
-_STEPS = 7  # of the bisection, in the logarithm of the factor
+_HALVINGS = 7  # of the logarithm of the factor
 
 
 @dataclass(frozen=True)
 class Variation:
     """One varied design and its figures; NaN where the design does not say enough."""
 
-    HEAD: ClassVar[str] = (
-        f"{'reading error':>14} {'crosstalk':>10} {'resolution':>13} {'settling':>11} {'rate':>10}  the Pareto front"
-    )
+    HEAD: ClassVar[str]
     """of a table whose rows are :attr:`line`"""
 
     changes: dict[str, float | str]
@@ -108,18 +103,23 @@ class Variation:
     @property
     def line(self) -> str:
         """The figures and the changes in a row of a table; a star marks the Pareto front."""
-        error, crosstalk, resolution, settling = (
-            engineering(value, unit, digits=3) if not isnan(value) else "not known"
-            for value, unit in (
-                (self.reading_error_percent, "%"),
-                (self.crosstalk_percent, "%"),
-                (self.resolution_kpa, "kPa"),
-                (self.settling_error_percent, "%"),
-            )
-        )
-        rate = f"{self.frame_rate_hz:7.4g} Hz" if self.frame_rate_hz < inf else "not given"
-        figures = f"{error:>14} {crosstalk:>10} {resolution:>13} {settling:>11} {rate:>10}"
-        return f"{figures} {'*' if self.front else ' '} {self.name}"
+        cells = []
+        for name, (_, unit, width) in _COLUMNS.items():
+            value = getattr(self, name)
+            unknown = isnan(value) or (name == "frame_rate_hz" and value == inf)
+            cells.append(f"{'not known' if unknown else engineering(value, unit, digits=3):>{width}}")
+        return f"{' '.join(cells)} {'*' if self.front else ' '} {self.name}"
+
+
+_COLUMNS = {
+    "reading_error_percent": ("reading error", "%", 14),
+    "crosstalk_percent": ("crosstalk", "%", 10),
+    "resolution_kpa": ("resolution", "kPa", 13),
+    "settling_error_percent": ("settling", "%", 11),
+    "frame_rate_hz": ("rate", "Hz", 10),
+}
+"""figures of a variation: head, unit and width of the column"""
+Variation.HEAD = " ".join(f"{head:>{width}}" for head, _, width in _COLUMNS.values()) + "  the Pareto front"
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ class Remedy:
         if not self.factor:
             enough = "" if self.kept else ", which is not enough"
             return f"{self.requirement}: {was} becomes {now} with {self.part}{enough}"
-        if self.part in ("adc.bits", AVERAGING):
+        if self.part in (_BITS, AVERAGING):
             return f"{self.requirement}: {self.factor:.0f} {self.part} in place of {self.value} bring {was} to {now}"
         to = f" ({self.value})" if self.value else ""
         return f"{self.requirement}: {self.part} times {self.factor:.3g}{to} brings {was} to {now}"
@@ -211,14 +211,14 @@ def best_carbon_black(dut: DesignUnderTest) -> Variation | None:
     if dut.pressed < dut.rest:
         return None
     dut = replace(dut, compares=False)
-    sigma = {float(fraction): _resolution_kpa(dut, float(fraction)) for fraction in FRACTIONS}
+    sigma = {float(fraction): resolution_kpa(dut, {"carbon black": float(fraction)}) for fraction in FRACTIONS}
     best = min(sigma, key=lambda fraction: sigma[fraction])
     if not np.isfinite(sigma[best]):
         return None
     place = list(sigma).index(best)
     low, high = FRACTIONS[max(place - 1, 0)], FRACTIONS[min(place + 1, len(FRACTIONS) - 1)]
     for fraction in np.linspace(low, high, _BETWEEN).tolist():
-        sigma[fraction] = _resolution_kpa(dut, fraction)
+        sigma[fraction] = resolution_kpa(dut, {"carbon black": fraction})
     for fraction in sorted((f for f in sigma if np.isfinite(sigma[f])), key=lambda fraction: sigma[fraction]):
         found = _judged(dut, {"carbon black": fraction})
         if np.isfinite(found.reading_error_percent) and np.isfinite(found.crosstalk_percent):
@@ -236,19 +236,22 @@ def carbon_black_line(best: Variation, own: Variation) -> str:
     )
 
 
-def _resolution_kpa(dut: DesignUnderTest, fraction: float) -> float:
-    """One standard deviation of pressure, kPa; inf where it is not known, or where cells open or leave a range."""
+def resolution_kpa(dut: DesignUnderTest, changes: Mapping[str, float | str], method: str = WORST) -> float:
+    """One standard deviation of pressure, kPa; inf where it is not known, or where cells open or leave a range.
+
+    Ranges are judged by ``method``.
+    """
     try:
-        here = varied(dut, {"carbon black": fraction})
+        here = varied(dut, changes)
     except InputError:  # no path is left through the mixture under full-scale pressure
         return inf
     asked = Requirement(id="explore", quantity="pressure_resolution")
-    for headroom in (output_headroom, adc_headroom):
+    for headroom in ("output_headroom", "adc_headroom"):
         with suppress(NotRun, DoesNotApply):
-            if not headroom.QUANTITY.compute(here, asked, WORST).value >= 0:
+            if not CATALOGUE[headroom].compute(here, asked, method).value >= 0:
                 return inf
     try:
-        return pressure_resolution(here, asked, "nominal").value
+        return CATALOGUE["pressure_resolution"].compute(here, asked, NOMINAL).value
     except (NotRun, InputError, SolverError):
         return inf
 
@@ -395,6 +398,11 @@ def _widest_swing(dut: DesignUnderTest) -> list[float]:
     return [factor] if factor != 1.0 else []
 
 
+def mixtures(dut: DesignUnderTest) -> Percolation:
+    """The family of mixtures that the design's cell belongs to."""
+    return Percolation(KNOWN_FRACTION, dut.rest, dut.pressed / dut.rest - 1)
+
+
 def varied(dut: DesignUnderTest, changes: Mapping[str, float | str]) -> DesignUnderTest:
     """The design under test with some axes changed."""
     design, cells = dut.design, None
@@ -417,7 +425,7 @@ def varied(dut: DesignUnderTest, changes: Mapping[str, float | str]) -> DesignUn
                 rate = min(design.operation.frame_rate * value, FASTEST_STATED_HZ)
                 design = design.replace(operation={"frame_rate": rate})
             case "carbon black":
-                law = Percolation(KNOWN_FRACTION, dut.rest, dut.pressed / dut.rest - 1)
+                law = mixtures(dut)
                 rest = float(law.rest_resistance(value))
                 change = float(np.asarray(law.sensitivities(np.array([value])))[0])
                 cells = {
@@ -437,10 +445,10 @@ def _judged(dut: DesignUnderTest, changes: dict[str, float | str]) -> Variation:
     error, crosstalk = (100 * worst_of(here, target).value for target in (ReadingError(), Crosstalk()))
     unknown: list[str] = []
     asked = Requirement(id="explore", quantity="pressure_resolution")
-    kpa = _known(lambda: pressure_resolution(here, asked, "nominal"), "resolution", unknown)
-    settling = _known(lambda: settling_error.QUANTITY.compute(here, asked, WORST), "settling", unknown)
+    kpa = _known(lambda: CATALOGUE["pressure_resolution"].compute(here, asked, NOMINAL), "resolution", unknown)
+    settling = _known(lambda: CATALOGUE["settling_error"].compute(here, asked, WORST), "settling", unknown)
     rate = here.design.operation.frame_rate
-    if rate is not None and _known(lambda: lost_frames(here, asked, "nominal"), "", []) > 0:
+    if rate is not None and _known(lambda: CATALOGUE["lost_frames"].compute(here, asked, NOMINAL), "", []) > 0:
         settling = inf
     return Variation(changes, error, crosstalk, kpa, settling, rate or inf, unknown=tuple(unknown))
 
@@ -472,68 +480,49 @@ def _remedy(dut: DesignUnderTest, requirement: Requirement, key: str, direction:
     if key == AVERAGING:
         return _averaged(requirement, missed)
     section, name = key.split(".")
-    part = getattr(dut.design, section)
-    if part is None or getattr(part, name) is None:
+    value = np.asarray(getattr(getattr(dut.design, section), name, None), dtype=np.float64)
+    if not value.any() or not np.isfinite(value).all() or (key == _BITS and direction == DOWN):
         return None
-    if key == "adc.bits":
-        return _more_bits(dut, requirement, missed) if direction == UP else None
-    value = np.asarray(getattr(part, name), dtype=np.float64)
-    if not value.any() or not np.isfinite(value).all():
-        return None
-
-    def at(factor: float) -> _Judged | None:
-        try:
-            changed = _scaled(dut.design, key, factor)
-        except InputError:  # beyond what a design may say
-            return None
-        return _judge(dut.with_design(changed), requirement)
-
     reading = CATALOGUE[requirement.quantity].rewired
-    strides = (_FARTHEST,) if reading else _STRIDES
-    if reading and direction == UP and key != "readout.open_loop_gain":
-        strides = (_FARTHEST_READING,)
-    missed_at, kept_at, after = 0.0, None, missed
-    for stride in strides:
-        there = at(stride if direction == UP else 1 / stride)
-        if there is not None and there.kept:
-            kept_at, after = float(np.log(stride)), there
-            break
-        missed_at = float(np.log(stride))
-    if kept_at is None:
-        return None
-    for _ in range(_STEPS):
-        middle = (kept_at + missed_at) / 2
-        there = at(float(np.exp(middle if direction == UP else -middle)))
-        if there is not None and there.kept:
-            kept_at, after = middle, there
-        else:
-            missed_at = middle
-    factor = float(np.exp(kept_at if direction == UP else -kept_at))
-    unit = UNITS.get(section, {}).get(name, "")
-    shown = engineering(factor * float(value.flat[0]), unit, 3) if (value == value.flat[0]).all() else ""
-    return Remedy(requirement.id, key, factor, missed.value, after.value, missed.unit, shown)
-
-
-def _more_bits(dut: DesignUnderTest, requirement: Requirement, missed: _Judged) -> Remedy | None:
-    adc = dut.design.adc
-    assert adc is not None
 
     @cache
-    def at(bits: int) -> _Judged | None:
-        changed = dut.design.replace(adc={"bits": bits})
-        return _judge(dut.with_design(changed), requirement)
-
-    # Each look at a reading is a search for a corner; a coarser converter does not help where the finest does not.
-    if CATALOGUE[requirement.quantity].rewired and ((finest := at(MOST_BITS)) is None or not finest.kept):
-        return None
-    for bits in range(adc.bits + 1, MOST_BITS + 1):
-        there = at(bits)
-        if there is None:
+    def at(step: float) -> _Judged | None:
+        """With so many more bits, or the part times the exponential of so much, up or down."""
+        try:
+            if key == _BITS:
+                changed = dut.design.replace(adc={"bits": int(value + step)})
+            else:
+                changed = _scaled(dut.design, key, float(np.exp(step if direction == UP else -step)))
+        except InputError:  # beyond what a design may say
             return None
-        if there.kept:
-            was = str(adc.bits)
-            return Remedy(requirement.id, "adc.bits", bits, missed.value, there.value, missed.unit, was)
-    return None
+        there = _judge(dut.with_design(changed), requirement)
+        return there if there is not None and there.kept else None
+
+    if key == _BITS:
+        more = range(1, MOST_BITS + 1 - int(value))
+        # Each look at a reading is a search for a corner; a coarser converter does not help where the finest does not.
+        steps = [float(step) for step in more] if more and (not reading or at(float(more[-1]))) else []
+    elif reading:
+        narrow = direction == UP and key != "readout.open_loop_gain"
+        steps = [float(np.log(_FARTHEST_READING if narrow else _FARTHEST))]
+    else:
+        steps = np.log(_STRIDES).tolist()
+    kept = next((step for step in steps if at(step)), None)
+    if kept is None:
+        return None
+    if key == _BITS:
+        factor, shown = float(value) + kept, f"{value:.0f}"
+    else:
+        missed_at = max((step for step in steps if step < kept), default=0.0)
+        for _ in range(_HALVINGS):
+            middle = (kept + missed_at) / 2
+            kept, missed_at = (middle, missed_at) if at(middle) else (kept, middle)
+        factor = float(np.exp(kept if direction == UP else -kept))
+        unit = UNITS.get(section, {}).get(name, "")
+        shown = engineering(factor * float(value.flat[0]), unit, 3) if (value == value.flat[0]).all() else ""
+    after = at(kept)
+    assert after is not None
+    return Remedy(requirement.id, key, factor, missed.value, after.value, missed.unit, shown)
 
 
 def _averaged(requirement: Requirement, missed: _Judged) -> Remedy | None:

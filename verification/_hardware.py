@@ -54,8 +54,7 @@ def measured_on_board(
         raise NotRun("no board: --target names a port, or the firmware")
     if measure is None:
         raise NotRun(f"'{quantity}' cannot be measured on a board")
-    if dut.design.adc is None:
-        raise NotRun("missing: adc.bits, adc.range")
+    dut.converter()
     readings = _readings(dut)
     found = measure(dut, readings)
     source = f"{len(readings.volts)} frames of the board at {dut.target}"

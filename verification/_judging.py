@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import inf
 from typing import Literal
@@ -11,17 +11,17 @@ import numpy as np
 
 from ..circuits import Requirement
 from ..common.arrays import FloatArray
-from ..common.config import LEAST
+from ..common.config import LEAST_SI
 from ..errors import InputError, SolverError
 from ._box import Box, Corners
 from ._dut import DesignUnderTest, once
-from ._maps import value_map
 from ._montecarlo import CONFIDENCE, Sampler, blocks, blocks_beside, boards_needed, proportion_bounds
-from ._outcome import Bounds, Figure, Measurement, NotRun, drawn
+from ._outcome import Figure, Measurement, NotRun, drawn
 from ._parameters import Factors
+from ._pictures import value_map
 from ._quantity import NOMINAL, SAMPLED, SHARE_UNITS
 from ._readings import Excursion, ReadingErrorTarget
-from ._record import CornerRecord, number
+from ._record import BoundsRecord, CornerRecord
 from ._scale import Scale
 from ._search import Target, WorstCase, worst_case
 from ._units import engineering
@@ -114,7 +114,7 @@ def _longest_frame(dut: DesignUnderTest, target: FrameTimeTarget, parts: Parts, 
     times = target.evaluate(box, starts)
     longest, corner = float(times.max()), starts.some(np.array([int(times.argmax())]))
     for _ in range(_MOST_SEARCHES):
-        found = worst_of(dut, target.at(box, min(max(longest, LEAST), MOST_SECONDS)), parts)
+        found = worst_of(dut, target.at(box, min(max(longest, LEAST_SI), MOST_SECONDS)), parts)
         time = float(target.evaluate(box, found.corner)[0])
         if np.isinf(longest) or time <= longest * (1.0 + _NEAR):
             break
@@ -145,18 +145,18 @@ def quantile_of(values: FloatArray, percent: float) -> float:
     return float(np.sort(values)[min(int(np.ceil(percent / 100 * len(values))) - 1, len(values) - 1)])
 
 
-def bounds_of(dut: DesignUnderTest, target: Target, show: Show, share: bool | None = None) -> Bounds:
+def bounds_of(dut: DesignUnderTest, target: Target, show: Show, share: bool | None = None) -> BoundsRecord:
     """A worst case beside the same quantity by other analyses, in the unit in which it is shown."""
     found = worst_of(dut, target, share=share)
     nominal, root_sum_square = found.statistical
     sampler = sampler_of(dut, target, share)
     values = sampled(dut, target, share, blocks_beside(target, sampler.box, sampler.tries, dut.samples))
     new = worst_of(dut, target, "new", share=share).value if dut.design.ages else None
-    return Bounds(
+    return BoundsRecord(
         nominal=show(nominal),
-        new=None if new is None else show(min(new, found.value)),
+        initial=None if new is None else show(min(new, found.value)),
         root_sum_square=show(root_sum_square),
-        quantile=show(quantile_of(values, AT_LEAST)),
+        quantile_99=show(quantile_of(values, AT_LEAST)),
         sampled=show(float(values.max())),
         boards=len(values),
     )
@@ -179,8 +179,8 @@ def corner_of(found: WorstCase) -> CornerRecord:
     parts = found.box.factors.varied(found.factors)
     return CornerRecord(
         cell=found.cell,
-        parts={key: [number(value) for value in values.tolist()] for key, values in parts.items()},
-        cells_ohm=[[[number(ohms) for ohms in row] for row in frame.tolist()] for frame in found.frames],
+        parts={key: values.tolist() for key, values in parts.items()},
+        cells_ohm=[frame.tolist() for frame in found.frames],
     )
 
 
@@ -216,21 +216,13 @@ def in_both_units(dut: DesignUnderTest, found: WorstCase) -> str:
     return f"{said}."
 
 
-def headroom(dut: DesignUnderTest, requirement: Requirement, found: WorstCase, measurement: Measurement) -> Measurement:
-    """With the lowest and the highest voltage, and the limits that they keep a distance from."""
-    assert isinstance(found.target, Excursion)
-    low, high = found.target.limits
-    beyond, below = np.nan_to_num(found.by_sign.max(axis=(1, 2)))
-    limited = np.isfinite([low, high])
-    ends = [
-        engineering(end, "V") if known else "not limited"
-        for end, known in zip((low - below, high + beyond), limited, strict=True)
-    ]
-    limits = [engineering(end, "V") if known else "any" for end, known in zip((low, high), limited, strict=True)]
-    volts = high + found.value if found.corner.sign[0] > 0 else low - found.value
-    cell, _, rest = found.where.partition("; ")
-    text = f"From {ends[0]} to {ends[1]}; the limits of the {found.target.name} are {limits[0]} and {limits[1]}."
-    return replace(measurement, where=f"{cell}: {engineering(volts, 'V')}; {rest}", text=[text])
+def worst_cell(values: FloatArray | Mapping[str, FloatArray]) -> tuple[float, tuple[int, int], str]:
+    """The largest value of any cell (N, M), of any state where there are several; its cell, and both in words."""
+    states = dict(values) if isinstance(values, Mapping) else {"": values}
+    each = np.stack(list(states.values()))
+    number, row, column = (int(index) for index in np.unravel_index(int(np.argmax(each)), each.shape))
+    state = [*states][number]
+    return float(each[number, row, column]), (row, column), f"cell ({row}, {column})" + (state and f", {state}")
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,8 +13,10 @@ from ..cell import READING_NOISE, Cell, ContactModel, PaperModel, estimate_recor
 from ..common import plots
 from ..common.arrays import FloatArray
 from ..errors import InputError
+from ._claim import statement
 from ._dut import DesignUnderTest, once
-from ._outcome import Check, Figure, Finding, Table, drawn
+from ._outcome import Check, Finding, Table
+from ._pictures import curves, picture, pressures
 from ._pressures import one_cell_read
 
 STEP_KPA = 15.5  # 10.0 N on one square inch (V.A)
@@ -24,8 +26,12 @@ SETTLED_S = 1e-6  # time before the first sample in which the first pressure is 
 PAPERS = "the paper's"
 
 
+@statement(
+    *("P2", "Bonded and touching electrodes", "III, Figs. 4, 5"),
+    "With electrodes cast in, resistance rises with pressure and shows the material's viscoelastic shape; with "
+    "electrodes that merely touch, contact resistance dominates and falls.",
+)
 def electrodes(dut: DesignUnderTest) -> Finding:
-    """P2: bonded cells rise and remember, touching ones fall and do not."""
     contact = Cell(
         rest_resistance_ohm=dut.rest * 20,
         full_scale_kpa=dut.full_scale_kpa,
@@ -38,15 +44,12 @@ def electrodes(dut: DesignUnderTest) -> Finding:
     ohms = contact.forward(loads.shape).step(1.0, loads)
     slope = float(np.polyfit(np.log(loads), np.log(1 / ohms - 1 / contact.rest_resistance_ohm), 1)[0])
 
-    def picture() -> str:
-        with plots.drawing(1, 2) as (figure, (panels,)):
-            for panel, title, values in zip(
-                panels, ("electrodes cast in", "electrodes touching"), (bonded_ohm, contact_ohm), strict=True
-            ):
-                panel.plot(time_s, values / 1e3)
-                panel.axvspan(5, 25, color=plots.INK, alpha=0.06, lw=0)
-                panel.set(title=title, xlabel="time / s", ylabel="resistance / kΩ", ylim=(0, None))
-            return plots.svg(figure)
+    def draw(panels: Any) -> None:
+        values = {"electrodes cast in": bonded_ohm, "electrodes touching": contact_ohm}
+        for panel, (title, ohms) in zip(panels[0], values.items(), strict=True):
+            panel.plot(time_s, ohms / 1e3)
+            panel.axvspan(5, 25, color=plots.INK, alpha=0.06, lw=0)
+            panel.set(title=title, xlabel="time / s", ylabel="resistance / kΩ", ylim=(0, None))
 
     rise = 100 * (np.median(bonded_ohm[(time_s > 15) & (time_s < 25)]) / bonded_ohm[0] - 1)
     fall = 100 * (np.median(contact_ohm[(time_s > 15) & (time_s < 25)]) / contact_ohm[0] - 1)
@@ -75,12 +78,15 @@ def electrodes(dut: DesignUnderTest) -> Finding:
             "remembers; touching ones show the contact, a static power law of the force (published exponents 0.7 to "
             "1.3). The contact cell's two resistances are the project's own choice."
         ],
-        figures=drawn(lambda: Figure(picture(), f"Grey: {STEP_KPA} kPa applied.")),
+        figures=picture(f"Grey: {STEP_KPA} kPa applied.", draw, 1, 2),
     )
 
 
+@statement(
+    *("P3", "Resistance follows strain", "(1), (2)"),
+    "The change of resistance is proportional to strain, so resistance is a function of stress.",
+)
 def strain(dut: DesignUnderTest) -> Finding:
-    """P3: the normalised change r = (R - R0)/R0 is proportional to stress in each phase, whatever R0."""
     time_s, pressure = pressed([(1, 1.0, 5.0)], 30.0)
     scales = np.array([0.1, 0.5, 1.0])
     rests = np.array([1e2, 1e4, 1e6])
@@ -101,8 +107,11 @@ def strain(dut: DesignUnderTest) -> Finding:
     )
 
 
+@statement(
+    *("P4", "Rising phase", "(3), Fig. 6"),
+    "Under load: a jump, an overshoot, then slow settling, as a gain plus a first-order term in the stress rate.",
+)
 def rising(dut: DesignUnderTest) -> Finding:
-    """P4: equation (3) in its corrected form."""
     model = _paper_model(dut)
     (numerator, denominator), edge = model.rising_transfer_function(), 1e-3
     time_s = np.r_[0.0, edge + np.linspace(0.0, 8 * model.tu_s, 400)]
@@ -115,14 +124,12 @@ def rising(dut: DesignUnderTest) -> Finding:
     settled = STEP_KPA / model.eu1_kpa
     printed = model.eu1_kpa / (model.eu1_kpa * model.eu2_kpa_per_s)
 
-    def picture() -> str:
-        with plots.drawing(1, 1, height=2.7) as (figure, ((panel,),)):
-            panel.plot(grid, filtered, lw=4, alpha=0.3, color=plots.INK, label="equation (3), scipy.signal.lsim")
-            panel.plot(time_s, r, label="forward model")
-            panel.axhline(settled, color=plots.ORANGE, lw=1, ls="--", label="σ / Eu1")
-            panel.set(title=f"Step of {STEP_KPA} kPa", xlabel="time / s", ylabel="r", ylim=(0, None))
-            panel.legend()
-            return plots.svg(figure)
+    def draw(panels: Any) -> None:
+        panel = panels[0, 0]
+        panel.plot(grid, filtered, lw=4, alpha=0.3, color=plots.INK, label="equation (3), scipy.signal.lsim")
+        panel.axhline(settled, color=plots.ORANGE, lw=1, ls="--", label="σ / Eu1")
+        title = f"Step of {STEP_KPA} kPa"
+        curves(panel, time_s, {"forward model": r}, title=title, xlabel="time / s", ylabel="r", ylim=(0, None))
 
     return Finding(
         checks=[
@@ -135,12 +142,15 @@ def rising(dut: DesignUnderTest) -> Finding:
             f"up to Eu2. As printed, the gain at rest would be 1/Eu2 = {printed:.4g} instead of 1/Eu1 = "
             f"{1 / model.eu1_kpa:.4g} per kPa. The corrected form is used."
         ],
-        figures=drawn(lambda: Figure(picture(), "A jump, an overshoot, then slow settling, as in Fig. 6.")),
+        figures=picture("A jump, an overshoot, then slow settling, as in Fig. 6.", draw),
     )
 
 
+@statement(
+    *("P5", "Recovery phase", "(4)-(8), Figs. 7, 8"),
+    "After unloading: an augmented Burgers model of five elements, which always returns to R0.",
+)
 def recovery(dut: DesignUnderTest) -> Finding:
-    """P5: the augmented Burgers model, (4)-(7) and (8)."""
     model = _paper_model(dut)
     numerator, denominator = model.transfer_function()
     omega = np.geomspace(1e-5, 1e3, 400)
@@ -155,14 +165,12 @@ def recovery(dut: DesignUnderTest) -> Finding:
     }
     expected = STEP_KPA * sum(branches.values())
 
-    def picture() -> str:
-        with plots.drawing(1, 1, height=2.7) as (figure, ((panel,),)):
-            panel.plot(time_s, r, color=plots.INK, lw=2, label="total")
-            for label, branch in branches.items():
-                panel.plot(time_s, STEP_KPA * branch, label=label)
-            panel.set(title="Release after a long hold", xlabel="time after release / s", ylabel="r", xlim=(0, 120))
-            panel.legend()
-            return plots.svg(figure)
+    def draw(panels: Any) -> None:
+        panel = panels[0, 0]
+        panel.plot(time_s, r, color=plots.INK, lw=2, label="total")
+        scaled = {label: STEP_KPA * branch for label, branch in branches.items()}
+        labels = {"title": "Release after a long hold", "xlabel": "time after release / s", "ylabel": "r"}
+        curves(panel, time_s, scaled, xlim=(0, 120), **labels)
 
     return Finding(
         checks=[
@@ -174,12 +182,15 @@ def recovery(dut: DesignUnderTest) -> Finding:
             ),
             Check("left after ten times T3, of the held value", float(abs(r[-1]) * model.eu1_kpa / STEP_KPA), 1e-4),
         ],
-        figures=drawn(lambda: Figure(picture(), "Recovery and its components in series, as in Fig. 8.")),
+        figures=picture("Recovery and its components in series, as in Fig. 8.", draw),
     )
 
 
+@statement(
+    *("P6", "Coefficients from the recovery curve", "(9)"),
+    "E_i is the inverse gain of each branch of the recovery curve, eta_i = T_i E_i.",
+)
 def identification(dut: DesignUnderTest) -> Finding:
-    """P6: the coefficients read from a recovery curve, equation (9)."""
     model = _paper_model(dut)
     time_s = np.linspace(0.0, 3 * model.t3_s, 600)  # five minutes of the example cell, as a person would record it
     r = np.interp(time_s, *_release(dut))
@@ -199,6 +210,17 @@ def identification(dut: DesignUnderTest) -> Finding:
         for case, values in found.items()
     }
     noisy = 100 * off["0.1 % noise on R"]
+
+    def draw(panels: Any) -> None:
+        _, e2, e3, t2, t3 = found["without noise"]
+        panel = panels[0, 0]
+        panel.semilogy(time_s, r, color=plots.INK, lw=2, label="recovery curve")
+        panel.semilogy(time_s, STEP_KPA / e3 * np.exp(-time_s / t3), "--", label="slow branch: 1/E3, T3")
+        panel.semilogy(time_s, STEP_KPA / e2 * np.exp(-time_s / t2), "--", label="fast branch: 1/E2, T2")
+        panel.set(title="Branches of the recovery curve", xlabel="time after release / s", ylabel="r")
+        panel.set(xlim=(0, 120), ylim=(1e-3, 1))
+        panel.legend()
+
     return Finding(
         checks=[
             Check("coefficients read without noise: worst error", 100 * off["without noise"], 5.0, "%"),
@@ -210,7 +232,7 @@ def identification(dut: DesignUnderTest) -> Finding:
             "what is left, the elastic one from what went at once. `ohmskin fit` starts from these values and then "
             "fits all data."
         ],
-        figures=drawn(lambda: _branches_figure(time_s, r, found["without noise"])),
+        figures=picture("The recovery curve taken apart, as in Fig. 8.", draw),
         tables=[
             Table(
                 ["coefficient", "true", *found],
@@ -223,22 +245,8 @@ def identification(dut: DesignUnderTest) -> Finding:
     )
 
 
-def _branches_figure(time_s: FloatArray, r: FloatArray, branches: Sequence[float]) -> Figure:
-    """The recovery curve with the branches read from it: E1, E2, E3 in kPa, T2, T3 in s."""
-    _, e2, e3, t2, t3 = branches
-    with plots.drawing(1, 1, height=2.7) as (figure, axes):
-        panel = axes[0, 0]
-        panel.semilogy(time_s, r, color=plots.INK, lw=2, label="recovery curve")
-        panel.semilogy(time_s, STEP_KPA / e3 * np.exp(-time_s / t3), "--", label="slow branch: 1/E3, T3")
-        panel.semilogy(time_s, STEP_KPA / e2 * np.exp(-time_s / t2), "--", label="fast branch: 1/E2, T2")
-        panel.set(title="Branches of the recovery curve", xlabel="time after release / s", ylabel="r")
-        panel.set(xlim=(0, 120), ylim=(1e-3, 1))
-        panel.legend()
-        return Figure(plots.svg(figure), "The recovery curve taken apart, as in Fig. 8.")
-
-
+@statement("P7", "Recovery times", "IV", "Up to 25 s to 95 % recovery, up to 5 minutes to full recovery.")
 def recovery_times(dut: DesignUnderTest) -> Finding:
-    """P7: 25 s to 95 %, 5 minutes to full recovery."""
     time_s, r = _release(dut)
     left = r / (STEP_KPA * _paper_model(dut).gain_per_kpa)
     to_95 = float(np.interp(-0.05, -left, time_s))
@@ -253,8 +261,11 @@ def recovery_times(dut: DesignUnderTest) -> Finding:
     )
 
 
+@statement(
+    *("P8", "Pressure by inverse filters", "V, Fig. 9"),
+    "Pressure is the inverse filter of resistance, switched between two models by thresholds on its derivative.",
+)
 def inverse_filter(dut: DesignUnderTest) -> Finding:
-    """P8: the paper's estimator, its switch, and what its thresholds are worth."""
     model = _paper_model(dut)
     time_s, pressure = pressed([(2, STEP_KPA, 15.0)], 60.0)
     ohms = respond(dut.cell, time_s, pressure)
@@ -262,19 +273,13 @@ def inverse_filter(dut: DesignUnderTest) -> Finding:
     rising_per_s, falling_per_s = model.thresholds_per_s(dut.full_scale_kpa)
     slope = np.gradient(ohms / dut.rest, time_s)
 
-    def picture() -> str:
-        with plots.drawing(2, 1, height=4.2, sharex=True) as (figure, axes):
-            top, below = axes[:, 0]
-            top.plot(time_s, slope, lw=1)
-            for level in (rising_per_s, falling_per_s):
-                top.axhline(level, color=plots.RED, lw=1, ls="--")
-            top.set(
-                title="Derivative of r and the thresholds",
-                ylabel="dr/dt / s⁻¹",
-                ylim=(5 * falling_per_s, 5 * rising_per_s),
-            )
-            draw(below, time_s, pressure, estimates)
-            return plots.svg(figure)
+    def draw(panels: Any) -> None:
+        panel, limits = panels[0, 0], (5 * falling_per_s, 5 * rising_per_s)
+        panel.plot(time_s, slope, lw=1)
+        for level in (rising_per_s, falling_per_s):
+            panel.axhline(level, color=plots.RED, lw=1, ls="--")
+        panel.set(title="Derivative of r and the thresholds", ylabel="dr/dt / s⁻¹", ylim=limits)
+        pressures(panels[1, 0], time_s, pressure, estimates)
 
     settling = model.settling_slope_per_s(dut.full_scale_kpa)
     return Finding(
@@ -292,7 +297,7 @@ def inverse_filter(dut: DesignUnderTest) -> Finding:
             "are. Between the thresholds: the last model stays. The recovery threshold: it must exceed the slope at "
             "which a held load settles, σ Eu2/etau2², or holding reads as release."
         ],
-        figures=drawn(lambda: Figure(picture(), "The switch at work, as in Fig. 9. Dashed: the thresholds.")),
+        figures=picture("The switch at work, as in Fig. 9. Dashed: the thresholds.", draw, 2, height=4.2, sharex=True),
     )
 
 
@@ -309,8 +314,11 @@ class _Press:
     """share of readings beyond the converter's range, or of outputs at a limit"""
 
 
+@statement(
+    *("P9", "One step and three steps", "V.A, Figs. 10, 11"),
+    "The estimate follows the applied stress for a 15.5 kPa step, and for three in a row with creep.",
+)
 def steps(dut: DesignUnderTest) -> Finding:
-    """P9: one 15.5 kPa step, then three in a row, through the readout as designed."""
     found = _presses(dut)
     limit = dut.design.requirements.pressure_rmse_percent
     checks = []
@@ -321,6 +329,14 @@ def steps(dut: DesignUnderTest) -> Finding:
             checks.append(Check(f"{title}, {label}: RMSE", error, limit, "% of full scale"))
             peak = 100 * float(np.abs(kpa - press.pressure).max()) / dut.full_scale_kpa
             checks.append(Check(f"{title}, {label}: peak error", peak, 8 * limit, "% of full scale"))
+
+    def draw(panels: Any) -> None:
+        for (top, below), (title, press) in zip(panels.T, found.items(), strict=True):
+            top.plot(press.time_s, press.true_ohm / 1e3, color=plots.INK, lw=4, alpha=0.25, label="cell")
+            curves(top, press.time_s, {"as read": press.read_ohm / 1e3}, title=title, ylabel="resistance / kΩ")
+            pressures(below, press.time_s, press.pressure, press.estimates)
+
+    caption = "One press of 15.5 kPa (Fig. 10) and three in a row with creep (Fig. 11)."
     return Finding(
         checks=checks,
         text=[
@@ -330,7 +346,7 @@ def steps(dut: DesignUnderTest) -> Finding:
             "letter; ours is what `ohmskin fit` chooses and finds in a recording of the calibration protocol with "
             f"{100 * READING_NOISE:g} % noise. `ohmskin bench --estimators` has them on a material without a model."
         ],
-        figures=drawn(lambda: _press_figure(found)),
+        figures=picture(caption, draw, 2, 2, height=4.6, sharex="col"),
     )
 
 
@@ -347,17 +363,6 @@ def _presses(dut: DesignUnderTest) -> dict[str, _Press]:
         zero = float(np.median(read_ohm[time_s < 4.0]))  # R0 as a user has it: read at rest, by the same readout
         found[title] = _Press(time_s, pressure, true_ohm, read_ohm, side_by_side(dut, time_s, read_ohm, zero), lost)
     return found
-
-
-def _press_figure(found: dict[str, _Press]) -> Figure:
-    with plots.drawing(2, 2, height=4.6, sharex="col") as (figure, axes):
-        for column, (title, press) in enumerate(found.items()):
-            axes[0, column].plot(press.time_s, press.true_ohm / 1e3, color=plots.INK, lw=4, alpha=0.25, label="cell")
-            axes[0, column].plot(press.time_s, press.read_ohm / 1e3, lw=1, label="as read")
-            axes[0, column].set(title=title, ylabel="resistance / kΩ")
-            axes[0, column].legend()
-            draw(axes[1, column], press.time_s, press.pressure, press.estimates)
-        return Figure(plots.svg(figure), "One press of 15.5 kPa (Fig. 10) and three in a row with creep (Fig. 11).")
 
 
 def _paper_model(dut: DesignUnderTest) -> PaperModel:
@@ -427,12 +432,3 @@ def estimate(cell: Cell, name: str, time_s: FloatArray, ohms: FloatArray, rest: 
 def rmse(estimate: FloatArray, truth: FloatArray, dut: DesignUnderTest) -> float:
     """% of full scale."""
     return float(100 * np.sqrt(np.mean((estimate - truth) ** 2)) / dut.full_scale_kpa)
-
-
-def draw(panel: Any, time_s: FloatArray, pressure: FloatArray, estimates: Mapping[str, FloatArray]) -> None:
-    """Applied and estimated pressure into one panel."""
-    panel.plot(time_s, pressure, color=plots.INK, lw=4, alpha=0.25, label="applied")
-    for label, values in estimates.items():
-        panel.plot(time_s, values, lw=1.2, label=label)
-    panel.set(xlabel="time / s", ylabel="pressure / kPa")
-    panel.legend()

@@ -14,42 +14,25 @@ does not apply        the design has nothing that the quantity describes (a divi
 from __future__ import annotations
 
 import math
+import time
 import traceback
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 from pathlib import Path
+from typing import Generic, NamedTuple, TypeVar
 
 from ..circuits import Requirement
-from ..errors import MissingExtra
-from ._record import CornerRecord
+from ..errors import MissingExtra, OhmskinError
+from ._record import BoundsRecord, CornerRecord, Outcome, worst
 from ._units import engineering
 
+T = TypeVar("T")
 _LARGEST_SHARE = 1000
 """% of a limit beyond which a margin's share is not stated exactly"""
 
 
 STOPPED = "the run was stopped before"
 """why something was not run"""
-
-
-class Outcome(StrEnum):
-    """A check passes only if it was run and kept its limit."""
-
-    PASS = "pass"
-    FAIL = "fail"
-    NOT_RUN = "not run"
-    NOT_APPLICABLE = "does not apply"
-
-
-def worst(outcomes: Iterable[Outcome]) -> Outcome:
-    """A failure outweighs what could not be run, which outweighs a pass; nothing at all was not run."""
-    found = set(outcomes)
-    if Outcome.FAIL in found:
-        return Outcome.FAIL
-    if Outcome.NOT_RUN in found or not found:
-        return Outcome.NOT_RUN
-    return Outcome.PASS if Outcome.PASS in found else Outcome.NOT_APPLICABLE
 
 
 class NotRun(Exception):  # no error: a defined outcome
@@ -86,7 +69,11 @@ class Check:
         return Outcome.PASS if kept and math.isfinite(self.measured) else Outcome.FAIL
 
     @property
-    def requirement(self) -> str:
+    def relation(self) -> str:
+        return ">=" if self.at_least else "<="
+
+    @property
+    def required(self) -> str:
         return f"{'≥' if self.at_least else '≤'} {engineering(self.limit, self.unit)}"
 
     @property
@@ -153,22 +140,9 @@ class Claim:
     def outcome(self) -> Outcome:
         return self.finding.outcome
 
-
-@dataclass(frozen=True)
-class Bounds:
-    """A worst case by other analyses: under the same presses, of the same target, on the same boards."""
-
-    nominal: float
-    """of nominal parts"""
-    new: float | None
-    """worst case with the initial tolerances; None: no part ages"""
-    root_sum_square: float
-    """nominal, and the root sum of squares of what all parts add"""
-    quantile: float
-    """that 99 % of the random boards keep"""
-    sampled: float
-    """of the worst random board"""
-    boards: int
+    @property
+    def checks(self) -> Sequence[Check]:
+        return self.finding.checks
 
 
 @dataclass(frozen=True)
@@ -196,7 +170,7 @@ class Measurement:
     undecided: str = ""
     """why the value is no verdict: too few boards neither prove the wanted yield nor miss it, or a simulator has left
     out a part of a model; and what would decide"""
-    bounds: Bounds | None = None
+    bounds: BoundsRecord | None = None
     """of a worst case"""
     figures: Sequence[Figure] = ()
     tables: Sequence[Table] = ()
@@ -262,7 +236,7 @@ class Result:
         return min(margins, default=None)
 
     @property
-    def limit(self) -> str:
+    def required(self) -> str:
         """In words."""
         low, high = self.requirement.min, self.requirement.max
         if low is not None and high is not None:
@@ -292,18 +266,31 @@ class Result:
         return f"{engineering(self.margin, self.unit)} ({shown.replace('-', '−')})"
 
 
-def not_run(name: str, reason: str) -> Finding:
-    """The finding of an experiment that could not be carried out."""
-    return Finding(checks=[Check(name, None, 0.0, reason=reason)])
+class Attempt(NamedTuple, Generic[T]):
+    """What came of a quantity or an experiment, whatever happened."""
+
+    found: T | None = None
+    reason: str = ""
+    """why nothing was found"""
+    inapplicable: bool = False
+    seconds: float = 0.0
+    """of computing"""
 
 
-def does_not_apply(reason: str) -> Finding:
-    """The finding of an experiment that says nothing about the design."""
-    return Finding(checks=[], inapplicable=reason)
-
-
-def defect(error: Exception) -> str:
-    """An unforeseen error in one line, with the last place that it came through."""
-    last = traceback.extract_tb(error.__traceback__)[-1]
-    said = " ".join(f"{type(error).__name__}: {error}".split())
-    return f"stopped by a defect: {said} ({Path(last.filename).name}, line {last.lineno})"
+def attempted(compute: Callable[[], T]) -> Attempt[T]:
+    """Compute something; a defect in it must not cost the report of the others."""
+    start = time.perf_counter()
+    found, reason, inapplicable = None, "", False
+    try:
+        found = compute()
+    except NotRun as missing:
+        reason = str(missing)
+    except DoesNotApply as other:
+        reason, inapplicable = str(other), True
+    except OhmskinError as error:
+        reason = f"{type(error).__name__}: {error}"
+    except Exception as error:  # in one line, with the last place that it came through
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        said = " ".join(f"{type(error).__name__}: {error}".split())
+        reason = f"stopped by a defect: {said} ({Path(last.filename).name}, line {last.lineno})"
+    return Attempt(found, reason, inapplicable, time.perf_counter() - start)

@@ -11,32 +11,31 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..circuits import Design, Recoverer, Status, apparent_resistance, noise, scan_batch
-from ..common import plots
+from ..circuits import Adc, Design, apparent_resistance, noise, scan_batch, volts_of_codes
 from ..common.arrays import BoolArray, FloatArray
 from ..common.geometry import Geometry
+from ..driver import CountReader
 from ..emulator import Contact, Rectangle
 from ..errors import InputError, SolverError
 from ._dut import DesignUnderTest, once
 from ._judging import box_of, worst_of
 from ._outcome import Figure, NotRun
 from ._parameters import MAXIMA, Factors
+from ._pictures import histories
 from ._readings import converted, limited
 from ._units import engineering
-from .quantities.gain_error import GainError
 from .quantities.noise import noise_of
-from .quantities.settling_error import largest_signal, rate_of, settling_share
+from .quantities.reading_errors import GainError
+from .quantities.settling import largest_signal, rate_of, settling_share
 
 SECONDS = 24.0
 FASTEST_HZ = 50.0
 """frames are simulated at most this often; faster boards have the settling of their own rate"""
 SLOWEST_HZ = 2.0
-MOST_WORK, MOST_WORK_COUPLED = 400_000, 60_000
-"""Cells times frames that are simulated at most: larger arrays are followed at a lower rate. Without amplifiers that
-hold the sensed lines, the inversion takes a dense solution per frame."""
-FRAMES_WHEN_LOST = 40
-"""frames that are simulated of a board some of whose readings are lost to a limit"""
+MOST_WORK = 400_000
+"""Cells times frames that are simulated at most: larger arrays are followed at a lower rate."""
 TOUCHED = 0.1
 """of full scale: above it a cell counts as touched"""
 
@@ -132,14 +131,12 @@ def runs(dut: DesignUnderTest) -> list[Run]:
 def simulate(dut: DesignUnderTest, name: str, factors: FloatArray) -> Run:
     """24 s of one board under three contacts."""
     design, shape = dut.design, dut.design.array.shape
-    if design.adc is None:
-        raise NotRun("missing: adc.bits, adc.range")
+    dut.converter()
     if not dut.knows_pressure:
         raise NotRun("missing: cells.full_scale_kpa")
     declared = rate_of(dut)
     tare = design.operation.readings_per_calibration
-    work = MOST_WORK if design.board.virtual_grounds else MOST_WORK_COUPLED
-    rate_limit = max((work / (shape[0] * shape[1]) - tare) / SECONDS, SLOWEST_HZ)
+    rate_limit = max((MOST_WORK / (shape[0] * shape[1]) - tare) / SECONDS, SLOWEST_HZ)
     rate = min(declared, FASTEST_HZ, rate_limit)
     time_s = np.arange(0.0, SECONDS, 1.0 / rate)
     random = np.random.default_rng(np.random.SeedSequence([dut.seed, 1 << 21]))
@@ -154,21 +151,18 @@ def simulate(dut: DesignUnderTest, name: str, factors: FloatArray) -> Run:
     cells = forward.run(steps, applied)
     # The host tares at its own rate before anything presses, however slowly the presses are followed.
     frames = np.concatenate([np.repeat(cells[:1], tare, axis=0), cells])
-    read, beyond = _converted(dut, dut.factors, factors, frames, settling_share(dut, declared), random)
-    untouched, volts, lost = read[:tare], read[tare:], beyond[tare:]
-    if lost.any():  # the intervals of cells that are not known take long, and the verdict is sure
-        kept = slice(None, None, -(-len(time_s) // FRAMES_WHEN_LOST))
-        time_s, applied, volts, lost = time_s[kept], applied[kept], volts[kept], lost[kept]
-    recover = Recoverer(host_design(design), accuracy=1e-6)
-    rest = _rest(recover, untouched, beyond[:tare], dut.rest)
-    ohms = _recovered(recover, volts, lost)
+    volts, lost = _sampled(dut, dut.factors, factors, frames, settling_share(dut, declared), random)
+    reader = CountReader(host_design(design))
+    read = [reader(counts) for counts in _codes(dut.converter(), volts)]
+    untouched = np.stack([measured.resistance for measured in read[:tare]])
+    known = np.isfinite(untouched).sum(axis=0)  # of cells that no frame knows, the data sheet's
+    rest = np.where(known > 0, np.nansum(untouched, axis=0) / np.maximum(known, 1), dut.rest)
     estimator = dut.cell.estimator(shape, rest_resistance_ohm=rest)
-    steps = np.diff(time_s, prepend=time_s[0])
-    estimated, _ = estimator.run(steps, ohms)
-    return Run(name, time_s, applied, estimated, lost, full)
+    estimated, _ = estimator.run_measured(steps, np.stack([measured.block for measured in read[tare:]]))
+    return Run(name, time_s, applied, estimated, lost[tare:], full)
 
 
-def _converted(
+def _sampled(
     dut: DesignUnderTest,
     parts: Factors,
     factors: FloatArray,
@@ -176,45 +170,25 @@ def _converted(
     share: float,
     random: np.random.Generator,
 ) -> tuple[FloatArray, BoolArray]:
-    """V that the codes of a real board stand for, and which readings are lost."""
-    population = parts.population(factors[None])
+    """V at an ideal converter that stand for those of a real board and its converter, and which readings are lost."""
+    population, box = parts.population(factors[None]), box_of(dut)
     board = population.boards.design(dut.hot, 0)
-    adc = board.adc
     found = scan_batch(board, cells)
     previous = np.roll(found.volts, 1, axis=2 if dut.design.board.turned else 1)
     volts = found.volts + share * (previous - found.volts)
     try:
-        states = [noise(board, np.full(cells.shape[1:], ohms)).before_adc for ohms in (dut.rest, dut.pressed)]
+        states = [noise(board, uniform).before_adc for uniform in dut.uniform.values()]
         volts = volts + random.standard_normal(volts.shape) * np.maximum(*states)
     except (InputError, SolverError):  # no noise is given, which its own requirement says
         pass
     volts = converted(board, volts, population.converter[0])
-    at_limit, box = limited(box_of(dut), volts, found.saturated), box_of(dut)
-    lost = at_limit > 0.0 if box.scale.open_is_rest else at_limit != 0.0
-    if adc is None:
-        return volts, lost
-    codes = np.clip(np.floor((volts - adc.range[0]) / adc.step), 0, 2.0**adc.bits - 1)
-    return adc.range[0] + (codes + 0.5) * adc.step, lost
+    at_limit = limited(box, volts, found.saturated)
+    return volts, at_limit > 0.0 if box.scale.open_is_rest else at_limit != 0.0
 
 
-def _recovered(recover: Recoverer, volts: FloatArray, lost: BoolArray) -> FloatArray:
-    """Ohm (frames, rows, columns) by inversion of the circuit with nominal parts; NaN where a cell is not known."""
-    ohms = np.full(volts.shape, np.nan)
-    for frame, (reading, clipped) in enumerate(zip(volts, lost, strict=True)):
-        try:
-            recovery = recover(reading, clipped=clipped)
-        except SolverError:
-            continue
-        known = np.isin(recovery.status, (Status.READ, Status.DISTURBED)) & (recovery.resistance > 0) & ~clipped
-        ohms[frame] = np.where(known, recovery.resistance, np.nan)
-    return ohms
-
-
-def _rest(recover: Recoverer, volts: FloatArray, lost: BoolArray, data_sheet: float) -> FloatArray:
-    """Mean ohm (rows, columns) over frames of the untouched skin; the data sheet's for cells that no frame knows."""
-    ohms = _recovered(recover, volts, lost)
-    counted = np.isfinite(ohms).sum(axis=0)
-    return np.where(counted > 0, np.nansum(ohms, axis=0) / np.maximum(counted, 1), data_sheet)
+def _codes(adc: Adc, volts: FloatArray) -> NDArray[np.int64]:
+    codes: NDArray[np.int64] = np.clip(np.floor((volts - adc.range[0]) / adc.step), 0, 2.0**adc.bits - 1).astype(int)
+    return codes
 
 
 def one_cell_read(dut: DesignUnderTest, ohms: FloatArray) -> tuple[FloatArray, float]:
@@ -231,7 +205,9 @@ def one_cell_read(dut: DesignUnderTest, ohms: FloatArray) -> tuple[FloatArray, f
     share = settling_share(dut, dut.design.operation.frame_rate or FASTEST_HZ)
     random = np.random.default_rng(np.random.SeedSequence([dut.seed, 1 << 22]))
     nominal = Factors.nominal(dut.design)
-    volts, lost = _converted(dut, nominal, np.zeros(0), cells, share, random)
+    volts, lost = _sampled(dut, nominal, np.zeros(0), cells, share, random)
+    if dut.design.adc is not None:
+        volts = volts_of_codes(dut.design, _codes(dut.design.adc, volts))
     return apparent_resistance(dut.design, volts)[:, *place], float(lost[:, *place].mean())
 
 
@@ -249,14 +225,9 @@ def what_is_in(dut: DesignUnderTest) -> str:
     )
 
 
-def traces(run: Run) -> Figure:
-    busiest = run.applied_kpa.sum(axis=0)
-    places = [np.unravel_index(k, busiest.shape) for k in np.argsort(-busiest, axis=None)[:3]]
-    with plots.drawing(len(places), 1, height=0.8 + 1.2 * len(places), sharex=True) as (figure, axes):
-        for panel, (row, column) in zip(axes[:, 0], places, strict=True):
-            panel.plot(run.time_s, run.applied_kpa[:, row, column], color=plots.INK, lw=4, alpha=0.25, label="applied")
-            panel.plot(run.time_s, run.estimated_kpa[:, row, column], lw=1, label="host's estimate")
-            panel.set(title=f"cell ({row}, {column})", ylabel="kPa")
-        axes[0, 0].legend(ncols=2, loc="upper right")
-        axes[-1, 0].set_xlabel("board time / s")
-        return Figure(plots.svg(figure), f"The most pressed cells, read by {run.board}.")
+def traces(run: Run) -> list[Figure]:
+    """The most pressed cells."""
+    busiest = np.argsort(-run.applied_kpa.sum(axis=0), axis=None)[:3].tolist()
+    places = [divmod(cell, run.applied_kpa.shape[2]) for cell in busiest]
+    caption = f"The most pressed cells, read by {run.board}."
+    return histories(caption, run.time_s, run.applied_kpa, run.estimated_kpa, places, "host's estimate")

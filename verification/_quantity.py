@@ -23,21 +23,6 @@ SHARE_UNITS = ("% FS", "kPa")
 DOWN, UP = "down", "up"
 """directions in which a part may be changed"""
 AVERAGING = "frames averaged"
-READING_PARTS = (
-    ("array.row_lead", DOWN),
-    ("array.row_segment", DOWN),
-    ("array.column_lead", DOWN),
-    ("array.column_segment", DOWN),
-    ("readout.open_loop_gain", UP),
-    ("readout.offset_voltage", DOWN),
-    ("readout.bias_current", DOWN),
-    ("readout.reference_resistance", UP),
-    ("drive.voltage", UP),
-    ("adc.offset_voltage", DOWN),
-    ("adc.gain_error", DOWN),
-    ("adc.bits", UP),
-)
-"""that errors of readings come from"""
 Compute = Callable[[DesignUnderTest, Requirement, str], Measurement]
 """From the design under test, the requirement and the method to a measurement; raises NotRun or DoesNotApply."""
 Limit = Callable[[Design], float | None]

@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from math import inf
+from typing import Final
 
 import numpy as np
 
@@ -91,18 +92,48 @@ def limited(box: Box, volts: FloatArray, saturated: BoolArray) -> FloatArray:
     return np.where(saturated | clipped(box.design, volts), towards, 0.0)
 
 
+FREE: Final = None
+"""as the search has it"""
+Presses = tuple[float | None, ...]
+"""by frame, from 0 at rest to 1 at full scale; or :data:`FREE`"""
+
+
+@dataclass(frozen=True)
+class Frames:
+    """What is pressed in the one or two frames that a target judges."""
+
+    own: Presses = (FREE,)
+    """of the judged cell"""
+    others: Presses = (FREE,)
+    """of all other cells"""
+    around: Presses = (FREE,)
+    """of all cells alike, where derivatives are taken that stand for those of the frames"""
+
+    def __len__(self) -> int:
+        return len(self.own)
+
+    def pressed(self, pattern: FloatArray, row: IntArray, column: IntArray) -> list[FloatArray]:
+        """Presses (C, N, M) in each frame, for the cells (C,) that are judged."""
+        found = []
+        for own, others in zip(self.own, self.others, strict=True):
+            frame = pattern.copy() if others is FREE else np.full(pattern.shape, others)
+            if own is not FREE:
+                frame[np.arange(len(row)), row, column] = own
+            found.append(frame)
+        return found
+
+    def uniform(self, state: float) -> list[float]:
+        """The press that all cells share, by frame."""
+        return [state if press is FREE else press for press in self.around]
+
+
+AT_REST = Frames(own=(0.0,), others=(0.0,), around=(0.0,))
+
+
 class ReadingTarget(Target):
     """A number of one cell's readings in one or two frames."""
 
-    frames: int = 1
-
-    @abstractmethod
-    def pressed(self, pattern: FloatArray, row: IntArray, column: IntArray) -> list[FloatArray]:
-        """Which cells are pressed (C, N, M) in each frame, for the cells (C,) that are judged."""
-
-    def uniform(self, state: float) -> list[float]:
-        """The press that all cells share, by frame, where derivatives stand for those of :meth:`pressed`."""
-        return [state]
+    frames: Frames = Frames()
 
     @abstractmethod
     def smooth(self, box: Box, law: Law, frames: Sequence[Frame]) -> FloatArray:
@@ -114,16 +145,16 @@ class ReadingTarget(Target):
 
     def frames_of(self, box: Box, corners: Corners) -> list[FloatArray]:
         _, press, scale = box.split(corners.x)
-        pressed = self.pressed((1.0 + press) / 2.0, corners.row, corners.column)
+        pressed = self.frames.pressed((1.0 + press) / 2.0, corners.row, corners.column)
         return [box.resistance(frame, scale) for frame in pressed]
 
     def pattern(self, box: Box, corner: Corners) -> BoolArray:
         press = (1.0 + box.split(corner.x)[1]) / 2.0
-        return np.asarray(self.pressed(press, corner.row, corner.column)[-1][0] > 0.5)
+        return np.asarray(self.frames.pressed(press, corner.row, corner.column)[-1][0] > 0.5)
 
     def cost(self, box: Box) -> float:
         alone = box.saturates or not read_together(box.design)
-        return box.cells * self.frames * (ALONE if alone else 1)
+        return box.cells * len(self.frames) * (ALONE if alone else 1)
 
     def starts(self, box: Box) -> Corners:
         return Corners.joined([named.corners for named in named_corners(self, box)])
@@ -214,11 +245,7 @@ class Excursion(ReadingTarget):
     """V, lowest and highest"""
     at_converter: bool
     """whether the converter's errors count"""
-    at_rest: bool = False
-    """whether all cells stay untouched"""
-
-    def pressed(self, pattern: FloatArray, row: IntArray, column: IntArray) -> list[FloatArray]:
-        return [np.zeros_like(pattern) if self.at_rest else pattern]
+    frames: Frames = Frames()
 
     def smooth(self, box: Box, law: Law, frames: Sequence[Frame]) -> FloatArray:
         return frames[0].volts if self.at_converter else frames[0].output
@@ -333,7 +360,7 @@ def _slopes(
     width = (box.pressed_ohm - box.rest_ohm) / 2.0
     deviating = 1.0 + box.cell_spread * box.split(corners.x)[2]
     ones = np.ones_like(press)
-    moves = zip(target.pressed(ones, row, column), target.pressed(0.0 * ones, row, column), strict=True)
+    moves = zip(*(target.frames.pressed(press, row, column) for press in (ones, 0.0 * ones)), strict=True)
     with np.errstate(all="ignore"):
         for number, (one, ohms, (high, low)) in enumerate(zip(linear, cells, moves, strict=True)):
             frame = frames[number]
@@ -357,7 +384,7 @@ class _Uniform:
         self.target, self.box = target, box
         shape = box.design.array.shape
         self.row, self.column = (index.ravel() for index in np.indices(shape))
-        states = target.uniform(state)
+        states = target.frames.uniform(state)
         self.cells = [box.resistance(np.full(shape, frame), np.zeros(shape)) for frame in states]
         for frame, ohms in zip(states, self.cells, strict=True):
             if frame not in known:

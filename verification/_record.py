@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable
+from enum import StrEnum
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, ValidationError, WithJsonSchema
 
 from ..common.config import describe
 from ..common.files import read_text
@@ -15,12 +17,40 @@ from ..errors import InputError
 
 SCHEMA_VERSION = 3
 
-OutcomeName = Literal["pass", "fail", "not run", "does not apply"]
-Number = float | Literal["inf", "-inf", "nan"] | None
+
+class Outcome(StrEnum):
+    """A check passes only if it was run and kept its limit."""
+
+    PASS = "pass"
+    FAIL = "fail"
+    NOT_RUN = "not run"
+    NOT_APPLICABLE = "does not apply"
+
+
+def worst(outcomes: Iterable[Outcome]) -> Outcome:
+    """A failure outweighs what could not be run, which outweighs a pass; nothing at all was not run."""
+    found = set(outcomes) or {Outcome.NOT_RUN}
+    return next(each for each in (Outcome.FAIL, Outcome.NOT_RUN, Outcome.PASS, Outcome.NOT_APPLICABLE) if each in found)
+
+
+_INFINITE = ("inf", "-inf", "nan")
+
+
+def _in_json(value: float | None) -> float | str | None:
+    """JSON has no infinity: such values become text."""
+    return value if value is None or math.isfinite(value) else str(value)
+
+
+Number = Annotated[
+    float | None,
+    BeforeValidator(lambda value: float(value) if value in _INFINITE else value),
+    PlainSerializer(_in_json, when_used="json"),
+    WithJsonSchema({"anyOf": [{"type": "number"}, {"enum": [*_INFINITE], "type": "string"}, {"type": "null"}]}),
+]
 
 
 class _Record(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, from_attributes=True)
 
 
 class CornerRecord(_Record):
@@ -54,7 +84,7 @@ class RequirementRecord(_Record):
     unit: str
     min: float | None
     max: float | None
-    outcome: OutcomeName
+    outcome: Outcome
     measured: Number = Field(description="in `unit`; null: not run or does not apply")
     margin: float | None = Field(description="by how much the nearer limit is kept (positive) or missed, in `unit`")
     resolution: float = Field(
@@ -75,7 +105,7 @@ class CheckRecord(_Record):
     """One limit within an experiment."""
 
     name: str
-    outcome: OutcomeName
+    outcome: Outcome
     measured: Number
     limit: float
     relation: Literal["<=", ">="]
@@ -89,7 +119,7 @@ class ClaimRecord(_Record):
     id: str
     title: str
     where: str
-    outcome: OutcomeName
+    outcome: Outcome
     checks: list[CheckRecord]
     seconds: float
 
@@ -110,7 +140,7 @@ class ReportRecord(_Record):
     title: str
     document: dict[str, str] = Field(default={}, description="number, revision, author and date, as far as given")
     parts: dict[str, Any] = Field(default={}, description="part numbers and ratings that the design gives")
-    outcome: OutcomeName
+    outcome: Outcome
     exit_code: int
     finished: str
     seconds: float
@@ -153,48 +183,32 @@ def load_record(path: str | Path) -> ReportRecord:
         raise InputError(f"{path}: not a report.json of this version: {describe(error, ReportRecord, {})}") from None
 
 
-def number(value: float | None) -> Number:
-    """JSON has no infinity: such values become text."""
-    if value is None or math.isfinite(value):
-        return value
-    return "nan" if math.isnan(value) else "inf" if value > 0 else "-inf"
-
-
 def jsonable(value: Any) -> Any:
     """Nested tables with infinities as text."""
     if isinstance(value, dict):
         return {key: jsonable(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [jsonable(item) for item in value]
-    return number(value) if isinstance(value, float) else value
+    return _in_json(value) if isinstance(value, float) else value
 
 
-_RANK = {"fail": 0, "not run": 1, "does not apply": 2, "pass": 3}
+_RANK = {Outcome.FAIL: 0, Outcome.NOT_RUN: 1, Outcome.NOT_APPLICABLE: 2, Outcome.PASS: 3}
 
 
 def compare(new: ReportRecord, old: ReportRecord) -> list[ChangeRecord]:
     """What became better, worse, new or gone; a margin counts as changed from 1 % of the limit on."""
-    before = _by_id(old)
-    after = _by_id(new)
+    before, after = _by_id(old), _by_id(new)
     changes = []
-    for id, item in after.items():
-        if id not in before:
-            changes.append(ChangeRecord(id=id, change="new", was="", is_now=_shown(item)))
-            continue
-        change = _change(before[id], item)
-        changes.append(ChangeRecord(id=id, change=change, was=_shown(before[id]), is_now=_shown(item)))
-    changes += [
-        ChangeRecord(id=id, change="gone", was=_shown(item), is_now="")
-        for id, item in before.items()
-        if id not in after
-    ]
+    for id in {**after, **before}:
+        was, now = before.get(id), after.get(id)
+        change = "new" if was is None else "gone" if now is None else _change(was, now)
+        changes.append(ChangeRecord(id=id, change=change, was=_shown(was), is_now=_shown(now)))
     return changes
 
 
 def _by_id(report: ReportRecord) -> dict[str, RequirementRecord | ClaimRecord]:
-    requirements = {item.id: item for item in report.requirements}
-    claims = {item.id: item for item in report.claims}
-    return {**requirements, **claims}
+    items: list[RequirementRecord | ClaimRecord] = [*report.requirements, *report.claims]
+    return {item.id: item for item in items}
 
 
 def _change(
@@ -213,7 +227,7 @@ def _change(
     return "better" if new.margin > old.margin else "worse"
 
 
-def _shown(item: RequirementRecord | ClaimRecord) -> str:
-    if isinstance(item, RequirementRecord) and isinstance(item.measured, float):
+def _shown(item: RequirementRecord | ClaimRecord | None) -> str:
+    if isinstance(item, RequirementRecord) and item.measured is not None and math.isfinite(item.measured):
         return f"{item.outcome}, {item.measured:.4g} {item.unit}"
-    return item.outcome
+    return "" if item is None else item.outcome.value

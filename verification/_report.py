@@ -31,22 +31,22 @@ from ._catalogue import CATALOGUE
 from ._dut import DesignUnderTest, everything_of
 from ._explore import may_be_mended
 from ._export import export_samples
-from ._outcome import Bounds, Claim, Figure, Measurement, Outcome, Result, Table, drawn, worst
+from ._outcome import Check, Claim, Figure, Measurement, Result, Table
 from ._parameters import MAXIMA
+from ._pictures import picture
 from ._record import (
     SCHEMA_VERSION,
-    BoundsRecord,
     ChangeRecord,
-    CheckRecord,
     ClaimRecord,
+    Outcome,
     ReportRecord,
     RequirementRecord,
     compare,
     jsonable,
-    number,
+    worst,
 )
 from ._schematic import schematic
-from ._sign_off import SignOff, filed_under
+from ._sign_off import RATINGS, SignOff, filed_under
 from ._units import PREFIXED, UNITS, engineering
 
 EXIT_CODES = {Outcome.PASS: 0, Outcome.FAIL: 1, Outcome.NOT_RUN: 3, Outcome.NOT_APPLICABLE: 3}
@@ -225,6 +225,7 @@ class Report:
             report=self,
             settings=self.settings(),
             sheet=SignOff.of(self.dut, self.results),
+            rating_columns=RATINGS,
             environment=environment(),
             schematic=schematic(self.design),
             budget=error_budget(self.results),
@@ -240,7 +241,7 @@ class Report:
             title=printable(self.title),
             document={name: printable(value) for name, value in filed_under(self.design)},
             parts=jsonable(self.design.parts.model_dump(mode="python", exclude_none=True)),
-            outcome=self.outcome.value,
+            outcome=self.outcome,
             exit_code=self.exit_code,
             finished=self.finished.isoformat(timespec="seconds"),
             seconds=round(self.seconds, 3),
@@ -260,7 +261,7 @@ class Report:
             not_modelled=[effect.name for effect in self.assumptions.effects],
             not_given=dict(self.assumptions.not_given),
             exact=list(self.assumptions.exact),
-            claims=[_claim_record(claim) for claim in self.claims],
+            claims=[ClaimRecord.model_validate(claim) for claim in self.claims],
             changes=self.changes,
         )
 
@@ -291,32 +292,33 @@ class Report:
             from junitparser import Failure, JUnitXml, Properties, Property, Skipped, TestCase, TestSuite
         except ImportError as error:
             raise _missing("junitparser") from error
+
+        def case(found: Result | Check, name: str, group: str, seconds: float | None = None) -> TestCase:
+            made = TestCase(_xml(name), group, seconds)
+            why = found.why if isinstance(found, Result) else found.reason
+            if found.outcome is Outcome.FAIL:
+                because = f"; {why}" if why else ""
+                made.result = [Failure(_xml(f"measured {found.found}, required {found.required}{because}"))]
+            elif found.outcome is not Outcome.PASS:
+                made.result = [Skipped(_xml(f"{found.outcome}: {why or 'no limit is given'}"))]
+            return made
+
         xml = JUnitXml("ohmskin verify")
         suite = TestSuite("requirements")
         for result in self.results:
-            case = TestCase(_xml(f"{result.requirement.id} {result.title}"), "ohmskin.verify", result.seconds)
+            requirement = case(result, f"{result.requirement.id} {result.title}", "ohmskin.verify", result.seconds)
             properties = Properties()
             for name, value in _properties(result).items():
                 properties.add_property(Property(name, _xml(value)))
-            case.append(properties)
-            if result.outcome is Outcome.FAIL:
-                why = f"; {result.why}" if result.why else ""
-                case.result = [Failure(_xml(f"measured {result.found}, required {result.limit}{why}"))]
-            elif result.outcome is not Outcome.PASS:
-                case.result = [Skipped(_xml(f"{result.outcome}: {result.why or 'no limit is given'}"))]
-            suite.add_testcase(case)
+            requirement.append(properties)
+            suite.add_testcase(requirement)
         if self.results:
             xml.add_testsuite(suite)
         for claim in self.claims:
             suite = TestSuite(f"{claim.id} {claim.title}")
             suite.add_property("seconds", f"{claim.seconds:.3f}")
-            for check in claim.finding.checks:
-                case = TestCase(_xml(check.name), classname=f"ohmskin.verify.{claim.id}")
-                if check.outcome is Outcome.FAIL:
-                    case.result = [Failure(_xml(f"measured {check.found}, required {check.requirement}"))]
-                elif check.outcome is Outcome.NOT_RUN:
-                    case.result = [Skipped(_xml(f"not run: {check.reason}"))]
-                suite.add_testcase(case)
+            for check in claim.checks:
+                suite.add_testcase(case(check, check.name, f"ohmskin.verify.{claim.id}"))
             xml.add_testsuite(suite)
         xml.update_statistics()
         text: bytes | str = xml.tostring()
@@ -334,12 +336,11 @@ class Report:
             f"{self.count('does not apply')} do not apply. Design {self.design_sha256[:12]}, seed {self.dut.seed}, "
             f"ohmskin {__version__}.",
             "",
-            *_table(["requirement", "outcome", "limit", *sheet.columns, "margin"], sheet.rows),
+            *_table(sheet.columns, (line.row for line in sheet.bounds)),
             "",
         ]
         if sheet.ratings:
-            header = ["part", "number", "stress", "rating", "allowed", "worst", "of the rating", "outcome"]
-            lines += [*_table(header, [(*line[1:], line.result.outcome) for line in sheet.ratings]), ""]
+            lines += [*_table(RATINGS, (line.row for line in sheet.ratings)), ""]
         reasons = [*sheet.failed, *self.left_out_by_reason]
         if reasons:
             lines += [*_table(["not passed", "why"], reasons), ""]
@@ -349,15 +350,10 @@ class Report:
             command = markdown_code(self.explore_command)
             lines += ["", f"Which single part would mend {markdown(mended)}: {command}"]
         if self.claims:
-            lines += ["", "| claim | outcome |", "|---|---|"]
-            lines += [f"| {claim.id} {claim.title} | {claim.outcome} |" for claim in self.claims]
+            lines += ["", *_table(["claim", "outcome"], ((f"{c.id} {c.title}", c.outcome) for c in self.claims))]
         if self.changes:
-            lines += ["", "| against the older report | change | was | is |", "|---|---|---|---|"]
-            lines += [
-                f"| {markdown(c.id)} | {c.change} | {markdown(c.was or '')} | {markdown(c.is_now or '')} |"
-                for c in self.changes
-                if c.change != "same"
-            ]
+            changed = ((c.id, c.change, c.was, c.is_now) for c in self.changes if c.change != "same")
+            lines += ["", *_table(["against the older report", "change", "was", "is"], changed)]
         return "\n".join(lines) + "\n"
 
     def settings(self) -> list[Setting]:
@@ -416,7 +412,7 @@ def _xml(text: str) -> str:
 
 def _properties(result: Result) -> dict[str, str]:
     """What JUnit carries beside the outcome."""
-    found = {"quantity": result.requirement.quantity, "method": result.method, "limit": result.limit}
+    found = {"quantity": result.requirement.quantity, "method": result.method, "limit": result.required}
     found |= {"measured": result.found, "margin": result.margin_shown, "source": result.requirement.source}
     if result.measurement is not None:
         found |= {"value": repr(result.measurement.value), "unit": result.unit, "where": result.measurement.where}
@@ -425,64 +421,18 @@ def _properties(result: Result) -> dict[str, str]:
 
 
 def _requirement_record(result: Result) -> RequirementRecord:
-    found, wanted = result.measurement, result.requirement
+    """Each field by its name, of the result, of the requirement or of the measurement."""
+    found, sources = result.measurement, (result, result.requirement, result.measurement or Measurement(0.0, ""))
+    values = {
+        name: next(getattr(source, name) for source in sources if hasattr(source, name))
+        for name in RequirementRecord.model_fields
+        if name not in ("measured", "reason", "contributions")
+    }
     return RequirementRecord(
-        id=wanted.id,
-        text=wanted.text,
-        source=wanted.source,
-        quantity=wanted.quantity,
-        title=result.title,
-        method=result.method,
-        unit=result.unit,
-        min=wanted.min,
-        max=wanted.max,
-        outcome=result.outcome.value,
-        measured=number(found.value) if found else None,
-        margin=result.margin,
-        where=found.where if found else "",
-        resolution=found.resolution if found else 0.0,
-        incomplete=found.incomplete if found else "",
-        confidence=found.confidence if found else "",
+        **values,
+        measured=found.value if found else None,
         reason="" if result.outcome is Outcome.PASS else result.why,
         contributions={k: v for k, v in (found.contributions if found else {}).items() if math.isfinite(v)},
-        samples=[number(value) for value in (found.samples if found else ())],
-        seconds=round(result.seconds, 4),
-        corner=found.corner if found else None,
-        bounds=_bounds_record(found.bounds) if found and found.bounds else None,
-    )
-
-
-def _bounds_record(bounds: Bounds) -> BoundsRecord:
-    return BoundsRecord(
-        nominal=number(bounds.nominal),
-        initial=None if bounds.new is None else number(bounds.new),
-        root_sum_square=number(bounds.root_sum_square),
-        quantile_99=number(bounds.quantile),
-        sampled=number(bounds.sampled),
-        boards=bounds.boards,
-    )
-
-
-def _claim_record(claim: Claim) -> ClaimRecord:
-    checks = [
-        CheckRecord(
-            name=check.name,
-            outcome=check.outcome.value,
-            measured=number(check.measured),
-            limit=check.limit,
-            relation=">=" if check.at_least else "<=",
-            unit=check.unit,
-            reason=check.reason,
-        )
-        for check in claim.finding.checks
-    ]
-    return ClaimRecord(
-        id=claim.id,
-        title=claim.title,
-        where=claim.where,
-        outcome=claim.outcome.value,
-        checks=checks,
-        seconds=round(claim.seconds, 4),
     )
 
 
@@ -493,32 +443,34 @@ def _pictures(result: Result) -> list[Figure]:
         return []
     pictures = list(found.figures)
     if len(found.contributions) > 1:
-        pictures += drawn(lambda: _tornado(result, found))
+        pictures += _tornado(result, found)
     if found.samples:
-        pictures += drawn(lambda: _histogram(result, found))
+        pictures += _histogram(result, found)
     return pictures
 
 
-def _tornado(result: Result, found: Measurement) -> Figure:
+def _tornado(result: Result, found: Measurement) -> list[Figure]:
     scale, unit = _scale(result.unit, max(map(abs, found.contributions.values()), default=1.0))
     items = sorted(found.contributions.items(), key=lambda item: abs(item[1]))
-    with plots.drawing(1, 1, width=7.2, height=0.7 + 0.26 * len(items)) as (figure, ((panel,),)):
-        values = [scale * value for _, value in items]
+
+    def draw(panels: Any) -> None:
+        panel, values = panels[0, 0], [scale * value for _, value in items]
         panel.barh(range(len(items)), values, color=[plots.BLUE if v >= 0 else plots.ORANGE for v in values])
         panel.set_yticks(range(len(items)), [name for name, _ in items])
         panel.axvline(0, color=plots.INK, lw=0.8)
         panel.set_xlabel(f"{result.title.lower()} / {unit}" if unit else result.title.lower())
         panel.grid(visible=False, axis="y")
-        return Figure(
-            plots.svg(figure),
-            f"{result.title} by each kind of part alone, all others nominal (tornado).",
-        )
+
+    caption = f"{result.title} by each kind of part alone, all others nominal (tornado)."
+    return picture(caption, draw, width=7.2, height=0.7 + 0.26 * len(items))
 
 
-def _histogram(result: Result, found: Measurement) -> Figure:
+def _histogram(result: Result, found: Measurement) -> list[Figure]:
     values = np.array([v for v in found.samples if math.isfinite(v)])
     lost = len(found.samples) - len(values)
-    with plots.drawing(1, 1, width=7.2, height=2.5) as (figure, ((panel,),)):
+
+    def draw(panels: Any) -> None:
+        panel = panels[0, 0]
         if len(values):
             panel.hist(values, bins=min(60, max(8, len(values) // 12)), color=plots.SKY)
         for limit in (result.requirement.min, result.requirement.max):
@@ -526,8 +478,10 @@ def _histogram(result: Result, found: Measurement) -> Figure:
                 panel.axvline(limit, color=plots.RED, lw=1.6)
                 panel.text(limit, panel.get_ylim()[1], " limit", color=plots.RED, va="top", fontsize=8)
         panel.set(xlabel=f"{result.title.lower()} / {result.unit}", ylabel="boards")
-        note = f" {lost} boards gave no number and count as failed." if lost else ""
-        return Figure(plots.svg(figure), f"{result.title} of {len(found.samples)} boards drawn at random.{note}")
+
+    note = f" {lost} boards gave no number and count as failed." if lost else ""
+    caption = f"{result.title} of {len(found.samples)} boards drawn at random.{note}"
+    return picture(caption, draw, width=7.2, height=2.5)
 
 
 def _scale(unit: str, largest: float) -> tuple[float, str]:

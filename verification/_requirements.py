@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 from pydantic import Field
 
 from ..circuits import Design, Requirement
 from ..common.config import Section, load
-from ..errors import InputError, OhmskinError
+from ..errors import InputError
 from ._catalogue import CATALOGUE, quantity_of
 from ._dut import DesignUnderTest
 from ._hardware import measured_on_board
-from ._outcome import STOPPED, DoesNotApply, Measurement, NotRun, Result, defect
+from ._outcome import STOPPED, Attempt, Measurement, NotRun, Result, attempted
 from ._own_code import OwnFunction, is_own
 from ._quantity import HARDWARE, SPICE, Quantity
 from ._spice_check import measured_in_spice
@@ -116,51 +114,43 @@ def evaluate(dut: DesignUnderTest, requirement: Requirement, own: Mapping[str, O
         requirement: what is asked for.
         own: the functions of the design's own, by quantity.
     """
-    start = time.perf_counter()
-    quantity = None if is_own(requirement) else CATALOGUE[requirement.quantity]
-    method = requirement.method or ("own function" if quantity is None else quantity.methods[0])
-    found: dict[str, Any] = {}
-    scaled = requirement
-    try:
-        scaled = _in_unit_of(dut, requirement, quantity)
+    quantity = CATALOGUE.get(requirement.quantity)
+    scaled = attempted(lambda: _in_unit_of(dut, requirement, quantity))
+    asked = scaled.found or requirement
+
+    def measure() -> Measurement:
         if quantity is None:
-            found["measurement"] = own[requirement.quantity].measure(dut, requirement.unit)
-        elif method == HARDWARE:
-            found["measurement"] = measured_on_board(dut, quantity.name, quantity.measured)
-        elif method == SPICE:
-            found["measurement"] = measured_in_spice(dut, scaled, quantity.analysis, quantity.unit)
-        else:
-            found["measurement"] = quantity.compute(dut, scaled, method)
-    except NotRun as missing:
-        found["reason"] = str(missing)
-    except DoesNotApply as other:
-        found |= {"reason": str(other), "inapplicable": True}
-    except OhmskinError as error:
-        found["reason"] = f"{type(error).__name__}: {error}"
-    except Exception as error:  # a defect in one quantity must not cost the report of the others
-        found["reason"] = defect(error)
-    if scaled.min is None and scaled.max is None and "reason" not in found:
-        found["reason"] = "the requirement has no limit"
-    measurement: Measurement | None = found.get("measurement")
-    return Result(
-        requirement=scaled,
-        title=requirement.quantity if quantity is None else quantity.title,
-        method=method,
-        unit=measurement.unit if measurement is not None else scaled.unit,
-        seconds=time.perf_counter() - start,
-        **found,
-    )
+            return own[requirement.quantity].measure(dut, requirement.unit)
+        method = _method(requirement)
+        if method == HARDWARE:
+            return measured_on_board(dut, quantity.name, quantity.measured)
+        if method == SPICE:
+            return measured_in_spice(dut, asked, quantity.analysis, quantity.unit)
+        return quantity.compute(dut, asked, method)
+
+    found: Attempt[Measurement] = Attempt(reason=scaled.reason) if scaled.found is None else attempted(measure)
+    if asked.min is None and asked.max is None and not found.reason:
+        found = found._replace(reason="the requirement has no limit")
+    return _result(asked, found, asked.unit if found.found is None else found.found.unit)
 
 
 def stopped_result(requirement: Requirement) -> Result:
     """What becomes of a requirement that a stopped run did not come to."""
     quantity = CATALOGUE.get(requirement.quantity)
+    unit = requirement.unit or ("" if quantity is None else quantity.unit)
+    return _result(requirement, Attempt(reason=STOPPED), unit)
+
+
+def _method(requirement: Requirement) -> str:
+    quantity = CATALOGUE.get(requirement.quantity)
+    return requirement.method or ("own function" if quantity is None else quantity.methods[0])
+
+
+def _result(requirement: Requirement, found: Attempt[Measurement], unit: str) -> Result:
+    quantity = CATALOGUE.get(requirement.quantity)
+    title = requirement.quantity if quantity is None else quantity.title
     return Result(
-        requirement=requirement,
-        title=requirement.quantity if quantity is None else quantity.title,
-        method=requirement.method or ("own function" if quantity is None else quantity.methods[0]),
-        unit=requirement.unit or ("" if quantity is None else quantity.unit),
-        reason=STOPPED,
+        requirement, title, _method(requirement), unit, found.found, found.reason, found.inapplicable, found.seconds
     )
 
 

@@ -33,12 +33,13 @@ from ..common.workers import in_processes
 from ..driver import Skin
 from ..errors import InputError, OhmskinError
 from ._catalogue import CATALOGUE
-from ._claims import STATEMENTS, Statement
+from ._claim import Statement
+from ._claims import STATEMENTS
 from ._dut import SAMPLES, SEED, DesignUnderTest, everything_of, keep
 from ._estimate import expected_seconds
 from ._judging import Searched, block_of, judged_by
 from ._montecarlo import BLOCK, blocks
-from ._outcome import STOPPED, Claim, DoesNotApply, Finding, NotRun, Result, defect, not_run
+from ._outcome import STOPPED, Attempt, Claim, DoesNotApply, NotRun, Result
 from ._own_code import Allowing, OwnFunction, read_own_functions
 from ._quantity import HARDWARE, SAMPLED
 from ._report import Report
@@ -248,8 +249,7 @@ def _compute(
     except KeyboardInterrupt as stopped:
         interruption = stopped
     results = [found.get(task.key) or stopped_result(work.requirements[task.number]) for task in requirements]
-    stood = not_run("experiment", STOPPED)
-    claims = [found.get(f"claim-{s.id}") or Claim(s.id, s.title, s.where, s.says, stood) for s in statements]
+    claims = [found.get(f"claim-{s.id}") or s.claim(Attempt(reason=STOPPED)) for s in statements]
     return [*results, *claims], interruption
 
 
@@ -329,23 +329,7 @@ def _do(work: Work, task: Task) -> tuple[Task, Any]:
         return task, _block(dut, work.requirements, task.number)
     if task.kind == "requirement":
         return task, evaluate(dut, work.requirements[task.number], work.own)
-    return task, _claim(dut, STATEMENTS[task.number])
-
-
-def _claim(dut: DesignUnderTest, statement: Statement) -> Claim:
-    start = time.perf_counter()
-    finding = _finding(dut, statement)
-    seconds = time.perf_counter() - start
-    return Claim(statement.id, statement.title, statement.where, statement.says, finding, seconds)
-
-
-def _finding(dut: DesignUnderTest, statement: Statement) -> Finding:
-    try:
-        return statement.experiment(dut)
-    except OhmskinError as error:
-        return not_run("experiment", f"{type(error).__name__}: {error}")
-    except Exception as error:  # a defect in one experiment must not cost the report of the others
-        return not_run("experiment", defect(error))
+    return task, STATEMENTS[task.number].tried(dut)
 
 
 def _fingerprint(work: Work) -> str:

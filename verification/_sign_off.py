@@ -14,40 +14,30 @@ import numpy as np
 from ..circuits import Design
 from ._catalogue import CATALOGUE
 from ._dut import DesignUnderTest
-from ._outcome import Outcome, Result, Table
+from ._outcome import Result, Table
 from ._parameters import TEMPERATURE
 from ._quantity import SAMPLED
+from ._record import Outcome
 from ._units import engineering
 
-SEARCH = "worst case"
-"""how a value is found that needs no other word in its column"""
+RATINGS = ("part", "outcome", "number", "stress", "rating", "allowed", "worst stress", "of the rating")
+Cell = tuple[str, str]
+"""what a column shows, and what stands below it in small print"""
 
 
-class BoundsLine(NamedTuple):
-    """One requirement with its bounds, in words; empty where an analysis says nothing of it."""
-
-    result: Result
-    value: str
-    """what is judged"""
-    how: str
-    """the method that it is found by"""
-    new: str
-    root_sum_square: str
-    monte_carlo: tuple[str, str]
-    """what 99 % of the boards keep, and the worst of how many"""
-
-
-class RatingLine(NamedTuple):
-    """A rating of a part with the worst stress that was found."""
+class Line(NamedTuple):
+    """One requirement, in words; cells are empty where an analysis says nothing of it."""
 
     result: Result
-    part: str
-    number: str
-    stress: str
-    rating: str
-    allowed: str
-    found: str
-    left: str
+    name: str
+    cells: Sequence[Cell]
+    """of the columns behind name and outcome"""
+
+    @property
+    def row(self) -> tuple[str, ...]:
+        """As plain text."""
+        cells = (f"{text} ({small})".strip() if small else text for text, small in self.cells)
+        return self.name, self.result.outcome, *cells
 
 
 class SignOff(NamedTuple):
@@ -55,87 +45,69 @@ class SignOff(NamedTuple):
 
     filed_under: list[tuple[str, str]]
     part_numbers: list[tuple[str, str]]
-    ages: bool
-    """whether worst cases of new parts stand beside those at the end of life"""
-    bounds: list[BoundsLine]
-    ratings: list[RatingLine]
+    columns: list[str]
+    """of the bounds; worst cases of new parts stand beside those at the end of life if parts age"""
+    bounds: list[Line]
+    """all requirements but those that stand for ratings"""
+    ratings: list[Line]
+    """with the worst stress and the share of the rating that it leaves"""
     failed: list[tuple[str, str]]
+    """(requirement, reason)"""
     coverage: Table
 
     @classmethod
     def of(cls, dut: DesignUnderTest, results: Sequence[Result]) -> SignOff:
         """The page of one run."""
-        design = dut.design
-        bounds, ratings = bounds_lines(results), rating_lines(design, results)
+        design, ages = dut.design, dut.design.ages
+        worst = ["worst case, end of life", "new parts"] if ages else ["worst case"]
+        columns = ["requirement", "outcome", "limit", *worst, "root sum of squares", "Monte Carlo, 99 %", "margin"]
+        bounds = [_bounds_line(result, ages=ages) for result in results if _rates(result) is None]
+        ratings = [_rating_line(design, result, rates) for result in results if (rates := _rates(result)) is not None]
+        failed = [(_name(result), result.why) for result in results if result.outcome is Outcome.FAIL]
         papers = filed_under(design), part_numbers(design)
-        return cls(*papers, design.ages, bounds, ratings, why_not(results), coverage(dut))
-
-    @property
-    def columns(self) -> list[str]:
-        """Heads of the columns of bounds."""
-        worst = ["worst case, end of life", "new parts"] if self.ages else ["worst case"]
-        return [*worst, "root sum of squares", "Monte Carlo, 99 %"]
-
-    @property
-    def rows(self) -> list[tuple[str, ...]]:
-        """One per requirement: its name, outcome, limit, bounds and margin."""
-        found = []
-        for line in self.bounds:
-            result, how = line.result, f" ({line.how})" if line.how not in ("", SEARCH) else ""
-            names = f"{result.requirement.id} {result.title}", result.outcome, result.limit
-            new = (line.new,) if self.ages else ()
-            both = line.root_sum_square, ", ".join(filter(None, line.monte_carlo)), result.margin_shown
-            found.append((*names, f"{line.value}{how}", *new, *both))
-        return found
+        return cls(*papers, columns, bounds, ratings, failed, coverage(dut))
 
 
-def bounds_lines(results: Sequence[Result]) -> list[BoundsLine]:
-    """All requirements but those that stand for ratings."""
-    return [_bounds_line(result) for result in results if rating_of(result) is None]
+def _name(result: Result) -> str:
+    return f"{result.requirement.id} {result.title}"
 
 
-def _bounds_line(result: Result) -> BoundsLine:
-    measurement = result.measurement
-    if measurement is None:
-        return BoundsLine(result, "", "", "", "", ("", ""))
-    if result.method == SAMPLED:
-        return BoundsLine(result, "", "", "", "", (result.found, f"of {len(measurement.samples)} boards"))
-    if (bounds := measurement.bounds) is None:
-        return BoundsLine(result, result.found, result.method, "", "", ("", ""))
-    new, root_sum_square, quantile, sampled = (
-        "" if number is None else engineering(number, result.unit)
-        for number in (bounds.new, bounds.root_sum_square, bounds.quantile, bounds.sampled)
-    )
-    drawn = quantile, f"worst of {bounds.boards}: {sampled}"
-    return BoundsLine(result, result.found, SEARCH, new, root_sum_square, drawn)
+def _bounds_line(result: Result, *, ages: bool) -> Line:
+    found = result.measurement
+    value, new, root_sum_square, drawn = ("", ""), ("", ""), ("", ""), ("", "")
+    if found is not None and result.method == SAMPLED:
+        drawn = result.found, f"of {len(found.samples)} boards"
+    elif found is not None:
+        value = result.found, result.method if found.bounds is None else found.incomplete
+    if found is not None and (bounds := found.bounds) is not None:
+        names = ("initial", "root_sum_square", "quantile_99", "sampled")
+        shown = [engineering(n, result.unit) if (n := getattr(bounds, name)) is not None else "" for name in names]
+        new, root_sum_square, drawn = (
+            (shown[0], ""),
+            (shown[1], ""),
+            (shown[2], f"worst of {bounds.boards}: {shown[3]}"),
+        )
+    cells = (result.required, ""), value, *([new] if ages else []), root_sum_square, drawn, (result.margin_shown, "")
+    return Line(result, _name(result), cells)
 
 
-def rating_of(result: Result) -> tuple[str, str] | None:
+def _rates(result: Result) -> tuple[str, str] | None:
     """Part and kind of the rating that a requirement stands for."""
     quantity = CATALOGUE.get(result.requirement.quantity)
     rates = None if quantity is None else quantity.rates
     return rates if rates is not None and result.requirement.id == ".".join(rates) else None
 
 
-def rating_lines(design: Design, results: Sequence[Result]) -> list[RatingLine]:
-    """All ratings that the design gives, with the worst stress and the share of the rating that it leaves."""
-    found = []
-    for result in results:
-        if (rates := rating_of(result)) is None:
-            continue
-        name, kind = rates
-        part = getattr(design.parts, name)
-        rating = part.ratings[kind]
-        left = ""
-        if result.measurement is not None and np.isfinite(result.measurement.value):
-            share = 100.0 * result.measurement.value / rating
-            left = f"{share:.3g} % used, {100.0 * part.derating - share:.3g} % left".replace("-", "−")
-        allowed = f"{engineering(part.derating * rating, result.unit)} ({100.0 * part.derating:g} %)"
-        shown = result.found if result.measurement is not None else ""
-        stress = CATALOGUE[result.requirement.quantity].title.lower()
-        line = (name.replace("_", " "), part.number, stress, engineering(rating, result.unit), allowed, shown, left)
-        found.append(RatingLine(result, *line))
-    return found
+def _rating_line(design: Design, result: Result, rates: tuple[str, str]) -> Line:
+    part, found, left = getattr(design.parts, rates[0]), result.measurement, ""
+    rating = part.ratings[rates[1]]
+    if found is not None and np.isfinite(found.value):
+        share = 100.0 * found.value / rating
+        left = f"{share:.3g} % used, {100.0 * part.derating - share:.3g} % left".replace("-", "−")
+    allowed = f"{engineering(part.derating * rating, result.unit)} ({100.0 * part.derating:g} %)"
+    stress, shown = CATALOGUE[result.requirement.quantity].title.lower(), result.found if found is not None else ""
+    texts = part.number, stress, engineering(rating, result.unit), allowed, shown, left
+    return Line(result, rates[0].replace("_", " "), [(text, "") for text in texts])
 
 
 def part_numbers(design: Design) -> list[tuple[str, str]]:
@@ -149,12 +121,6 @@ def filed_under(design: Design) -> list[tuple[str, str]]:
     keys = {"number": "document", "revision": "revision", "author": "author", "date": "date"}
     values = ((shown, getattr(design.document, key)) for key, shown in keys.items())
     return [(shown, str(value)) for shown, value in values if value]
-
-
-def why_not(results: Sequence[Result]) -> list[tuple[str, str]]:
-    """(requirement, reason) of those that fail."""
-    failed = (result for result in results if result.outcome is Outcome.FAIL)
-    return [(f"{result.requirement.id} {result.title}", result.why) for result in failed]
 
 
 def coverage(dut: DesignUnderTest) -> Table:

@@ -23,7 +23,7 @@ from ._judging import worst_of
 from ._outcome import DoesNotApply, Measurement, NotRun
 from ._units import engineering
 from ._whole_board import PhaseMarginTarget
-from .quantities.settling_error import nominal_settling, rate_of
+from .quantities.settling import nominal_settling, rate_of
 
 MOST_DRIVEN, MOST_SENSED = 64, 4
 """lines that ngspice is given where its numbers are judged: an amplifier is loaded by all cells of its own line"""

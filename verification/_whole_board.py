@@ -35,6 +35,8 @@ SETTLED = 1e-11
 """share of a signal; smaller deviations are rounding"""
 _RANDOM = 12
 """random corners among the starts"""
+_PERIODS = 16.0
+"""what the shortest period of a board costs, over one period of it: it tries some sixty periods of one solution"""
 _TOGETHER = 1 << 17
 """entries of the matrices of boards that are solved in one call"""
 
@@ -136,8 +138,11 @@ class FrameTimeTarget(InTimeTarget):
     """V"""
     name: str = "frame time"
 
+    def cost(self, box: Box) -> float:
+        return _PERIODS * super().cost(box)
+
     def evaluate(self, box: Box, corners: Corners) -> FloatArray:
-        size = max(1, int(_TOGETHER / self.cost(box)))
+        size = max(1, int(_PERIODS * _TOGETHER / self.cost(box)))
         parts = [np.zeros(0)]
         for first in range(0, len(corners), size):
             x = corners.x[first : first + size]

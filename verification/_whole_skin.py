@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from ..circuits import Requirement, adc_codes
-from ..common import plots
 from ..common.archives import Stored, read_arrays
 from ..common.arrays import BoolArray, FloatArray
 from ..driver import Frame, Skin
@@ -24,11 +23,12 @@ from ..emulator.firmware import (
 )
 from ..emulator.firmware import BoardSettings as FirmwareSettings
 from ..errors import InputError
+from ._catalogue import CATALOGUE
+from ._claim import statement
 from ._dut import DesignUnderTest
-from ._maps import heat_maps
-from ._outcome import Check, Figure, Finding, NotRun, Table, drawn, not_run
-from ._pressures import contacts, runs
-from .quantities import fastest_scan
+from ._outcome import Check, Figure, Finding, NotRun, Table, drawn
+from ._pictures import heat_maps, histories
+from ._pressures import contacts
 
 RATE_HZ = 50.0
 SECONDS = 26.0
@@ -59,10 +59,16 @@ class _Received:
     misplaced: float
     """share of cells wrongly shown as touched or untouched"""
 
-    def checks(self, count: int, unlike: str) -> list[Check]:
+    estimated: FloatArray
+    """(frames, rows, columns) kPa"""
+
+    def checks(self, dut: DesignUnderTest, count: int, unlike: str) -> list[Check]:
         """What holds for ``count`` frames of every emulated board."""
         lost = sum(frame.lost_before or 0 for frame in self.frames)
+        error = (self.estimated - self.applied) / dut.full_scale_kpa
+        rmse, limit = 100 * float(np.sqrt(np.mean(error**2, axis=0)).max()), dut.design.requirements
         return [
+            Check("pressure RMSE, worst cell", rmse, 2 * limit.pressure_rmse_percent, "% of full scale"),
             Check("cells wrongly shown as touched or untouched", 100 * self.misplaced, 1.0, "%"),
             Check(unlike, float(self.unlike), 0.0),
             Check("frames lost", float(lost), 0.0),
@@ -70,8 +76,11 @@ class _Received:
         ]
 
 
+@statement(
+    *("P14", "A whole skin in real time", "I, VIII"),
+    "Several contacts at once, their places and their pressures, in real time.",
+)
 def whole_skin(dut: DesignUnderTest) -> Finding:
-    """P14: several contacts at once, their places and pressures, in real time."""
     match dut.target:
         case "emulated":
             return _emulated(dut)
@@ -82,42 +91,31 @@ def whole_skin(dut: DesignUnderTest) -> Finding:
 
 
 def _emulated(dut: DesignUnderTest) -> Finding:
-    """The chain in board time for the pressures; a board on a pseudo-terminal for packets, driver and places."""
-    limit = dut.design.requirements.pressure_rmse_percent
+    """A board on a pseudo-terminal, for packets, driver, places and pressures."""
+    full, count = dut.full_scale_kpa, round(SECONDS * RATE_HZ)
     operated = dut.at_rate(RATE_HZ)
-    histories = runs(operated)
-    rmse, peak = (100 * max(found) for found in zip(*((h.rmse()[0], h.peak()[0]) for h in histories), strict=True))
-    lost = 100 * max(float(history.lost.mean()) for history in histories)
     scene = _scene(operated, contacts(operated.design.array.shape, operated.full_scale_kpa), noise=0.5)
-    received = _receive(scene, operated, engine="model", count=round(SECONDS * RATE_HZ))
+    received = _receive(scene, operated, engine="model", count=count)
     return Finding(
         checks=[
-            Check("pressure RMSE, worst cell while touched", rmse, 2 * limit, "% of full scale"),
-            Check("pressure, peak error of any cell", peak, 4 * limit, "% of full scale"),
-            Check("readings lost to a limit", lost, 0.0, "%"),
-            *received.checks(round(SECONDS * RATE_HZ), "counts that differ from what the board sent"),
+            *received.checks(operated, count, "counts that differ from what the board sent"),
             *_fast_enough(operated),
         ],
         text=[
-            "Pressures: boards at the worst corner of their tolerances and drawn at random, with the design's noise, "
-            "settling and converter, read by a host that knows nominal parts and each cell's resistance at rest.",
-            f"Places and packets: the virtual board scans a skin with {len(received.scene.contact)} contacts "
+            f"The virtual board scans a skin with {len(received.scene.contact)} contacts "
             f"{RATE_HZ:g} times a second and sends packets over a pseudo-terminal; the driver opens it like any serial "
             "port, learns the design from the board, and estimates the pressure of every cell. A cell counts as "
             f"touched above {100 * TOUCHED:g} % of full scale; frames within 0.3 s of a change are left out of that "
             "comparison. Time is the board's: this machine's speed decides nothing.",
         ],
-        figures=drawn(
-            lambda: _traces(received, dut.full_scale_kpa),
-            lambda: _snapshot(received, dut.full_scale_kpa),
-        ),
+        figures=[*_traces(received, full), *drawn(lambda: _snapshot(received, full))],
     )
 
 
 def _fast_enough(dut: DesignUnderTest) -> list[Check]:
     """The fastest scan that settles to a quarter of an ADC step; nothing where the design does not say enough."""
     try:
-        found = fastest_scan.QUANTITY.compute(
+        found = CATALOGUE["fastest_scan"].compute(
             dut, Requirement(id="P14", quantity="fastest_scan", min=RATE_HZ), "worst-case"
         )
     except NotRun:
@@ -146,7 +144,7 @@ def _receive(scene: Scene, dut: DesignUnderTest, *, engine: EngineName, count: i
     sent = adc_codes(dut.design, truth["volts"][known])
     unlike = sum(int((frame.counts != codes).sum()) for frame, codes in zip(frames, sent, strict=True))
     wrong = np.isnan(estimate) | ((estimate > TOUCHED * full) != (applied > TOUCHED * full))
-    return _Received(scene, frames, applied, unlike, float(wrong[_settled(applied, full)].mean()))
+    return _Received(scene, frames, applied, unlike, float(wrong[_settled(applied, full)].mean()), estimate)
 
 
 def _firmware(dut: DesignUnderTest) -> Finding:
@@ -156,23 +154,19 @@ def _firmware(dut: DesignUnderTest) -> Finding:
     """
     reason = missing_for()
     if reason is not None:
-        return not_run("board firmware", reason)
+        raise NotRun(reason)
     try:
         scene = _scene(dut, _brief_contacts(dut.design.array.shape, dut.full_scale_kpa), noise=0.0)
         usual = check_scene(scene).dwell_us
     except (InputError, ValueError) as error:
-        return not_run("board firmware", f"no firmware for this design: {str(error).splitlines()[-1]}")
+        raise NotRun(f"no firmware for this design: {str(error).splitlines()[-1]}") from error
     curve = [dwell_error(dut.design, FirmwareSettings(dwell_us=dwell)) for dwell in sorted({*DWELLS_US, usual})]
     own = next(point for point in curve if point.dwell_us == usual)
     apart = max(abs(point.measured_steps - point.predicted_steps) for point in curve) / curve[0].predicted_steps
     received = _receive(scene, dut, engine="firmware", count=FIRMWARE_FRAMES)
-    estimate, full = np.array([frame.pressure for frame in received.frames]), dut.full_scale_kpa
-    rmse = 100 * np.sqrt(np.mean((estimate - received.applied) ** 2, axis=0)).max() / full
-    limit = dut.design.requirements.pressure_rmse_percent
     return Finding(
         checks=[
-            *received.checks(FIRMWARE_FRAMES, "counts that differ from what was converted"),
-            Check("pressure RMSE, worst cell", float(rmse), 2 * limit, "% of full scale"),
+            *received.checks(dut, FIRMWARE_FRAMES, "counts that differ from what was converted"),
             Check(f"reading off from settled, dwell {usual} us", own.measured_steps, ERROR_BUDGET_STEPS, "ADC steps"),
             Check("firmware against settling model, of the largest error", 100 * apart, 5.0, "%"),
         ],
@@ -181,7 +175,7 @@ def _firmware(dut: DesignUnderTest) -> Finding:
             "modelled circuit answers each conversion with the voltage at its sample instant, settling after the row "
             "switch included.",
         ],
-        figures=drawn(lambda: _traces(received, full)),
+        figures=_traces(received, dut.full_scale_kpa),
         tables=[
             Table(
                 ["dwell", "largest error of the firmware", "of the settling model"],
@@ -242,19 +236,14 @@ def _settled(applied: FloatArray, full: float) -> BoolArray:
     return settled
 
 
-def _traces(received: _Received, full: float) -> Figure:
-    frames, applied = received.frames, received.applied
-    contacts = received.scene.contact
-    places = sorted({tuple(np.argwhere(c.coverage(received.scene.skin.geometry) > 0)[0].tolist()) for c in contacts})
-    times = [frame.device_time for frame in frames]
-    with plots.drawing(len(places), 1, height=1.0 + 1.3 * len(places), sharex=True) as (figure, axes):
-        for panel, (row, column) in zip(axes[:, 0], places, strict=True):
-            panel.plot(times, applied[:, row, column], color=plots.INK, lw=4, alpha=0.25, label="applied")
-            panel.plot(times, [frame.pressure[row, column] for frame in frames], lw=1, label="driver's estimate")
-            panel.set(title=f"cell ({row}, {column})", ylabel="kPa", ylim=(-0.1 * full, 1.2 * full))
-        axes[0, 0].legend(ncols=2, loc="upper right")
-        axes[-1, 0].set_xlabel("device time / s")
-        return Figure(plots.svg(figure), "One cell of each contact, through board, port, driver and estimator.")
+def _traces(received: _Received, full: float) -> list[Figure]:
+    """One cell of each contact."""
+    geometry = received.scene.skin.geometry
+    first = (np.argwhere(contact.coverage(geometry) > 0)[0].tolist() for contact in received.scene.contact)
+    times = np.array([frame.device_time for frame in received.frames])
+    places, limits = sorted({(int(row), int(column)) for row, column in first}), (-0.1 * full, 1.2 * full)
+    caption = "One cell of each contact, through board, port, driver and estimator."
+    return histories(caption, times, received.applied, received.estimated, places, "driver's estimate", ylim=limits)
 
 
 def _snapshot(received: _Received, full: float) -> Figure:

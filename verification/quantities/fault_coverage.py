@@ -18,7 +18,7 @@ from .._dut import DesignUnderTest
 from .._judging import box_of
 from .._outcome import DoesNotApply, Measurement, NotRun, Table
 from .._quantity import Quantity, Shipped
-from .._readings import Excursion, first_order
+from .._readings import AT_REST, Excursion, first_order
 
 MOST_FAULTS = 400
 """faults that are solved; of larger arrays every n-th cell is taken"""
@@ -45,7 +45,7 @@ def faults_of(design: Design) -> list[Fault]:
 def sound_interval(dut: DesignUnderTest) -> tuple[FloatArray, FloatArray]:
     """Lowest and highest voltage (N, M) that a converter's code stands for, of sound boards whose cells are at rest."""
     box = box_of(dut)
-    at_rest = Excursion("voltage at rest", (0.0, 0.0), at_converter=True, at_rest=True)
+    at_rest = Excursion("voltage at rest", (0.0, 0.0), at_converter=True, frames=AT_REST)
     high, low = first_order(at_rest, box)
     return -low - 2 * box.half_step, high + 2 * box.half_step
 
@@ -97,11 +97,13 @@ def _limited(design: Design, volts: FloatArray) -> FloatArray:
     return limited
 
 
-QUANTITY = Quantity(
-    name="fault_coverage",
-    title="Fault coverage of a self-test",
-    unit="%",
-    says="Share of single faults that a self-test of the untouched skin detects, %.",
-    compute=_compute,
-    shipped=(Shipped(12, "A self-test detects broken lines and cells.", min=60.0),),
+QUANTITIES = (
+    Quantity(
+        name="fault_coverage",
+        title="Fault coverage of a self-test",
+        unit="%",
+        says="Share of single faults that a self-test of the untouched skin detects, %.",
+        compute=_compute,
+        shipped=(Shipped(12, "A self-test detects broken lines and cells.", min=60.0),),
+    ),
 )

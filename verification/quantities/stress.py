@@ -1,4 +1,4 @@
-"""What parts bear at the operating points of a scan: one quantity for each part and kind of rating."""
+"""What parts bear at the operating points of a scan, a quantity for each kind of rating; leakage of idle lines."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from ...circuits import Requirement
+from ...circuits import Design, Requirement
 from .._box import Box
 from .._dut import DesignUnderTest
-from .._judging import Searched
+from .._judging import Searched, percent
 from .._outcome import DoesNotApply, NotRun
 from .._quantity import DOWN, SEARCHED, Quantity, Shipped
-from .._whole_board import OperatingTarget, driven_line, sensed_line
+from .._whole_board import LeakageTarget, OperatingTarget, driven_line, sensed_line
 
 Refuse = Callable[[DesignUnderTest], None]
 """raises NotRun or DoesNotApply"""
@@ -67,6 +67,20 @@ def _stress(
     )
 
 
+def _leaks(dut: DesignUnderTest, requirement: Requirement) -> LeakageTarget:
+    if not dut.design.drive.idle_leakage:
+        raise NotRun("missing: drive.idle_leakage")
+    return LeakageTarget(amperes=dut.design.drive.idle_leakage)
+
+
+def _of_driver(design: Design) -> float:
+    return design.requirements.driver_current
+
+
+def _of_output(design: Design) -> float:
+    return design.requirements.output_current
+
+
 QUANTITIES = (
     _stress(
         "cell_voltage",
@@ -88,13 +102,7 @@ QUANTITIES = (
         of="driver_current",
         rates=("driver", "current"),
         line=driven_line,
-        shipped=(
-            Shipped(
-                24,
-                "A driver can deliver the current of its line.",
-                max=lambda design: design.requirements.driver_current,
-            ),
-        ),
+        shipped=(Shipped(24, "A driver can deliver the current of its line.", max=_of_driver),),
     ),
     _stress(
         "switch_power",
@@ -113,11 +121,7 @@ QUANTITIES = (
         rates=("amplifier", "current"),
         line=sensed_line,
         refuse=_needs_an_amplifier,
-        shipped=(
-            Shipped(
-                23, "Amplifiers can deliver their currents.", max=lambda design: design.requirements.output_current
-            ),
-        ),
+        shipped=(Shipped(23, "Amplifiers can deliver their currents.", max=_of_output),),
     ),
     _stress(
         "reference_voltage",
@@ -134,5 +138,22 @@ QUANTITIES = (
         rates=("reference_resistor", "power"),
         line=sensed_line,
         refuse=_needs_a_resistor,
+    ),
+    Quantity(
+        name="leakage_error",
+        title="Error by leakage of idle switches",
+        unit="%",
+        says="Largest change of a reading by the leakage of the switches of all idle driven lines, % of that reading.",
+        compute=Searched(_leaks, "%", percent),
+        methods=SEARCHED,
+        shipped=(
+            Shipped(
+                25,
+                "Idle switches do not shift readings.",
+                max=lambda design: design.requirements.reading_error_percent / 5,
+                applies=lambda design: bool(design.drive.idle_leakage),
+            ),
+        ),
+        mended_by=(("drive.idle_leakage", DOWN), ("array.row_lead", DOWN)),
     ),
 )

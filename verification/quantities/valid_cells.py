@@ -7,7 +7,7 @@ import numpy as np
 from ...circuits import Requirement, adc_codes, scan
 from ...driver import CountReader
 from .._dut import DesignUnderTest
-from .._outcome import Measurement, NotRun
+from .._outcome import Measurement
 from .._pressures import host_design
 from .._quantity import DOWN, NOMINAL, UP, Quantity, Shipped
 
@@ -16,8 +16,7 @@ FRAMES_TO_SETTLE = 8
 
 
 def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
-    if dut.design.adc is None:
-        raise NotRun("missing: adc.bits, adc.range")
+    dut.converter()
     design = host_design(dut.design)
     second = np.indices(design.array.shape).sum(axis=0) % 2 == 1
     found = []
@@ -44,13 +43,15 @@ def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Mea
     )
 
 
-QUANTITY = Quantity(
-    name="valid_cells",
-    title="Cells that the driver can tell",
-    unit="%",
-    says="Share of cells that the driver takes for measured, at rest, pressed, and every second one pressed, %.",
-    compute=_compute,
-    methods=(NOMINAL,),
-    shipped=(Shipped(20, "The driver can tell every cell.", min=100.0),),
-    mended_by=(("adc.bits", UP), ("readout.reference_resistance", UP), ("readout.reference_resistance", DOWN)),
+QUANTITIES = (
+    Quantity(
+        name="valid_cells",
+        title="Cells that the driver can tell",
+        unit="%",
+        says="Share of cells that the driver takes for measured, at rest, pressed, and every second one pressed, %.",
+        compute=_compute,
+        methods=(NOMINAL,),
+        shipped=(Shipped(20, "The driver can tell every cell.", min=100.0),),
+        mended_by=(("adc.bits", UP), ("readout.reference_resistance", UP), ("readout.reference_resistance", DOWN)),
+    ),
 )

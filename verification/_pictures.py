@@ -1,19 +1,70 @@
-"""Arrays of cells as pictures."""
+"""Pictures of the report: curves, pressures as applied and estimated, and arrays of cells."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
 from ..common import plots
 from ..common.arrays import BoolArray, FloatArray
+from ._outcome import Figure, drawn
 
 NUMBERED_CELL_IN, CELL_IN = 0.42, 0.2
 """side of a cell of a :func:`value_map`, with room for a number or without"""
 LARGEST_MAP_IN = 3.6
 """longer side of a map: two fit on a printed page, with their text"""
+
+
+def picture(
+    caption: str, draw: Callable[[Any], object], rows: int = 1, columns: int = 1, *, height: float = 2.7, **size: Any
+) -> list[Figure]:
+    """What a function draws into panels (rows, columns), in inches; none without matplotlib."""
+
+    def made() -> Figure:
+        with plots.drawing(rows, columns, height=height, **size) as (figure, panels):
+            draw(panels)
+            return Figure(plots.svg(figure), caption)
+
+    return drawn(made)
+
+
+def curves(panel: Any, x: FloatArray, lines: Mapping[str, FloatArray], **settings: Any) -> None:
+    """Curves over one abscissa with their legend; ``settings`` are titles, labels and limits of the axes."""
+    for label, y in lines.items():
+        panel.plot(x, y, lw=1.2, label=label)
+    panel.set(**settings)
+    panel.legend()
+
+
+def pressures(panel: Any, time_s: FloatArray, applied: FloatArray, estimated: Mapping[str, FloatArray]) -> None:
+    """Applied and estimated pressure of one cell."""
+    panel.plot(time_s, applied, color=plots.INK, lw=4, alpha=0.25, label="applied")
+    curves(panel, time_s, estimated, xlabel="time / s", ylabel="pressure / kPa")
+
+
+def histories(
+    caption: str,
+    time_s: FloatArray,
+    applied: FloatArray,
+    estimated: FloatArray,
+    places: Iterable[tuple[int, int]],
+    label: str,
+    **settings: Any,
+) -> list[Figure]:
+    """Pressures (frames, rows, columns) of some cells, one above the other."""
+    chosen = list(places)
+
+    def draw(panels: Any) -> None:
+        for panel, (row, column) in zip(panels[:, 0], chosen, strict=True):
+            pressures(panel, time_s, applied[:, row, column], {label: estimated[:, row, column]})
+            panel.set(title=f"cell ({row}, {column})", xlabel="", ylabel="kPa", **settings)
+            panel.get_legend().remove()
+        panels[0, 0].legend(ncols=2, loc="upper right")
+        panels[-1, 0].set_xlabel("board time / s")
+
+    return picture(caption, draw, len(chosen), height=0.9 + 1.25 * len(chosen), sharex=True)
 
 
 def heat_maps(
