@@ -146,9 +146,7 @@ class CountReader:
         self._silent, self._in_doubt = 0, False
         if jumped or most >= highest or least < lowest or self._limited is not None:
             return self._read_limited(counts, most, noise, jumped=jumped)
-        usual = self._recover.usual if self._noise.frames > 1 else None
-        found = None if usual is None else usual(volts, noise, *self._noise_of_each)
-        return self._recovered(counts, noise, None, None) if found is None else found
+        return self._measurement(counts, noise, None, None)
 
     def _read_limited(self, counts: NDArray[np.integer], most: float, noise: float, *, jumped: bool) -> Measurement:
         """The conductances of a frame with readings that are or may be at a limit; ``most`` is its largest count."""
@@ -156,7 +154,15 @@ class CountReader:
             bits = self._codes.bit_length() - 1
             raise ProtocolError(f"the board sends a count of {most:.0f}; its ADC has {bits} bits")
         limited, under_range = self._limited_and_under_range(counts, self._buffer, self._guard, jumped=jumped)
-        return self._recovered(counts, noise, limited, under_range)
+        return self._measurement(counts, noise, limited, under_range if under_range.any() else None)
+
+    def _measurement(
+        self, counts: NDArray[np.integer], noise: float, limited: BoolArray | None, under_range: BoolArray | None
+    ) -> Measurement:
+        """The conductances of a frame, by the short way if it serves."""
+        usual = self._recover.usual if self._noise.frames > 1 else None
+        found = None if usual is None else usual(self._buffer, noise, *self._noise_of_each, limited, under_range)
+        return self._recovered(counts, noise, limited, under_range) if found is None else found
 
     def _recovered(
         self, counts: NDArray[np.integer], noise: float, limited: BoolArray | None, under_range: BoolArray | None

@@ -17,6 +17,7 @@ from ohmskin.driver import CountReader
 SEEDS = (
     *(5, 11, 28, 29, 47, 66, 145, 166, 194, 3198, 100772, 100992, 101070, 101344),
     *(200172, 200281, 201020, 201170, 300876, 300971, 500254, 500438, 500123),
+    *(500102, 700676, 701876, 920025, 8100364),
 )
 """streams whose cells were once called valid though they were wrong"""
 

@@ -3,9 +3,9 @@
 A reading at a limit leaves its cell anywhere between the value at the limit and a short. The same holds for the cells
 of a column or a row of whose drive nothing is left beyond the readings' error. Such a cell changes others
 
-* of its own column, whose sum T becomes an interval (:meth:`Enclosure._column_sums`);
-* of its own row, which it loads while the row is driven (:meth:`Enclosure._rows`);
-* of all columns, as it ties its own column to an idle row (:meth:`Enclosure._between`). An idle row m stands at
+* of its own column, whose sum T becomes an interval;
+* of its own row, which it loads while the row is driven;
+* of all columns, as it ties its own column to an idle row (:func:`added_between`). An idle row m stands at
   u_m = sum_j p_mj C_kj with p_mj = r_m D_mj, and feeds G_ml (u_m - C_kl) to column l while row k is driven.
 
 The potentials C are known from the readings, whatever the unknown cells are. The bounds are those of
@@ -14,17 +14,19 @@ The potentials C are known from the readings, whatever the unknown cells are. Th
 
 from __future__ import annotations
 
+import math
 from math import isfinite
 from typing import NamedTuple, Self
 
 import numpy as np
 
 from ...common.arrays import BoolArray, FloatArray
+from ...common.compiled import Blocks, FlagRows, Record, Records, Row, Rows, loop, zeros
 from .._board import Board, broken_off
 from .._parts import LEAST_SHORT_OHM
 from ._law import Law, Ports
 from ._law_errors import LawErrors
-from ._law_kernels import LEAST, OPEN_ROW, OPEN_SCALE
+from ._law_kernels import LEAST, OPEN_ROW, OPEN_SCALE, TINY
 
 _MARGIN = 1.2  # for segments, and for what is beyond the first order
 _UNCLEAR = 0.1  # relative error from which on a cell's own error counts in other columns
@@ -33,7 +35,6 @@ _UNUSUAL = 30.0  # largest ratio of a cell beside a short to those of other colu
 _MOST = 1e6  # relative change that stands for any larger one
 _CORRECTED = 3.0  # most by which a cell beyond the law's counts
 _LEAST_LEFT = 1e-9  # of a row's drive
-_TINY = 1e-300
 
 
 class Unknowns(NamedTuple):
@@ -67,21 +68,439 @@ class Enclosed(NamedTuple):
     """S, upper bounds on unknown cells; infinite at all others"""
 
 
-class _Sums(NamedTuple):
-    """Intervals of the columns' sums and of the port conductances."""
+class Ways(Record):
+    """What a board's lines do; 1 where it is so, else 0."""
 
-    rough: BoolArray
-    """(M,) columns whose scale is open, or which have an unknown cell"""
-    width: FloatArray
-    """(M,) S, of the interval of the sum, as far as it is not an error of the column's own readings"""
-    per_sum: FloatArray
-    """(N, M) change of D per change of the sum"""
-    low: FloatArray
-    """(M,) S, least sum"""
-    below: FloatArray
-    """(N, M) S, least D"""
-    above: FloatArray
-    """(N, M) S, greatest D"""
+    drive: float
+    """V"""
+    floating: float
+    follows: float
+    """whether idle lines follow the column that is read"""
+    one_by_one: float
+    divides: float
+    """whether columns are loads, without amplifiers"""
+    holds: float
+    """whether amplifiers hold the columns"""
+    saturates: float
+    """whether their outputs have a limit towards more current"""
+    cancels: float
+    mixes: float
+    joins: float
+    """whether cells pass currents from column to column"""
+    breaks: float
+    """whether cells are behind breaks"""
+    least_idle: float
+    """S, least conductance behind an idle column"""
+
+
+BEHIND, WIRE, IDLE = range(3)
+TO_DRIVER, SHORT, BEHIND_CELL, ADRIFT, INTO_END, IN_OWN_STEP = range(6)
+PASSES_ON, DRIVEN_APART, BESIDE = range(3)
+"""places of what is given for each column, cell, and pair of columns"""
+
+
+@loop
+def lost_along(shared: Blocks, conductance: Rows, i: int, j: int) -> float:
+    """Share of a row's drive lost on the way to cell (i, j), while the cells of the row conduct so many S."""
+    lost = 0.0
+    for k in range(conductance.shape[1]):
+        if shared[i, j, k] != 0.0:
+            lost += shared[i, j, k] * conductance[i, k]
+    return lost
+
+
+@loop
+def enclose(
+    volts: Rows,
+    potential_law: Rows,
+    driving: Rows,
+    limited: FlagRows,
+    under_range: FlagRows,
+    apart: Rows,
+    share: Rows,
+    drives: Rows,
+    total: Row,
+    driven: Rows,
+    by_law: Rows,
+    estimate: Rows,
+    of_driven: Rows,
+    linear: Rows,
+    of_left: Row,
+    column_open: Row,
+    of_sums: Row,
+    row_open: Row,
+    error: float,
+    of_columns: Rows,
+    pull: Row,
+    of_cells: Blocks,
+    shared: Blocks,
+    pairs: Blocks,
+    boards: Records[Ways],
+    work: Blocks,
+    by_steps: Blocks,
+    in_columns: Rows,
+    in_rows: Rows,
+    change: Rows,
+    least: Rows,
+    greatest: Rows,
+) -> None:
+    """Write the bounds of all cells (N, M): the fields of :class:`Enclosed`.
+
+    Args:
+        volts: readings.
+        potential_law: (2, M) of the port law, as ``driving``.
+        limited: cells that conduct at least what their readings say; ``under_range`` at most.
+        apart: and all further arguments up to ``by_law``: the fields of :class:`Ports`.
+        estimate: S, of the cells.
+        of_driven: and all further arguments up to ``row_open``: the fields of :class:`LawErrors`.
+        error: V, of a reading.
+        of_columns: (3, M), ``pull`` (N,) ohm, ``of_cells`` (6, N, M) and ``pairs`` (3, M, M): what is given of a board.
+        shared: (N, M, M) ohm of wire that two cells of a row share on the way to its driver.
+        boards: one board.
+        work: (9, N, M), changed, as ``by_steps`` (3, N, N), ``in_columns`` (5, M) and ``in_rows`` (3, N).
+        change: written, as ``least`` and ``greatest``.
+    """
+    board, rows, columns = boards[0], volts.shape[0], volts.shape[1]
+    per_sum, below, above, potential, row = work[0], work[1], work[2], work[3], work[4]
+    low, high, added, ordinary = work[5], work[6], work[7], work[8]
+    width, rough, low_sum = in_columns[0], in_columns[1], in_columns[2]
+    floating = board.floating > 0.0
+    some, usual = False, 0.0
+    for j in range(columns):
+        most, here = 0.0, False
+        for i in range(rows):
+            here = here or limited[i, j] or under_range[i, j]
+            most = max(most, driven[i, j])
+        if here:
+            some = True
+        else:
+            usual = max(usual, most)
+    for j in range(columns):
+        scale_open, here = column_open[j] > OPEN_SCALE, False
+        of_scale = of_left[j] if scale_open else 0.0
+        least_sum, least_left, most_sum, most_left = 0.0, 1.0, 0.0, 1.0
+        bound, loose, behind = math.inf, 0.0, 0.0
+        for i in range(rows):
+            unknown, full = limited[i, j] or under_range[i, j], abs(drives[i, j])
+            short = of_cells[SHORT, i, j]
+            below[i, j] = max(driven[i, j] - of_driven[i, j], 0.0) if limited[i, j] else 0.0
+            # What the column's potential drives into an under-range cell is no part of its reading.
+            offset = abs(potential_law[0, j] + potential_law[1, j] * volts[i, j]) / full * max(total[j], 0.0)
+            above[i, j] = short if limited[i, j] else max(driven[i, j], 0.0) + of_driven[i, j] + offset
+            if unknown:
+                here = True
+                loose += above[i, j]
+                behind += above[i, j] * of_cells[BEHIND_CELL, i, j]
+                least_sum += below[i, j]
+                most_sum += above[i, j]
+            else:
+                least_sum += apart[i, j]
+                most_sum += apart[i, j]
+                least_left -= share[i, j]
+            if not limited[i, j]:
+                most_left -= share[i, j]
+            # No D exceeds that of a short behind its row; C / W itself may be off.
+            off = error * abs((potential_law[1, j] - driving[1, j] * share[i, j]) / drives[i, j])
+            surely = 0.0 if unknown else share[i, j] - off
+            if surely > LEAST:
+                # An offset that drives a current through a short is not cancelled by as large cells.
+                if board.cancels > 0.0 and usual > 0.0:
+                    short = min(short, _UNUSUAL * usual)
+                bound = min(bound, (short - apart[i, j]) / surely)
+            per_sum[i, j] = abs(share[i, j])
+            added[i, j] = off
+        least_left += of_scale
+        least_sum = least_sum / least_left if least_left != 0.0 else total[j]
+        least_sum = total[j] if math.isnan(least_sum) else min(least_sum, total[j])
+        if most_left > of_scale:
+            bound = min(most_sum / (most_left - of_scale), bound)
+        most_sum = max(bound, total[j])
+        low_sum[j] = least_sum
+        rough[j] = 1.0 if scale_open or here else 0.0
+        width[j] = most_sum - least_sum if here or math.isinf(of_left[j]) else 0.0
+        # A current into an unknown cell leaves the column at that cell, not at a mean one.
+        at_cell = behind / loose if loose > 0.0 else of_columns[BEHIND, j]
+        for i in range(rows):
+            unknown = limited[i, j] or under_range[i, j]
+            per = per_sum[i, j]
+            if board.mixes > 0.0 and some:
+                per = abs(share[i, j] - apart[i, j] * of_columns[BEHIND, j]) + abs(apart[i, j]) * at_cell
+            if scale_open:
+                per += added[i, j]
+            per_sum[i, j] = per
+            wider = per * (most_sum - total[j]) if per != 0.0 else 0.0
+            if not unknown:
+                below[i, j] = driven[i, j] - (per * (total[j] - least_sum) if per != 0.0 else 0.0)
+                above[i, j] = driven[i, j] + wider
+            elif under_range[i, j]:
+                above[i, j] += wider
+    # V, of the columns above the idle lines while each row is driven.
+    for i in range(rows):
+        for j in range(columns):
+            full = abs(drives[i, j])
+            if floating:
+                potential[i, j] = abs(board.drive - drives[i, j])
+                continue
+            volt = abs(potential_law[0, j] + potential_law[1, j] * volts[i, j])
+            if board.follows > 0.0:  # what the selected row drives through the leads of the idle columns
+                potential[i, j] = max(volt, of_columns[WIRE, j] * max(driven[i, j], 0.0) * full)
+                continue
+            if board.one_by_one > 0.0:  # idle columns stand where their idle ends leave them
+                volt += abs(apart[i, j]) / (max(low_sum[j], board.least_idle) + of_columns[IDLE, j]) * full
+            potential[i, j] = min(volt, full)
+    # Potential of a driven row at its cells over the drive, and its bounds.
+    for j in range(columns):
+        in_columns[3, j] = 0.0
+        for i in range(rows):
+            if not limited[i, j]:  # the current of the column's other cells leaves by their idle rows
+                in_columns[3, j] += max(driven[i, j], 0.0)
+    more, less = change, least
+    for i in range(rows):
+        highest = 0.0
+        for j in range(columns):
+            full = abs(board.drive) if floating else abs(drives[i, j])
+            highest = max(highest, potential[i, j] / full)
+            ordinary[i, j] = driven[i, j] - max(driven[i, j], 0.0) * potential[i, j] / full
+            more[i, j], less[i, j] = max(above[i, j] - driven[i, j], 0.0), max(driven[i, j] - below[i, j], 0.0)
+            if board.holds > 0.0 and limited[i, j]:
+                into_end = of_cells[INTO_END, i, j]
+                if board.saturates > 0.0:
+                    into_end = min(into_end + in_columns[3, j], of_cells[SHORT, i, j])
+                more[i, j] = max(into_end - apart[i, j] * (abs(drives[i, j]) / full), 0.0)
+        for j in range(columns):
+            row[i, j] = min(max(1.0 - lost_along(shared, ordinary, i, j), _LEAST_LEFT), 1.0)
+            slack = of_cells[TO_DRIVER, i, j] * of_sums[i] if row_open[i] > OPEN_ROW else 0.0
+            lowest = row[i, j] - lost_along(shared, more, i, j) - slack
+            high[i, j] = min(row[i, j] + lost_along(shared, less, i, j) + slack, 1.0)
+            if board.divides > 0.0:  # a row stands above all columns that it feeds
+                lowest = max(lowest, min(highest, row[i, j]))
+            low[i, j] = min(max(lowest, 0.0), row[i, j])
+    for i in range(rows):
+        for j in range(columns):
+            added[i, j] = 0.0
+    if board.joins > 0.0:
+        added_between(
+            limited,
+            under_range,
+            apart,
+            drives,
+            driven,
+            by_law,
+            estimate,
+            linear,
+            below,
+            above,
+            potential,
+            row,
+            low,
+            pull,
+            of_cells,
+            pairs,
+            board.floating > 0.0,
+            board.breaks > 0.0,
+            by_steps,
+            in_columns,
+            in_rows,
+            ordinary,
+            change,
+            least,
+            greatest,
+            added,
+        )
+    for j in range(columns):
+        # The laws with the rows' bounds: `fine` where the column's scale is known, else by its sum.
+        left, left_high, left_low, sum_usual, sum_high, sum_low = 1.0, 1.0, 1.0, 0.0, 0.0, 0.0
+        for i in range(rows):
+            added[i, j] /= abs(drives[i, j])
+            up, down = row[i, j] / low[i, j] if low[i, j] > 0.0 else math.inf, row[i, j] / high[i, j]
+            own, of_column, more_here = apart[i, j] / row[i, j], share[i, j] / row[i, j], added[i, j]
+            left -= of_column
+            left_high -= of_column * up if of_column != 0.0 else 0.0
+            left_low -= of_column * down
+            sum_usual += own
+            sum_high += own * up if own != 0.0 else 0.0
+            sum_high += more_here / low[i, j] if more_here != 0.0 and low[i, j] > 0.0 else 0.0
+            if more_here != 0.0 and not low[i, j] > 0.0:
+                sum_high = math.inf
+            sum_low += own * down - more_here / row[i, j]
+        total_usual = sum_usual / left if left != 0.0 else math.inf
+        total_high = sum_high / left_high if left_high > 0.0 and left > 0.0 else math.inf
+        total_low = sum_low / left_low if left_low != 0.0 else -math.inf
+        for i in range(rows):
+            up, down = row[i, j] / low[i, j] if low[i, j] > 0.0 else math.inf, row[i, j] / high[i, j]
+            own, of_column, more_here = apart[i, j] / row[i, j], share[i, j] / row[i, j], added[i, j]
+            nominal = max(abs(driven[i, j]), TINY)
+            if rough[j] > 0.0:
+                by_sum = per_sum[i, j] * width[j] / nominal if per_sum[i, j] != 0.0 and width[j] != 0.0 else 0.0
+                changed = by_sum * up + up * (1.0 + more_here / nominal) - 1.0
+            else:
+                middle = own + (of_column * total_usual if of_column != 0.0 else 0.0)
+                highest = (own + more_here / row[i, j]) * up
+                lowest = (own - more_here / row[i, j]) * down
+                if of_column != 0.0:
+                    highest += of_column * up * total_high
+                    lowest += of_column * down * total_low
+                changed = max(highest - middle, middle - lowest) / max(abs(middle), TINY)
+            changed = math.inf if math.isnan(changed) else max(changed, 0.0)
+            change[i, j] = _MARGIN * changed * max(by_law[i, j] / max(estimate[i, j], TINY), 1.0)
+            least[i, j] = max(below[i, j] - more_here, 0.0) if limited[i, j] else 0.0
+            greatest[i, j] = math.inf
+            if under_range[i, j] and low[i, j] > 0.0:
+                greatest[i, j] = (above[i, j] + more_here) / low[i, j]
+
+
+@loop
+def added_between(
+    limited: FlagRows,
+    under_range: FlagRows,
+    apart: Rows,
+    drives: Rows,
+    driven: Rows,
+    by_law: Rows,
+    estimate: Rows,
+    linear: Rows,
+    below: Rows,
+    above: Rows,
+    potential: Rows,
+    row: Rows,
+    low: Rows,
+    pull: Row,
+    of_cells: Blocks,
+    pairs: Blocks,
+    floating: bool,
+    breaks: bool,
+    by_steps: Blocks,
+    in_columns: Rows,
+    in_rows: Rows,
+    conducting: Rows,
+    loose: Rows,
+    share: Rows,
+    in_own_step: Rows,
+    added: Rows,
+) -> None:
+    """Add the A (N, M) into each column in each step that unknown cells may add, or keep away.
+
+    Args:
+        limited: and all further arguments up to ``breaks``: as of :func:`enclose`, and what it has found.
+        by_steps: (3, N, N), changed, as ``in_columns``, ``in_rows`` and all further arguments up to ``in_own_step``.
+        added: written.
+    """
+    rows, columns = apart.shape
+    leak, lifted, change, out = in_columns[4], by_steps[0], by_steps[1], by_steps[2]
+    loose_sum, share_sum, conducting_sum = in_rows[0], in_rows[1], in_rows[2]
+    own_steps, doubt, ties = False, False, False
+    for j in range(columns):
+        leak[j] = 0.0
+    for i in range(rows):
+        others, some, tied = 0.0, False, 0
+        for j in range(columns):
+            usual = max(min(by_law[i, j], _CORRECTED * estimate[i, j]), 0.0)
+            usual = 0.0 if limited[i, j] else (above[i, j] if under_range[i, j] else usual)
+            conducting[i, j] = usual
+            others += usual
+            some = some or limited[i, j] or under_range[i, j]
+        others = max(others, TINY)
+        loose_sum[i], share_sum[i], conducting_sum[i] = 0.0, 0.0, 0.0
+        for j in range(columns):
+            unknown = limited[i, j] or under_range[i, j]
+            if floating:
+                share[i, j] = conducting[i, j] / others
+                loose[i, j] = share[i, j] if some else 0.0
+                if unknown:
+                    loose[i, j] = 1.0
+                    if not limited[i, j] and above[i, j] < math.inf:
+                        loose[i, j] = above[i, j] / (above[i, j] + others)
+                if limited[i, j]:
+                    leak[j] += 1.0 / (pull[i] + 1.0 / max(above[i, j], TINY))
+            else:
+                share[i, j] = min(of_cells[TO_DRIVER, i, j] * max(driven[i, j], 0.0), 1.0)
+                width, loose[i, j] = above[i, j] - below[i, j], 0.0
+                if width > _LEAST_LEFT * abs(above[i, j]) and of_cells[TO_DRIVER, i, j] > 0.0:
+                    loose[i, j] = min(of_cells[TO_DRIVER, i, j] * width, 1.0)
+            # V, of the column in its cell's own step, in which an output at a limit does not hold it.
+            in_own_step[i, j] = 0.0
+            if limited[i, j]:
+                in_own_step[i, j] = of_cells[IN_OWN_STEP, i, j]
+            elif under_range[i, j]:
+                in_own_step[i, j] = of_cells[ADRIFT, i, j]
+            own_steps = own_steps or in_own_step[i, j] > 0.0
+            doubt = doubt or linear[i, j] > _UNCLEAR
+            if unknown and loose[i, j] > _TIED:
+                tied += 1
+            if conducting[i, j] > 0.0:
+                raised = row[i, j] / low[i, j] if low[i, j] > 0.0 else math.inf
+                conducting[i, j] = min(conducting[i, j] * raised, _MOST)
+            loose_sum[i] += loose[i, j]
+            share_sum[i] += share[i, j]
+            conducting_sum[i] += conducting[i, j]
+        ties = ties or tied > 1
+    # Potentials (steps, rows) of the idle rows that the unknown cells may change, and what the rows then feed; and
+    # currents of an unknown cell's own column that it lets out to others, and in from them.
+    for step in range(rows):
+        for i in range(rows):
+            lifted[step, i], change[step, i], out[step, i] = 0.0, 0.0, 0.0
+            if i == step:
+                continue
+            up, by_loose, own, passed = 0.0, 0.0, 0.0, 0.0
+            for j in range(columns):
+                up += potential[step, j] * share[i, j]
+                by_loose += potential[step, j] * loose[i, j]
+                own += in_own_step[step, j] * (loose[i, j] + share[i, j])
+                passed += (potential[step, j] + in_own_step[step, j]) * conducting[i, j]
+            lifted[step, i], out[step, i] = up, passed
+            change[step, i] = by_loose + up * loose_sum[i] + own
+    for step in range(rows):
+        for i in range(rows):
+            for j in range(columns):
+                # What a row that follows such a cell takes, or does not.
+                by_row = loose_sum[i] * conducting[i, j] + conducting_sum[i] * loose[i, j]
+                added[step, j] += change[step, i] * conducting[i, j] + out[step, i] * loose[i, j]
+                added[step, j] += potential[step, j] * by_row
+                if doubt and linear[i, j] > _UNCLEAR and not limited[i, j]:
+                    usual = max(min(by_law[i, j], _CORRECTED * estimate[i, j]), 0.0)
+                    usual = min(linear[i, j], _MOST) * (above[i, j] if under_range[i, j] else usual)
+                    added[step, j] += (lifted[step, i] + potential[step, j] * share_sum[i]) * usual
+        for j in range(columns):
+            if floating:  # a cell at a limit lets its column's potential out by its row's pull-down
+                added[step, j] += potential[step, j] * leak[j]
+    if ties:
+        # Two unknown cells of one row may join their columns: these share their currents, and what drives them apart.
+        for j in range(columns):
+            for k in range(columns):
+                joined = False
+                for i in range(rows):
+                    here = (limited[i, j] or under_range[i, j]) and loose[i, j] > _TIED
+                    there = (limited[i, k] or under_range[i, k]) and loose[i, k] > _TIED
+                    joined = joined or (here and there and j != k)
+                if not joined:
+                    continue
+                for step in range(rows):
+                    current = abs(apart[step, j] * drives[step, j])
+                    added[step, k] += current * pairs[PASSES_ON, j, k] + pairs[DRIVEN_APART, j, k]
+                    added[step, j] += current * pairs[PASSES_ON, j, k]
+                    if limited[step, j]:  # nothing holds the column in that step
+                        added[step, k] += current
+    if breaks and own_steps:
+        # So may cells behind a break. An output at its supply no longer holds its column, which feeds the others.
+        for step in range(rows):
+            for j in range(columns):
+                if in_own_step[step, j] > 0.0:
+                    for k in range(columns):
+                        added[step, k] += in_own_step[step, j] * pairs[BESIDE, j, k]
+    for step in range(rows):
+        for j in range(columns):
+            if math.isnan(added[step, j]):
+                added[step, j] = 0.0
+
+
+def work_for(rows: int, columns: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """What :func:`enclose` changes, for a board of N x M cells."""
+    return (
+        np.empty((9, rows, columns)),
+        np.empty((3, rows, rows)),
+        np.empty((5, columns)),
+        np.empty((3, rows)),
+    )
 
 
 class Enclosure:
@@ -98,54 +517,77 @@ class Enclosure:
             to_end: (N, M) ohm of wire between each cell and its column's end.
 
         """
-        self._board, self._law, self._shared = board, law, shared
-        circuit, drive = board.circuit, abs(board.drive)
-        ends = circuit.read_ends(board) if circuit.has_amplifiers and not circuit.drives_idle_lines else None
-        self._to_driver = to_driver
-        self._short = 1.0 / (to_driver + LEAST_SHORT_OHM)  # S, of a short behind its row
-        at_end = 0.0 if circuit.drives_idle_lines else circuit.end_resistance(board)
-        self._behind = at_end + law.wire  # ohm (M,) that the current of a mean cell of a column passes
+        self._law = law
+        circuit, drive, (rows, columns) = board.circuit, abs(board.drive), board.shape
+        follows, hidden = circuit.drives_idle_lines, broken_off(board)
+        ends = circuit.read_ends(board) if circuit.has_amplifiers and not follows else None
+        one_by_one = circuit.columns_one_by_one(board)
+        self._floating, self._divides = board.floating, not circuit.has_amplifiers
+        at_end = 0.0 if follows else circuit.end_resistance(board)
         own_wire = law.wire - to_end.mean(axis=0) + to_end  # ohm (N, M) from each cell to its column's end
-        self._behind_cell = at_end + own_wire
-        self._floating, self._follows = board.floating, circuit.drives_idle_lines
-        self._divides, self._one_by_one = not circuit.has_amplifiers, circuit.columns_one_by_one(board)
-        self._idle = 1.0 / np.maximum(
-            board.idle_resistance + law.wire, LEAST_SHORT_OHM
-        )  # S (M,) of an idle column's end
+        of_columns, of_cells, pairs = (
+            np.zeros((3, columns)),
+            np.zeros((6, rows, columns)),
+            np.zeros((3, columns, columns)),
+        )
+        of_columns[BEHIND], of_columns[WIRE] = at_end + law.wire, law.wire
+        of_columns[IDLE] = 1.0 / np.maximum(board.idle_resistance + law.wire, LEAST_SHORT_OHM)
+        short = 1.0 / (to_driver + LEAST_SHORT_OHM)
+        of_cells[TO_DRIVER], of_cells[SHORT], of_cells[BEHIND_CELL] = to_driver, short, at_end + own_wire
         # A short while its own row is driven: S into the column's end, per volt of drive, and V of the column.
-        self._adrift = np.zeros(board.shape)
-        self._saturates, self._into_end, self._column = False, self._short, np.full(board.shape, drive)
-        source = np.zeros(board.shape[1])
-        behind = board.reference + law.wire
+        saturates, into_end, in_own_step = False, short, np.full(board.shape, drive)
+        source, behind = np.zeros(columns), board.reference + law.wire
         if ends is not None:
             source, behind = ends.source + source, ends.resistance + law.wire
             low, high = board.supply if (board.drive > 0) != circuit.inverts else board.supply[::-1]
-            limit, self._saturates = high, isfinite(high)
+            saturates = isfinite(high)
             if isfinite(low):  # an output at this limit leaves its column between the offset and the other lines
-                self._adrift = 2.0 * np.abs(board.offset) * np.ones(board.shape)
-            if self._saturates:
-                beyond = np.abs(limit - board.level) + np.abs(board.offset)
-                self._into_end = (1.0 + beyond / drive) / (to_driver + board.reference + own_wire)
+                of_cells[ADRIFT] = 2.0 * np.abs(board.offset)
+            if saturates:
+                beyond = np.abs(high - board.level) + np.abs(board.offset)
+                into_end = (1.0 + beyond / drive) / (to_driver + board.reference + own_wire)
             else:
                 to_source = ends.resistance + own_wire
-                self._into_end = 1.0 / (to_driver + to_source + LEAST_SHORT_OHM)
-                self._column = self._into_end * to_source * drive + np.abs(source)
-            if self._one_by_one:  # others are read while its column ends as idle ones do
+                into_end = 1.0 / (to_driver + to_source + LEAST_SHORT_OHM)
+                in_own_step = into_end * to_source * drive + np.abs(source)
+            if one_by_one:  # others are read while its column ends as idle ones do
                 into_idle = 1.0 / (to_driver + board.idle_resistance + own_wire + LEAST_SHORT_OHM)
-                whole = board.shared_by >= board.shape[1]
-                self._into_end = into_idle if whole else np.maximum(self._into_end, into_idle)
-        self._holds, self._pull = ends is not None, board.pull
-        self._hidden = broken_off(board)
-        self._most_beside = 1.0 / (law.wire[:, None] + law.wire + 2.0 * LEAST_SHORT_OHM)  # S, from column to column
+                whole = board.shared_by >= columns
+                into_end = into_idle if whole else np.maximum(into_end, into_idle)
+        of_cells[INTO_END], of_cells[IN_OWN_STEP] = into_end, in_own_step
         apart = behind + LEAST_SHORT_OHM
-        self._driven_apart = np.abs(source[:, None] - source) / (apart[:, None] + apart)  # A between joined columns
-        # Share of a column's current that a joined one takes.
-        self._passes_on = behind[:, None] / (apart[:, None] + apart)
+        pairs[PASSES_ON] = behind[:, None] / (apart[:, None] + apart)  # share of a current that a joined column takes
+        pairs[DRIVEN_APART] = np.abs(source[:, None] - source) / (apart[:, None] + apart)  # A between joined columns
+        most_beside = 1.0 / (law.wire[:, None] + law.wire + 2.0 * LEAST_SHORT_OHM)  # S, from column to column
+        pairs[BESIDE] = (hidden.T.astype(np.float64) @ hidden) * most_beside
+        pairs[:, np.arange(columns), np.arange(columns)] = 0.0
+        ways = zeros(Ways, 1)
+        for name, value in {
+            "drive": board.drive,
+            "floating": board.floating,
+            "follows": follows,
+            "one_by_one": one_by_one,
+            "divides": self._divides,
+            "holds": ends is not None,
+            "saturates": saturates,
+            "cancels": law.cancels,
+            "mixes": law.has_potential,
+            "joins": law.has_leads or board.floating or bool(hidden.any()),
+            "breaks": bool(hidden.any()),
+            "least_idle": LEAST * float(short.max()),
+        }.items():
+            ways[name] = value
+        pull = np.array(np.broadcast_to(board.pull, rows), dtype=np.float64)
+        self.given = of_columns, pull, of_cells, np.array(shared, order="C"), pairs, ways
+        """what :func:`enclose` is given of the board"""
+        self.bounds_cells = board.plain
+        """whether all ways of currents are counted: bridges and sheets have others"""
+        self._adrift = bool(of_cells[ADRIFT].any())
 
     def unheld(self, unknowns: Unknowns) -> bool:
         """Whether an amplifier's output may stand at a limit, so that it does not hold its column."""
         limited, under_range = unknowns
-        return not self._divides and bool(limited.any() or (under_range.any() and self._adrift.any()))
+        return not self._divides and bool(limited.any() or (under_range.any() and self._adrift))
 
     def coupling(self, cells: FloatArray) -> FloatArray:
         """(M,) share of a column's current that may pass to other columns by way of the rows, at cells (N, M) in S."""
@@ -156,222 +598,26 @@ class Enclosure:
         share: FloatArray = loss * behind / (1.0 + behind)
         return share
 
-    @np.errstate(divide="ignore", invalid="ignore", over="ignore")
     def __call__(
         self, ports: Ports, errors: LawErrors, cells: FloatArray, unknowns: Unknowns | None, volts: FloatArray
     ) -> Enclosed:
         """Bounds for cells (N, M) in S behind readings ``volts``."""
-        shape = cells.shape
-        unknowns = Unknowns.of(shape, None, None) if unknowns is None else unknowns
-        if not self._board.plain and unknowns.any.any():  # bridges and sheets pass currents by other ways
+        shape = rows, columns = cells.shape
+        limited, under_range = Unknowns.of(shape, None, None) if unknowns is None else unknowns
+        if not self.bounds_cells and (limited | under_range).any():
             return Enclosed(np.full(shape, np.inf), np.zeros(shape), np.full(shape, np.inf))
-        drive, share = np.abs(ports.drive), ports.share
-        sums = self._column_sums(ports, errors, unknowns, volts, share, drive)
-        potential = self._potentials(ports, sums, volts, drive)
-        row, low, high = self._rows(ports, errors, unknowns, sums, drive, potential)
-        added = np.zeros(shape)
-        if self._law.has_leads or self._floating or self._hidden.any():
-            added = self._between(ports, errors, cells, unknowns, sums, row / low, potential) / drive
-        change = self._changes(ports, sums, share, added, row, low, high)
-        change = _MARGIN * change * np.maximum(ports.cells / np.maximum(cells, _TINY), 1.0)
-        least = np.where(unknowns.limited, np.maximum(sums.below - added, 0.0), 0.0)
-        greatest = np.where(unknowns.under_range, (sums.above + added) / low, np.inf)
-        return Enclosed(change, least, greatest)
-
-    def _column_sums(
-        self,
-        ports: Ports,
-        errors: LawErrors,
-        unknowns: Unknowns,
-        volts: FloatArray,
-        share: FloatArray,
-        drive: FloatArray,
-    ) -> _Sums:
-        limited, under_range = unknowns
-        unknown, driven, total = unknowns.any, ports.driven, ports.total
-        least = np.where(limited, np.maximum(driven - errors.of_driven, 0.0), 0.0)
-        # What the column's potential drives into a under_range cell is no part of its reading.
-        offset = np.abs(self._law.potential(volts) / drive) * np.maximum(total, 0.0)
-        most = np.where(limited, self._short, np.maximum(driven, 0.0) + errors.of_driven + offset)
-        scale_open = errors.column_open > OPEN_SCALE
-        error = np.where(scale_open, errors.of_left, 0.0)
-        known, left = np.where(unknown, 0.0, ports.apart), 1.0 - np.where(unknown, 0.0, share).sum(axis=0)
-        low = np.fmin((known + np.where(limited, least, 0.0)).sum(axis=0) / (left + error), total)
-        known = np.where(unknown, most, ports.apart)
-        left = 1.0 - np.where(limited, 0.0, share).sum(axis=0)
-        high = known.sum(axis=0) / np.where(left > error, left - error, 0.0)
-        # No D exceeds that of a short behind its row; C / W itself may be off.
-        off = errors.error * self._law.share_slope(ports)
-        surely = np.where(unknown, 0.0, share - off)
-        short = self._short
-        if self._law.cancels:  # an offset that drives a current through a short is not cancelled by as large cells
-            usual = np.where(unknown.any(axis=0), 0.0, np.maximum(driven, 0.0)).max()
-            short = np.minimum(short, _UNUSUAL * usual) if usual > 0.0 else short
-        bound = np.where(surely > LEAST, (short - ports.apart) / np.maximum(surely, LEAST), np.inf)
-        high = np.fmax(np.fmin(high, bound.min(axis=0)), total)
-        # A current into an unknown cell leaves the column at that cell, not at a mean one.
-        per_sum, loose = np.abs(share), (most * unknown).sum(axis=0)
-        if self._law.has_potential and unknown.any():
-            behind = np.where(loose > 0.0, (most * unknown * self._behind_cell).sum(axis=0) / loose, self._behind)
-            per_sum = np.abs(share - ports.apart * self._behind) + np.abs(ports.apart) * behind
-        per_sum = np.where(scale_open, per_sum + off, per_sum)
-        wider = np.where(per_sum != 0.0, per_sum * (high - total), 0.0)
-        most = np.where(under_range, most + wider, most)
-        return _Sums(
-            rough=scale_open | unknown.any(axis=0),
-            width=np.where(unknown.any(axis=0) | np.isinf(errors.of_left), high - low, 0.0),
-            per_sum=per_sum,
-            low=low,
-            below=np.where(unknown, least, driven - per_sum * (total - low)),
-            above=np.where(unknown, most, driven + wider),
+        _, potential, driving = self._law.law
+        of_columns, pull, of_cells, shared, pairs, ways = self.given
+        found = Enclosed(np.empty(shape), np.empty(shape), np.empty(shape))
+        enclose.unchecked(
+            *(volts, potential, driving, np.ascontiguousarray(limited), np.ascontiguousarray(under_range)),
+            *(ports.apart, ports.share, ports.drive, ports.total, ports.driven, ports.cells),
+            *(np.ascontiguousarray(cells), errors.of_driven, errors.linear, errors.of_left, errors.column_open),
+            *(errors.of_sums, errors.row_open),
+            errors.error,
+            *(of_columns, pull, of_cells, shared, pairs),
+            ways,
+            *work_for(rows, columns),
+            *found,
         )
-
-    def _potentials(self, ports: Ports, sums: _Sums, volts: FloatArray, drive: FloatArray) -> FloatArray:
-        """V (N, M), of the columns above the idle lines while each row is driven."""
-        if self._floating:
-            floating: FloatArray = np.abs(self._board.drive - ports.drive)
-            return floating
-        potential = np.abs(self._law.potential(volts))
-        if self._follows:  # what the selected row drives through the leads of the idle columns
-            return np.maximum(potential, self._law.wire * np.maximum(ports.driven, 0.0) * drive)
-        if self._one_by_one:  # idle columns stand where their idle ends leave them
-            behind = np.maximum(sums.low, LEAST * self._short.max()) + self._idle
-            potential = potential + np.abs(ports.apart) / behind * drive
-        return np.minimum(potential, drive)
-
-    def _rows(
-        self,
-        ports: Ports,
-        errors: LawErrors,
-        unknowns: Unknowns,
-        sums: _Sums,
-        drive: FloatArray,
-        potential: FloatArray,
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Potential (N, M) of a driven row at its cells over the drive, and its bounds."""
-        driven, full = ports.driven, abs(self._board.drive) if self._floating else drive
-        potential = potential / full
-        row = np.clip(1.0 - self._lost(driven - np.maximum(driven, 0.0) * potential), _LEAST_LEFT, 1.0)
-        more, less = np.maximum(sums.above - driven, 0.0), np.maximum(driven - sums.below, 0.0)
-        if self._holds:
-            into_end = self._into_end
-            if self._saturates:  # the current of the column's other cells leaves by their idle rows
-                idle = np.where(unknowns.limited, 0.0, np.maximum(driven, 0.0)).sum(axis=0)
-                into_end = np.minimum(into_end + idle, self._short)
-            more = np.where(unknowns.limited, np.maximum(into_end - ports.apart * (drive / full), 0.0), more)
-        slack = self._to_driver * np.where(errors.row_open > OPEN_ROW, errors.of_sums, 0.0)[:, None]
-        low = row - self._lost(more) - slack
-        high = np.minimum(row + self._lost(less) + slack, 1.0)
-        if self._divides:  # a row stands above all columns that it feeds
-            low = np.maximum(low, np.minimum(potential.max(axis=1)[:, None], row))
-        return row, np.clip(low, 0.0, row), high
-
-    def _lost(self, conductance: FloatArray) -> FloatArray:
-        """Share (N, M) of a row's drive lost on the way to its cells, which conduct so many S (N, M) each."""
-        lost: FloatArray = (self._shared @ conductance[:, :, None])[..., 0]
-        return lost
-
-    def _changes(
-        self,
-        ports: Ports,
-        sums: _Sums,
-        share: FloatArray,
-        added: FloatArray,
-        row: FloatArray,
-        low: FloatArray,
-        high: FloatArray,
-    ) -> FloatArray:
-        """Relative change (N, M) of the cells by the laws, with the bounds of the rows and S (N, M) of currents."""
-        up, down = row / low, row / high
-        nominal = np.maximum(np.abs(ports.driven), _TINY)
-        by_sum = sums.per_sum * sums.width / nominal
-        rough = by_sum * up + up * (1.0 + added / nominal) - 1.0
-        apart, share = ports.apart / row, share / row
-        left, left_high = 1.0 - share.sum(axis=0), 1.0 - (share * up).sum(axis=0)
-        total = apart.sum(axis=0) / left
-        total_high = (apart * up + added / low).sum(axis=0) / np.where(left_high > 0.0, left_high, 0.0)
-        total_high = np.where(left > 0.0, total_high, np.inf)
-        total_low = (apart * down - added / row).sum(axis=0) / (1.0 - (share * down).sum(axis=0))
-        middle = apart + share * total
-        highest = (apart + added / row) * up + np.where(share != 0.0, share * up * total_high, 0.0)
-        lowest = (apart - added / row) * down + share * down * total_low
-        fine = np.maximum(highest - middle, middle - lowest) / np.maximum(np.abs(middle), _TINY)
-        changed = np.where(sums.rough, rough, fine)
-        return np.where(np.isnan(changed), np.inf, np.maximum(changed, 0.0))
-
-    def _between(
-        self,
-        ports: Ports,
-        errors: LawErrors,
-        cells: FloatArray,
-        unknowns: Unknowns,
-        sums: _Sums,
-        raised: FloatArray,
-        potential: FloatArray,
-    ) -> FloatArray:
-        """A (N, M) into each column in each step that unknown cells may add, or keep away.
-
-        Args:
-            ports: of the frame.
-            errors: of these.
-            cells: (N, M) S.
-            unknowns: readings that state bounds only.
-            sums: bounds of the columns.
-            raised: (N, M) factor by which a row's cells may conduct more.
-            potential: (N, M) V of the columns.
-
-        """
-        limited, unknown = unknowns.limited, unknowns.any
-        usual = np.maximum(np.minimum(ports.cells, _CORRECTED * cells), 0.0)
-        ordinary = np.where(limited, 0.0, np.where(unknowns.under_range, sums.above, usual))
-        if self._floating:
-            others = np.maximum(ordinary.sum(axis=1)[:, None], _TINY)
-            share = ordinary / others
-            most = np.where(limited, 1.0, sums.above / (sums.above + others))
-            loose = np.where(unknown, most, np.where(np.any(unknown, axis=1, keepdims=True), share, 0.0))
-            leak = np.where(limited, 1.0 / (self._pull + 1.0 / np.maximum(sums.above, _TINY)), 0.0)
-        else:
-            share = np.minimum(self._to_driver * np.maximum(ports.driven, 0.0), 1.0)
-            width = sums.above - sums.below
-            loose = np.where(width > _LEAST_LEFT * np.abs(sums.above), np.minimum(self._to_driver * width, 1.0), 0.0)
-        # V, of the column in its cell's own step, in which an output at a limit does not hold it.
-        in_own_step = np.where(limited, self._column, np.where(unknowns.under_range, self._adrift, 0.0))
-        # Potentials (steps, rows) of the idle rows that the unknown cells may change, and what the rows then feed.
-        lifted = potential @ share.T
-        change = potential @ loose.T + lifted * loose.sum(axis=1) + in_own_step @ (loose + share).T
-        conducting = np.where(limited, 0.0, ordinary * raised)
-        conducting = np.where(np.isfinite(conducting), conducting, _MOST)
-        added = _of_idle(change) @ conducting
-        added += potential * (loose.sum(axis=1) @ conducting)  # what a row that follows such a cell takes, or does not
-        # Unknown cells let the current of their own column out to others, and in from them.
-        added += _of_idle((potential + in_own_step) @ conducting.T) @ loose
-        added += potential * (conducting.sum(axis=1) @ loose)
-        unclear = np.where(errors.linear > _UNCLEAR, np.minimum(errors.linear, _MOST), 0.0) * ordinary
-        if unclear.any():
-            added += _of_idle(lifted) @ unclear + potential * (share.sum(axis=1) @ unclear)
-        if self._floating:  # a cell at a limit lets its column's potential out by its row's pull-down
-            added += potential * leak.sum(axis=0)
-        # Two unknown cells of one row may join their columns: these share their currents, and what drives them apart.
-        ties = unknown & (loose > _TIED)
-        if (np.count_nonzero(ties, axis=1) > 1).any():
-            together = ties.T.astype(np.float64) @ ties
-            together.flat[:: len(together) + 1] = 0.0
-            joined: BoolArray = np.greater(together, 0.5)
-            passes_on = np.where(joined, self._passes_on, 0.0)
-            current = np.abs(ports.apart) * np.abs(ports.drive)
-            beyond = np.where(limited, current, 0.0)  # nothing holds the column in that step
-            added += current @ passes_on + current * passes_on.sum(axis=1) + beyond @ joined
-            added += np.where(joined, self._driven_apart, 0.0).sum(axis=0)
-        if self._hidden.any() and in_own_step.any():
-            # So may cells behind a break. An output at its supply no longer holds its column, which feeds the others.
-            beside = (self._hidden.T.astype(np.float64) @ self._hidden) * self._most_beside
-            beside.flat[:: len(beside) + 1] = 0.0
-            added += in_own_step @ beside
-        return np.nan_to_num(added, posinf=np.inf)
-
-
-def _of_idle(by_step: FloatArray) -> FloatArray:
-    """Values (steps, rows) without those of the rows that are driven in their own steps."""
-    idle = by_step.copy()
-    idle.flat[:: len(idle) + 1] = 0.0
-    return idle
+        return found

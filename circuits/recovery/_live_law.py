@@ -149,9 +149,12 @@ class LawLive:
             "one_by_one": law.one_by_one,
             "floating": board.floating,
             "factors": self._factors is not None,
+            "fits": self._fit is not None and self._factors is not None,
             "turned": board.turned,
         }
-        return UsualFrames(law, self._factors, self._beside_law, (self._wires, self._whole_wires), constants)
+        return UsualFrames(
+            law, self._factors, self._enclosure, self._beside_law, (self._wires, self._whole_wires), constants
+        )
 
     @np.errstate(all="ignore")
     def __call__(

@@ -162,10 +162,27 @@ def undetermined(reason: NDArray[np.int8]) -> LiveReading:
 
 
 class UsualReading(Protocol):
-    """Measures frames that hold nothing unusual, at a fraction of the cost; see :mod:`._usual_frames`."""
+    """Measures most frames at a fraction of the cost; see :mod:`._usual_frames` and :mod:`._usual_fits`."""
 
-    def __call__(self, volts: FloatArray, surely: float, usual: float, noise: FloatArray) -> Measurement | None:
-        """The measurement of a frame; None if it is to be recovered."""
+    def __call__(
+        self,
+        volts: FloatArray,
+        surely: float,
+        usual: float,
+        noise: FloatArray,
+        limited: BoolArray | None = None,
+        under_range: BoolArray | None = None,
+    ) -> Measurement | None:
+        """The measurement of a frame; None if it is to be recovered.
+
+        Args:
+            volts: (rows, columns) V, contiguous.
+            surely: V, standard deviation of noise that is rarely exceeded.
+            usual: V, the best guess.
+            noise: (rows, columns) V, the best guess of each reading, contiguous.
+            limited: as in :class:`LiveRecovery`, and ``under_range``.
+
+        """
         ...
 
 

@@ -53,6 +53,8 @@ class Constants(Record):
     floating: float
     factors: float
     """1 where the laws are corrected by factors"""
+    fits: float
+    """1 where derivatives of all readings may know more of cells beside unknown ones"""
     turned: float
     """1 where the lines that are driven are the array's columns"""
 

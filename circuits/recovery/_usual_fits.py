@@ -17,7 +17,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ...common.arrays import FloatArray
+from ...common.arrays import BoolArray, FloatArray
 from ...common.compiled import Blocks, FixedRow, Reasons, Records, Row, Rows, is_aside, loop, zeros
 from ...common.measurement import FIELDS, GREATEST, LEAST, Measurement
 from ...common.noise import constant_part
@@ -326,9 +326,19 @@ class UsualFits:
             raise np.linalg.LinAlgError("parts of the grid have no connection")
         return volts
 
-    def __call__(self, volts: FloatArray, surely: float, usual: float, noise: FloatArray) -> Measurement | None:
+    def __call__(
+        self,
+        volts: FloatArray,
+        surely: float,
+        usual: float,
+        noise: FloatArray,
+        limited: BoolArray | None = None,
+        under_range: BoolArray | None = None,
+    ) -> Measurement | None:
         """As :class:`.UsualReading`."""
-        if is_aside():  # arrays are quicker than a kernel in plain Python
+        if (
+            limited is not None or under_range is not None or is_aside()
+        ):  # arrays are quicker than a kernel in plain Python
             return None
         kept = self._fit.kept(surely)
         if kept is None:
