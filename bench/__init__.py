@@ -3,14 +3,12 @@
 ``ohmskin bench`` prints them. What a measurement has to say are the columns of its dataclass (:mod:`.harness`).
 
 Estimators: :mod:`.scenarios` plays the scenes of ``scenarios.toml`` (:mod:`.scenes`) and compares any estimator with
-gates, and with the figures that were frozen. ``python -m ohmskin.bench.panel`` judges calibrations on the specimens of
-:mod:`._materials`, and :mod:`._estimators` compares all estimators on some of them.
+gates, and with the figures that were frozen; also after calibrations on :mod:`.recordings` of other materials.
 
 Solvers: :mod:`._measurement` beside :mod:`._peers`.
 
 The live path: :mod:`._driver`, the age of frames (:mod:`._freshness`, over a :mod:`._paced_port`) and
-:mod:`._worst_frames`; contacts of short taps, and false ones of electrical faults (:mod:`._taps`);
-contacts of fingers that move, hold or cross a dead row, and false ones of drift (:mod:`._fingers`).
+:mod:`._worst_frames`; contacts of fingers and taps, and false ones of drift and electrical faults (:mod:`.contacts`).
 
 Searches for faults, each a program: ``python -m ohmskin.bench.search`` holds readings against exact rational arithmetic
 (:mod:`._reference`), with ``--live`` streams against the cells behind them (:mod:`._live_search`);
@@ -20,15 +18,12 @@ tell them at all.
 """
 
 from ._driver import live_estimators
-from ._estimators import INDEPENDENT, estimators
 from ._freshness import freshness
 from ._measurement import board, cells, measure, picture
 
 __all__ = [
-    "INDEPENDENT",
     "board",
     "cells",
-    "estimators",
     "freshness",
     "live_estimators",
     "measure",

@@ -39,7 +39,7 @@ FRAMES = 400
 FRAME_RATE_HZ = 200.0
 NOISE_STEPS = 0.5
 """standard deviation of the outputs' noise in ADC steps"""
-LARGEST = 256
+LARGEST_SIDE = 256
 """side of the largest array that is driven"""
 HARD_OHM = 5.0
 """of cells that are held at a short, so that their outputs saturate"""
@@ -163,8 +163,8 @@ def design(
         InputError: the size is no array's, or too large.
 
     """
-    if not 1 <= size <= LARGEST:
-        raise InputError(f"size is {size}; expected 1 to {LARGEST}")
+    if not 1 <= size <= LARGEST_SIDE:
+        raise InputError(f"size is {size}; expected 1 to {LARGEST_SIDE}")
     amplified = circuit.endswith("amplifier")
     parts: dict[str, Any] = {"circuit": circuit, "reference_resistance": 20e3 if amplified else 5e3}
     if circuit != "voltage-divider":

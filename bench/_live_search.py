@@ -14,29 +14,20 @@ whether noise or a press has changed them. Cells that are off in the first two f
 assumes or has seen are counted as *surprised* and are no findings, as long as their uncertainties would do had the
 reader known the noise. For the same reason noise may carry a cell beyond a factor of two within five standard
 deviations: of the readings of a cell whose uncertainty just suffices, 3 in 1000 are beyond three.
-
-A *slow* stream has a frame with the work of more than ten usual ones, from counts to ohms. A usual frame is the median
-of the stream's frames after the first in which readings change and any cell is valid; a stream with less than three of
-them has none. Slow streams are shown, but are no wrong readings.
-Work is processor time, the shortest of four readings where one is over ten usual frames, as a machine's load only adds.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from time import process_time
 
 import numpy as np
 
 from ..circuits import Reason
 from ..common.arrays import FloatArray
 from ..driver import CountReader, Measurement
-from ._live_streams import MOVING, LiveStream, stream
-from .harness import column, timed
+from ._live_streams import LiveStream, stream
+from .harness import column
 
-_MOST_USUAL_FRAMES = 10.0
-_LEAST_USUAL = 3  # frames
-_TIMED_AGAIN = 3  # times that a stream with a frame of more than ten usual ones in processor time is read again
 _SIGMAS = 3.0  # standard deviations of the noise that an uncertainty covers, beside half a step
 _LEAST_SHOWN = 4  # readings that have shown a noise before a reader can know of it
 _ASSUMED_NOISE = 0.5  # ADC steps that the reader assumes in the first frame
@@ -58,10 +49,6 @@ class LiveTally:
     """largest error over its uncertainty, streams without noise"""
     surprised: int = field(default=0, metadata=column("surprised", "{}"))
     """frames with wrong cells that no reader could know to be wrong"""
-    longest: float = field(default=0.0, metadata=column("longest", "{:.1f}"))
-    """longest frame over the stream's median"""
-    slow: list[str] = field(default_factory=list, metadata=column("slow", "{}"))
-    """streams with a frame of more than ten usual ones"""
     findings: list[str] = field(default_factory=list, metadata=column("findings", "{}"))
 
     def count(self, what: str) -> int:
@@ -70,25 +57,24 @@ class LiveTally:
 
 
 def check(family: str, number: int, tally: LiveTally) -> None:
-    """Read one stream and compare."""
-    tally.boards += 1
+    """Draw one stream, read it and compare."""
     read_from = stream(family, number)
     if read_from is None:
+        tally.boards += 1
         tally.unreadable += 1
-        return
+    else:
+        compare(f"{family}:{number}", read_from, tally)
+
+
+def compare(name: str, read_from: LiveStream, tally: LiveTally) -> None:
+    """Read one stream and compare."""
+    tally.boards += 1
     found: dict[str, str] = {}
     reader = CountReader(read_from.design)
-    times: list[float] = []
-    usual: list[int] = []
     free: list[int] = []
-    reading, before = None, read_from.counts[0]
+    reading = None
     for frame, counts in enumerate(read_from.counts):
-        start = process_time()
         reading = reader(counts)
-        times.append(process_time() - start)
-        if frame < MOVING and reading.valid.any() and (counts != before).any():
-            usual.append(frame)
-        before = counts
         tally.frames += 1
         tally.valid, tally.cells = tally.valid + int(reading.valid.sum()), tally.cells + counts.size
         if (reading.reason == Reason.UNSOLVED).all():
@@ -105,16 +91,7 @@ def check(family: str, number: int, tally: LiveTally) -> None:
             found |= wrong
     if reading is not None and (reading.reason == Reason.UNSETTLED).any() and not read_from.noisy:
         found["unsettled"] = "in the last frame"
-    for _ in range(_TIMED_AGAIN):  # the machine's load only adds to a time
-        if _over_usual(times, usual) > _MOST_USUAL_FRAMES:
-            times = [
-                min(pair) for pair in zip(times, timed(CountReader(read_from.design), read_from.counts), strict=True)
-            ]
-    longest = _over_usual(times, usual)
-    tally.longest = max(tally.longest, longest)
-    if longest > _MOST_USUAL_FRAMES:
-        tally.slow.append(f"slow: {family}:{number}, {longest:.1f} usual frames")
-    tally.findings += [f"{what}: {family}:{number}, {where}" for what, where in found.items()]
+    tally.findings += [f"{what}: {name}, {where}" for what, where in found.items()]
 
 
 def _wrong_cells(
@@ -149,10 +126,3 @@ def _known_noise(noise_steps: FloatArray, free: list[int]) -> float:
         if sum(count for count, each in zip(free, noise_steps, strict=False) if each >= noise) >= _LEAST_SHOWN:
             known = max(known, float(noise))
     return known
-
-
-def _over_usual(work: list[float], usual: list[int]) -> float:
-    """The most work of a frame after the first over the median of the ``usual`` ones; 0 if these are too few."""
-    if len(usual) < _LEAST_USUAL:
-        return 0.0
-    return max(work[1:MOVING]) / max(float(np.median([work[frame] for frame in usual])), 1e-9)

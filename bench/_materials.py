@@ -10,11 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.signal import lfilter
+from scipy.signal import fftconvolve, lfilter
 
 from ..cell import AsymmetricModel, Cell, M10Model, PaperModel
 from ..common.arrays import FloatArray
-from . import _independent as independent
 
 Material = Callable[[FloatArray, float, np.random.Generator], FloatArray]
 """normalised load (n,), time step in s, random generator -> r (n,)"""
@@ -25,11 +24,46 @@ Load = Callable[[np.random.Generator, float], tuple[FloatArray, float]]
 # -- materials ---------------------------------------------------------------------------------------------------------
 
 
+def preisach(load: FloatArray, rng: np.random.Generator, *, relays: int = 400) -> FloatArray:
+    """Share (n,) of relays that are on under a load (n,): each switches on above one level, off below a lower one."""
+    on = rng.uniform(0, 1, relays)
+    off = on - rng.exponential(0.12, relays)
+    state = np.zeros(relays, dtype=bool)
+    share = np.empty_like(load)
+    for n, value in enumerate(load):
+        state = (state & (value > off)) | (value >= on)
+        share[n] = state.mean()
+    return share
+
+
+def fractional_creep(load: FloatArray, dt_s: float, *, order: float = 0.2, unit_s: float = 60.0) -> FloatArray:
+    """Response (n,) to a load (n,) of a material that creeps as (t / ``unit_s``)^``order`` under a unit step."""
+    changes = np.diff(load, prepend=0.0)
+    compliance = ((np.arange(len(load)) + 1) * dt_s / unit_s) ** order
+    response: FloatArray = fftconvolve(changes, compliance)[: len(load)]
+    return response
+
+
+def presses(rng: np.random.Generator, seconds: float, dt_s: float, *, holds: bool) -> FloatArray:
+    """A normalised load (n,): presses of random height and speed, with pauses and holds or without any."""
+    times, levels = [0.0, 5.0], [0.0, 0.0]
+    while times[-1] < seconds:
+        level = rng.uniform(0.3, 1.0) if levels[-1] < 0.3 else rng.uniform(0.0, 0.25)
+        times.append(times[-1] + rng.uniform(1.0, 12.0))
+        levels.append(level)
+        if holds:
+            times.append(times[-1] + rng.exponential(15.0))
+            levels.append(level)
+    at = np.arange(0, seconds, dt_s)
+    load: FloatArray = np.interp(at, times, levels)
+    return load
+
+
 def relays(load: FloatArray, dt_s: float, rng: np.random.Generator) -> FloatArray:
     """Preisach hysteresis and fractional creep in random proportion, saturating."""
     share, order = rng.uniform(0.3, 0.7), rng.uniform(0.12, 0.3)
-    deformed = share * independent.preisach(load, rng)
-    deformed += (1 - share) * independent.fractional_creep(load, dt_s, order=order)
+    deformed = share * preisach(load, rng)
+    deformed += (1 - share) * fractional_creep(load, dt_s, order=order)
     gain = rng.uniform(0.3, 1.2)
     r: FloatArray = gain * np.tanh(1.2 * deformed) / np.tanh(1.2)
     return r
@@ -190,7 +224,7 @@ def sawtooth(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
 
 def random(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
     """Presses of random height and speed; those learned from have holds, half of the later ones have none."""
-    load = np.concatenate([independent.presses(rng, 240, dt_s, holds=holds) for holds in (True, True, False)])
+    load = np.concatenate([presses(rng, 240, dt_s, holds=holds) for holds in (True, True, False)])
     return np.clip(load, 0, None), 240.0
 
 
@@ -240,9 +274,9 @@ def slower(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
 
 
 def _at_another_speed(rng: np.random.Generator, dt_s: float, factor: float) -> tuple[FloatArray, float]:
-    first = np.clip(independent.presses(rng, 240, dt_s, holds=True), 0, None)
+    first = np.clip(presses(rng, 240, dt_s, holds=True), 0, None)
     first[-round(3 / dt_s) :] = 0
-    later = np.clip(independent.presses(rng, 300 * factor, dt_s * factor, holds=True), 0, None)
+    later = np.clip(presses(rng, 300 * factor, dt_s * factor, holds=True), 0, None)
     return np.concatenate([first, later]), 240.0
 
 
@@ -265,7 +299,7 @@ def alike(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
     for _ in range(20):
         points += [(rise, 1.0), (held + 1e-6, 1.0), (fall, 0.0), (pause + 1e-6, 0.0)]
     first = _along(points, dt_s)
-    later = np.clip(independent.presses(rng, 300, dt_s, holds=True), 0, None)
+    later = np.clip(presses(rng, 300, dt_s, holds=True), 0, None)
     return np.concatenate([first, later]), len(first) * dt_s
 
 

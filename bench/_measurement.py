@@ -12,7 +12,7 @@ import numpy as np
 from ..circuits import METHODS, Array, Design, Drive, Readout, scan, scan_batch
 from ..common import plots
 from ..common.arrays import FloatArray
-from ..common.config import LEAST, MOST
+from ..common.config import LEAST_SI, MOST_SI
 from ..errors import InputError, MissingExtra, SolverError
 from ._peers import PEERS, reference
 from .harness import column
@@ -85,8 +85,10 @@ def measure(
         if not 1 <= size <= 1024:
             raise InputError(f"size is {size}; expected 1 to 1024")
     for segment in segments:
-        if not LEAST <= segment <= MOST:
-            raise InputError(f"segment is {segment} ohm; expected {LEAST:g} to {MOST:g}: the peers need more than 0")
+        if not LEAST_SI <= segment <= MOST_SI:
+            raise InputError(
+                f"segment is {segment} ohm; expected {LEAST_SI:g} to {MOST_SI:g}: the peers need more than 0"
+            )
     return _rows(sizes, segments, peers, patient)
 
 

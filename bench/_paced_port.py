@@ -31,7 +31,7 @@ class PacedPort:
         self._clock = clock
         self._began, self._worked_s = clock(), 0.0
         self._sent = 0
-        self._introduction = _introduction(board)
+        self._handshake = _handshake(board)
         self._interrupted = threading.Event()
 
     def work(self, seconds: float) -> None:
@@ -42,15 +42,15 @@ class PacedPort:
         return self._clock() - self._began + self._worked_s
 
     def wait(self, timeout_s: float) -> bool:
-        if not self._introduction:
+        if not self._handshake:
             self._interrupted.wait(max(timeout_s, 0.0))
         self._interrupted.clear()
-        return bool(self._introduction)
+        return bool(self._handshake)
 
     def read(self) -> Arrival:
         now = self.now()
-        if self._introduction:
-            said, self._introduction = self._introduction, b""
+        if self._handshake:
+            said, self._handshake = self._handshake, b""
             return Arrival(said, now, 1e9 + now)
         come = min(int(now / self._period_s + _ROUNDING), len(self._packets))
         data = b"".join(self._packets[self._sent : come])
@@ -76,7 +76,7 @@ def frame_packets(frames: Iterable[CodeArray], rate_hz: float) -> list[bytes]:
     ]
 
 
-def _introduction(board: Design) -> bytes:
+def _handshake(board: Design) -> bytes:
     """The packet in which a board says its size and its converter's bits."""
     rows, columns = board.array.shape
     assert board.adc is not None

@@ -94,7 +94,6 @@ class Tally(Protocol):
     """What a search has found in one family."""
 
     findings: list[str]
-    slow: list[str]
 
 
 Found = TypeVar("Found", bound=Tally)
@@ -107,9 +106,9 @@ def search(
     until, number = monotonic() + seconds, seed * 10_000_000
     while monotonic() < until:
         for family, tally in tallies.items():
-            known, slow = len(tally.findings), len(tally.slow)
+            known = len(tally.findings)
             check(family, number, tally)
-            yield from (*tally.findings[known:], *tally.slow[slow:])
+            yield from tally.findings[known:]
         number += 1
 
 

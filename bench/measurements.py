@@ -2,37 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from . import _driver, _emulator, _estimators, _fingers, _freshness, _taps, _worst_frames
+from . import _driver, _emulator, _freshness, _worst_frames, contacts, scenarios
 
 Table = tuple[str, Iterable[Any]]
 """head, and rows as dataclasses, which come as they are measured"""
 
-
-def of_estimators() -> Sequence[Table]:
-    """The pressure estimators, on a material of their own."""
-    return [("", _estimators.estimators())]
-
-
-def of_emulator(sizes: Iterable[int]) -> Sequence[Table]:
-    """The virtual board."""
-    return [(_emulator.HEAD, _emulator.emulator(sizes))]
-
-
-def of_contacts(sizes: Iterable[int]) -> Sequence[Table]:
-    """Short taps found, fingers followed, false contacts."""
-    sizes = list(sizes)
-    return [(_taps.HEAD, _taps.taps_and_faults(sizes)), (_fingers.HEAD, _fingers.fingers(sizes))]
-
-
-def of_driver(sizes: Iterable[int]) -> Sequence[Table]:
-    """The live path: boards, sudden events, estimators, and a whole skin."""
-    sizes = list(sizes)
-    return [
+TABLES: Mapping[str, Callable[[Sequence[int]], Sequence[Table]]] = {
+    "estimators": lambda _: [("", scenarios.by_estimator())],
+    "emulator": lambda sizes: [(_emulator.HEAD, _emulator.emulator(sizes))],
+    "driver": lambda sizes: [
         (_driver.head(), _driver.driver(sizes)),
         (_worst_frames.HEAD, _worst_frames.worst_frames(sizes)),
         ("the same by estimator", _driver.live_estimators(sizes)),
         (_freshness.HEAD, _freshness.freshness(sizes)),
-    ]
+    ],
+    "contacts": lambda sizes: [(contacts.HEAD, contacts.fingers(sizes))],
+}
+"""option of the command -> tables for arrays of some sizes"""

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, astuple, dataclass, field, replace
 from fnmatch import fnmatchcase
+from functools import lru_cache
 from itertools import product
 from pathlib import Path
 from time import process_time
@@ -21,13 +22,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from ..cell import Cell
+from ..cell import ESTIMATORS, Cell, estimate_recording
 from ..common import config
 from ..common.arrays import FloatArray
 from ..common.config import NotNegative, Positive, Section
 from ..common.measurement import Measurement
 from ..errors import InputError
-from . import panel
+from . import recordings
 from .harness import column, interval_score
 from .scenes import COLUMN_NOISE, MOST_VOLTS, Fault, Played, Scene, cells, play
 
@@ -81,7 +82,7 @@ class Block(Section):
 
 
 class Recordings(Section):
-    """Calibrations of the panel."""
+    """Calibrations with defaults, on some of the :mod:`.recordings`."""
 
     gate: str
     names: list[str]
@@ -145,6 +146,8 @@ class Verdict:
 def rows(only: str = "", *, quick: bool = False) -> list[Row]:
     """Rows of the table whose name or gate contains ``only``, which may have the wildcards of a shell.
 
+    Any other recording becomes a row by its name (:mod:`.recordings`).
+
     Raises:
         InputError: the table is not valid, or there is no such row.
 
@@ -167,6 +170,10 @@ def rows(only: str = "", *, quick: bool = False) -> list[Row]:
     pattern = f"*{only}*"
     chosen = [row for row in every if any(fnmatchcase(part, pattern) for part in (row.name, row.gate))]
     chosen = [row for row in chosen if row.quick or not quick]
+    if not chosen and recordings.is_name(only):
+        recordings.specimen(only)  # which says what is wrong with a name
+        gate = table.recordings.gate
+        return [Row(only, gate, table.gates[gate], None, None, quick=False)]
     if not chosen:
         raise InputError(
             f"no row of {TABLE.name} contains '{only}'; a row is called '{every[0].name}', and * stands for any text"
@@ -265,33 +272,31 @@ def _played(scene: Scene, make: Maker) -> tuple[Figures, float, int]:
     return figures(played, pressure, std, cell.full_scale_kpa), seconds, pressure.size
 
 
+@lru_cache(maxsize=8)
+def _calibrated(name: str) -> tuple[recordings.Specimen, Cell]:
+    """A recording, and the cell that its head is calibrated to."""
+    of = recordings.specimen(name).near_head(RECORDING_S)
+    return of, of.calibrated().cell
+
+
 def _recorded(name: str, make: Maker) -> tuple[Figures, float, int]:
-    load, material, seed = name.split(" | ")
-    scene = _shortened(panel.scene(load, material, int(seed)))
-    found = panel.calibrated(scene)
+    of, cell = _calibrated(name)
+    later = ~of.is_head
+    estimator: Any = make(cell.replace(rest_resistance_ohm=of.rest_factor * cell.rest_resistance_ohm), ())
     start = process_time()
-    verdict = panel.judge(scene, found, make)
-    figures = Figures(
-        rmse=verdict.rmse_percent,
-        within=100.0 * verdict.within_two_std,
-        interval=verdict.interval_percent,
-        sd=verdict.std_percent,
-        static=verdict.static_percent,
+    pressure, stated = estimate_recording(estimator, of.time_s, of.resistance_ohm)
+    spent = process_time() - start
+    full = cell.full_scale_kpa
+    error = np.abs(pressure - of.pressure_kpa)[later] / full
+    std = np.full(error.shape, np.nan) if stated is None else stated[later] / full
+    found = Figures(
+        rmse=100.0 * float(np.sqrt(np.mean(error**2))),
+        within=100.0 * float(np.mean(error <= 2.0 * std)),
+        interval=100.0 * interval_score(error, std),
+        sd=100.0 * float(np.median(std)),
+        static=of.best_static_percent(full),
     )
-    return figures, process_time() - start, 0
-
-
-def _shortened(scene: panel.Scene) -> panel.Scene:
-    """The last part of what is learned from, and the first of the rest."""
-    near = np.abs(scene.time_s - scene.head_s) <= RECORDING_S
-    first = scene.time_s[near][0]
-    return replace(
-        scene,
-        time_s=scene.time_s[near] - first,
-        pressure_kpa=scene.pressure_kpa[near],
-        resistance_ohm=scene.resistance_ohm[near],
-        head_s=scene.head_s - first,
-    )
+    return found, spent, 0
 
 
 # -- verdicts ----------------------------------------------------------------------------------------------------------
@@ -385,6 +390,7 @@ class Summary:
     """A gate, and in how many of its rows it holds: now, and for the figures that were frozen."""
 
     gate: str = field(metadata=column("gate", "{}", width=14))
+    """or estimator"""
     rows: int = field(metadata=column("rows", "{}", width=4))
     hold: int = field(metadata=column("hold", "{}", width=4))
     held: int = field(metadata=column("held", "{}", width=4))
@@ -418,6 +424,14 @@ def summary(verdicts: Iterable[Verdict]) -> Iterator[Summary]:
             interval_ratio=float(np.exp(np.mean(np.log(ratios)))) if ratios else np.nan,
             microseconds=1e6 * sum(one.seconds for one in timed) / max(sum(one.cell_frames for one in timed), 1),
         )
+
+
+def by_estimator(only: str = "random") -> Iterator[Summary]:
+    """How all estimators do that a cell has, on some rows, which have specimens of no model among them."""
+    for name in ESTIMATORS:
+        if verdicts := list(judge(rows(only), maker(name))):
+            *_, of_all = summary(verdicts)
+            yield replace(of_all, gate=name)
 
 
 def freeze(verdicts: Iterable[Verdict]) -> None:

@@ -206,8 +206,6 @@ class Tally:
     bound: float = field(default=0.0, metadata=column("bound", "{:.1e}"))
     """largest bound that is not empty"""
     findings: list[str] = field(default_factory=list, metadata=column("findings", "{}"))
-    slow: list[str] = field(default_factory=list)
-    """nothing is timed"""
 
 
 def check(family: str, number: int, tally: Tally) -> None:

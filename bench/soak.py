@@ -97,7 +97,7 @@ class _Browser:
     def __init__(self) -> None:
         self.shown = 0
 
-    def look(self, url: str) -> None:
+    def follow(self, url: str) -> None:
         """Until the page ends."""
         from websockets.exceptions import ConnectionClosed
         from websockets.sync.client import connect
@@ -137,14 +137,14 @@ def _browser(source: LiveSource) -> Iterator[_Browser]:
     serving = threading.Thread(target=loop.run_until_complete, args=(show(),))
     serving.start()
     ready.wait()
-    looking = threading.Thread(target=browser.look, args=tuple(addresses))
-    looking.start()
+    following = threading.Thread(target=browser.follow, args=tuple(addresses))
+    following.start()
     try:
         yield browser
     finally:
         loop.call_soon_threadsafe(stop.set)
         serving.join()
-        looking.join()
+        following.join()
         loop.close()
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from ..common.config import LEAST, NotNegative
+from ..common.config import LEAST_SI, NotNegative
 from ._amplifier_model import AmplifierModel
 from ._sections import Gains, Numbers, PositiveOhms, Volts, in_kelvin
 from ._spread import Spreadable
@@ -52,7 +52,7 @@ class Readout(Spreadable):
     reference_voltage: Volts = 0.0
     """V: non-inverting input and idle rows (single-supply boards)"""
     open_loop_gain: Gains = inf
-    gain_bandwidth: Annotated[float, Field(ge=LEAST)] = inf
+    gain_bandwidth: Annotated[float, Field(ge=LEAST_SI)] = inf
     """Hz"""
     offset_voltage: Numbers = 0.0
     """V, added to the non-inverting input"""

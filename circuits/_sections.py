@@ -12,7 +12,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, PlainValidator, model_validator
 
-from ..common.config import LEAST, MOST, Finite, NotNegative, Positive, Section
+from ..common.config import LEAST_SI, MOST_SI, Finite, NotNegative, Positive, Section
 from ..common.constants import ZERO_CELSIUS
 from ._spread import Spreadable
 
@@ -45,17 +45,17 @@ def in_kelvin(value: float) -> float:
     return value
 
 
-Kelvin = Annotated[float, Field(le=MOST, allow_inf_nan=False), AfterValidator(in_kelvin)]
+Kelvin = Annotated[float, Field(le=MOST_SI, allow_inf_nan=False), AfterValidator(in_kelvin)]
 Volts = Annotated[float, Field(ge=-MOST_V, le=MOST_V, allow_inf_nan=False)]
 PerLine = float | tuple[float, ...]
 Ohms = Annotated[
-    PerLine, _per_line(f"a number of ohm, 0 or at least {LEAST:g}", lambda x: x == 0 or LEAST <= x <= MOST)
+    PerLine, _per_line(f"a number of ohm, 0 or at least {LEAST_SI:g}", lambda x: x == 0 or LEAST_SI <= x <= MOST_SI)
 ]
 PositiveOhms = Annotated[
     PerLine,
-    _per_line(f"a number of ohm > 0, at least {LEAST_REFERENCE_OHM:g}", lambda x: LEAST_REFERENCE_OHM <= x <= MOST),
+    _per_line(f"a number of ohm > 0, at least {LEAST_REFERENCE_OHM:g}", lambda x: LEAST_REFERENCE_OHM <= x <= MOST_SI),
 ]
-Gains = Annotated[PerLine, _per_line("a number >= 1 (or inf)", lambda x: 1 <= x <= MOST or x == inf)]
+Gains = Annotated[PerLine, _per_line("a number >= 1 (or inf)", lambda x: 1 <= x <= MOST_SI or x == inf)]
 Numbers = Annotated[PerLine, _per_line(f"a finite number of at most {MOST_V:g} V or A", lambda x: abs(x) <= MOST_V)]
 
 
@@ -152,7 +152,7 @@ class Adc(Spreadable):
     """s that one sampling capacitor spends on each column in turn; 0: each column has its own, always connected"""
     offset_voltage: Finite = 0.0
     """V that the converter adds to its input"""
-    gain_error: Annotated[float, Field(gt=-1, le=MOST, allow_inf_nan=False)] = 0.0
+    gain_error: Annotated[float, Field(gt=-1, le=MOST_SI, allow_inf_nan=False)] = 0.0
     """relative excess of the converter's slope, about the lower end of the range"""
     inl_steps: Finite = 0.0
     """integral nonlinearity in steps: a bow, largest at mid-range and 0 at both ends"""

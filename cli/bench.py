@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict
 from importlib.util import find_spec
 from itertools import chain
@@ -12,10 +12,10 @@ from typing import Any
 import click
 
 from ..common import tables
+from ..common.json_text import json_text
 from ..errors import InputError
 from . import arguments
 from ._bar import progress_bar
-from ._json import json_text
 
 
 class _ManyValues(click.Command):
@@ -37,6 +37,11 @@ class _ManyValues(click.Command):
         return super().parse_args(ctx, spread)
 
 
+def _instead(what: str, measured: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """An option that measures something else than solvers."""
+    return click.option(f"--{what}", "what", flag_value=what, help=f"Instead, measure {measured}.")
+
+
 @click.command(
     cls=_ManyValues,
     epilog=arguments.example("ohmskin bench --size 8 16 32 --segment 1.0", "ohmskin bench --estimators --json"),
@@ -48,23 +53,11 @@ class _ManyValues(click.Command):
 @click.option(
     "--picture", type=click.Path(path_type=Path), metavar="OUT.svg", help="Of solvers: draw error against time."
 )
-@click.option("--estimators", is_flag=True, help="Measure the pressure estimators instead, on a material of their own.")
-@click.option("--emulator", "of_emulator", is_flag=True, help="Measure the virtual board instead, at these sizes.")
-@click.option(
-    "--driver", "of_driver", is_flag=True, help="Measure the live path instead, bytes to kPa, at these sizes."
-)
-@click.option(
-    "--contacts",
-    "of_contacts",
-    is_flag=True,
-    help="Measure contacts instead: short taps found, fingers followed, false contacts.",
-)
-@click.option(
-    "--scenarios",
-    "of_scenarios",
-    is_flag=True,
-    help="Hold an estimator to the regression scenarios instead, and to the gates of bench/scenarios.toml.",
-)
+@_instead("estimators", "the pressure estimators, on presses at random")
+@_instead("emulator", "the virtual board, at these sizes")
+@_instead("driver", "the live path, bytes to kPa, at these sizes")
+@_instead("contacts", "contacts: short taps found, fingers followed, false contacts")
+@_instead("scenarios", "an estimator on the regression scenarios, beside the gates of bench/scenarios.toml")
 @click.option("--only", default="", metavar="PATTERN", help="Of the scenarios: rows whose name or gate contains it.")
 @click.option("--quick", is_flag=True, help="Of the scenarios: a selection of about 5 s.")
 @click.option(
@@ -78,11 +71,7 @@ def command(
     peers: bool,
     patient: bool,
     picture: Path | None,
-    estimators: bool,
-    of_emulator: bool,
-    of_driver: bool,
-    of_contacts: bool,
-    of_scenarios: bool,
+    what: str | None,
     only: str,
     quick: bool,
     estimator: str | None,
@@ -97,20 +86,12 @@ def command(
     from .. import bench
     from ..bench import measurements
 
-    if of_scenarios:
+    if what == "scenarios":
         _judge(only, quick, estimator, freeze, as_json)
         return
-    if estimators:
-        _show(measurements.of_estimators(), as_json)
+    if what is not None:
+        _show(measurements.TABLES[what](sizes), as_json)
         return
-    for chosen, measure in (
-        (of_emulator, measurements.of_emulator),
-        (of_driver, measurements.of_driver),
-        (of_contacts, measurements.of_contacts),
-    ):
-        if chosen:
-            _show(measure(sizes), as_json)
-            return
     arrays = [(size, segment) for size in sizes for segment in segments]
     rows = []
     with progress_bar("measuring") as progress:

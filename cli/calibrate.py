@@ -10,11 +10,11 @@ import numpy as np
 
 from ..calibration import Guide, Plan, Press, Verdict, align, calibrate_cells, read_reference, with_reference
 from ..common.files import check_writable
+from ..common.json_text import json_text
 from ..driver import Calibration
 from ..errors import InputError
 from . import arguments
-from ._json import json_text
-from ._opening import Opening, opening_options
+from ._skin_options import SkinOptions, skin_options
 
 STANDARD_GRAVITY = 9.80665
 """m/s^2"""
@@ -89,7 +89,7 @@ QUEUE = 4096
 @click.option("--allow-partial", is_flag=True, help="Give cells that failed the median gain of the others.")
 @click.option("--resume", is_flag=True, help="Go on with the progress kept beside the output.")
 @click.option("--yes", is_flag=True, help="Do not ask whether the skin is unloaded.")
-@opening_options("board", "baud", "design", "cell")
+@skin_options("board", "baud", "design", "cell")
 @arguments.as_json("the summary")
 def command(
     port: str,
@@ -106,7 +106,7 @@ def command(
     allow_partial: bool,
     resume: bool,
     yes: bool,
-    opening: Opening,
+    options: SkinOptions,
     as_json: bool,
 ) -> None:
     """Measure rest resistance and gain of every cell of the skin at PORT, by presses with known loads.
@@ -129,7 +129,7 @@ def command(
         read_reference(reference)
     if not (yes or port.endswith(".mcap")):
         _ask_for_rest()
-    with opening.open(port, delivery="lossless", queue=QUEUE) as skin:
+    with options.open(port, delivery="lossless", queue=QUEUE) as skin:
         shape = skin.design.array.shape
         share = 1.0 if area is None else _share(press, shape, area, pitch or skin.design.sheet.pitch)
         plan = Plan.make(shape, press, [share * load for load in given])

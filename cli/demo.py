@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from . import arguments
-from ._opening import Opening
+from ._skin_options import SkinOptions
 from .view import page_options, show
 
 
@@ -16,4 +16,4 @@ def command(port: int | None, host: str, no_browser: bool) -> int:
 
     The same skin in Python: Skin.open("ohmskin://demo").
     """
-    return show(["ohmskin://demo"], Opening(), port, host, open_browser=not no_browser)
+    return show(["ohmskin://demo"], SkinOptions(), port, host, open_browser=not no_browser)

@@ -11,6 +11,7 @@ from pathlib import Path
 import click
 
 from ..common.files import check_writable
+from ..common.json_text import json_text
 from ..common.tables import write_text
 from ..common.text import one_line
 from ..doctor import (
@@ -26,7 +27,6 @@ from ..doctor import (
 )
 from ..errors import InputError, LinkError
 from . import arguments
-from ._json import json_text
 
 USUAL_FILE = "board.toml"
 

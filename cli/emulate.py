@@ -29,7 +29,7 @@ from ..emulator import (
 from ..emulator.firmware import AVR8JS, check_scene
 from ..wire import board_family
 from . import arguments
-from ._opening import BOARD_HELP
+from ._skin_options import BOARD_HELP
 
 
 @click.command(epilog=arguments.example("ohmskin emulate scene.toml --link /tmp/skin --truth truth.npz"))

@@ -17,9 +17,9 @@ from ..cell import (
     protocol_text,
 )
 from ..common.files import check_writable
+from ..common.json_text import json_text
 from . import _measured, arguments
 from ._bar import progress_bar
-from ._json import json_text
 
 
 @click.command(

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import click
 
+from ..common.json_text import json_text
 from ..common.text import one_line
 from ..driver import LinkStatistics, Skin
 from ..errors import InputError, LinkEnded, LinkTimeout
 from . import arguments
 from ._bar import progress_bar
-from ._json import json_text
-from ._opening import Opening, opening_options
+from ._skin_options import SkinOptions, skin_options
 
 QUEUE = 4096
 """frames that may wait while the disk is busy"""
@@ -29,11 +29,11 @@ QUEUE = 4096
 @click.argument("what", metavar="PORT|SCENE.toml...", nargs=-1, required=True)
 @click.option("-o", "output", required=True, type=click.Path(path_type=Path), metavar="FILE.mcap")
 @click.option("--duration", type=arguments.positive, default=inf, metavar="S", help="Stop after S seconds.")
-@opening_options()
+@skin_options()
 @click.option("--overwrite", is_flag=True, help="Replace FILE.mcap if it is there already.")
 @arguments.as_json("what was recorded")
 def command(
-    what: tuple[str, ...], output: Path, duration: float, opening: Opening, overwrite: bool, as_json: bool
+    what: tuple[str, ...], output: Path, duration: float, options: SkinOptions, overwrite: bool, as_json: bool
 ) -> None:
     """Record the skin at PORT, or the emulated one of SCENE.toml. Of several boards each gets a file: FILE-1.mcap ...
 
@@ -44,7 +44,7 @@ def command(
     """
     if output.suffix.lower() != ".mcap":
         raise InputError(f"{output}: is no name of a recording; expected FILE.mcap")
-    with opening.open(what, delivery="every", queue=QUEUE, record=output, overwrite=overwrite) as skin:
+    with options.open(what, delivery="every", queue=QUEUE, record=output, overwrite=overwrite) as skin:
         try:
             _take_frames(skin, duration)
         except KeyboardInterrupt:  # the usual end of a recording without a duration

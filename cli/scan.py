@@ -10,8 +10,8 @@ import numpy as np
 from .. import circuits
 from ..circuits import CIRCUITS, METHODS, Design, scan
 from ..common import tables
+from ..common.json_text import json_text
 from . import arguments
-from ._json import json_text
 
 
 @click.command(

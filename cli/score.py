@@ -8,9 +8,9 @@ from pathlib import Path
 import click
 
 from .. import emulator
+from ..common.json_text import json_text
 from ..driver import stack
 from . import arguments
-from ._json import json_text
 from ._recording import played_frames
 
 

@@ -14,7 +14,7 @@ import click
 from ..emulator import Stop, stop_on_signals
 from ..view import LiveSource, RecordedSource, Source, serve
 from . import arguments
-from ._opening import Opening, is_emulated_here, opening_options
+from ._skin_options import SkinOptions, is_emulated_here, skin_options
 
 USUAL_PORT = 8700
 """a bookmark stays right from day to day; any other port where this one is in use"""
@@ -51,21 +51,21 @@ def page_options(command: Callable[..., Any]) -> Callable[..., Any]:
 )
 @click.argument("what", metavar="PORT|SCENE.toml|FILE.mcap...", nargs=-1, required=True)
 @page_options
-@opening_options()
-def command(what: tuple[str, ...], port: int | None, host: str, no_browser: bool, opening: Opening) -> int:
+@skin_options()
+def command(what: tuple[str, ...], port: int | None, host: str, no_browser: bool, options: SkinOptions) -> int:
     """Show a skin in the browser: the board at PORT, the emulated board of SCENE.toml, or a recording.
 
     Several of a kind are the boards of one skin. The page has a heat map, contacts, pressures over time, the state of
     the link, and a button for tare; for a recording a slider. It needs no internet. Ctrl-C ends it.
     """
-    return show(what, opening, port, host, open_browser=not no_browser)
+    return show(what, options, port, host, open_browser=not no_browser)
 
 
-def show(what: Sequence[str], opening: Opening, port: int | None, host: str, *, open_browser: bool) -> int:
+def show(what: Sequence[str], options: SkinOptions, port: int | None, host: str, *, open_browser: bool) -> int:
     """Serve the page of a skin until a signal; returns the exit code."""
     with stop_on_signals() as stop:
         # The page waits for a board that is away, however long.
-        skin = opening.open(what, reconnect=math.inf)
+        skin = options.open(what, reconnect=math.inf)
         title = " + ".join(f"{one} (emulated)" if is_emulated_here(one) else one for one in what)
         source: Source = RecordedSource(skin) if skin.recorded_s is not None else LiveSource(skin, name=title)
         ports = [USUAL_PORT, 0] if port is None else [port]

@@ -16,7 +16,7 @@ import hashlib
 import json
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar, get_args, get_origin
@@ -27,10 +27,11 @@ from pydantic_core import ErrorDetails
 
 from ..errors import InputError
 from .files import read_text
+from .json_text import replaced
 from .tables import write_text
 from .text import printable, shortened, shown
 
-MOST, LEAST = 1e30, 1e-30
+MOST_SI, LEAST_SI = 1e30, 1e-30
 """Quantities in SI units lie far within these limits, and products of a few of them neither overflow nor vanish."""
 
 MOST_LEVELS = 64
@@ -42,9 +43,9 @@ MOST_HOMES = 3
 LIKELY_SLIP = 0.8
 """similarity (difflib) from which an unknown key may be a misspelt one"""
 
-Finite = Annotated[float, Field(ge=-MOST, le=MOST, allow_inf_nan=False)]
-Positive = Annotated[float, Field(ge=LEAST, le=MOST, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, le=MOST, allow_inf_nan=False)]
+Finite = Annotated[float, Field(ge=-MOST_SI, le=MOST_SI, allow_inf_nan=False)]
+Positive = Annotated[float, Field(ge=LEAST_SI, le=MOST_SI, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, le=MOST_SI, allow_inf_nan=False)]
 
 
 def _located(value: Any, info: ValidationInfo) -> Any:
@@ -198,19 +199,30 @@ def fingerprint(values: BaseModel | Mapping[str, Any]) -> str:
     Of a model, what differs from its defaults: a key that a later version adds changes no hash.
     """
     tables = values.model_dump(exclude_defaults=True) if isinstance(values, BaseModel) else values
-    return hashlib.sha256(json.dumps(_finite(tables), sort_keys=True, default=str).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(replaced(tables, _as_text), sort_keys=True, default=str).encode()).hexdigest()
 
 
-def _finite(value: Any) -> Any:
-    """Nested tables with infinities, which JSON lacks, as text."""
+def _as_text(value: Any) -> Any:
+    """Infinities, which JSON lacks, as text."""
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def toml_value(value: Any) -> str:
+    """A value as TOML, on one line."""
     match value:
-        case Mapping():
-            return {key: _finite(item) for key, item in value.items()}
-        case list() | tuple():
-            return [_finite(item) for item in value]
-        case float() if not math.isfinite(value):
+        case bool() | str():
+            return json.dumps(value, ensure_ascii=False)  # a TOML basic string has the escapes of JSON
+        case int():
             return str(value)
-    return value
+        case float():
+            return (
+                repr(value) if math.isfinite(value) else "nan" if math.isnan(value) else "inf" if value > 0 else "-inf"
+            )
+        case Mapping():
+            return "{ " + ", ".join(f"{key} = {toml_value(item)}" for key, item in value.items()) + " }"
+        case Sequence():
+            return "[" + ", ".join(map(toml_value, value)) + "]"
+    raise InputError(f"{value!r} is no value of TOML")
 
 
 def describe(error: ValidationError, model: type[BaseModel], tables: Mapping[str, Any]) -> str:

@@ -20,6 +20,17 @@ STEP_STD = 3.0**-0.5
 """standard deviation of an error that is evenly distributed up to half a step, over that half step"""
 
 
+class _Field:
+    """A field of a measurement: its (rows, columns) in the block."""
+
+    def __init__(self, place: int) -> None:
+        self.place = place
+
+    def __get__(self, measured: Measurement, owner: type[Measurement]) -> FloatArray:
+        values: FloatArray = measured.block[self.place]
+        return values
+
+
 class Measurement:
     """One frame of cells. Arrays are (rows, columns), in siemens unless stated, and never change again.
 
@@ -58,57 +69,23 @@ class Measurement:
             made.block[_PLACES[name]] = values
         return made
 
-    @property
-    def conductance(self) -> FloatArray:
-        """NaN where only the bounds are known."""
-        field: FloatArray = self.block[CONDUCTANCE]
-        return field
-
-    @property
-    def noise_variance(self) -> FloatArray:
-        """S^2, by noise that no other cell shares."""
-        field: FloatArray = self.block[NOISE_VARIANCE]
-        return field
-
-    @property
-    def column_std(self) -> FloatArray:
-        """By noise that the cells of a column share; signed: one ``z`` moves cells by the signs of their entries."""
-        field: FloatArray = self.block[COLUMN_STD]
-        return field
-
-    @property
-    def half_step(self) -> FloatArray:
-        """Half a step of the ADC that noise does not randomise, as far as no other cell shares it."""
-        field: FloatArray = self.block[HALF_STEP]
-        return field
-
-    @property
-    def column_half_step(self) -> FloatArray:
-        """Likewise, as far as the cells of a column share it; signed like :attr:`column_std`."""
-        field: FloatArray = self.block[COLUMN_HALF_STEP]
-        return field
-
-    @property
-    def least(self) -> FloatArray:
-        """Lower bound on the conductance; 0 where there is none."""
-        field: FloatArray = self.block[LEAST]
-        return field
-
-    @property
-    def greatest(self) -> FloatArray:
-        """Upper bound on the conductance; infinity where there is none."""
-        field: FloatArray = self.block[GREATEST]
-        return field
-
-    @property
-    def uncertainty(self) -> FloatArray:
-        """Relative half-width of the conductance's interval (1); infinity where nothing is known.
-
-        It covers half an ADC step and three standard deviations of the noise of every reading, and the influence of
-        cells whose conductance is unknown.
-        """
-        field: FloatArray = self.block[UNCERTAINTY]
-        return field
+    conductance = _Field(CONDUCTANCE)
+    """NaN where only the bounds are known"""
+    noise_variance = _Field(NOISE_VARIANCE)
+    """S^2, by noise that no other cell shares"""
+    column_std = _Field(COLUMN_STD)
+    """by noise that the cells of a column share; signed: one ``z`` moves cells by the signs of their entries"""
+    half_step = _Field(HALF_STEP)
+    """half a step of the ADC that noise does not randomise, as far as no other cell shares it"""
+    column_half_step = _Field(COLUMN_HALF_STEP)
+    """likewise, as far as the cells of a column share it; signed like :attr:`column_std`"""
+    least = _Field(LEAST)
+    """lower bound on the conductance; 0 where there is none"""
+    greatest = _Field(GREATEST)
+    """upper bound on the conductance; infinity where there is none"""
+    uncertainty = _Field(UNCERTAINTY)
+    """relative half-width of the conductance's interval (1); infinity where nothing is known. It covers half an ADC
+    step and three standard deviations of the noise of every reading, and what cells of unknown conductance do to it"""
 
     @property
     def valid(self) -> BoolArray:
@@ -165,13 +142,4 @@ def show_each(block: Blocks, reason: FixedReasons, valid: FlagRows, unread: Flag
             ohm[i, j] = 1.0 / block[CONDUCTANCE, i, j] if why == 0 else math.nan
 
 
-_PLACES = {
-    "conductance": CONDUCTANCE,
-    "noise_variance": NOISE_VARIANCE,
-    "column_std": COLUMN_STD,
-    "half_step": HALF_STEP,
-    "column_half_step": COLUMN_HALF_STEP,
-    "least": LEAST,
-    "greatest": GREATEST,
-    "uncertainty": UNCERTAINTY,
-}
+_PLACES = {name: field.place for name, field in vars(Measurement).items() if isinstance(field, _Field)}

@@ -95,7 +95,7 @@ RISEN, CONFIRMED = 9.0, 3.0
 """ratio of the variance of all readings now to the median of the averages, from which on these are raised to it, if so
 many frames have shown it"""
 
-LEAST = 1e-6
+LEAST_VARIANCE = 1e-6
 """squared quanta: smaller variances count as none"""
 FLIP = 3.2
 """squared quanta of a third difference that a reading gives that flips between two codes: no outlier"""
@@ -125,7 +125,7 @@ class BoardNoise(Record):
     """readings that could change in the last frame"""
     largest: float
     """absolute change of a reading in the last frame"""
-    looks: float
+    evaluations: float
     """evaluations of third differences"""
     middle: float
     """mean of the variances of the readings, each at most a few times the median"""
@@ -415,8 +415,8 @@ def show_noise(board: BoardNoise, few: Rows, shown: float, square: float, quantu
     moving = max(board.free, 1.0)
     rarely_less = few[1, int(moving)] if moving < few.shape[1] else moving
     contradicts = math.sqrt((square + moving * quantum * quantum) / (2.0 * rarely_less))
-    told = min(1.0, board.free / min(TELLING, count))
-    kept = board.seen * (1.0 - told / min(board.confirmed + BARELY_SEEN, MEMORY))
+    weight = min(1.0, board.free / min(TELLING, count))
+    kept = board.seen * (1.0 - weight / min(board.confirmed + BARELY_SEEN, MEMORY))
     if shown > GROWING * board.seen:  # earlier changes showed another noise
         board.changes = board.confirmed = 0.0
     if shown > kept:
@@ -598,30 +598,30 @@ def noise_of_each(
     """Update the noise of each reading, and write the standard deviations (n,)."""
     count = ring.shape[1]
     still = board.stills > 0.0
-    due = (board.usable > 2.0 or still) and (board.looks < FIRST or int(board.frames) % EVERY == 0)
+    due = (board.usable > 2.0 or still) and (board.evaluations < FIRST or int(board.frames) % EVERY == 0)
     if due:
-        board.looks += 1.0
-    looks, prior, floor = board.looks, PRIOR if expected > 0.0 else 0.0, quantum * quantum * LEAST
-    share = max(1.0 / max(looks + prior, 1.0), EVERY / READINGS)
-    of_crowd = 1.0 / CROWD if looks > FIRST else 0.0
+        board.evaluations += 1.0
+    done, prior, floor = board.evaluations, PRIOR if expected > 0.0 else 0.0, quantum * quantum * LEAST_VARIANCE
+    share = max(1.0 / max(done + prior, 1.0), EVERY / READINGS)
+    of_crowd = 1.0 / CROWD if done > FIRST else 0.0
     for i in range(count):
         one = each[i]
         if due and one.blind <= 0.0:
             third = ring[newest, i] - ring[(newest - 3) % KEPT, i]
             third = (third - 3.0 * (ring[(newest - 1) % KEPT, i] - ring[(newest - 2) % KEPT, i])) / ROOT_20
             square = 0.0 if still else third * third
-            if looks <= FIRST and count < MANY:
-                one.log_mean += (math.log(max(square, floor, 1e-300)) - one.log_mean) / looks
-                one.variance = (looks * math.exp(one.log_mean + GEOMETRIC) + prior * expected) / (looks + prior)
+            if done <= FIRST and count < MANY:
+                one.log_mean += (math.log(max(square, floor, 1e-300)) - one.log_mean) / done
+                one.variance = (done * math.exp(one.log_mean + GEOMETRIC) + prior * expected) / (done + prior)
             else:
-                usual = one.variance if looks > FIRST else board.middle
+                usual = one.variance if done > FIRST else board.middle
                 limit = max(OUTLIER * usual, FLIP * quantum * quantum)
-                outlies = square > limit and looks > 1.0
+                outlies = square > limit and done > 1.0
                 one.crowd += ((1.0 if outlies else 0.0) - one.crowd) * of_crowd
                 if one.crowd > CROWDED:
                     one.variance += (min(square, limit) - one.variance) * max(share, 1.0 / CROWD)
                 elif not outlies:
-                    one.variance += (square * (UNCUT if looks > 1.0 else 1.0) - one.variance) * share
+                    one.variance += (square * (UNCUT if done > 1.0 else 1.0) - one.variance) * share
         one.blind = max(one.blind - 1.0, 0.0)
         scratch[0, i] = one.variance
     if count >= MANY and due:
@@ -630,16 +630,16 @@ def noise_of_each(
             total += min(scratch[0, i], most)
         board.middle = total / count
     now = board.seen * board.seen
-    if count >= MANY and looks > FIRST and now > RISEN * board.middle and board.confirmed >= CONFIRMED:
+    if count >= MANY and done > FIRST and now > RISEN * board.middle and board.confirmed >= CONFIRMED:
         for i in range(count):
             each[i].variance *= now / max(board.middle, 1e-300)
         board.middle = now
     for i in range(count):
         variance = each[i].variance
-        if looks < 1.0:
+        if done < 1.0:
             variance = max(now, variance)
         elif count >= MANY:
-            known = min(looks, READINGS)
+            known = min(done, READINGS)
             variance = min(variance, max(ABOVE_MEDIAN * board.middle, quantum * quantum))
             variance = (known * variance + PRIOR_OF_ARRAY * board.middle) / (known + PRIOR_OF_ARRAY)
         std[i] = math.sqrt(max(variance, 0.0))

@@ -13,27 +13,13 @@ from numpy.typing import NDArray
 from ..common.arrays import FloatArray, IntArray
 from ..wire import CHECKSUMS, FRAMINGS, WORDS, FieldText
 from ._guess import Chunk, Guess, board_guess, shapes
+from ._thresholds import COVERED, FEWEST, FEWEST_RETURNS, LEFT_OVER, PAUSE_S, PAUSES_APART, PROOF, PROVEN, USUAL
 from ._word_guess import CELL_WORDS, MOST_AHEAD, Bytes, Likely, block, column, likelihood, shown, words_in
 
 MOST_BYTES = 2**17
 """of the stream that are looked at"""
 LEAST_FRAME = 3
-FEWEST_FRAMES = 3
-FEWEST_RETURNS = 5
-"""of a header: cells of few values look like one by chance in fewer frames"""
-USUAL = 0.8
 LONGEST_HEADER = 8
-PAUSE_S = 0.003
-PAUSES_APART = 2.0
-"""ratio of a pause between frames to the time between pieces of one frame"""
-DELIMITED = 0.95
-"""share of the stretches between two delimiters that decode to one length"""
-COVERED = 0.6
-"""share of the stream that the returns of two bytes after one length make up, if these are a header"""
-PROOF = 20.0
-"""likelihood that a right checksum adds"""
-LEFT_OVER = 6.0
-"""likelihood that a constant byte other than zero takes away where it would be a cell's"""
 MOST_TRIED = 24
 _PLACES = ("uint16le", "uint16be", "uint8")
 _COUNTERS = ("uint32le", "uint32be", "uint16le", "uint16be", "uint8")
@@ -47,7 +33,7 @@ def binary_guesses(chunks: Sequence[Chunk]) -> Iterator[Guess]:
     starts = _burst_starts(chunks, _pauses(chunks)[-1])
     (burst, seen), *_ = Counter(np.diff(starts).tolist()).most_common(1) or [(0, 0)]
     # Of bursts of one length, each is a frame or a packet: what returns after several of them does so by chance.
-    even = seen > USUAL * (len(starts) - 1) and seen >= FEWEST_FRAMES
+    even = seen > USUAL * (len(starts) - 1) and seen >= FEWEST
     found: list[Likely] = []
     for length, phase in _folds(data, chunks):
         count = (len(data) - phase) // length
@@ -91,9 +77,9 @@ def _delimited_guesses(data: bytes, clock: _Clock) -> Iterator[Likely]:
         if not lengths:
             continue
         (length, seen), *_ = lengths.most_common(1)
-        told = sum(bool(stretch) for stretch in stretches[1:-1])
+        between = sum(bool(stretch) for stretch in stretches[1:-1])
         varied = len({len(one) for one in stretches}) > 2  # else a header that looks like a delimiter
-        if length < LEAST_FRAME or seen < max(FEWEST_FRAMES, DELIMITED * told) or not varied:
+        if length < LEAST_FRAME or seen < max(FEWEST, PROVEN * between) or not varied:
             continue
         kept = [(one, place) for one, place in zip(decoded, places, strict=True) if len(one) == length]
         frames = np.array([list(one) for one, _ in kept], dtype=np.uint8)
@@ -104,7 +90,7 @@ def _delimited_guesses(data: bytes, clock: _Clock) -> Iterator[Likely]:
 def _folds(data: bytes, chunks: Sequence[Chunk]) -> Iterator[tuple[int, int]]:
     """Lengths of a frame with the place of the first frame's header: bytes that return after just that length."""
     stream = np.frombuffer(data, np.uint8).astype(np.int64)
-    if len(stream) < FEWEST_FRAMES * LEAST_FRAME:
+    if len(stream) < FEWEST * LEAST_FRAME:
         return
     covered: dict[int, int] = {}
     for codes in (stream[:-1] * 256 + stream[1:], stream):
@@ -115,7 +101,7 @@ def _folds(data: bytes, chunks: Sequence[Chunk]) -> Iterator[tuple[int, int]]:
         if covered[length] < COVERED * len(data):
             continue
         frames = stream[: len(stream) // length * length].reshape(-1, length)
-        if len(frames) < FEWEST_FRAMES:
+        if len(frames) < FEWEST:
             continue
         common = np.median(frames, axis=0)
         constant = (frames == common).mean(axis=0) > USUAL
@@ -131,7 +117,7 @@ def _returns(codes: IntArray) -> dict[int, int]:
     gap, code = np.diff(order), codes[order][:-1]
     returns = (np.diff(codes[order]) == 0) & (gap >= LEAST_FRAME)
     kinds, seen = np.unique(code[returns] * len(codes) + gap[returns], return_counts=True)
-    often = seen >= FEWEST_FRAMES - 1
+    often = seen >= FEWEST - 1
     covered: dict[int, int] = {}
     for length, covers in zip(
         (kinds % len(codes))[often].tolist(), (seen * (kinds % len(codes)))[often].tolist(), strict=True
@@ -200,7 +186,7 @@ def _rotated_blocks(data: bytes, length: int, phase: int, chunks: Sequence[Chunk
     bursts = {start % length for start in _burst_starts(chunks)}
     for begin in range(phase, phase + MOST_AHEAD):
         packets = np.frombuffer(data[begin : begin + (len(data) - begin) // length * length], np.uint8)
-        if len(packets) < FEWEST_FRAMES * length:
+        if len(packets) < FEWEST * length:
             return
         packets = packets.reshape(-1, length)
         for likely, guess in _block_guesses(packets):
@@ -244,7 +230,7 @@ def _block_guesses(packets: Bytes) -> Iterator[Likely]:
                 grid = block(packets[:whole], begin, end, word).reshape(-1, blocks * cells)
                 is_row = step == 1 and cells > 1
                 sides = [(blocks, cells)] if is_row else shapes(blocks * cells)
-                if len(grid) < FEWEST_FRAMES or not sides:
+                if len(grid) < FEWEST or not sides:
                     continue
                 frame: dict[str, Any] = {"format": "binary", "block": [{"fields": fields, "repeat": blocks}]}
                 guess = board_guess(sides[0][0], sides[0][1], frame, grid, known_shape=is_row, word=word)
@@ -312,7 +298,7 @@ def _inner_guesses(frames: Bytes, frame: dict[str, Any], header: int, times_s: F
 def _checksums(frames: Bytes, header: int) -> Iterator[tuple[dict[str, Any], int]]:
     """Checksums that all frames have right, the longest first, with their size; then none."""
     rows = [bytes(row) for row in frames[:: max(len(frames) // 8, 1)]]
-    if len(set(rows)) >= FEWEST_FRAMES:
+    if len(set(rows)) >= FEWEST:
         for name, kind in sorted(CHECKSUMS.items(), key=lambda item: -item[1].size):
             ways: list[tuple[int, dict[str, Any]]] = [(header, {"checksum_of": "body"}), (0, {"checksum_of": "frame"})]
             if kind.size > 1:  # a checksum of one byte may be right by chance where so many places are tried
@@ -335,7 +321,7 @@ def _raw_guesses(data: bytes, chunks: Sequence[Chunk], clock: _Clock) -> Iterato
         if length < LEAST_FRAME or seen < 0.5 * (len(starts) - 1):
             continue
         places = [at for at, after in pairwise(starts) if after - at == length and after <= len(data)]
-        if len(places) < FEWEST_FRAMES:
+        if len(places) < FEWEST:
             continue
         frames = np.array([list(data[at : at + length]) for at in places], dtype=np.uint8)
         for likely, guess in words_in(frames, {"format": "binary"}, clock.at(np.array(places)), None):

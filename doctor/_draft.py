@@ -7,32 +7,32 @@ is taken that accounts for the bytes. What the bytes do not tell is left as a qu
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Any
 
+from ..common.config import toml_value
 from ..errors import InputError
 from ..wire import BoardFile, Corrupt, Family, FramePacket
 from ._binary_guess import binary_guesses
 from ._guess import Chunk, Guess
 from ._text_guess import is_text, text_guesses
+from ._thresholds import (
+    AS_GOOD,
+    DOUBTFUL,
+    FEWEST_FRAMES,
+    FEWEST_RUNS,
+    GOOD_ACCOUNTED,
+    LEAST_ACCOUNTED,
+    MANY_FRAMES,
+    SURE,
+)
 
-FEWEST_FRAMES = 2
-LEAST_ACCOUNTED = 0.5
-"""share of the bytes in frames from which on a guess is taken: boot messages come ahead"""
-GOOD_ACCOUNTED = 0.97
-"""share from which on no further guess is tried"""
-AS_GOOD = 0.02
-"""share more that a later guess must explain to be taken"""
-DOUBTFUL = 0.9
-"""share below which the draft asks what the other bytes are"""
 OTHERS_TRIED, MOST_OTHERS = 4, 3
 """guesses that are tried besides one that explains enough, and that are shown"""
-FEWEST_RUNS, MOST_COPIES = 4, 16
-CLEAR_ACCOUNTED, MANY_FRAMES = 0.995, 10
+MOST_COPIES = 16
 MOST_GUESSES = 200
 
 
@@ -63,7 +63,7 @@ class Draft:
     @property
     def is_clear(self) -> bool:
         """Whether more bytes could hardly change the draft: they are all in frames, and many."""
-        return self.frames >= MANY_FRAMES and self.accounted >= CLEAR_ACCOUNTED
+        return self.frames >= MANY_FRAMES and self.accounted >= SURE
 
     @property
     def summary(self) -> str:
@@ -199,15 +199,6 @@ def _words_of(fields: Sequence[str]) -> list[str]:
 
 def _toml(key: str, value: Any) -> str:
     """A value as TOML, bytes in hexadecimal."""
-    match value:
-        case bool():
-            return str(value).lower()
-        case str():
-            return json.dumps(value)  # a TOML basic string has the escapes of JSON
-        case list() | tuple() if key in ("header", "trailer", "poll", "send"):
-            return f"[{', '.join(f'0x{byte:02X}' for byte in value)}]"
-        case dict():
-            return "{ " + ", ".join(f"{name} = {_toml(name, item)}" for name, item in value.items()) + " }"
-        case list() | tuple():
-            return f"[{', '.join(_toml(key, item) for item in value)}]"
-    return str(value)
+    if key in ("header", "trailer", "poll", "send") and not isinstance(value, str):
+        return f"[{', '.join(f'0x{byte:02X}' for byte in value)}]"
+    return toml_value(value)

@@ -10,14 +10,11 @@ import numpy as np
 
 from ..common.arrays import FloatArray
 from ..wire import WORDS
+from ._thresholds import CLOCKS_DIFFER, FEWEST_STEPS, USUAL
 
 USUAL_BITS = 12
 """of a converter whose largest count has not been seen: too many bits cost nothing while no circuit is known"""
 SIDES = "? bytes do not tell from which corner cells are counted: press one; flip_rows, flip_columns, order"
-FEWEST_STEPS = 5
-"""of a number that rises"""
-CLOCKS_DIFFER = 0.2
-"""share by which a board's time may differ from the host's, which arrival blurs"""
 MOST_APART = 4.0
 """ratio of the sides of an array that is guessed from its number of cells"""
 
@@ -80,12 +77,12 @@ def counting_role(values: FloatArray, times_s: FloatArray) -> str | None:
         return None
     elapsed_s = float(times_s[-1] - times_s[0])
     whole = bool((values == np.rint(values)).all())
-    if whole and (risen == 1).mean() > 0.8:
+    if whole and (risen == 1).mean() > USUAL:
         return "number"
     for name, unit_s in (("time_us", 1e-6), ("time_ms", 1e-3), ("time_s", 1.0)):
         if elapsed_s > 0 and abs((values[-1] - values[0]) * unit_s / elapsed_s - 1.0) < CLOCKS_DIFFER:
             return name
-    return "skip" if len(risen) > 0.8 * len(steps) else None
+    return "skip" if len(risen) > USUAL * len(steps) else None
 
 
 def shapes(cells: int) -> list[tuple[int, int]]:

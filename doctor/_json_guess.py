@@ -11,8 +11,8 @@ import numpy as np
 
 from ..common.arrays import FloatArray
 from ._guess import Guess, board_guess, counting_role, shapes
+from ._thresholds import FEWEST
 
-FEWEST_DOCUMENTS = 3
 MOST_LEVELS = 6
 MOST_LEAVES = 4096
 _LIST = re.compile(r"(?<=[\[,:\s])[+-]?(nan|inf|ovf)(?=[\],\s}])", re.I)
@@ -45,7 +45,7 @@ def json_guesses(lines: Sequence[tuple[str, float]]) -> Iterator[Guess]:
         return -len(seen) * float(np.prod(shape)), bool(np.ptp(np.array(seen), axis=0).max() == 0)
 
     for (key, shape), seen in sorted(arrays.items(), key=worth):
-        if len(seen) < FEWEST_DOCUMENTS:
+        if len(seen) < FEWEST:
             continue
         frame: dict[str, Any] = {"format": "json"} | ({"key": key} if key else {})
         numbers = np.concatenate([array.ravel() for array in seen])
@@ -63,7 +63,7 @@ def _named(scalars: dict[str, list[tuple[float, float]]], documents: int) -> dic
     """Keys of the frame's number, time and row."""
     named: dict[str, str] = {}
     for key, seen in scalars.items():
-        if len(seen) < max(documents - 1, FEWEST_DOCUMENTS):
+        if len(seen) < max(documents - 1, FEWEST):
             continue
         times, values = np.array(seen).T
         steps, rows = np.diff(values), np.unique(values)

@@ -22,6 +22,7 @@ from ._draft import Draft, decoded, draft
 from ._finding import Finding, State
 from ._guess import Chunk
 from ._text_guess import is_text
+from ._thresholds import FEWEST_FRAMES, SURE
 
 LISTEN_S = 1.5
 """how long to listen before the bytes are judged: the slowest family sends two frames in a second"""
@@ -36,11 +37,8 @@ SHORT_LISTEN_S = 0.3
 PROGRESS_S = 0.25
 COMMON_RATES = (115_200, 1_000_000, 250_000, 2_000_000, 500_000, 921_600, 9_600, 230_400, 57_600, 460_800, 38_400)
 """baud rates of boards, those of the families among them, in the order in which they are tried"""
-FEWEST_FRAMES = 2
 MOST_CORRUPT = 0.5
 """share of the bytes that may be no part of a packet; a recording begins and ends within a packet"""
-SURE = 0.995
-"""share of the bytes after the first frame in frames, from which on the format of a file is taken for right"""
 QUIET_S = 0.7
 """without a byte, from which on a board counts as silent: a boot message may have come before"""
 START_WORDS = (
@@ -70,7 +68,7 @@ class Verdict:
     shape: tuple[int, int] | None
     """(rows, columns) of the last frame"""
     corrupt_bytes: int
-    introduced: bool
+    identified: bool
     """the board said who it is"""
 
     def accounted(self, received: int) -> float:
@@ -79,7 +77,7 @@ class Verdict:
 
     def convincing(self, received: int) -> bool:
         """Whether the bytes can hardly be anything else."""
-        enough = self.frames >= FEWEST_FRAMES or self.introduced
+        enough = self.frames >= FEWEST_FRAMES or self.identified
         return enough and self.accounted(received) > 1.0 - MOST_CORRUPT
 
 
@@ -176,7 +174,7 @@ def judge(data: bytes) -> Verdict | None:
 
 
 def _decoded(family: Family, data: bytes) -> Verdict:
-    frames, shape, corrupt, introduced = 0, None, 0, False
+    frames, shape, corrupt, identified = 0, None, 0, False
     for event in host_protocol(family.name).feed(data, 0.0):
         match event:
             case FramePacket():
@@ -184,8 +182,8 @@ def _decoded(family: Family, data: bytes) -> Verdict:
             case Corrupt():
                 corrupt += event.size
             case Identity() | Description():
-                introduced = True
-    return Verdict(family, frames, shape, corrupt, introduced)
+                identified = True
+    return Verdict(family, frames, shape, corrupt, identified)
 
 
 def has_baud_rate(port: str) -> bool:

@@ -21,19 +21,9 @@ import numpy as np
 from ..common.arrays import FloatArray
 from ._guess import Chunk, Guess, board_guess, counting_role, shapes
 from ._json_guess import json_guesses
+from ._thresholds import FEWEST, LINES_ALIKE, PAUSE_S, PROVEN, TEXT_SHARE, USUAL
 from ._word_guess import words_in
 
-TEXT_SHARE = 0.9
-"""share of printable characters from which on a stream is text"""
-FEWEST_LINES = 3
-USUAL = 0.8
-"""share of the cases that makes a rule"""
-PROVEN = 0.95
-"""likewise, of a place that lines say"""
-PAUSE_S = 0.003
-"""least pause between two frames"""
-ALIKE = 0.8
-"""ratio of the differences between lines some lines apart and one apart, below which a frame has that many lines"""
 MOST_ROWS = 256
 LIST = 4
 """numbers from which on the longest list in a line is that of the cells; among fewer the last one is"""
@@ -115,7 +105,7 @@ def _encoded_guesses(lines: Sequence[_Line]) -> Iterator[Guess]:
         kinds = Counter((match[1] or "", len(match[2])) for _, match in found)
         for (prefix, length), seen in kinds.most_common(1):
             mine = [match[2] for _, match in found if (match[1] or "", len(match[2])) == (prefix, length)]
-            if seen < FEWEST_LINES or 2 * seen < len(spoken) or not any(re.search("[A-Za-z]", text) for text in mine):
+            if seen < FEWEST or 2 * seen < len(spoken) or not any(re.search("[A-Za-z]", text) for text in mine):
                 continue
             frame: dict[str, Any] = {"format": "text", "layout": "frame-per-line", "encoding": encoding}
             frame |= {"prefix": prefix.rstrip()} if prefix else {}
@@ -148,7 +138,7 @@ def _digits_of(texts: Sequence[str], frame: dict[str, Any]) -> Iterator[Guess]:
 def _guesses_of(parsed: Sequence[_Line]) -> Iterator[Guess]:
     kinds = Counter(line.kind for line in parsed if line.numbers)
     for kind, seen in kinds.most_common(3):
-        if seen >= FEWEST_LINES:
+        if seen >= FEWEST:
             yield from _line_guesses(parsed, kind)
 
 
@@ -348,7 +338,7 @@ def _end(lines: Sequence[_Line], mine: Sequence[_Line]) -> tuple[str, int] | Non
     for pattern in sorted(places, key=len):
         between = np.diff(places[pattern])
         between = between[between > 0]
-        if len(between) < FEWEST_LINES - 1:
+        if len(between) < FEWEST - 1:
             continue
         (rows, seen), *_ = Counter(between.tolist()).most_common(1)
         texts = [line.text for line in lines if _DIGITS.sub("#", line.text) == pattern and id(line) not in carrying]
@@ -391,7 +381,7 @@ def _rows_without_end(lines: Sequence[_Line], numbers: FloatArray) -> Iterator[t
     """Rows of a frame by the pauses between lines, and by how much lines are alike."""
     gaps = np.diff([line.time_s for line in lines])
     pauses = np.flatnonzero(gaps > max(3 * float(np.median(gaps)), PAUSE_S))
-    if len(pauses) >= FEWEST_LINES:
+    if len(pauses) >= FEWEST:
         (rows, seen), *_ = Counter(np.diff(pauses).tolist()).most_common(1)
         if 1 < rows <= MOST_ROWS and seen >= 0.6 * (len(pauses) - 1):
             yield rows, f"{rows} lines come between two pauses"
@@ -401,6 +391,6 @@ def _rows_without_end(lines: Sequence[_Line], numbers: FloatArray) -> Iterator[t
     filled = np.nan_to_num(numbers)
     apart = np.array([np.abs(filled[lag:] - filled[:-lag]).mean() for lag in range(1, most + 1)])
     least = apart[1:].min()
-    if least < ALIKE * apart[0]:
+    if least < LINES_ALIKE * apart[0]:
         rows = 2 + int(np.flatnonzero(apart[1:] <= 1.1 * least)[0])
         yield rows, f"lines {rows} apart are alike"

@@ -15,20 +15,14 @@ from numpy.typing import NDArray
 
 from ..common.arrays import FloatArray
 from ..wire import WORDS
-from ._guess import CLOCKS_DIFFER, FEWEST_STEPS, Guess, board_guess, shapes
+from ._guess import Guess, board_guess, shapes
+from ._thresholds import CLOCKS_DIFFER, EVEN_STEPS, FEWEST_STEPS, HALF, HALVES_ALIKE, USUAL
 
 MOST_AHEAD = 12
 """bytes between header and words, at most"""
 MOST_BEHIND = 4
-USUAL = 0.8
-HALF = 0.05
-"""ratio of the scatter of every other number to that of the rest, below which they are halves of longer words"""
-ALIKE = 0.4
-"""sum of the differences of two distributions, below which they are the same; of few numbers chance adds to it"""
 BINS = 16
 """of such a distribution"""
-EVEN_STEPS = 0.5
-"""share by which the steps of a time may differ from the median one"""
 CELL_WORDS = (
     *("uint8", "uint16le", "uint16be", "int16le", "int16be", "uint32le", "uint32be", "float32le", "float32be"),
     *("uint12le", "uint12be"),
@@ -208,4 +202,4 @@ def _halves_alike(numbers: FloatArray, name: str) -> bool:
             return True
     most = max(float(low.max()), float(high.max())) + 1.0
     one, other = (np.histogram(half, BINS, (0.0, most))[0] / half.size for half in (low, high))
-    return bool(np.abs(one - other).sum() < ALIKE * (1.0 + np.sqrt(2.0 * BINS / low.size)))
+    return bool(np.abs(one - other).sum() < HALVES_ALIKE * (1.0 + np.sqrt(2.0 * BINS / low.size)))

@@ -21,7 +21,7 @@ import numpy as np
 from ..cell import Cell
 from ..circuits import Design, Shape
 from ..common.checks import number
-from ..common.config import LEAST, MOST, parse
+from ..common.config import LEAST_SI, MOST_SI, parse
 from ..common.events import SignalSafeEvent
 from ..common.extras import install_command
 from ..common.files import size as size_text
@@ -264,7 +264,7 @@ def _hexadecimals(metadata: Mapping[str, str], name: str, path: Path, *, most: i
         values = [float.fromhex(one) for one in text.split(" ", most - 1)]
     except (ValueError, OverflowError):
         values = []
-    if not values or not all(LEAST <= value <= MOST for value in values):
+    if not values or not all(LEAST_SI <= value <= MOST_SI for value in values):
         raise InputError(f"{path}: {name}: expected a positive number in hexadecimal (got {shortened(text)})")
     return values
 
@@ -343,7 +343,7 @@ def _rest_change(event: Mapping[str, Any], path: Path) -> RestChange:
         ohm = np.frombuffer(base64.b64decode(values, validate=True), dtype="<f8").astype(np.float64)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: an event 'rest' that cannot be read: {shortened(str(error))}") from error
-    if not ((ohm >= LEAST) & (ohm <= MOST) | (ohm == 0)).all():  # counts at rest may be 0
+    if not ((ohm >= LEAST_SI) & (ohm <= MOST_SI) | (ohm == 0)).all():  # counts at rest may be 0
         raise InputError(f"{path}: an event 'rest': expected positive resistances")
     return RestChange(after, ohm)
 

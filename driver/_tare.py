@@ -13,7 +13,7 @@ import numpy as np
 from ..cell import Cell, ContactModel
 from ..common.archives import Stored, read_arrays
 from ..common.arrays import BoolArray, FloatArray
-from ..common.config import LEAST, MOST
+from ..common.config import LEAST_SI, MOST_SI
 from ..common.files import whole_file
 from ..common.text import count_of, printable
 from ..errors import InputError
@@ -51,9 +51,9 @@ MOST_FRAMES = 2**31
 MOST_COUNT = 2.0**16
 _CELLS = ("rows", "columns")
 _STORED = {
-    "rest_resistance_ohm": Stored("numbers", _CELLS, LEAST, MOST, nan=True),  # NaN: the circuit is not known
+    "rest_resistance_ohm": Stored("numbers", _CELLS, LEAST_SI, MOST_SI, nan=True),  # NaN: the circuit is not known
     "measured": Stored("flags", _CELLS),
-    "std_ohm": Stored("numbers", _CELLS, 0.0, MOST, nan=True),
+    "std_ohm": Stored("numbers", _CELLS, 0.0, MOST_SI, nan=True),
     "frames": Stored("whole numbers", least=1, most=MOST_FRAMES),
     "lost": Stored("whole numbers", least=-1, most=MOST_FRAMES),  # -1: not known
     "serial_number": Stored("text"),

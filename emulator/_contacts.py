@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 from typing import Annotated, Self
 
 import numpy as np
@@ -13,7 +12,7 @@ from ..common.arrays import FloatArray, IntArray
 from ..common.config import Finite
 from ..common.geometry import Geometry
 from ..errors import InputError
-from ._loads import Load, Seconds, within_period
+from ._loads import Load, Seconds, check_order, within_period
 from ._shapes import Bump, Coordinate, Disc, Image, Point, Rectangle, Shape
 
 CellIndex = Annotated[tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]], Field(strict=False)]
@@ -65,9 +64,7 @@ class Contact(Load):
             raise ValueError("give the shape a center or the contact a path, not both")
         if not placed and not paths:
             raise ValueError("the shape needs center or center_mm, or the contact a path")
-        for (before, *_), (after, *_) in pairwise(paths[0] if paths else ()):
-            if after < before:
-                raise ValueError(f"the times of a path must not decrease; {after} s follows {before} s")
+        check_order("a path", paths[0] if paths else ())
         return self
 
     @property

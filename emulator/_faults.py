@@ -31,9 +31,7 @@ class Line:
 
         """
         self._settings = settings
-        self._faults = [fault for fault in faults if fault.kind in BYTE_FAULTS + PACKET_FAULTS]
-        self._done = [-1] * len(self._faults)
-        """for each fault the number of its last occurrence that has hit"""
+        self._faults = [Recurring(fault) for fault in faults if fault.kind in BYTE_FAULTS + PACKET_FAULTS]
         self._random = np.random.default_rng([seed, 1])
 
     def carry(self, packet: bytes, time_s: float = 0.0) -> bytes:
@@ -50,22 +48,21 @@ class Line:
             bits = np.unpackbits(np.frombuffer(packet, dtype=np.uint8))
             bits ^= self._random.random(len(bits)) < self._settings.bit_errors
             packet = np.packbits(bits).tobytes()
-        for number, fault in enumerate(self._faults):
+        for fault in self._faults:
             if packet:
-                packet = self._inject(number, fault, packet, time_s)
+                packet = self._inject(fault, packet, time_s)
         return packet
 
-    def _inject(self, number: int, fault: LinkFault, packet: bytes, time_s: float) -> bytes:
+    def _inject(self, recurring: Recurring, packet: bytes, time_s: float) -> bytes:
+        fault = recurring.fault
         if fault.probability is not None:
             if not fault.active(time_s):
                 return packet
             size = 1 if fault.kind in PACKET_FAULTS else len(packet)
             hit = self._random.random(size) < fault.probability
         else:
-            occurrence = fault.occurrence(time_s)
-            if occurrence <= self._done[number]:
+            if not recurring.has_begun(time_s):
                 return packet
-            self._done[number] = occurrence
             hit = np.zeros(len(packet), dtype=np.bool_)
             hit[self._random.permutation(len(packet))[: fault.count]] = True
         if not hit.any():
@@ -92,25 +89,30 @@ class Line:
         return damaged.tobytes()
 
 
+class Recurring:
+    """A fault, and which of its occurrences have been dealt with."""
+
+    def __init__(self, fault: LinkFault) -> None:
+        self.fault = fault
+        self._done = -1
+
+    def has_begun(self, time_s: float) -> bool:
+        """Whether the fault has begun, again perhaps, since the last time that this was so."""
+        occurrence, done = self.fault.occurrence(time_s), self._done
+        self._done = max(occurrence, done)
+        return occurrence > done
+
+
 class Schedule:
     """When faults of the kinds that last or happen at once are due."""
 
     def __init__(self, faults: Sequence[LinkFault]) -> None:
-        self._faults = list(faults)
-        self._done = [-1] * len(self._faults)
+        self._faults = [Recurring(fault) for fault in faults]
 
     def active(self, kind: str, time_s: float) -> LinkFault | None:
         """A fault of this kind that is going on, or None."""
-        for fault in self._faults:
-            if fault.kind == kind and fault.active(time_s):
-                return fault
-        return None
+        return next((one.fault for one in self._faults if one.fault.kind == kind and one.fault.active(time_s)), None)
 
     def begun(self, kind: str, time_s: float) -> LinkFault | None:
         """A fault of this kind that has begun since the last call, or None."""
-        for number, fault in enumerate(self._faults):
-            occurrence = fault.occurrence(time_s)
-            if fault.kind == kind and occurrence > self._done[number]:
-                self._done[number] = occurrence
-                return fault
-        return None
+        return next((one.fault for one in self._faults if one.fault.kind == kind and one.has_begun(time_s)), None)

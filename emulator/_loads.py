@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cached_property
 from itertools import pairwise
 from math import inf
@@ -122,9 +123,7 @@ class Load(Section):
     @model_validator(mode="after")
     def _in_order(self) -> Self:
         for name in ("load_kpa", "force_n"):
-            for (before, _), (after, _) in pairwise(getattr(self, name) or ()):
-                if after < before:
-                    raise ValueError(f"the times of {name} must not decrease; {after} s follows {before} s")
+            check_order(name, getattr(self, name) or ())
         return self
 
     def load(self, time_s: ArrayLike, area_m2: float = 1.0) -> FloatArray:
@@ -155,6 +154,13 @@ class Load(Section):
         """Read what the load names, so that an error comes before the first frame. Raises InputError."""
         if self.recorded is not None:
             _ = self.recorded.points
+
+
+def check_order(name: str, points: Iterable[tuple[float, *tuple[float, ...]]]) -> None:
+    """Raises ValueError for points over time, each with its time ahead, that go back in time."""
+    for (before, *_), (after, *_) in pairwise(points):
+        if after < before:
+            raise ValueError(f"the times of {name} must not decrease; {after} s follows {before} s")
 
 
 def within_period(time_s: FloatArray, period_s: float) -> FloatArray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
-from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -20,6 +19,7 @@ from ..errors import InputError
 from ._contacts import Contact
 from ._events import Event, check_events
 from ._line_settings import ClockSettings, LineSettings, LinkFault
+from ._loads import check_order
 from ._movie import Movie
 
 DEMO = Path(__file__).parent / "demo.toml"
@@ -59,9 +59,7 @@ class Drift(Section):
     @model_validator(mode="after")
     def _in_order(self) -> Self:
         points = self.temperature_change_c
-        for (before, _), (after, _) in pairwise(points if isinstance(points, list) else ()):
-            if after < before:
-                raise ValueError(f"the times of temperature_change_c must not decrease; {after} s follows {before} s")
+        check_order("temperature_change_c", points if isinstance(points, list) else ())
         return self
 
     def check(self) -> None:

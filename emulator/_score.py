@@ -27,7 +27,7 @@ from scipy.optimize import linear_sum_assignment
 
 from ..common.archives import Stored, check_arrays, read_arrays
 from ..common.arrays import AnyArray, BoolArray, FloatArray, IntArray
-from ..common.config import MOST
+from ..common.config import MOST_SI
 from ..errors import InputError
 
 CONTACT_SHARE = 0.1
@@ -43,16 +43,16 @@ _CELLS = ("frames", "rows", "columns")
 _RECORDING = "recording as ohmskin export writes it"
 _RECORDED = {
     "sequence": Stored("whole numbers", _CELLS[:1]),
-    "time": Stored("numbers", _CELLS[:1], -MOST, MOST),
+    "time": Stored("numbers", _CELLS[:1], -MOST_SI, MOST_SI),
     "pressure": Stored("numbers", _CELLS, nan=True),
     "valid": Stored("flags", _CELLS, optional=True),
 }
 _TRUE = {
     "sequence": Stored("whole numbers", _CELLS[:1]),
-    "time_s": Stored("numbers", _CELLS[:1], -MOST, MOST),
+    "time_s": Stored("numbers", _CELLS[:1], -MOST_SI, MOST_SI),
     "pressure_kpa": Stored("numbers", _CELLS, nan=True),
-    "pitch_mm": Stored("numbers", least=0.0, most=MOST, nan=True, optional=True),
-    "full_scale_kpa": Stored("numbers", least=0.0, most=MOST, nan=True, optional=True),
+    "pitch_mm": Stored("numbers", least=0.0, most=MOST_SI, nan=True, optional=True),
+    "full_scale_kpa": Stored("numbers", least=0.0, most=MOST_SI, nan=True, optional=True),
 }
 
 

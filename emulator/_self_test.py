@@ -10,7 +10,7 @@ from ..wire import LineState
 
 SHORT_OHM = 1000.0
 """two lines joined by less than this are reported as shorted; far below any cell at rest"""
-FAINT_STEPS = 1.5
+SILENT_STEPS = 1.5
 """steps of the ADC around the reading of an open cell within which no current is said to flow"""
 
 TestedLines = tuple[LineState, ...]
@@ -35,7 +35,7 @@ def self_test(
     """
     counts = adc_codes(design, scan(design, resistance).volts)
     open_count = adc_codes(design, ideal_volts(design, np.full(design.array.shape, np.inf))).astype(np.int64)
-    silent = np.abs(counts.astype(np.int64) - open_count) < FAINT_STEPS
+    silent = np.abs(counts.astype(np.int64) - open_count) < SILENT_STEPS
     railed = clipped(design, counts) & ~silent
     joined = {"bridged-rows": set[int](), "bridged-columns": set[int]()}
     for fault in design.fault:

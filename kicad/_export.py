@@ -16,9 +16,9 @@ from dataclasses import replace
 from typing import Any, get_args
 
 from ..circuits import Design
-from ..common.config import parse
+from ..common.config import parse, toml_value
 from ._board import value_of
-from ._import import KEY, import_design, plain, stated, toml_value
+from ._import import KEY, import_design, plain, stated
 from ._lines import ROLE
 from ._netlist import Netlist, Part, Pin
 
@@ -74,8 +74,8 @@ def drawn(tables: Mapping[str, Any]) -> Netlist:
     fields = dict(rows.fields)
     came_back, meant = import_design(drawing.netlist()), stated(design)
     for (table, key), value in meant.items():
-        told = came_back.tables.get(table, {}).get(key, _default(table, key))
-        if value is not None and (plain(told) != plain(value) or (table, key) in came_back.questions):
+        stated_there = came_back.tables.get(table, {}).get(key, _default(table, key))
+        if value is not None and (plain(stated_there) != plain(value) or (table, key) in came_back.questions):
             fields[f"{KEY}{table}.{key}"] = toml_value(value)
     absent = [table for table in came_back.tables if not any(name == table for name, _ in meant)]
     if absent:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import isfinite, isnan
+from math import isnan
 from typing import Any
 
 from pydantic import BaseModel
 
 from ..circuits import Design
-from ..common.config import parse, parse_toml
+from ..common.config import parse, parse_toml, toml_value
 from ..common.text import one_line
 from ..errors import InputError
 from ._board import Board, Branch, spread_of
@@ -65,22 +64,6 @@ class Imported:
         return "\n".join(lines) + "\n"
 
 
-def toml_value(value: Any) -> str:
-    """A value as TOML, on one line."""
-    match value:
-        case bool() | str():
-            return json.dumps(value, ensure_ascii=False)
-        case int():
-            return str(value)
-        case float():
-            return repr(value) if isfinite(value) else "nan" if isnan(value) else "inf" if value > 0 else "-inf"
-        case Mapping():
-            return "{ " + ", ".join(f"{key} = {toml_value(item)}" for key, item in value.items()) + " }"
-        case Sequence():
-            return "[" + ", ".join(map(toml_value, value)) + "]"
-    raise InputError(f"{value!r} is no value of a design")
-
-
 def import_design(netlist: Netlist) -> Imported:
     """Find the array of a board and what its lines end in, and state the design.
 
@@ -94,12 +77,12 @@ def import_design(netlist: Netlist) -> Imported:
     found.put("array", "rows", len(driven), f"by {lines.by}")
     found.put("array", "columns", len(sensed), "likewise")
     ends = [column_end(board, net, sensed=True) for net in sensed]
-    turned = not any(ends) and all(column_end(board, net) for net in driven)
-    if turned:
+    transposed = not any(ends) and all(column_end(board, net) for net in driven)
+    if transposed:
         sensed, driven = driven, sensed
         ends = [column_end(board, net) for net in sensed]
     reference = _columns(found, board, sensed, ends)
-    if turned:
+    if transposed:
         found.put("readout", "circuit", "row-amplifier", _why(next(end for end in ends if end is not None)))
     _rows(found, [row_end(board, net) for net in driven], driven, reference)
     _converter(found, board, ends)

@@ -66,17 +66,17 @@ def _cell(part: Tree, patterns: Sequence[re.Pattern[str]]) -> tuple[int, int, fl
                 found.add(int(match[1]))
     if any(len(found) != 1 for found in lines):
         return None
-    x, y, turned = _at(part)
+    x, y, rotation = _at(part)
     corners = []
     for pad in pads:
         left, top, own = _at(pad)
         width, height = _numbers(pad, "size", 2)
-        angle = math.radians(own - turned)  # a pad's angle in the file is that on the board
+        angle = math.radians(own - rotation)  # a pad's angle in the file is that on the board
         across = (abs(width * math.cos(angle)) + abs(height * math.sin(angle))) / 2
         down = (abs(width * math.sin(angle)) + abs(height * math.cos(angle))) / 2
         corners += [(left - across, top - down), (left + across, top + down)]
     (low, upper), (high, lower) = (tuple(map(of, *corners)) for of in (min, max))
-    dx, dy, angle = (low + high) / 2, (upper + lower) / 2, math.radians(turned)
+    dx, dy, angle = (low + high) / 2, (upper + lower) / 2, math.radians(rotation)
     place = x + dx * math.cos(angle) + dy * math.sin(angle), y - dx * math.sin(angle) + dy * math.cos(angle)
     return lines[0].pop(), lines[1].pop(), *(round(one, 6) for one in place), round((high - low) * (lower - upper), 6)
 

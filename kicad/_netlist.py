@@ -85,7 +85,7 @@ def parse_netlist(text: str, path: str | Path) -> Netlist:
 
 
 def parse_expression(text: str) -> Tree:
-    """The first list of a text; without recursion, since a stranger's text may nest as deeply as it likes."""
+    """The first list of a text; without recursion, since an untrusted text may nest as deeply as it likes."""
     stack: list[Tree] = [[]]
     for found in _TOKEN.finditer(text):
         if found["open"]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from together import once
 
-from ohmskin.bench import _independent as independent
+from ohmskin.bench import _materials as independent
 from ohmskin.cell import CalibrationResult, Cell, Recording, calibrate, checked_recording
 from ohmskin.cell.identification import _protocol as protocol
 

@@ -15,15 +15,16 @@ import numpy as np
 import pytest
 
 from ohmskin import bench
-from ohmskin.bench import _driver, _estimators, _peers, boards
+from ohmskin.bench import _driver, _peers, boards, measurements, scenarios
 from ohmskin.bench._driver import FRAME_RATE_HZ, design, packets_of, pressed
 from ohmskin.bench._paced_port import PacedPort
 from ohmskin.bench._reference import reference_volts
 from ohmskin.bench.harness import column, table
-from ohmskin.cell import Cell
+from ohmskin.cell import ESTIMATORS, Cell
 from ohmskin.circuits import METHODS, adc_codes, scan
 from ohmskin.cli import run
 from ohmskin.driver import Arrival, CountReader, Skin
+from ohmskin.errors import InputError
 from ohmskin.wire import host_protocol
 
 
@@ -107,19 +108,6 @@ def test_bad_requests_are_refused_by_name(options: list[str], message: str, caps
     assert printed.out.count("\n") <= 2  # what the columns are
 
 
-def test_a_table_prints_as_it_is_measured_and_numbers_that_are_not_finite_are_null(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    row = _estimators.Row("foam", "play", rmse_percent=12.5, microseconds=0.25, is_default=True)
-    unknown = replace(row, rmse_percent=math.nan, microseconds=math.inf)
-    monkeypatch.setattr(_estimators, "estimators", lambda: [row, unknown])
-    assert run(["bench", "--estimators"]) == 0
-    assert "12.50" in capsys.readouterr().out
-    assert run(["bench", "--estimators", "--json"]) == 0
-    nothing = asdict(row) | {"rmse_percent": None, "microseconds": None}
-    assert json.loads(capsys.readouterr().out, parse_constant=pytest.fail) == [asdict(row), nothing]
-
-
 @dataclass(frozen=True)
 class Measured:
     size: int = field(metadata=column("cells", "{0} x {0}"))
@@ -128,6 +116,35 @@ class Measured:
     found: dict[str, float] = field(metadata=column("{}, %", "{:.0f}", unit=0.01))
     hidden: float = 1.0
     default: bool = field(default=True, metadata=column("default"))
+
+
+def test_a_table_prints_as_it_is_measured_and_numbers_that_are_not_finite_are_null(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    row = Measured(4, "a", 0.0123, {"taps": 0.5})
+    unknown = replace(row, seconds=math.nan, hidden=math.inf)
+    monkeypatch.setitem(measurements.TABLES, "estimators", lambda _: [("", [row, unknown])])  # type: ignore[arg-type]
+    assert run(["bench", "--estimators"]) == 0
+    assert "12.3" in capsys.readouterr().out
+    assert run(["bench", "--estimators", "--json"]) == 0
+    nothing = asdict(row) | {"seconds": None, "hidden": None}
+    assert json.loads(capsys.readouterr().out, parse_constant=pytest.fail) == [asdict(row), nothing]
+
+
+def test_every_estimator_of_the_cells_has_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    every = scenarios.rows("rest | contact")
+    monkeypatch.setattr(scenarios, "rows", lambda only: every)
+    found = {row.gate: row.rows for row in scenarios.by_estimator()}
+    assert found.keys() == {name for name in ESTIMATORS if found.get(name)}
+    assert found["static"] == len(every)
+
+
+def test_any_recording_is_a_row_by_its_name() -> None:
+    (row,) = scenarios.rows("taps | relays | 7")
+    assert (row.name, row.gate, row.today) == ("taps | relays | 7", "recording", None)
+    for wrong in ("taps | foam | 7", "tap | relays | 7", "taps | relays | x"):
+        with pytest.raises(InputError, match="expected LOAD"):
+            scenarios.rows(wrong)
 
 
 def test_columns_are_aligned_and_other_fields_are_left_out() -> None:

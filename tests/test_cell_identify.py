@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from ohmskin.bench import panel
+from ohmskin.bench import recordings
 from ohmskin.cell import (
     AsymmetricModel,
     Cell,
@@ -225,10 +225,12 @@ def test_a_cell_of_one_set_of_states_is_found_as_the_kind_that_contains_it() -> 
 @pytest.mark.parametrize("material", ["paper", "asymmetric", "m10"])
 def test_what_a_kind_has_made_is_explained_but_for_noise(material: str, load: str) -> None:
     """Random parameters, five kinds of loading: the search for time constants ends in the right valley."""
-    scene = panel.scene(load, material, 3)
-    found = fits(Task.of(Recording(scene.time_s, scene.pressure_kpa, scene.resistance_ohm), panel.FULL_SCALE_KPA), ())
+    scene = recordings.specimen(f"{load} | {material} | 3")
+    found = fits(
+        Task.of(Recording(scene.time_s, scene.pressure_kpa, scene.resistance_ohm), recordings.FULL_SCALE_KPA), ()
+    )
     left = min(fit.error for fit in found) * float(np.ptp(scene.resistance_ohm))
-    assert left < 2 * panel.NOISE * float(np.mean(scene.resistance_ohm))
+    assert left < 2 * recordings.NOISE * float(np.mean(scene.resistance_ohm))
 
 
 TIME = np.arange(0, 60, 0.1)

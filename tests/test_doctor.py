@@ -301,7 +301,7 @@ def test_a_board_that_is_not_understood_is_drafted_at_once_if_the_person_says_so
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("ohmskin.cli._opening.Skin.open", partial(Skin.open, timeout=5.0))
+    monkeypatch.setattr("ohmskin.cli._skin_options.Skin.open", partial(Skin.open, timeout=5.0))
     record = ["record", "", "-o", "press.mcap", "--duration", "1"]
     with Played(board_family(EXAMPLES[0].with_name("neuromat.toml"))) as port:
         record[1] = port.name
@@ -309,7 +309,7 @@ def test_a_board_that_is_not_understood_is_drafted_at_once_if_the_person_says_so
         refused = capsys.readouterr().err
         assert f"`ohmskin doctor {port.name}`" in refused
         assert "text such as" in refused
-        monkeypatch.setattr("ohmskin.cli._opening._may_find_out", lambda what, error: True)
+        monkeypatch.setattr("ohmskin.cli._skin_options._may_find_out", lambda what, error: True)
         assert run(record) == 0
     assert "sends 8 x 13 cells" in capsys.readouterr().err
     with Skin.open("press.mcap") as skin:

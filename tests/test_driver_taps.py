@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ohmskin.bench import _taps as bench
+from ohmskin.bench import contacts as bench
 from ohmskin.cell import Cell, ContactModel
 from ohmskin.cli import run
 from ohmskin.common.arrays import FloatArray
@@ -44,9 +44,9 @@ def at_rest(frames: int, cell: Cell = EXAMPLE, shape: tuple[int, int] = SHAPE) -
     return np.full((frames, *shape), cell.rest_resistance_ohm)
 
 
-def tapped(tap: bench.Tap, rate_hz: float = 100.0) -> FloatArray:
+def tapped(tap: bench.Press, rate_hz: float = 100.0) -> FloatArray:
     """Ohm of the example cell, from rest to 0.3 s after the tap."""
-    return bench.resistances([tap], SHAPE, rate_hz, tap.start_s + tap.duration_s + 0.3)
+    return bench.resistances([tap], SHAPE, rate_hz, tap.end_s + 0.3)
 
 
 @settings(max_examples=40, deadline=None)
@@ -62,7 +62,7 @@ def test_a_short_tap_is_one_contact_at_once(
 ) -> None:
     """From its second frame on at the latest, and hardly longer than it lasts."""
     start_s = 0.4 + 1e-3
-    tap = bench.Tap(start_s, duration_s, row, column, width, share * EXAMPLE.full_scale_kpa)
+    tap = bench.Press.tap(start_s, duration_s, row, column, width, share * EXAMPLE.full_scale_kpa)
     seen = contacts_of(tapped(tap))
     first, last = round(start_s / DT_S), round((start_s + duration_s) / DT_S)
     assert not any(seen[: first - 1])
@@ -150,7 +150,7 @@ def test_lines_of_electrodes_that_touch_which_conduct_more_at_once_make_no_conta
 
 def test_a_tap_leaves_rest_behind_and_its_deviation_is_honest() -> None:
     """Errors within three deviations nearly always: those of taps on a whole array were stated as half of the jump."""
-    taps = [bench.Tap(0.4 + 0.4 * k, 0.05, 1.0 + k, 6.0 - k, 0.7, 10.0) for k in range(5)]
+    taps = [bench.Press.tap(0.4 + 0.4 * k, 0.05, 1.0 + k, 6.0 - k, 0.7, 10.0) for k in range(5)]
     ohm = bench.resistances(taps, SHAPE, 100.0, 2.6)
     truth = np.sum([tap.kpa(DT_S * np.arange(1.0, len(ohm) + 1), SHAPE) for tap in taps], axis=0)
     estimator = EXAMPLE.estimator(SHAPE)
@@ -163,13 +163,23 @@ def test_a_tap_leaves_rest_behind_and_its_deviation_is_honest() -> None:
     assert np.abs(found[-10:, 0]).max() < 0.5
 
 
+@pytest.mark.parametrize("kind", bench.FAILURES)
+def test_contacts_that_fail_are_no_fingers(kind: str) -> None:
+    """Of a whole skin."""
+    scene = next(one for one in bench.SCENES if one.failing == kind)
+    found = bench.played(8, bench.BOARDS[0], scene, np.random.default_rng(1))
+    assert (found.false, found.false_s) == (0, 0.0)
+
+
 def test_the_command_prints_what_was_found(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """A board of 4 x 4 cells; the rows as text and as JSON."""
-    measure = bench.taps_and_faults
-    few = functools.partial(measure, rates_hz=[100.0], cases=bench.CASES[:1], spread=0.03, number=12)
-    monkeypatch.setattr(bench, "taps_and_faults", few)
+    """A board of 4 x 4 cells, which has scenes of taps and of contacts that fail; the rows as text and as JSON."""
+    few = functools.partial(bench.fingers, boards=bench.BOARDS[:1], scenes=[bench.SCENES[0], bench.SCENES[-1]])
+    monkeypatch.setattr(bench, "fingers", few)
     assert run(["bench", "--contacts", "--size", "4"]) == 0
     assert "4 x 4" in capsys.readouterr().out
     assert run(["bench", "--contacts", "--size", "4", "--json"]) == 0
-    (row,) = json.loads(capsys.readouterr().out)
-    assert (row["size"], row["faults"]) == (4, {"cell": 6, "line": 3, "impulse": 3})
+    rows = json.loads(capsys.readouterr().out)
+    assert [(row["size"], row["scene"], row["rate_hz"]) for row in rows] == [
+        (4, "impulse fails", 100.0),
+        (4, "impulse fails", 1000.0),
+    ]

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 from designs import KINDS, digitised
+from misread_streams import stream
 
-from ohmskin.bench import _live_streams
 from ohmskin.circuits import Design, Reason, adc_codes, scan
 from ohmskin.driver import CountReader
 
@@ -46,8 +46,7 @@ def test_cells_open_at_rest_cost_a_press_nothing(row_lead: float) -> None:
 
 def test_no_step_waits_for_ever() -> None:
     """Strong presses on 16 x 12 cells with segments: potentials by sparse elimination are half of what a frame has."""
-    found = _live_streams.stream("loaded events", 171000004)
-    assert found is not None
+    found = stream("loaded events:171000004")
     read = CountReader(found.design)
     for counts in found.counts:
         last = read(counts)

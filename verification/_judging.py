@@ -11,7 +11,7 @@ import numpy as np
 
 from ..circuits import Requirement
 from ..common.arrays import FloatArray
-from ..common.config import LEAST
+from ..common.config import LEAST_SI
 from ..errors import InputError, SolverError
 from ._box import Box, Corners
 from ._dut import DesignUnderTest, once
@@ -114,7 +114,7 @@ def _longest_frame(dut: DesignUnderTest, target: FrameTimeTarget, parts: Parts, 
     times = target.evaluate(box, starts)
     longest, corner = float(times.max()), starts.some(np.array([int(times.argmax())]))
     for _ in range(_MOST_SEARCHES):
-        found = worst_of(dut, target.at(box, min(max(longest, LEAST), MOST_SECONDS)), parts)
+        found = worst_of(dut, target.at(box, min(max(longest, LEAST_SI), MOST_SECONDS)), parts)
         time = float(target.evaluate(box, found.corner)[0])
         if np.isinf(longest) or time <= longest * (1.0 + _NEAR):
             break

@@ -139,7 +139,7 @@ class RecordedSource(Source):
         times, starts = np.array(self._times_s[:count]), np.array(self._ends[:count], dtype=np.int64)
         force = self._bytes(starts + TOTAL_FORCE_AT, 8).copy().view("<f8")[:, 0]
         kept = extremes(force, points)
-        return {"cell": None, "time_s": times[kept].tolist(), "force_n": _for_json(force[kept])}
+        return {"cell": None, "time_s": times[kept].tolist(), "force_n": force[kept].tolist()}
 
     def _trace(self, row: int, column: int, points: int) -> Report:
         rows, columns = self.skin.shape
@@ -155,8 +155,8 @@ class RecordedSource(Source):
         return {
             "cell": [row, column],
             "time_s": times[kept].tolist(),
-            "pressure_kpa": _for_json(pressure[kept]),
-            "std_kpa": _for_json(std[kept]),
+            "pressure_kpa": pressure[kept].tolist(),
+            "std_kpa": std[kept].tolist(),
         }
 
     def _numbers(self, places: IntArray) -> FloatArray:
@@ -192,7 +192,3 @@ def extremes(values: FloatArray, points: int) -> IntArray:
         if not missing.all():
             kept |= {int(stretch[np.nanargmin(some)]), int(stretch[np.nanargmax(some)])}
     return np.array(sorted(kept))
-
-
-def _for_json(values: FloatArray) -> list[float | None]:
-    return [value if np.isfinite(value) else None for value in values.tolist()]

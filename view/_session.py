@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 from typing import TYPE_CHECKING
 
+from ..common.json_text import json_text
 from ..common.text import one_line
 from ..errors import InputError, LinkEnded, OhmskinError
 from ._orders import FrameOrder, MakeTare, NextFrame, Record, ShowNumber, ShowTime, TraceCells, UndoTare, read_order
@@ -110,4 +110,4 @@ class Session:
         await self._tell({"kind": "refused", "text": one_line(str(error)), "order": what})
 
     async def _tell(self, message: Report) -> None:
-        await self._connection.send(json.dumps(message, allow_nan=False))
+        await self._connection.send(json_text(message))

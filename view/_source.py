@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 from abc import ABC, abstractmethod
 from typing import Any, Self
@@ -17,7 +16,7 @@ from ..errors import InputError
 from ._orders import FrameOrder, TraceCells
 
 Report = dict[str, Any]
-"""an object for JSON: no NaN, no NumPy"""
+"""an object for JSON, without NumPy; NaN becomes null"""
 
 
 class Source(ABC):
@@ -135,8 +134,8 @@ def statistics(skin: Skin) -> Report:
     for name in ("age_s", "jitter_s"):
         percentiles = reported[name]
         assert isinstance(percentiles, dict)
-        reported[name] = {str(percent): _number(value) for percent, value in percentiles.items()}
-    return {name: _number(value) if isinstance(value, float) else value for name, value in reported.items()}
+        reported[name] = {str(percent): value for percent, value in percentiles.items()}
+    return reported
 
 
 def _cells(geometry: Geometry) -> Report | None:
@@ -149,8 +148,3 @@ def _cells(geometry: Geometry) -> Report | None:
         "place_mm": geometry.places_mm[there].tolist(),
         "area_mm2": geometry.areas_mm2[there].tolist(),
     }
-
-
-def _number(value: float) -> float | None:
-    """JSON has neither NaN nor infinity."""
-    return value if math.isfinite(value) else None

@@ -60,8 +60,8 @@ class BoardFile(Section):
             raise ValueError(f"frame.range: expected the smaller number first (got {list(frame.range)})")
         cells = board.rows * board.columns
         if frame.map is not None:
-            turned = frame.order != "row-major" or frame.flip_rows or frame.flip_columns
-            if turned or sorted(frame.map) != list(range(cells)):
+            reordered = frame.order != "row-major" or frame.flip_rows or frame.flip_columns
+            if reordered or sorted(frame.map) != list(range(cells)):
                 raise ValueError(f"frame.map: expected each place from 0 to {cells - 1} once, and no order or flips")
         sent = frame.cells_sent if isinstance(frame, BinaryFrame) else None
         if sent is not None and sent != cells:

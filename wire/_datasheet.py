@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, NoReturn
 
+from ..common.json_text import replaced
 from ..errors import InputError, ProtocolError
 from ._codec import MAX_DESCRIPTION
 
@@ -29,7 +30,7 @@ def write_description(design: Mapping[str, Any] | None, cell: Mapping[str, Any] 
     """
     given = {"design": design, "cell": cell}
     try:
-        tables = {key: _without_infinity(value) for key, value in given.items() if value is not None}
+        tables = {key: replaced(value, _without_infinity) for key, value in given.items() if value is not None}
         text = json.dumps(tables, allow_nan=False, ensure_ascii=False, separators=(",", ":")).encode()
     except (TypeError, ValueError) as error:
         raise InputError(f"a description that is not JSON: {error}") from error
@@ -70,16 +71,9 @@ _TEXTS = {text: value for value, text in _INFINITIES.items()}
 
 
 def _without_infinity(value: Any) -> Any:
-    match value:
-        case Mapping():
-            return {key: _without_infinity(item) for key, item in value.items()}
-        case list() | tuple():
-            return [_without_infinity(item) for item in value]
-        case float():
-            return _INFINITIES.get(value, value)
-        case str() if value in _TEXTS:
-            raise ValueError(f"the text {value!r} stands for a number")
-    return value
+    if isinstance(value, str) and value in _TEXTS:
+        raise ValueError(f"the text {value!r} stands for a number")
+    return _INFINITIES.get(value, value) if isinstance(value, float) else value
 
 
 def _with_infinity(value: Any, depth: int) -> Any:

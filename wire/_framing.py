@@ -67,9 +67,6 @@ class FixedLengthHost(HostProtocol):
         del self._buffer[:at]
         return events
 
-    def request(self, order: Order, *, period_us: int = 0) -> bytes:
-        return b""
-
 
 class LineHost(HostProtocol):
     """Host end for text: lines that end in a line feed."""
@@ -105,9 +102,6 @@ class LineHost(HostProtocol):
                 events += self.take(whole, received_at)
         self._extend(rest, events)
         return events
-
-    def request(self, order: Order, *, period_us: int = 0) -> bytes:
-        return b""
 
     def _extend(self, piece: bytes, events: list[Event]) -> None:
         self._line += piece

@@ -84,7 +84,6 @@ class HostProtocol(ABC):
 
         """
 
-    @abstractmethod
     def request(self, order: Order, *, period_us: int = 0) -> bytes:
         """The bytes that give ``order`` to the board; empty where the family has no such order.
 
@@ -93,6 +92,7 @@ class HostProtocol(ABC):
             period_us: us between two frames, for RATE only.
 
         """
+        return b""
 
 
 class BoardProtocol(ABC):

@@ -105,7 +105,8 @@ class Enclosure:
         self._short = 1.0 / (to_driver + LEAST_SHORT_OHM)  # S, of a short behind its row
         at_end = 0.0 if circuit.drives_idle_lines else circuit.end_resistance(board)
         self._behind = at_end + law.wire  # ohm (M,) that the current of a mean cell of a column passes
-        self._behind_cell = self._behind - to_end.mean(axis=0) + to_end
+        own_wire = law.wire - to_end.mean(axis=0) + to_end  # ohm (N, M) from each cell to its column's end
+        self._behind_cell = at_end + own_wire
         self._floating, self._follows = board.floating, circuit.drives_idle_lines
         self._divides, self._one_by_one = not circuit.has_amplifiers, circuit.columns_one_by_one(board)
         self._idle = 1.0 / np.maximum(
@@ -124,12 +125,13 @@ class Enclosure:
                 self._adrift = 2.0 * np.abs(board.offset) * np.ones(board.shape)
             if self._saturates:
                 beyond = np.abs(limit - board.level) + np.abs(board.offset)
-                self._into_end = (1.0 + beyond / drive) / (to_driver + board.reference + law.wire)
+                self._into_end = (1.0 + beyond / drive) / (to_driver + board.reference + own_wire)
             else:
-                self._into_end = 1.0 / (to_driver + behind + LEAST_SHORT_OHM)
-                self._column = self._into_end * behind * drive + np.abs(source)
+                to_source = ends.resistance + own_wire
+                self._into_end = 1.0 / (to_driver + to_source + LEAST_SHORT_OHM)
+                self._column = self._into_end * to_source * drive + np.abs(source)
             if self._one_by_one:  # others are read while its column ends as idle ones do
-                into_idle = 1.0 / (to_driver + board.idle_resistance + law.wire + LEAST_SHORT_OHM)
+                into_idle = 1.0 / (to_driver + board.idle_resistance + own_wire + LEAST_SHORT_OHM)
                 whole = board.shared_by >= board.shape[1]
                 self._into_end = into_idle if whole else np.maximum(self._into_end, into_idle)
         self._holds, self._pull = ends is not None, board.pull
@@ -166,7 +168,7 @@ class Enclosure:
         drive, share = np.abs(ports.drive), ports.share
         sums = self._column_sums(ports, errors, unknowns, volts, share, drive)
         potential = self._potentials(ports, sums, volts, drive)
-        row, low, high = self._rows(ports, errors, unknowns, sums, potential / drive)
+        row, low, high = self._rows(ports, errors, unknowns, sums, drive, potential)
         added = np.zeros(shape)
         if self._law.has_leads or self._floating or self._hidden.any():
             added = self._between(ports, errors, cells, unknowns, sums, row / low, potential) / drive
@@ -238,10 +240,17 @@ class Enclosure:
         return np.minimum(potential, drive)
 
     def _rows(
-        self, ports: Ports, errors: LawErrors, unknowns: Unknowns, sums: _Sums, potential: FloatArray
+        self,
+        ports: Ports,
+        errors: LawErrors,
+        unknowns: Unknowns,
+        sums: _Sums,
+        drive: FloatArray,
+        potential: FloatArray,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Potential (N, M) of a driven row at its cells over the drive, and its bounds."""
-        driven = ports.driven
+        driven, full = ports.driven, abs(self._board.drive) if self._floating else drive
+        potential = potential / full
         row = np.clip(1.0 - self._lost(driven - np.maximum(driven, 0.0) * potential), _LEAST_LEFT, 1.0)
         more, less = np.maximum(sums.above - driven, 0.0), np.maximum(driven - sums.below, 0.0)
         if self._holds:
@@ -249,7 +258,7 @@ class Enclosure:
             if self._saturates:  # the current of the column's other cells leaves by their idle rows
                 idle = np.where(unknowns.limited, 0.0, np.maximum(driven, 0.0)).sum(axis=0)
                 into_end = np.minimum(into_end + idle, self._short)
-            more = np.where(unknowns.limited, np.maximum(into_end - ports.apart, 0.0), more)
+            more = np.where(unknowns.limited, np.maximum(into_end - ports.apart * (drive / full), 0.0), more)
         slack = self._to_driver * np.where(errors.row_open > OPEN_ROW, errors.of_sums, 0.0)[:, None]
         low = row - self._lost(more) - slack
         high = np.minimum(row + self._lost(less) + slack, 1.0)

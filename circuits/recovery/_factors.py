@@ -5,6 +5,11 @@ that return by way of idle rows. To first order rho depends on the sums of a cel
 change of the cells is estimated from these sums. When the estimate exceeds a share of the uncertainty, rho is made
 anew, by a fixed-point iteration with the acceleration of Anderson (1965) of depth two and a fixed number of evaluations
 of F in a frame.
+
+It ends by its error, not by its step. Cells that differ by e from those that give the readings leave a residual K e of
+the logarithms, with the derivatives K of law(F(G)), which are far below 1 where heavy leads take most of a drive. The
+error of a step is estimated twice, and the larger estimate counts: from the first-order change of rho, and from the
+secants of the iteration, whose accelerated step solves for e. It is part of the stated uncertainty.
 """
 
 from __future__ import annotations
@@ -66,8 +71,8 @@ class Factors:
         error: FloatArray,
         counted: BoolArray,
         limit: float,
-    ) -> tuple[FloatArray, bool]:
-        """Cells in S, and whether they have settled.
+    ) -> tuple[FloatArray, FloatArray, bool]:
+        """Cells in S, their relative error by what the iteration has left, and whether they have settled.
 
         Args:
             by_law: S, law(y) of the frame's readings y.
@@ -82,8 +87,9 @@ class Factors:
             self.coupling = np.maximum(self.coupling, self._coupling_at(np.maximum(cells, 0.0)))
             allowed = uncertainty(cells)
             matters = counted & (allowed <= limit)
-            if not ((self.moved(np.abs(cells - self.base), cells, matters) > FRESH * allowed) & matters).any():
-                return cells, True
+            left = self.moved(np.abs(cells - self.base), cells, matters)
+            if not ((left > FRESH * allowed) & matters).any():
+                return cells, left, True
         self.renewed = True
         return self._renewed(cells, by_law, uncertainty, error, counted, limit)
 
@@ -119,7 +125,7 @@ class Factors:
         error: FloatArray,
         counted: BoolArray,
         limit: float,
-    ) -> tuple[FloatArray, bool]:
+    ) -> tuple[FloatArray, FloatArray, bool]:
         before: list[tuple[FloatArray, FloatArray]] = []
         evaluations = self._evaluations if self._begun else FIRST_EVALUATIONS
         self._begun = True
@@ -129,23 +135,25 @@ class Factors:
                 again = self._law(cells)
             except (SolverError, np.linalg.LinAlgError):
                 self.base, self.astray = None, True
-                return cells, False
+                return cells, np.full(cells.shape, inf), False
             new = self._correct(cells, again, by_law)
             allowed = uncertainty(new)
             matters = counted & (allowed <= limit)
             change = np.abs(np.maximum(new, OPEN) - cells)  # a negative reading is that of an open cell
-            off = self.moved(change * counted, new, matters)
-            loads = change > _ROUGHLY * np.minimum(error, 1.0) * np.maximum(np.abs(by_law), cells)
-            if not (counted & np.where(matters, off > FRESH * allowed, loads)).any():
-                self.astray = not matters.any()
-                return new, True
+            left = self.moved(change * counted, new, matters)
             log = np.log(cells)
             step = np.log(np.maximum(new, 1e-3 * cells)) - log
-            further = np.where(matters, accelerated(log, step, before, matters), 0.5 * np.clip(step, -_STRIDE, _STRIDE))
+            further = accelerated(log, step, before, matters)
+            left = np.maximum(left, np.abs(np.expm1(np.clip(further - step, -_STRIDE, _STRIDE))))
+            loads = change > _ROUGHLY * np.minimum(error, 1.0) * np.maximum(np.abs(by_law), cells)
+            if not (counted & np.where(matters, left > FRESH * allowed, loads)).any():
+                self.astray = not matters.any()
+                return new, left, True
+            further = np.where(matters, further, 0.5 * np.clip(step, -_STRIDE, _STRIDE))
             before.append((log, step))
             cells = np.where(counted, np.exp(np.clip(log + further, *_EXPONENTS)), new)
         self.astray = True
-        return cells, False
+        return cells, np.full(cells.shape, inf), False
 
     def _correct(self, cells: FloatArray, again: FloatArray, by_law: FloatArray) -> FloatArray:
         """Make the factors at ``cells``, of which the law makes ``again`` in the model; the corrected cells."""
@@ -153,9 +161,10 @@ class Factors:
         usual = (ratio > _LEAST_FACTOR) & (ratio < _MOST_FACTOR) & (by_law > 0.0)
         self.rho, self._added = np.where(usual, ratio, 1.0), np.where(usual, 0.0, cells - again)
         self.any_added = not usual.all()
-        self.base, self.beyond = cells, np.abs(self.rho - 1.0)
-        if self.any_added:  # the law is as steep there as beside other cells
-            self.beyond[~usual] = self.beyond.max()
+        # What adds is as steep as a factor, if there is one, else as beside other cells.
+        self.base, self.beyond = cells, np.abs(np.where((again > 0.0) & (by_law > 0.0), ratio, self.rho) - 1.0)
+        if self.any_added:
+            self.beyond[~usual] = np.maximum(self.beyond, self.beyond[usual].max(initial=0.0))[~usual]
         self.row_sums, self.column_sums = cells.sum(axis=1), cells.sum(axis=0)
         self.coupling = self._coupling_at(cells)
         corrected: FloatArray = self.rho * by_law + self._added

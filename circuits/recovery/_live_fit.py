@@ -244,8 +244,11 @@ class FitLive:
         short = signal >= SHORT_SHARE * self._short
         # No way between two lines conducts better than a short of their ends.
         beyond = (signal > self._beyond + _MISFIT * error) & ~unread
-        # Two cells of unknown size may join lines whose readings are then alike, whatever the other cells are.
-        several = np.count_nonzero(unread & ~self._gone) + bool(unread[self._gone].any()) > 1
+        # Several cells of unknown size may join lines whose readings are then alike, whatever the other cells are.
+        unsized = np.count_nonzero(unread & ~self._gone)
+        several = unsized + bool(self._gone.any()) > 1 and (
+            unsized > _MOST_TIED or self._cells > _SMALL or bool(self._gone.any()) or self._sheet is not None
+        )
         large = not small and bool(unread.any())
         wide = self._nodes is not None and bool(short.any())  # beyond the structure of the lines
         if beyond.any() or several or large or (wide and not small):
@@ -288,13 +291,21 @@ class FitLive:
     def _spread(self, log: FloatArray, unread: BoolArray) -> FloatArray:
         """Change (n,) of the logarithms over all conductances of the cells ``unread``, from their least to a short.
 
-        A cell changes a reading by a Moebius function of its conductance, hence most at the ends of its interval.
+        A cell changes a reading by a Moebius function of its conductance, hence most at the ends of its interval. The
+        others follow their readings there, by steps with the derivatives at hand; infinite where these do not end.
         """
-        if not unread.any():
+        if not unread.any() or np.count_nonzero(unread & ~self._gone) > 1:  # several: by their corners
             return np.zeros(log.shape)
         assert self._linear is not None
-        moved = self._at(np.where(unread.ravel(), self._most, log)) - self._at(log)
-        return np.abs(self._linear.solve(moved * self._read))
+        volts, known = self._at(log), self._linear.std(1.0) <= HARDLY_KNOWN
+        there = np.where(unread.ravel(), self._most, log)
+        for _ in range(_CORNER_STEPS):
+            step = self._linear.solve((volts - self._at(there)) * self._read)
+            there = there + np.clip(step, -STRIDE, STRIDE)
+            left = np.abs(step)
+            if left[known].max(initial=0.0) < _CORNER_STEP:
+                return np.abs(there - log) + left
+        return np.full(log.shape, inf)
 
     def _closed_start(self, volts: FloatArray) -> FloatArray:
         """Logarithms (n,) as if each cell were alone."""
@@ -483,15 +494,18 @@ class FitLive:
     def _std_of(self, log: FloatArray, jacobian: FloatArray, coarser: float) -> FloatArray:
         """Standard deviations (n,) of the logarithms with derivatives (n, n) in errors of a reading, ``coarser`` ones.
 
-        Two cells of unknown size that tie lines to each other are beyond derivatives. Such cells are moved through
-        their intervals, from corner to corner, while the others follow all other readings. The changes of the others
-        count as errors. Infinite where nothing is known of the others.
+        Two cells of unknown size that tie lines to each other, or whose readings say no more than a bound, are beyond
+        derivatives. Such cells are moved through their intervals, from corner to corner, while the others follow all
+        other readings. The changes of the others count as errors. Infinite where nothing is known of the others.
 
         Raises:
             numpy.linalg.LinAlgError: the derivatives are not finite.
 
         """
         std, tied, least = self._std_within(log, jacobian / coarser, self._read)
+        unread = (self._read == 0.0) & ~self._gone.ravel()
+        tied |= unread
+        least = np.where(unread, self._pinned.ravel() - _TIED_MOVES, least)
         places = np.flatnonzero(tied)
         if len(places) < 2 or not np.isfinite(std).any():
             return std

@@ -45,6 +45,8 @@ from ._usual_frames import BEYOND, UsualFrames
 
 _SHEET_EVALUATIONS = 1  # of a continuous sheet in a frame, a hundred times as dear as that of a sliced one
 _DOMINATED = 0.1  # share of the drive at a column over the largest one, up to which a cell is small beside another
+_MOST_HIDDEN = 10.0  # conductance of a cell behind a named break over the median of others, if no range is known
+_HIDDEN_MARGIN = 2.0  # for some of the cells behind a break that conduct well, where the effects of all at once cancel
 _OFTEN = 3  # frames with readings that no cells give, after which the design is taken for wrong
 
 
@@ -74,6 +76,8 @@ class LawLive:
             self._shunt[fault.place] += 1.0 / present.ohms
         self._gone |= self._shorted
         self._any_hidden = bool(hidden.any())
+        self._by_hidden: FloatArray | float = 0.0
+        self._most_hidden = 1.0 / least_ohm if least_ohm else inf  # S
         self._present = None if not self._gone.any() else np.ascontiguousarray(~self._gone)
         self._faulty = bool(self._shunt.any() or board.series_ohms.any())
         lost = hidden.any() or (board.floating and self._shorted.any())
@@ -199,7 +203,7 @@ class LawLive:
         counted = self._every[0] if self._present is None else self._present
         if unknown is not None:
             counted = counted & ~unknown
-        cells, settled = self._factors(
+        cells, left, settled = self._factors(
             cells,
             lambda found: errors.relative(found) + by_others,
             errors.linear + by_others,
@@ -212,16 +216,38 @@ class LawLive:
             return self._fit.read(volts, limited, under_range, noise, cells)
         uncertainty = errors.relative(cells)
         moved = self._factors.moved(np.minimum(uncertainty, 1.0) * np.abs(cells), cells, uncertainty <= limit)
-        uncertainty = uncertainty + moved
+        if self._any_hidden and self._factors.renewed and settled and not self._hidden.all():
+            self._by_hidden = self._of_hidden(cells)
+        uncertainty = uncertainty + moved + left + self._by_hidden
         return self._reading(errors, cells, uncertainty, enclosed, unknowns, answers, settled=settled)
 
-    def _law_of_model(self, conductance: FloatArray) -> FloatArray:
-        """What the laws make of the readings of cells (N, M) in S in the full model, in S."""
+    def _of_hidden(self, cells: FloatArray) -> FloatArray:
+        """Relative change (N, M) of ``cells`` in S over all conductances of those behind a named break."""
+        assert self._factors is not None
+        usual = self._law_of_model(np.maximum(cells, OPEN))
+        change = np.zeros(self._shape)
+        for hidden in (OPEN, min(self._most_hidden, _MOST_HIDDEN * float(np.median(cells[~self._hidden])))):
+            try:
+                moved = self._law_of_model(np.maximum(cells, OPEN), hidden)
+            except (SolverError, np.linalg.LinAlgError):
+                return np.full(self._shape, inf)
+            change = np.fmax(change, np.abs(moved - usual) / np.maximum(np.abs(usual), OPEN))
+        # As in the factors, a cell changes by more than what the law makes of it where lines take most of a drive.
+        grown: FloatArray = _HIDDEN_MARGIN * change * np.maximum(self._factors.rho, 1.0) ** 2
+        return grown
+
+    def _law_of_model(self, conductance: FloatArray, hidden: float | None = None) -> FloatArray:
+        """What the laws make of the readings of cells (N, M) in S in the full model, in S.
+
+        Cells behind a break conduct ``hidden`` S; None: as the median of the others.
+        """
         own = conductance
         if self._faulty:
             own = np.maximum(cell_alone(self._board, conductance, self._shunt), OPEN)
-        if self._any_hidden:  # cells behind a break tie other lines to each other, whatever they are
-            own = np.where(self._hidden, np.median(own[~self._hidden]), own)
+        if (
+            self._any_hidden and not self._hidden.all()
+        ):  # cells behind a break tie other lines to each other, whatever they are
+            own = np.where(self._hidden, np.median(own[~self._hidden]) if hidden is None else hidden, own)
         cells = 1.0 / own
         volts = self._model(cells) if self._sheet is None else read_exactly(self._sheet, cells)[0].volts
         return self._law(np.array(volts, order="C")).cells

@@ -217,7 +217,8 @@ def corrected(
         passed = behind if board.floating > 0.0 else loss * behind / (1.0 + behind)
         of_columns[COUPLING, j] = max(of_columns[COUPLING, j], passed)
     relative_to(cells, by_law, own, linear, column_open, row_open, uncertainty)
-    change, off, base, beyond = work[1], work[2], of_cells[BASE], of_cells[FACTOR_BEYOND]
+    change, off, left = work[1], work[2], work[4]
+    base, beyond = of_cells[BASE], of_cells[FACTOR_BEYOND]
     sums = of_rows[ROW_SUMS], of_columns[COLUMN_SUMS]
     for step in range(2):
         for i in range(rows):
@@ -232,11 +233,13 @@ def corrected(
                 # What passes beside a cell does not fall with it.
                 further = max(1.0 / max(cells[i, j], OPEN) - 1.0 / base[i, j], 0.0)
                 off[i, j] += beyond[i, j] * change[i, j] * further
-                if not step and matters[i, j] and off[i, j] > FRESH * uncertainty[i, j]:
-                    return False
+                if not step:
+                    left[i, j] = off[i, j]
+                    if matters[i, j] and left[i, j] > FRESH * uncertainty[i, j]:
+                        return False
     for i in range(rows):
         for j in range(columns):
-            uncertainty[i, j] += off[i, j]
+            uncertainty[i, j] += off[i, j] + left[i, j]
     return True
 
 

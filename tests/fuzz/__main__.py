@@ -1,7 +1,8 @@
 """``python -m tests.fuzz``: mutated inputs of every format, for as long as you like.
 
 Each case follows from the seed, its format and its number alone, so that ``--case`` repeats it. The address space of
-the process and the time of a case are limited: a reader that eats memory or hangs is a finding like a wrong answer.
+the process and the processor time of a case are limited: a reader that eats memory or hangs is a finding like a wrong
+answer.
 """
 
 from __future__ import annotations
@@ -23,14 +24,14 @@ from .formats import FORMATS, Format
 
 
 class TooSlow(BaseException):
-    """One case took longer than a case may take."""
+    """One case took more processor time than a case may take."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run; exit code 1 when anything was found."""
     options = _parser().parse_args(arguments)
     resource.setrlimit(resource.RLIMIT_AS, (options.memory * 2**20,) * 2)
-    signal.signal(signal.SIGALRM, _too_slow)
+    signal.signal(signal.SIGPROF, _too_slow)
     formats = [FORMATS[name] for name in options.only or FORMATS]
     counts: dict[str, Counter[str]] = {entry.name: Counter() for entry in formats}
     end = time.monotonic() + options.seconds
@@ -61,7 +62,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--only", nargs="+", choices=FORMATS, metavar="FORMAT", help=f"some of {', '.join(FORMATS)}")
     parser.add_argument("--case", type=int, help="run this one case of each format, and show its input")
     parser.add_argument("--memory", type=int, default=4096, help="address space in MiB [4096]")
-    parser.add_argument("--limit", type=float, default=60.0, help="seconds that one case may take [60]")
+    parser.add_argument("--limit", type=float, default=60.0, help="processor seconds that one case may take [60]")
     parser.add_argument("--most", type=int, default=50, help="stop after so many findings [50]")
     parser.add_argument("--keep", type=Path, help="folder for the inputs of what is found")
     return parser
@@ -73,12 +74,12 @@ def _outcome(entry: Format, options: argparse.Namespace, number: int) -> str:
     data = entry.case(rng)
     if options.case is not None:
         print(f"{entry.name} {number}: {data!r}")
-    signal.setitimer(signal.ITIMER_REAL, options.limit)
+    signal.setitimer(signal.ITIMER_PROF, options.limit)
     try:
         with tempfile.TemporaryDirectory() as folder:
             return entry.judge(data, rng, Path(folder))
     except (Exception, TooSlow) as error:
-        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.setitimer(signal.ITIMER_PROF, 0)
         repeat = f"python -m tests.fuzz --only {entry.name} --seed {options.seed} --case {number}"
         print(f"FOUND {entry.name}: {type(error).__name__}: {str(error)[:300]}\n  {repeat}", flush=True)
         if options.case is not None:
@@ -88,7 +89,7 @@ def _outcome(entry: Format, options: argparse.Namespace, number: int) -> str:
             (options.keep / f"{entry.name}-{options.seed}-{number}").write_bytes(data)
         return "found"
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.setitimer(signal.ITIMER_PROF, 0)
 
 
 def _too_slow(number: int, frame: FrameType | None) -> None:

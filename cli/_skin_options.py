@@ -26,7 +26,7 @@ NATIVE = "ohmskin"
 
 
 @dataclass(frozen=True)
-class Opening:
+class SkinOptions:
     """What the command line says of a skin, with its files read; None: as the board or the driver says."""
 
     board: str = NATIVE
@@ -89,7 +89,7 @@ class Opening:
 
 
 def is_emulated_here(what: str) -> bool:
-    """Whether :meth:`Opening.open` would emulate the board in this process."""
+    """Whether :meth:`SkinOptions.open` would emulate the board in this process."""
     return what.startswith("ohmskin://") or _is_scene(what)
 
 
@@ -136,24 +136,24 @@ _READ: dict[str, Callable[[Path], Any]] = {
 """how the file of an option is read; other options are passed on as they are"""
 
 
-def opening_options(*names: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Give a command the named options, and its function an argument ``opening`` in their place.
+def skin_options(*names: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Give a command the named options, and its function an argument ``options`` in their place.
 
     Args:
-        names: fields of :class:`Opening`, in the order of the help text; none: all of them.
+        names: fields of :class:`SkinOptions`, in the order of the help text; none: all of them.
 
     """
     chosen = names or tuple(_OPTIONS)
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
-        def with_opening(**arguments: Any) -> Any:
+        def with_options(**arguments: Any) -> Any:
             given = {name: value for name in chosen if (value := arguments.pop(name)) is not None}
             read = {name: _READ[name](value) if name in _READ else value for name, value in given.items()}
-            return command(opening=Opening(**read), **arguments)
+            return command(options=SkinOptions(**read), **arguments)
 
         for name in reversed(chosen):
-            with_opening = _OPTIONS[name](with_opening)
-        return with_opening
+            with_options = _OPTIONS[name](with_options)
+        return with_options
 
     return decorate
