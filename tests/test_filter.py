@@ -133,6 +133,29 @@ def test_a_way_that_a_turn_hides_raises_r_whichever_way_it_goes(falls: bool) -> 
     assert c.r[1] == 0.4
 
 
+@given(st.floats(0.0, 0.9), st.floats(0.005, 0.3), st.floats(-3.0, 0.0))
+def test_a_fall_ends_at_a_mass_at_zero_or_at_a_density_of_plateaus(s: float, std: float, v: float) -> None:
+    """Bayes' rule for a load that is normal, and has still to come down to zero within the frame."""
+    t, p = step_of(0.01), zeros(filters.Pools, 1)[0]
+    k = filters.AFTER_DOWN
+    p.w[k], p.s[k], p.ss[k], p.v[k], p.r[k] = 1.0, s, std**2, v, 0.3
+    spread = np.sqrt(std**2 + (0.01 * v) ** 2 + (t.memory * 0.3 / t.by_move[modes.DOWN]) ** 2 + t.floor**2)
+    at_zero = t.release * (t.mistake + (1.0 - t.mistake) * norm.pdf(0.0, s, spread))
+    assert filters.released(p, t) == pytest.approx(at_zero / (at_zero + 1.0 - t.release))
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_mixing_keeps_the_probability(seed: int) -> None:
+    """All that leaves a mode comes to another one, but for what begins to shake and stays counted where it was."""
+    e, c, p = zeros(filters.Estimates, 1)[0], zeros(filters.Candidates, 1)[0], zeros(filters.Pools, 1)[0]
+    random, t = np.random.default_rng(seed), step_of(0.02)
+    for j in range(modes.MODES):
+        written(e, j, *drawn(seed + j))
+    e.w[:] = random.dirichlet(np.ones(modes.MODES))
+    filters.mix(e, c, p, t)
+    assert c.w.sum() == pytest.approx(1.0 + t.shakes * (1.0 - e.w[modes.SHAKE]), abs=1e-6)
+
+
 # -- Bayes' rule --
 
 

@@ -26,6 +26,8 @@ from ._modes import (
     CREEP_DOWN,
     DOWN,
     EACH,
+    HOLD_DOWN,
+    HOLD_UP,
     MODES,
     REST,
     SHAKE,
@@ -182,6 +184,21 @@ def comes(c: Candidates, n: int, w: float, p: Pools, k: int, turns: bool, rests:
 
 
 @loop
+def released(p: Pools, t: Step) -> float:
+    """Probability that a fall that ends does so at no load.
+
+    A share of the falls ends there, the others at a plateau of any height: a mass against a density. The mass counts as
+    far as the load may have come to zero in this frame. Now and then the estimate says nothing of the load.
+    """
+    k = AFTER_DOWN
+    of_memory = t.memory * p.r[k] / t.by_move[DOWN]
+    var = p.ss[k] + (p.v[k] * p.v[k] + p.vv[k]) * t.dt_s * t.dt_s + of_memory * of_memory + t.floor * t.floor
+    at_zero = DENSITY / math.sqrt(max(var, 1e-6)) * math.exp(-0.5 * p.s[k] * p.s[k] / max(var, 1e-6))
+    odds = t.release / (1.0 - t.release) * (t.mistake + (1.0 - t.mistake) * at_zero)
+    return odds / (1.0 + odds)
+
+
+@loop
 def mix(e: Estimates, c: Candidates, p: Pools, t: Step) -> None:
     """The candidates of every mode: its own estimate, and what comes to it."""
     for k in range(4):
@@ -194,6 +211,7 @@ def mix(e: Estimates, c: Candidates, p: Pools, t: Step) -> None:
             pool(p, AFTER_REST if j == REST else AFTER_SHAKE if j == SHAKE else phase_of(j), w, e, j)
         if j != SHAKE:
             shaking += e.w[j]
+    rests = released(p, t) if p.w[AFTER_DOWN] > 0.0 else 0.0
     for j in range(MODES):
         own, n = e.w[j] * (1.0 - t.leaves[j]), MODES + j
         c.w[j] = own
@@ -203,8 +221,13 @@ def mix(e: Estimates, c: Candidates, p: Pools, t: Step) -> None:
             c.rr[j], c.rv[j], c.vv[j] = e.rr[j], e.rv[j], e.vv[j]
         c.w[n] = c.s[n] = c.r[n] = c.x3[n] = c.ss[n] = c.sr[n] = c.rr[n] = 0.0
         speed = t.speed[j] * sign_of(j)
-        if p.w[AFTER_DOWN] * t.after_down[j] > NEGLIGIBLE:
-            comes(c, n, p.w[AFTER_DOWN] * t.after_down[j], p, AFTER_DOWN, phase_of(j) == UP, j == REST, speed, t)
+        falls = p.w[AFTER_DOWN] * t.after_down[j]
+        if j == REST:
+            falls *= rests / t.release
+        elif j in (HOLD_UP, HOLD_DOWN):
+            falls *= (1.0 - rests) / (1.0 - t.release)
+        if falls > NEGLIGIBLE:
+            comes(c, n, falls, p, AFTER_DOWN, phase_of(j) == UP, j == REST, speed, t)
         if p.w[AFTER_UP] * t.after_up[j] > NEGLIGIBLE:
             comes(c, n, p.w[AFTER_UP] * t.after_up[j], p, AFTER_UP, phase_of(j) == DOWN, j == REST, speed, t)
         if p.w[AFTER_REST] * t.after_rest[j] > NEGLIGIBLE:

@@ -64,8 +64,10 @@ class Tuning:
     """share of the motions that end in a hold"""
     turn: float = 0.3
     """share of the motions that turn; the others go on at another scale of speed"""
-    release: float = 0.5
-    """share of the falls with a hold after them that end at no load"""
+    release: float = 0.6
+    """share of the falls with an end after them that end at no load; the others at plateaus of any height"""
+    mistake: float = 0.2
+    """share of the falls at whose end the load is not known, whatever its estimate"""
     flip: float = 0.3
     """share of the holds that the other phase of the material explains"""
     shake_s: float = 2.0
@@ -164,6 +166,9 @@ class Step(Record):
     after_shake: EACH
     shakes: float
     """probability that a cell begins to shake"""
+    release: float
+    """as in :class:`Tuning`"""
+    mistake: float
     usual: EACH
     """probability of each mode when nothing is known"""
     unseen: float
@@ -216,7 +221,13 @@ def discretise(material: Material, dt_s: float, tuning: Tuning = TUNING) -> Step
         **{"x3_kept": 1.0 - gone_3, "x3_by_s": m.g3 * gone_3, "x3_by_move": m.g3 * ramp_3, "bend": m.gu - m.g1},
         **motions,
         **{"leaves": leaves, "after_down": after[0], "after_up": after[1], "after_rest": after[2]},
-        **{"after_shake": after[3], "shakes": shakes, "usual": _usual(after, leaves, shakes)},
+        **{
+            "after_shake": after[3],
+            "shakes": shakes,
+            "mistake": t.mistake,
+            "release": t.release,
+            "usual": _usual(after, leaves, shakes),
+        },
         **{"unseen": t.unseen, "unseen_std": t.unseen_std, "swing": mean * t.swing_s, "swing_s": t.swing_s},
         **{"memory": t.memory, "drift_var": t.drift**2 * dt_s, "forget_s": t.forget_s},
         **{
