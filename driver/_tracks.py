@@ -12,12 +12,12 @@ survive.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..common.arrays import BoolArray, FloatArray, IntArray
+from ..common.compiled import Places, Records, Row, Rows, loop
+from ._assignment import assign
+from ._touch import MOST_TOGETHER, Patch, Progress, Spot, Track
 
 SPEED_MM_PER_S = 500.0
 REACH_PITCHES = 1.5
@@ -29,8 +29,6 @@ MEMORY_S = 0.05
 """time constant of the g-h filter for position and velocity: fingers turn more slowly, and noise is averaged"""
 FORCE_PITCHES = 1.0
 """cost of a pair whose forces differ by a factor of e, in pitches of distance"""
-MOST_TOGETHER = 8
-"""largest number of tracks that share a patch; the ones with the largest forces are kept"""
 LEAST_SHARE = 0.1
 """fraction of a patch's force below which a track has been lifted"""
 SURE_SHARE = 0.35
@@ -43,276 +41,403 @@ WIDTH_GAIN = 0.2
 """gain per frame with which the width of a bell follows the fit, while each bell has its own maximum"""
 LEAST_WIDTH_PITCHES = 0.5
 """least standard deviation of a bell: that of a contact on one cell"""
+NONE = -1
 
 
-@dataclass(slots=True)
-class Patch:
-    """Connected touched cells of one frame."""
+@loop
+def follow(
+    progress: Progress,
+    tracks: Records[Track],
+    remembered: Places,
+    patches: Records[Patch],
+    count: int,
+    labels: Places,
+    order: Places,
+    spots: Records[Spot],
+    load: Row,
+    time_s: float,
+) -> None:
+    """Give the patches of the next frame the ids of the fingers in them.
 
-    centre_mm: tuple[float, ...]
-    """centre of force: x, y and maybe z"""
-    force_n: float
-    force_std_n: float
-    peak_kpa: float
-    variance_mm2: float
-    """of the force about the centre, along one axis of the surface"""
-    alone: bool
-    """False if another patch touches this one, and thereby cuts off its side"""
-    cells: IntArray
-    """(n,) numbers in the flattened array"""
-    places: IntArray
-    """(n, 2) rows and columns"""
-    places_mm: FloatArray
-    """(n, 2 or 3) of the cells' middles"""
-    load_n: FloatArray
-    """(n,) force on each cell"""
-    area_mm2: float
-    pitch_mm: float
-    """usual distance of neighbouring cells there"""
-    longest_pitch_mm: float
-    """longest distance of cells beside each other there"""
-    interpolated_n: float = 0.0
-    """part of the force on cells that are not read"""
+    Args:
+        progress: of the frames before.
+        tracks: (places,) all fingers on the skin, those lifted a moment ago included; with ``count`` free places.
+        remembered: (room,) cells of the tracks; with room for all cells more.
+        patches: (n,) of which the first ``count`` count: measured, but without ids, which are written.
+        count: of patches.
+        labels: (n,) number of the patch in which a cell lies, from 1; 0 for the others.
+        order: (m,) touched cells in the order of the patches.
+        spots: (n,)
+        load: (n,) N on each cell.
+        time_s: of the frame.
 
-
-@dataclass(slots=True)
-class Track:
-    """One finger, alone in its patch or sharing a patch."""
-
-    id: int
-    at_mm: tuple[float, ...]
-    """last measured position, or the predicted one if nothing told the finger from others"""
-    force_n: float
-    variance_mm2: float
-    cells: IntArray
-    """cells of the patch in which the finger was seen last"""
-    seen_s: float
-    apart_s: float
-    """time when the finger could last be told from its neighbours"""
-    pitch_mm: float
-    longest_pitch_mm: float
-    """distances of the cells where it is, as in :class:`Patch`"""
-    mm_per_s: tuple[float, ...]
-    lag_mm: tuple[float, ...]
-    """from the smoothed position, whose change is the velocity, to the position"""
-    samples: int = 1
-    leads: bool = True
-    """the patch has this track's id"""
-
-    def predicted(self, time_s: float) -> tuple[float, ...]:
-        """Position in mm at ``time_s``, at constant velocity."""
-        elapsed = time_s - self.seen_s
-        return tuple([x + v * elapsed for x, v in zip(self.at_mm, self.mm_per_s, strict=True)])
-
-    def move(self, by_mm: Sequence[float], time_s: float, trust: float = 1.0) -> None:
-        """Update position and velocity with a position ``by_mm`` from the predicted one (g-h filter).
-
-        Args:
-            by_mm: difference from the predicted position.
-            time_s: time of the frame.
-            trust: 1 if the position was measured, 0 if it follows from the velocity.
-
-        """
-        elapsed = time_s - self.seen_s
-        self.at_mm = tuple([x + by for x, by in zip(self.predicted(time_s), by_mm, strict=True)])
-        self.samples += 1
-        n, kept = self.samples, math.exp(-elapsed / MEMORY_S)
-        # Gains of a least-squares line while there are few samples, of a fading memory from then on.
-        position_gain = max(2 * (2 * n - 1) / (n * (n + 1)), 1 - kept**2)
-        velocity_gain = max(6 / (n * (n + 1)), (1 - kept) ** 2)
-        far = [by + trust * lag for by, lag in zip(by_mm, self.lag_mm, strict=True)]
-        steps = zip(self.lag_mm, by_mm, far, strict=True)
-        self.lag_mm = tuple([lag + by - position_gain * off for lag, by, off in steps])
-        if elapsed > 0:
-            gain = velocity_gain / elapsed
-            self.mm_per_s = tuple([v + gain * off for v, off in zip(self.mm_per_s, far, strict=True)])
-        self.seen_s = time_s
+    """
+    # However slow the frames are, the frame just before counts.
+    oldest_s = min(time_s - REMEMBERED_S, progress.time_s)
+    known, places = 0, np.empty(tracks.size, np.intp)
+    for place in range(int(progress.tracks)):
+        if tracks[place].id > 0.0 and tracks[place].seen_s >= oldest_s:
+            places[known] = place
+            known += 1
+        else:
+            tracks[place].id = 0.0
+    places = places[:known]
+    shared = np.empty(known, np.intp)
+    share(progress, tracks, places, remembered, patches, count, labels, time_s, shared)
+    together = np.empty(MOST_TOGETHER, np.intp)
+    for k in range(count):
+        fingers = strongest(tracks, places, shared, k, together)
+        patch = patches[k]
+        if fingers == 0:
+            together[0] = free_place(progress, tracks)
+            enter(tracks[together[0]], progress, patch, time_s)
+            fingers = 1
+        elif fingers == 1:
+            move_alone(tracks[together[0]], patch, time_s)
+        else:
+            fingers = move_together(tracks, together[:fingers], patch, order, spots, load, time_s)
+        name(tracks, together[:fingers], patch)
+    remember(progress, tracks, remembered, order, time_s)
 
 
-@dataclass(slots=True)
-class Named:
-    """The ids of one patch."""
-
-    id: int
-    joined: tuple[int, ...] = ()
-    """ids of the other tracks that share the patch"""
+@loop
+def predicted(track: Track, time_s: float, axis: int) -> float:
+    """Position in mm at ``time_s``, at constant velocity."""
+    return float(track.at_mm[axis] + track.mm_per_s[axis] * (time_s - track.seen_s))
 
 
-@dataclass
-class Tracks:
-    """All fingers on one skin, including those lifted a moment ago."""
-
-    _tracks: list[Track] = field(default_factory=list)
-    _last_id: int = 0
-    _time_s: float = -math.inf
-
-    def follow(self, time_s: float, patches: Sequence[Patch], labels: IntArray) -> list[Named]:
-        """The ids of the next frame's patches.
-
-        Args:
-            time_s: time of the frame, increasing.
-            patches: touched cells, no cell in two patches.
-            labels: (cells,) number of the patch in which a cell lies, from 1; 0 for the others.
-
-        """
-        # However slow the frames are, the frame just before counts.
-        oldest_s = min(time_s - REMEMBERED_S, self._time_s)
-        known = [track for track in self._tracks if track.seen_s >= oldest_s]
-        shared = self._assign(known, patches, labels, time_s)
-        self._time_s = time_s
-        moved = [self._move(tracks, patch, time_s) for tracks, patch in zip(shared, patches, strict=True)]
-        present = [track for tracks in moved for track in tracks]
-        seen = {track.id for track in present}
-        self._tracks = present + [track for track in known if track.id not in seen]
-        names = [_names(tracks) for tracks in moved]
-        leaders = {name.id for name in names}
-        for track in self._tracks:
-            track.leads = track.id in leaders
-        return names
-
-    def _begin(self, patch: Patch, time_s: float) -> Track:
-        self._last_id += 1
-        still = (0.0,) * len(patch.centre_mm)
-        return Track(
-            id=self._last_id,
-            at_mm=patch.centre_mm,
-            force_n=patch.force_n,
-            variance_mm2=patch.variance_mm2,
-            cells=patch.cells,
-            seen_s=time_s,
-            apart_s=time_s,
-            pitch_mm=patch.pitch_mm,
-            longest_pitch_mm=patch.longest_pitch_mm,
-            mm_per_s=still,
-            lag_mm=still,
-        )
-
-    def _assign(
-        self, known: list[Track], patches: Sequence[Patch], labels: IntArray, time_s: float
-    ) -> list[list[Track]]:
-        """For each patch the tracks that continue in it.
-
-        A track that was absent in the frame before was lifted. It can get a patch of its own, but cannot merge with
-        another track.
-        """
-        shared: list[list[Track]] = [[] for _ in patches]
-        if not known or not patches:
-            return shared
-        overlaps = [set(labels[track.cells].tolist()) - {0} for track in known]
-        costs, possible = np.empty((len(known), len(patches))), np.empty((len(known), len(patches)), dtype=bool)
-        for j, (track, overlap) in enumerate(zip(known, overlaps, strict=True)):
-            predicted = track.predicted(time_s)
-            reach = REACH_PITCHES * track.longest_pitch_mm + SPEED_MM_PER_S * abs(time_s - track.seen_s)
-            for k, patch in enumerate(patches):
-                far = math.dist(predicted, patch.centre_mm)
-                costs[j, k] = far / track.pitch_mm + FORCE_PITCHES * abs(math.log(patch.force_n / track.force_n))
-                moved = math.dist(track.at_mm, patch.centre_mm)
-                possible[j, k] = min(moved, far) <= reach or k + 1 in overlap
-        pairs = _pairs(costs, possible)
-        for j, k in pairs.items():
-            shared[k].append(known[j])
-        for j, track in enumerate(known):
-            if j not in pairs and overlaps[j] and track.seen_s == self._time_s:
-                shared[_nearest(track.predicted(time_s), overlaps[j], patches)].append(track)
-        return [sorted(tracks, key=lambda track: -track.force_n)[:MOST_TOGETHER] for tracks in shared]
-
-    def _move(self, tracks: list[Track], patch: Patch, time_s: float) -> list[Track]:
-        """Continue tracks in a patch; returns the tracks in it, which may be a new one."""
-        match tracks:
-            case []:
-                return [self._begin(patch, time_s)]
-            case [track]:
-                at = zip(patch.centre_mm, track.predicted(time_s), strict=True)
-                track.move([new - expected for new, expected in at], time_s)
-                track.force_n, track.cells = patch.force_n, patch.cells
-                track.pitch_mm, track.longest_pitch_mm = patch.pitch_mm, patch.longest_pitch_mm
-                if patch.alone or patch.variance_mm2 > track.variance_mm2:  # else too narrow, cut off by a neighbour
-                    track.variance_mm2 = patch.variance_mm2
-                track.apart_s = time_s
-                return tracks
-        return self._move_together(tracks, patch, time_s)
-
-    def _move_together(self, tracks: list[Track], patch: Patch, time_s: float) -> list[Track]:
-        """Move the tracks that share a patch; returns those still in it."""
-        predicted = np.array([track.predicted(time_s) for track in tracks])
-        shares = np.array([track.force_n for track in tracks])
-        shares /= shares.sum()
-        least = (LEAST_WIDTH_PITCHES * patch.pitch_mm) ** 2
-        variances = np.array([max(track.variance_mm2, least) for track in tracks])
-        gaps = np.linalg.norm(predicted[:, None] - predicted, axis=-1) / np.sqrt((variances[:, None] + variances) / 2)
-        np.fill_diagonal(gaps, np.inf)
-        # Bells closer than their width look like one; from twice the width on each has its own maximum.
-        apart = np.clip(gaps.min(axis=1) - 1.0, 0.0, 1.0)
-        # Bells that look like one move with the patch's centre. For bells with separate maxima the centre tells less,
-        # since it also moves when their forces change.
-        places = predicted + (1.0 - apart)[:, None] * (np.array(patch.centre_mm) - shares @ predicted)
-        trust = np.zeros(len(tracks))
-        if apart.any():
-            fitted, masses, widths = self._fit(patch, places, shares, variances)
-            for track, variance, far in zip(tracks, widths.tolist(), apart.tolist(), strict=True):
-                if far == 1.0:
-                    track.variance_mm2 += WIDTH_GAIN * (variance - track.variance_mm2)
-            trust = apart * np.clip((masses - LEAST_SHARE) / (SURE_SHARE - LEAST_SHARE), 0.0, 1.0)
-            places += trust[:, None] * (fitted - places)
-            shares += apart * (masses - shares)
-            shares /= shares.sum()
-        staying = []
-        for j, by_mm in enumerate((places - predicted).tolist()):
-            track = tracks[j]
-            if apart[j]:
-                track.apart_s = time_s
-            lifted = shares[j] < LEAST_SHARE or (time_s - track.apart_s > TOGETHER_S and shares[j] < shares.max())
-            if not lifted:
-                track.move(by_mm, time_s, float(trust[j]))
-                track.force_n, track.cells = float(shares[j]) * patch.force_n, patch.cells
-                staying.append(track)
-        return staying
-
-    def _fit(
-        self, patch: Patch, places: FloatArray, shares: FloatArray, variances: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """A few steps of expectation maximisation (EM) for the bells of a patch.
-
-        Returns:
-            Centres (n, 2 or 3) in mm, shares (n,) of the force, variances (n,) in mm^2.
-
-        Args:
-            patch: the patch whose load is the mixture.
-            places: (n, 2 or 3) mm, initial centres.
-            shares: (n,) initial shares of the patch's force.
-            variances: (n,) mm^2 of the bells as known so far, with which the centres are found.
-
-        """
-        weights = patch.load_n / patch.load_n.sum()
-        for _ in range(EM_STEPS):
-            squares = ((patch.places_mm - places[:, None]) ** 2).sum(axis=-1) / variances[:, None]
-            bells = (shares / variances)[:, None] * np.exp(-0.5 * (squares - squares.min(axis=0)))
-            parts = weights * bells / np.maximum(bells.sum(axis=0), 1e-300)
-            shares = parts.sum(axis=1)
-            places = parts @ patch.places_mm / np.maximum(shares, 1e-9)[:, None]
-        squares = ((patch.places_mm - places[:, None]) ** 2).sum(axis=-1)
-        return places, shares, (parts * squares).sum(axis=1) / (2.0 * np.maximum(shares, 1e-9))
+@loop
+def distance(one: Row, other: Row) -> float:
+    """Of two places (3,)."""
+    x, y, z = one[0] - other[0], one[1] - other[1], one[2] - other[2]
+    return math.sqrt(x * x + y * y + z * z)
 
 
-def _names(tracks: list[Track]) -> Named:
-    """The ids of a patch: the patch keeps its id, and two merged patches get that of the stronger one."""
-    leader = max(tracks, key=lambda track: (track.leads, track.force_n))
-    return Named(leader.id, tuple(sorted(track.id for track in tracks if track is not leader)))
+@loop
+def share(
+    progress: Progress,
+    tracks: Records[Track],
+    places: Places,
+    remembered: Places,
+    patches: Records[Patch],
+    count: int,
+    labels: Places,
+    time_s: float,
+    shared: Places,
+) -> None:
+    """Write for each of the tracks at ``places`` (m,) the patch in which it continues; :data:`NONE`: in none.
 
-
-def _nearest(place_mm: tuple[float, ...], numbers: set[int], patches: Sequence[Patch]) -> int:
-    """Index of the patch nearest to a place, among the patches with these numbers (from 1)."""
-    indices = sorted(number - 1 for number in numbers)
-    return min(indices, key=lambda k: math.dist(place_mm, patches[k].centre_mm))
-
-
-def _pairs(costs: FloatArray, possible: BoolArray) -> dict[int, int]:
-    """Linear assignment: as many possible pairs as there can be, at the least total cost; row -> column."""
-    from scipy.optimize import linear_sum_assignment
-
-    if costs.size == 1:
-        return {0: 0} if possible[0, 0] else {}
+    A track that was absent in the frame before was lifted. It can get a patch of its own, but cannot merge with another
+    track.
+    """
+    known = places.size
+    shared[:] = NONE
+    if known == 0 or count == 0:
+        return
+    costs, possible = np.empty((known, count)), np.empty((known, count), np.bool_)
+    overlaps, ahead = np.zeros((known, count), np.bool_), np.empty((known, 3))
+    centres, here, impossible = np.empty((count, 3)), np.empty(3), 1.0
+    for k in range(count):
+        for axis in range(3):
+            centres[k, axis] = patches[k].at_mm[axis]
+    for j in range(known):
+        track = tracks[places[j]]
+        for cell in remembered[int(track.first) : int(track.first) + int(track.cells)]:
+            if labels[cell] > 0:
+                overlaps[j, labels[cell] - 1] = True
+        for axis in range(3):
+            ahead[j, axis], here[axis] = predicted(track, time_s, axis), track.at_mm[axis]
+        reach = REACH_PITCHES * track.longest_mm + SPEED_MM_PER_S * abs(time_s - track.seen_s)
+        for k in range(count):
+            far, moved = distance(ahead[j], centres[k]), distance(here, centres[k])
+            costs[j, k] = far / track.pitch_mm + FORCE_PITCHES * abs(math.log(patches[k].force_n / track.force_n))
+            possible[j, k] = min(moved, far) <= reach or overlaps[j, k]
+            if possible[j, k]:
+                impossible += costs[j, k]
     # An impossible pair costs more than all possible ones together, so it is chosen only if no possible one is left.
-    impossible = 1.0 + costs[possible].sum()
-    rows, columns = linear_sum_assignment(np.where(possible, costs, impossible))
-    return {j: k for j, k in zip(rows.tolist(), columns.tolist(), strict=True) if possible[j, k]}
+    for j in range(known):
+        for k in range(count):
+            if not possible[j, k]:
+                costs[j, k] = impossible
+    assign(costs, shared)
+    for j in range(known):
+        if shared[j] != NONE and not possible[j, shared[j]]:
+            shared[j] = NONE
+        if shared[j] == NONE and tracks[places[j]].seen_s == progress.time_s:
+            nearest = np.inf
+            for k in range(count):
+                far = distance(ahead[j], centres[k])
+                if overlaps[j, k] and far < nearest:
+                    nearest, shared[j] = far, k
+
+
+@loop
+def strongest(tracks: Records[Track], places: Places, shared: Places, patch: int, together: Places) -> int:
+    """Write the places of the tracks that share a ``patch``, by falling force; returns their number."""
+    fingers = 0
+    for j in range(places.size):
+        if shared[j] != patch:
+            continue
+        force, at = tracks[places[j]].force_n, fingers
+        while at > 0 and tracks[together[at - 1]].force_n < force:
+            at -= 1
+        if at == MOST_TOGETHER:
+            continue
+        fingers = min(fingers + 1, MOST_TOGETHER)
+        for later in range(fingers - 1, at, -1):
+            together[later] = together[later - 1]
+        together[at] = places[j]
+    return fingers
+
+
+@loop
+def free_place(progress: Progress, tracks: Records[Track]) -> int:
+    """The first free place for a track."""
+    place = 0
+    while place < progress.tracks and tracks[place].id > 0.0:
+        place += 1
+    progress.tracks = max(progress.tracks, place + 1.0)
+    return place
+
+
+@loop
+def enter(track: Track, progress: Progress, patch: Patch, time_s: float) -> None:
+    """Begin a track."""
+    progress.last_id += 1.0
+    track.id = progress.last_id
+    for axis in range(3):
+        track.at_mm[axis] = patch.at_mm[axis]
+        track.mm_per_s[axis] = track.lag_mm[axis] = 0.0
+    track.force_n, track.variance_mm2 = patch.force_n, patch.variance_mm2
+    track.pitch_mm, track.longest_mm = patch.pitch_mm, patch.longest_mm
+    track.seen_s = track.apart_s = time_s
+    track.samples = track.leads = 1.0
+    stand(track, patch)
+
+
+@loop
+def stand(track: Track, patch: Patch) -> None:
+    """Let a track have the cells of a patch."""
+    track.first, track.cells = patch.first, patch.cells
+
+
+@loop
+def move(track: Track, x_mm: float, y_mm: float, z_mm: float, time_s: float, trust: float) -> None:
+    """Update position and velocity with a position so far from the predicted one (g-h filter).
+
+    ``trust``: 1 if the position was measured, 0 if it follows from the velocity.
+    """
+    elapsed = time_s - track.seen_s
+    track.samples += 1.0
+    n, kept = track.samples, math.exp(-elapsed / MEMORY_S)
+    # Gains of a least-squares line while there are few samples, of a fading memory from then on.
+    position_gain = max(2.0 * (2.0 * n - 1.0) / (n * (n + 1.0)), 1.0 - kept * kept)
+    velocity_gain = max(6.0 / (n * (n + 1.0)), (1.0 - kept) * (1.0 - kept))
+    for axis in range(3):
+        by = x_mm if axis == 0 else y_mm if axis == 1 else z_mm
+        track.at_mm[axis] = predicted(track, time_s, axis) + by
+        off = by + trust * track.lag_mm[axis]
+        track.lag_mm[axis] += by - position_gain * off
+        if elapsed > 0.0:
+            track.mm_per_s[axis] += velocity_gain / elapsed * off
+    track.seen_s = time_s
+
+
+@loop
+def move_alone(track: Track, patch: Patch, time_s: float) -> None:
+    """Continue the only track of a patch."""
+    x = patch.at_mm[0] - predicted(track, time_s, 0)
+    y = patch.at_mm[1] - predicted(track, time_s, 1)
+    z = patch.at_mm[2] - predicted(track, time_s, 2)
+    move(track, x, y, z, time_s, 1.0)
+    track.force_n = patch.force_n
+    track.pitch_mm, track.longest_mm = patch.pitch_mm, patch.longest_mm
+    if patch.alone > 0.0 or patch.variance_mm2 > track.variance_mm2:  # else too narrow, cut off by a neighbour
+        track.variance_mm2 = patch.variance_mm2
+    track.apart_s = time_s
+    stand(track, patch)
+
+
+@loop
+def move_together(
+    tracks: Records[Track],
+    together: Places,
+    patch: Patch,
+    order: Places,
+    spots: Records[Spot],
+    load: Row,
+    time_s: float,
+) -> int:
+    """Move the tracks that share a patch; returns the number of those still in it, which come first in ``together``."""
+    count, total = together.size, 0.0
+    at, shares, variances, apart = np.empty((count, 3)), np.empty(count), np.empty(count), np.empty(count)
+    least = (LEAST_WIDTH_PITCHES * patch.pitch_mm) * (LEAST_WIDTH_PITCHES * patch.pitch_mm)
+    for j in range(count):
+        track = tracks[together[j]]
+        for axis in range(3):
+            at[j, axis] = predicted(track, time_s, axis)
+        shares[j], variances[j] = track.force_n, max(track.variance_mm2, least)
+        total += track.force_n
+    some = False
+    for j in range(count):
+        shares[j] /= total
+        nearest = math.inf
+        for k in range(count):
+            if k != j:
+                nearest = min(nearest, distance(at[j], at[k]) / math.sqrt((variances[j] + variances[k]) / 2.0))
+        # Bells closer than their width look like one; from twice the width on each has its own maximum.
+        apart[j] = min(max(nearest - 1.0, 0.0), 1.0)
+        some = some or apart[j] > 0.0
+    # Bells that look like one move with the patch's centre. For bells with separate maxima the centre tells less,
+    # since it also moves when their forces change.
+    placed = np.empty((count, 3))
+    for axis in range(3):
+        middle = 0.0
+        for j in range(count):
+            middle += shares[j] * at[j, axis]
+        for j in range(count):
+            placed[j, axis] = at[j, axis] + (1.0 - apart[j]) * (patch.at_mm[axis] - middle)
+    trust = np.zeros(count)
+    if some:
+        fitted, masses, widths = np.empty((count, 3)), np.empty(count), np.empty(count)
+        cells = order[int(patch.first) : int(patch.first) + int(patch.cells)]
+        fit(placed, shares, variances, cells, spots, load, fitted, masses, widths)
+        total = 0.0
+        for j in range(count):
+            track = tracks[together[j]]
+            if apart[j] == 1.0:
+                track.variance_mm2 += WIDTH_GAIN * (widths[j] - track.variance_mm2)
+            trust[j] = apart[j] * min(max((masses[j] - LEAST_SHARE) / (SURE_SHARE - LEAST_SHARE), 0.0), 1.0)
+            for axis in range(3):
+                placed[j, axis] += trust[j] * (fitted[j, axis] - placed[j, axis])
+            shares[j] += apart[j] * (masses[j] - shares[j])
+            total += shares[j]
+        for j in range(count):
+            shares[j] /= total
+    largest, staying = 0.0, 0
+    for j in range(count):
+        largest = max(largest, shares[j])
+    for j in range(count):
+        track = tracks[together[j]]
+        if apart[j] > 0.0:
+            track.apart_s = time_s
+        if shares[j] < LEAST_SHARE or (time_s - track.apart_s > TOGETHER_S and shares[j] < largest):
+            continue  # lifted
+        x, y, z = placed[j, 0] - at[j, 0], placed[j, 1] - at[j, 1], placed[j, 2] - at[j, 2]
+        move(track, x, y, z, time_s, trust[j])
+        track.force_n = shares[j] * patch.force_n
+        stand(track, patch)
+        together[staying] = together[j]
+        staying += 1
+    return staying
+
+
+@loop
+def fit(
+    placed: Rows,
+    shares: Row,
+    variances: Row,
+    cells: Places,
+    spots: Records[Spot],
+    load: Row,
+    fitted: Rows,
+    masses: Row,
+    widths: Row,
+) -> None:
+    """A few steps of expectation maximisation (EM) for the bells of a patch.
+
+    Args:
+        placed: (n, 3) mm, initial centres.
+        shares: (n,) initial shares of the patch's force.
+        variances: (n,) mm^2 of the bells as known so far, with which the centres are found.
+        cells: (m,) of the patch, whose load is the mixture.
+        spots: places of all cells.
+        load: N on all cells.
+        fitted: (n, 3) written: centres in mm.
+        masses: (n,) written: shares of the force.
+        widths: (n,) written: variances in mm^2.
+
+    """
+    count, total = masses.size, 0.0
+    parts, squares, places = np.empty((count, cells.size)), np.empty(count), np.empty((cells.size, 3))
+    for c in range(cells.size):
+        total += load[cells[c]]
+        for axis in range(3):
+            places[c, axis] = spots[cells[c]].at_mm[axis]
+    for j in range(count):
+        masses[j] = shares[j]
+        for axis in range(3):
+            fitted[j, axis] = placed[j, axis]
+    for _ in range(EM_STEPS):
+        for c in range(cells.size):
+            nearest, bells = math.inf, 0.0
+            for j in range(count):
+                far = distance(places[c], fitted[j])
+                squares[j] = far * far / variances[j]
+                nearest = min(nearest, squares[j])
+            for j in range(count):
+                parts[j, c] = masses[j] / variances[j] * math.exp(-0.5 * (squares[j] - nearest))
+                bells += parts[j, c]
+            for j in range(count):
+                parts[j, c] *= load[cells[c]] / total / max(bells, 1e-300)
+        for j in range(count):
+            masses[j] = 0.0
+            for axis in range(3):
+                fitted[j, axis] = 0.0
+            for c in range(cells.size):
+                masses[j] += parts[j, c]
+                for axis in range(3):
+                    fitted[j, axis] += parts[j, c] * places[c, axis]
+            for axis in range(3):
+                fitted[j, axis] /= max(masses[j], 1e-9)
+    for j in range(count):
+        widths[j] = 0.0
+        for c in range(cells.size):
+            far = distance(places[c], fitted[j])
+            widths[j] += parts[j, c] * far * far
+        widths[j] /= 2.0 * max(masses[j], 1e-9)
+
+
+@loop
+def name(tracks: Records[Track], together: Places, patch: Patch) -> None:
+    """Write the ids of a patch: it keeps its id, and two merged patches get that of the stronger one."""
+    leader = together[0]
+    for place in together[1:]:
+        one, best = tracks[place], tracks[leader]
+        if one.leads > best.leads or (one.leads == best.leads and one.force_n > best.force_n):
+            leader = place
+    patch.id, patch.others = tracks[leader].id, 0.0
+    for place in together:
+        track, at = tracks[place], int(patch.others)
+        track.leads = 1.0 if place == leader else 0.0
+        if place == leader:
+            continue
+        while at > 0 and patch.joined[at - 1] > track.id:
+            patch.joined[at] = patch.joined[at - 1]
+            at -= 1
+        patch.joined[at] = track.id
+        patch.others += 1.0
+
+
+@loop
+def remember(progress: Progress, tracks: Records[Track], remembered: Places, order: Places, time_s: float) -> None:
+    """Remember the touched cells in ``order`` (m,), which tracks that are seen have now, and those of the others."""
+    before = np.empty(int(progress.remembered), np.intp)
+    for i in range(before.size):
+        before[i] = remembered[i]
+    for i in range(order.size):
+        remembered[i] = order[i]
+    used, last = order.size, 0
+    for place in range(int(progress.tracks)):
+        track = tracks[place]
+        if track.id == 0.0:
+            continue
+        last = place + 1
+        if track.seen_s == time_s:
+            continue
+        track.leads = 0.0
+        first, track.first = int(track.first), float(used)
+        for i in range(int(track.cells)):
+            remembered[used + i] = before[first + i]
+        used += int(track.cells)
+    progress.tracks, progress.remembered = float(last), float(used)
