@@ -68,6 +68,7 @@ class CountReader:
         assumed = 0.0 if self._design_noise else _ASSUMED * adc.step
         self._noise = NoiseEstimate(math.prod(self._shape), quantum=adc.step, assumed=assumed)
         self._buffer, self._each = np.empty(self._shape), self._noise.each.reshape(self._shape)
+        self._flat = self._buffer.reshape(-1)  # a view
         self._guard, self._usual_codes = 0, self._usual_within(0)  # of the last frame, and the codes within its limits
         self._silent = 0  # cells whose readings stood at a limit in the last frame, and could not change
         self._limited: BoolArray | None = None  # cells that counted as limited in the last frame
@@ -133,7 +134,7 @@ class CountReader:
         volts = self._buffer
         volts[...] = counts
         least, most = _middle_of_codes.unchecked(volts, self._step, self._lowest_volts)
-        noise = self._noise.update(volts.reshape(-1), self._silent)
+        noise = self._noise.update(self._flat, self._silent)
         noise = max(noise, self._design_noise)
         guard = math.ceil(_GUARD * noise / self._step)  # codes
         if self._noise.frames < _MEASURED and not self._design_noise:

@@ -372,9 +372,8 @@ class UsualFrames:
         some = limited is not None or under_range is not None
         if some and not self._enclosure.bounds_cells:
             return None
-        at_limit, under = (
-            self._nowhere if cells is None else self._in_lines(cells) for cells in (limited, under_range)
-        )
+        at_limit = self._nowhere if limited is None else self._in_lines(limited)
+        under = self._nowhere if under_range is None else self._in_lines(under_range)
         if self._turned:
             np.copyto(self._volts, volts.T[::-1, ::-1])
             volts = self._volts
