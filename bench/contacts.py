@@ -238,7 +238,7 @@ class Press:
         cls, start_s: float, duration_s: float, row: float, column: float, width_cells: float, peak_kpa: float
     ) -> Press:
         """A press at one place."""
-        edge_s = min(TAP_EDGE_S, duration_s / 6.0)
+        edge_s = min(TAP_EDGE_S, duration_s / 3.0)
         there = np.array([[row, column]])
         variance = width_cells**2 + CELL_VARIANCE
         return cls(start_s, start_s + duration_s, edge_s, lambda _: there, variance, peak_kpa)
