@@ -192,7 +192,7 @@ class Scene:
 
 
 FAILURES = ("cell", "line", "impulse")
-_BOTH = {"rates_hz": (RATE_HZ, FAST_HZ), "least_side": TAPS_ON}
+_short = partial(Scene, rates_hz=(RATE_HZ, FAST_HZ), least_side=TAPS_ON)
 SCENES = (
     Scene("two cross", _cross),
     *(Scene(f"two pass, {gap:g} cells", _pass(gap)) for gap in (1.0, 1.5, 2.0)),
@@ -205,17 +205,12 @@ SCENES = (
     Scene("light, held 5 s", _stay, seconds=HOLD_S, plays=2, peaks=LIGHT),
     Scene("lone cells, 300 ms", _stay, TAP_S, PLAYS_OF_TAPS, widths_cells=(STYLUS_CELLS,), on_cells=True),
     *(
-        Scene(
-            f"taps of {1e3 * tap_s:.0f} ms",
-            *(_stay, tap_s, PLAYS, WIDTHS_CELLS, TAPPED, TAP_EDGE_S),
-            substeps=4,
-            **_BOTH,  # type: ignore[arg-type]
-        )
+        _short(f"taps of {1e3 * tap_s:.0f} ms", _stay, tap_s, PLAYS, WIDTHS_CELLS, TAPPED, TAP_EDGE_S, substeps=4)
         for tap_s in TAPS_S
     ),
     Scene("drift of all cells", seconds=DRIFT_S, plays=1, drifting="all"),
     Scene("drift of one cell", seconds=DRIFT_S, plays=1, drifting="one"),
-    *(Scene(f"{kind} fails", seconds=FAILS_S, plays=1, failing=kind, **_BOTH) for kind in FAILURES),  # type: ignore[arg-type]
+    *(_short(f"{kind} fails", seconds=FAILS_S, plays=1, failing=kind) for kind in FAILURES),
 )
 
 

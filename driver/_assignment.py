@@ -1,4 +1,7 @@
-"""Linear assignment by shortest augmenting paths (Hungarian method; Jonker and Volgenant 1987), as a kernel."""
+"""Linear assignment by shortest augmenting paths (Hungarian method; Jonker and Volgenant 1987).
+
+SciPy's ``linear_sum_assignment`` does the same, but a kernel cannot call it.
+"""
 
 from __future__ import annotations
 

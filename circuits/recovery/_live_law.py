@@ -75,7 +75,7 @@ class LawLive:
             self._shorted[fault.place] |= fault.ohms == 0
             self._shunt[fault.place] += 1.0 / present.ohms
         self._gone |= self._shorted
-        self._any_hidden = bool(hidden.any())
+        self._some_hidden = bool(hidden.any() and not hidden.all())
         self._by_hidden: FloatArray | float = 0.0
         self._most_hidden = 1.0 / least_ohm if least_ohm else inf  # S
         self._present = None if not self._gone.any() else np.ascontiguousarray(~self._gone)
@@ -219,7 +219,7 @@ class LawLive:
             return self._fit.read(volts, limited, under_range, noise, cells)
         uncertainty = errors.relative(cells)
         moved = self._factors.moved(np.minimum(uncertainty, 1.0) * np.abs(cells), cells, uncertainty <= limit)
-        if self._any_hidden and self._factors.renewed and settled and not self._hidden.all():
+        if self._some_hidden and self._factors.renewed and settled:
             self._by_hidden = self._of_hidden(cells)
         uncertainty = uncertainty + moved + left + self._by_hidden
         return self._reading(errors, cells, uncertainty, enclosed, unknowns, answers, settled=settled)
@@ -247,9 +247,7 @@ class LawLive:
         own = conductance
         if self._faulty:
             own = np.maximum(cell_alone(self._board, conductance, self._shunt), OPEN)
-        if (
-            self._any_hidden and not self._hidden.all()
-        ):  # cells behind a break tie other lines to each other, whatever they are
+        if self._some_hidden:  # cells behind a break tie other lines to each other, whatever they are
             own = np.where(self._hidden, np.median(own[~self._hidden]) if hidden is None else hidden, own)
         cells = 1.0 / own
         volts = self._model(cells) if self._sheet is None else read_exactly(self._sheet, cells)[0].volts

@@ -336,9 +336,8 @@ class UsualFits:
         under_range: BoolArray | None = None,
     ) -> Measurement | None:
         """As :class:`.UsualReading`."""
-        if (
-            limited is not None or under_range is not None or is_aside()
-        ):  # arrays are quicker than a kernel in plain Python
+        some = limited is not None or under_range is not None
+        if some or is_aside():  # arrays are quicker than a kernel in plain Python
             return None
         kept = self._fit.kept(surely)
         if kept is None:
