@@ -418,7 +418,7 @@ def show_noise(board: BoardNoise, few: Rows, shown: float, square: float, quantu
     weight = min(1.0, board.free / min(TELLING, count))
     kept = board.seen * (1.0 - weight / min(board.confirmed + BARELY_SEEN, MEMORY))
     if shown > GROWING * board.seen:  # earlier changes showed another noise
-        board.changes = board.confirmed = 0.0
+        board.changes, board.confirmed = board.free if moving < FEW else 0.0, 0.0
     if shown > kept:
         board.confirmed += 1.0
     elif shown < CONTRADICTED * kept and contradicts < kept:
@@ -459,6 +459,8 @@ def alternation(ring: Rows, newest: int, board: BoardNoise, most: float) -> floa
         back = min(abs(change), abs(earlier), most)
         squares += math.copysign(back * back, change * earlier)
         fourths += back * back * back * back
+    if squares >= 0.0 and board.frames > FEW:  # of readings known for some frames, motion is the likelier cause
+        return 0.0
     # By chance, few cells may alternate less than their noise does.
     part = DEVIATIONS * math.sqrt(fourths) - squares
     return math.sqrt(max(part, 0.0) / (max(board.free, 1.0) * ALTERNATING))

@@ -66,6 +66,30 @@ def test_noise_that_begins_on_few_cells_is_known_in_its_third_frame() -> None:
     assert missed < 10
 
 
+@pytest.mark.parametrize("cells", [(1, 1), (1, 2), (3, 1), (2, 2)])
+def test_an_edge_of_few_cells_that_goes_one_way_is_no_noise(cells: tuple[int, int]) -> None:
+    """Presses and releases of 2 to 6 frames, of up to 20,000 steps, of some of the cells or all."""
+    worst = []
+    for seed in range(60):
+        draw = np.random.default_rng(seed)
+        edge = np.r_[0.0, np.cumsum(draw.dirichlet(np.full(draw.integers(2, 7), 3.0)))]
+        course = np.concatenate([np.zeros(15), edge, np.ones(15), 1.0 - edge, np.zeros(5)])
+        gain = draw.uniform(0.1, 1.0, cells) * (draw.random(cells) < 0.7)
+        press = course[:, None, None] * gain * np.exp(draw.uniform(np.log(50.0), np.log(2e4)))
+        seen = measured(STEP * (press + draw.normal(scale=0.4, size=press.shape)))
+        worst.append(max(seen[15:]))
+    assert max(worst) < 15.0
+
+
+@pytest.mark.parametrize("cells", [(1, 1), (2, 1)])
+def test_noise_that_begins_on_a_cell_or_two_is_known_after_five_frames(cells: tuple[int, int]) -> None:
+    scale, missed = np.repeat([0.5, 20.0], [20, 5])[:, None, None], 0
+    for seed in range(100):
+        seen = measured(STEP * scale * np.random.default_rng(seed).normal(size=(25, *cells)))
+        missed += seen[-1] < 10.0
+    assert missed < 15
+
+
 def pressing(shape: tuple[int, int], frames: int, peak: float) -> np.ndarray:
     """(frames, rows, columns) V of a press of all cells that grows and goes on; cells answer differently."""
     course = 0.5 - 0.5 * np.cos(np.arange(frames) / 25.0)
