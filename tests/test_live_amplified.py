@@ -179,3 +179,20 @@ def test_noise_of_fine_converters_brings_no_saturated_output_back_to_life(bits: 
             reading = read(adc_codes(design, volts + draw.normal(scale=noise_volts, size=volts.shape)))
             assert not reading.valid[[1, 3], 1].any()
     assert reading.valid[0, 0]
+
+
+@pytest.mark.parametrize("idle_rows", ["ground", "float"])
+@pytest.mark.parametrize("seed", range(12))
+def test_a_row_stands_no_lower_than_it_would_without_its_cells_below_the_range(idle_rows: str, seed: int) -> None:
+    """Cells whose readings say at most what they conduct may conduct nothing: then their row loses less drive."""
+    draw = np.random.default_rng(seed)
+    lead = float(draw.choice([1.0, 100.0, 1000.0]))
+    design = board(4, 5, lead, bits=int(draw.choice([12, 24])), supply=(-0.1, 3.2)).replace(
+        array={"column_lead": 0.0}, drive={"idle_rows": idle_rows}, adc={"range": (0.2, 3.3)}
+    )
+    cells = 10 ** draw.uniform(2.7, 4.5, (4, 5))  # above 5 kohm below the range
+    read = CountReader(design)
+    for _ in range(3):
+        reading = read(adc_codes(design, scan(design, cells).volts))
+        off = np.abs(reading.resistance / cells - 1.0)[reading.valid]
+        assert (off <= reading.uncertainty[reading.valid] * (1.0 + 1e-9)).all()

@@ -332,7 +332,8 @@ def enclose(
             nominal = max(abs(driven[i, j]), TINY)
             if rough[j] > 0.0:
                 by_sum = per_sum[i, j] * width[j] / nominal if per_sum[i, j] != 0.0 and width[j] != 0.0 else 0.0
-                changed = by_sum * up + up * (1.0 + more_here / nominal) - 1.0
+                beside = by_sum + more_here / nominal
+                changed = max(up * (1.0 + beside) - 1.0, 1.0 - down * (1.0 - beside))
             else:
                 middle = own + (of_column * total_usual if of_column != 0.0 else 0.0)
                 highest = (own + more_here / row[i, j]) * up
