@@ -45,12 +45,12 @@ def command(
     if readout is not None:
         design = design.with_circuit(readout)
     result = scan(design, tables.read_cells(cells, design.array.shape), tolerance=tolerance, method=method)
+    if output is not None:
+        tables.write_matrix(output, result.resistance)
     if result.saturated.any():
         places = ", ".join(f"({i}, {j})" for i, j in np.argwhere(result.saturated)[:5].tolist())
         more = "" if result.saturated.sum() <= 5 else ", ..."
-        click.echo(f"ohmskin: {result.saturated.sum()} outputs at a supply limit: {places}{more}", err=True)
-    if output is not None:
-        tables.write_matrix(output, result.resistance)
+        arguments.note(f"{result.saturated.sum()} outputs at a supply limit: {places}{more}")
     if as_json:
         values = {
             "volts": result.volts.tolist(),

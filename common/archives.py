@@ -37,7 +37,7 @@ _MOST_EXPANSION = 1100
 """bytes that Deflate makes of one, at most: 1032 (RFC 1951)"""
 _PIECE = 2**20
 """bytes that are unpacked at a time"""
-_MAGIC = b"\x93NUMPY"
+_MAGIC, _ARCHIVES = b"\x93NUMPY", (b"PK\x03\x04", b"PK\x05\x06")
 _LENGTHS = {b"\x01\x00": "<H", b"\x02\x00": "<I"}
 """of the header, by version of the format, as NumPy reads it; version 3 is for names of fields beyond ASCII"""
 _TYPE = re.compile(r"[<>|=]?(\?|b1|[iu][1248]|f[248]|U\d{1,6})")
@@ -126,6 +126,9 @@ def _checked(values: AnyArray, name: str, stored: Stored, path: str | Path) -> A
     """The values in the type of their kind, within their limits. Raises InputError."""
     _check_kind(name, stored, values.dtype, values.shape, path)
     if stored.kind == "flags":
+        written = values.view(np.uint8) if values.dtype.kind == "b" else values  # a file may have any byte for a flag
+        if not ((written == 0) | (written == 1)).all():
+            raise InputError(f"{path}: '{name}' has values other than 0 and 1; expected {stored.values}")
         return values.astype(np.bool_, copy=False)
     if stored.kind == "text":
         text = np.ascontiguousarray(values.astype(values.dtype.newbyteorder("=")))
@@ -176,6 +179,8 @@ class _Source:
         """The arrays of an archive, where they are there."""
         found = {}
         try:
+            if self._file.read(4) not in _ARCHIVES:  # zipfile takes archives behind anything else
+                raise zipfile.BadZipFile("it does not begin as an archive")
             directory = _Directory(self._file)
             with zipfile.ZipFile(cast(IO[bytes], directory)) as archive:
                 directory.most_bytes = None

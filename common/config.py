@@ -62,7 +62,8 @@ def _located(value: Any, info: ValidationInfo) -> Any:
 
 
 def _of_the_user(value: Any, info: ValidationInfo) -> Any:
-    made = isinstance(value, BaseModel) or all(isinstance(item, BaseModel) for item in value)
+    items = value if isinstance(value, list | tuple) else [value]
+    made = all(isinstance(item, BaseModel) for item in items)
     if info.context is None and not made:
         raise ValueError("only a file of your own may hold such tables, no board and no recording")
     return value

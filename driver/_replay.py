@@ -8,6 +8,7 @@ import json
 import math
 import operator
 import os
+import struct
 import threading
 import time
 import zlib
@@ -49,6 +50,8 @@ more, compressed"""
 MOST_CONTENT, MOST_EXPANSION = 2**29, 4000
 """limit on decompressed bytes: so many, and so many for each byte of the file. Without noise, 256 x 256 equal cells
 compress to a 2500th; an eighth of this is the limit on what the board sent, the rest is for viewers"""
+_HEAD = struct.Struct("<BQ")
+"""before each record: its kind, and how many bytes it has"""
 MOST_VALUES = 100_000
 """limit on the numbers, texts and lists of an event"""
 
@@ -423,33 +426,45 @@ def _records(path: Path, progress: Progress = silent) -> Iterator[tuple[str, Any
 
 
 def _opened(file: BinaryIO, allowed: _Allowance) -> Iterator[Any]:
-    """The records of a file, and those within its chunks one at a time; None after each chunk.
+    """The records of a file, and those within its chunks one at a time; None after each chunk and for other records.
 
-    mcap's own reader makes all records of a chunk at once, and decompresses as much as the compressed data say.
+    mcap's own reader makes all records of a chunk at once, decompresses as much as the compressed data say, and reads
+    on behind the end of a record where a length within says so.
     """
     from mcap.data_stream import ReadDataStream
     from mcap.opcode import Opcode
-    from mcap.records import Channel, Chunk, Message
-    from mcap.stream_reader import StreamReader
+    from mcap.records import Channel, Chunk, Message, Metadata
+    from mcap.stream_reader import MAGIC_SIZE, read_magic
 
-    for record in StreamReader(file, record_size_limit=LARGEST_RECORD, emit_chunks=True, validate_crcs=True).records:
-        allowed.record()
+    def records(stream: BinaryIO) -> Iterator[Any]:
+        """Each made of its own bytes only, whatever lengths stand within."""
+        while head := stream.read(_HEAD.size):
+            opcode, length = _HEAD.unpack(head)
+            allowed.record()
+            if length > LARGEST_RECORD or len(body := stream.read(length)) < length:
+                raise EOFError("a record that is cut off")
+            content = ReadDataStream(io.BytesIO(body))
+            match opcode:
+                case Opcode.MESSAGE:
+                    yield Message.read(content, length)
+                case Opcode.CHANNEL:
+                    yield Channel.read(content)
+                case Opcode.METADATA:
+                    yield Metadata.read(content)
+                case Opcode.CHUNK:
+                    yield Chunk.read(content)
+                case Opcode.FOOTER:
+                    return
+                case _:
+                    yield None
+
+    read_magic(ReadDataStream(io.BytesIO(file.read(MAGIC_SIZE))))
+    for record in records(file):
         if not isinstance(record, Chunk):
             yield record
             continue
         allowed.content(record.uncompressed_size)
-        content = _decompressed(record)
-        stream = ReadDataStream(io.BytesIO(content))
-        while stream.count < len(content):
-            opcode, length = stream.read1(), stream.read8()
-            allowed.record()
-            match opcode:
-                case Opcode.MESSAGE:
-                    yield Message.read(stream, length)
-                case Opcode.CHANNEL:
-                    yield Channel.read(stream)
-                case _:
-                    stream.read(length)
+        yield from (one for one in records(io.BytesIO(_decompressed(record))) if isinstance(one, Message | Channel))
         yield None
 
 

@@ -11,11 +11,14 @@ from typing import Any
 from ..circuits import Shape
 from ..common.config import parse
 from ..common.files import read_text
+from ..common.text import shortened, shown
 from ..errors import InputError
 from ._netlist import Tree, parse_expression, sections, text_of
 
 ROWS, COLUMNS = r"(?:ROW|R)[_-]?(\d+)", r"(?:COLUMN|COL|C)[_-]?(\d+)"
 """names of nets, without the sheet ahead; the group is the number of the line"""
+MOST_DIGITS = 9
+"""of the number of a line"""
 
 
 def shape_of_layout(path: str | Path, *, rows: str = ROWS, columns: str = COLUMNS) -> Shape:
@@ -63,14 +66,14 @@ def _cell(part: Tree, patterns: Sequence[re.Pattern[str]]) -> tuple[int, int, fl
         for found, pattern in zip(lines, patterns, strict=True):
             match = pattern.fullmatch(net)
             if match:
-                found.add(int(match[1]))
+                found.add(_line(match[1], net))
     if any(len(found) != 1 for found in lines):
         return None
     x, y, rotation = _at(part)
     corners = []
     for pad in pads:
         left, top, own = _at(pad)
-        width, height = _numbers(pad, "size", 2)
+        width, height = _numbers(pad, "size", range(2, 3))
         angle = math.radians(own - rotation)  # a pad's angle in the file is that on the board
         across = (abs(width * math.cos(angle)) + abs(height * math.sin(angle))) / 2
         down = (abs(width * math.sin(angle)) + abs(height * math.cos(angle))) / 2
@@ -83,16 +86,23 @@ def _cell(part: Tree, patterns: Sequence[re.Pattern[str]]) -> tuple[int, int, fl
 
 def _at(tree: Sequence[Any]) -> tuple[float, float, float]:
     """Place in mm and angle in degrees."""
-    x, y, *angle = _numbers(tree, "at", 2)
+    x, y, *angle = _numbers(tree, "at", range(2, 4))
     return x, y, angle[0] if angle else 0.0
 
 
-def _numbers(tree: Sequence[Any], name: str, least: int) -> list[float]:
+def _line(number: str | None, net: str) -> int:
+    if number is None or not number.isdecimal() or len(number) > MOST_DIGITS:
+        raise InputError(f"net {shown(net)} has no number of a line; expected up to {MOST_DIGITS} digits in the group")
+    return int(number)
+
+
+def _numbers(tree: Sequence[Any], name: str, count: range) -> list[float]:
     found = next(sections(tree, name), [])[1:]
     try:
-        numbers = [float(item) for item in found[:3] if isinstance(item, str)]
-    except ValueError:
+        numbers = [float(item) for item in found]
+    except (TypeError, ValueError):
         numbers = []
-    if len(numbers) < least or not all(map(math.isfinite, numbers)):
-        raise InputError(f"({name} ...) of '{tree[0]}' is {found}; expected {least} numbers")
+    if len(numbers) not in count or not all(map(math.isfinite, numbers)):
+        wanted = " or ".join(map(str, count))
+        raise InputError(f"({name} ...) of '{tree[0]}' is {shortened(str(found))}; expected {wanted} numbers")
     return numbers

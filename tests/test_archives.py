@@ -135,6 +135,26 @@ def test_a_member_of_another_name_is_not_read_in_place_of_an_array(tmp_path: Pat
         read(tmp_path / "x.npz", Stored("numbers", ("n",)))
 
 
+def test_what_numpy_takes_for_no_archive_is_none(tmp_path: Path) -> None:
+    sound = archive(tmp_path / "x.npz", x=npy(np.ones((2, 2)))).read_bytes()
+    (tmp_path / "x.npz").write_bytes(b"," + sound)
+    with pytest.raises(InputError, match="does not begin as an archive"):
+        read(tmp_path / "x.npz", Stored("numbers", CELLS))
+
+
+@given(st.lists(st.integers(0, 255), min_size=1), st.sampled_from(["?", "u1", "i2", "u8"]))
+def test_flags_are_zeros_and_ones(tmp_path_factory: pytest.TempPathFactory, values: list[int], dtype: str) -> None:
+    """Of a boolean array, too, whose bytes in a file may be any."""
+    numbers = np.array(values, np.uint8)
+    content = header("'|b1'", f"({len(values)},)", numbers.tobytes()) if dtype == "?" else npy(numbers.astype(dtype))
+    path = archive(tmp_path_factory.mktemp("a") / "x.npz", x=content)
+    if set(values) <= {0, 1}:
+        assert read(path, Stored("flags", ("n",))).tolist() == [bool(value) for value in values]
+    else:
+        with pytest.raises(InputError, match="'x' has values other than 0 and 1; expected flags"):
+            read(path, Stored("flags", ("n",)))
+
+
 def test_axes_of_one_name_have_one_length(tmp_path: Path) -> None:
     path = archive(tmp_path / "x.npz", x=npy(np.ones((2, 3))), y=npy(np.ones(4)))
     with pytest.raises(InputError, match="'y' has 4 columns, and 'x' 3"):

@@ -181,6 +181,8 @@ def test_saturated_outputs_are_not_silent(folder: Path, capsys: pytest.CaptureFi
     (folder / "design.toml").write_text(DESIGN + "supply = [0.0, 0.15]\n")
     assert run(["scan", "design.toml", "--cells", "cells.csv"]) == 0
     assert "1 outputs at a supply limit: (1, 2)" in capsys.readouterr().err
+    assert run(["scan", "design.toml", "--cells", "cells.csv", "-o", "."]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_a_full_disk_behind_standard_output_is_one_line() -> None:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import subprocess
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from needs import need
 
 from ohmskin.circuits import (
@@ -279,6 +282,15 @@ def test_ends_that_contradict_themselves_are_refused() -> None:
         design = Design.model_validate({"array": {"rows": 2, "columns": 2}} | board(DRIVER, PULL, parts))
         with pytest.raises(InputError, match=why):
             scan(design, np.full((2, 2), 1e3))
+
+
+@given(st.lists(st.sampled_from(["line", "out", "0", "a", "b"]), min_size=6, max_size=6))
+def test_a_board_of_any_connections_is_read_or_refused(nodes: list[str]) -> None:
+    plus, minus, output, *ends = nodes
+    parts = [f"X1 {plus} {minus} {output} opamp", f"R1 {ends[0]} {ends[1]} 1k", f"R2 {ends[2]} 0 1k"]
+    with suppress(InputError, SolverError):
+        design = parse({"array": {"rows": 2, "columns": 2}} | board(DRIVER, PULL, parts), Design, source="design")
+        assert np.isfinite(scan(design, np.full((2, 2), 1e3)).volts).all()
 
 
 def test_a_file_gives_the_same_board(tmp_path: Path) -> None:

@@ -355,7 +355,14 @@ def test_a_footprint_that_is_turned_turns_its_pads(tmp_path: Path) -> None:
         (_layout([(0, 0, 1, 1, 0), (0, 0, 9, 1, 0)]), {}, r"cell \(0, 0\) is there twice"),
         (_layout([(0, 0, 1, 1, 0)]), {"rows": "ROW"}, "expected one group each"),
         (_layout([(0, 0, 1, 1, 0)]), {"rows": "ROW("}, "no regular expression"),
-        (_layout([(0, 0, 1, 1, 0)]).replace("(size 2 6)", "(size 2)"), {}, "expected 2 numbers"),
+        *(
+            (_layout([(0, 0, 1, 1, 0)]).replace("(size 2 6)", f"(size {size})"), {}, "expected 2 numbers")
+            for size in ("2", "2 6 36 90", "2 6 (x)", "2 nan", "")
+        ),
+        (_layout([(0, 0, 1, 1, 0)]).replace("(at 1 1 0)", "(at 1 1 0 9)"), {}, "expected 2 or 3 numbers"),
+        (_layout([(0, 0, 1, 1, 0)], row="ROW{}" + "9" * 5000), {}, "has no number of a line"),
+        (_layout([(0, 0, 1, 1, 0)]), {"rows": "(ROW).*"}, "has no number of a line"),
+        (_layout([(0, 0, 1, 1, 0)]), {"rows": "(x)?ROW.*"}, "has no number of a line"),
     ],
 )
 def test_a_layout_without_cells_is_refused(tmp_path: Path, text: str, options: dict[str, str], message: str) -> None:

@@ -9,6 +9,7 @@ import os
 import re
 import resource
 import signal
+import struct
 import subprocess
 import sys
 import threading
@@ -25,7 +26,7 @@ from boards import frame as packet
 
 from ohmskin.cli import run
 from ohmskin.common.config import fingerprint
-from ohmskin.driver import Calibration, Frame, Recorder, Skin, to_xarray
+from ohmskin.driver import Calibration, Frame, Recorder, ReplayPort, Skin, to_xarray
 from ohmskin.emulator import Board, PtyPort, running
 from ohmskin.errors import InputError, LinkEnded, ProtocolError
 from ohmskin.wire import Flag
@@ -348,6 +349,21 @@ def test_what_a_chunk_says_of_its_size_is_not_believed(tmp_path: Path) -> None:
             Skin.open(str(path), timeout=0.1)
         assert tracemalloc.get_traced_memory()[1] < hostile.DEEP / 4
         tracemalloc.stop()
+
+
+def test_a_record_is_made_of_its_own_bytes(tmp_path: Path) -> None:
+    """Whatever its head says of its length; mcap's reader would go on behind it."""
+    path = tmp_path / "lies.mcap"
+    hostile.write(path, [])
+    sound = path.read_bytes()
+    place = sound.index(b"ohmskin", sound.index(b"\x0c", 8)) - 13  # the metadata
+    assert sound[place] == 12
+    (length,) = struct.unpack_from("<Q", sound, place + 1)
+    ReplayPort(path)
+    for other in (1, length - 20, length - 1, 2**63):
+        path.write_bytes(sound[: place + 1] + struct.pack("<Q", other) + sound[place + 9 :])
+        with pytest.raises(InputError, match=r"lies\.mcap: is no recording of ohmskin"):
+            ReplayPort(path)
 
 
 @pytest.mark.parametrize(

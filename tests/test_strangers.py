@@ -50,6 +50,14 @@ def test_a_board_describes_values_only(table: str, key: str | None, value: Any, 
         ReplayPort(_recording(tmp_path, board="ohmskin", given=json.dumps({"design": tables})))
 
 
+@pytest.mark.parametrize("table", ["requirement", "document", "parts"])
+@pytest.mark.parametrize("value", [3, "x", {"a": 1}, [3], None, True])
+def test_values_of_another_kind_in_the_users_own_tables_are_bad_input(table: str, value: Any) -> None:
+    for folder in (None, EXAMPLES):
+        with pytest.raises(InputError, match=f"design: .*{table}"):
+            parse(_tables(table, None, value), Design, source="design", folder=folder)
+
+
 def _recording(folder: Path, **metadata: str) -> Path:
     path = folder / "press.mcap"
     with path.open("wb") as file:

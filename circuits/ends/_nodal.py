@@ -12,6 +12,7 @@ remains after the last step.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from functools import lru_cache
 from math import inf, isinf, sqrt
 from typing import NamedTuple
@@ -264,16 +265,14 @@ def inverted_nodes(static: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Equations (U, U) and their inverse. Where nothing holds some nodes, a leak to ground that is added does.
 
     Raises:
-        SolverError: ideal sources contradict each other.
+        SolverError: no leak determines the potentials: ideal sources and amplifiers contradict each other.
 
     """
-    try:
-        return static, np.linalg.inv(static).astype(np.float64, copy=False)
-    except np.linalg.LinAlgError:
-        pass
-    static = static + _LOOSE * float(np.abs(static).max()) * np.eye(len(static))
-    inverse = np.linalg.inv(static).astype(np.float64, copy=False)
-    return static, inverse
+    leaking = static + _LOOSE * float(np.abs(static).max()) * np.eye(len(static))
+    for equations in (static, leaking):
+        with suppress(np.linalg.LinAlgError):
+            return equations, np.linalg.inv(equations).astype(np.float64, copy=False)
+    raise SolverError("the ends of the lines determine no potentials: is an input of an ideal amplifier not connected?")
 
 
 def _stamp(

@@ -414,14 +414,14 @@ def _lines(text: str) -> list[str]:
 
 def _is_number(field: str) -> bool:
     try:
-        float(field)
+        float(field.strip())  # without it, float takes no separators of ASCII (FS to US) for blanks
     except ValueError:
         return False
     return True
 
 
 def _float(field: str) -> float:
-    return float(field) if _is_number(field) else math.nan
+    return float(field.strip()) if _is_number(field) else math.nan
 
 
 def _unusual(data: bytes) -> bool:
