@@ -397,3 +397,19 @@ def test_a_contact_without_memory_has_no_doubt_about_its_past() -> None:
         if n in (45, 95):
             assert pressure == pytest.approx(load, abs=0.1)
             assert (estimator.std_kpa < 0.01 * load + 0.6).all()
+
+
+@pytest.mark.parametrize("rest_ohm", [3e4, 1e5, 1e9])
+def test_a_cell_of_a_contact_mat_that_is_not_read_may_bear_any_load_after_a_second(rest_ohm: float) -> None:
+    """The slope of a contact's curve at rest tells nothing of the loads that its next reading may show."""
+    model = ContactModel(full_scale_resistance_ohm=2e3)
+    cell = Cell(rest_resistance_ohm=rest_ohm, full_scale_kpa=60.0, model=model)
+    estimator, draw = cell.estimator((1,)), np.random.default_rng(0)
+    stated = []
+    for frame in range(120):
+        read = rest_ohm * (1.0 + 0.002 * draw.normal()) if frame < 20 else np.nan
+        estimator.step(0.01, [read])
+        stated.append(estimator.std_kpa.item() / 60.0)
+    assert max(stated[:21]) < 0.01  # while it is read, and just after
+    assert stated[-1] > 0.25
+    assert (np.diff(stated[20:]) > -1e-9).all()

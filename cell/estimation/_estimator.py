@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...common.arrays import FloatArray
+from ...common.arrays import FloatArray, IntArray
 from ...common.compiled import Records, values, zeros
 from ...common.measurement import CONDUCTANCE, FIELDS, GREATEST, HALF_STEP, NOISE_VARIANCE, STEP_STD, Measurement
 from ...common.noise import NoiseEstimate
@@ -36,6 +36,7 @@ from ._frames import (
     BEGINNING,
     BEGUN,
     FORGET_EVERY_S,
+    READ,
     SCRATCH,
     Clock,
     Settings,
@@ -286,10 +287,29 @@ class Estimator:
         answers["level"] = level.ravel()
         if awake.size:
             inversion.advance(answers, memory, awake, dt_s[0])
+        if self._alone:
+            self._spread(answers, (status & READ == 0).ravel().nonzero()[0], level_variance.ravel())
         slopes = self._conditions.rest_slope_kpa
         show_frames.unchecked(
             *(status, level, level_variance, answers, states, self._settings, slopes, self._shown, pressure, std)
         )
+
+    def _spread(self, answers: Records[CellState], unread: IntArray, level_variance: FloatArray) -> None:
+        """State how far the load of the ``unread`` places (k,) may be, as the gain of their levels.
+
+        Their levels spread over all of the curve, whose slope at one point says little (sigma points: Gauss-Hermite
+        quadrature of three, Julier and Uhlmann 1997).
+        """
+        std = np.sqrt(level_variance[unread]) * abs(self._settings["unit"][0])
+        unread, std = unread[std > 0.0], std[std > 0.0]
+        if not unread.size:
+            return
+        level, points = answers["level"][unread], np.arange(3 * unread.size)
+        trial = zeros(CellState, points.size)
+        trial["level"] = (level + math.sqrt(3.0) * std * np.array([[-1.0], [0.0], [1.0]])).ravel()
+        self.inversion.advance(trial, zeros(self.inversion.memory, points.size), points, 1.0)
+        below, middle, beyond = trial["pressure_kpa"].reshape(3, -1)
+        answers["gain_kpa"][unread] = np.sqrt(((beyond - middle) ** 2 + (below - middle) ** 2) / 6.0) / std
 
     # -- what is known beside the readings -----------------------------------------------------------------------------
 

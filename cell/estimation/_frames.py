@@ -339,6 +339,8 @@ def show_frames(
             var = state.variance_kpa2 + settings.model_std_kpa * settings.model_std_kpa
             if settings.filtered > 0.0:
                 gain = state.gain_kpa * settings.unit
+                if settings.follows == 0.0 and not flags & READ:  # of the levels that it may have
+                    gain = answers[frame * cells + i].gain_kpa * settings.unit
                 unknown, floor = settings.unknown_kpa, settings.floor_kpa
                 var += min(gain * gain * level_variance[frame, i], unknown * unknown) + floor * floor
             if settings.rest_error > 0.0:
