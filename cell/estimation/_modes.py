@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
@@ -37,6 +38,7 @@ STILL, HELD, MOVING, JUMPING, SHAKING = range(5)
 """kinds of motion: none, by chance only, at a speed that persists, by increments, and to and fro"""
 PHASES = (DOWN, UP, DOWN, UP, DOWN, UP, DOWN, UP, DOWN, UP, DOWN, EITHER)
 KINDS = (STILL, HELD, HELD, MOVING, MOVING, MOVING, MOVING, MOVING, MOVING, JUMPING, JUMPING, SHAKING)
+_MODE_KINDS = tuple(zip(PHASES, KINDS, strict=True))
 EACH = Annotated[FloatArray, MODES]
 Three = Annotated[FloatArray, 3]
 
@@ -206,14 +208,12 @@ def discretise(material: Material, dt_s: float, tuning: Tuning = TUNING) -> Step
         ]
     )
     by_s, by_r, by_x3, by_move = np.stack([recovery, rising, 0.5 * (rising + recovery)], axis=1)
-    motions = {name: np.zeros(MODES) for name in ("way_s", "kept", "way_var", "way_speed", "speed_var", "speed")}
-    for mode, (phase, kind) in enumerate(zip(PHASES, KINDS, strict=True)):
-        # Equal in r for both phases: otherwise the phase with less noise would win every hold.
-        even = mean / (m.g1, m.gu, mean)[phase]
-        values = _motion(mode, kind, dt_s, even, t)
-        for name, value in zip(motions, values, strict=True):
-            motions[name][mode] = value
-    after, leaves, shakes = _next(dt_s, t)
+    # Equal in r for both phases: otherwise the phase with less noise would win every hold.
+    even = mean / m.g1, mean / m.gu, 1.0
+    each = [_motion(mode, kind, dt_s, even[phase], t) for mode, (phase, kind) in enumerate(_MODE_KINDS)]
+    motions = dict(zip(("way_s", "kept", "way_var", "way_speed", "speed_var", "speed"), np.array(each).T, strict=True))
+    after, lasts_s = _chain(t)
+    leaves, shakes = -np.expm1(-dt_s / lasts_s), -math.expm1(-dt_s / t.calm_s)
     return record(
         Step,
         dt_s=dt_s,
@@ -255,18 +255,12 @@ def _motion(mode: int, kind: int, dt_s: float, even: float, t: Tuning) -> tuple[
         scale = (mode - CREEP_UP) // 2
         speed = even * (t.creep_per_s, t.line_per_s, t.move_per_s)[scale]
         lasts_s = (t.creep_s, t.line_s, t.move_s)[scale]
-        gone, _ = lag.weights(dt_s, lasts_s)
+        gone, _ = lag.weights_of(dt_s, lasts_s)
         z, power = dt_s / lasts_s, speed * speed
         # Integrals of the covariance; the first one cancels to z^3 2/3 in short steps.
         way = 2.0 * z - 2.0 * gone - gone * gone if z > 1e-3 else z**3 * (2.0 / 3.0)
-        return (
-            float(lasts_s * gone),
-            float(1.0 - gone),
-            float(power * lasts_s**2 * way),
-            float(power * lasts_s * gone**2),
-            float(power * gone * (2.0 - gone)),
-            speed,
-        )
+        ways = lasts_s * gone, 1.0 - gone
+        return *ways, power * lasts_s**2 * way, power * lasts_s * gone**2, power * gone * (2.0 - gone), speed
     if kind == JUMPING:
         way = (even * t.edge) ** 2
         return 0.0, 0.0, way, way / dt_s, way / dt_s**2, 0.0
@@ -278,8 +272,9 @@ def _motion(mode: int, kind: int, dt_s: float, even: float, t: Tuning) -> tuple[
     return (0.0,) * 6
 
 
-def _next(dt_s: float, t: Tuning) -> tuple[FloatArray, FloatArray, float]:
-    """Shares (4, modes) of what follows on recovery, rising, rest and shaking; (modes,) hazards of a step."""
+@lru_cache(maxsize=8)
+def _chain(t: Tuning) -> tuple[FloatArray, FloatArray]:
+    """Shares (4, modes) of what follows on recovery, rising, rest and shaking; s (modes,), which modes last."""
     up, down = np.array([CREEP_UP, LINE_UP, MOVE_UP, EDGE_UP]), np.array([CREEP_DOWN, LINE_DOWN, MOVE_DOWN, EDGE_DOWN])
     on, after = 1.0 - t.stop - t.turn, np.zeros((4, MODES))
     held = t.stop * (1.0 - t.release)
@@ -289,16 +284,20 @@ def _next(dt_s: float, t: Tuning) -> tuple[FloatArray, FloatArray, float]:
     after[UP, up], after[UP, down] = on / 4, t.turn / 4
     after[2, up] = 0.1, 0.3, 0.3, 0.3  # few touches begin as creep
     after[3, [HOLD_UP, HOLD_DOWN]], after[3, up], after[3, down] = 0.2, 0.3 / 4, 0.3 / 4
-    lasts_s = np.array([t.rest_s, *np.repeat([t.hold_s, t.creep_s, t.line_s, t.move_s, t.edge_s], 2), t.shake_s])
-    return after, -np.expm1(-dt_s / lasts_s), -math.expm1(-dt_s / t.calm_s)
+    return after, np.array([t.rest_s, *np.repeat([t.hold_s, t.creep_s, t.line_s, t.move_s, t.edge_s], 2), t.shake_s])
 
 
 def _usual(after: FloatArray, leaves: FloatArray, shakes: float) -> FloatArray:
     """(modes,) stationary distribution of the Markov chain."""
-    of = np.array([2, *[UP, DOWN] * 5, 3])
-    chain = leaves[:, None] * after[of] + np.diag(1.0 - leaves)
-    begins = np.where(np.arange(MODES) == SHAKE, 0.0, shakes)
-    chain = chain * (1.0 - begins[:, None])
-    chain[:, SHAKE] += begins
-    system = np.vstack([chain.T - np.eye(MODES), np.ones(MODES)])
-    return np.asarray(np.linalg.lstsq(system, np.append(np.zeros(MODES), 1.0), rcond=None)[0])
+    chain = after[_POOLS] * leaves[:, None]
+    chain.flat[:: MODES + 1] += 1.0 - leaves
+    chain[:SHAKE] *= 1.0 - shakes
+    chain[:SHAKE, SHAKE] += shakes
+    chain.flat[:: MODES + 1] -= 1.0
+    chain[:, -1] = 1.0  # one of the equations follows from the others; that all probabilities make 1 replaces it
+    return np.linalg.solve(chain.T, _ONE)
+
+
+_POOLS = np.array([2, *[UP, DOWN] * 5, 3])
+"""row of :func:`_chain` of what follows on each mode"""
+_ONE = np.append(np.zeros(MODES - 1), 1.0)
