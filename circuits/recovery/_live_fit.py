@@ -47,7 +47,7 @@ from ._live_reading import (
 from ._node_blocks import NodeBlocks
 from ._quick_model import QuickModel, with_resistance
 from ._sheet_model import SheetModel
-from ._usual_fits import FAR, HARDLY_KNOWN, NO_FIT, PER_ERROR, SETTLED, SHORT_SHARE, SMALL, STRIDE, UsualFits
+from ._usual_fits import FAR, HARDLY_KNOWN, NO_FIT, PER_ERROR, PER_SHARE, SETTLED, SHORT_SHARE, SMALL, STRIDE, UsualFits
 
 STEPS, FIRST_STEPS = 5, 60
 """evaluations of the model in one frame, and in the first one of all"""
@@ -62,7 +62,7 @@ _PRIOR = 3.0  # standard deviation of a logarithm before anything is read: a fac
 _ALIKE_ERRORS = 20.0  # inverse of the relative change of the readings' errors up to which covariances are alike
 _FITS, _MISFIT = 0.8, 8.0  # half steps: by rounding alone, no cells give these readings
 _NEAR = 0.02  # change of a logarithm for which new derivatives are alike
-_SHORTER = 0.4  # factor on a step that leads away from the readings
+_DAMPED, _UNDAMPED, _MORE_DAMPED = 0.01, 1e-3, 5.0  # first, least and times the damping after steps that lead away
 _SLOW = 0.2  # length of a step over the one before, above which derivatives are to blame
 _STEEPER = 3.0  # largest ratio of slopes by which derivatives are adapted
 _JUMP = 20.0  # half steps from which on closed formulas may be a nearer start
@@ -91,12 +91,14 @@ class _Linear(NamedTuple):
 
     log: FloatArray
     """(n,) logarithms of the conductances"""
-    solve: Callable[[FloatArray], FloatArray]
-    """from readings (n,) in V to changes (n,) of the logarithms"""
+    solve: Callable[[FloatArray, float], FloatArray]
+    """from readings (n,) in V to changes (n,) of the logarithms, by a factor of damping (Marquardt 1963)"""
     slope: FloatArray
     """(n,) 1/V, of each logarithm by its own reading if the cell were alone"""
     std_at: Callable[[float], FloatArray]
     """(n,) standard deviation of the logarithms by errors so many times those of ADC steps"""
+    behind: FloatArray
+    """(n,) ohm, that each cell sees of its lines where nothing drives them"""
     known: dict[float, FloatArray]
     """results of ``std_at``"""
     inverse: FloatArray | None = None
@@ -112,8 +114,18 @@ class _Linear(NamedTuple):
         return self.known[kept]
 
     def distance(self, log: FloatArray, std: FloatArray) -> FloatArray:
-        """(n,) change of the logarithms since then, of which their own errors do not count."""
-        return np.abs(log - self.log) / np.maximum(PER_ERROR / FAR * std, 1.0)
+        """(n,) change of the logarithms since then, of which their own errors count only as they tie lines."""
+        change = np.abs(log - self.log)
+        by_ties = np.minimum(change, self.tied(log, self.log))
+        return np.maximum(change / np.maximum(PER_ERROR / FAR * std, 1.0), by_ties)
+
+    def tied(self, one: FloatArray, other: FloatArray) -> FloatArray:
+        """(n,) by how much cells tie their lines at ``other`` logarithms than at ``one``: shares, in units of a change.
+
+        A cell G changes the potentials of its lines, which others see by the impedance Z, by a share G Z / (1 + G Z).
+        """
+        here, there = (1.0 / (1.0 + np.exp(-log) / self.behind) for log in (one, other))
+        return PER_SHARE * np.abs(here - there)
 
 
 class _Corners(NamedTuple):
@@ -200,7 +212,7 @@ class FitLive:
         self._pinned: FloatArray = np.zeros(board.shape)
         self._wide = False
         self._corners: _Corners | None = None
-        self._damping, self._astray, self._in_vain, self._begun = 1.0, False, 0, False
+        self._damping, self._astray, self._in_vain, self._begun = 0.0, False, 0, False
         self.usual: UsualReading | None = None
         self._calm = 0
         usual = cells <= MOST_BESIDE and self._sheet is None and not self._several
@@ -270,7 +282,7 @@ class FitLive:
         """As :class:`._usual_fits.Fit`."""
         return self._short, self._least.reshape(self._shape), self._most.reshape(self._shape)
 
-    def kept(self, noise: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
+    def kept(self, noise: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray] | None:
         """As :class:`._usual_fits.Fit`."""
         linear = self._linear
         if linear is None or self._log is None or self._astray or not self._read.all():
@@ -281,7 +293,7 @@ class FitLive:
             linear = self._linear = self._with_inverse(linear)
             if linear is None or linear.inverse is None:
                 return None
-        return self._log, linear.log, linear.inverse, linear.std(hypot(1.0, noise / self._std))
+        return self._log, linear.log, linear.behind, linear.inverse, linear.std(hypot(1.0, noise / self._std))
 
     def follow(self, log: FloatArray) -> FloatArray:
         """As :class:`._usual_fits.Fit`."""
@@ -300,7 +312,7 @@ class FitLive:
         volts, known = self._at(log), self._linear.std(1.0) <= HARDLY_KNOWN
         there = np.where(unread.ravel(), self._most, log)
         for _ in range(_CORNER_STEPS):
-            step = self._linear.solve((volts - self._at(there)) * self._read)
+            step = self._linear.solve((volts - self._at(there)) * self._read, 0.0)
             there = there + np.clip(step, -STRIDE, STRIDE)
             left = np.abs(step)
             if left[known].max(initial=0.0) < _CORNER_STEP:
@@ -336,20 +348,19 @@ class FitLive:
         self._begun = True
         signal = volts.reshape(self._shape) - self._board.level
         slope = np.abs(self._board.circuit.log_conductance_slope(self._board, signal)).ravel()
-
         pinned = self._read == 0.0
 
-        def pin(log: FloatArray) -> FloatArray:
-            return np.where(pinned, self._pinned.ravel(), log)
+        def within(log: FloatArray) -> FloatArray:
+            return np.where(pinned, self._pinned.ravel(), np.clip(log, self._least, self._most))
 
         def off(log: FloatArray) -> FloatArray:
             return (volts - self._at(log)) * self._read
 
-        starts = [pin(self._closed_start(volts))]
+        starts = [within(self._closed_start(volts))]
         if start is not None:
-            starts.insert(0, pin(np.clip(np.log(np.maximum(start, 1e-30)).ravel(), self._least, self._most)))
+            starts.insert(0, within(np.log(np.maximum(start, 1e-30)).ravel()))
         try:
-            log = starts.pop(0) if self._log is None else pin(self._log)
+            log = starts.pop(0) if self._log is None else within(self._log)
             apart = off(log)
             misfit = self._misfit(apart, coarser)
             for other in starts if misfit > _JUMP else ():
@@ -357,21 +368,24 @@ class FitLive:
                 steps -= 1
                 if self._misfit(other_apart, coarser) < misfit:
                     log, apart, misfit = other, other_apart, self._misfit(other_apart, coarser)
-            settled, before, begun = False, inf, self._linear
+            still, before, begun = False, inf, self._linear
             while True:
                 linear = self._linear
                 if linear is None or linear.distance(log, linear.std(coarser)).max() > FAR:
                     if renewals == 0:
                         break
-                    self._linear, renewals = self._renewed(log), renewals - 1
-                    linear = self._linear
-                step, std = self._step(linear, apart, slope), linear.std(coarser)
+                    linear, renewals = self._renewed(log), renewals - 1
+                    self._linear = linear
+                std = linear.std(coarser)
+                step = within(log + self._step(linear, apart, slope)) - log
+                loose = (std > HARDLY_KNOWN) & (linear.tied(log, log + step) <= FAR)
                 if misfit <= _FITS:  # cells that readings hardly tell would hop, and carry the others with them
-                    step = np.where(std > HARDLY_KNOWN, 0.0, step)
-                small = (np.abs(step) <= np.maximum(SETTLED * std, SMALL)) | (std > HARDLY_KNOWN)
-                if misfit <= NO_FIT and small.all() and (misfit <= _FITS or not self._astray):
-                    settled = misfit <= NO_FIT
-                    break
+                    step = np.where(loose, 0.0, step)
+                small = (np.abs(step) <= np.maximum(SETTLED * std, SMALL)) | loose
+                if small.all() and (misfit <= _FITS or not self._astray):
+                    still = self._damping < _UNDAMPED
+                    if still:
+                        break
                 length = float(np.abs(step).max())
                 near = linear.distance(log, std).max() <= _NEAR
                 if length > _SLOW * before and not near and renewals and misfit > _FITS:
@@ -381,21 +395,22 @@ class FitLive:
                 if steps <= 0:
                     break
                 steps -= 1
-                trial = pin(np.clip(log + self._damping * step, self._least, self._most))
+                trial = within(log + step)
                 ahead = off(trial)
                 now = self._misfit(ahead, coarser)
                 if now > max(misfit, _FITS) and ahead @ ahead > apart @ apart:
                     if not near and renewals:
                         self._linear = None
                     else:
-                        self._damping *= _SHORTER
+                        self._damping = max(_MORE_DAMPED * self._damping, _DAMPED)
                     before = inf
                     continue
-                self._damping = min(self._damping / _SHORTER, 1.0)
+                self._damping = self._damping / _MORE_DAMPED if self._damping > _UNDAMPED else 0.0
                 log, apart, misfit, before = trial, ahead, now, length
         except np.linalg.LinAlgError:
             self._log = self._linear = None
             return None
+        settled = still and misfit <= NO_FIT
         if self._sheet is not None and settled:
             settled = self._follow_sheet(log, coarser)
         self._log, self._astray = log, not settled
@@ -424,16 +439,13 @@ class FitLive:
     def _step(self, linear: _Linear, apart: FloatArray, slope: FloatArray) -> FloatArray:
         """Change (n,) of the logarithms. A cell's own nonlinearity is known in closed form, and scales its reading.
 
-        So scaled or clipped, a step may lead away from the readings however short it is: shortened ones keep the
-        direction of the derivatives.
+        So scaled, a step may lead away from the readings however short it is: damped ones follow the derivatives.
         """
-        if self._damping < 1.0:
-            step = linear.solve(apart)
-            return step * min(1.0, STRIDE / max(float(np.abs(step).max()), TINY))
-        both = (linear.slope > 0.0) & (slope > 0.0)
-        steeper = np.divide(slope, linear.slope, out=np.ones(len(slope)), where=both)
-        step = linear.solve(apart * np.clip(steeper, 1.0 / _STEEPER, _STEEPER))
-        return np.clip(step, -STRIDE, STRIDE)
+        if self._damping == 0.0:
+            both = (linear.slope > 0.0) & (slope > 0.0)
+            steeper = np.divide(slope, linear.slope, out=np.ones(len(slope)), where=both)
+            apart = apart * np.clip(steeper, 1.0 / _STEEPER, _STEEPER)
+        return np.clip(linear.solve(apart, self._damping), -STRIDE, STRIDE)
 
     def _renewed(self, log: FloatArray) -> _Linear:
         """Make derivatives at these cells.
@@ -449,18 +461,34 @@ class FitLive:
         slope = np.abs(self._board.circuit.log_conductance_slope(self._board, volts - self._board.level)).ravel()
         if self._nodes is not None and self._read.all() and not self._wide:
             by_nodes = self._nodes.at(cells, np.full(self._shape, _PRIOR))
-            return _Linear(log, by_nodes.solve, slope, lambda coarser: coarser * by_nodes.std.ravel(), {})
+            std = by_nodes.std.ravel()
+            return _Linear(log, by_nodes.solve, slope, lambda coarser: coarser * std, self._behind(cells), {})
         jacobian, factor = self._normal(cells)
 
-        def solve(apart: FloatArray) -> FloatArray:
-            step: FloatArray = dpotrs(factor, jacobian.T @ (apart / self._std), lower=1)[0]
+        def solve(apart: FloatArray, damping: float = 0.0) -> FloatArray:
+            used = _factored(jacobian, damping) if damping else factor
+            step: FloatArray = dpotrs(used, jacobian.T @ (apart / self._std), lower=1)[0]
             return step
 
         amplified = inf
         if self._several and self._read.all():
             by_logs = jacobian * (self._std / (volts - self._board.level).reshape(-1, 1))
             amplified = float(np.abs(np.linalg.inv(by_logs)).sum(axis=1).max())
-        return _Linear(log, solve, slope, lambda coarser: self._std_of(log, jacobian, coarser), {}, None, amplified)
+        behind = self._behind(cells)
+        return _Linear(
+            log, solve, slope, lambda coarser: self._std_of(log, jacobian, coarser), behind, {}, None, amplified
+        )
+
+    def _behind(self, cells: FloatArray) -> FloatArray:
+        """Ohm (n,) that each of the cells (N, M) in ohm sees of its idle lines, at most."""
+        board = self._board
+        idle_row = 1.0 / board.pull if board.floating else 1.0 / (board.row_lead + LEAST_SHORT_OHM)[:, None]
+        alone = board.circuit.columns_one_by_one(board)
+        idle_column = 0.0 if alone else 1.0 / (board.circuit.end_resistance(board) + LEAST_SHORT_OHM)
+        conductance = 1.0 / cells
+        along, down = conductance.sum(axis=1, keepdims=True) + idle_row, conductance.sum(axis=0) + idle_column
+        behind: FloatArray = sum(1.0 / np.maximum(of_line - conductance, TINY) for of_line in (along, down))
+        return behind.ravel()
 
     def _normal(self, cells: FloatArray, read: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
         """Derivatives (n, n) at cells (N, M) in ohm, in errors of a reading, and their normal matrix, factored.
@@ -469,17 +497,10 @@ class FitLive:
             numpy.linalg.LinAlgError: the derivatives are not finite.
 
         """
-        from scipy.linalg.lapack import dpotrf
-
         read = self._read if read is None else read
         in_series = 1.0 / (cells + self._board.series_ohms).ravel()
         jacobian = self._derivatives(cells) * (in_series**2 * cells.ravel() / self._std * read) * read[:, None]
-        normal = jacobian.T @ jacobian
-        normal.flat[:: len(normal) + 1] += _PRIOR**-2.0
-        factor, failed = dpotrf(normal, lower=1)
-        if failed:
-            raise np.linalg.LinAlgError("the normal matrix is not positive definite")
-        return jacobian, factor
+        return jacobian, _factored(jacobian)
 
     def _with_inverse(self, linear: _Linear) -> _Linear | None:
         """The same with the matrix of ``solve``; None where there is none."""
@@ -688,6 +709,25 @@ class FitLive:
         reason[limited] = SATURATED
         reason[self._gone] = HIDDEN
         return undetermined(self._turn(reason))
+
+
+def _factored(jacobian: FloatArray, damping: float = 0.0) -> FloatArray:
+    """Lower Cholesky factor (n, n) of the normal matrix with the prior, its diagonal raised by a factor of damping.
+
+    Raises:
+        numpy.linalg.LinAlgError: the derivatives are not finite.
+
+    """
+    from scipy.linalg.lapack import dpotrf
+
+    normal = jacobian.T @ jacobian
+    normal.flat[:: len(normal) + 1] *= 1.0 + damping
+    normal.flat[:: len(normal) + 1] += _PRIOR**-2.0
+    factor, failed = dpotrf(normal, lower=1)
+    if failed:
+        raise np.linalg.LinAlgError("the normal matrix is not positive definite")
+    lower: FloatArray = factor
+    return lower
 
 
 def _most_by_own(derivatives: FloatArray, most: FloatArray) -> FloatArray:

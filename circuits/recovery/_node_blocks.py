@@ -132,6 +132,7 @@ class NodeStep:
         self._inner = inner = np.linalg.inv(whole)
         information = np.einsum("iab,iab->ib", along, along) + np.einsum("jab,jab->jb", down, down).T
         information += regular - np.einsum("ijj->ij", along) ** 2
+        self._information = information
         variance = np.maximum(free - free**2 * self._quadratic(inner), 1.0 / information)
         std = np.sqrt(variance)
         if (std > _HARDLY_KNOWN).any():
@@ -170,21 +171,26 @@ class NodeStep:
         image += self._regular * change
         return image
 
-    def solve(self, volts: FloatArray) -> FloatArray:
-        """Change (n,) of the logarithms for a difference (n,) of the readings in V."""
+    def solve(self, volts: FloatArray, damping: float = 0.0) -> FloatArray:
+        """Change (n,) of the logarithms for a difference (n,) of the readings in V, by a factor of damping."""
         apart = volts.reshape(self._scale.shape) / self._noise
         residual = self._scale * self._derivatives.transposed_times(apart)
-        direction = preconditioned = self._preconditioned(residual)
+        more = damping * self._information
+
+        def conditioned(normal: FloatArray) -> FloatArray:
+            return self._preconditioned(normal) if damping < 1.0 else normal / (self._information + more)
+
+        direction = preconditioned = conditioned(residual)
         gain = begun = float(np.vdot(residual, preconditioned))
         change = np.zeros_like(residual)
         for _ in range(_ITERATIONS):
             if gain <= _TOLERANCE**2 * begun:
                 break
-            image = self._normal(direction)
+            image = self._normal(direction) + more * direction
             length = gain / float(np.vdot(direction, image))
             change += length * direction
             residual -= length * image
-            preconditioned = self._preconditioned(residual)
+            preconditioned = conditioned(residual)
             before, gain = gain, float(np.vdot(residual, preconditioned))
             direction = preconditioned + (gain / before) * direction
         flat: FloatArray = change.ravel()

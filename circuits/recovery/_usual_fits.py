@@ -36,6 +36,8 @@ NO_FIT = 3.0
 """half steps of readings from those of the cells: no fit yet"""
 HARDLY_KNOWN = 0.15
 """standard deviation of a logarithm beyond which a step does not matter"""
+PER_SHARE = 5.0
+"""change of a logarithm that counts as one of the share by which a cell ties its lines to each other"""
 SETTLED, SMALL = 0.3, 1e-6
 """standard deviations, and change of a logarithm: step that does not matter"""
 STRIDE = 1.5
@@ -47,8 +49,10 @@ STEPS = 3  # evaluations of the model in a frame
 IDLE, ROW_LEAD = range(2)
 """places of what is given for each row: S of its pull-down, and ohm of the lead before it; likewise of columns"""
 END, COLUMN_IDLE, SOURCE, OUTPUT, PER_AMPERE, GAIN, SPAN, REST = range(8)
-LOG, MODEL, MADE_AT, SHORT, LOWEST, HIGHEST = range(6)
-"""of cells: logarithms and the model's volts there, logarithms at which the matrix was made, V of a short, bounds"""
+LOG, MODEL, MADE_AT, BEHIND, SHORT, LOWEST, HIGHEST = range(7)
+"""of cells: logarithms and the model's volts there, logarithms at which the matrix was made, and ohm of the lines that
+each sees, V of a short, bounds
+"""
 
 
 @loop
@@ -127,6 +131,15 @@ def fitted_volts(
 
 
 @loop
+def tied(log: float, other: float, behind: float) -> float:
+    """By how much a cell ties its lines at an ``other`` logarithm: shares, in units of a change of a logarithm.
+
+    A cell G changes the potentials of its lines, which others see by the impedance Z ``behind``, by G Z / (1 + G Z).
+    """
+    return PER_SHARE * abs(1.0 / (1.0 + math.exp(-log) / behind) - 1.0 / (1.0 + math.exp(-other) / behind))
+
+
+@loop
 def measure_fitted(
     volts: Rows,
     solver: Rows,
@@ -158,7 +171,7 @@ def measure_fitted(
         volts: readings.
         solver: (N M, N M) 1/V, changes by each reading of all logarithms.
         spread: (N M,) standard deviations of the logarithms.
-        of_rows: and ``of_columns`` as of :func:`fitted_volts`; ``of_cells`` (6, N, M) by the places above, of which
+        of_rows: and ``of_columns`` as of :func:`fitted_volts`; ``of_cells`` (7, N, M) by the places above, of which
             those of the last frame are changed.
         drive: V; ``level`` of the reference.
         converter: V, standard deviation of a reading by the converter's steps.
@@ -190,9 +203,14 @@ def measure_fitted(
                 most = max(most, abs(apart))
                 for other in range(count):
                     step[other] += solver[place, other] * apart
-        for place in range(count):
-            if abs(step[place]) > max(SETTLED * spread[place], SMALL) and spread[place] <= HARDLY_KNOWN:
-                settled = False
+        for i in range(rows):
+            for j in range(columns):
+                place = i * columns + j
+                there = min(max(log[i, j] + step[place], of_cells[LOWEST, i, j]), of_cells[HIGHEST, i, j])
+                if abs(there - log[i, j]) > max(SETTLED * spread[place], SMALL) and (
+                    spread[place] <= HARDLY_KNOWN or tied(log[i, j], there, of_cells[BEHIND, i, j]) > FAR
+                ):
+                    settled = False
         if settled and number > 0:
             break
         if number == STEPS:
@@ -208,8 +226,10 @@ def measure_fitted(
         return False
     for i in range(rows):
         for j in range(columns):
-            far = abs(log[i, j] - of_cells[MADE_AT, i, j])
+            far, made_at = abs(log[i, j] - of_cells[MADE_AT, i, j]), of_cells[MADE_AT, i, j]
             if not far <= FAR * max(PER_ERROR / FAR * spread[i * columns + j], 1.0):
+                return False
+            if far > FAR and tied(log[i, j], made_at, of_cells[BEHIND, i, j]) > FAR:
                 return False
     error, half_step = board.half + SIGMAS * surely, 0.5 * board.step * constant_part(usual / board.step)
     sigmas = math.hypot(BY_STEPS, BY_NOISE * surely / converter) / coarser * max(misfit, 1.0)
@@ -246,11 +266,12 @@ class Fit(Protocol):
         """V (N, M) of a short at each cell, and the least and greatest logarithms (N, M)."""
         ...
 
-    def kept(self, noise: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
+    def kept(self, noise: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray] | None:
         """What a stream goes on with, for V of noise; None where the last frame left nothing.
 
-        Logarithms (n,) of the last frame, and those at which the derivatives were made; the regularised inverse of
-        these (readings, logarithms) in 1/V, and the standard deviations (n,) of the logarithms.
+        Logarithms (n,) of the last frame, and those at which the derivatives were made; ohm (n,) of the lines that each
+        cell sees there; the regularised inverse of the derivatives (readings, logarithms) in 1/V, and the standard
+        deviations (n,) of the logarithms.
         """
         ...
 
@@ -291,7 +312,7 @@ class UsualFits:
         ):
             place[:] = given
         self._numbers = board.drive, board.level, converter[1]
-        self._of_cells = np.empty((6, rows, columns))
+        self._of_cells = np.empty((7, rows, columns))
         self._of_cells[SHORT], self._of_cells[LOWEST], self._of_cells[HIGHEST] = fit.bounds()
         lines = np.empty((3, rows, columns)), np.empty((2, columns, columns)), np.empty(columns), np.empty(rows)
         self._work = *lines, np.empty((rows, columns)), np.empty((rows, columns)), np.empty(rows * columns)
@@ -342,12 +363,13 @@ class UsualFits:
         kept = self._fit.kept(surely)
         if kept is None:
             return None
-        log, made_at, solver, spread = kept
+        log, made_at, behind, solver, spread = kept
         begun = log is self._log
         if not begun:
             self._of_cells[LOG] = log.reshape(self._shape)
         if solver is not self._solver:
-            self._of_cells[MADE_AT], self._solver = made_at.reshape(self._shape), solver
+            self._of_cells[MADE_AT], self._of_cells[BEHIND] = made_at.reshape(self._shape), behind.reshape(self._shape)
+            self._solver = solver
         if self._turned:
             np.copyto(self._volts, volts.T[::-1, ::-1])
             volts = self._volts
