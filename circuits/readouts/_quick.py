@@ -112,6 +112,8 @@ def _alone(board: Parts, network: QuickNetwork) -> _Alone:
     laplacian += np.trace(laplacian) / len(laplacian) ** 2
     impedance = np.asarray(np.linalg.inv(laplacian), dtype=np.float64)
     diagonal = np.diagonal(impedance)
+    if not float(np.abs(diagonal).max()) * np.trace(laplacian) < _CONNECTED * len(laplacian):
+        raise np.linalg.LinAlgError("parts of the grid have no connection")
     own = diagonal[:rows, None] + diagonal[rows:] - 2.0 * impedance[:rows, rows:]
     return _Alone(board.drive / own, 1.0 / own, impedance, own, idle)
 
@@ -224,6 +226,7 @@ def behind_leads(network: QuickNetwork, lead: FloatArray) -> tuple[FloatArray, F
 
 
 _LEAST_LEAD = 1e-5  # ohm: stands for an ideal lead beside others that are not
+_CONNECTED = 1e13  # impedance of a node over that of a mean node, beyond which rounding alone connects it
 
 
 def _impedance(network: QuickNetwork, to_ground: FloatArray | float) -> FloatArray:

@@ -417,10 +417,11 @@ class FitLive:
         self._calm = self._calm + 1 if settled and self._linear is begun else 0
         self._in_vain = self._in_vain + 1 if misfit > _MISFIT else 0
         if self._in_vain > _OFTEN:
-            self._log = None
+            if not self._in_vain & (self._in_vain - 1):  # begin anew, each time with twice as many frames
+                self._log = None
             # Cells of a few ohm tie lines to each other: then other cells, far from these, may give the readings.
             ties = not self._read.all() or float(np.exp(-log).min()) < _TIE * float(self._board.reference.min())
-            if self._in_vain > 3 * _OFTEN and not ties:
+            if still and self._in_vain > 3 * _OFTEN and not ties:
                 raise SolverError(_NO_CELLS)
         if not settled or self._linear is None:
             return None
@@ -480,13 +481,16 @@ class FitLive:
         )
 
     def _behind(self, cells: FloatArray) -> FloatArray:
-        """Ohm (n,) that each of the cells (N, M) in ohm sees of its idle lines, at most."""
+        """Ohm (n,) that each of the cells (N, M) in ohm sees of its lines.
+
+        What an idle column does without an end matters where rows float: else these hold what it joins.
+        """
         board = self._board
         idle_row = 1.0 / board.pull if board.floating else 1.0 / (board.row_lead + LEAST_SHORT_OHM)[:, None]
-        alone = board.circuit.columns_one_by_one(board)
-        idle_column = 0.0 if alone else 1.0 / (board.circuit.end_resistance(board) + LEAST_SHORT_OHM)
+        adrift = board.floating and board.circuit.columns_one_by_one(board)
+        end = 0.0 if adrift else 1.0 / (board.circuit.end_resistance(board) + LEAST_SHORT_OHM)
         conductance = 1.0 / cells
-        along, down = conductance.sum(axis=1, keepdims=True) + idle_row, conductance.sum(axis=0) + idle_column
+        along, down = conductance.sum(axis=1, keepdims=True) + idle_row, conductance.sum(axis=0) + end
         behind: FloatArray = sum(1.0 / np.maximum(of_line - conductance, TINY) for of_line in (along, down))
         return behind.ravel()
 

@@ -117,7 +117,8 @@ class LawLive:
         if not exact:
             self._factors = Factors(board.shape, self._law_of_model, self._enclosure.coupling, evaluations)
         beside_end = np.abs(to_end - to_end.mean(axis=0)).max(axis=0)
-        self._beside_law = beside_end / np.maximum(self._law.behind, beside_end + LEAST)  # share that segments change
+        rest = np.maximum(self._law.behind, beside_end + LEAST)
+        self._beside_law = beside_end / rest  # relative change of a column's share by segments
         self._fit = None
         small = board.shape[0] * board.shape[1] <= MOST_BESIDE
         mixes = (board.circuit.mixes_cells and self._answers is None) or not self._tells
@@ -221,7 +222,7 @@ class LawLive:
         moved = self._factors.moved(np.minimum(uncertainty, 1.0) * np.abs(cells), cells, uncertainty <= limit)
         if self._some_hidden and self._factors.renewed and settled:
             self._by_hidden = self._of_hidden(cells)
-        uncertainty = uncertainty + moved + left + self._by_hidden
+        uncertainty = uncertainty + moved + self._by_hidden + (left if settled else 0.0)
         return self._reading(errors, cells, uncertainty, enclosed, unknowns, answers, settled=settled)
 
     def _of_hidden(self, cells: FloatArray) -> FloatArray:
@@ -255,7 +256,8 @@ class LawLive:
 
     def _count_impossible(self, ports: Ports, errors: LawErrors, unknowns: Unknowns | None) -> None:
         """Raise SolverError for readings that no cells give, frame after frame."""
-        impossible = unknowns is None and bool((ports.left < -BEYOND * errors.of_left - self._beside_law).any())
+        by_segments = self._beside_law * np.maximum(1.0 - ports.left, 1.0)
+        impossible = unknowns is None and bool((ports.left < -BEYOND * errors.of_left - by_segments).any())
         self._impossible = self._impossible + 1 if impossible else 0
         if self._impossible > _OFTEN:
             raise SolverError("no cell resistances give these readings; check that the design is that of the board")
@@ -294,7 +296,7 @@ class LawLive:
             valid, reason = self._every
         else:
             reason = self._reasons(cells, own, total, by_others, unknowns, short, valid, settled=settled)
-            total = np.where(valid | (reason == UNCERTAIN), total, inf)
+            total = np.where(valid | ((reason == UNCERTAIN) & settled), total, inf)
         bounds = None if enclosed is None else (enclosed.least, enclosed.greatest)
         if answers is not None:
             bounds = answers if bounds is None else (np.maximum(bounds[0], low), np.minimum(bounds[1], high))
@@ -329,7 +331,8 @@ class LawLive:
         like_short = (cells * self._whole_wires > MOST_WIRE) & ~valid
         none = ((own >= 1.0) | ~(cells > 0.0)) & ~like_short
         beside = False if short is None else bool(short.any())  # a short keeps others from settling
-        unsettled = None if settled else ~none
+        # What others leave open does not wait for the next frames.
+        unsettled = None if settled else ~none if beside else valid.copy()
         if short is not None:
             none &= ~short
         for where, why in (

@@ -154,7 +154,8 @@ def measure_usual(
         sums,
     )
     for j in range(columns):
-        if not some and left[j] < -BEYOND * of_left[j] - of_columns[BESIDE_LAW, j]:
+        by_segments = of_columns[BESIDE_LAW, j] * max(1.0 - left[j], 1.0)
+        if not some and left[j] < -BEYOND * of_left[j] - by_segments:
             return False
     others, least, greatest, estimate = work[11], work[12], work[13], work[14]
     for i in range(rows):
@@ -329,7 +330,7 @@ class UsualFrames:
             law: of the board.
             factors: what corrects the laws; None: nothing.
             enclosure: bounds beside unknown cells.
-            beside_law: (M,) share of the drive by which segments may change what is left at a column.
+            beside_law: (M,) relative change of a column's share of the drive by segments.
             wires: (N, M) ohm of each cell's lines beyond the mean, and in all.
             constants: those of :class:`Constants`, by name.
 
