@@ -11,18 +11,21 @@ import weakref
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from math import inf
 
 from ..common.events import SignalSafeEvent
 from ..common.text import shortened
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ..wire import Corrupt, Description, Event, Flag, FramePacket, HostProtocol, Identity, Order
+from ._converted import Converted
 from ._frames import Frames
 from ._handshake import Handshake
 from ._orders import Answer, PendingOrder
 from ._port import Arrival, BytePort
 from ._reconnect import attempts
-from ._stream import FrameStream
+from ._recording import Recording
+from ._stream import FrameStream, RawFrame
 
 ASK_AGAIN_S = 0.5
 """a board that sends nothing for this time is asked again"""
@@ -125,8 +128,8 @@ class Connection:
         """the last order: where it comes back, a message says so"""
         self.taps: list[Callable[[Arrival], None]] = []
         """called with all bytes, as they arrive: for a recorder"""
-        self.on_gone: list[Callable[[], None]] = []
-        """called when the port has been lost"""
+        self.recordings: dict[Recording, Callable[[RawFrame, Converted], None] | None] = {}
+        """recordings in progress, and what gives them converted frames"""
         self._port: BytePort | None = port
         self._clock = port.now  # of the last port, which a recording has after its end, too
         self._family = handshake.family
@@ -345,16 +348,35 @@ class Connection:
         return LinkEnded(f"{self.port_name}: the skin is closed")
 
     def forget(self) -> None:
-        """Let the thread end within half a second, since nobody can take frames any more; not while bytes are recorded.
+        """Nobody can take frames any more: let the thread end within half a second, unless, and until, nobody taps it.
 
         This is for destructors. It takes no lock, because the garbage collector may run in a thread that holds the
         lock.
         """
-        self._forgotten = not self.taps
+        self._forgotten = True
 
     @property
     def _is_ending(self) -> bool:
-        return self._forgotten or self._stop.is_set()
+        return self._stop.is_set() or (self._forgotten and not self.taps)
+
+    def record(self, recording: Recording) -> None:
+        """Give a recording all bytes from now on, until it is closed."""
+        self.recordings[recording], recording.leave = None, partial(self._leave, recording)
+        self.taps.append(recording.arrived)
+
+    def record_frames(self, recording: Recording, receive: Callable[[RawFrame, Converted], None]) -> None:
+        """Give a recording all converted frames, too; the board is known."""
+        self.recordings[recording] = receive
+        self.frames.on_converted.append(receive)
+        self.frames.converter.on_rest.append(recording.rest_changed)
+
+    def _leave(self, recording: Recording) -> None:
+        with self._reading:
+            receive = self.recordings.pop(recording)
+            self.taps.remove(recording.arrived)
+            if receive is not None:
+                self.frames.on_converted.remove(receive)
+                self.frames.converter.on_rest.remove(recording.rest_changed)
 
     def _run(self) -> None:
         try:
@@ -384,8 +406,8 @@ class Connection:
                 if self._is_ending or self._reopen is None or not self.known.is_set():
                     raise
                 self._release()
-                for tap in self.on_gone:
-                    tap()
+                for recording in tuple(self.recordings):
+                    recording.port_gone()
                 self._connect_again(error)
 
     def _serve(self) -> None:
@@ -602,7 +624,7 @@ class Connection:
         absence = self._absence = Absence(before.since_s, before.because)
         left_s = self._reconnect_s - (time.monotonic() - absence.since_s)
         failure: LinkError | None = None
-        for _ in attempts(left_s, lambda wait_s: self._stop.wait(wait_s) or self._forgotten):
+        for _ in attempts(left_s, lambda wait_s: self._stop.wait(wait_s) or self._is_ending):
             try:
                 port = self._reopen()
             except LinkEnded:

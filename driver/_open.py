@@ -353,10 +353,6 @@ class JoinedSkin(Skin):
         """InputError: record each of the boards."""
         raise self._refused("a recording")
 
-    def detach(self, recording: Recording) -> None:
-        """InputError: record each of the boards."""
-        raise self._refused("a recording")
-
     @property
     def recorder(self) -> Recording | None:
         """The recording of the first board."""

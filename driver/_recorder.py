@@ -37,7 +37,7 @@ class Recorder(Recording):
             LinkError: the skin has come to its end, or is closed.
 
         """
-        self._skin = of_kind("skin", skin, BoardSkin, "an open Skin")
+        of_kind("skin", skin, BoardSkin, "an open Skin")
         super().__init__(path, skin.settings_to_join().as_metadata(), overwrite=overwrite)
         try:
             skin.attach(self)
@@ -45,16 +45,6 @@ class Recorder(Recording):
         except BaseException:
             self.discard()
             raise
-
-    def close(self) -> None:
-        """End the recording; the skin stays open. A second call does nothing.
-
-        Raises:
-            InputError: the file could not be written to the end. The part written before can be read.
-
-        """
-        self._skin.detach(self)
-        super().close()
 
     def __enter__(self) -> Self:
         return self

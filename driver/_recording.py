@@ -12,7 +12,7 @@ import json
 import struct
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -71,6 +71,8 @@ class Recording:
         self.frames = 0
         """decoded frames written"""
         self._earlier_frames = 0
+        self.leave: Callable[[], None] | None = None
+        """ends the bytes and frames that come from a skin; None: none come"""
         self._output = Output(self.path)
         with self._output.errors():
             self._output.open()
@@ -169,12 +171,15 @@ class Recording:
         self.frames += 1
 
     def close(self) -> None:
-        """End the recording; a second call does nothing.
+        """End the recording; the skin stays open if somebody holds it. A second call does nothing.
 
         Raises:
             InputError: the file could not be written to the end. The part written before can be read.
 
         """
+        leave, self.leave = self.leave, None
+        if leave is not None:
+            leave()
         if self._thread.is_alive():
             self._waiting.put(None)
             self._thread.join()

@@ -24,7 +24,6 @@ from ._connection import await_free
 from ._consumer import AsyncFrames, Consumer, FrameCallback, follower, frames_since
 from ._contacts import Touch
 from ._convert import Converter
-from ._converted import Converted
 from ._discover import LONGEST_SEARCH_S, find_board
 from ._frame import Frame
 from ._options import Options, SkinSettings
@@ -36,7 +35,6 @@ from ._recording import Recording
 from ._replay import RecordedSettings, ReplayPort
 from ._set_up import begin, connect
 from ._statistics import LinkStatistics
-from ._stream import RawFrame
 from ._tare import KNOWN_DRIFT, SPREAD, Tare
 from ._taring import Tares
 
@@ -101,8 +99,6 @@ class BoardSkin:
         settings = replace(options.settings, simulated=getattr(port, "is_simulated", False))
         self._timeout = options.timeout_s
         self._recorder: Recording | None = None
-        self._followers: dict[Recording, Callable[[RawFrame, Converted], None]] = {}
-        """recordings in progress -> the function that gives them converted frames"""
         try:
             self._connection = connect(port, options, reopen)
             if record is not None:
@@ -111,7 +107,7 @@ class BoardSkin:
             port.close()
             raise
         if self._recorder is not None:
-            self._follow_bytes(self._recorder)
+            self._connection.record(self._recorder)
         try:
             begin(self._connection, port, options)
             if self._recorder is not None:
@@ -135,7 +131,7 @@ class BoardSkin:
         self._callbacks: list[FrameCallback] = []
         self._tares = Tares(self._frames, self._consumer, self.calibration)
         if self._recorder is not None:
-            self._follow_frames(self._recorder)
+            self._connection.record_frames(self._recorder, follower(self._connection, self._recorder.frame))
         _OPEN_HERE.add(self)
         weakref.finalize(self, self._connection.forget).atexit = False
 
@@ -327,18 +323,16 @@ class BoardSkin:
         for callback in self._callbacks:
             callback.close()
         self._callbacks.clear()
-        recordings, self._recorder = list(self._followers), None
-        self._followers.clear()
-        for recording in recordings:
+        self._recorder = None
+        for recording in tuple(self._connection.recordings):
             recording.close()
 
     def _disown(self) -> None:
         """In a forked process: tell every reader that the skin belongs to the parent process."""
         self._tares.disown()
-        for recording in self._followers:
+        for recording in self._connection.recordings:
             recording.disown()
         self._callbacks.clear()
-        self._followers.clear()
         self._connection.disown()
 
     def __iter__(self) -> Iterator[Frame]:
@@ -515,28 +509,8 @@ class BoardSkin:
             recording.begin_after(self._frames.counters.frames, self._converter.rest)
             if self._connection.away:
                 recording.port_gone()
-            self._follow_bytes(recording)
-            self._follow_frames(recording)
-
-    def detach(self, recording: Recording) -> None:
-        """End a recording here; a recording that is not attached is left alone."""
-        with self._connection.between_arrivals():
-            follow = self._followers.pop(recording, None)
-            if follow is None:
-                return
-            self._connection.taps.remove(recording.arrived)
-            self._connection.on_gone.remove(recording.port_gone)
-            self._converter.on_rest.remove(recording.rest_changed)
-            self._frames.on_converted.remove(follow)
-
-    def _follow_bytes(self, recording: Recording) -> None:
-        self._connection.taps.append(recording.arrived)
-        self._connection.on_gone.append(recording.port_gone)
-
-    def _follow_frames(self, recording: Recording) -> None:
-        self._followers[recording] = follower(self._connection, recording.frame)
-        self._converter.on_rest.append(recording.rest_changed)
-        self._frames.on_converted.append(self._followers[recording])
+            self._connection.record(recording)
+            self._connection.record_frames(recording, follower(self._connection, recording.frame))
 
     def request(self, order: Order, *, period_us: int = 0, timeout: float | None = None) -> Answer | None:
         """Give the board an order of its protocol, and return its answer. After STOP no frames come until START.
