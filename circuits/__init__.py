@@ -5,7 +5,6 @@
 
 from ._adc import adc_codes, adc_error, clipped, volts_of_codes
 from ._amplifier_model import AmplifierModel
-from ._batch import BatchResult, scan_batch
 from ._board import Board
 from ._design import Design
 from ._effects import Effect, effects
@@ -14,7 +13,7 @@ from ._operating import OperatingPoint, operating_point, operating_points
 from ._population import Boards, PopulationReading, read_together, scan_population
 from ._readout import Readout
 from ._requirement import Conditions, Requirement
-from ._scan import METHODS, ScanResult, scan
+from ._scan import METHODS, BatchResult, ScanResult, scan, scan_batch
 from ._sections import Adc, Array, Cells, Drive, Fault, Operation, Requirements, Sheet
 from ._sensitivity import Sensitivity, sensitivity
 from ._sequence import interpolates, scan_sequence

@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 
 from ..common.arrays import BoolArray, FloatArray
 from ..errors import InputError
-from ._batch import BatchResult, checked_frames, scan_batch
 from ._board import Board
 from ._design import Design
+from ._scan import BatchResult, checked_frames, scan_batch
 from .readouts import output_rounding
 from .solvers import SequenceTransfer, exact_transfer, sequence_transfer
 
