@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import product
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 from worst_boards import (
     CIRCUITS,
     QUANTITIES,
+    Array,
     asked,
     asked_in_time,
     beaten,
@@ -24,7 +26,7 @@ from worst_boards import (
 )
 
 from ohmskin.bench._reference import reference_volts
-from ohmskin.circuits import Design, Requirement
+from ohmskin.circuits import Design, Requirement, scan
 from ohmskin.verification import Report, verify
 
 QUICK = (3, 5, 6, 11, 12, 22)
@@ -268,3 +270,39 @@ def test_a_worst_case_never_falls_when_tolerances_grow() -> None:
         found.append(stated(_verified(design.replace(**changes))))
     for quantity, smaller in found[0].items():
         assert found[1][quantity] == smaller or found[1][quantity] >= smaller - 1e-6 * abs(smaller), quantity
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_offsets_that_drive_currents_through_floating_rows_are_found(seed: int) -> None:
+    """A product of presses and offsets, of which derivatives about nominal parts know nothing; at any cell."""
+    random = np.random.default_rng(seed)
+    rows, columns = (int(count) for count in random.integers(4, 7, 2))
+    rest, drive = 10 ** random.uniform(4.3, 4.8), float(random.choice([-1.0, 2.5]))
+    pressed = rest / random.uniform(5.0, 9.5)
+    offset, leads = 1e-3 * random.uniform(0.5, 2.0), {"row_segment": 3.0, "column_segment": 2.0, "row_lead": 11.0}
+    design = Design.model_validate(
+        {
+            "array": {"rows": rows, "columns": columns, **leads},
+            "drive": {"voltage": drive, "idle_rows": "float"},
+            "readout": {
+                **{"circuit": "inverting-amplifier", "reference_resistance": 0.3 * pressed, "supply": (-3.0, 3.0)},
+                **{"open_loop_gain": 1e6, "offset_voltage": offset},
+            },
+            "cells": {"rest_resistance": rest, "full_scale_resistance": pressed, "full_scale_kpa": 20.0},
+        }
+    )
+    only = [Requirement(id="crosstalk", quantity="crosstalk", max=1e9)]
+    found = verify(design, requirements=only).results[0].measurement
+    assert found is not None
+
+    def change(row: int, column: int, sign: float, volts: Callable[[Design, Array], Array]) -> float:
+        own = sign * np.where(np.arange(columns) == column, -offset, offset)
+        board = design.replace(readout={"offset_voltage": tuple(own.tolist())})
+        before = np.full((rows, columns), rest)
+        after = np.full((rows, columns), pressed)
+        after[row, column] = rest
+        return 100 * abs(float(volts(board, before)[row, column] / volts(board, after)[row, column]) - 1.0)
+
+    ends = product(range(rows), range(columns), (-1.0, 1.0))
+    worst = max(ends, key=lambda end: change(*end, volts=lambda board, cells: scan(board, cells).volts))
+    assert change(*worst, volts=reference_volts) <= found.value * (1 + 1e-9)

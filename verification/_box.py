@@ -77,6 +77,26 @@ class Box:
         found[-1] = found[:-1].any(axis=0)
         return found
 
+    def exchanged(self, corner: Corners, row: int, column: int) -> FloatArray:
+        """(D,) one corner with the lines of its judged cell and those of another cell exchanged, as if relabelled."""
+        order = [np.arange(count) for count in self.shape]
+        for lines, one, other in zip(order, (corner.row[0], corner.column[0]), (row, column), strict=True):
+            lines[[one, other]] = other, one
+        factors, press, scale = (part[0] for part in self.split(corner.x))
+        place = {(factor.key, factor.line, factor.package): n for n, factor in enumerate(self.factors.factors)}
+        found = factors.copy()
+        for number, (key, line, package) in enumerate(place):
+            if line is not None:
+                lines = order[0 if key.partition(".")[2].startswith("row_") else self.sensed_axis]
+                found[number] = factors[place.get((key, int(lines[line % len(lines)]), package), number)]
+        cells = np.ix_(*order)
+        return np.concatenate([found, press[cells].ravel(), scale[cells].ravel()])
+
+    @property
+    def sensed_axis(self) -> int:
+        """The axis of the array along which lines have a readout."""
+        return 0 if self.design.board.turned else 1
+
     @property
     def half_step(self) -> float:
         """V by which a code may stand for less or more than was converted."""

@@ -157,7 +157,8 @@ class ReadingTarget(Target):
         return box.cells * len(self.frames) * (ALONE if alone else 1)
 
     def starts(self, box: Box) -> Corners:
-        return Corners.joined([named.corners for named in named_corners(self, box)])
+        named = named_corners(self, box)
+        return Corners.joined([corners for one in named for corners in (one.corners, one.around)])
 
     def gradient(self, box: Box, corner: Corners) -> FloatArray | None:
         cells = [frame[0] for frame in self.frames_of(box, corner)]
@@ -411,6 +412,9 @@ class NamedCorners:
     """The corners that derivatives about one state name, with the values to first order that they come from."""
 
     corners: Corners
+    around: Corners
+    """the same with all cells in that state, where the derivatives by the parts hold: what a part does may be a product
+    with presses, as with floating rows, of which derivatives about nominal parts know nothing"""
     centre: FloatArray
     """(K,) values of nominal boards with all cells alike"""
     slopes: FloatArray
@@ -426,11 +430,12 @@ def named_corners(target: ReadingTarget, box: Box) -> list[NamedCorners]:
         for sign in (1.0, -1.0):
             order = np.argsort(-uniform.estimates(sign), kind="stable")[: most_solved(box.shape)]
             centre, values, slopes = uniform.slopes(order, sign)
-            x = np.sign(slopes)
+            x, alike = np.sign(slopes), np.sign(slopes)
             press = box.split(x)[1]
             press[press == 0] = -1.0
             press[np.arange(len(order)), centre.row, centre.column] = 2.0 * state - 1.0
-            found.append(NamedCorners(centre.at(x), values, slopes))
+            box.split(alike)[1][:] = 2.0 * state - 1.0
+            found.append(NamedCorners(centre.at(x), centre.at(alike), values, slopes))
     return found
 
 

@@ -316,6 +316,8 @@ class _Search:
             if self.target.by_cell:
                 starts = Corners.joined([starts, known.some(np.argsort(-values, kind="stable")[: self.climbs // 4])])
             climbed = self._climbed(starts)
+            if self.target.by_cell:
+                climbed = climbed.and_(self._climbed(self._elsewhere(climbed)))
             best = np.argsort(-climbed.values, kind="stable")[: 2 if self.target.in_time else 1]
             refined = self._refined(climbed.some(best))
             known = Corners.joined([refined.corners, climbed.corners, known])
@@ -337,6 +339,21 @@ class _Search:
             flips_solved=self.exact,
             others=known.some(order[: 32 * _FEWEST]),
         )
+
+    def _elsewhere(self, climbed: _Climbed) -> Corners:
+        """Starts from the best corner of each sign, at all cells that are solved, with its lines exchanged for theirs.
+
+        How far a start is from its summit differs from cell to cell, so that those that begin highest need not end so.
+        """
+        judged = self.worst(2 * most_solved(self.box.shape))
+        x = judged.x.copy()
+        for sign in np.unique(climbed.corners.sign):
+            same = np.flatnonzero(climbed.corners.sign == sign)
+            best = climbed.corners.some(same[[int(climbed.values[same].argmax())]])
+            for number in np.flatnonzero(judged.sign == sign):
+                x[number] = self.box.exchanged(best, int(judged.row[number]), int(judged.column[number]))
+        moved = judged.at(x)
+        return moved.some(np.argsort(-self.solve(moved), kind="stable")[: max(self.climbs // 4, 1)])
 
     def _plain(self, corner: Corners, value: float) -> Corners:
         """The corner with those parts at their nominal values that have no influence on it."""
@@ -515,6 +532,10 @@ class _Climbed(NamedTuple):
     values: FloatArray
     settled: BoolArray
     """(C,) whether nothing that was tried last is worse"""
+
+    def and_(self, other: _Climbed) -> _Climbed:
+        joined = (np.concatenate(pair) for pair in zip(self[1:], other[1:], strict=True))
+        return _Climbed(Corners.joined([self.corners, other.corners]), *joined)
 
     def some(self, which: IntArray) -> _Climbed:
         return _Climbed(self.corners.some(which), self.values[which], self.settled[which])

@@ -268,8 +268,8 @@ def inverted_nodes(static: FloatArray) -> tuple[FloatArray, FloatArray]:
         SolverError: no leak determines the potentials: ideal sources and amplifiers contradict each other.
 
     """
-    leaking = static + _LOOSE * float(np.abs(static).max()) * np.eye(len(static))
-    for equations in (static, leaking):
+    for leak in (0.0, _LOOSE):
+        equations = static + leak * float(np.abs(static).max()) * np.eye(len(static)) if leak else static
         with suppress(np.linalg.LinAlgError):
             return equations, np.linalg.inv(equations).astype(np.float64, copy=False)
     raise SolverError("the ends of the lines determine no potentials: is an input of an ideal amplifier not connected?")
