@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from math import inf
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,12 @@ from numpy.typing import NDArray
 from ..common.arrays import FloatArray
 from ._parts import Parts
 from ._readout import Readout
-from ._sections import Adc, Array, Drive, Fault, PerLine, Sheet
-from .ends import GROUND, LINE, REF, Card, ColumnEnd, Crosspoint, LineEnds, Network, Reference, RowEnd, amplifier
+from ._sections import Adc, Fault, PerLine
+from .ends import GROUND, LINE, REF, Card, LineEnds, Network, amplifier
 from .readouts import CIRCUITS, DESCRIBED, DESCRIBED_INVERTING, LinearReadout, ReadoutCircuit
+
+if TYPE_CHECKING:
+    from ._design import Design
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,22 +38,12 @@ class Board(Parts):
     """None: the outputs are not converted"""
 
     @classmethod
-    def of(
-        cls,
-        array: Array,
-        sheet: Sheet,
-        drive: Drive,
-        readout: Readout,
-        adc: Adc | None,
-        faults: tuple[Fault, ...],
-        networks: Networks | None = None,
-        *,
-        by_nodes: bool = False,
-    ) -> Board:
-        """Expand the sections of a design. Users take ``design.board``, which keeps the result.
+    def of(cls, design: Design, *, by_nodes: bool = False) -> Board:
+        """Expand a design. Users take ``design.board``, which keeps the result.
 
-        With ``by_nodes`` the lines end in networks even where they are Thevenin equivalents.
+        With ``by_nodes`` the lines end in networks, even where they are Thevenin equivalents or the design names none.
         """
+        array, drive, readout, faults = design.array, design.drive, design.readout, design.fault
         circuit = CIRCUITS[readout.circuit]
         turned = circuit.senses == "rows"
         row_keys, column_keys = (array.row_lead, array.row_segment), (array.column_lead, array.column_segment)
@@ -94,12 +87,12 @@ class Board(Parts):
             line_ends=None,
             described=None,
             continuous=array.sheet == "continuous",
-            sheet=sheet,
+            sheet=design.sheet,
             circuit=circuit,
             readout=readout,
-            adc=adc,
+            adc=design.adc,
         )
-        return board if networks is None else _with_networks(board, networks, by_nodes=by_nodes)
+        return _with_networks(board, design, by_nodes=by_nodes) if design.is_described or by_nodes else board
 
     @property
     def virtual_grounds(self) -> bool:
@@ -112,44 +105,33 @@ class Board(Parts):
         return self.circuit.linear(self)
 
 
-class Networks(NamedTuple):
-    """Sections of a design that describe ends of lines; None: the ends are as ``[drive]`` and ``[readout]`` say."""
-
-    row_end: RowEnd | None = None
-    column_end: ColumnEnd | None = None
-    reference: Reference | None = None
-    crosspoint: Crosspoint | None = None
-
-
-def _with_networks(board: Board, networks: Networks, *, by_nodes: bool) -> Board:
+def _with_networks(board: Board, design: Design, *, by_nodes: bool) -> Board:
     """The board with the networks of the design at its lines, and those that its other keys stand for."""
-    ends = _line_ends(board, networks)
+    ends = _line_ends(board, design)
     floating, pull, lead = board.floating, board.pull, board.row_lead
     drive, datum = board.drive, Fraction(board.level)
     columns = None
     if ends.is_apart and not by_nodes:
         rows = None
-        if networks.row_end is not None:
+        if design.row_end is not None:
             rows = ends.rows(ends.rest())
             if rows is not None:
                 floating, pull, lead, drive, datum = rows.floating, rows.pull, rows.lead, rows.drive, rows.datum
-        if rows is not None or networks.row_end is None:
+        if rows is not None or design.row_end is None:
             columns = ends.columns(datum)
     if columns is None:  # each row's step is a network of its own, whose ends are not of the grid
         floating, pull, lead = True, inf, np.zeros(board.shape[0])
-        if networks.row_end is None and board.pulled:
+        if design.row_end is None and board.pulled:
             lead = -board.row_lead  # among the parts of the ends
-        if networks.crosspoint is not None:
+        if design.crosspoint is not None:
             lead = -board.row_ohms[:, 0]
-    own_lead = np.zeros_like(lead) if networks.row_end is None and columns is not None else lead
+    own_lead = np.zeros_like(lead) if design.row_end is None and columns is not None else lead
     row_ohms = board.row_ohms.copy()
     row_ohms[:, 0] += own_lead
     described = replace(
         board,
         row_ohms=row_ohms,
-        row_lead=lead
-        if columns is not None and (networks.row_end is not None or board.pulled)
-        else np.zeros_like(lead),
+        row_lead=lead if columns is not None and (design.row_end is not None or board.pulled) else np.zeros_like(lead),
         floating=floating,
         pull=pull,
         drive=drive,
@@ -173,11 +155,11 @@ def _with_networks(board: Board, networks: Networks, *, by_nodes: bool) -> Board
     )
 
 
-def _line_ends(board: Board, networks: Networks) -> LineEnds:
+def _line_ends(board: Board, design: Design) -> LineEnds:
     """Cards of all ends; of those that are not described, as the other keys of the design say."""
     rows, columns = board.shape
-    row_end, column_end = networks.row_end, networks.column_end
-    ref = REF if networks.reference or board.level else GROUND
+    row_end, column_end = design.row_end, design.column_end
+    ref = REF if design.reference or board.level else GROUND
     selected, idle = _named_rows(board, ref)
     if row_end is not None:
         selected = row_end.lines("selected", rows) if row_end.selected is not None else selected
@@ -188,13 +170,13 @@ def _line_ends(board: Board, networks: Networks) -> LineEnds:
     else:
         shared = column_end.shared_by
         read, unread = column_end.lines("parts", -(-columns // shared)), column_end.lines("idle", columns)
-    reference = () if networks.reference is None else networks.reference.lines("parts", 1)[0]
-    if networks.crosspoint is None:
+    reference = () if design.reference is None else design.reference.lines("parts", 1)[0]
+    if design.crosspoint is None:
         return LineEnds(selected, idle, read, unread, shared, reference, board.level)
     # The ports of a grid with ideal lines are then its cells alone, and the rows' leads are parts of their ends.
     leads = np.zeros(rows) if board.pulled and row_end is None else board.row_ohms[:, 0]
     selected, idle = (tuple(map(_behind_lead, ends, leads.tolist())) for ends in (selected, idle))
-    crosspoint = networks.crosspoint.lines("parts", 1)[0]
+    crosspoint = design.crosspoint.lines("parts", 1)[0]
     return LineEnds(selected, idle, read, unread, shared, reference, board.level, crosspoint)
 
 

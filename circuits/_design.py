@@ -16,7 +16,7 @@ from ..common.arrays import FloatArray
 from ..common.config import OWN_TABLES, Section, load
 from ..common.geometry import Geometry
 from ..errors import InputError
-from ._board import Board, Networks
+from ._board import Board
 from ._parts_list import BoughtParts, Document
 from ._readout import PER_LINE, Readout
 from ._requirement import Requirement
@@ -272,10 +272,7 @@ class Design(Section):
     @cached_property
     def board(self) -> Board:
         """The design expanded into arrays, once."""
-        networks = (
-            Networks(self.row_end, self.column_end, self.reference, self.crosspoint) if self.is_described else None
-        )
-        return Board.of(self.array, self.sheet, self.drive, self.readout, self.adc, self.fault, networks)
+        return Board.of(self)
 
     @cached_property
     def board_by_nodes(self) -> Board:
@@ -288,9 +285,7 @@ class Design(Section):
         circuit = CIRCUITS[self.readout.circuit]
         if circuit.drives_idle_lines or circuit.senses == "rows":
             raise InputError(f'readout.circuit = "{circuit.name}" has no networks at the ends of its lines')
-        networks = Networks(self.row_end, self.column_end, self.reference, self.crosspoint)
-        parts = self.array, self.sheet, self.drive, self.readout, self.adc, self.fault
-        return Board.of(*parts, networks, by_nodes=True)
+        return Board.of(self, by_nodes=True)
 
     @property
     def is_described(self) -> bool:

@@ -22,6 +22,7 @@ from ._board import Board
 from ._design import Design
 from ._population import Boards, Rows, read_together, row_ladders, through_segment
 from ._sensitivity import solve_fields
+from .readouts import Ends
 from .solvers import IDEAL_WIRE
 
 _TOGETHER = 1 << 18
@@ -164,6 +165,7 @@ class _Together:
     held: Rows
     """rows at their drivers"""
     idle: Rows
+    ends: Ends
 
     @classmethod
     def of(cls, design: Design, boards: Boards, cells: FloatArray) -> tuple[OperatingPoint, BoolArray] | None:
@@ -179,7 +181,7 @@ class _Together:
                 conductance = np.maximum(1.0 / board.turn(cells[some]), _OPEN)
                 part = ours.part(some)
                 held, idle = row_ladders(design, part, conductance)
-                parts.append(cls(board, part, conductance, held, idle)._point())
+                parts.append(cls(board, part, conductance, held, idle, part.read_ends(design))._point())
         joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         low, high = design.readout.supply if board.circuit.has_amplifiers else (-np.inf, np.inf)
         volts = joined.pop("volts")
@@ -197,13 +199,7 @@ class _Together:
         driver, reference, output = np.zeros((count, rows)), *np.zeros((2, count, columns))
         amplified = board.circuit.virtual_ground
         ohms, level = boards.reference_resistance, boards.reference_voltage
-        lift = ohms * boards.bias_current
-        share, inverse = 1.0 / (1.0 + 1.0 / boards.open_loop_gain), 1.0 / (1.0 + boards.open_loop_gain)
-        if amplified:
-            resistance, source = ohms * inverse, share * boards.offset_voltage - inverse * (level + lift)
-            at_rest, slope = share * (level + boards.offset_voltage + lift), -share * ohms
-        else:
-            resistance, source, at_rest, slope = ohms, np.zeros_like(ohms), level, ohms
+        resistance, source, at_rest, slope = self.ends
         of_idle = ohms if board.idle_columns == "load" else np.inf if board.idle_columns == "float" else 0.0
         for read in board.turns if board.circuit.columns_one_by_one(board) else [np.ones(columns, dtype=np.bool_)]:
             tie = 1.0 / (np.where(read, resistance, of_idle) + boards.column_lead)

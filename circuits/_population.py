@@ -30,6 +30,7 @@ from ..errors import InputError
 from ._design import Design
 from ._scan import scan
 from ._sections import PerLine
+from .readouts import EndParts, Ends, Terminated
 
 _TOGETHER = 1 << 14
 """matrix entries per temporary array: few enough for the processor's cache"""
@@ -95,6 +96,20 @@ class Boards:
     def count(self) -> int:
         """S, or 1 if all boards are alike."""
         return max(map(len, (*(getattr(self, name) for name in self.names()), *self.ends.values())))
+
+    @property
+    def at_ends(self) -> EndParts:
+        """What is at the columns' ends, of boards in line coordinates."""
+        slack = 1.0 / self.open_loop_gain
+        return EndParts(
+            self.reference_resistance, slack, self.offset_voltage, self.bias_current, self.reference_voltage
+        )
+
+    def read_ends(self, design: Design) -> Ends:
+        """The same as Thevenin equivalents, of columns that are read."""
+        circuit = design.board.circuit
+        assert isinstance(circuit, Terminated)
+        return circuit.ends_of(design.board, self.at_ends)
 
     def part(self, some: slice) -> Boards:
         """Some of the boards."""
@@ -384,19 +399,11 @@ def through_segment(admittance: FloatArray, segment: FloatArray, values: FloatAr
 
 def _outputs(design: Design, boards: Boards, seen: _Columns) -> FloatArray:
     """Output volts (S, M, R) of the circuit at the columns' ends."""
-    reference, lead = boards.reference_resistance[..., None], boards.column_lead[..., None]
-    level, drive = boards.reference_voltage[..., None], boards.voltage[..., None]
+    lead, drive = boards.column_lead[..., None], boards.voltage[..., None]
     board = design.board
     if board.circuit.drives_idle_lines:
         return _followed(boards, seen)
-    # The Thevenin equivalent at each column's end, and the output as a function of its current.
-    resistance, source, output, slope = reference, np.zeros_like(reference), level, reference
-    if board.circuit.virtual_ground:
-        inverse = 1.0 / (1.0 + boards.open_loop_gain[..., None])
-        share = 1.0 / (1.0 + 1.0 / boards.open_loop_gain[..., None])
-        offset, lift = boards.offset_voltage[..., None], reference * boards.bias_current[..., None]
-        resistance, source = inverse * reference, share * offset - inverse * (level + lift)
-        output, slope = share * (level + offset + lift), -share * reference
+    resistance, source, output, slope = (part[..., None] for part in boards.read_ends(design))
     if board.idle_columns == "load" or board.virtual_grounds:
         return output + slope * _end_currents(seen, lead + resistance, drive, source)
     alone = _one_by_one(boards, seen, board.idle_columns)
@@ -426,10 +433,9 @@ def _one_by_one(boards: Boards, seen: _Columns, idle: str) -> _Columns:
 
 def _followed(boards: Boards, seen: _Columns) -> FloatArray:
     """Output volts (S, M, R) of followers that drive all idle lines: :class:`.readouts.VoltageFeedback`."""
-    parts = (boards.reference_resistance, boards.open_loop_gain, boards.offset_voltage, boards.bias_current)
-    reference, gain, offset, bias = (part[..., None] for part in parts)
-    level, drive = boards.reference_voltage[..., None], boards.voltage[..., None]
-    inverse, share = 1.0 / (1.0 + gain), 1.0 / (1.0 + 1.0 / gain)
+    reference, slack, offset, bias, level = (part[..., None] for part in boards.at_ends)
+    drive, share = boards.voltage[..., None], 1.0 / (1.0 + slack)
+    inverse = slack * share
     ended = _one_by_one(boards, seen, "ground")
     from_row, idle = ended.current, ended.admittance - ended.current
     current = from_row * drive - bias + idle * (share * offset - inverse * level)

@@ -23,12 +23,13 @@ from ._adjoint import SensitivityGroup
 from ._cards import COLUMN_INDEX, FOLLOWER, REFERENCE, ROW_INDEX, CardWriter
 from ._circuit import Reading, ReadoutCircuit
 from ._described import DESCRIBED, DESCRIBED_INVERTING
-from ._ends import one_driven, sum_of_others, terminate
+from ._ends import EndParts, Ends, one_driven, sum_of_others, terminate
 from ._inverting_amplifier import InvertingAmplifier
 from ._linear import LinearReadout, output_rounding
 from ._port_law import PortLaw
 from ._quick import PortFields, QuickFields, QuickNetwork, columns_impedance
 from ._row_amplifier import RowAmplifier
+from ._terminated import Terminated
 from ._voltage_divider import VoltageDivider
 from ._voltage_feedback import VoltageFeedback
 
@@ -46,6 +47,8 @@ __all__ = [
     "REFERENCE",
     "ROW_INDEX",
     "CardWriter",
+    "EndParts",
+    "Ends",
     "LinearReadout",
     "PortFields",
     "PortLaw",
@@ -54,6 +57,7 @@ __all__ = [
     "Reading",
     "ReadoutCircuit",
     "SensitivityGroup",
+    "Terminated",
     "columns_impedance",
     "one_driven",
     "output_rounding",

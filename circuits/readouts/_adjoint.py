@@ -7,12 +7,12 @@ where the reading is taken.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from ...common.arrays import FloatArray, IntArray
+from ...common.arrays import BoolArray, FloatArray, IntArray
 from .._parts import Parts
 from ..solvers import IDEAL_WIRE, inverted, siemens
 from ._ends import Ends
@@ -68,33 +68,26 @@ class TiedPorts(NamedTuple):
         return result
 
 
-class TerminatedColumns(NamedTuple):
-    """Scan steps in which every column ends in a Thevenin equivalent."""
+def terminated_groups(
+    board: Parts, ports: FloatArray, steps: IntArray, ends: Ends, slopes: dict[str, Ends], *, one_by_one: bool
+) -> Iterator[SensitivityGroup]:
+    """Groups of readings of columns that end in Thevenin equivalents: one for each row if idle rows float, one for each
+    turn if columns take turns.
 
-    rows: IntArray
-    """rows that are selected in turn"""
-    columns: IntArray
-    """columns that are read"""
-    one_by_one: bool
-    """whether each column is read on its own, while the others end as idle columns do"""
-    ends: Ends
-    own_parts: Callable[[IntArray, FloatArray, FloatArray], dict[str, FloatArray]]
-    """function of columns, currents (rows, 1, M) and adjoint currents (1, columns, M) in A; returns
-    :attr:`SensitivityGroup.own_parts`"""
+    Args:
+        board: drive, leads, idle rows and idle columns.
+        ports: (P, P) S between the row terminals, the reference if rows have pull-downs, and the column terminals.
+        steps: rows that are selected in turn.
+        ends: the end of each column while it is read.
+        slopes: derivatives of ``ends`` by each kind of part of the same column.
+        one_by_one: whether columns take turns, and end as idle columns do while they are not read.
 
-
-def terminated_groups(board: Parts, ports: FloatArray, steps: TerminatedColumns) -> Iterator[SensitivityGroup]:
-    """Groups of readings of such steps: one for each row if idle rows float, one for each column if columns are read
-    one by one.
     """
     rows, columns = board.shape
     fixed_ports = rows + board.pulled  # the ports ahead of the columns
-    ends = steps.ends
-    for some_rows in np.split(steps.rows, len(steps.rows)) if board.floating else [steps.rows]:
-        for read in board.turns if steps.one_by_one else [np.ones(columns, dtype=np.bool_)]:
-            some = steps.columns[read[steps.columns]]
-            if not len(some):
-                continue
+    for some_rows in np.split(steps, len(steps)) if board.floating else [steps]:
+        for read in board.turns if one_by_one else [np.ones(columns, dtype=np.bool_)]:
+            some = np.flatnonzero(read)
             tie = np.zeros(fixed_ports + columns)
             tie[some_rows if board.floating else slice(rows)] = np.inf
             tie[rows:fixed_ports] = np.inf
@@ -116,5 +109,23 @@ def terminated_groups(board: Parts, ports: FloatArray, steps: TerminatedColumns)
                 adjoint=adjoint[None],
                 lead_current=current,
                 adjoint_lead_current=adjoint_current,
-                own_parts=steps.own_parts(some, current, adjoint_current),
+                own_parts={
+                    name: _by_part(slope, name, board, read, current, adjoint_current) for name, slope in slopes.items()
+                },
             )
+
+
+def _by_part(
+    slope: Ends, name: str, board: Parts, read: BoolArray, current: FloatArray, adjoint: FloatArray
+) -> FloatArray:
+    """Derivatives (rows, columns read, M) of readings by one kind of part.
+
+    A part acts through the end of its column (the product of both currents by its resistance, the adjoint current by
+    its source), and directly on the reading of its own column.
+    """
+    idle = float(name == "reference_resistance" and board.idle_columns == "load")  # the part that idle ends have
+    found: FloatArray = current * adjoint * np.where(read, slope.resistance, idle)
+    found += adjoint * np.where(read, slope.source, 0.0)
+    some = np.flatnonzero(read)
+    found[:, np.arange(len(some)), some] += (slope.output + slope.slope * current[:, 0])[:, some]
+    return found

@@ -15,15 +15,15 @@ import numpy as np
 from ...common.arrays import BoolArray, FloatArray
 from .._parts import Parts
 from ..ends import OPEN_OHM, LineEnds, alone
-from ._adjoint import SensitivityGroup, TerminatedColumns, terminated_groups
+from ._adjoint import SensitivityGroup
 from ._cards import CardWriter
 from ._circuit import Alone, Reading
-from ._ends import Ends
+from ._ends import EndParts, Ends
 from ._linear import LinearReadout
 from ._nodal import node_groups, read_nodes
 from ._port_law import PortLaw
 from ._quick import QuickFields, QuickNetwork
-from ._terminated import Terminated
+from ._terminated import SignArray, Terminated
 
 _MOST_ATTENUATED_OHM = 1e9  # of a column's end, up to which line attenuation is of use
 _CURVE, _CURVE_POINTS = (-10.0, 2.0), 241  # logarithms of a cell's conductance in S, where diodes bend its output
@@ -46,7 +46,7 @@ class Described(Terminated):
     def inverts(self) -> bool:
         return self._inverts
 
-    def read_ends(self, board: Parts) -> Ends:
+    def ends_of(self, board: Parts, parts: EndParts, state: SignArray | None = None) -> Ends:
         ends = board.described
         assert ends is not None
         return Ends(ends.resistance, ends.source, ends.output, ends.slope)
@@ -128,16 +128,8 @@ class Described(Terminated):
     def sensitivity_groups(self, board: Parts, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
         if board.described is None:
             yield from node_groups(board, ports)
-            return
-        rows, columns = board.shape
-        steps = TerminatedColumns(
-            rows=np.arange(rows),
-            columns=np.arange(columns),
-            one_by_one=self.columns_one_by_one(board),
-            ends=self.read_ends(board),
-            own_parts=lambda some, current, adjoint: {},
-        )
-        yield from terminated_groups(board, ports, steps)
+        else:
+            yield from super().sensitivity_groups(board, ports, reading)
 
     def column_end(self, j: int) -> str:
         return f"line_{j}"

@@ -8,13 +8,36 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from math import inf
-from typing import NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...common.arrays import FloatArray
 from .._parts import Parts
 from ..solvers import IDEAL_WIRE, Rounded, eliminate_leading, inverted, siemens
+
+Values = NDArray[Any]
+"""(M,) values of a board's columns, (S, M) of S boards; complex for derivatives by a complex step"""
+
+
+class EndParts(NamedTuple):
+    """Parts at the end of each column."""
+
+    reference: Values
+    """ohm"""
+    slack: Values
+    """reciprocal of the open-loop gain"""
+    offset: Values
+    """V"""
+    bias: Values
+    """A"""
+    level: Values
+    """V, the reference voltage"""
+
+    @classmethod
+    def of(cls, board: Parts) -> Self:
+        return cls(board.reference, 1.0 / board.gain, board.offset, board.bias, np.array([board.level]))
 
 
 class Ends(NamedTuple):

@@ -16,20 +16,17 @@ from collections.abc import Iterator
 from math import inf, isfinite, isinf
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...common.arrays import BoolArray, FloatArray, IntArray
 from ...errors import SolverError
 from .._parts import Parts
 from ..solvers import IDEAL_WIRE, LARGEST_PART
-from ._adjoint import SensitivityGroup, TerminatedColumns, terminated_groups
+from ._adjoint import SensitivityGroup
 from ._cards import CardWriter
 from ._circuit import Alone, Reading
-from ._ends import Ends, column_currents, terminate
+from ._ends import EndParts, Ends, column_currents, terminate
 from ._port_law import PortLaw
-from ._terminated import Terminated
-
-SignArray = NDArray[np.int8]
+from ._terminated import SignArray, Terminated
 
 _MURTY_AFTER = 50  # rounds of pivoting all columns at once, before one column at a time, which cannot cycle
 _LARGEST_SPICE_GAIN = 1e8  # of a voltage-controlled source: a larger one would multiply ngspice's rounding errors
@@ -42,8 +39,21 @@ class InvertingAmplifier(Terminated):
     virtual_ground = True
     in_populations = True
 
-    def read_ends(self, board: Parts) -> Ends:
-        return amplifier_ends(board)
+    def ends_of(self, board: Parts, parts: EndParts, state: SignArray | None = None) -> Ends:
+        reference, slack, offset, bias, level = parts
+        share, lift = 1.0 / (1.0 + slack), reference * bias
+        inverse = slack * share
+        linear = Ends(
+            resistance=reference * inverse,
+            source=share * offset - inverse * (level + lift),
+            output=share * (level + offset + lift),
+            slope=-share * reference,
+        )
+        if state is None or not state.any():
+            return linear
+        limit = np.where(state < 0, *board.supply)
+        limited = Ends(reference, source=limit - level - lift, output=limit, slope=np.zeros_like(reference))
+        return Ends(*(np.where(state == 0, *both) for both in zip(linear, limited, strict=True)))
 
     def read(self, board: Parts, ports: FloatArray) -> Reading:
         volts, saturated, magnitude, cancelled, relative, _ = super().read(board, ports)
@@ -57,16 +67,57 @@ class InvertingAmplifier(Terminated):
             parts = [part.reshape(-1, *board.shape) for part in (volts, saturated, magnitude, cancelled)]
             for frame in np.flatnonzero(parts[1].any(axis=(1, 2))):
                 of_frame = Reading(*(part[frame] for part in parts))
-                *limited, own, _ = _read_saturated(board, frames[frame], of_frame)
+                *limited, own, _ = self._read_saturated(board, frames[frame], of_frame)
                 for part, instead in zip(parts, limited, strict=True):
                     part[frame] = instead
                 relative = max(relative, own)
         return Reading(volts, saturated, magnitude, cancelled, relative)
 
+    def _read_saturated(self, board: Parts, ports: FloatArray, unlimited: Reading) -> Reading:
+        """One frame with saturated outputs; those of each scan step by principal pivoting."""
+        rows, columns = board.shape
+        low, high = board.supply
+        # The differential input must exceed these volts to hold an output at a limit; a missing one is never reached.
+        at_low, at_high = (
+            np.where(np.isinf(board.gain), 0.0, end / board.gain) if isfinite(end) else 0.0 for end in (low, high)
+        )
+        volts, magnitude, cancelled = (
+            part.copy() for part in (unlimited.volts, unlimited.magnitude, unlimited.cancelled)
+        )
+        state = (volts > high).astype(np.int8) - (volts < low).astype(np.int8)
+        pending: BoolArray = np.atleast_1d(state.any(axis=1))
+        relative = 0.0
+        for attempt in range(_MURTY_AFTER + 4 * columns):
+            patterns, which = np.unique(state, axis=0, return_inverse=True)
+            for number, pattern in enumerate(patterns):
+                steps = np.flatnonzero((which.ravel() == number) & pending)
+                if not len(steps):
+                    continue
+                ends = self.ends_of(board, EndParts.of(board), pattern)
+                network = terminate(ports, rows + board.pulled, ends.resistance + board.column_lead)
+                every = column_currents(board, network, ends.source)
+                currents, relative = every.value[steps], max(relative, float(every.relative))
+                magnitude[steps] = np.abs(ends.slope) * every.magnitude[steps]
+                cancelled[steps] = np.abs(ends.slope) * every.cancelled[steps]
+                volts[steps] = ends.output + ends.slope * currents
+                wanted = (volts[steps] > high).astype(np.int8) - (volts[steps] < low).astype(np.int8)
+                # An output stays at its limit while the amplifier's input still drives it outwards.
+                input_volts = board.offset - (ends.source + ends.resistance * currents)
+                stays = ((pattern > 0) & (input_volts >= at_high)) | ((pattern < 0) & (input_volts <= at_low))
+                wanted = np.where(pattern == 0, wanted, np.where(stays, pattern, 0)).astype(np.int8)
+                if attempt >= _MURTY_AFTER:
+                    first = np.argmax(wanted != pattern, axis=1)[:, None] == np.arange(columns)
+                    wanted = np.where(first, wanted, pattern).astype(np.int8)
+                pending[steps] = (wanted != pattern).any(axis=1)
+                state[steps] = wanted
+            if not pending.any():
+                return Reading(volts, state != 0, magnitude, cancelled, relative)
+        raise SolverError("no consistent set of saturated outputs was found; check supply and reference_voltage")
+
     def port_law(self, board: Parts, wire: FloatArray) -> PortLaw | None:
         if board.floating and self.columns_one_by_one(board) and board.idle_resistance.any():
             return None  # nothing holds the idle columns
-        return PortLaw.of_ends(amplifier_ends(board), wire, board.drive, floating=board.floating)
+        return PortLaw.of_ends(self.read_ends(board), wire, board.drive, floating=board.floating)
 
     def ideal_inputs(self, board: Parts) -> BoolArray:
         ideal: BoolArray = (board.column_lead == 0) & np.isinf(board.gain)
@@ -111,22 +162,6 @@ class InvertingAmplifier(Terminated):
     def alone(self, board: Parts) -> Alone:
         return Alone(-board.drive * board.reference, 0.0)
 
-    def sensitivity_groups(self, board: Parts, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
-        at_high = reading.volts >= board.supply[1]
-        state = np.where(reading.saturated, np.where(at_high, 1, -1), 0).astype(np.int8)
-        patterns, pattern_of = np.unique(state, axis=0, return_inverse=True)
-        for number, pattern in enumerate(patterns):
-            columns = TerminatedColumns(
-                rows=np.flatnonzero(pattern_of.ravel() == number),
-                columns=np.arange(board.shape[1]),
-                one_by_one=self.columns_one_by_one(board),
-                ends=amplifier_ends(board, pattern),  # an output at a limit does not move: its adjoint field is zero
-                own_parts=lambda some, current, adjoint, linear=pattern == 0: _by_own_parts(  # type: ignore[misc]
-                    board, linear, some, current, adjoint
-                ),
-            )
-            yield from terminated_groups(board, ports, columns)
-
     def column_end(self, j: int) -> str:
         return f"minus_{j}"
 
@@ -164,9 +199,9 @@ class InvertingAmplifier(Terminated):
             yield from self._amplifier(writer, j)
 
     def _shared_amplifier(self, writer: CardWriter) -> Iterator[str]:
-        """The equivalent of the amplifier at each column that is read (:func:`amplifier_ends`), and its output."""
+        """The equivalent of the amplifier at each column that is read, and its output."""
         yield "* One inverting amplifier behind a switch: what each column sees of it, and what it puts out then."
-        ends, (low, high) = amplifier_ends(writer.board), writer.board.supply
+        ends, (low, high) = self.read_ends(writer.board), writer.board.supply
         parts = (part.tolist() for part in (ends.resistance, ends.source, ends.output, ends.slope))
         for j, (resistance, source, output, slope) in enumerate(zip(*parts, strict=True)):
             minus = writer.name[self.column_end(j)]
@@ -234,105 +269,3 @@ class InvertingAmplifier(Terminated):
                 "readout.open_loop_gain a finite value"
             )
         return min(max(output, low), high)
-
-
-def amplifier_ends(board: Parts, state: SignArray | None = None) -> Ends:
-    """Thevenin equivalents of the amplifiers at the columns' ends.
-
-    Args:
-        board: the amplifiers, which may all differ.
-        state: (M,): 0 linear, -1 at the lower and +1 at the upper supply limit; None: all linear.
-
-    """
-    if state is None:
-        state = np.zeros(board.shape[1], dtype=np.int8)
-    limit = np.where(state < 0, board.supply[0], board.supply[1])
-    linear, level, lift = state == 0, board.level, board.lift
-    held_at = board.loop_share * board.offset - board.inverse_gain * (level + lift)
-    return Ends(
-        resistance=np.where(linear, board.reference * board.inverse_gain, board.reference),
-        source=np.where(linear, held_at, limit - level - lift),
-        output=np.where(linear, board.loop_share * (level + board.offset + lift), limit),
-        slope=np.where(linear, -board.loop_share * board.reference, 0.0),
-    )
-
-
-def _read_saturated(board: Parts, ports: FloatArray, unlimited: Reading) -> Reading:
-    """One frame with saturated outputs: find the saturated columns of each scan step by principal pivoting."""
-    rows, columns = board.shape
-    low, high = board.supply
-    # The differential input must exceed these volts to hold the output at a limit; a missing limit is never reached.
-    at_low, at_high = (
-        np.where(np.isinf(board.gain), 0.0, end / board.gain) if isfinite(end) else 0.0 for end in (low, high)
-    )
-    volts, magnitude, cancelled = (part.copy() for part in (unlimited.volts, unlimited.magnitude, unlimited.cancelled))
-    state = (volts > high).astype(np.int8) - (volts < low).astype(np.int8)
-    pending: BoolArray = np.atleast_1d(state.any(axis=1))
-    relative = 0.0
-    for attempt in range(_MURTY_AFTER + 4 * columns):
-        patterns, which = np.unique(state, axis=0, return_inverse=True)
-        for number, pattern in enumerate(patterns):
-            steps = np.flatnonzero((which.ravel() == number) & pending)
-            if not len(steps):
-                continue
-            ends = amplifier_ends(board, pattern)
-            network = terminate(ports, rows + board.pulled, ends.resistance + board.column_lead)
-            every = column_currents(board, network, ends.source)
-            currents, relative = every.value[steps], max(relative, float(every.relative))
-            magnitude[steps] = np.abs(ends.slope) * every.magnitude[steps]
-            cancelled[steps] = np.abs(ends.slope) * every.cancelled[steps]
-            volts[steps] = ends.output + ends.slope * currents
-            wanted = (volts[steps] > high).astype(np.int8) - (volts[steps] < low).astype(np.int8)
-            # An output stays at its limit while the amplifier's input still drives it outwards.
-            input_volts = board.offset - (ends.source + ends.resistance * currents)
-            stays = ((pattern > 0) & (input_volts >= at_high)) | ((pattern < 0) & (input_volts <= at_low))
-            wanted = np.where(pattern == 0, wanted, np.where(stays, pattern, 0)).astype(np.int8)
-            if attempt >= _MURTY_AFTER:
-                first = np.argmax(wanted != pattern, axis=1)[:, None] == np.arange(columns)
-                wanted = np.where(first, wanted, pattern).astype(np.int8)
-            pending[steps] = (wanted != pattern).any(axis=1)
-            state[steps] = wanted
-        if not pending.any():
-            return Reading(volts, state != 0, magnitude, cancelled, relative)
-    raise SolverError("no consistent set of saturated outputs was found; check supply and reference_voltage")
-
-
-def _by_own_parts(
-    board: Parts, linear: BoolArray, some: IntArray, current: FloatArray, adjoint: FloatArray
-) -> dict[str, FloatArray]:
-    """Derivatives of readings by the amplifiers' parts, (rows, columns, M) by name.
-
-    An amplifier acts through the end of its column (:func:`amplifier_ends`), and directly on the reading of its own
-    column. With x = 1/A: d(1/(1+A))/dx = share^2 and d(share)/dx = -share^2.
-
-    Args:
-        board: the amplifiers.
-        linear: (M,) whether an amplifier's output is not at a limit.
-        some: the columns that are read.
-        current: (rows, 1, M) A into the columns' ends.
-        adjoint: (1, columns, M) A into them in the adjoint fields.
-
-    """
-    share, reference = board.loop_share, board.reference
-    end = current * adjoint
-    source = np.broadcast_to(adjoint, end.shape)
-    moves = linear[some]
-    if board.multiplexed:  # the amplifier is at the column that is read; idle columns have at most a resistor
-        idle = ~np.isin(np.arange(end.shape[-1]), some)
-        end = np.where(idle & (board.idle_columns != "load"), 0.0, end)
-        source, linear = np.where(idle, 0.0, source), linear & ~idle
-    weight = np.where(linear, board.inverse_gain, 1.0)
-    lift = board.level + board.offset + board.lift
-    by_name = {
-        "reference_resistance": weight * (end - source * board.bias),
-        "inverse_gain": np.where(linear, share**2 * (end * reference - source * lift), 0.0),
-        "offset_voltage": np.where(linear, share * source, 0.0),
-        "bias_current": -weight * reference * source,
-    }
-    own, flow = np.arange(len(some)), current[:, 0, some]
-    share, reference = share[some] * moves, reference[some]
-    by_name["reference_resistance"][:, own, some] += share * (board.bias[some] - flow)
-    by_name["inverse_gain"][:, own, some] -= share**2 * (lift[some] - reference * flow)
-    by_name["offset_voltage"][:, own, some] += share
-    by_name["bias_current"][:, own, some] += share * reference
-    return by_name

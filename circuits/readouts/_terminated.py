@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...common.arrays import FloatArray
 from .._parts import Parts
 from ..solvers import Lines, Wires
+from ._adjoint import SensitivityGroup, terminated_groups
 from ._circuit import Reading, ReadoutCircuit
-from ._ends import Currents, Ends, column_currents, currents_in_turns, terminate
+from ._ends import Currents, EndParts, Ends, column_currents, currents_in_turns, terminate
 from ._linear import LinearReadout
 from ._quick import (
     QuickFields,
@@ -21,13 +24,34 @@ from ._quick import (
     terminated_outputs,
 )
 
+SignArray = NDArray[np.int8]
+
+_STEP = 1e-30  # imaginary, of a part: a complex step gives derivatives to the last digit (Squire and Trapp 1998)
+_OWN_PARTS = {
+    "reference_resistance": "reference",
+    "inverse_gain": "slack",
+    "offset_voltage": "offset",
+    "bias_current": "bias",
+}
+"""parts at columns' ends by the names of :class:`.Sensitivity`, and of :class:`._ends.EndParts`"""
+
 
 class Terminated(ReadoutCircuit):
-    """A subclass states the end of each column (:meth:`read_ends`); all of this class follows from it."""
+    """A subclass states the end of each column (:meth:`ends_of`); all of this class follows from it."""
 
     @abstractmethod
+    def ends_of(self, board: Parts, parts: EndParts, state: SignArray | None = None) -> Ends:
+        """The end of each column while it is read.
+
+        Args:
+            board: supply limits, and ends that the design describes.
+            parts: values, of the board or of many.
+            state: (M,): 0 linear, -1 at the lower and +1 at the upper supply limit; None: all linear.
+
+        """
+
     def read_ends(self, board: Parts) -> Ends:
-        """The end of each column while it is read, no output at a limit."""
+        return self.ends_of(board, EndParts.of(board))
 
     def ends(self, board: Parts) -> Ends | None:
         return None if self.columns_one_by_one(board) else self.read_ends(board)
@@ -64,6 +88,21 @@ class Terminated(ReadoutCircuit):
         if self.columns_one_by_one(board):
             return alone_fields(board, network, ends) if _in_turns_of_one(board) else None
         return terminated_fields(board, network, ends) if (ends.resistance + board.column_lead).all() else None
+
+    def sensitivity_groups(self, board: Parts, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
+        parts = EndParts.of(board)
+        at_high = reading.volts >= board.supply[1]
+        state = np.where(reading.saturated, np.where(at_high, 1, -1), 0).astype(np.int8)
+        patterns, pattern_of = np.unique(state, axis=0, return_inverse=True)
+        for number, pattern in enumerate(patterns):
+            slopes = {}
+            for name, field in _OWN_PARTS.items():
+                moved = self.ends_of(board, parts._replace(**{field: getattr(parts, field) + 1j * _STEP}), pattern)
+                slopes[name] = Ends(*(np.imag(value) / _STEP for value in moved))
+            ends = self.ends_of(board, parts, pattern)  # one at a limit does not move: its adjoint field is zero
+            steps = np.flatnonzero(pattern_of.ravel() == number)
+            one_by_one = self.columns_one_by_one(board)
+            yield from terminated_groups(board, ports, steps, ends, slopes, one_by_one=one_by_one)
 
     def linear(self, board: Parts) -> LinearReadout | None:
         """Linear with grounded idle rows and ends that all stand at one potential; None otherwise."""

@@ -10,15 +10,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ...common.arrays import FloatArray, IntArray
+from ...common.arrays import FloatArray
 from .._parts import Parts
-from ._adjoint import SensitivityGroup, TerminatedColumns, terminated_groups
 from ._cards import CardWriter
-from ._circuit import Alone, Reading
-from ._ends import Ends
+from ._circuit import Alone
+from ._ends import EndParts, Ends
 from ._linear import LinearReadout
 from ._port_law import PortLaw
-from ._terminated import Terminated
+from ._terminated import SignArray, Terminated
 
 
 class VoltageDivider(Terminated):
@@ -29,8 +28,9 @@ class VoltageDivider(Terminated):
     mixes_cells = True
     in_populations = True
 
-    def read_ends(self, board: Parts) -> Ends:
-        return _loads(board)
+    def ends_of(self, board: Parts, parts: EndParts, state: SignArray | None = None) -> Ends:
+        nothing = np.zeros_like(parts.reference)
+        return Ends(parts.reference, source=nothing, output=nothing + parts.level, slope=parts.reference)
 
     def reads_together(self, columns: str, idle_columns: str) -> bool:
         return idle_columns == "load"
@@ -39,25 +39,13 @@ class VoltageDivider(Terminated):
         return None  # no virtual grounds
 
     def port_law(self, board: Parts, wire: FloatArray) -> PortLaw | None:
-        return None if board.floating else PortLaw.of_ends(_loads(board), wire, board.drive, floating=False)
+        return None if board.floating else PortLaw.of_ends(self.read_ends(board), wire, board.drive, floating=False)
 
     def linear(self, board: Parts) -> LinearReadout | None:
         return None
 
     def alone(self, board: Parts) -> Alone:
         return Alone(board.drive * board.reference, board.reference)
-
-    def sensitivity_groups(self, board: Parts, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
-        rows, columns = board.shape
-        one_by_one = self.columns_one_by_one(board)
-        loads = TerminatedColumns(
-            rows=np.arange(rows),
-            columns=np.arange(columns),
-            one_by_one=one_by_one,
-            ends=_loads(board),
-            own_parts=_by_load_alone if one_by_one else _by_loads,
-        )
-        yield from terminated_groups(board, ports, loads)
 
     def column_end(self, j: int) -> str:
         return f"end_{j}"
@@ -77,22 +65,3 @@ class VoltageDivider(Terminated):
                 yield f"Bload_{j} {end} {writer.reference} I = {writer.chosen(j)} ? v({end})/{ohm!r} : 0"
             else:
                 yield f"Rload_{j} {end} {writer.reference} {ohm!r}"
-
-
-def _loads(board: Parts) -> Ends:
-    """The loads as Thevenin equivalents."""
-    nothing = np.zeros(board.shape[1])
-    return Ends(resistance=board.reference, source=nothing, output=nothing + board.level, slope=board.reference)
-
-
-def _by_loads(some: IntArray, current: FloatArray, adjoint: FloatArray) -> dict[str, FloatArray]:
-    """Derivatives by the loads. A load is part of its column's end, and also converts the column's current to volts."""
-    load = current * adjoint
-    load[:, np.arange(len(some)), some] += current[:, 0, some]
-    return {"reference_resistance": load}
-
-
-def _by_load_alone(some: IntArray, current: FloatArray, adjoint: FloatArray) -> dict[str, FloatArray]:
-    """As :func:`_by_loads` for columns that are read one by one: idle columns have no load."""
-    load = _by_loads(some, current, adjoint)["reference_resistance"]
-    return {"reference_resistance": np.where(np.isin(np.arange(load.shape[-1]), some), load, 0.0)}
