@@ -2,15 +2,15 @@
 
 An effect is absent, and costs no computing time, until the design gives its part a value. The size of the effect of a
 part is the largest relative difference of a signal between two exact readings, with the part and with an ideal one. A
-part that the design does not name has an ordinary value there (:data:`ORDINARY`). Noise and settling of amplifiers have
-first-order formulas. :func:`.scan` itself computes none of these estimates.
+part that the design does not name has an ordinary value there (:data:`ORDINARY`). Noise and settling are
+those that :mod:`.timing` gives. :func:`.scan` itself computes none of these estimates.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from math import inf, pi
+from math import inf
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,7 +21,9 @@ from ._adc import adc_error
 from ._board import Board
 from ._design import Design
 from ._exact import read_exactly
+from ._population import Boards
 from ._sections import Adc
+from .timing import BoardsInTime, noise
 
 ORDINARY = {
     "row_lead": 10.0,  # ohm: an analog switch and some wire
@@ -86,7 +88,7 @@ def _effects(design: Design, cells: FloatArray) -> Iterator[Effect]:
             real, bare = (sliced.replace(**{section: {key: part}}) for part in (used, ideal))
             yield Effect(key, modelled, _difference(real, bare, cells), _basis(key, used, named=modelled))
     yield from _limits(board, cells)
-    yield from _dynamic_effects(board, cells)
+    yield from _dynamic_effects(sliced, cells)
     if design.fault:
         change = _difference(design, design.replace(fault=()), cells)
         yield Effect("fault", True, change, f"{len(design.fault)} named, against the same scan without")
@@ -114,25 +116,23 @@ def _limits(board: Board, cells: FloatArray) -> Iterator[Effect]:
     yield Effect("converter", False, _largest_relative(error, signal, live), basis)
 
 
-def _dynamic_effects(board: Board, cells: FloatArray) -> Iterator[Effect]:
-    """Effects of time: noise and settling. A scan has neither; :mod:`.timing` models both."""
-    part, live = board.readout, _ordinary_cells(cells)
+def _dynamic_effects(design: Design, cells: FloatArray) -> Iterator[Effect]:
+    """Effects of time, noise and settling, which a scan leaves out; :mod:`.timing` models both."""
+    board, part, live = design.board, design.readout, _ordinary_cells(cells)
     if not board.virtual_grounds:
         yield Effect("noise", False, None, "no simple law")
         yield Effect("settling", False, None, "no simple law")
         return
-    with np.errstate(divide="ignore"):
-        conductance = np.where(live, 1.0 / cells, 0.0)
-    signal = abs(board.drive) * board.reference * conductance
-    noise_gain = 1.0 + board.reference * conductance.sum(axis=0)
-    fast = bool(np.isfinite(part.gain_bandwidth))
+    fast, noisy = bool(np.isfinite(part.gain_bandwidth)), part.voltage_noise > 0
     product = part.gain_bandwidth if fast else ORDINARY["gain_bandwidth"]
-    bandwidth = product / noise_gain
     density = part.voltage_noise or ORDINARY["voltage_noise"]
-    scatter = density * noise_gain * np.sqrt(pi / 2 * bandwidth) + np.zeros_like(signal)
-    basis = "amplifier voltage, by noise(); " + _basis("voltage_noise", density, named=part.voltage_noise > 0)
-    yield Effect("noise", False, _largest_relative(scatter, signal, live), basis)
-    left = np.exp(-2 * pi * bandwidth * ORDINARY["period"]) * signal.max(axis=0) + np.zeros_like(signal)
+    real = design.replace(readout={"gain_bandwidth": product, "voltage_noise": density}, adc=None)
+    only = board.turn(np.where(live, cells, inf))
+    signal = np.abs(board.circuit.ideal_volts(board, board.turn(only)) - board.level)
+    by_voltage = board.turn(noise(real, only).parts["amplifier voltage"])
+    basis = "amplifier voltage, by noise(); " + _basis("voltage_noise", density, named=noisy)
+    yield Effect("noise", False, _largest_relative(by_voltage, signal, live), basis)
+    left = board.turn(BoardsInTime(real, Boards.of(real), only[None]).deviations(ORDINARY["period"]).larger[0])
     basis = f"{ORDINARY['period']} s per row, by Settling; " + _basis("gain_bandwidth", product, named=fast)
     yield Effect("settling", False, _largest_relative(left, signal, live), basis)
 
