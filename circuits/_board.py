@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from math import inf
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +18,27 @@ from numpy.typing import NDArray
 from ..common.arrays import FloatArray
 from ._parts import Parts
 from ._readout import Readout
-from ._sections import Adc, Fault, PerLine
-from .ends import GROUND, LINE, REF, Card, LineEnds, Network, amplifier
+from ._sections import Adc, Array, Drive, Fault, PerLine, Sheet
+from .ends import GROUND, LINE, REF, Card, ColumnEnd, Crosspoint, LineEnds, Network, Reference, RowEnd, amplifier
 from .readouts import CIRCUITS, DESCRIBED, DESCRIBED_INVERTING, LinearReadout, ReadoutCircuit
 
-if TYPE_CHECKING:
-    from ._design import Design
+
+class Sections(Protocol):
+    """What a board is made of: the sections of a :class:`._design.Design`."""
+
+    array: Array
+    sheet: Sheet
+    drive: Drive
+    readout: Readout
+    adc: Adc | None
+    fault: tuple[Fault, ...]
+    row_end: RowEnd | None
+    column_end: ColumnEnd | None
+    reference: Reference | None
+    crosspoint: Crosspoint | None
+
+    @property
+    def is_described(self) -> bool: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +53,7 @@ class Board(Parts):
     """None: the outputs are not converted"""
 
     @classmethod
-    def of(cls, design: Design, *, by_nodes: bool = False) -> Board:
+    def of(cls, design: Sections, *, by_nodes: bool = False) -> Board:
         """Expand a design. Users take ``design.board``, which keeps the result.
 
         With ``by_nodes`` the lines end in networks, even where they are Thevenin equivalents or the design names none.
@@ -105,7 +120,7 @@ class Board(Parts):
         return self.circuit.linear(self)
 
 
-def _with_networks(board: Board, design: Design, *, by_nodes: bool) -> Board:
+def _with_networks(board: Board, design: Sections, *, by_nodes: bool) -> Board:
     """The board with the networks of the design at its lines, and those that its other keys stand for."""
     ends = _line_ends(board, design)
     floating, pull, lead = board.floating, board.pull, board.row_lead
@@ -155,7 +170,7 @@ def _with_networks(board: Board, design: Design, *, by_nodes: bool) -> Board:
     )
 
 
-def _line_ends(board: Board, design: Design) -> LineEnds:
+def _line_ends(board: Board, design: Sections) -> LineEnds:
     """Cards of all ends; of those that are not described, as the other keys of the design say."""
     rows, columns = board.shape
     row_end, column_end = design.row_end, design.column_end
