@@ -26,17 +26,26 @@ from .readouts import CIRCUITS, DESCRIBED, DESCRIBED_INVERTING, LinearReadout, R
 class Sections(Protocol):
     """What a board is made of: the sections of a :class:`._design.Design`."""
 
-    array: Array
-    sheet: Sheet
-    drive: Drive
-    readout: Readout
-    adc: Adc | None
-    fault: tuple[Fault, ...]
-    row_end: RowEnd | None
-    column_end: ColumnEnd | None
-    reference: Reference | None
-    crosspoint: Crosspoint | None
-
+    @property
+    def array(self) -> Array: ...
+    @property
+    def sheet(self) -> Sheet: ...
+    @property
+    def drive(self) -> Drive: ...
+    @property
+    def readout(self) -> Readout: ...
+    @property
+    def adc(self) -> Adc | None: ...
+    @property
+    def fault(self) -> tuple[Fault, ...]: ...
+    @property
+    def row_end(self) -> RowEnd | None: ...
+    @property
+    def column_end(self) -> ColumnEnd | None: ...
+    @property
+    def reference(self) -> Reference | None: ...
+    @property
+    def crosspoint(self) -> Crosspoint | None: ...
     @property
     def is_described(self) -> bool: ...
 
