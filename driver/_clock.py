@@ -70,7 +70,7 @@ class ClockMap:
         0 until 5 s of even pace have passed. NaN if the board's time is not that of a clock (:attr:`pace`), or the
         line has the steepest allowed slope.
         """
-        drift = self._slope()
+        drift = self._drift or 0.0
         if self.pace is not Pace.EVEN or abs(drift) >= LARGEST_DRIFT:
             return math.nan
         return 1e6 * drift if self._span_s >= DRIFT_SPAN_S else 0.0
@@ -100,8 +100,10 @@ class ClockMap:
             self._least = (x, y)
         if self.pace is not Pace.EVEN:
             return received_s
-        line = self._line(x)
-        if y < self._line(x, falling=True) - STEP_S:
+        drift, (anchor_x, anchor_y) = self._drift, self._anchor
+        line = anchor_y if drift is None else anchor_y + drift * (x - anchor_x)
+        least = anchor_y - LARGEST_DRIFT * (x - anchor_x) if drift is None else line
+        if y < least - STEP_S:
             # No drift does this: the clock was set forward, or all earlier frames had waited in a buffer.
             self._buckets.clear()
             self._drift, self._span_s = None, 0.0
@@ -111,13 +113,9 @@ class ClockMap:
             line = y
         return self._origin[1] + x + line
 
-    def _slope(self, *, falling: bool = False) -> float:
-        """The drift; until it is known, none, or the least if ``falling``."""
-        unknown = -LARGEST_DRIFT if falling else 0.0
-        return unknown if self._drift is None else self._drift
-
-    def _line(self, x: float, *, falling: bool = False) -> float:
-        return self._anchor[1] + self._slope(falling=falling) * (x - self._anchor[0])
+    def _line(self, x: float) -> float:
+        """The line at ``x``; level until the drift is known."""
+        return self._anchor[1] + (self._drift or 0.0) * (x - self._anchor[0])
 
     def _close_bucket(self) -> None:
         self._recent.append(self._least)
@@ -159,7 +157,7 @@ class ClockMap:
             self._drift = min(max((y1 - y0) / (x1 - x0), -LARGEST_DRIFT), LARGEST_DRIFT)
         # If the drift is limited, or not known, the edge's own ends need not be the lowest points. The anchor is a
         # frame, too, and may be newer.
-        slope = self._slope()
+        slope = self._drift or 0.0
         frames = [*hull, self._anchor] if self._anchor[0] >= hull[0][0] else hull
         self._anchor = min(frames, key=lambda point: point[1] - slope * point[0])
 

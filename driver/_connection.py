@@ -142,6 +142,8 @@ class Connection:
         self._has_frames = False
         """a frame has come since the board was last asked"""
         self._absence: Absence | None = None
+        self._read_at = 0.0
+        """when the port was last read, on its own clock"""
         self._received, self._reason = 0, "no end of a packet"
         """bytes since the last frame, and why the last of them formed no packet"""
         self._orders: list[PendingOrder] = []
@@ -152,6 +154,8 @@ class Connection:
         self._unreadable = ""
         """why the description that the board has sent cannot be read"""
         self._forgotten = False
+        """nobody holds the skin any more"""
+        self._is_ending = False
         self._thread = threading.Thread(target=self._run, name=f"ohmskin reader {port.name}", daemon=True)
 
     def start(self) -> None:
@@ -220,9 +224,8 @@ class Connection:
         Errors of the port are left to the thread, and so are bytes of a flood. Before a time-out is reported, whoever
         waits is ``patient``: a thread that reads may be kept from it by other programs.
         """
-        began_s = self._clock()
         self._read_for_consumer(JOIN_S if patient else POLL_S)
-        if self._clock() - began_s > READ_AGAIN_S:
+        if self._clock() - self._read_at > READ_AGAIN_S:
             self._read_for_consumer(POLL_S)
 
     def _read_for_consumer(self, limit_s: float) -> None:
@@ -336,6 +339,7 @@ class Connection:
 
     def stop(self) -> None:
         """End the thread, which closes the port. May be called from another thread or from a callback."""
+        self._is_ending = True
         self._stop.set()
         port = self._port
         if port is not None:
@@ -354,10 +358,7 @@ class Connection:
         lock.
         """
         self._forgotten = True
-
-    @property
-    def _is_ending(self) -> bool:
-        return self._stop.is_set() or (self._forgotten and not self.taps)
+        self._is_ending = self._is_ending or not self.taps
 
     def record(self, recording: Recording) -> None:
         """Give a recording all bytes from now on, until it is closed."""
@@ -377,6 +378,7 @@ class Connection:
             if receive is not None:
                 self.frames.on_converted.remove(receive)
                 self.frames.converter.on_rest.remove(recording.rest_changed)
+            self._is_ending = self._is_ending or (self._forgotten and not self.taps)
 
     def _run(self) -> None:
         try:
@@ -470,45 +472,43 @@ class Connection:
 
     def _read(self) -> bool:
         """Read what has come, within the budget of a turn; whether the thread shall rest before it goes on."""
+        done, until_s, frames = 0, 0.0, self.frames
         try:
-            return self._drain()
+            with self._reading:
+                while not (self._port is None or self._is_ending or (frames.lossless and self._is_full())):
+                    arrival = self._port.read()
+                    self._read_at = arrival.received_at
+                    if not arrival.data:
+                        break
+                    came = self._take(arrival)
+                    # Another frame may have come while several were decoded; it would be the newest one.
+                    if not arrival.more and came <= 1:
+                        break
+                    done, now_s = done + came, time.thread_time()
+                    until_s = until_s or now_s + LONGEST_TURN_S
+                    if done >= MOST_EVENTS or now_s > until_s:
+                        return not frames.lossless
         except OhmskinError:
             raise
         except Exception as error:
             # No reader shall wait for frames that no longer come.
-            self.frames.finish(LinkError(f"{self.port_name}: reading failed: {error!r}"))
+            frames.finish(LinkError(f"{self.port_name}: reading failed: {error!r}"))
             raise
-
-    def _drain(self) -> bool:
-        done, until_s = 0, 0.0
-        with self._reading:
-            while True:
-                if self._port is None or self._is_ending or self._is_full():
-                    break
-                arrival = self._port.read()
-                if not arrival.data:
-                    break
-                self._received += len(arrival.data)
-                for tap in self.taps:
-                    tap(arrival)
-                if self.frames.newest is None:
-                    self._sample = (self._sample + arrival.data)[-SAMPLE_BYTES:]
-                events = self._protocol.feed(arrival.data, arrival.received_at)
-                frames = 0
-                for event in events:
-                    if isinstance(event, FramePacket):
-                        frames += 1
-                self.stream.arrive(arrival, frames)
-                for event in events:
-                    self._handle(event, arrival)
-                # Another frame may have come while several were decoded; it would be the newest one.
-                if not arrival.more and frames <= 1:
-                    break
-                done, now_s = done + len(events), time.thread_time()
-                until_s = until_s or now_s + LONGEST_TURN_S
-                if done >= MOST_EVENTS or now_s > until_s:
-                    return not self.frames.lossless
         return False
+
+    def _take(self, arrival: Arrival) -> int:
+        """Take bytes that have come; returns how many packets they complete."""
+        self._received += len(arrival.data)
+        for tap in self.taps:
+            tap(arrival)
+        if self.frames.newest is None:
+            self._sample = (self._sample + arrival.data)[-SAMPLE_BYTES:]
+        events = self._protocol.feed(arrival.data, arrival.received_at)
+        frames = [event for event in events if event.__class__ is FramePacket]
+        self.stream.arrive(arrival, len(frames))
+        for event in events:
+            self._handle(event, arrival)
+        return len(events)
 
     def _handle(self, event: Event, arrival: Arrival) -> None:
         self._reason = ""

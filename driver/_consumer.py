@@ -190,13 +190,13 @@ class Consumer:
 
         """
         frames = self._frames
-        measurement = frames.measure(raw)
+        measurement = raw.converted or frames.measure(raw)
         notices = frames.counters.notices
         while notices:
             with contextlib.suppress(IndexError):  # another reader was quicker
                 warnings.warn(notices.popleft(), RuntimeWarning, stacklevel=2)
         with self._lock:
-            age_s = self._age_s(raw)
+            age_s = self._connection.now() - raw.monotonic_time
             if age_s > max_age_s:
                 return None
             if measurement is None or raw.index <= self._newest:

@@ -237,22 +237,20 @@ class Converter:
 
     def _read_present(self, frame: RawFrame) -> Measurement:
         """The reading of a frame. A cell without a count keeps its last one, as others depend on it, and is marked."""
-        measured = self._read_crossings(frame)
+        before, self._present = self._present, frame.counts
+        if frame.absent:
+            missing = np.zeros(frame.counts.shape, dtype=np.bool_)
+            missing.flat[list(frame.absent)] = True
+            self._present = np.where(missing, frame.counts if before is None else before, frame.counts)
+            measured = self._read(self._present).without(missing, Reason.MISSING)
+        else:
+            measured = self._read(frame.counts)
         if measured.reason.flat[0] == _UNSOLVED:
             self._counters.unsolved += 1
         if self._holes is not None:
             measured = measured.without(self._holes, Reason.NO_CELL)
             measured.reason[self._holes] = Reason.NO_CELL
         return measured
-
-    def _read_crossings(self, frame: RawFrame) -> Measurement:
-        before, self._present = self._present, frame.counts
-        if not frame.absent:
-            return self._read(frame.counts)
-        missing = np.zeros(frame.counts.shape, dtype=np.bool_)
-        missing.flat[list(frame.absent)] = True
-        self._present = np.where(missing, frame.counts if before is None else before, frame.counts)
-        return self._read(self._present).without(missing, Reason.MISSING)
 
     def _without_faulty_lines(self, time_s: float, measured: Measurement) -> Measurement:
         """The measurement, with the cells of faulty lines marked as not valid (:mod:`._line_faults`)."""

@@ -306,6 +306,8 @@ class Frames:
 
     def wake(self) -> None:
         """Wake all waiting threads: once for all frames that came together, since each wake-up costs time."""
+        if not self._wakers:  # who comes now looks for news after he has joined
+            return
         with self.lock:
             for waker in self._wakers:
                 waker()
@@ -394,17 +396,24 @@ class Frames:
 
     def _after(self, index: int) -> RawFrame | None:
         """The oldest frame beyond ``index`` that is for readers; None if there is none yet."""
-        if not self._kept or self._kept[-1].index <= index:
-            return None
-        return self._frame(max(index, self._passed) + 1) or self._kept[0]
+        kept = self._kept
+        return None if not kept or kept[-1].index <= index else kept[self._place_after(index)]
+
+    def _place_after(self, index: int) -> int:
+        """The place in the queue of the oldest frame beyond ``index`` that is for readers; one has come."""
+        place = (index if index > self._passed else self._passed) + 1 - self._kept[0].index
+        return place if 0 <= place < len(self._kept) else 0
 
     def _all_after(self, index: int, last: int, most: int) -> list[RawFrame]:
         """The frames beyond ``index`` that are for readers, up to the number ``last``, and ``most`` of them."""
-        first = self._after(index)
-        if first is None or first.index >= last:
-            return [] if first is None or first.index > last else [first]
-        place = first.index - self._kept[0].index
-        return list(islice(self._kept, place, place + min(last - first.index + 1, most)))
+        kept = self._kept
+        if not kept or kept[-1].index <= index:
+            return []
+        place = self._place_after(index)
+        wanted = last - kept[place].index + 1
+        if wanted <= 1:
+            return [kept[place]] if wanted == 1 else []
+        return list(islice(kept, place, place + min(wanted, most)))
 
     def _drop_passed(self) -> None:
         self._drop(self._places)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import enum
-from collections import OrderedDict
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -113,8 +113,8 @@ class FrameStream:
         self._time_s = 0.0
         self._usual_us = 0.0
         """board time from one frame number to the next, by the last two frames; 0: not known"""
-        self._recent: OrderedDict[tuple[int | None, int | None, int | None], None] = OrderedDict()
-        """boot ids, sequence numbers and times of the last numbered frames, in order: a dict, for a quick look-up"""
+        self._recent: deque[tuple[int | None, int | None, int | None]] = deque(maxlen=REMEMBERED)
+        """boot ids, sequence numbers and times of the last numbered frames"""
 
     def announce(self, sequence: int | None, boot_id: int | None) -> None:
         """Take the number of the first frame, as announced by the packets before it."""
@@ -153,21 +153,29 @@ class FrameStream:
         """
         counters = self.counters
         sequence, time_us = packet.sequence, packet.time_us
-        stamp = packet.boot_id, sequence, time_us
-        if sequence is not None and stamp in self._recent:
-            counters.duplicates += 1
-            return None
-        found = self._succession(packet)
-        if found is _Succession.OVERTAKEN:
-            counters.late += 1
-            self._remember(stamp)
-            return None
-        if found is not _Succession.NEXT:
-            self._begin_anew(packet, found)
+        found, missing, latest_us = _Succession.NEXT, 0, self._latest_us
+        if (
+            sequence is not None
+            and sequence == self._expected
+            and packet.boot_id == self._boot_id
+            and not (time_us is None or latest_us is None or time_us <= latest_us)
+        ):  # no earlier frame has such a number and time: the usual case
+            self._expected = (sequence + 1) % 2**32
+        else:
+            if sequence is not None and (packet.boot_id, sequence, time_us) in self._recent:
+                counters.duplicates += 1
+                return None
+            found = self._succession(packet)
+            if found is _Succession.OVERTAKEN:
+                counters.late += 1
+                self._recent.append((packet.boot_id, sequence, time_us))
+                return None
+            if found is not _Succession.NEXT:
+                self._begin_anew(packet, found)
+            self._boot_id = packet.boot_id
+            missing = self._count_lost(packet, arrival, found)
         if sequence is not None:
-            self._remember(stamp)
-        self._boot_id = packet.boot_id
-        missing = self._count_lost(packet, arrival, found)
+            self._recent.append((packet.boot_id, sequence, time_us))
         counters.frames += 1
         if packet.flags is not _NO_FLAGS:
             counters.overruns += bool(packet.flags & Flag.OVERRUN)
@@ -190,11 +198,6 @@ class FrameStream:
             counters.reboots,
             packet.absent,
         )
-
-    def _remember(self, stamp: tuple[int | None, int | None, int | None]) -> None:
-        self._recent[stamp] = None
-        if len(self._recent) > REMEMBERED:
-            self._recent.popitem(last=False)
 
     def _succession(self, packet: FramePacket) -> _Succession:
         """Relation of a packet to the one before: the table of this class."""
@@ -305,19 +308,14 @@ class FrameStream:
             slow = self.clock.pace is Pace.SLOW and not self._simulated
             if time_us is not None and self._latest_us is not None and time_runs_through and not slow:
                 passed_us = time_us - self._latest_us
-                if self._was_set_forward(passed_us, step, missing):
+                # Only a jump of the board's clock exceeds both the host's time and the usual time of frames. At the
+                # emulator's fast clock every step exceeds the host's time.
+                usual_us = self._usual_us * (missing + 1)
+                if passed_us > 1e6 * (step + CLOCK_SET_S) and 0 < CLOCK_SET_STEPS * usual_us < passed_us:
                     self.counters.clock_steps += 1
                 else:
                     step = passed_us / 1e6
                 self._usual_us = passed_us / (missing + 1)
-            self._time_s += max(step, LEAST_STEP_S)
+            self._time_s += step if step > LEAST_STEP_S else LEAST_STEP_S
         self._latest_us, self._latest_monotonic = time_us, monotonic
         self.counters.times_s.append(self._time_s)
-
-    def _was_set_forward(self, passed_us: int, host_s: float, missing: int) -> bool:
-        """Whether the board's clock jumped. Only a jump exceeds both the host's time and the usual time of frames.
-
-        At the emulator's fast clock every step exceeds the host's time.
-        """
-        usual_us = self._usual_us * (missing + 1)
-        return passed_us > 1e6 * (host_s + CLOCK_SET_S) and 0 < CLOCK_SET_STEPS * usual_us < passed_us
