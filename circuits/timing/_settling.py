@@ -120,15 +120,16 @@ class BoardsInTime:
             left &= ~(over | hidden | ends)
             after, after_excess, upper, upper_excess = upper, upper_excess, lower, lower_excess
         if crosses.any():
-            crossing = _crossing(excess, bracket[0], bracket[1])
+            crossing = _crossing(excess, bracket[0], bracket[1], allowed)
             found[crosses] = (self.briefest + crossing)[crosses]
         return found
 
 
 _NEAR = 0.1  # of the limit; between two steps of a quarter of a radian a deviation rises by less than this
 _GOLDEN = 0.6180339887498949
-_HALVINGS = 36  # of a bracket: the period is then known to 1e-11 of it
-_SECTIONS = 40  # golden sections of a peak's bracket, to 1e-8 of it
+_CROSSING = 1e-9  # of a period, to which it is known where a deviation reaches its limit
+_MOST_STEPS = 60  # of that search; each third halves the bracket
+_SECTIONS = 20  # golden sections of a peak's bracket: to 1e-4 of it, and the peak itself to the square of that
 
 
 def _peak(
@@ -144,13 +145,37 @@ def _peak(
     return middle, excess(middle)
 
 
-def _crossing(excess: Callable[[FloatArray], FloatArray], lower: FloatArray, upper: FloatArray) -> FloatArray:
-    """Times (B,) at which ``excess`` falls to zero, between ``lower`` (positive there) and ``upper`` (not positive)."""
-    low, high = lower.copy(), upper.copy()
-    for _ in range(_HALVINGS):
-        middle = (low + high) / 2
-        positive = excess(middle) > 0
-        low, high = np.where(positive, middle, low), np.where(positive, high, middle)
+def _crossing(
+    excess: Callable[[FloatArray], FloatArray], lower: FloatArray, upper: FloatArray, allowed: FloatArray
+) -> FloatArray:
+    """Times (B,) at which ``excess`` falls to zero, between ``lower`` (positive there) and ``upper`` (not positive).
+
+    False position with the Illinois weights (Dowell and Jarratt, BIT 11, 1971), of the logarithm of the deviation over
+    ``allowed`` (B,), which is nearly straight in time.
+    """
+
+    def decades(seconds: FloatArray) -> FloatArray:
+        found: FloatArray = np.log(np.maximum(excess(seconds) / allowed + 1.0, 1e-300))
+        return found
+
+    low, high, before, after = lower.copy(), upper.copy(), decades(lower), decades(upper)
+    moved = np.zeros(len(low))
+    for number in range(_MOST_STEPS):
+        width = high - low
+        if (width <= _CROSSING * high).all():
+            break
+        share = np.full(len(low), 0.5) if number % 3 == 2 else before / np.where(before > after, before - after, 1.0)
+        margin = np.minimum(_CROSSING / 2 * high / np.where(width > 0, width, 1.0), 0.5)  # so that both ends close in
+        middle = low + width * np.clip(share, margin, 1.0 - margin)
+        there = decades(middle)
+        positive = there > 0
+        after = np.where(positive, np.where(moved > 0, after / 2, after), there)
+        before = np.where(positive, there, np.where(moved < 0, before / 2, before))
+        low, high, moved = (
+            np.where(positive, middle, low),
+            np.where(positive, high, middle),
+            np.where(positive, 1.0, -1.0),
+        )
     return high
 
 
