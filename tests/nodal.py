@@ -1,23 +1,18 @@
 """An independent judge of readings: modified nodal analysis of a whole board in double precision, for many frames.
 
-Each part is a stamp, as a textbook writes it (Ho, Ruehli and Brennan 1975). Nothing is shared with ``ohmskin.circuits``
-but the keys of a design. ``bench/_reference.py`` is exact and slow; this one is accurate to about 1e-9 and quick enough
-for streams. The inner nodes of the grid are eliminated once per frame; each scan step then has a few dozen unknowns.
+The parts of the grid are those of ``bench/_reference.py``, which is exact and slow; this one is accurate to about 1e-9
+and quick enough for streams. Nothing is shared with ``ohmskin.circuits`` but the keys of a design. The inner nodes of
+the grid are eliminated once per frame; each scan step then has a few dozen unknowns.
 """
 
 from __future__ import annotations
 
-from math import isinf
-from typing import Any
-
 import numpy as np
 from scipy.cluster.hierarchy import DisjointSet
 
+from ohmskin.bench._reference import REFERENCE, Node, _grid, _of
 from ohmskin.circuits import Design
 from ohmskin.common.arrays import FloatArray
-
-Node = tuple[Any, ...]
-_FOLLOWER, _REFERENCE = ("follower",), ("reference",)
 
 
 def nodal_volts(design: Design, cells: FloatArray) -> FloatArray:
@@ -38,10 +33,10 @@ def nodal_volts(design: Design, cells: FloatArray) -> FloatArray:
 
 def _ports(design: Design, cells: FloatArray) -> tuple[dict[Node, int], FloatArray, int, int]:
     """The number of each port's node, and the nodal matrix between these with all other nodes eliminated."""
-    (rows, columns), parts = cells.shape, _parts(design, cells)
+    (rows, columns), parts = cells.shape, _grid(design, cells)
     turned = design.readout.circuit == "row-amplifier"
     driven, sensed = (columns, rows) if turned else (rows, columns)
-    ports: list[Node] = [("drive", i) for i in range(driven)] + [("end", j) for j in range(sensed)] + [_REFERENCE]
+    ports: list[Node] = [("drive", i) for i in range(driven)] + [("end", j) for j in range(sensed)] + [REFERENCE]
     joined: DisjointSet = DisjointSet(ports)
     for a, b, ohm in parts:
         joined.add(a)
@@ -67,48 +62,6 @@ def _stamp(matrix: FloatArray, a: int, b: int, siemens: float) -> None:
     matrix[b, b] += siemens
     matrix[a, b] -= siemens
     matrix[b, a] -= siemens
-
-
-def _of(value: float | tuple[float, ...], line: int) -> float:
-    return value[line] if isinstance(value, tuple) else value
-
-
-def _parts(design: Design, cells: FloatArray) -> list[tuple[Node, Node, float]]:
-    """Nodes and ohm of the grid's parts."""
-    array, pull = design.array, design.drive.idle_row_resistance
-    turned = design.readout.circuit == "row-amplifier"
-    (rows, columns), parts = cells.shape, []
-    added: dict[tuple[str, int, int], float] = {}
-    for fault in design.fault:
-        key = (fault.kind, *fault.place)
-        added[key] = added.get(key, 0.0) + fault.ohms
-        i, j = fault.place
-        if fault.kind == "shorted-cell":
-            parts.append((("row", i, j), ("column", i, j), fault.ohms))
-        elif fault.kind == "bridged-rows":
-            parts.append((("row", i, j), ("row", i + 1 if fault.to is None else fault.to, j), fault.ohms))
-        elif fault.kind == "bridged-columns":
-            parts.append((("column", i, j), ("column", i, j + 1 if fault.to is None else fault.to), fault.ohms))
-    for i in range(rows):
-        outside = ("end", i) if turned else ("drive", i)
-        parts.append((outside, ("start", "row", i), _of(array.row_lead, i)))
-        for j in range(columns):
-            before = ("row", i, j - 1) if j else ("start", "row", i)
-            wire = _of(array.row_segment, i) if j else 0.0
-            parts.append((before, ("row", i, j), wire + added.get(("broken-row", i, j), 0.0)))
-            cell = float(cells[i, j]) + added.get(("open-cell", i, j), 0.0)
-            parts.append((("row", i, j), ("column", i, j), cell))
-    for j in range(columns):
-        outside = ("drive", j) if turned else ("end", j)
-        parts.append((outside, ("start", "column", j), _of(array.column_lead, j)))
-        for i in range(rows):
-            after = ("column", i + 1, j) if i < rows - 1 else ("start", "column", j)
-            wire = _of(array.column_segment, j) if i < rows - 1 else 0.0
-            parts.append((("column", i, j), after, wire + added.get(("broken-column", i, j), 0.0)))
-    if not isinf(pull):
-        kind = "column" if turned else "row"
-        parts += [(("start", kind, i), _REFERENCE, pull) for i in range(columns if turned else rows)]
-    return parts
 
 
 def _step(
@@ -141,7 +94,7 @@ def _solved(
     ports, outs = len(network), 1 if feedback else 0 if divider else len(read)
     matrix, right = np.zeros((ports + outs, ports + outs)), np.zeros(ports + outs)
     matrix[:ports, :ports] = network
-    held: dict[int, tuple[float, bool]] = {names[_REFERENCE]: (0.0, False)}  # V, and whether on top of the follower
+    held: dict[int, tuple[float, bool]] = {names[REFERENCE]: (0.0, False)}  # V, and whether on top of the follower
     for i in range(driven):
         if i == row:
             held[names["drive", i]] = (design.drive.voltage, False)
