@@ -11,12 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ohmskin.bench._reference import reference_volts
 from ohmskin.circuits import Design, Requirement
 from ohmskin.cli import run
 from ohmskin.emulator import BoardSettings, PtyPort, Scene, SkinSettings, Stop, emulate
 from ohmskin.verification import Report, prototype, verify
 
-DESIGN = prototype()
+DESIGN = prototype().replace(adc={"range": (-0.2, 3.1)})
 ASKED = [
     Requirement(id="R1", quantity="reading_error", max=5.0),
     Requirement(id="R2", quantity="noise", max=1e-3),
@@ -70,6 +71,14 @@ def test_a_sound_board_passes_with_the_same_limits_and_its_simulation_beside_it(
     assert noise is not None
     assert noise.value > 5e-5
     assert noise.text[0].startswith("Simulated: ")
+    headroom = by_id["R5-board"].measurement
+    assert headroom is not None
+    assert DESIGN.adc is not None
+    volts, rest, step = reference_volts(DESIGN, _rest(DESIGN)), _rest(DESIGN), DESIGN.adc.step
+    ends = volts.min() - (DESIGN.adc.range[0] + step), DESIGN.adc.range[1] - step - volts.max()
+    assert headroom.value == pytest.approx(min(ends), abs=2 * step)
+    read = DESIGN.readout.reference_resistance / (volts / DESIGN.drive.voltage)
+    assert error.value == pytest.approx(100 * np.abs(np.abs(read) / rest - 1.0).max(), abs=100 * 2 * step / volts.min())
 
 
 @pytest.mark.parametrize(
@@ -87,18 +96,23 @@ def test_a_board_with_a_fault_fails(fault: dict[str, object], failing: set[str])
 
 
 def test_a_noisy_board_fails() -> None:
-    outcomes = _outcomes(_measured(DESIGN, noise=5e-3))
-    assert outcomes["R2-board"] == "fail"
+    report = _measured(DESIGN, noise=5e-3)
+    assert _outcomes(report)["R2-board"] == "fail"
+    noise = next(result.measurement for result in report.results if result.requirement.id == "R2-board")
+    assert noise is not None
+    assert DESIGN.adc is not None
+    expected = np.hypot(5e-3, DESIGN.adc.step / np.sqrt(12.0))  # in the worst of 16 cells
+    assert expected < noise.value < expected + 6 * noise.resolution
 
 
 @pytest.mark.usefixtures("quick_verification")
 def test_a_jig_is_taken_without_a_design_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    np.savetxt(tmp_path / "cells.csv", _rest(DESIGN), delimiter=",")
+    np.savetxt(tmp_path / "cells.csv", _rest(prototype()), delimiter=",")
     asked = '[[requirement]]\nid = "R1"\nquantity = "reading_error"\nmax = 5.0\n'
     (tmp_path / "asked.toml").write_text(asked)
     arguments = ["verify", "--requirements", str(tmp_path / "asked.toml"), "-o", str(tmp_path / "out")]
     arguments += ["--only", "R1-board", "--jig", str(tmp_path / "cells.csv")]
-    with _board(DESIGN) as port:
+    with _board(prototype()) as port:
         assert run([*arguments, "--target", port]) == 0
     (row,) = json.loads((tmp_path / "out" / "report.json").read_text())["requirements"]
     assert row["outcome"] == "pass"
