@@ -244,7 +244,7 @@ class FrameStream:
 
         """
         most = passed_us / max(usual_us / FASTER, LEAST_PERIOD_US)
-        return missing <= REMEMBERED or missing < min(most, HALF_RANGE)
+        return missing < min(most, HALF_RANGE)
 
     def _count_lost(self, packet: FramePacket, arrival: Arrival, found: _Succession) -> int:
         """Count the frames missing before this one; returns their number, 0 if it is not known.
