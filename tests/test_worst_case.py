@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from itertools import product
 from pathlib import Path
@@ -28,6 +29,7 @@ from worst_boards import (
 from ohmskin.bench._reference import reference_volts
 from ohmskin.circuits import Design, Requirement, scan
 from ohmskin.verification import Report, verify
+from ohmskin.verification._outcome import Measurement
 
 QUICK = (3, 5, 6, 11, 12, 22)
 """seeds of small boards of all circuits, some of whose readings come near the reference or leave a range"""
@@ -84,6 +86,27 @@ def test_chance_beats_no_verdict_in_time_and_no_stress(seed: int) -> None:
     design = random_board_in_time(seed)
     report = verify(design, requirements=asked_in_time(design))
     assert beaten_in_time(design, seed, report) == {}
+    for result in report.results:
+        if result.measurement is not None and result.measurement.corner is not None:
+            assert _says_what_is_pressed(design, result.measurement), result.requirement.quantity
+
+
+def _says_what_is_pressed(design: Design, measurement: Measurement) -> bool:
+    """Whether the words name the cells of the last frame that are nearer to full scale."""
+    assert design.cells is not None
+    assert measurement.corner is not None
+    cells = np.array(measurement.corner.cells_ohm[-1])
+    middle = (design.cells.rest_resistance + design.cells.full_scale_resistance) / 2.0
+    pressed = (cells < middle) == (design.cells.full_scale_resistance < middle)
+    said = re.search(r"all cells (pressed|at rest)|cells (not )?pressed: ([^;a-z.]*)", measurement.where)
+    if said is None:
+        return False
+    if said[1] is not None:
+        return bool(pressed.all() if said[1] == "pressed" else not pressed.any())
+    named = np.zeros(pressed.shape, dtype=np.bool_)
+    for row, column in re.findall(r"\((\d+), (\d+)\)", said[3]):
+        named[int(row), int(column)] = True
+    return bool((named == pressed).all() if said[2] is None else (named == ~pressed).all())
 
 
 SMALL = Design.model_validate(
@@ -190,12 +213,13 @@ def test_page_one_says_that_a_search_is_not_complete(tmp_path: Path) -> None:
     assert "its worst cell, with the presses" in sampled.text[1]
 
 
-def test_a_drift_has_its_own_unit_whatever_the_nominal_value() -> None:
+@pytest.mark.parametrize("nominal", [0.0, 1e-3])
+def test_a_drift_has_its_own_unit_whatever_the_nominal_value(nominal: float) -> None:
     """10 uV/K over 40 K is an offset of 0.4 mV, of either sign on each line."""
     base = SMALL.replace(operation={"temperature_range": (268.15, 338.15)})
-    drifting = base.replace(readout={"offset_voltage": {"nominal": 0.0, "temperature_coefficient": 10e-6}})
-    alike = base.replace(readout={"offset_voltage": {"nominal": 0.0, "deviation": 0.4e-3}})
-    steady = base.replace(readout={"offset_voltage": {"nominal": 0.0}})
+    drifting = base.replace(readout={"offset_voltage": {"nominal": nominal, "temperature_coefficient": 10e-6}})
+    alike = base.replace(readout={"offset_voltage": {"nominal": nominal, "deviation": 0.4e-3}})
+    steady = base.replace(readout={"offset_voltage": {"nominal": nominal, "deviation": 0.0}})
     one, other, none = (stated(_verified(design)) for design in (drifting, alike, steady))
     assert one == pytest.approx(other, rel=1e-9)
     assert one["reading_error"] > 1.01 * none["reading_error"]
