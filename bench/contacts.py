@@ -302,8 +302,10 @@ def contacts_of(
         with Skin(port, design=board, cell=Cell.example(), delivery="lossless", timeout=60.0) as skin:
             with contextlib.suppress(InputError):  # no cell is valid
                 skin.tare(TARE_FRAMES)
-            for n in range(TARE_FRAMES, len(packets)):
-                yield n / rate_hz, skin.read(60.0).contacts
+            n = TARE_FRAMES
+            while n < len(packets):
+                for n, frame in enumerate(skin.read_many(), n + 1):
+                    yield (n - 1) / rate_hz, frame.contacts
 
 
 def fingers(
