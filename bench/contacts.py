@@ -302,10 +302,12 @@ def contacts_of(
         with Skin(port, design=board, cell=Cell.example(), delivery="lossless", timeout=60.0) as skin:
             with contextlib.suppress(InputError):  # no cell is valid
                 skin.tare(TARE_FRAMES)
-            n = TARE_FRAMES
-            while n < len(packets):
-                for n, frame in enumerate(skin.read_many(), n + 1):
-                    yield (n - 1) / rate_hz, frame.contacts
+            taken = TARE_FRAMES
+            while taken < len(packets):
+                frames = skin.read_many()
+                for n, frame in enumerate(frames, taken):
+                    yield n / rate_hz, frame.contacts
+                taken += len(frames)
 
 
 def fingers(
