@@ -25,8 +25,6 @@ from ._units import engineering
 FRAMES = 200
 PATIENCE_S = 30.0
 """for one frame: a slow machine is no failure"""
-BOARD_SUFFIX = "-board"
-"""of the id of a requirement that is measured beside its simulation"""
 
 
 @dataclass(frozen=True)

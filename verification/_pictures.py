@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..common import plots
-from ..common.arrays import BoolArray, FloatArray
+from ..common.arrays import BoolArray, FloatArray, IntArray
 from ._outcome import Figure, drawn
 
 NUMBERED_CELL_IN, CELL_IN = 0.42, 0.2
@@ -86,19 +86,9 @@ def heat_maps(
         for panel, (title, array) in zip(axes[0], maps.items(), strict=True):
             image = panel.imshow(array, cmap="RdBu_r", vmin=-limit, vmax=limit, interpolation="nearest")
             panel.set_title(title.replace(", ", ",\n"), fontsize=8.5)
-            panel.grid(visible=False)
-            panel.set_xticks(range(columns) if columns <= 8 else [0, columns - 1])
-            panel.set_yticks(range(rows) if rows <= 8 else [0, rows - 1])
-            panel.tick_params(length=0)
-            if rows * columns <= 36:
-                for (i, j), value in np.ndenumerate(array):
-                    colour = "w" if abs(value) > 0.55 * limit else plots.INK
-                    panel.text(
-                        j, i, values.format(value), ha="center", va="center", fontsize=7, color=colour, in_layout=False
-                    )
-            if marked is not None:
-                for i, j in np.argwhere(marked):
-                    panel.add_patch(_outline(j, i))
+            shown = values if rows * columns <= 36 else ""
+            _label(panel, array, np.abs(array) > 0.55 * limit, shown, most_ticks=8)
+            _outline(panel, np.zeros((0, 2)) if marked is None else np.argwhere(marked))
         figure.colorbar(image, ax=axes[0].tolist(), shrink=0.85, label=label)
         return plots.svg(figure)
 
@@ -117,30 +107,34 @@ def value_map(array: FloatArray, *, label: str, top: float, limit: float | None)
     bottom = float(known.min()) if all_beyond and float(known.min()) < top else 0.0
     with plots.drawing(1, 1, width=width, height=height) as (figure, ((panel,),)):
         image = panel.imshow(array, cmap="viridis_r", vmin=bottom, vmax=top, interpolation="nearest")
-        panel.grid(visible=False)
         panel.set(xlabel="column", ylabel="row")
-        panel.set_xticks(range(columns) if columns <= 16 else [0, columns - 1])
-        panel.set_yticks(range(rows) if rows <= 16 else [0, rows - 1])
-        panel.tick_params(length=0)
-        if numbered:
-            for (i, j), value in np.ndenumerate(array):
-                if np.isfinite(value):
-                    colour = "w" if value - bottom > 0.6 * (top - bottom) else plots.INK
-                    panel.text(
-                        j, i, f"{value:.2f}", ha="center", va="center", fontsize=7, color=colour, in_layout=False
-                    )
+        _label(panel, array, array - bottom > 0.6 * (top - bottom), "{:.2f}" if numbered else "", most_ticks=16)
         bar = figure.colorbar(image, ax=panel, shrink=0.9, label=label)
         if all_beyond:
             panel.set_title("every cell is beyond the limit", fontsize=8.5, color=plots.RED)
         elif limit is not None:
             bar.ax.axhline(limit, color=plots.RED, lw=2)
             bar.ax.text(-0.15, limit, "limit ", color=plots.RED, ha="right", va="center", fontsize=8)
-            for i, j in np.argwhere(np.nan_to_num(array, nan=0.0) > limit):
-                panel.add_patch(_outline(j, i, plots.RED))
+            _outline(panel, np.argwhere(np.nan_to_num(array, nan=0.0) > limit), plots.RED)
         return plots.svg(figure)
 
 
-def _outline(column: int, row: int, colour: str = plots.INK) -> Any:
+def _label(panel: Any, array: FloatArray, dark: BoolArray, values: str, *, most_ticks: int) -> None:
+    """Ticks at cells (rows, columns), and the finite values as text in the form ``values``, white on ``dark`` cells."""
+    rows, columns = array.shape
+    panel.grid(visible=False)
+    panel.set_xticks(range(columns) if columns <= most_ticks else [0, columns - 1])
+    panel.set_yticks(range(rows) if rows <= most_ticks else [0, rows - 1])
+    panel.tick_params(length=0)
+    style = {"ha": "center", "va": "center", "fontsize": 7, "in_layout": False}
+    for i, j in np.argwhere(np.isfinite(array)) if values else ():
+        panel.text(j, i, values.format(array[i, j]), color="w" if dark[i, j] else plots.INK, **style)
+
+
+def _outline(panel: Any, places: FloatArray | IntArray, colour: str = plots.INK) -> None:
+    """Frames around cells (K, 2)."""
     from matplotlib.patches import Rectangle
 
-    return Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, edgecolor=colour, linewidth=1.8)
+    for row, column in places:
+        corner = column - 0.5, row - 0.5
+        panel.add_patch(Rectangle(corner, 1, 1, fill=False, edgecolor=colour, linewidth=1.8))

@@ -36,7 +36,7 @@ SETTLED = 1e-11
 _RANDOM = 12
 """random corners among the starts"""
 _PERIODS = 16.0
-"""what the shortest period of a board costs, over one period of it: it tries some sixty periods of one solution"""
+"""what the shortest period of a board costs, over one period of it: it tries some thirty periods of one solution"""
 _TOGETHER = 1 << 17
 """entries of the matrices of boards that are solved in one call"""
 
@@ -82,21 +82,23 @@ class InTimeTarget(WholeBoardTarget):
     """Numbers of the circuit in time, solved for many boards at once."""
 
     in_time: ClassVar[bool] = True
+    periods: ClassVar[float] = 1.0
+    """row periods that are solved of one board, whose matrices are made once"""
 
     def cost(self, box: Box) -> float:
         rows, columns = box.design.board.shape
         if goes_by_events(box.design):
-            return 400.0 * box.cells  # a matrix exponential for each reading
+            return 400.0 * box.cells * self.periods  # a matrix exponential for each reading
         turns = columns if box.design.board.circuit.columns_one_by_one(box.design.board) else 1
         groups = rows if box.design.board.floating else 1
-        return float(box.cells + 3 * groups * turns * columns**2)
+        return self.periods * (box.cells + 3 * groups * turns * columns**2)
 
     @abstractmethod
     def of_boards(self, box: Box, boards: Boards, cells: FloatArray) -> FloatArray:
         """(B, N, M) as :meth:`values`, of boards with cells (B, N, M) in ohm."""
 
     def values(self, box: Box, x: FloatArray) -> FloatArray:
-        size = max(1, int(_TOGETHER / self.cost(box)))
+        size = max(1, int(self.periods * _TOGETHER / self.cost(box)))
         parts = []
         for first in range(0, len(x), size):
             some = x[first : first + size]
@@ -137,30 +139,16 @@ class FrameTimeTarget(InTimeTarget):
     allowed: float
     """V"""
     name: str = "frame time"
-
-    def cost(self, box: Box) -> float:
-        return _PERIODS * super().cost(box)
-
-    def evaluate(self, box: Box, corners: Corners) -> FloatArray:
-        size = max(1, int(_PERIODS * _TOGETHER / self.cost(box)))
-        parts = [np.zeros(0)]
-        for first in range(0, len(corners), size):
-            x = corners.x[first : first + size]
-            in_time = BoardsInTime(box.design, box.population(x).boards, box.cells_of(x))
-            kept = np.isfinite(within_supply(box, in_time.settled)[:, 0, 0])
-            shortest = in_time.shortest_period(np.full(len(x), self.allowed))
-            parts.append(np.where(kept, shortest * box.design.board.shape[0], -np.inf))
-        return np.concatenate(parts)
-
-    def evaluate_at(self, box: Box, corners: Corners, place: tuple[int, int]) -> FloatArray:
-        return self.evaluate(box, corners)
+    periods: ClassVar[float] = _PERIODS
 
     def at(self, box: Box, frame_time: float) -> SettlingTarget:
         """Deviations at one frame time, which take far less time to solve: 1 is as much as is allowed."""
         return SettlingTarget(frame_time / box.design.board.shape[0], self.allowed)
 
     def of_boards(self, box: Box, boards: Boards, cells: FloatArray) -> FloatArray:
-        raise NotImplementedError("a frame time is that of a whole board")
+        in_time = BoardsInTime(box.design, boards, cells)
+        shortest = in_time.shortest_period(np.full(len(cells), self.allowed)) * box.design.board.shape[0]
+        return shortest[:, None, None] * within_supply(box, in_time.settled)
 
     def place(self, box: Box, corner: Corners) -> tuple[int, int]:
         return self.at(box, min(self.stated(box, corner), MOST_SECONDS)).place(box, corner)

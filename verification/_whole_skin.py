@@ -28,7 +28,7 @@ from ._claim import statement
 from ._dut import DesignUnderTest
 from ._outcome import Check, Figure, Finding, NotRun, Table, drawn
 from ._pictures import heat_maps, histories
-from ._pressures import contacts
+from ._pressures import TOUCHED, contacts
 
 RATE_HZ = 50.0
 SECONDS = 26.0
@@ -36,7 +36,6 @@ PATIENCE_S = 60.0
 """for one frame: a slow machine is no failure"""
 FIRMWARE_FRAMES = 200
 DWELLS_US = (20, 40, 80, 160)
-TOUCHED = 0.1  # of full scale: above it a cell counts as touched
 _MOST_BYTES = 2**30
 _TRUE = {
     "sequence": Stored("whole numbers", ("frames",)),
