@@ -6,8 +6,8 @@ Options (and variables of the environment): ``--ohmskin-target`` (``OHMSKIN_TARG
 (``OHMSKIN_STRICT``). docs/hil.md describes them.
 
 A board that is named and not there is an error. What cannot be run on one that is there is reported as "not run" with
-its reason, and fails where ``--ohmskin-strict`` is given. Rooms of
-ohmskin are imported when a fixture is used, so that the plugin costs nothing to other test suites.
+its reason, and fails where ``--ohmskin-strict`` is given. The packages of ohmskin are imported when a fixture is used,
+so that the plugin costs nothing to other test suites.
 """
 
 from __future__ import annotations

@@ -53,7 +53,7 @@ from ._requirements import (
 )
 from ._search import Target
 
-TOLD_FROM_S = 10.0
+ANNOUNCED_FROM_S = 10.0
 """s from which on a run says at its start how long it takes"""
 NO_PORT = ("emulated", "firmware")
 ON_TARGET = ("P14",)
@@ -166,7 +166,7 @@ def verify(
     for path, sha256 in {function.path: function.sha256 for function in own.values() if function.allowed}.items():
         announce(f"the design's own code is run: {path}, SHA-256 {sha256}")
     work = Work(dut, wanted, own)
-    if (seconds := expected_seconds(dut, wanted)) > TOLD_FROM_S:
+    if (seconds := expected_seconds(dut, wanted)) > ANNOUNCED_FROM_S:
         announce(f"searches and samples take about {_rounded(seconds)} of processor time here, in {jobs} process(es)")
     memory = _Store(store, _fingerprint(work))
     if target != "emulated":  # another board may answer at the same port by now

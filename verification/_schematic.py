@@ -141,9 +141,9 @@ def _row(drawing: _Drawing, design: Design, row: int, right: float) -> None:
 
 
 def _drawn(design: Design) -> str:
-    """Which lines the drawing shows; a circuit that senses the array's rows is drawn turned."""
+    """Which lines the drawing shows; a circuit that senses the array's rows is drawn transposed."""
     if design.board.turned:
-        return "turned, for the array's columns are driven and its rows sensed"
+        return "transposed, for the array's columns are driven and its rows sensed"
     return "the first rows and columns"
 
 

@@ -15,7 +15,7 @@ from .._quantity import NOMINAL, Quantity, Shipped
 from .._spice_check import excerpt, linear
 from .._units import engineering
 
-LARGEST = 8
+MOST_LINES = 8
 """lines in each direction that ngspice is given for a comparison"""
 SHARE_OF_SETTLING = 0.25
 """of the time to settle to 1 %: late enough to be near, early enough to tell a wrong model"""
@@ -24,7 +24,7 @@ DEGREES = 90.0
 
 
 def _compute(dut: DesignUnderTest, requirement: Requirement, method: str) -> Measurement:
-    design = excerpt(dut.design, LARGEST, LARGEST)
+    design = excerpt(dut.design, MOST_LINES, MOST_LINES)
     cells = np.full(design.array.shape, dut.rest)
     cells[::2] = dut.pressed
     tables = []
