@@ -29,6 +29,7 @@ Which boards are looked at:
 :mod:`._estimate`        how long all of that takes
 :mod:`._explore`         variations, their trade-off, and what would mend a requirement
 :mod:`._assumptions`     what a verdict leaves out
+:mod:`._tuning`          effort of searches and samples: all tuned numbers, with what sets them
 =======================  ==============================================================================
 
 The paper's claims (:mod:`._claims`):
@@ -41,7 +42,7 @@ The paper's claims (:mod:`._claims`):
 =======================  ==============================================================================
 
 The report: :mod:`._report`, :mod:`._sign_off` (its page to sign), :mod:`._record` (its JSON), :mod:`._outcome` (what it
-is made of), :mod:`._schematic` and :mod:`._maps` (pictures), :mod:`._units`, :mod:`._export` (tables).
+is made of), :mod:`._schematic` and :mod:`._pictures`, :mod:`._units`, :mod:`._export` (tables).
 """
 
 from ._catalogue import CATALOGUE

@@ -13,15 +13,11 @@ from ._box import Box, Corners
 from ._catalogue import CATALOGUE
 from ._dut import DesignUnderTest
 from ._judging import Searched, box_of, judged_by
-from ._montecarlo import BLOCK, TOGETHER, blocks, blocks_beside
+from ._montecarlo import blocks, blocks_beside
 from ._outcome import DoesNotApply, NotRun
 from ._quantity import NOMINAL, SAMPLED
 from ._search import Target, expected_points
-
-_TIMED = 20_000
-"""cells that are solved to time a point"""
-_FEWEST, _MOST = 4, 64
-"""points that are timed together"""
+from ._tuning import BLOCK, TIMED_CELLS, TIMED_FEWEST, TIMED_MOST, TOGETHER
 
 
 def expected_seconds(dut: DesignUnderTest, requirements: Sequence[Requirement]) -> float:
@@ -59,7 +55,7 @@ def _points(dut: DesignUnderTest, target: Target, requirement: Requirement, *, s
 
 
 def _seconds_of_a_point(target: Target, box: Box) -> float:
-    count = int(np.clip(_TIMED / target.cost(box), _FEWEST, _MOST))
+    count = int(np.clip(TIMED_CELLS / target.cost(box), TIMED_FEWEST, TIMED_MOST))
     x = np.random.default_rng(0).choice([-1.0, 1.0], (count, box.size))
     target.evaluate(box, Corners.of_boards(x[:1]))  # what is made only once is no part of it
     start = time.process_time()

@@ -37,6 +37,7 @@ from ._outcome import DoesNotApply, Measurement, NotRun
 from ._quantity import AVERAGING, DOWN, NOMINAL, UP, WORST
 from ._record import Outcome
 from ._requirements import evaluate
+from ._tuning import FARTHEST, FARTHEST_READING, FRACTIONS_BETWEEN, HALVINGS, MOST_AVERAGED, STRIDES, TRIES
 from ._units import LEAST_SHOWN, UNITS, conversion, engineering
 from .quantities.reading_errors import Crosstalk, ReadingError
 
@@ -55,17 +56,9 @@ AXES: dict[str, tuple[float, ...]] = {
 """Factors on the design's value; bits are added, the carbon-black fraction stands for itself."""
 FRACTIONS = np.geomspace(0.009, 0.06, 25)
 """carbon black by mass; below, full-scale pressure breaks the last path of many cells"""
-_BETWEEN = 9
 FASTEST_STATED_HZ = 1e6
 """the largest frame rate that a design may state"""
 MOST_BITS, _BITS = 24, "adc.bits"
-_TRIES = 20
-"""random draws for each combination wanted"""
-MOST_AVERAGED = 1000
-_FARTHEST = 1e3  # a change beyond a factor of that is no help to anybody
-_FARTHEST_READING = 3.0  # beyond it a larger reference resistor or drive voltage saturates outputs
-_STRIDES = (1.25, 2.0, 5.0, 20.0, 100.0, _FARTHEST)  # looked at before the bisection: not all quantities are monotone
-_HALVINGS = 7  # of the logarithm of the factor
 
 
 @dataclass(frozen=True)
@@ -217,7 +210,7 @@ def best_carbon_black(dut: DesignUnderTest) -> Variation | None:
         return None
     place = list(sigma).index(best)
     low, high = FRACTIONS[max(place - 1, 0)], FRACTIONS[min(place + 1, len(FRACTIONS) - 1)]
-    for fraction in np.linspace(low, high, _BETWEEN).tolist():
+    for fraction in np.linspace(low, high, FRACTIONS_BETWEEN).tolist():
         sigma[fraction] = resolution_kpa(dut, {"carbon black": fraction})
     for fraction in sorted((f for f in sigma if np.isfinite(sigma[f])), key=lambda fraction: sigma[fraction]):
         found = _judged(dut, {"carbon black": fraction})
@@ -376,7 +369,7 @@ def _combinations(dut: DesignUnderTest, points: int) -> Iterator[dict[str, float
     yield from single[:points]
     random = np.random.default_rng(dut.seed)
     seen: list[dict[str, float | str]] = []
-    for _ in range(_TRIES * points):  # a design with few axes may have fewer combinations than points
+    for _ in range(TRIES * points):  # a design with few axes may have fewer combinations than points
         if len(single) + len(seen) >= points:
             return
         chosen = random.choice(list(axes), size=min(int(random.integers(2, 4)), len(axes)), replace=False)
@@ -504,9 +497,9 @@ def _remedy(dut: DesignUnderTest, requirement: Requirement, key: str, direction:
         steps = [float(step) for step in more] if more and (not reading or at(float(more[-1]))) else []
     elif reading:
         narrow = direction == UP and key != "readout.open_loop_gain"
-        steps = [float(np.log(_FARTHEST_READING if narrow else _FARTHEST))]
+        steps = [float(np.log(FARTHEST_READING if narrow else FARTHEST))]
     else:
-        steps = np.log(_STRIDES).tolist()
+        steps = np.log(STRIDES).tolist()
     kept = next((step for step in steps if at(step)), None)
     if kept is None:
         return None
@@ -514,7 +507,7 @@ def _remedy(dut: DesignUnderTest, requirement: Requirement, key: str, direction:
         factor, shown = float(value) + kept, f"{value:.0f}"
     else:
         missed_at = max((step for step in steps if step < kept), default=0.0)
-        for _ in range(_HALVINGS):
+        for _ in range(HALVINGS):
             middle = (kept + missed_at) / 2
             kept, missed_at = (middle, missed_at) if at(middle) else (kept, middle)
         factor = float(np.exp(kept if direction == UP else -kept))

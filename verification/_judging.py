@@ -24,18 +24,15 @@ from ._readings import Excursion, ReadingErrorTarget
 from ._record import BoundsRecord, CornerRecord
 from ._scale import Scale
 from ._search import Target, WorstCase, worst_case
+from ._tuning import MOST_CELLS_BY_PART, MOST_LONGEST_FRAMES, SAME_FRAME_TIME
 from ._units import engineering
 from ._whole_board import MOST_SECONDS, FrameTimeTarget
 
 Show = Callable[[float], float]
-MOST_CELLS_BY_PART = 16 * 16
-"""cells of an array up to which each kind of part is searched alone"""
 
 
 Parts = Literal["aged", "new", "nominal"]
 """which tolerances a search ranges over: those at the end of the parts' lives, the initial ones, or none"""
-_MOST_SEARCHES = 4
-_NEAR = 1e-3  # relative: a frame that is longer by less takes the same time
 AT_LEAST = 99.0
 """% of the random boards beside a worst case that are no worse than the value that is shown"""
 
@@ -113,10 +110,10 @@ def _longest_frame(dut: DesignUnderTest, target: FrameTimeTarget, parts: Parts, 
     starts = target.starts(box)
     times = target.evaluate(box, starts)
     longest, corner = float(times.max()), starts.some(np.array([int(times.argmax())]))
-    for _ in range(_MOST_SEARCHES):
+    for _ in range(MOST_LONGEST_FRAMES):
         found = worst_of(dut, target.at(box, min(max(longest, LEAST_SI), MOST_SECONDS)), parts)
         time = float(target.evaluate(box, found.corner)[0])
-        if np.isinf(longest) or time <= longest * (1.0 + _NEAR):
+        if np.isinf(longest) or time <= longest * (1.0 + SAME_FRAME_TIME):
             break
         longest, corner = time, found.corner
     return replace(found, target=target, corner=corner, value=longest)

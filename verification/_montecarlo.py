@@ -22,18 +22,9 @@ from ..common.arrays import FloatArray, IntArray
 from ._box import Box, Corners
 from ._readings import ReadingTarget, named_corners
 from ._search import Target, WorstCase
+from ._tuning import BLOCK, FOUND, FOUND_WHOLE, MOST_BESIDE, MOST_BOARDS, MOST_TRIES, ROOM, TOGETHER
 
-BLOCK = 100
 CONFIDENCE = 0.95
-MOST_BOARDS = 10_000_000
-TOGETHER, MOST_TRIES = 4, 12
-"""cells and presses of a board that are solved at once, and so many times at most"""
-_ROOM = 0.02
-"""relative error of a value to first order, within which a candidate may still be the worst"""
-MOST_BESIDE = 1_000_000
-"""cells that are solved for the boards beside a worst case"""
-_FOUND, _FOUND_WHOLE = 4, 2
-"""presses of the search's own worst corners under which every board is judged, and of boards that are judged whole"""
 
 
 def blocks(samples: int) -> int:
@@ -71,7 +62,7 @@ class Sampler:
             patterns = others.x[:, pressed]
             _, first = np.unique(np.sign(patterns), axis=0, return_index=True)
             nothing = np.zeros(0)
-            some = others.some(np.sort(first)[:_FOUND_WHOLE])
+            some = others.some(np.sort(first)[:FOUND_WHOLE])
             return cls(target, box, some, others.some(slice(0, 0)), nothing, np.zeros((0, parts + cells)))
         fixed, slopes = [], []
         named = named_corners(target, box)
@@ -85,7 +76,7 @@ class Sampler:
         return cls(
             target,
             box,
-            others.some(np.sort(first)[:_FOUND]),
+            others.some(np.sort(first)[:FOUND]),
             Corners.joined([one.corners for one in named]),
             np.concatenate(fixed),
             np.concatenate(slopes),
@@ -113,7 +104,7 @@ class Sampler:
             chosen = order[:, first : first + TOGETHER]
             next_value = np.take_along_axis(promised, chosen[:, :1], axis=1)[:, 0]
             open_ones = np.isfinite(best)
-            worth = np.where(open_ones, best, 0.0) * (1.0 - _ROOM)
+            worth = np.where(open_ones, best, 0.0) * (1.0 - ROOM)
             active = np.flatnonzero(open_ones & ((next_value > worth) | (first == 0)))
             if not len(active):
                 break

@@ -25,11 +25,8 @@ from ..common.arrays import BoolArray, FloatArray, IntArray
 from ._box import Box, Corners
 from ._parameters import CONVERTER, SECTION
 from ._search import Target, most_solved
+from ._tuning import ALONE, CELLS_TOGETHER
 
-_TOGETHER = 1 << 20
-"""cells that are read in one call, so that the arrays stay small"""
-ALONE = 30
-"""by which less is solved of a design whose boards are scanned one by one, as all are whose outputs saturate"""
 Law = Callable[[FloatArray], FloatArray]
 """The host's resistances in ohm of volts, of the same shape."""
 
@@ -168,7 +165,7 @@ class ReadingTarget(Target):
 
     def evaluate(self, box: Box, corners: Corners) -> FloatArray:
         values = np.empty(len(corners))
-        size = max(1, _TOGETHER // box.cells)
+        size = max(1, CELLS_TOGETHER // box.cells)
         for first in range(0, len(corners), size):
             some = corners.some(slice(first, first + size))
             population = box.population(some.x)

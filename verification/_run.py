@@ -38,7 +38,7 @@ from ._claims import STATEMENTS
 from ._dut import SAMPLES, SEED, DesignUnderTest, everything_of, keep
 from ._estimate import expected_seconds
 from ._judging import Searched, block_of, judged_by
-from ._montecarlo import BLOCK, blocks
+from ._montecarlo import blocks
 from ._outcome import STOPPED, Attempt, Claim, DoesNotApply, NotRun, Result
 from ._own_code import Allowing, OwnFunction, read_own_functions
 from ._quantity import HARDWARE, SAMPLED
@@ -52,6 +52,7 @@ from ._requirements import (
     twins,
 )
 from ._search import Target
+from ._tuning import BLOCK
 
 ANNOUNCED_FROM_S = 10.0
 """s from which on a run says at its start how long it takes"""

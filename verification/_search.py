@@ -32,30 +32,29 @@ import numpy as np
 from ..common.arrays import BoolArray, FloatArray, IntArray
 from ._box import Box, Corners
 from ._parameters import TEMPERATURE
-
-LEAST_SOLVED, MOST_UNKNOWNS = 64, 256 * 256
-"""Corners are solved for every cell as long as cells times cells are no more than that, and for fewer of larger arrays;
-per sign and state."""
-MOST_WORK = 1_500_000
-"""cells that are solved, all frames of all flips together, while corners are improved"""
-MOST_FLIPS = 400_000
-"""cells of all flips of one corner, up to which flips are solved"""
-MOST_NEAR = 200_000
-"""cells of all flips near the worst cell, up to which they are solved where not all are"""
-FIRST_ORDER_BEYOND = 100
-"""cells of an array beyond which corners are improved by derivatives before their flips are solved"""
-_FEWEST = 4  # corners that are improved on the largest arrays
-_RANDOM_CELLS, _RANDOM_CORNERS = 4, 16  # random corners are those of so many cells per sign, so many of each
-_ROUNDS = 30  # of improvement, at most
-_LEAST_GAIN = 1e-9  # relative: less is rounding
-_WITHOUT_INFLUENCE = 1e-10  # relative: a flip that changes the value by less changes nothing
-_LINE, _LINE_IN_TIME = 7, 41  # points of a line search along a coordinate; ringing has several peaks between two ends
-_ZOOMS = 3  # of a line search, each to the neighbours of the best point
-_LINES = 6  # line searches one after the other, at most
-_USUAL_ROUNDS, _USUAL_LINES, _BY_GRADIENT, _STARTS_WHOLE = 2.0, 1.5, 12, 26
-"""how often a search climbs and goes along lines, points that a climb by derivatives solves, and starts of targets of
-whole boards: for the expected number of points only"""
-_LEAST_RISE = 1e-5  # relative, of a line search
+from ._tuning import (
+    FEWEST_CLIMBS,
+    FIRST_ORDER_BEYOND,
+    LEAST_GAIN,
+    LEAST_RISE,
+    LEAST_SOLVED,
+    LINE_POINTS,
+    LINE_POINTS_IN_TIME,
+    MOST_CLIMB_WORK,
+    MOST_FLIPS,
+    MOST_LINES,
+    MOST_NEAR,
+    MOST_ROUNDS,
+    MOST_UNKNOWNS,
+    RANDOM_CELLS,
+    RANDOM_CORNERS,
+    USUAL_BY_GRADIENT,
+    USUAL_LINES,
+    USUAL_ROUNDS,
+    USUAL_STARTS,
+    WITHOUT_INFLUENCE,
+    ZOOMS,
+)
 
 
 def most_solved(shape: tuple[int, int]) -> int:
@@ -211,7 +210,7 @@ class WorstCase:
         """The worst value with each kind of part over its tolerance alone, the others nominal; presses are free."""
         box, names = self.box, [factor.key for factor in self.box.factors.factors]
         of_cells = ["cells.rest_resistance"] if box.cell_spread else []
-        starts = Corners.joined([self.corner, self.others.some(slice(0, _FEWEST))])
+        starts = Corners.joined([self.corner, self.others.some(slice(0, FEWEST_CLIMBS))])
         values = {}
         for kind in ["nominal parts", *dict.fromkeys(names), *of_cells]:
             free = np.ones(box.size, dtype=np.bool_)
@@ -238,8 +237,8 @@ def worst_case(target: Target, box: Box, starts: Sequence[Corners] = ()) -> Wors
     search = _Search(target, box)
     search.solve(Corners.joined([target.starts(box), *starts]))
     random = np.random.default_rng(0)
-    worst = search.worst(2 * _RANDOM_CELLS if target.by_cell else 1)
-    search.solve(worst.at(random.choice([-1.0, 1.0], (len(worst), _RANDOM_CORNERS, box.size))))
+    worst = search.worst(2 * RANDOM_CELLS if target.by_cell else 1)
+    search.solve(worst.at(random.choice([-1.0, 1.0], (len(worst), RANDOM_CORNERS, box.size))))
     return search.finished()
 
 
@@ -247,12 +246,12 @@ def expected_points(target: Target, box: Box) -> float:
     """About how many points a search will solve: counted from what it starts from, flips and searches along lines."""
     search = _Search(target, box)
     free = int(search.free.sum())
-    starts = 4 * min(most_solved(box.shape), box.cells) if target.by_cell else _STARTS_WHOLE
-    random = _RANDOM_CORNERS * (2 * _RANDOM_CELLS if target.by_cell else 1)
+    starts = 4 * min(most_solved(box.shape), box.cells) if target.by_cell else USUAL_STARTS
+    random = RANDOM_CORNERS * (2 * RANDOM_CELLS if target.by_cell else 1)
     by_gradient = target.by_cell and (box.cells > FIRST_ORDER_BEYOND or not search.exact)
-    climbed = search.climbs * _USUAL_ROUNDS * (_BY_GRADIENT if by_gradient else free)
+    climbed = search.climbs * USUAL_ROUNDS * (USUAL_BY_GRADIENT if by_gradient else free)
     coordinates = free if search.exact and box.cells <= FIRST_ORDER_BEYOND else int(search.near(0, 0).sum())
-    lines = _USUAL_LINES * (_LINE * coordinates + _USUAL_ROUNDS * (free if search.exact else 0))
+    lines = USUAL_LINES * (LINE_POINTS * coordinates + USUAL_ROUNDS * (free if search.exact else 0))
     return float(starts + random + climbed + lines)
 
 
@@ -269,8 +268,8 @@ class _Search:
         self.parts: list[tuple[Corners, FloatArray]] = []
         flips = max(int(self.free.sum()), 1) * target.cost(box)
         self.exact = flips <= MOST_FLIPS
-        most = 64 if target.by_cell else _FEWEST
-        self.climbs = int(np.clip(MOST_WORK // (3 * flips), 2 * _FEWEST if target.by_cell else 1, most))
+        most = 64 if target.by_cell else FEWEST_CLIMBS
+        self.climbs = int(np.clip(MOST_CLIMB_WORK // (3 * flips), 2 * FEWEST_CLIMBS if target.by_cell else 1, most))
 
     def solve(self, corners: Corners) -> FloatArray:
         """Solve corners and keep them; returns their values."""
@@ -337,7 +336,7 @@ class _Search:
             solved=self.solved,
             settled=settled,
             flips_solved=self.exact,
-            others=known.some(order[: 32 * _FEWEST]),
+            others=known.some(order[: 32 * FEWEST_CLIMBS]),
         )
 
     def _elsewhere(self, climbed: _Climbed) -> Corners:
@@ -363,7 +362,7 @@ class _Search:
         x = np.repeat(corner.x, parts, axis=0)
         each = np.arange(parts)
         x[each, each] = np.where(x[each, each] > 0, -1.0, 1.0)
-        small = _WITHOUT_INFLUENCE * max(abs(value), 1e-12)
+        small = WITHOUT_INFLUENCE * max(abs(value), 1e-12)
         without = np.abs(self.evaluate(corner.at(x[None])) - value) <= small
         plainer = corner.x.copy()
         plainer[0, :parts] = np.where(without, 0.0, plainer[0, :parts])
@@ -385,7 +384,7 @@ class _Search:
         """Flip the coordinates that raise the value, for all corners side by side, until none does."""
         corners, values = replace(corners, x=corners.x.copy()), values.copy()
         settled = ~np.isfinite(values)
-        for _ in range(_ROUNDS):
+        for _ in range(MOST_ROUNDS):
             active = np.flatnonzero(~settled)
             if not len(active):
                 break
@@ -393,7 +392,7 @@ class _Search:
                 here = corners.some(some)
                 step = self._flipped_together if exact else self._moved_together
                 trial, best = step(here, values[some])
-                better = best > values[some] + _LEAST_GAIN * np.abs(values[some])
+                better = best > values[some] + LEAST_GAIN * np.abs(values[some])
                 corners.x[some[better]], values[some[better]] = trial[better], best[better]
                 settled[some] = ~better | np.isinf(best)
         return _Climbed(corners, values, settled)
@@ -406,7 +405,7 @@ class _Search:
         each = np.arange(len(free))
         x[:, each, free] = np.where(x[:, each, free] > 0, -1.0, 1.0)
         gains[:, free] = self.evaluate(corners.at(x)).reshape(len(corners), -1) - values[:, None]
-        helpful = (gains > _LEAST_GAIN * np.abs(values)[:, None]).sum(axis=1)
+        helpful = (gains > LEAST_GAIN * np.abs(values)[:, None]).sum(axis=1)
         order = np.argsort(-gains, axis=1, kind="stable")
         counts = _doubling(int(helpful.max(initial=0)))
         rank = np.empty_like(order)
@@ -427,13 +426,13 @@ class _Search:
             other = np.where(corner.x[0] > 0, -1.0, 1.0)
             if slopes is not None:
                 gains = np.where(self.free, slopes * (other - corner.x[0]), -inf)
-                order = np.argsort(-gains, kind="stable")[: int((gains > _LEAST_GAIN * abs(value)).sum())]
+                order = np.argsort(-gains, kind="stable")[: int((gains > LEAST_GAIN * abs(value)).sum())]
                 ends = np.broadcast_to(other, (len(order), len(other)))
                 masks = np.eye(len(other), dtype=np.bool_)[order]
             else:
                 masks, ends = self._moves(corner)
                 gains = self.evaluate(corner.at(np.where(masks, ends, corner.x)[None])) - value
-                order = np.argsort(-gains, kind="stable")[: int((gains > _LEAST_GAIN * abs(value)).sum())]
+                order = np.argsort(-gains, kind="stable")[: int((gains > LEAST_GAIN * abs(value)).sum())]
                 masks, ends = masks[order], ends[order]
             if not len(order):
                 continue
@@ -479,11 +478,11 @@ class _Search:
         parts = []
         for number in range(len(corners)):
             corner, value = corners.some(slice(number, number + 1)), float(values[number])
-            for _ in range(_LINES):
+            for _ in range(MOST_LINES):
                 if np.isinf(value):
                     break
                 x, best = self._line_search(corner, value)
-                rises = best > value + _LEAST_RISE * max(abs(value), 1e-12)
+                rises = best > value + LEAST_RISE * max(abs(value), 1e-12)
                 if not rises:
                     break
                 corner, value = corner.at(x[None]), best
@@ -501,7 +500,7 @@ class _Search:
         free, parts = np.flatnonzero(looked_at), len(self.box.factors)
         fine = [k for k in free if self.target.in_time and k < parts and self.box.factors.factors[k].line is None]
         best_x, best = corner.x[0], value
-        for coordinates, points in ((fine, _LINE_IN_TIME), ([k for k in free if k not in fine], _LINE)):
+        for coordinates, points in ((fine, LINE_POINTS_IN_TIME), ([k for k in free if k not in fine], LINE_POINTS)):
             if not coordinates:
                 continue
             grid = np.linspace(-1.0, 1.0, points)
@@ -511,15 +510,15 @@ class _Search:
             reached = self.evaluate(corner.at(x[None]))
             top = int(reached.argmax())
             at, width = float(x[top, place[top]]), 2.0 / (points - 1)
-            for _ in range(_ZOOMS):
+            for _ in range(ZOOMS):
                 if np.isinf(reached[top]):
                     break
-                near = np.clip(np.linspace(at - width, at + width, _LINE), -1.0, 1.0)
-                x = np.repeat(x[[top]], _LINE, axis=0)
+                near = np.clip(np.linspace(at - width, at + width, LINE_POINTS), -1.0, 1.0)
+                x = np.repeat(x[[top]], LINE_POINTS, axis=0)
                 x[:, place[top]] = near
-                reached, place, top = self.evaluate(corner.at(x[None])), np.repeat(place[top], _LINE), 0
+                reached, place, top = self.evaluate(corner.at(x[None])), np.repeat(place[top], LINE_POINTS), 0
                 top = int(reached.argmax())
-                at, width = float(near[top]), 2.0 * width / (_LINE - 1)
+                at, width = float(near[top]), 2.0 * width / (LINE_POINTS - 1)
             if reached[top] > best:
                 best_x, best = x[top], float(reached[top])
         return best_x, best

@@ -28,17 +28,12 @@ from ..circuits import (
 from ..common.arrays import FloatArray
 from ._box import Box, Corners
 from ._search import Target
+from ._tuning import ENTRIES_TOGETHER, PERIODS, STARTS_AT_RANDOM
 
 MOST_SECONDS = 1.0
 """of a frame that never settles"""
 SETTLED = 1e-11
 """share of a signal; smaller deviations are rounding"""
-_RANDOM = 12
-"""random corners among the starts"""
-_PERIODS = 16.0
-"""what the shortest period of a board costs, over one period of it: it tries some thirty periods of one solution"""
-_TOGETHER = 1 << 17
-"""entries of the matrices of boards that are solved in one call"""
 
 
 class WholeBoardTarget(Target):
@@ -72,8 +67,8 @@ class WholeBoardTarget(Target):
         patterns += [(row == 0) & (column == 0)]
         pressed = np.array([side for pattern in patterns for side in (pattern, 1 - np.asarray(pattern))], dtype=float)
         random = np.random.default_rng(1)
-        x = np.zeros((len(pressed) + _RANDOM, box.size))
-        x[len(pressed) :] = random.choice([-1.0, 1.0], (_RANDOM, box.size))
+        x = np.zeros((len(pressed) + STARTS_AT_RANDOM, box.size))
+        x[len(pressed) :] = random.choice([-1.0, 1.0], (STARTS_AT_RANDOM, box.size))
         box.split(x)[1][: len(pressed)] = 2.0 * pressed - 1.0
         return Corners.of_boards(x)
 
@@ -98,7 +93,7 @@ class InTimeTarget(WholeBoardTarget):
         """(B, N, M) as :meth:`values`, of boards with cells (B, N, M) in ohm."""
 
     def values(self, box: Box, x: FloatArray) -> FloatArray:
-        size = max(1, int(self.periods * _TOGETHER / self.cost(box)))
+        size = max(1, int(self.periods * ENTRIES_TOGETHER / self.cost(box)))
         parts = []
         for first in range(0, len(x), size):
             some = x[first : first + size]
@@ -139,7 +134,7 @@ class FrameTimeTarget(InTimeTarget):
     allowed: float
     """V"""
     name: str = "frame time"
-    periods: ClassVar[float] = _PERIODS
+    periods: ClassVar[float] = PERIODS
 
     def at(self, box: Box, frame_time: float) -> SettlingTarget:
         """Deviations at one frame time, which take far less time to solve: 1 is as much as is allowed."""
