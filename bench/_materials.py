@@ -17,6 +17,8 @@ from ..common.arrays import FloatArray
 
 Material = Callable[[FloatArray, float, np.random.Generator], FloatArray]
 """normalised load (n,), time step in s, random generator -> r (n,)"""
+RELAYS = 400
+"""of a Preisach material"""
 Load = Callable[[np.random.Generator, float], tuple[FloatArray, float]]
 """random generator, time step in s -> normalised load (n,), and how many seconds of it are learned from"""
 
@@ -24,11 +26,11 @@ Load = Callable[[np.random.Generator, float], tuple[FloatArray, float]]
 # -- materials ---------------------------------------------------------------------------------------------------------
 
 
-def preisach(load: FloatArray, rng: np.random.Generator, *, relays: int = 400) -> FloatArray:
+def preisach(load: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Share (n,) of relays that are on under a load (n,): each switches on above one level, off below a lower one."""
-    on = rng.uniform(0, 1, relays)
-    off = on - rng.exponential(0.12, relays)
-    state = np.zeros(relays, dtype=bool)
+    on = rng.uniform(0, 1, RELAYS)
+    off = on - rng.exponential(0.12, RELAYS)
+    state = np.zeros(RELAYS, dtype=bool)
     share = np.empty_like(load)
     for n, value in enumerate(load):
         state = (state & (value > off)) | (value >= on)
@@ -36,10 +38,10 @@ def preisach(load: FloatArray, rng: np.random.Generator, *, relays: int = 400) -
     return share
 
 
-def fractional_creep(load: FloatArray, dt_s: float, *, order: float = 0.2, unit_s: float = 60.0) -> FloatArray:
-    """Response (n,) to a load (n,) of a material that creeps as (t / ``unit_s``)^``order`` under a unit step."""
+def fractional_creep(load: FloatArray, dt_s: float, *, order: float = 0.2) -> FloatArray:
+    """Response (n,) to a load (n,) of a material that creeps as (t / 60 s)^``order`` under a unit step."""
     changes = np.diff(load, prepend=0.0)
-    compliance = ((np.arange(len(load)) + 1) * dt_s / unit_s) ** order
+    compliance = ((np.arange(len(load)) + 1) * dt_s / 60.0) ** order
     response: FloatArray = fftconvolve(changes, compliance)[: len(load)]
     return response
 

@@ -426,10 +426,10 @@ def summary(verdicts: Iterable[Verdict]) -> Iterator[Summary]:
         )
 
 
-def by_estimator(only: str = "random") -> Iterator[Summary]:
-    """How all estimators do that a cell has, on some rows, which have specimens of no model among them."""
+def by_estimator() -> Iterator[Summary]:
+    """How all estimators of a cell do on random presses, which have specimens of no model among them."""
     for name in ESTIMATORS:
-        if verdicts := list(judge(rows(only), maker(name))):
+        if verdicts := list(judge(rows("random"), maker(name))):
             *_, of_all = summary(verdicts)
             yield replace(of_all, gate=name)
 

@@ -234,12 +234,12 @@ class Loop(Generic[P, R]):
             finally:
                 _waiting.remove(self)
 
-    def machine_code(self, *, unchecked: bool = False) -> Callable[P, R] | None:
+    def machine_code(self) -> Callable[P, R] | None:
         """The compiled function; None where kernels are switched off."""
         if why_not() is not None:
             return None
         self.load()
-        return self.unchecked if unchecked else self.code
+        return self.code
 
     def _first(self, *args: P.args, **kwargs: P.kwargs) -> R:
         self.load()

@@ -27,7 +27,7 @@ from pydantic_core import ErrorDetails
 
 from ..errors import InputError
 from .files import read_text
-from .json_text import replaced
+from .json_text import finite_or_text, replaced
 from .tables import write_text
 from .text import printable, shortened, shown
 
@@ -200,12 +200,9 @@ def fingerprint(values: BaseModel | Mapping[str, Any]) -> str:
     Of a model, what differs from its defaults: a key that a later version adds changes no hash.
     """
     tables = values.model_dump(exclude_defaults=True) if isinstance(values, BaseModel) else values
-    return hashlib.sha256(json.dumps(replaced(tables, _as_text), sort_keys=True, default=str).encode()).hexdigest()
-
-
-def _as_text(value: Any) -> Any:
-    """Infinities, which JSON lacks, as text."""
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+    return hashlib.sha256(
+        json.dumps(replaced(tables, finite_or_text), sort_keys=True, default=str).encode()
+    ).hexdigest()
 
 
 def toml_value(value: Any) -> str:

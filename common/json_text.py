@@ -27,5 +27,10 @@ def replaced(value: Any, item: Callable[[Any], Any]) -> Any:
     return item(value)
 
 
+def finite_or_text(value: Any) -> Any:
+    """NaN and infinite numbers as text, for :func:`replaced`."""
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def _null_where_not_finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from array import array
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
@@ -116,11 +116,8 @@ def read_columns(
     places = [header.index(name) for name in names]
     dates = _Dates(path)
     values = array("d")
-    for line, fields in lines:
-        if len(fields) != len(header):
-            if rows.cut and len(fields) < len(header):
-                note(f"{path}: line {line} is cut off, and left out")
-                break
+    for line, fields in _of_length(len(header), lines, rows, path, note):
+        if len(fields) > len(header):
             raise InputError(f"{path}: line {line}: {len(fields)} fields, expected {len(header)}")
         for name, place in zip(names, places, strict=True):
             field = fields[place]
@@ -151,12 +148,7 @@ class Table:
         self.header = header if self.named else [str(place + 1) for place in range(len(header))]
         self.lines: list[int] = [] if self.named else [number]
         self._fields: list[list[str]] = [] if self.named else [first]
-        for line, fields in lines:
-            if len(fields) < len(header) and self._rows.cut:
-                note(f"{path}: line {line} is cut off, and left out")
-                break
-            if len(fields) < len(header):
-                raise InputError(f"{path}: line {line}: {len(fields)} fields, expected {len(header)}")
+        for line, fields in _of_length(len(header), lines, self._rows, path, note):
             self.lines.append(line)
             self._fields.append(fields)
         if not self._fields:
@@ -182,6 +174,20 @@ class Table:
             else:
                 found.append(self._rows.number(line, field) if field.strip() else math.nan)
         return np.array(found)
+
+
+def _of_length(
+    count: int, lines: Iterator[tuple[int, list[str]]], rows: Rows, path: str | Path, note: Callable[[str], None]
+) -> Iterator[tuple[int, list[str]]]:
+    """The lines of ``count`` fields or more; a last one with fewer that is cut off is noted, any other is refused."""
+    for line, fields in lines:
+        if len(fields) >= count:
+            yield line, fields
+        elif rows.cut:
+            note(f"{path}: line {line} is cut off, and left out")
+            return
+        else:
+            raise InputError(f"{path}: line {line}: {len(fields)} fields, expected {count}")
 
 
 def _is_number_or_date(field: str) -> bool:

@@ -13,6 +13,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSeriali
 
 from ..common.config import describe
 from ..common.files import read_text
+from ..common.json_text import finite_or_text
 from ..errors import InputError
 
 SCHEMA_VERSION = 3
@@ -34,17 +35,11 @@ def worst(outcomes: Iterable[Outcome]) -> Outcome:
 
 
 _INFINITE = ("inf", "-inf", "nan")
-
-
-def _in_json(value: float | None) -> float | str | None:
-    """JSON has no infinity: such values become text."""
-    return value if value is None or math.isfinite(value) else str(value)
-
-
+"""JSON has no infinity: such values become text"""
 Number = Annotated[
     float | None,
     BeforeValidator(lambda value: float(value) if value in _INFINITE else value),
-    PlainSerializer(_in_json, when_used="json"),
+    PlainSerializer(finite_or_text, when_used="json"),
     WithJsonSchema({"anyOf": [{"type": "number"}, {"enum": [*_INFINITE], "type": "string"}, {"type": "null"}]}),
 ]
 
@@ -181,15 +176,6 @@ def load_record(path: str | Path) -> ReportRecord:
             reason = first["ctx"]["error"]
             raise InputError(f"{path}: not valid JSON: {reason}; expected a report.json of ohmskin verify") from None
         raise InputError(f"{path}: not a report.json of this version: {describe(error, ReportRecord, {})}") from None
-
-
-def jsonable(value: Any) -> Any:
-    """Nested tables with infinities as text."""
-    if isinstance(value, dict):
-        return {key: jsonable(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [jsonable(item) for item in value]
-    return _in_json(value) if isinstance(value, float) else value
 
 
 _RANK = {Outcome.FAIL: 0, Outcome.NOT_RUN: 1, Outcome.NOT_APPLICABLE: 2, Outcome.PASS: 3}

@@ -24,6 +24,7 @@ from ..common import plots
 from ..common.config import fingerprint
 from ..common.extras import install_command
 from ..common.files import make_folder, write_together
+from ..common.json_text import finite_or_text, replaced
 from ..common.text import markdown, markdown_code, printable
 from ..errors import MissingExtra, OhmskinError
 from ._assumptions import Assumptions, assumptions_of
@@ -42,7 +43,6 @@ from ._record import (
     ReportRecord,
     RequirementRecord,
     compare,
-    jsonable,
     worst,
 )
 from ._schematic import schematic
@@ -240,7 +240,7 @@ class Report:
             schema_version=SCHEMA_VERSION,
             title=printable(self.title),
             document={name: printable(value) for name, value in filed_under(self.design)},
-            parts=jsonable(self.design.parts.model_dump(mode="python", exclude_none=True)),
+            parts=replaced(self.design.parts.model_dump(mode="python", exclude_none=True), finite_or_text),
             outcome=self.outcome,
             exit_code=self.exit_code,
             finished=self.finished.isoformat(timespec="seconds"),
@@ -253,8 +253,8 @@ class Report:
             cell_sha256=self.cell_sha256,
             run_sha256=self.fingerprint,
             cell_source=self.dut.cell_source,
-            design=jsonable(self.design.model_dump(mode="python")),
-            cell=jsonable(self.dut.cell.model_dump(mode="python")),
+            design=replaced(self.design.model_dump(mode="python"), finite_or_text),
+            cell=replaced(self.dut.cell.model_dump(mode="python"), finite_or_text),
             environment=environment(),
             requirements=[_requirement_record(result) for result in self.results],
             not_judged=self.not_judged,
