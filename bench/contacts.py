@@ -310,13 +310,11 @@ def contacts_of(
                 taken += len(frames)
 
 
-def fingers(
-    sizes: Iterable[int], *, boards: Iterable[BoardCase] = BOARDS, scenes: Iterable[Scene] = SCENES, seed: int = 0
-) -> Iterator[Fingers]:
+def fingers(sizes: Iterable[int]) -> Iterator[Fingers]:
     """Play each scene on each board, at all frame rates of the scene; small arrays have few scenes."""
-    for size, board, scene in product(sizes, boards, tuple(scenes)):
+    for size, board, scene in product(sizes, BOARDS, SCENES):
         for rate_hz in scene.rates_hz if size >= scene.least_side else ():
-            yield played(size, board, scene, np.random.default_rng(seed), rate_hz)
+            yield played(size, board, scene, np.random.default_rng(0), rate_hz)
 
 
 def played(size: int, board: BoardCase, scene: Scene, rng: np.random.Generator, rate_hz: float = RATE_HZ) -> Fingers:

@@ -386,8 +386,8 @@ class Played:
         return np.where(np.isnan(self.siemens), limit, 1.0 / self.siemens)
 
 
-def play(scene: Scene, cell: Cell | None = None) -> Played:
-    """The frames of a scene; ``cell`` is that of the scene's name, unless it is given.
+def play(scene: Scene) -> Played:
+    """The frames of a scene.
 
     Raises:
         InputError: no such load or cell.
@@ -395,9 +395,9 @@ def play(scene: Scene, cell: Cell | None = None) -> Played:
     """
     if scene.load not in LOADS:
         raise InputError(f"no load '{scene.load}'; expected one of {', '.join(LOADS)}")
-    if cell is None and scene.cell not in cells():
+    if scene.cell not in cells():
         raise InputError(f"no cell '{scene.cell}'; expected one of {', '.join(cells())}")
-    load, cell, frame_s = LOADS[scene.load], cell or cells()[scene.cell], 1.0 / scene.rate_hz
+    load, cell, frame_s = LOADS[scene.load], cells()[scene.cell], 1.0 / scene.rate_hz
     frames = round(load.seconds * scene.rate_hz)
     if load.seconds <= USUAL_S:
         frames = min(frames, MOST_FRAMES)
