@@ -108,14 +108,14 @@ class Row(OnBoard):
         return tuple(part / sum(stages) for part in stages)
 
 
-def driver(sizes: Iterable[int]) -> Iterator[Row]:
+def driver(sizes: Iterable[int], *, frames: int = FRAMES) -> Iterator[Row]:
     """Measure boards of every size in :data:`CASES`."""
     for size in sizes:
         for circuit, idle_rows, bits, saturated in CASES:
             if saturated > size * size:
                 continue
             if size <= LARGEST_FLOATING or idle_rows == "ground":
-                yield _measured(design(size, circuit, idle_rows, bits), Cell.example(), None, saturated, FRAMES)
+                yield _measured(design(size, circuit, idle_rows, bits), Cell.example(), None, saturated, frames)
 
 
 def live_estimators(sizes: Iterable[int], *, learned: bool = True, frames: int = FRAMES) -> Iterator[Row]:
