@@ -209,7 +209,7 @@ def borne_and_in_time(design: Design, nominal: Design, cells: Array) -> dict[str
     return found
 
 
-def beaten_in_time(design: Design, seed: int, report: Report, count: int = 150) -> dict[str, tuple[float, float]]:
+def beaten_in_time(design: Design, seed: int, report: Report, count: int = 60) -> dict[str, tuple[float, float]]:
     """Stated limits of stresses and of quantities in time that chance beats by more than :data:`ROOM`."""
     random = np.random.default_rng([seed, 2])
     found = beaten_by_its_own_boards(report)
