@@ -11,8 +11,8 @@ the driver's :class:`.CountReader` takes the counts. Findings:
 
 Nobody can know of a noise before it is in four readings that are not at a limit, and of two frames nobody can say
 whether noise or a press has changed them. Cells that are off in the first two frames of a noise larger than the reader
-assumes or has seen are counted as *surprised* and are no findings, as long as their uncertainties would do had the
-reader known the noise. For the same reason noise may carry a cell beyond a factor of two within five standard
+assumes or has seen are counted as *surprised* and are no findings, as long as a reader that knows the noise has none in
+that frame. For the same reason noise may carry a cell beyond a factor of two within five standard
 deviations: of the readings of a cell whose uncertainty just suffices, 3 in 1000 are beyond three.
 """
 
@@ -28,7 +28,6 @@ from ..driver import CountReader, Measurement
 from ._live_streams import LiveStream, stream
 from .harness import column
 
-_SIGMAS = 3.0  # standard deviations of the noise that an uncertainty covers, beside half a step
 _LEAST_SHOWN = 4  # readings that have shown a noise before a reader can know of it
 _ASSUMED_NOISE = 0.5  # ADC steps that the reader assumes in the first frame
 
@@ -82,10 +81,8 @@ def compare(name: str, read_from: LiveStream, tally: LiveTally) -> None:
         wrong = _wrong_cells(reading, read_from, frame, tally)
         free.append(int((reading.reason != Reason.SATURATED).sum()))
         known = _known_noise(read_from.noise_steps[: max(frame - 1, 0)], free)
-        adc, noise = read_from.design.adc, read_from.noise_steps[frame]
-        assert adc is not None
-        more = (0.5 + _SIGMAS * noise) / (0.5 + _SIGMAS * reader.noise_volts / adc.step)
-        if wrong and noise > known and not _wrong_cells(reading, read_from, frame, LiveTally(), max(more, 1.0)):
+        noise = float(read_from.noise_steps[frame])
+        if wrong and noise > known and not _wrong_cells(_informed(read_from, frame), read_from, frame, LiveTally()):
             tally.surprised += 1
         else:
             found |= wrong
@@ -94,10 +91,15 @@ def compare(name: str, read_from: LiveStream, tally: LiveTally) -> None:
     tally.findings += [f"{what}: {name}, {where}" for what, where in found.items()]
 
 
-def _wrong_cells(
-    reading: Measurement, read_from: LiveStream, frame: int, tally: LiveTally, more: float = 1.0
-) -> dict[str, str]:
-    """The findings in the valid cells of one frame, were their uncertainties ``more`` times as large."""
+def _informed(read_from: LiveStream, frame: int) -> Measurement:
+    """What a reader that knows the noise makes of one frame."""
+    reader = CountReader(read_from.design)
+    reader.remember(float(read_from.noise_steps[frame]), read_from.counts[frame - 1] if frame else None)
+    return reader(read_from.counts[frame])
+
+
+def _wrong_cells(reading: Measurement, read_from: LiveStream, frame: int, tally: LiveTally) -> dict[str, str]:
+    """The findings in the valid cells of one frame."""
     valid, found = reading.valid, {}
     if not valid.any():
         return {}
@@ -106,7 +108,7 @@ def _wrong_cells(
     used = float((np.abs(share - 1.0) / reading.uncertainty[valid]).max())
     if not read_from.noisy:
         tally.used = max(tally.used, used)
-    if used > more * (5.0 / 3.0 if read_from.noisy else 1.0 + 1e-9):
+    if used > (5.0 / 3.0 if read_from.noisy else 1.0 + 1e-9):
         found["wrong cell"] = f"frame {frame}, error {used:.2f} uncertainties"
         if share.min() < 0.5 or share.max() > 2.0:
             found["factor of two"] = f"frame {frame}"

@@ -80,6 +80,8 @@ _MOST_TIED = 3  # cells whose intervals are gone through, corner by corner
 _CORNER_STEPS, _CORNER_STEP = 8, 0.02  # steps to the cells at a corner, and change of a logarithm in the last one
 _TIED_STD = 0.4  # of the logarithm of such a cell: not valid, but derivatives are made anew when it moves
 _TIED_MOVES = 2.0  # most by which it may have moved by then
+_POWERS = 8  # iterations to the error by which cells together tie their lines most
+_SWING, _SINGLY = 0.3, 2.0  # of a logarithm: up to which derivatives hold, and from which on a cell's size is open
 _OFTEN = 3  # frames with readings that no cells give, after which the design is taken for wrong
 _CONTRACTS = 0.5  # factor of a map that surely has one fixed point, with room for derivatives that change
 _CALM = 3  # frames by the same derivatives, after which those of many cells are worth a matrix
@@ -170,9 +172,11 @@ class FitLive:
         self._board = replace(whole, continuous=False)
         self._half_step = adc_error(board)
         self._std = self._half_step / sqrt(3.0)
-        self._gone = broken_off(board) | np.isinf(board.series_ohms)
+        self._hidden = broken_off(board)
+        self._gone = self._hidden | np.isinf(board.series_ohms)
         for fault in board.shorts:
             self._gone[fault.place] |= fault.ohms == 0
+        self._present = ~(self._gone & ~self._hidden).ravel()  # else known to conduct nothing, or as a short does
         lines = LineResistance(self._board)
         leads = np.where(np.isfinite(lines.to_ends), lines.to_ends, 0.0)
         self._leads = leads + np.where(np.isfinite(board.column_lead), board.column_lead, 0.0)
@@ -201,7 +205,7 @@ class FitLive:
         self._least = np.log(_LEAST_READING * self._half_step * per_volt).ravel()
         most = _AS_SHORT / (self._leads + LEAST_SHORT_OHM)
         if least_ohm:
-            most = np.where(self._gone, 1.0 / least_ohm, most)
+            most = np.where(self._hidden, 1.0 / least_ohm, most)
         self._most = np.log(most).ravel()
         self._several = several_answers(board) and not board.circuit.virtual_ground
         of_row = board.shape[1] / least_ohm if least_ohm else inf
@@ -247,7 +251,7 @@ class FitLive:
         divider's at the drive, is one like any other.
         """
         signal, error = np.abs(volts - self._board.level), self._half_step + SIGMAS * noise
-        unread = self._gone.copy()
+        unread = self._hidden.copy()
         if limited is not None:
             unread |= limited & (signal + error < self._full)
         if under_range is not None:  # a reading near zero is one like any other
@@ -257,9 +261,9 @@ class FitLive:
         # No way between two lines conducts better than a short of their ends.
         beyond = (signal > self._beyond + _MISFIT * error) & ~unread
         # Several cells of unknown size may join lines whose readings are then alike, whatever the other cells are.
-        unsized = np.count_nonzero(unread & ~self._gone)
-        several = unsized + bool(self._gone.any()) > 1 and (
-            unsized > _MOST_TIED or self._cells > _SMALL or bool(self._gone.any()) or self._sheet is not None
+        unsized = np.count_nonzero(unread & ~self._hidden)
+        several = unsized + bool(self._hidden.any()) > 1 and (
+            unsized > _MOST_TIED or self._cells > _SMALL or bool(self._hidden.any()) or self._sheet is not None
         )
         large = not small and bool(unread.any())
         wide = self._nodes is not None and bool(short.any())  # beyond the structure of the lines
@@ -272,7 +276,7 @@ class FitLive:
         if wide != self._wide or (read != self._read).any():
             self._linear = None
         self._wide, self._read, lowest = wide, read, self._least.reshape(self._shape)
-        self._pinned = np.where(unread & ~self._gone, self._closed_start(volts.ravel()).reshape(self._shape), lowest)
+        self._pinned = np.where(unread & ~self._hidden, self._closed_start(volts.ravel()).reshape(self._shape), lowest)
         found = self._fit(volts.ravel(), hypot(1.0, noise / self._std), start)
         if found is None:
             return self._nothing(DISTURBED if short.any() else UNSETTLED, unread | short)
@@ -306,7 +310,7 @@ class FitLive:
         A cell changes a reading by a Moebius function of its conductance, hence most at the ends of its interval. The
         others follow their readings there, by steps with the derivatives at hand; infinite where these do not end.
         """
-        if not unread.any() or np.count_nonzero(unread & ~self._gone) > 1:  # several: by their corners
+        if not unread.any() or np.count_nonzero(unread & ~self._hidden) > 1:  # several: by their corners
             return np.zeros(log.shape)
         assert self._linear is not None
         volts, known = self._at(log), self._linear.std(1.0) <= HARDLY_KNOWN
@@ -527,13 +531,13 @@ class FitLive:
             numpy.linalg.LinAlgError: the derivatives are not finite.
 
         """
-        std, tied, least = self._std_within(log, jacobian / coarser, self._read)
-        unread = (self._read == 0.0) & ~self._gone.ravel()
+        std, tied, least, inverse = self._std_within(log, jacobian / coarser, self._read)
+        unread = (self._read == 0.0) & ~self._hidden.ravel()
         tied |= unread
         least = np.where(unread, self._pinned.ravel() - _TIED_MOVES, least)
         places = np.flatnonzero(tied)
         if len(places) < 2 or not np.isfinite(std).any():
-            return std
+            return np.hypot(std, self._beyond_linear(log, inverse, jacobian, coarser))
         if len(places) > _MOST_TIED or self._cells > _SMALL or self._sheet is not None:
             return np.full(len(std), inf)
         kept = self._corners
@@ -566,7 +570,7 @@ class FitLive:
                     if float(np.abs(step).max()) < _CORNER_STEP:
                         break
                 matrix = self._normal(self._cells_at(there), read)[0] / coarser
-                at_corner, others, _ = self._std_within(there, matrix, read, positive=True)
+                at_corner, others = self._std_within(there, matrix, read, positive=True)[:2]
                 if others.any() or not self._misfit((volts - self._at(there)) * read, coarser) <= _FITS:
                     return np.full(len(log), inf)
                 shift, most = np.maximum(shift, np.abs(there - log) + np.abs(step)), np.maximum(most, at_corner)
@@ -582,8 +586,10 @@ class FitLive:
     @np.errstate(divide="ignore", invalid="ignore", over="ignore")
     def _std_within(
         self, log: FloatArray, jacobian: FloatArray, read: FloatArray, *, positive: bool = False
-    ) -> tuple[FloatArray, BoolArray, FloatArray]:
-        """Standard deviations, the cells that may tie lines to each other, and least logarithms; (n,) each.
+    ) -> tuple[FloatArray, BoolArray, FloatArray, FloatArray]:
+        """Standard deviations, cells that may tie lines to each other, and least logarithms, (n,) each; inverse (n, n).
+
+        The inverse times its transpose is the covariance of the logarithms.
 
         With its wire w a cell conducts between nothing and 1/w, whatever its reading: that is all that is known of it
         before. In this range readings are nearly linear in D = G / (1 + w G). What else the cell changes grows with G
@@ -615,7 +621,7 @@ class FitLive:
             up = np.where(read > 0.0, np.minimum(up, _most_by_own(jacobian * (1.0 + wired), up)), up)
         grown = np.where(up * wired < 1.0, (1.0 + up) / np.maximum(1.0 - up * wired, TINY), inf) - 1.0
         grown = np.minimum(grown, np.exp(self._most - log) - 1.0) / (BY_STEPS * std)
-        loose = ((grown > _MOST_BENT) | (up > 1.0)) & (read > 0.0)
+        loose = ((grown > _MOST_BENT) | (up > 1.0)) & (read > 0.0) & self._present
         tied = loose & (wired * (1.0 + up) > _TIES)
         least = wired / (1.0 + wired) * np.maximum(1.0 - up, 0.0)
         least = np.maximum(np.log(np.maximum(least / (1.0 - least) / wire, TINY)) - _TIED_MOVES, self._least)
@@ -625,11 +631,38 @@ class FitLive:
         alike *= open_size[np.argmax(conductance, axis=0), np.arange(self._shape[1])]
         alike *= np.linalg.norm(most, axis=0) * self._board.reference > _OPENS  # else the column's end holds its scale
         if (alike > 1).any():
-            return np.full(len(std), inf), tied, least
-        bent = np.flatnonzero((grown > 1.0) & (read > 0.0))
+            return np.full(len(std), inf), tied, least, inverse
+        bent = np.flatnonzero((grown > 1.0) & (read > 0.0) & self._present)
         beside = (inverse @ inverse[bent].T) / std[bent] * np.sqrt(grown[bent] ** 2 - 1.0)
         std = np.sqrt(std**2 + np.einsum("ij,ij->i", beside, beside))
-        return std, tied, least
+        return std, tied, least, inverse
+
+    def _beyond_linear(self, log: FloatArray, inverse: FloatArray, jacobian: FloatArray, coarser: float) -> FloatArray:
+        """Standard deviations (n,) by what derivatives leave out, along the error by which cells tie lines most.
+
+        The readings at the ends of this error differ from those by the derivatives (n, n), and the cells follow these
+        differences. Cells of unknown size are bounded one by one.
+        """
+        std = np.sqrt(np.einsum("ij,ij->i", inverse, inverse))
+        counted = (self._read > 0.0) & self._present & (BY_STEPS * std < _SINGLY)
+        share = 1.0 / (1.0 + np.exp(-log) / self._behind(self._cells_at(log)))
+        weight = np.where(counted, share * (1.0 - share), 0.0)
+        most = weight
+        for _ in range(_POWERS):  # to the largest eigenvector of the covariance, so weighted
+            most = weight * (inverse @ (inverse.T @ (weight * most / max(float(np.linalg.norm(most)), TINY))))
+        half = inverse.T @ (weight * most)
+        swing = np.where(counted, BY_STEPS * (inverse @ half) / max(float(np.linalg.norm(half)), TINY), 0.0)
+        beyond, volts, linear = np.zeros(len(log)), self._at(log), jacobian @ swing
+        if not float(np.abs(swing).max()) > _SWING:
+            return beyond
+        for side in (1.0, -1.0):
+            there = np.clip(log + side * swing, self._least, self._most)
+            left = (self._at(there) - volts) * self._read / self._std - side * linear
+            bent = float(np.linalg.norm(left)) / max(float(np.linalg.norm(linear)), TINY)
+            change = inverse @ (inverse.T @ (jacobian.T @ left)) / coarser**2
+            # Below 1 a second step changes what the first has left by this factor; beyond, steps lead nowhere.
+            beyond = np.maximum(beyond, (1.0 + bent + bent**3) * np.abs(change))
+        return beyond / BY_STEPS
 
     def _one_answer(self, log: FloatArray) -> bool:
         """Whether no other cells give the readings, where idle columns conduct more than those that are read.
@@ -687,7 +720,7 @@ class FitLive:
             uncertainty = np.full(shape, inf)
         if self._sheet is not None:
             uncertainty = uncertainty + self._sheet.doubt(log)
-        known, short = ~unread & (signal > error), signal >= SHORT_SHARE * self._short
+        known, short = ~(unread | self._gone) & (signal > error), signal >= SHORT_SHARE * self._short
         valid = self._rule.accepts(uncertainty) & known
         reason: NDArray[np.int8] = np.full(shape, UNCERTAIN, dtype=np.int8)
         if (unread | short).any():

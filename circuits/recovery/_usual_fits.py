@@ -32,8 +32,10 @@ FAR = 0.5
 """change of a logarithm for which derivatives no longer serve"""
 PER_ERROR = 4.0
 """of it, per standard deviation of the logarithm"""
-NO_FIT = 3.0
-"""half steps of readings from those of the cells: no fit yet"""
+NO_FIT = 1.5
+"""half steps of readings from those of the cells: no fit yet. As many cells as readings fit closely, or it is another
+minimum
+"""
 HARDLY_KNOWN = 0.15
 """standard deviation of a logarithm beyond which a step does not matter"""
 PER_SHARE = 5.0
