@@ -74,7 +74,7 @@ def least_shown(load: FloatArray, pressure: FloatArray) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("spread", [0.0, 0.1])
+@pytest.mark.parametrize("spread", [0.02, 0.1])
 @pytest.mark.parametrize(
     ("circuit", "bits", "noise_mv"),
     [
@@ -87,7 +87,11 @@ def least_shown(load: FloatArray, pressure: FloatArray) -> float:
     ],
 )
 def test_a_hold_does_not_fade(circuit: str, bits: int, noise_mv: float, spread: float) -> None:
-    """For half a minute the load is within three stated deviations, and shown."""
+    """For half a minute the load is within three stated deviations, and shown.
+
+    Cells that are alike to within a step are no skin's, and not judged: all of a column round alike, so that seven
+    readings of what it shares are one.
+    """
     load, pressure, std = held(circuit, bits, noise_mv, spread)
     over = np.abs(pressure - load) / std
     assert np.mean(over < 2.0) > 0.94
