@@ -106,6 +106,24 @@ def test_a_prediction_is_the_linear_step_of_its_phase(seed: int, mode: int) -> N
     np.testing.assert_allclose(left, expected, atol=1e-12)
 
 
+@given(st.floats(2e-3, 0.2), st.floats(0.05, 1.0), st.floats(0.0, 0.03))
+def test_what_was_left_of_a_load_goes_within_the_step_that_comes_to_rest(dt_s: float, load: float, x3: float) -> None:
+    """r and the slow branch are those of the recovery phase under a load that falls to zero in a line."""
+    m, t, c, steps = MATERIAL, step_of(dt_s), zeros(filters.Candidates, 1)[0], 4000
+    r = x3 + m.g1 * load + 0.1
+    c.s[modes.REST], c.r[modes.REST], c.x3[modes.REST] = load, r, x3
+    filters.predict(c, modes.REST, modes.REST, t)
+    for n in range(steps):  # midpoints, of equation (8)
+        s = load * (1.0 - (n + 0.5) / steps)
+        x2 = r - m.g1 * load * (1.0 - n / steps) - x3
+        slow = (m.g3 * s - x3) / m.t3_s
+        r += (-m.g1 * load / dt_s + (m.g2 * s - x2) / m.t2_s + slow) * dt_s / steps
+        x3 += slow * dt_s / steps
+    assert c.s[modes.REST] == 0.0
+    assert c.x3[modes.REST] == pytest.approx(x3, abs=1e-8)
+    assert c.r[modes.REST] == pytest.approx(r, abs=1e-6)
+
+
 @given(st.floats(1e-3, 0.2))
 def test_modes_follow_a_markov_chain_in_time(dt_s: float) -> None:
     """Shares of what follows add up to one, and hazards are per second: two steps are one of twice the time."""
