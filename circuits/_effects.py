@@ -132,9 +132,9 @@ def _dynamic_effects(design: Design, cells: FloatArray) -> Iterator[Effect]:
     by_voltage = board.turn(noise(real, only).parts["amplifier voltage"])
     basis = "amplifier voltage, by noise(); " + _basis("voltage_noise", density, named=noisy)
     yield Effect("noise", False, _largest_relative(by_voltage, signal, live), basis)
-    left = board.turn(BoardsInTime(real, Boards.of(real), only[None]).deviations(ORDINARY["period"]).larger[0])
+    left = board.turn(BoardsInTime(real, Boards.of(real), only[None]).deviations(ORDINARY["period"]).from_rest[0])
     basis = f"{ORDINARY['period']} s per row, by Settling; " + _basis("gain_bandwidth", product, named=fast)
-    yield Effect("settling", False, _largest_relative(left, signal, live), basis)
+    yield Effect("settling", False, _largest_relative(np.abs(left), signal, live), basis)
 
 
 def _difference(design: Design, without: Design, cells: FloatArray) -> float | None:

@@ -47,8 +47,8 @@ def test_the_loop_gain_agrees_with_the_closed_form(cells: np.ndarray, feedback_c
     design = _linear(feedback_capacitance=feedback_capacitance, column_capacitance=300e-12)
     found = spice.dynamic_reading(design, cells, 0, column=2)
     expected = stability(design, cells)
-    assert found.phase_margin == pytest.approx(expected.phase_margin[0, 2], abs=0.3)
-    assert found.crossover == pytest.approx(expected.crossover[0, 2], rel=3e-3)
+    assert found.phase_margin == pytest.approx(expected.phase_margin[0, 2], abs=0.05)
+    assert found.crossover == pytest.approx(expected.crossover[0, 2], rel=2e-4)
 
 
 def test_an_amplifier_that_never_reaches_gain_1_has_no_margin() -> None:
@@ -66,7 +66,7 @@ def test_rows_that_are_sensed_have_the_same_dynamics() -> None:
     signal = np.abs(settling.settled).max()
     np.testing.assert_allclose(found.sampled, settling.sampled_from_rest(period)[:, 1], atol=2e-4 * signal)
     assert found.noise == pytest.approx(noise(design, CELLS).before_adc[3, 1], rel=2e-3)
-    assert found.phase_margin == pytest.approx(stability(design, CELLS).phase_margin[3, 1], abs=0.3)
+    assert found.phase_margin == pytest.approx(stability(design, CELLS).phase_margin[3, 1], abs=0.01)
 
 
 @pytest.mark.parametrize("seed", [*range(2), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 14))])
@@ -93,7 +93,7 @@ def test_random_boards_in_time_agree(seed: int) -> None:
     np.testing.assert_allclose(found.sampled, of_line(settling.sampled_from_rest(period)), atol=0.02 * signal)
     margin = float(of_line(stability(design, cells).phase_margin)[0])
     if np.isfinite(margin) or np.isfinite(found.phase_margin):
-        assert found.phase_margin == pytest.approx(margin, abs=0.02 * 90.0)
+        assert found.phase_margin == pytest.approx(margin, abs=0.01)
 
 
 def test_a_swing_limits_the_output() -> None:

@@ -10,13 +10,14 @@ linear. Slewing is not modelled; saturated frames are refused.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from math import inf, pi
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...common.arrays import FloatArray
+from ...common.arrays import ComplexArray, FloatArray
 from ...errors import InputError, SolverError
 from .._design import Design
 from .._population import Boards
@@ -125,6 +126,14 @@ class BoardsInTime:
         return found
 
 
+_RANGE = 1e-9, 10.0
+"""of the gain-bandwidth: where an amplifier still has all of its gain, and where it has none left"""
+_CROSSES = 1e-12
+"""of the loop gain"""
+_AROUND = np.geomspace(0.2, 3.0, 31)
+"""multiples of the crossover at which a peak is looked for"""
+_TOGETHER = 1 << 18
+"""matrix entries of equations that are solved in one call"""
 _NEAR = 0.1  # of the limit; between two steps of a quarter of a radian a deviation rises by less than this
 _GOLDEN = 0.6180339887498949
 _CROSSING = 1e-9  # of a period, to which it is known where a deviation reaches its limit
@@ -273,8 +282,8 @@ class Settling:
 
 
 @dataclass(frozen=True)
-class Stability:
-    """Stability of each amplifier on its line, (rows, columns). Rows differ only with floating idle rows."""
+class LoopGain:
+    """Loop gain of each amplifier, (rows, columns) or (B, rows, columns). Rows differ only with floating idle rows."""
 
     noise_gain: FloatArray
     """1 + Rref Y_jj, the other columns at their virtual grounds"""
@@ -283,61 +292,135 @@ class Stability:
     the loop gain is below 1 throughout"""
     phase_margin: FloatArray
     """degrees"""
+
+
+@dataclass(frozen=True)
+class Stability(LoopGain):
+    """Stability of each amplifier on its line, (rows, columns)."""
+
     peaking: FloatArray
     """largest gain from cell current to output over frequency, relative to DC; 1: no peak"""
 
 
 def stability(design: Design, resistance: ArrayLike) -> Stability:
-    """Phase margin and peaking of each amplifier on its column.
+    """Phase margin and peaking of each amplifier on its column, while all other amplifiers hold theirs.
 
-    The loop gain is A(s) (1/Rref + s Cf) / (1/Rref + Y_jj + s (C + Cf)), where A(s) has one pole. Crossover, margin and
-    peak follow in closed form. An amplifier with more than one pole has a smaller margin.
+    The amplifiers have one pole. One with more has a smaller margin.
 
     Raises:
         InputError: as :class:`Settling`, or ``readout.gain_bandwidth`` is infinite.
 
     """
-    found = stability_of_boards(design, Boards.of(design), design.resistance(resistance)[None])
-    return Stability(*(getattr(found, field.name)[0] for field in fields(found)))
+    cells = design.resistance(resistance)[None]
+    loops = _Loops.of(design, Boards.of(design), cells)
+    found, peaking = _loop_gain(design, loops, 1), _each_cell(design, loops.peaking(), 1)
+    return Stability(found.noise_gain[0], found.crossover[0], found.phase_margin[0], peaking[0])
 
 
-def stability_of_boards(design: Design, boards: Boards, cells: FloatArray) -> Stability:
-    """As :func:`stability` for many boards with cells (B, rows, columns) in ohm; all results are (B, rows, columns)."""
+def stability_of_boards(design: Design, boards: Boards, cells: FloatArray) -> LoopGain:
+    """The loop gains of many boards with cells (B, rows, columns) in ohm; errors as :func:`stability`."""
+    return _loop_gain(design, _Loops.of(design, boards, cells), len(cells))
+
+
+def _loop_gain(design: Design, loops: _Loops, count: int) -> LoopGain:
+    omega = loops.crossover()
+    angle = np.degrees(np.angle(loops.at(omega)[0]))
+    values = loops.noise_gain, omega / (2 * pi), np.where(angle > 90.0, angle - 180.0, angle + 180.0)
+    return LoopGain(*(_each_cell(design, value, count) for value in values))
+
+
+def _each_cell(design: Design, values: FloatArray, count: int) -> FloatArray:
+    """(B, rows, columns) of values of the columns of each grid."""
     board = design.board
-    require_amplifiers(board)
-    ours = boards.turned if board.turned else boards
-    speed = 2 * pi * ours.gain_bandwidth[..., None]
-    if np.isinf(speed).any():
-        raise InputError("readout.gain_bandwidth is infinite: an amplifier without a pole has no phase margin")
-    networks = ColumnNetworks.of(design, ours, board.turn(cells)).conductance
-    seen = np.diagonal(networks, axis1=-2, axis2=-1)
-    rref, slack = ours.reference_resistance[:, None], 1 / ours.open_loop_gain[:, None]
-    line, across = ours.column_capacitance[..., None], ours.feedback_capacitance[..., None]
-    slowed = bool((line + across).any())
-    gain = 1 + rref * seen
-    zero, pole = rref * across, rref * (line + across)
-    # |A| |beta| = 1:  1 + zero^2 w^2 = (w^2/speed^2 + slack^2) (gain^2 + pole^2 w^2), in x = (w/speed)^2
-    a = (pole * speed) ** 2
-    b = gain**2 + (slack * pole * speed) ** 2 - (zero * speed) ** 2
-    c = (slack * gain) ** 2 - 1
-    root = np.sqrt(np.maximum(b**2 - 4 * a * c, 0))
-    x = np.where(b > 0, -2 * c / (b + root), (root - b) / (2 * a) if slowed else np.nan)
-    omega = np.sqrt(np.where(c < 0, x, np.nan))  # in units of speed
-    lag = np.arctan2(omega, slack) - np.arctan(omega * speed * zero) + np.arctan(omega * speed * pole / gain)
-    # Closed loop: pole/speed s^2 + (gain/speed + slack pole + zero) s + (1 + slack gain)
-    stiffness = 1 + slack * gain
-    damping = (gain / speed + slack * pole + zero) / (2 * np.sqrt(stiffness * pole / speed)) if slowed else np.inf
-    with np.errstate(invalid="ignore", divide="ignore"):
-        resonant = 1 / (2 * damping * np.sqrt(1 - damping**2))
-    peaking = np.where(damping < np.sqrt(0.5), resonant, 1.0)
-    shape = (len(cells), *board.shape)
+    grids = values.reshape(count, -1, values.shape[-1])
+    return board.turn(np.broadcast_to(grids, (count, *board.shape)))
 
-    def for_each_cell(values: FloatArray) -> FloatArray:
-        return board.turn(np.broadcast_to(values, shape))
 
-    return Stability(
-        noise_gain=for_each_cell(gain),
-        crossover=for_each_cell(omega * speed / (2 * pi)),
-        phase_margin=for_each_cell(180 - np.degrees(lag)),
-        peaking=for_each_cell(peaking),
-    )
+class _Loops(NamedTuple):
+    """Amplifiers on the M columns of K grids in line coordinates."""
+
+    network: FloatArray
+    """(K, M, M) S, the grid as the column ends see it"""
+    feedback: FloatArray
+    """(K, M) S"""
+    slack: FloatArray
+    """(K, M) reciprocal of the open-loop gain"""
+    speed: FloatArray
+    """(K, 1) 1/s, 2 pi GBW"""
+    line: FloatArray
+    """(K, 1) F"""
+    across: FloatArray
+    """(K, 1) F"""
+
+    @classmethod
+    def of(cls, design: Design, boards: Boards, cells: FloatArray) -> _Loops:
+        board = design.board
+        require_amplifiers(board)
+        ours = boards.turned if board.turned else boards
+        if np.isinf(ours.gain_bandwidth).any():
+            raise InputError("readout.gain_bandwidth is infinite: an amplifier without a pole has no phase margin")
+        network = ColumnNetworks.of(design, ours, board.turn(cells)).conductance
+        parts = 1 / ours.reference_resistance, 1 / ours.open_loop_gain, 2 * pi * ours.gain_bandwidth
+        count, grids, columns = network.shape[:3]
+        each = [
+            np.repeat(np.broadcast_to(part, (count, part.shape[1])), grids, axis=0)
+            for part in (*parts, ours.column_capacitance, ours.feedback_capacitance)
+        ]
+        return cls(network.reshape(-1, columns, columns), *each)
+
+    @property
+    def noise_gain(self) -> FloatArray:
+        gain: FloatArray = 1.0 + np.einsum("kjj->kj", self.network) / self.feedback
+        return gain
+
+    def at(self, omega: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Loop gain (K, M), and gain from current to output in ohm, of each column at a frequency (K, M) of its own.
+
+        All other amplifiers hold their columns as well as they can at that frequency.
+        """
+        loop, transfer = np.empty((2, *omega.shape), dtype=np.complex128)
+        columns = np.arange(omega.shape[1])
+        size = max(1, _TOGETHER // len(columns) ** 3)
+        for first in range(0, len(omega), size):
+            network, feedback, slack, speed, line, across = (part[first : first + size, None] for part in self)
+            s = 1j * omega[first : first + size, :, None]
+            gain, back = 1.0 / (slack + s / speed), feedback + s * across  # (K, judged column, column)
+            matrix = network + (((1.0 + gain) * back + s * line)[..., None] * np.eye(len(columns)))
+            ends = np.linalg.solve(matrix, np.eye(len(columns))[:, :, None])[:, columns, columns, 0]
+            through = gain[:, columns, columns] * ends
+            passed = through * back[:, columns, columns]
+            loop[first : first + size], transfer[first : first + size] = passed / (1.0 - passed), through
+        return loop, transfer
+
+    def crossover(self) -> FloatArray:
+        """(K, M) 1/s at which the loop gain is 1, by the Illinois method (Dowell and Jarratt 1971); NaN: nowhere."""
+        low, high = (np.log(bound * self.speed) + np.zeros_like(self.slack) for bound in _RANGE)
+
+        def excess(log_omega: FloatArray) -> FloatArray:
+            return np.log(np.abs(self.at(np.exp(log_omega))[0]))
+
+        above, below = excess(low), excess(high)
+        known = above > 0
+        for _ in range(_HALVINGS):
+            apart = np.where(known & (below != above), below - above, 1.0)
+            middle = high - below * (high - low) / apart
+            found = excess(middle)
+            same = found * below > 0
+            low, above = np.where(same, low, high), np.where(same, above / 2, below)
+            high, below = middle, found
+            if not (np.abs(found[known]) >= _CROSSES).any():
+                break
+        return np.where(known, np.exp(high), np.nan)
+
+    def peaking(self) -> FloatArray:
+        """(K, M) largest gain relative to DC: on a grid of frequencies, then by golden sections."""
+        steady = np.abs(self.at(_RANGE[0] * self.speed + np.zeros_like(self.slack))[1])
+        omega = self.crossover()
+
+        def gain(omega: FloatArray) -> FloatArray:
+            return np.where(np.isfinite(omega), np.abs(self.at(omega)[1]) / steady, 0.0)
+
+        top = np.argmax([gain(omega * ratio) for ratio in _AROUND], axis=0)
+        beside = (_AROUND[np.clip(top + step, 0, len(_AROUND) - 1)] for step in (-1, 1))
+        _, peak = _peak(gain, *(omega * ratio for ratio in beside))
+        return np.maximum(peak, 1.0)
