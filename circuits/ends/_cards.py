@@ -27,7 +27,6 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from math import inf, isfinite
 from pathlib import Path
-from typing import NamedTuple
 
 from ...common.files import read_text
 from ...common.text import one_line, shortened
@@ -112,13 +111,6 @@ class Card:
         usual = OPAMP if self.kind == "x" else {}
         words += [f"{key}={value!r}" for key, value in self.parameters if value != usual.get(key)]
         return " ".join(words)
-
-
-class Subcircuit(NamedTuple):
-    """A ``.subckt`` of a file, its inner subcircuits expanded."""
-
-    ports: tuple[str, ...]
-    cards: tuple[Card, ...]
 
 
 def number(text: str, where: str) -> float:
