@@ -121,22 +121,25 @@ class BoardsInTime:
             left &= ~(over | hidden | ends)
             after, after_excess, upper, upper_excess = upper, upper_excess, lower, lower_excess
         if crosses.any():
-            crossing = _crossing(excess, bracket[0], bracket[1], allowed)
+
+            def decades(seconds: FloatArray) -> FloatArray:  # over the limit: nearly straight in time
+                found: FloatArray = np.log(np.maximum(excess(seconds) / allowed + 1.0, 1e-300))
+                return found
+
+            crossing = _crossing(decades, bracket[0], bracket[1])
             found[crosses] = (self.briefest + crossing)[crosses]
         return found
 
 
 _RANGE = 1e-9, 10.0
 """of the gain-bandwidth: where an amplifier still has all of its gain, and where it has none left"""
-_CROSSES = 1e-12
-"""of the loop gain"""
 _AROUND = np.geomspace(0.2, 3.0, 31)
 """multiples of the crossover at which a peak is looked for"""
 _TOGETHER = 1 << 18
 """matrix entries of equations that are solved in one call"""
 _NEAR = 0.1  # of the limit; between two steps of a quarter of a radian a deviation rises by less than this
 _GOLDEN = 0.6180339887498949
-_CROSSING = 1e-9  # of a period, to which it is known where a deviation reaches its limit
+_CROSSING = 1e-9  # of a period, or of the logarithm of a frequency, to which a crossing is known
 _MOST_STEPS = 60  # of that search; each third halves the bracket
 _SECTIONS = 20  # golden sections of a peak's bracket: to 1e-4 of it, and the peak itself to the square of that
 
@@ -154,29 +157,21 @@ def _peak(
     return middle, excess(middle)
 
 
-def _crossing(
-    excess: Callable[[FloatArray], FloatArray], lower: FloatArray, upper: FloatArray, allowed: FloatArray
-) -> FloatArray:
-    """Times (B,) at which ``excess`` falls to zero, between ``lower`` (positive there) and ``upper`` (not positive).
+def _crossing(level: Callable[[FloatArray], FloatArray], lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Where ``level`` falls to zero, between ``lower`` (positive there) and ``upper`` (not positive).
 
-    False position with the Illinois weights (Dowell and Jarratt, BIT 11, 1971), of the logarithm of the deviation over
-    ``allowed`` (B,), which is nearly straight in time.
+    False position with the Illinois weights (Dowell and Jarratt, BIT 11, 1971).
     """
-
-    def decades(seconds: FloatArray) -> FloatArray:
-        found: FloatArray = np.log(np.maximum(excess(seconds) / allowed + 1.0, 1e-300))
-        return found
-
-    low, high, before, after = lower.copy(), upper.copy(), decades(lower), decades(upper)
-    moved = np.zeros(len(low))
+    low, high, before, after = lower.copy(), upper.copy(), level(lower), level(upper)
+    moved = np.zeros_like(low)
     for number in range(_MOST_STEPS):
         width = high - low
         if (width <= _CROSSING * high).all():
             break
-        share = np.full(len(low), 0.5) if number % 3 == 2 else before / np.where(before > after, before - after, 1.0)
+        share = np.full_like(low, 0.5) if number % 3 == 2 else before / np.where(before > after, before - after, 1.0)
         margin = np.minimum(_CROSSING / 2 * high / np.where(width > 0, width, 1.0), 0.5)  # so that both ends close in
         middle = low + width * np.clip(share, margin, 1.0 - margin)
-        there = decades(middle)
+        there = level(middle)
         positive = there > 0
         after = np.where(positive, np.where(moved > 0, after / 2, after), there)
         before = np.where(positive, there, np.where(moved < 0, before / 2, before))
@@ -393,24 +388,13 @@ class _Loops(NamedTuple):
         return loop, transfer
 
     def crossover(self) -> FloatArray:
-        """(K, M) 1/s at which the loop gain is 1, by the Illinois method (Dowell and Jarratt 1971); NaN: nowhere."""
+        """(K, M) 1/s at which the loop gain is 1; NaN: nowhere."""
         low, high = (np.log(bound * self.speed) + np.zeros_like(self.slack) for bound in _RANGE)
 
-        def excess(log_omega: FloatArray) -> FloatArray:
+        def level(log_omega: FloatArray) -> FloatArray:
             return np.log(np.abs(self.at(np.exp(log_omega))[0]))
 
-        above, below = excess(low), excess(high)
-        known = above > 0
-        for _ in range(_HALVINGS):
-            apart = np.where(known & (below != above), below - above, 1.0)
-            middle = high - below * (high - low) / apart
-            found = excess(middle)
-            same = found * below > 0
-            low, above = np.where(same, low, high), np.where(same, above / 2, below)
-            high, below = middle, found
-            if not (np.abs(found[known]) >= _CROSSES).any():
-                break
-        return np.where(known, np.exp(high), np.nan)
+        return np.where(level(low) > 0, np.exp(_crossing(level, low, high)), np.nan)
 
     def peaking(self) -> FloatArray:
         """(K, M) largest gain relative to DC: on a grid of frequencies, then by golden sections."""
