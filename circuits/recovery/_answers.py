@@ -6,10 +6,14 @@ idle lines stand. With idle columns at that potential, column j conducts
     S_j = sum_i D_ij (1 - r_i D_ij) / (1 - r_i sum_l D_il)
 
 to all other lines, and W D = I + S C (:mod:`..readouts._port_law`). D and S increase with each other where C/W is
-positive: rounds that begin at the bounds of the cells enclose every answer, and meet if there is only one.
+positive: rounds that begin at the bounds of the cells enclose every answer, and meet if there is only one. A row that floats while it is
+idle joins its cell to the cells of other columns only: it conducts D_ij (1 - a_ij) / (1 - r_i sum_l D_il), where a_ij is
+the cell's share in its row, and D_ij a_ij more while it is selected. Both increase with every D, too.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,7 +27,7 @@ from ._lines import LineResistance
 MOST_WIRE = 2.0
 """resistance of a cell's lines over its own from which on it reads like a short"""
 _STANDS_OUT = 10.0  # port conductance over the usual one of its column, from which on a cell may be a short
-_SHORTED = 0.3  # ohm, of all cells of a column in parallel, if they are shorts
+_SHORTED = 0.3  # ohm, of all cells of a column in parallel, if they are shorts, where columns have loads
 _ONE = 3.0  # largest over least conductance of all answers, up to which they are one within their errors
 
 
@@ -32,14 +36,16 @@ def several_answers(board: Board) -> bool:
 
     The determinant of the derivatives of all readings by all cells is positive for all cells where no line conducts
     more to the reference while it is idle than while it is selected or read (``tests/test_answers.py``): then there is
-    one answer at most. An idle column that conducts more ties the rows, behind their leads, to the reference.
+    one answer at most. An idle column that conducts more ties the rows, behind their leads, to the reference; one beside
+    which the read column stands at an offset takes a current from it.
     """
     circuit = board.circuit
     if board.line_ends is not None and board.described is None:
         return False  # not linear: the circuit itself refuses what is ambiguous
     more = circuit.drives_idle_lines
     if not more and (read := circuit.read_ends(board)) is not None:
-        more = bool((board.idle_resistance < read.resistance).any())
+        offset = np.isfinite(board.idle_resistance) & (read.source != 0.0)
+        more = bool((offset | (board.idle_resistance < read.resistance)).any())
     leads = np.where(np.isfinite(board.row_ohms), board.row_ohms, 0.0)
     return circuit.columns_one_by_one(board) and more and bool(leads.any())
 
@@ -54,17 +60,17 @@ class Answers:
             np.where(np.isfinite(ohms), ohms, 0.0) for ohms in (lines.to_driver, lines.to_end, board.column_lead)
         )
         wire = column_lead + to_end.mean(axis=0)
-        law = board.circuit.port_law(board, wire)
+        law = board.circuit.port_law(replace(board, floating=False), wire)
         assert law is not None
+        self._floating = board.floating
         self._law = PortLaw(*(np.array(np.broadcast_to(part, (2, len(wire))), order="C") for part in law))
         self._lead = to_driver.mean(axis=1)
         self._present = np.ascontiguousarray(~(broken_off(board) | np.isinf(board.series_ohms)))
         self._nowhere = np.zeros(board.shape, dtype=np.bool_)
-        # An amplifier at a virtual ground stands at its limit long before a cell is as good as a short.
         self._most = np.full(board.shape, 1.0 / LEAST_SHORT_OHM)
-        if board.circuit.virtual_ground:
-            self._most = MOST_WIRE / (to_driver + to_end + column_lead + LEAST_SHORT_OHM)
-        self._column_most = 1.0 / (column_lead + to_end.min(axis=0) + _SHORTED)
+        # Behind a virtual ground, bounds meet whatever a column's cells are in parallel.
+        shorted = LEAST_SHORT_OHM / board.shape[0] if board.circuit.virtual_ground else _SHORTED
+        self._column_most = 1.0 / (column_lead + to_end.min(axis=0) + shorted)
         self._least_ohm = least_ohm
 
     def __call__(
@@ -72,7 +78,7 @@ class Answers:
     ) -> tuple[FloatArray, FloatArray]:
         """Bounds (N, M) in S on the cells behind readings (N, M) in V that are known within an ``error`` in V.
 
-        No cell is taken to conduct more than the least resistance does, and no column together than a short of 0.3 ohm.
+        No cell is taken to conduct more than the least resistance does, and no column behind a load together than a short of 0.3 ohm.
         Cells at a limit, cells that seem to conduct more than the most, and several of one row that stand out
         from their columns may be shorts.
 
@@ -100,8 +106,8 @@ class Answers:
         below, above, least, greatest = np.empty((4, rows, columns))
         flags = self._present, limited, under_range
         priors = self._lead, most, column_most
-        written = below, above, np.empty((3, max(rows, columns))), least, greatest
-        answers.unchecked(np.ascontiguousarray(volts), *law, *flags, *priors, error, *written)
+        written = below, above, np.empty((4, max(rows, columns))), np.empty((2, rows)), least, greatest
+        answers.unchecked(np.ascontiguousarray(volts), *law, *flags, *priors, self._floating, error, *written)
         return least, greatest
 
 

@@ -331,10 +331,12 @@ def answers(
     lead: Row,
     cell_most: Rows,
     column_most: Row,
+    floating: bool,
     error: float,
     below: Rows,
     above: Rows,
     sums: Rows,
+    alone: Rows,
     low: Rows,
     high: Rows,
 ) -> None:
@@ -347,8 +349,9 @@ def answers(
         unknown: cells whose readings state lower bounds only, and ``under_range`` ones that state upper bounds.
         lead: (N,) ohm of the rows.
         cell_most: S, bounds on the cells before anything is read, and ``column_most`` (M,) on all of a column together.
+        floating: whether idle rows conduct to other columns only.
         error: V, of a reading.
-        below: S, bounds of the port conductances; changed, as ``above`` and ``sums`` (3, max(N, M)).
+        below: S, bounds of the port conductances; changed, as ``above``, ``sums`` (4, max(N, M)), ``alone`` (2, N).
         low: written, and ``high``.
     """
     rows, columns = volts.shape
@@ -377,9 +380,10 @@ def answers(
     for _ in range(ROUNDS):
         moved = 0.0
         for i in range(rows):
-            sums[2, i] = 0.0
+            sums[2, i], sums[3, i] = 0.0, 0.0
             for j in range(columns):
                 sums[2, i] += above[i, j]
+                sums[3, i] += below[i, j]
         for j in range(columns):
             least, least_share, most, most_share = 0.0, 0.0, 0.0, 0.0
             for i in range(rows):
@@ -393,9 +397,18 @@ def answers(
                         of_others += r * cell_most[i, other]
                 left = 1.0 - r * above[i, j]
                 most_passed = 1.0 - r * (sums[2, i] - above[i, j]) / left if left > LEAST else 0.0
-                most_passed = min(1.0 / max(most_passed, LEAST), of_others)
+                least_passed, most_passed = 1.0, min(1.0 / max(most_passed, LEAST), of_others)
+                least_alone, most_alone = 0.0, 0.0
+                if floating:
+                    others_least, others_most = sums[3, i] - below[i, j], sums[2, i] - above[i, j]
+                    least_alone = below[i, j] / max(below[i, j] + others_most, LEAST)
+                    most_alone = min(above[i, j] / max(above[i, j] + others_least, LEAST), 1.0)
+                    least_passed = (1.0 - most_alone) / max(1.0 - r * sums[3, i], LEAST)
+                    of_all = min(1.0 / max(1.0 - r * sums[2, i], LEAST), of_others + r * cell_most[i, j])
+                    most_passed = (1.0 - least_alone) * of_all
                 if unknown[i, j]:
-                    least += below[i, j]
+                    least += least_passed * below[i, j]
+                    alone[0, i], alone[1, i] = 1.0, 1.0
                     most += most_passed * above[i, j]
                     continue
                 own, own_most = math.inf, -math.inf
@@ -415,12 +428,17 @@ def answers(
                     own_most, share_most = math.inf, math.inf
                 if math.isinf(own):
                     own, share = 0.0, 0.0
+                # Selected, the row holds its cell better than while it floats: D (1 - a C/W) = I/W + U C/W, where
+                # U is what all of the column's cells conduct while their rows float, and a their share in their rows.
+                alone[0, i] = 1.0 / max(1.0 - min(share * least_alone, share * most_alone), LEAST)
+                alone[1, i] = 1.0 / max(1.0 - max(share_most * least_alone, share_most * most_alone), LEAST)
+                least_passed, most_passed = least_passed * alone[0, i], most_passed * alone[1, i]
                 if not under_range[i, j]:
-                    least += own * (1.0 if own > 0.0 else most_passed)
-                    least_share += share * (1.0 if share > 0.0 else most_passed)
+                    least += own * (least_passed if own > 0.0 else most_passed)
+                    least_share += share * (least_passed if share > 0.0 else most_passed)
                 if own_most > 0.0:
                     most += own_most * most_passed
-                most_share += share_most * (most_passed if share_most > 0.0 else 1.0)
+                most_share += share_most * (most_passed if share_most > 0.0 else least_passed)
                 if share > 0.0:
                     sums[1, j] = min(sums[1, j], max(cell_most[i, j] / (1.0 + r * cell_most[i, j]) - own, 0.0) / share)
             if most_share < 1.0 and most < math.inf:
@@ -440,6 +458,8 @@ def answers(
                     own, share = (current[0, j] + current[1, j] * y) / w, (potential[0, j] + potential[1, j] * y) / w
                     lowest = min(lowest, own + share * (sums[0, j] if share > 0.0 else sums[1, j]))
                     highest = max(highest, own + share * (sums[1, j] if share > 0.0 else sums[0, j]))
+                lowest *= alone[0 if lowest > 0.0 else 1, i]
+                highest *= alone[1 if highest > 0.0 else 0, i]
                 if below[i, j] < lowest < math.inf and not under_range[i, j]:
                     moved = max(moved, 1.0 - below[i, j] / lowest)
                     below[i, j] = min(lowest, above[i, j])

@@ -104,7 +104,7 @@ class LawLive:
             floating=board.floating,
             virtual_ground=board.circuit.virtual_ground,
         )
-        self._answers = Answers(sliced, least_ohm) if several_answers(board) and self._law.has_potential else None
+        self._answers = Answers(sliced, least_ohm) if several_answers(board) else None
         self._enclosure = Enclosure(board, self._law, shared, to_driver, to_end)
         self._wires = np.abs(to_driver - lead[:, None]) + np.abs(to_end - to_end.mean(axis=0))
         self._any_wire = bool(self._wires.any())
