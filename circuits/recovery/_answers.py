@@ -6,9 +6,10 @@ idle lines stand. With idle columns at that potential, column j conducts
     S_j = sum_i D_ij (1 - r_i D_ij) / (1 - r_i sum_l D_il)
 
 to all other lines, and W D = I + S C (:mod:`..readouts._port_law`). D and S increase with each other where C/W is
-positive: rounds that begin at the bounds of the cells enclose every answer, and meet if there is only one. A row that floats while it is
-idle joins its cell to the cells of other columns only: it conducts D_ij (1 - a_ij) / (1 - r_i sum_l D_il), where a_ij is
-the cell's share in its row, and D_ij a_ij more while it is selected. Both increase with every D, too.
+positive: rounds that begin at the bounds of the cells enclose every answer, and meet if there is only one. A row that
+floats while it is idle joins its cell to the cells of other columns only: it conducts D_ij (1 - a_ij) /
+(1 - r_i sum_l D_il), where a_ij is the cell's share in its row, and D_ij a_ij more while it is selected. Both increase
+with every D, too.
 """
 
 from __future__ import annotations
@@ -36,8 +37,8 @@ def several_answers(board: Board) -> bool:
 
     The determinant of the derivatives of all readings by all cells is positive for all cells where no line conducts
     more to the reference while it is idle than while it is selected or read (``tests/test_answers.py``): then there is
-    one answer at most. An idle column that conducts more ties the rows, behind their leads, to the reference; one beside
-    which the read column stands at an offset takes a current from it.
+    one answer at most. An idle column that conducts more ties the rows, behind their leads, to the reference; one
+    beside which the read column stands at an offset takes a current from it.
     """
     circuit = board.circuit
     if board.line_ends is not None and board.described is None:
@@ -78,7 +79,8 @@ class Answers:
     ) -> tuple[FloatArray, FloatArray]:
         """Bounds (N, M) in S on the cells behind readings (N, M) in V that are known within an ``error`` in V.
 
-        No cell is taken to conduct more than the least resistance does, and no column behind a load together than a short of 0.3 ohm.
+        No cell is taken to conduct more than the least resistance does, and no column behind a load together than a
+        short of 0.3 ohm.
         Cells at a limit, cells that seem to conduct more than the most, and several of one row that stand out
         from their columns may be shorts.
 
